@@ -1,0 +1,76 @@
+"""What can go wrong, as types a caller can tell apart.
+
+    WheelsightError
+    ├── InputError               what was handed in is wrong: names the file, the place and the fix
+    │   ├── RecordingError       a recording's folder, list files or images
+    │   ├── CalibrationError     camera, depth or robot parameters
+    │   ├── TrajectoryError      a trajectory's text or values
+    │   ├── ConfigError          a setting that is unknown, impossible or in conflict
+    │   └── OutputError          an output that cannot be written, or would be overwritten
+    ├── DegenerateGeometryError  points that do not determine the motion asked for
+    └── EvaluationError          two trajectories that cannot be compared
+
+A frame that cannot be tracked is no exception but a value: `MotionEstimate.reason`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class WheelsightError(Exception):
+    """Root of everything wheelsight raises on purpose."""
+
+
+class InputError(WheelsightError):
+    """Something handed in is wrong; the message is one line, `file:line: problem (fix)`."""
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        path: Path | str | None = None,
+        line: int | None = None,
+        fix: str | None = None,
+    ) -> None:
+        self.problem = problem
+        self.path = None if path is None else Path(path)
+        self.line = line
+        self.fix = fix
+        super().__init__(self._one_line())
+
+    def _one_line(self) -> str:
+        where = "" if self.path is None else str(self.path)
+        if self.line is not None:
+            where += f":{self.line}"
+        text = f"{where}: {self.problem}" if where else self.problem
+        text = " ".join(text.split())
+        return f"{text} ({self.fix})" if self.fix else text
+
+
+class RecordingError(InputError):
+    """A recording cannot be read as it stands."""
+
+
+class CalibrationError(InputError):
+    """Parameters of a camera, a depth sensor or a robot are missing or impossible."""
+
+
+class TrajectoryError(InputError):
+    """A trajectory's text or values are not one."""
+
+
+class ConfigError(InputError):
+    """A setting is unknown, impossible, or contradicts another."""
+
+
+class OutputError(InputError):
+    """An output cannot be written, or would overwrite what is there."""
+
+
+class DegenerateGeometryError(WheelsightError):
+    """The points given do not determine the motion asked for."""
+
+
+class EvaluationError(WheelsightError):
+    """Two trajectories share too little to be compared."""

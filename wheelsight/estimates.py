@@ -1,0 +1,78 @@
+"""What odometry and localization answer: a motion or a pose with its covariance, or why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from wheelsight.geometry import FloatArray
+
+
+class Reason(StrEnum):
+    """Why a frame gave no motion, or no pose."""
+
+    FRAME_UNUSABLE = "frame unusable"
+    TOO_FEW_KEYPOINTS = "too few keypoints with depth"
+    TOO_FEW_MATCHES = "too few matches"
+    TOO_FEW_INLIERS = "too few inliers"
+    DEGENERATE = "matches do not determine the motion"
+    IMPLAUSIBLE_MOTION = "implausible motion"
+
+
+class Status(StrEnum):
+    """What the estimate at a frame can be used for.
+
+    initializing: no pose yet. tracking: pose known. failing: this frame gave no pose, the next may.
+    lost: so many frames failed in a row that only recognising a known place helps.
+    """
+
+    INITIALIZING = "initializing"
+    TRACKING = "tracking"
+    FAILING = "failing"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionEstimate:
+    """The camera's motion against a reference frame, or the reason why there is none.
+
+    Attributes:
+        T_reference_current: (4, 4), or None on failure.
+        covariance: (6, 6) of the left perturbation (v, ω) of `T_reference_current`, or None on failure.
+        reason: None on success.
+        matches, inliers: how many point pairs were proposed, and how many agree with the motion.
+    """
+
+    T_reference_current: FloatArray | None
+    covariance: FloatArray | None
+    reason: Reason | None = None
+    matches: int = 0
+    inliers: int = 0
+
+    @classmethod
+    def failed(cls, reason: Reason, matches: int = 0, inliers: int = 0) -> MotionEstimate:
+        """An estimate that says only why there is none."""
+        return cls(None, None, reason, matches, inliers)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Where the body is at one stamp, and how far to trust it.
+
+    Attributes:
+        stamp_s: time of the event answered, seconds.
+        status: what the pose can be used for.
+        T_world_body: (4, 4), or None while it is not known. `body` is "camera" or "base".
+        covariance: (6, 6) of the left perturbation (v, ω) of `T_world_body`, or None.
+        reason: why there is no pose, or None.
+        matches, inliers: of this frame's alignment.
+    """
+
+    stamp_s: float
+    status: Status
+    T_world_body: FloatArray | None = None
+    covariance: FloatArray | None = None
+    reason: Reason | None = None
+    body: str = "camera"
+    matches: int = 0
+    inliers: int = 0

@@ -1,0 +1,45 @@
+"""What sensors say: the events that every source yields in order of time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wheelsight.geometry import ByteArray, Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RgbdFrame:
+    """One colour image and the depth image that belongs to it.
+
+    Attributes:
+        stamp_s: time of the colour image, seconds.
+        color: (H, W, 3) uint8, red green blue.
+        depth_m: (H, W) float32, metres along the depth camera's z axis; 0 where nothing was measured.
+        index: how many frames the source listed before this one, skipped ones included.
+    """
+
+    stamp_s: float
+    color: ByteArray
+    depth_m: Float32Array
+    index: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WheelTicks:
+    """Cumulative encoder counts of the left and right driven wheel at `stamp_s` seconds."""
+
+    stamp_s: float
+    left: int
+    right: int
+
+
+@dataclass(frozen=True, slots=True)
+class SkippedFrame:
+    """A frame that was listed but could not be used, and why; the stream goes on after it."""
+
+    stamp_s: float
+    reason: str
+    index: int = 0
+
+
+Event = RgbdFrame | WheelTicks | SkippedFrame

@@ -1,0 +1,18 @@
+"""Rigid motions, cameras and alignment: mathematics that knows nothing of robots."""
+
+from wheelsight.geometry._types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from wheelsight.geometry.alignment import align_points, align_points_with_scale
+from wheelsight.geometry.camera import PinholeCamera
+from wheelsight.geometry.interpolation import interpolate_at
+
+__all__ = [
+    "BoolArray",
+    "ByteArray",
+    "Float32Array",
+    "FloatArray",
+    "IntArray",
+    "PinholeCamera",
+    "align_points",
+    "align_points_with_scale",
+    "interpolate_at",
+]

@@ -1,0 +1,69 @@
+"""The rigid motion that best lays one point set on another, in closed form.
+
+Kabsch (1976) and Umeyama (1991): Zhang section 3.2, with the case the paper leaves out: where noise
+or a mirrored set makes the best orthogonal matrix a reflection, the nearest rotation is taken.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.errors import DegenerateGeometryError
+from wheelsight.geometry._types import FloatArray
+from wheelsight.geometry.se3 import from_parts
+
+# Below this ratio of the second to the first singular value of the covariance, points are as good as on a line.
+_LINE_RATIO = 1e-9
+
+
+def align_points(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = None) -> FloatArray:
+    """`T_a_b` (4, 4) that minimises Σ wᵢ ‖p_aᵢ − T_a_b p_bᵢ‖² (Zhang, section 3.2).
+
+    Args:
+        p_a, p_b: matched points (N, 3), metres.
+        weights: one non-negative weight a pair (N,); all alike when left out.
+
+    Raises:
+        DegenerateGeometryError: fewer than three pairs, points on one line or in one place, or values not finite.
+    """
+    return align_points_with_scale(p_a, p_b, weights, with_scale=False)[0]
+
+
+def align_points_with_scale(
+    p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = None, with_scale: bool = True
+) -> tuple[FloatArray, float]:
+    """`T_a_b` (4, 4) and scale s that minimise Σ wᵢ ‖p_aᵢ − (s R p_bᵢ + t)‖² (Umeyama, eqs. 40–42).
+
+    With `with_scale` off, s is 1. Arguments and errors as for `align_points`.
+    """
+    p_a, p_b, w = _checked(p_a, p_b, weights)
+    mean_a, mean_b = w @ p_a, w @ p_b
+    q_a, q_b = p_a - mean_a, p_b - mean_b
+    covariance = q_a.T @ (w[:, None] * q_b)
+    U, singular, Vt = np.linalg.svd(covariance)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    _refuse_degenerate(q_a, q_b, w, singular)
+    R_a_b = (U * signs) @ Vt
+    scale = float(singular @ signs / (w @ (q_b**2).sum(axis=1))) if with_scale else 1.0
+    return from_parts(R_a_b, mean_a - scale * R_a_b @ mean_b), scale
+
+
+def _checked(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None) -> tuple[FloatArray, FloatArray, FloatArray]:
+    p_a, p_b = np.asarray(p_a, float), np.asarray(p_b, float)
+    if p_a.shape != p_b.shape or p_a.ndim != 2 or p_a.shape[1] != 3:
+        raise ValueError(f"matched points must be two arrays (N, 3), not {p_a.shape} and {p_b.shape}")
+    w = np.ones(len(p_a)) if weights is None else np.asarray(weights, float)
+    if w.shape != (len(p_a),) or (w < 0).any():
+        raise ValueError("weights must be one non-negative number a pair")
+    if len(p_a) < 3 or np.count_nonzero(w) < 3:
+        raise DegenerateGeometryError(f"{len(p_a)} matched points cannot determine a motion; three are needed")
+    if not (np.isfinite(p_a).all() and np.isfinite(p_b).all() and np.isfinite(w).all()):
+        raise DegenerateGeometryError("matched points hold values that are not finite")
+    return p_a, p_b, w / w.sum()
+
+
+def _refuse_degenerate(q_a: FloatArray, q_b: FloatArray, w: FloatArray, singular: FloatArray) -> None:
+    spread = np.sqrt((w @ (q_a**2).sum(axis=1)) * (w @ (q_b**2).sum(axis=1)))
+    if singular[0] <= 1e-12 * max(spread, 1e-12) or singular[1] <= _LINE_RATIO * singular[0]:
+        raise DegenerateGeometryError("matched points lie on one line or in one place, so the rotation is free")

@@ -1,0 +1,105 @@
+"""The pinhole camera with Brown's lens distortion: points to pixels and back (Trinh et al., eq. 1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.errors import CalibrationError
+from wheelsight.geometry._types import BoolArray, FloatArray
+
+_UNDISTORT_STEPS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class PinholeCamera:
+    """Image size, focal lengths and principal point in pixels, and Brown's k1, k2, p1, p2, k3.
+
+    Pixel centres lie at integers. The camera frame is optical: x right, y down, z forward.
+    Raises CalibrationError for values no camera has.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not np.isfinite(numbers).all():
+            raise CalibrationError(f"camera parameters must be finite numbers, not {numbers}")
+        if self.width < 1 or self.height < 1 or self.fx <= 0 or self.fy <= 0:
+            raise CalibrationError("a camera's image size and focal lengths must be positive")
+        if not (-self.width < self.cx < 2 * self.width and -self.height < self.cy < 2 * self.height):
+            raise CalibrationError(f"principal point ({self.cx}, {self.cy}) lies far outside the image")
+        if len(self.distortion) != 5:
+            raise CalibrationError("distortion takes five numbers: k1, k2, p1, p2, k3")
+
+    @property
+    def K(self) -> FloatArray:
+        """The intrinsic matrix (3, 3)."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+
+    @property
+    def has_distortion(self) -> bool:
+        """Whether any distortion coefficient differs from zero."""
+        return any(self.distortion)
+
+    def project(self, p_camera: ArrayLike) -> tuple[FloatArray, BoolArray]:
+        """Pixels (..., 2) of points (..., 3) in metres, and (...) whether each is in front and in the image.
+
+        Pixels of points that are not in front of the camera are NaN.
+        """
+        p = np.asarray(p_camera, float)
+        in_front = p[..., 2] > 0
+        z = np.where(in_front, p[..., 2], np.nan)
+        px = self.denormalise(p[..., :2] / z[..., None])
+        with np.errstate(invalid="ignore"):
+            inside = (px >= -0.5).all(axis=-1) & (px < np.array([self.width, self.height]) - 0.5).all(axis=-1)
+        return px, in_front & inside
+
+    def back_project(self, px: ArrayLike, depth_m: ArrayLike) -> FloatArray:
+        """Points (..., 3) in metres of pixels (..., 2) at depths (...) along z (Trinh et al., eq. 1)."""
+        depth_m = np.asarray(depth_m, float)
+        return np.concatenate([self.normalise(px) * depth_m[..., None], depth_m[..., None]], axis=-1)
+
+    def denormalise(self, xy: ArrayLike) -> FloatArray:
+        """Distorted pixels (..., 2) of undistorted coordinates (..., 2) on the plane z = 1."""
+        xy = np.asarray(xy, float)
+        if self.has_distortion:
+            xy = self._distort(xy)
+        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def normalise(self, px: ArrayLike) -> FloatArray:
+        """Undistorted coordinates (..., 2) on the plane z = 1 of distorted pixels (..., 2)."""
+        seen = (np.asarray(px, float) - (self.cx, self.cy)) / (self.fx, self.fy)
+        if not self.has_distortion:
+            return seen
+        xy = seen
+        for _ in range(_UNDISTORT_STEPS):
+            radial, tangential = self._distortion_terms(xy)
+            xy = (seen - tangential) / radial
+        return xy
+
+    def rays(self) -> FloatArray:
+        """Directions (height, width, 3) with z = 1 of all pixels; times a depth image they are its points."""
+        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        return self.back_project(np.stack([u, v], axis=-1), np.ones((self.height, self.width)))
+
+    def _distort(self, xy: FloatArray) -> FloatArray:
+        radial, tangential = self._distortion_terms(xy)
+        return xy * radial + tangential
+
+    def _distortion_terms(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The factor (..., 1) and the offset (..., 2) of Brown's model at undistorted coordinates."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x**2 + y**2
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        offset = (2 * p1 * x * y + p2 * (r2 + 2 * x**2), p1 * (r2 + 2 * y**2) + 2 * p2 * x * y)
+        return radial[..., None], np.stack(offset, axis=-1)

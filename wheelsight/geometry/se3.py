@@ -1,0 +1,89 @@
+"""Rigid motions in space: SE(3) as 4×4 matrices, in batches of any shape (`...`).
+
+The conventions, said once. `T_a_b` maps points of frame b into frame a: `p_a = T_a_b @ p_b`, so
+`T_world_base @ T_base_camera` cancels by eye. Tangents are ξ = (v, ω), translation first.
+Perturbations multiply from the left, `T = exp(δ) @ T_mean`, and a pose's 6×6 covariance is that of δ.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.geometry import so3
+from wheelsight.geometry._types import FloatArray
+
+
+def from_parts(R: ArrayLike, t: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3) in metres."""
+    R, t = np.asarray(R, float), np.asarray(t, float)
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    return T
+
+
+def from_quaternion(t: ArrayLike, quaternion_xyzw: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) of translations (..., 3) in metres and quaternions (..., 4), xyzw."""
+    return from_parts(so3.from_quaternion(quaternion_xyzw), t)
+
+
+def exp(xi: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) of tangents (..., 6), (v, ω) in metres and radians."""
+    v, omega = np.split(np.asarray(xi, float), 2, axis=-1)
+    return from_parts(so3.exp(omega), (so3.left_jacobian(omega) @ v[..., None])[..., 0])
+
+
+def log(T: ArrayLike) -> FloatArray:
+    """Tangents (..., 6), (v, ω), of motions (..., 4, 4); the rotation's angle is at most π."""
+    T = np.asarray(T, float)
+    omega = so3.log(T[..., :3, :3])
+    v = np.linalg.solve(so3.left_jacobian(omega), T[..., :3, 3, None])[..., 0]
+    return np.concatenate([v, omega], axis=-1)
+
+
+def adjoint(T: ArrayLike) -> FloatArray:
+    """Ad (..., 6, 6) with `T @ exp(ξ) @ invert(T) == exp(Ad @ ξ)`, of motions (..., 4, 4)."""
+    T = np.asarray(T, float)
+    R = T[..., :3, :3]
+    Ad = np.zeros((*T.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
+    Ad[..., :3, 3:] = so3.hat(T[..., :3, 3]) @ R
+    return Ad
+
+
+def compose(*motions: ArrayLike) -> FloatArray:
+    """The product (..., 4, 4) of motions, left to right: `compose(T_a_b, T_b_c)` is `T_a_c`."""
+    return np.asarray(reduce(np.matmul, (np.asarray(T, float) for T in motions)))
+
+
+def invert(T: ArrayLike) -> FloatArray:
+    """`T_b_a` (..., 4, 4) of `T_a_b` (..., 4, 4), by transposing the rotation."""
+    T = np.asarray(T, float)
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    return from_parts(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
+
+
+def apply(T: ArrayLike, p: ArrayLike) -> FloatArray:
+    """Points (..., N, 3) moved by motions (..., 4, 4): `p_a = apply(T_a_b, p_b)`."""
+    T, p = np.asarray(T, float), np.asarray(p, float)
+    return np.asarray(p @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3])
+
+
+def interpolate(T_start: ArrayLike, T_end: ArrayLike, share: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) a share (...) of the way along the geodesic (screw) from start to end."""
+    T_start = np.asarray(T_start, float)
+    xi = log(np.asarray(T_end, float) @ invert(T_start))
+    return np.asarray(exp(np.asarray(share, float)[..., None] * xi) @ T_start)
+
+
+def is_valid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
+    """Whether every matrix of (..., 4, 4) is finite and a rigid motion within `tolerance`."""
+    T = np.asarray(T, float)
+    if T.shape[-2:] != (4, 4) or not np.isfinite(T).all():
+        return False
+    R = T[..., :3, :3]
+    orthonormal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
+    bottom = np.allclose(T[..., 3, :], [0, 0, 0, 1], atol=tolerance)
+    return bool(orthonormal and bottom and (np.linalg.det(R) > 0).all())

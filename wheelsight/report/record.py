@@ -1,0 +1,79 @@
+"""RunRecord: all that one run learned, as the report and the metrics file take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from wheelsight.estimates import Reason, Status
+from wheelsight.evaluation import Evaluation
+from wheelsight.geometry import BoolArray, ByteArray, FloatArray
+from wheelsight.recordings import AssociationReport
+from wheelsight.trajectory import Trajectory
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRecord:
+    """One frame of a run: what was answered, and how long it took (image decoding not included)."""
+
+    index: int
+    stamp_s: float
+    status: Status
+    reason: Reason | None
+    matches: int
+    inliers: int
+    seconds: float
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchPicture:
+    """Two frames with the point pairs that joined them.
+
+    Attributes:
+        stamp_s, reference_stamp_s: of the current and the reference frame, seconds.
+        color, reference_color: (H, W, 3) uint8, red green blue.
+        px, reference_px: matched pixels (N, 2) in the two images.
+        is_inlier: (N,) which pairs agree with the motion found.
+    """
+
+    stamp_s: float
+    reference_stamp_s: float
+    color: ByteArray
+    reference_color: ByteArray
+    px: FloatArray
+    reference_px: FloatArray
+    is_inlier: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunRecord:
+    """A finished run.
+
+    Attributes:
+        recording, format: the recording's name and its reader's.
+        frames: one record for each frame listed, skipped ones included.
+        estimate: the trajectory; frames without a pose are not in it.
+        ground_truth: or None.
+        evaluation: against the ground truth, or None without one; `evaluation_problem` then says why.
+        association: how colour and depth were paired.
+        warnings: about the recording, one sentence each.
+        pictures: a few frames with their matches.
+        stage_seconds: median time a frame of each stage (extract, match, align, …).
+        config: the resolved configuration.
+        peak_memory_mb: of the whole process, or None where the system does not tell.
+    """
+
+    recording: str
+    format: str
+    frames: tuple[FrameRecord, ...]
+    estimate: Trajectory
+    ground_truth: Trajectory | None
+    evaluation: Evaluation | None
+    association: AssociationReport
+    warnings: tuple[str, ...] = ()
+    evaluation_problem: str | None = None
+    pictures: tuple[MatchPicture, ...] = ()
+    stage_seconds: dict[str, float] = field(default_factory=dict)
+    config: dict[str, Any] = field(default_factory=dict)
+    peak_memory_mb: float | None = None

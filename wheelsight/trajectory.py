@@ -1,0 +1,198 @@
+"""Trajectory: poses of one body at growing stamps; read and written as TUM and KITTI text."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.errors import TrajectoryError
+from wheelsight.files import write_text
+from wheelsight.geometry import FloatArray, interpolate_at, se3, so3
+
+_ORTHONORMAL_TOLERANCE = 1e-2
+_FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<world>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of one body in one fixed frame, at strictly growing stamps. Nothing in it can be changed.
+
+    Attributes:
+        stamps_s: (N,) seconds.
+        T_world_body: (N, 4, 4); `body` says of which frame, "camera" or "base".
+        covariances: (N, 6, 6) of the left perturbation (v, ω), or None.
+        body, world: names of the two frames.
+
+    Raises:
+        TrajectoryError: shapes that do not fit, stamps that do not grow, poses that are no rigid motions.
+    """
+
+    stamps_s: FloatArray
+    T_world_body: FloatArray
+    covariances: FloatArray | None = None
+    body: str = "camera"
+    world: str = "world"
+
+    def __post_init__(self) -> None:
+        for name in ("stamps_s", "T_world_body", "covariances"):
+            if getattr(self, name) is not None:
+                values = np.array(getattr(self, name), float)
+                values.setflags(write=False)
+                object.__setattr__(self, name, values)
+        n = len(self.stamps_s)
+        if self.stamps_s.shape != (n,) or self.T_world_body.shape != (n, 4, 4):
+            shapes = f"{self.stamps_s.shape} and {self.T_world_body.shape}"
+            raise TrajectoryError(f"a trajectory needs (N,) stamps and (N, 4, 4) poses, not {shapes}")
+        if self.covariances is not None and self.covariances.shape != (n, 6, 6):
+            raise TrajectoryError(f"covariances must be ({n}, 6, 6), not {self.covariances.shape}")
+        if not np.isfinite(self.stamps_s).all() or (np.diff(self.stamps_s) <= 0).any():
+            raise TrajectoryError("stamps must be finite and strictly growing")
+        if n and not se3.is_valid(self.T_world_body, tolerance=1e-6):
+            raise TrajectoryError("poses must be finite rigid motions")
+
+    def __len__(self) -> int:
+        return len(self.stamps_s)
+
+    def __iter__(self) -> Iterator[tuple[float, FloatArray]]:
+        return iter(zip(self.stamps_s.tolist(), self.T_world_body, strict=True))
+
+    @property
+    def positions_m(self) -> FloatArray:
+        """Positions (N, 3) of the body in the world."""
+        return self.T_world_body[:, :3, 3]
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first stamp to the last; 0 when there are fewer than two."""
+        return float(self.stamps_s[-1] - self.stamps_s[0]) if len(self) else 0.0
+
+    @property
+    def distances_m(self) -> FloatArray:
+        """Distance travelled (N,) up to each stamp: the sum of the straight steps."""
+        steps = np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1)
+        return np.concatenate([np.zeros(min(len(self), 1)), np.cumsum(steps)])
+
+    @property
+    def length_m(self) -> float:
+        """Distance travelled in all."""
+        return float(self.distances_m[-1]) if len(self) else 0.0
+
+    def at(self, stamps_s: ArrayLike, max_gap_s: float = np.inf) -> FloatArray:
+        """Poses (M, 4, 4) at stamps (M,), interpolated on the geodesic; NaN outside, or within gaps over `max_gap_s`."""
+        return interpolate_at(self.stamps_s, self.T_world_body, stamps_s, max_gap_s)
+
+    def between(self, start_s: float, end_s: float) -> Trajectory:
+        """The part with start ≤ stamp ≤ end, seconds."""
+        return self.select((self.stamps_s >= start_s) & (self.stamps_s <= end_s))
+
+    def select(self, which: ArrayLike) -> Trajectory:
+        """The poses chosen by a mask (N,), a slice's indices, or an array of growing indices."""
+        index = np.arange(len(self))[np.asarray(which)]
+        covariances = None if self.covariances is None else self.covariances[index]
+        return Trajectory(self.stamps_s[index], self.T_world_body[index], covariances, self.body, self.world)
+
+    def moved(self, T_new_world: ArrayLike) -> Trajectory:
+        """The same trajectory seen from another fixed frame: every pose multiplied by (4, 4) from the left."""
+        T = np.asarray(T_new_world, float)
+        Ad = se3.adjoint(T)
+        covariances = None if self.covariances is None else Ad @ self.covariances @ Ad.T
+        return Trajectory(self.stamps_s, T @ self.T_world_body, covariances, self.body, self.world)
+
+
+def read_tum(path: Path, body: str = "camera") -> Trajectory:
+    """Read TUM text: `stamp tx ty tz qx qy qz qw` a line, metres; # starts a comment.
+
+    A line "# frames: T_world_base" (wheelsight writes it) names the frames; else `body` does.
+    Quaternions are brought to unit length when they are within 1 % of it.
+
+    Raises:
+        TrajectoryError: naming file and line, for text that is no such line, values that are not finite,
+            quaternions far from unit length, stamps that repeat or run backwards, or a file without poses.
+    """
+    rows, frames = _read_rows(path, columns=8)
+    numbers = [number for number, _ in rows]
+    values = np.array([row for _, row in rows], float).reshape(-1, 8)
+    norms = np.linalg.norm(values[:, 4:], axis=1)
+    for bad in np.flatnonzero(np.abs(norms - 1) > _ORTHONORMAL_TOLERANCE):
+        raise TrajectoryError(
+            f"quaternion has length {norms[bad]:.4g}, not 1", path=path, line=numbers[bad], fix="write qx qy qz qw"
+        )
+    for later in np.flatnonzero(np.diff(values[:, 0]) <= 0) + 1:
+        raise TrajectoryError(
+            f"stamp {values[later, 0]:.6f} does not come after the line before",
+            path=path,
+            line=numbers[later],
+            fix="sort the lines by stamp and keep one of each",
+        )
+    world, body = frames or ("world", body)
+    return Trajectory(values[:, 0], se3.from_quaternion(values[:, 1:4], values[:, 4:]), None, body, world)
+
+
+def write_tum(trajectory: Trajectory, path: Path) -> None:
+    """Write TUM text, atomically; the header names the frames. Raises OutputError."""
+    t, q = trajectory.positions_m, so3.to_quaternion(trajectory.T_world_body[:, :3, :3])
+    name = f"T_{trajectory.world}_{trajectory.body}"
+    lines = [f"# frames: {name} (pose of the {trajectory.body} in the {trajectory.world} frame)"]
+    lines.append("# timestamp tx ty tz qx qy qz qw")
+    for stamp, position, quaternion in zip(trajectory.stamps_s, t, q, strict=True):
+        lines.append(f"{stamp:.6f} " + " ".join(f"{x:.9f}" for x in (*position, *quaternion)))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def read_kitti(path: Path, period_s: float = 0.1, body: str = "camera") -> Trajectory:
+    """Read KITTI text: the first three rows of a pose, twelve numbers a line; stamps are counted at `period_s`.
+
+    Rotations are brought to the nearest orthonormal one, since the text rounds them.
+    Raises TrajectoryError naming file and line, as `read_tum`.
+    """
+    rows, frames = _read_rows(path, columns=12)
+    values = np.array([row for _, row in rows], float).reshape(-1, 3, 4)
+    R = so3.nearest(values[:, :, :3])
+    for bad in np.flatnonzero(np.abs(R - values[:, :, :3]).max(axis=(1, 2), initial=0) > _ORTHONORMAL_TOLERANCE):
+        raise TrajectoryError("the first 3×3 numbers are no rotation", path=path, line=rows[bad][0])
+    world, body = frames or ("world", body)
+    stamps_s = period_s * np.arange(len(values))
+    return Trajectory(stamps_s, se3.from_parts(R, values[:, :, 3]), None, body, world)
+
+
+def write_kitti(trajectory: Trajectory, path: Path) -> None:
+    """Write KITTI text, atomically; stamps are not part of the format. Raises OutputError."""
+    rows = trajectory.T_world_body[:, :3, :].reshape(-1, 12)
+    write_text(path, "".join(" ".join(f"{x:.9e}" for x in row) + "\n" for row in rows))
+
+
+def _read_rows(path: Path, columns: int) -> tuple[list[tuple[int, list[float]]], tuple[str, str] | None]:
+    """Line numbers and values of all lines that are no comment, and the frames a comment names."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise TrajectoryError(f"cannot be read: {error.strerror}", path=path) from error
+    except UnicodeDecodeError as error:
+        raise TrajectoryError("is not a text file", path=path) from error
+    rows, frames = [], None
+    for number, line in enumerate(lines, start=1):
+        if named := _FRAMES_LINE.match(line):
+            frames = (named["world"], named["body"])
+        words = line.split("#")[0].replace(",", " ").split()
+        if words:
+            rows.append((number, _numbers(words, columns, path, number)))
+    if not rows:
+        raise TrajectoryError("holds no poses", path=path, fix=f"{columns} numbers a line are expected")
+    return rows, frames
+
+
+def _numbers(words: list[str], columns: int, path: Path, line: int) -> list[float]:
+    if len(words) != columns:
+        raise TrajectoryError(f"{len(words)} values where {columns} are expected", path=path, line=line)
+    try:
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise TrajectoryError(f"{error}", path=path, line=line) from error
+    if not np.isfinite(values).all():
+        raise TrajectoryError("a value is not finite", path=path, line=line, fix="remove the line")
+    return values
