@@ -1,0 +1,50 @@
+"""What all tests share: reproducible examples, the real recordings, and a browser."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+PROJECT = Path(__file__).resolve().parent.parent
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+
+settings.register_profile("wheelsight", deadline=None, derandomize=True)
+settings.load_profile("wheelsight")
+
+
+@pytest.fixture(scope="session")
+def project_folder() -> Path:
+    """The project's root, where pyproject.toml stands."""
+    return PROJECT
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The folder of real recordings: WHEELSIGHT_DATA, else ../shared/data from the project's root."""
+    folder = Path(os.environ.get("WHEELSIGHT_DATA") or PROJECT.parent / "shared" / "data")
+    if not folder.is_dir():
+        pytest.skip(f"real recordings are not at {folder}; set WHEELSIGHT_DATA to their folder")
+    return folder.resolve()
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Random numbers that are the same in every run."""
+    return np.random.default_rng(20240817)
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """Path of a headless-capable Chromium; its absence fails where WHEELSIGHT_REQUIRE_BROWSER=1 (CI), else skips."""
+    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
+    if found is not None:
+        return found
+    message = "no Chromium found; install Debian's package chromium"
+    if os.environ.get("WHEELSIGHT_REQUIRE_BROWSER") == "1":
+        pytest.fail(message)
+    pytest.skip(message)
