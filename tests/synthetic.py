@@ -1,0 +1,156 @@
+"""A textured room with boxes in it, ray-cast exactly: recordings whose every pixel and pose is known.
+
+The world's z axis points up, its origin lies on the floor in the middle of the room. Depth is exact at pixel
+centres; colour is one sample a pixel of textures with detail from 2 cm to 1 m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from wheelsight.calibration import Calibration, save_calibration
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray, IntArray, PinholeCamera, se3, so3
+from wheelsight.trajectory import Trajectory, write_tum
+
+CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 161.3, 118.4)
+
+_ROOM = ((-3.0, -2.5, 0.0), (3.0, 2.5, 2.8))
+_BOXES = (
+    ((1.2, -1.4, 0.0), (1.8, -0.7, 0.9)),
+    ((1.6, 0.3, 0.0), (2.2, 1.1, 1.3)),
+    ((0.6, -0.2, 0.0), (0.9, 0.2, 0.5)),
+    ((2.4, -0.5, 0.8), (3.0, 0.2, 1.6)),
+    ((-2.4, 1.5, 0.0), (-1.6, 2.2, 1.1)),
+    ((-2.0, -2.1, 0.0), (-1.2, -1.5, 0.7)),
+)
+_TEXEL_M = 0.01
+_TEXTURE_SIZE = 512
+_LOOKING_ALONG_X = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+
+
+def render_room(
+    T_world_camera: FloatArray,
+    camera: PinholeCamera = CAMERA,
+    seed: int = 0,
+    depth_noise: bool = False,
+    blank: bool = False,
+) -> tuple[ByteArray, Float32Array]:
+    """Colour (H, W, 3) uint8 and depth (H, W) float32 in metres as seen from a pose (4, 4) in the room.
+
+    `seed` chooses the textures. `depth_noise` adds Kinect v1's σ(z) = 1.425e-3 z², seeded by pose and `seed`.
+    `blank` paints every surface the same grey; depth stays.
+    """
+    origin, rays = T_world_camera[:3, 3], camera.rays() @ T_world_camera[:3, :3].T
+    depth_m, face = (image.reshape(rays.shape[:2]) for image in _cast(origin, rays.reshape(-1, 3)))
+    color = _paint(origin + rays * depth_m[..., None], face, seed)
+    if blank:
+        color = np.full_like(color, 128)
+    if depth_noise:
+        rng = np.random.default_rng([seed, *T_world_camera.tobytes()])
+        depth_m = depth_m + 1.425e-3 * depth_m**2 * rng.standard_normal(depth_m.shape)
+    return color, depth_m.astype(np.float32)
+
+
+def wobbling_trajectory(frames: int, rate_hz: float = 30.0, speed: float = 1.0, start_s: float = 100.0) -> Trajectory:
+    """T_world_camera of a hand-held camera that sways and turns before the boxes; `speed` 1 is about 0.4 m/s."""
+    stamps_s = start_s + np.arange(frames) / rate_hz
+    phase = speed * (stamps_s - start_s)
+    sway = np.stack([0.25 * np.sin(0.9 * phase), 0.35 * np.sin(1.1 * phase), 0.12 * np.sin(1.7 * phase)], axis=-1)
+    yaw, pitch, roll = 0.35 * np.sin(0.7 * phase), 0.15 + 0.10 * np.sin(1.3 * phase), 0.06 * np.sin(0.9 * phase)
+    zero = np.zeros(frames)
+    turns = [so3.exp(np.stack(axis, axis=-1)) for axis in ((zero, zero, yaw), (zero, pitch, zero), (roll, zero, zero))]
+    R_world_camera = turns[0] @ turns[1] @ turns[2] @ _LOOKING_ALONG_X
+    return Trajectory(stamps_s, se3.from_parts(R_world_camera, np.array([-1.2, 0.0, 1.3]) + sway))
+
+
+def make_tum_recording(
+    folder: Path,
+    frames: int = 30,
+    camera: PinholeCamera = CAMERA,
+    seed: int = 0,
+    *,
+    trajectory: Trajectory | None = None,
+    depth_noise: bool = False,
+    blank: Collection[int] = (),
+    dark: Collection[int] = (),
+    covered: Collection[int] = (),
+    depth_delay_s: float = 0.002,
+) -> Trajectory:
+    """Write a TUM recording of the room with calibration.yaml, and return the true T_world_camera at its colour stamps.
+
+    `blank` frames see bare grey walls; `dark` frames are black but keep their depth; `covered` ones are black
+    and have none. Depth images are stamped `depth_delay_s` after their colour image, though exact at its pose.
+    """
+    truth = wobbling_trajectory(frames) if trajectory is None else trajectory
+    lists: dict[str, list[str]] = {"rgb": ["# color images"], "depth": ["# depth maps"]}
+    for name in lists:
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    for index, (stamp_s, T_world_camera) in enumerate(truth):
+        color, depth_m = render_room(T_world_camera, camera, seed, depth_noise, blank=index in blank)
+        if index in dark or index in covered:
+            color = np.zeros_like(color)
+        if index in covered:
+            depth_m = np.zeros_like(depth_m)
+        units = np.rint(depth_m * 5000).clip(0, 65535).astype(np.uint16)
+        for name, image, stamp in (("rgb", color[..., ::-1], stamp_s), ("depth", units, stamp_s + depth_delay_s)):
+            file = f"{name}/{stamp:.6f}.png"
+            assert cv2.imwrite(str(folder / file), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            lists[name].append(f"{stamp:.6f} {file}")
+    for name, lines in lists.items():
+        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
+    write_tum(truth, folder / "groundtruth.txt")
+    save_calibration(Calibration.registered_camera(camera, source="synthetic room"), folder / "calibration.yaml")
+    return truth
+
+
+def _cast(origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Where rays (N, 3) first meet a surface: the factor (N,) along the ray, and the surface's number (N,)."""
+    with np.errstate(divide="ignore"):
+        inverse = 1.0 / rays
+    best, face = _slabs(origin, inverse, *_ROOM)[1]
+    for number, (low, high) in enumerate(_BOXES, start=1):
+        (enter, enter_face), (leave, _) = _slabs(origin, inverse, low, high)
+        hit = (enter > 1e-6) & (enter < leave) & (enter < best)
+        best, face = np.where(hit, enter, best), np.where(hit, enter_face + 6 * number, face)
+    return best, face
+
+
+def _slabs(
+    origin: FloatArray, inverse: FloatArray, low: tuple[float, ...], high: tuple[float, ...]
+) -> tuple[tuple[FloatArray, IntArray], tuple[FloatArray, IntArray]]:
+    """Where rays enter and leave a box: factors (N,) and faces (N,), 0 to 5: axis, plus 3 on the high side."""
+    to_low, to_high = (np.array(low) - origin) * inverse, (np.array(high) - origin) * inverse
+    near, far = np.minimum(to_low, to_high), np.maximum(to_low, to_high)
+    enter_axis, leave_axis = near.argmax(axis=1), far.argmin(axis=1)
+    row = np.arange(len(inverse))
+    backward = inverse < 0
+    enter_face = enter_axis + 3 * backward[row, enter_axis]
+    leave_face = leave_axis + 3 * ~backward[row, leave_axis]
+    return (near[row, enter_axis], enter_face), (far[row, leave_axis], leave_face)
+
+
+def _paint(p_world: FloatArray, face: IntArray, seed: int) -> ByteArray:
+    """Colours (H, W, 3) uint8 of points (H, W, 3) on surfaces (H, W): each shows its own part of one texture."""
+    axis = face % 3
+    u = np.where(axis == 0, p_world[..., 1], p_world[..., 0]) / _TEXEL_M + 197.3 * face
+    v = np.where(axis == 2, p_world[..., 1], p_world[..., 2]) / _TEXEL_M + 89.7 * face
+    u, v = (np.float32(px % _TEXTURE_SIZE) for px in (u, v))
+    return np.asarray(cv2.remap(_texture(seed), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
+
+
+@lru_cache(maxsize=4)
+def _texture(seed: int) -> ByteArray:
+    """A texture (512, 512, 3) uint8 that repeats without seams: noise at four scales and hard-edged patches."""
+    rng = np.random.default_rng(seed)
+    total = np.zeros((_TEXTURE_SIZE, _TEXTURE_SIZE, 3))
+    for cell, weight in ((2, 0.45), (4, 0.7), (16, 0.8), (64, 0.6)):
+        n = _TEXTURE_SIZE // cell
+        noise = np.pad(rng.standard_normal((n, n, 3)), ((1, 1), (1, 1), (0, 0)), mode="wrap")
+        smooth = cv2.resize(noise, None, fx=cell, fy=cell, interpolation=cv2.INTER_CUBIC)[cell:-cell, cell:-cell]
+        total += weight * (smooth + 0.7 * np.sign(smooth.mean(axis=2, keepdims=True)) * (cell >= 16))
+    return (128 + 42 * total).clip(0, 255).astype(np.uint8)
