@@ -64,9 +64,13 @@ class Calibration:
 
     def __post_init__(self) -> None:
         for name in ("T_color_depth", "T_base_camera"):
-            T = getattr(self, name)
-            if T is not None and not se3.is_valid(T, tolerance=1e-4):
-                raise CalibrationError(f"{name} is not a rigid motion (rotation orthonormal, last row 0 0 0 1)")
+            if getattr(self, name) is None:
+                continue
+            T = np.array(getattr(self, name), float)
+            T.setflags(write=False)
+            object.__setattr__(self, name, T)
+            if T.shape != (4, 4) or not se3.is_valid(T, tolerance=1e-4):
+                raise CalibrationError(f"{name} is not a rigid motion: orthonormal rotation, last row 0 0 0 1")
         if self.T_color_depth is None and self.color != self.depth:
             raise CalibrationError(
                 "colour and depth cameras differ, but no T_color_depth says how they are joined",
@@ -121,12 +125,14 @@ def _to_document(calibration: Calibration) -> dict[str, Any]:
         return None if T is None else [[float(x) for x in row] for row in T]
 
     def camera(c: PinholeCamera) -> dict[str, Any]:
-        return {name: getattr(c, name) for name in _CAMERA_FIELDS[:-1]} | {"distortion": list(c.distortion)}
+        size = {"width": int(c.width), "height": int(c.height)}
+        lens = {name: float(getattr(c, name)) for name in ("fx", "fy", "cx", "cy")}
+        return size | lens | {"distortion": list(c.distortion)}
 
     document: dict[str, Any] = {"format": FORMAT, "source": calibration.source, "color": camera(calibration.color)}
     if not calibration.is_registered:
         document |= {"depth": camera(calibration.depth), "T_color_depth": motion(calibration.T_color_depth)}
-    document["depth_noise"] = {name: getattr(calibration.depth_noise, name) for name in _NOISE_FIELDS}
+    document["depth_noise"] = {name: float(getattr(calibration.depth_noise, name)) for name in _NOISE_FIELDS}
     if calibration.T_base_camera is not None:
         document["T_base_camera"] = motion(calibration.T_base_camera)
     return document
@@ -139,10 +145,10 @@ def _from_document(document: Any) -> Calibration:
     if "color" not in fields:
         raise CalibrationError("field color is missing", fix="give the colour camera: width, height, fx, fy, cx, cy")
     color = _camera(fields["color"], "color")
-    noise = _mapping(fields.get("depth_noise") or {}, "depth_noise", _NOISE_FIELDS)
+    noise = _mapping(fields.get("depth_noise", {}), "depth_noise", _NOISE_FIELDS)
     return Calibration(
         color=color,
-        depth=_camera(fields["depth"], "depth") if fields.get("depth") else color,
+        depth=_camera(fields["depth"], "depth") if "depth" in fields else color,
         T_color_depth=_motion(fields.get("T_color_depth"), "T_color_depth"),
         depth_noise=DepthNoise(**{name: _number(value, f"depth_noise.{name}") for name, value in noise.items()}),
         T_base_camera=_motion(fields.get("T_base_camera"), "T_base_camera"),
@@ -164,12 +170,12 @@ def _camera(value: Any, name: str) -> PinholeCamera:
     missing = [key for key in _CAMERA_FIELDS[:-1] if key not in fields]
     if missing:
         raise CalibrationError(f"field {name}.{missing[0]} is missing")
-    distortion = fields.get("distortion") or [0.0] * 5
+    distortion = fields.get("distortion", [0.0] * 5)
     if not isinstance(distortion, list) or len(distortion) != 5:
         raise CalibrationError(f"field {name}.distortion takes five numbers: k1, k2, p1, p2, k3")
     k1, k2, p1, p2, k3 = (_number(x, f"{name}.distortion") for x in distortion)
     fx, fy, cx, cy = (_number(fields[key], f"{name}.{key}") for key in ("fx", "fy", "cx", "cy"))
-    width, height = (int(_number(fields[key], f"{name}.{key}")) for key in ("width", "height"))
+    width, height = (_whole(fields[key], f"{name}.{key}") for key in ("width", "height"))
     try:
         return PinholeCamera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
     except CalibrationError as error:
@@ -188,7 +194,20 @@ def _motion(value: Any, name: str) -> FloatArray | None:
     return T
 
 
+def _whole(value: Any, name: str) -> int:
+    number = _number(value, name)
+    if number != int(number):
+        raise CalibrationError(f"field {name} is {value!r}, not a whole number of pixels")
+    return int(number)
+
+
 def _number(value: Any, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+    # YAML 1.1 reads 1e-3, without a dot, as text.
+    text_or_number = value if isinstance(value, (int, float, str)) and not isinstance(value, bool) else "nan"
+    try:
+        number = float(text_or_number)
+    except ValueError:
+        number = np.nan
+    if not np.isfinite(number):
         raise CalibrationError(f"field {name} is {value!r}, not a number")
-    return float(value)
+    return number

@@ -6,50 +6,66 @@ under a temporary name, flushed to the disk, and moved there in one step.
 
 from __future__ import annotations
 
+import errno
 import os
+import secrets
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Any, Literal, overload
 
 from wheelsight.errors import OutputError
 
+_REASONS = {
+    errno.ENOSPC: ("no space left on the disk", "free some space, or choose another folder"),
+    errno.EDQUOT: ("the disk quota is used up", "free some space, or choose another folder"),
+    errno.EACCES: ("no permission to write here", "choose a folder you own"),
+    errno.EPERM: ("no permission to write here", "choose a folder you own"),
+    errno.EROFS: ("the file system is read-only", "choose another folder"),
+    errno.EEXIST: ("is a file, not a folder", "choose another name"),
+    errno.EISDIR: ("is a folder, not a file", "choose another name"),
+    errno.ENOTDIR: ("a part of the path is a file, not a folder", "choose another name"),
+    errno.ENOENT: ("the folder does not exist and cannot be made here", "make it first, or choose another one"),
+}
 
+
+@overload
+def atomic_write(path: Path, mode: Literal["w"] = "w") -> AbstractContextManager[IO[str]]: ...
+@overload
+def atomic_write(path: Path, mode: Literal["wb"]) -> AbstractContextManager[IO[bytes]]: ...
 @contextmanager
-def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[str] | IO[bytes]]:
-    """Open `path` for writing ("w" or "wb"); it appears whole when the block ends well, else not at all.
+def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
+    """Open `path` for writing ("w" as UTF-8, or "wb"); it appears whole when the block ends well, else not at all.
 
     Raises:
         OutputError: the folder is missing, not writable, or the disk is full.
     """
-    encoding = None if "b" in mode else "utf-8"
-    temporary = None
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    encoding, newline = ("utf-8", "\n") if mode == "w" else (None, None)
     try:
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(descriptor, mode, encoding=encoding) as stream:
+        with temporary.open(mode.replace("w", "x"), encoding=encoding, newline=newline) as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
+        temporary.replace(path)
     except OSError as error:
         raise output_error(error, path) from error
     finally:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write `text` to `path` atomically, as UTF-8. Raises OutputError."""
     with atomic_write(path) as stream:
-        stream.write(text)  # type: ignore[arg-type]
+        stream.write(text)
 
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write `data` to `path` atomically. Raises OutputError."""
     with atomic_write(path, "wb") as stream:
-        stream.write(data)  # type: ignore[arg-type]
+        stream.write(data)
 
 
 def make_output_folder(folder: Path, force: bool = False) -> Path:
@@ -62,6 +78,8 @@ def make_output_folder(folder: Path, force: bool = False) -> Path:
         if folder.is_dir() and any(folder.iterdir()) and not force:
             raise OutputError("is not empty", path=folder, fix="choose another --out, or add --force to overwrite")
         folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass  # only an attempt shows whether the folder can be written to, before a long run rather than after
     except OSError as error:
         raise output_error(error, folder) from error
     return folder
@@ -69,24 +87,5 @@ def make_output_folder(folder: Path, force: bool = False) -> Path:
 
 def output_error(error: OSError, path: Path) -> OutputError:
     """The OutputError that tells a person what `error` means for `path`."""
-    reasons = {
-        "ENOSPC": ("no space left on the disk", "free some space, or choose another folder"),
-        "EDQUOT": ("the disk quota is used up", "free some space, or choose another folder"),
-        "EACCES": ("no permission to write here", "choose a folder you own"),
-        "EPERM": ("no permission to write here", "choose a folder you own"),
-        "EROFS": ("the file system is read-only", "choose another folder"),
-        "EEXIST": ("is a file, not a folder", "choose another name"),
-        "ENOTDIR": ("a part of the path is a file, not a folder", "choose another name"),
-        "ENOENT": ("the folder does not exist", "make it first"),
-    }
-    import errno
-
-    code = errno.errorcode.get(error.errno or 0, "")
-    problem, fix = reasons.get(code, (error.strerror or str(error), None))
+    problem, fix = _REASONS.get(error.errno or 0, (error.strerror or str(error), None))
     return OutputError(problem, path=path, fix=fix)
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current

@@ -13,8 +13,10 @@ from wheelsight.errors import DegenerateGeometryError
 from wheelsight.geometry._types import FloatArray
 from wheelsight.geometry.se3 import from_parts
 
-# Below this ratio of the second to the first singular value of the covariance, points are as good as on a line.
-_LINE_RATIO = 1e-9
+# A singular value of the covariance below this share of the largest is as good as zero: the points lie on a line.
+_SINGULAR_SHARE = 1e-9
+# Points nearer together than this share of their distance from the origin differ by rounding only.
+_ROUNDING_SHARE = 1e-12
 
 
 def align_points(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = None) -> FloatArray:
@@ -25,7 +27,8 @@ def align_points(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = Non
         weights: one non-negative weight a pair (N,); all alike when left out.
 
     Raises:
-        DegenerateGeometryError: fewer than three pairs, points on one line or in one place, or values not finite.
+        DegenerateGeometryError: fewer than three pairs, points on one line or in one place, a mirrored set
+            that several rotations fit equally well, or values not finite.
     """
     return align_points_with_scale(p_a, p_b, weights, with_scale=False)[0]
 
@@ -43,7 +46,9 @@ def align_points_with_scale(
     covariance = q_a.T @ (w[:, None] * q_b)
     U, singular, Vt = np.linalg.svd(covariance)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
-    _refuse_degenerate(q_a, q_b, w, singular)
+    if _in_one_place(p_a, q_a, w) or _in_one_place(p_b, q_b, w):
+        raise DegenerateGeometryError("matched points lie in one place, so the rotation is free")
+    _refuse_free_rotation(singular, is_mirrored=signs[2] < 0)
     R_a_b = (U * signs) @ Vt
     scale = float(singular @ signs / (w @ (q_b**2).sum(axis=1))) if with_scale else 1.0
     return from_parts(R_a_b, mean_a - scale * R_a_b @ mean_b), scale
@@ -63,7 +68,14 @@ def _checked(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None) -> tuple
     return p_a, p_b, w / w.sum()
 
 
-def _refuse_degenerate(q_a: FloatArray, q_b: FloatArray, w: FloatArray, singular: FloatArray) -> None:
-    spread = np.sqrt((w @ (q_a**2).sum(axis=1)) * (w @ (q_b**2).sum(axis=1)))
-    if singular[0] <= 1e-12 * max(spread, 1e-12) or singular[1] <= _LINE_RATIO * singular[0]:
-        raise DegenerateGeometryError("matched points lie on one line or in one place, so the rotation is free")
+def _in_one_place(p: FloatArray, q: FloatArray, w: FloatArray) -> bool:
+    """Whether points p (N, 3), q once centred, do not differ by more than rounding."""
+    return bool(np.sqrt(w @ (q**2).sum(axis=1)) <= _ROUNDING_SHARE * np.abs(p[w > 0]).max())
+
+
+def _refuse_free_rotation(singular: FloatArray, is_mirrored: bool) -> None:
+    smallest_allowed = _SINGULAR_SHARE * singular[0]
+    if singular[1] <= smallest_allowed:
+        raise DegenerateGeometryError("matched points lie on one line, so the rotation about it is free")
+    if is_mirrored and singular[1] - singular[2] <= smallest_allowed:
+        raise DegenerateGeometryError("matched points are mirrored, and several rotations fit them equally well")

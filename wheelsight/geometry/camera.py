@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry._types import BoolArray, FloatArray
 
+# Leaves less than 1e-8 pixel at the corners of the most distorted TUM camera (freiburg1).
 _UNDISTORT_STEPS = 20
 
 
@@ -30,6 +31,7 @@ class PinholeCamera:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.isfinite(numbers).all():
             raise CalibrationError(f"camera parameters must be finite numbers, not {numbers}")

@@ -12,13 +12,11 @@ from numpy.typing import ArrayLike
 
 from wheelsight.geometry._types import FloatArray
 
-_SMALL_ANGLE_RAD = 1e-4
-
 
 def wrap_angle(angle_rad: ArrayLike) -> FloatArray:
     """Angles (...) brought into [-π, π] by atan2 (Trinh et al., Fig. 3)."""
     angle_rad = np.asarray(angle_rad, float)
-    return np.arctan2(np.sin(angle_rad), np.cos(angle_rad))
+    return np.asarray(np.arctan2(np.sin(angle_rad), np.cos(angle_rad)))
 
 
 def from_parts(x: ArrayLike, y: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
@@ -77,9 +75,5 @@ def interpolate(T_start: ArrayLike, T_end: ArrayLike, share: ArrayLike) -> Float
 
 
 def _arc_factors(omega: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """sin(ω)/ω and (1 - cos(ω))/ω, by their series near zero."""
-    small = np.abs(omega) < _SMALL_ANGLE_RAD
-    w = np.where(small, 1.0, omega)
-    sine = np.where(small, 1 - omega**2 / 6, np.sin(w) / w)
-    cosine = np.where(small, omega / 2 - omega**3 / 24, (1 - np.cos(w)) / w)
-    return sine, cosine
+    """sin(ω)/ω and (1 - cos(ω))/ω, exact down to zero."""
+    return np.sinc(omega / np.pi), omega / 2 * np.sinc(omega / (2 * np.pi)) ** 2

@@ -21,31 +21,34 @@ def hat(omega: ArrayLike) -> FloatArray:
 def exp(omega: ArrayLike) -> FloatArray:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), radians."""
     omega = np.asarray(omega, float)
-    return Rotation.from_rotvec(omega.reshape(-1, 3)).as_matrix().reshape((*omega.shape[:-1], 3, 3))
+    matrices = Rotation.from_rotvec(omega.reshape(-1, 3)).as_matrix()
+    return np.asarray(matrices.reshape((*omega.shape[:-1], 3, 3)))
 
 
 def log(R: ArrayLike) -> FloatArray:
     """Rotation vectors (..., 3) in radians, of angle at most π, of rotation matrices (..., 3, 3)."""
     R = np.asarray(R, float)
-    return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape((*R.shape[:-2], 3))
+    vectors = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
+    return np.asarray(vectors.reshape((*R.shape[:-2], 3)))
 
 
 def angle(R: ArrayLike) -> FloatArray:
     """Angles (...) in radians, 0 to π, of rotation matrices (..., 3, 3)."""
     R = np.asarray(R, float)
-    return Rotation.from_matrix(R.reshape(-1, 3, 3)).magnitude().reshape(R.shape[:-2])
+    return np.asarray(Rotation.from_matrix(R.reshape(-1, 3, 3)).magnitude().reshape(R.shape[:-2]))
 
 
 def from_quaternion(quaternion_xyzw: ArrayLike) -> FloatArray:
     """Rotation matrices (..., 3, 3) of quaternions (..., 4), xyzw, of any non-zero norm."""
     q = np.asarray(quaternion_xyzw, float)
-    return Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape((*q.shape[:-1], 3, 3))
+    return np.asarray(Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape((*q.shape[:-1], 3, 3)))
 
 
 def to_quaternion(R: ArrayLike) -> FloatArray:
     """Unit quaternions (..., 4), xyzw with w ≥ 0, of rotation matrices (..., 3, 3)."""
     R = np.asarray(R, float)
-    return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True).reshape((*R.shape[:-2], 4))
+    quaternions = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return np.asarray(quaternions.reshape((*R.shape[:-2], 4)))
 
 
 def nearest(M: ArrayLike) -> FloatArray:
@@ -63,9 +66,9 @@ def left_jacobian(omega: ArrayLike) -> FloatArray:
     """
     omega = np.asarray(omega, float)
     theta = np.linalg.norm(omega, axis=-1)[..., None, None]
+    first = 0.5 * np.sinc(theta / (2 * np.pi)) ** 2  # (1 - cos θ) / θ² without its cancellation
     small = theta < _SMALL_ANGLE_RAD
     t = np.where(small, 1.0, theta)
-    first = np.where(small, 0.5 - theta**2 / 24, (1 - np.cos(t)) / t**2)
     second = np.where(small, 1 / 6 - theta**2 / 120, (t - np.sin(t)) / t**3)
     W = hat(omega)
     return np.asarray(np.eye(3) + first * W + second * (W @ W))
