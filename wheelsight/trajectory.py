@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +13,13 @@ from numpy.typing import ArrayLike
 
 from wheelsight.errors import TrajectoryError
 from wheelsight.files import write_text
-from wheelsight.geometry import FloatArray, interpolate_at, se3, so3
+from wheelsight.geometry import BoolArray, FloatArray, IntArray, interpolate_at, se3, so3
+
+_log = logging.getLogger(__name__)
 
 _ORTHONORMAL_TOLERANCE = 1e-2
+# Motion-capture files repeat a stamp now and then (TUM fr2/desk: one); stamps cut to seconds repeat nearly all.
+_REPEATED_SHARE_ALLOWED = 0.01
 _FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<world>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
 
 
@@ -44,7 +49,7 @@ class Trajectory:
                 values = np.array(getattr(self, name), float)
                 values.setflags(write=False)
                 object.__setattr__(self, name, values)
-        n = len(self.stamps_s)
+        n = self.stamps_s.size
         if self.stamps_s.shape != (n,) or self.T_world_body.shape != (n, 4, 4):
             shapes = f"{self.stamps_s.shape} and {self.T_world_body.shape}"
             raise TrajectoryError(f"a trajectory needs (N,) stamps and (N, 4, 4) poses, not {shapes}")
@@ -83,16 +88,19 @@ class Trajectory:
         return float(self.distances_m[-1]) if len(self) else 0.0
 
     def at(self, stamps_s: ArrayLike, max_gap_s: float = np.inf) -> FloatArray:
-        """Poses (M, 4, 4) at stamps (M,), interpolated on the geodesic; NaN outside, or within gaps over `max_gap_s`."""
+        """Poses (M, 4, 4) at stamps (M,), on the geodesic between neighbours; NaN outside and in gaps over `max_gap_s`."""
         return interpolate_at(self.stamps_s, self.T_world_body, stamps_s, max_gap_s)
 
     def between(self, start_s: float, end_s: float) -> Trajectory:
         """The part with start ≤ stamp ≤ end, seconds."""
         return self.select((self.stamps_s >= start_s) & (self.stamps_s <= end_s))
 
-    def select(self, which: ArrayLike) -> Trajectory:
-        """The poses chosen by a mask (N,), a slice's indices, or an array of growing indices."""
-        index = np.arange(len(self))[np.asarray(which)]
+    def select(self, which: ArrayLike | slice) -> Trajectory:
+        """The poses chosen by a mask (N,), a slice, or indices (M,); raises TrajectoryError if these do not grow."""
+        if not isinstance(which, slice):
+            which = np.asarray(which)
+            which = which if which.size else which.astype(int)
+        index = np.arange(len(self))[which]
         covariances = None if self.covariances is None else self.covariances[index]
         return Trajectory(self.stamps_s[index], self.T_world_body[index], covariances, self.body, self.world)
 
@@ -104,43 +112,64 @@ class Trajectory:
         return Trajectory(self.stamps_s, T @ self.T_world_body, covariances, self.body, self.world)
 
 
-def read_tum(path: Path, body: str = "camera") -> Trajectory:
+def read_tum(path: Path, body: str = "camera", warn: Callable[[str], None] = _log.warning) -> Trajectory:
     """Read TUM text: `stamp tx ty tz qx qy qz qw` a line, metres; # starts a comment.
 
     A line "# frames: T_world_base" (wheelsight writes it) names the frames; else `body` does.
-    Quaternions are brought to unit length when they are within 1 % of it.
+    Quaternions are brought to unit length when they are within 1 % of it. Of lines that repeat the stamp
+    before them the first is kept, and `warn` is told in one sentence, as long as they are under 1 % of all.
 
     Raises:
         TrajectoryError: naming file and line, for text that is no such line, values that are not finite,
-            quaternions far from unit length, stamps that repeat or run backwards, or a file without poses.
+            quaternions far from unit length, stamps that run backwards or repeat often, or a file without poses.
     """
     rows, frames = _read_rows(path, columns=8)
-    numbers = [number for number, _ in rows]
-    values = np.array([row for _, row in rows], float).reshape(-1, 8)
+    lines = np.array([line for line, _ in rows])
+    values: FloatArray = np.array([row for _, row in rows], float).reshape(-1, 8)
     norms = np.linalg.norm(values[:, 4:], axis=1)
     for bad in np.flatnonzero(np.abs(norms - 1) > _ORTHONORMAL_TOLERANCE):
         raise TrajectoryError(
-            f"quaternion has length {norms[bad]:.4g}, not 1", path=path, line=numbers[bad], fix="write qx qy qz qw"
+            f"quaternion has length {norms[bad]:.4g}, not 1", path=path, line=int(lines[bad]), fix="write qx qy qz qw"
         )
-    for later in np.flatnonzero(np.diff(values[:, 0]) <= 0) + 1:
-        raise TrajectoryError(
-            f"stamp {values[later, 0]:.6f} does not come after the line before",
-            path=path,
-            line=numbers[later],
-            fix="sort the lines by stamp and keep one of each",
-        )
+    values = values[_first_of_each_stamp(values[:, 0], lines, path, warn)]
     world, body = frames or ("world", body)
     return Trajectory(values[:, 0], se3.from_quaternion(values[:, 1:4], values[:, 4:]), None, body, world)
 
 
+def _first_of_each_stamp(stamps_s: FloatArray, lines: IntArray, path: Path, warn: Callable[[str], None]) -> BoolArray:
+    """Which rows (N,) to keep so that stamps (N,) strictly grow; raises TrajectoryError where that would lose much."""
+    steps_s = np.diff(stamps_s)
+    for later in np.flatnonzero(steps_s < 0) + 1:
+        raise TrajectoryError(
+            f"stamp {stamps_s[later]:.6f} comes before the stamp of the line above",
+            path=path,
+            line=int(lines[later]),
+            fix="sort the lines by stamp",
+        )
+    is_first = np.concatenate([[True], steps_s > 0])
+    repeated = np.flatnonzero(~is_first)
+    if len(repeated) > _REPEATED_SHARE_ALLOWED * len(stamps_s):
+        raise TrajectoryError(
+            f"stamp {stamps_s[repeated[0]]:.6f} repeats the line above, as {len(repeated)} of {len(stamps_s)} lines do",
+            path=path,
+            line=int(lines[repeated[0]]),
+            fix="write stamps with all their decimals and one pose a stamp",
+        )
+    if len(repeated):
+        first = lines[repeated[0]]
+        warn(f"{path}: {len(repeated)} of {len(stamps_s)} lines repeat a stamp (first: line {first}) and were left out")
+    return is_first
+
+
 def write_tum(trajectory: Trajectory, path: Path) -> None:
-    """Write TUM text, atomically; the header names the frames. Raises OutputError."""
+    """Write TUM text, atomically; the header names the frames, and stamps read back exactly. Raises OutputError."""
     t, q = trajectory.positions_m, so3.to_quaternion(trajectory.T_world_body[:, :3, :3])
     name = f"T_{trajectory.world}_{trajectory.body}"
     lines = [f"# frames: {name} (pose of the {trajectory.body} in the {trajectory.world} frame)"]
     lines.append("# timestamp tx ty tz qx qy qz qw")
     for stamp, position, quaternion in zip(trajectory.stamps_s, t, q, strict=True):
-        lines.append(f"{stamp:.6f} " + " ".join(f"{x:.9f}" for x in (*position, *quaternion)))
+        seconds = np.format_float_positional(stamp, min_digits=6)
+        lines.append(f"{seconds} " + " ".join(f"{x:.9f}" for x in (*position, *quaternion)))
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -169,7 +198,7 @@ def write_kitti(trajectory: Trajectory, path: Path) -> None:
 def _read_rows(path: Path, columns: int) -> tuple[list[tuple[int, list[float]]], tuple[str, str] | None]:
     """Line numbers and values of all lines that are no comment, and the frames a comment names."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise TrajectoryError(f"cannot be read: {error.strerror}", path=path) from error
     except UnicodeDecodeError as error:
