@@ -202,12 +202,10 @@ def _whole(value: Any, name: str) -> int:
 
 
 def _number(value: Any, name: str) -> float:
-    # YAML 1.1 reads 1e-3, without a dot, as text.
-    text_or_number = value if isinstance(value, (int, float, str)) and not isinstance(value, bool) else "nan"
     try:
-        number = float(text_or_number)
-    except ValueError:
+        number = float(value)  # from text too: YAML 1.1 reads 1e-3, without a dot, as text
+    except (TypeError, ValueError):
         number = np.nan
-    if not np.isfinite(number):
+    if isinstance(value, bool) or not np.isfinite(number):
         raise CalibrationError(f"field {name} is {value!r}, not a number")
     return number

@@ -1,0 +1,102 @@
+"""Each part of wheelsight imports only what stands above it in the design's list."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
+LAYERS = (
+    "_version",
+    "errors",
+    "files",
+    "geometry",
+    "events",
+    "calibration",
+    "association",
+    "trajectory",
+    "estimates",
+    "evaluation",
+    "recordings",
+    "devices",
+    "simulation",
+    "odometry",
+    "places",
+    "mapping",
+    "fusion",
+    "navigation",
+    "config",
+    "localizer",
+    "report",
+    "pipeline",
+    "cli",
+    "__main__",
+)
+SOURCES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
+LONGEST_COMMAND = 150
+
+
+def imports_of(source: str) -> Iterator[tuple[int, str]]:
+    """Line and full name of everything imported, inside functions and TYPE_CHECKING blocks too."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: relative import; write the whole name"
+            yield from ((node.lineno, f"{node.module}.{alias.name}") for alias in node.names)
+
+
+def layer_of(name: str) -> str | None:
+    """The layer a dotted name belongs to, "" for wheelsight's own top, None for other packages."""
+    package, *rest = name.split(".")
+    if package != "wheelsight":
+        return None
+    return "_version" if rest == ["__version__"] else (rest or [""])[0]
+
+
+def wrong_imports(source: str, layer: str) -> list[str]:
+    """A line for each import in `source`, a module of `layer`, that does not stand above it."""
+    allowed = LAYERS[: LAYERS.index(layer) + 1]
+    return [
+        f"line {line}: {layer} must not import {name}"
+        for line, name in imports_of(source)
+        if layer_of(name) is not None and layer_of(name) not in allowed
+    ]
+
+
+def layer_of_file(path: Path) -> str:
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_module_imports_only_what_stands_above_it(path: Path) -> None:
+    assert layer_of_file(path) in LAYERS, "a new part of the package needs its place in the list"
+    assert not wrong_imports(path.read_text(encoding="utf-8"), layer_of_file(path))
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.glob("cli/*.py")), ids=lambda path: path.name)
+def test_a_command_is_thin(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST_COMMAND
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from wheelsight.cli import main",
+        "import wheelsight.odometry.features",
+        "def later():\n    from wheelsight import pipeline",
+        "if TYPE_CHECKING:\n    from wheelsight.report.record import RunRecord",
+        "from wheelsight import Trajectory",
+        "import wheelsight",
+    ],
+)
+def test_the_check_finds_what_is_forbidden(source: str) -> None:
+    assert len(wrong_imports(source, "recordings")) == 1
+
+
+def test_the_check_allows_what_stands_above() -> None:
+    source = "import numpy\nfrom wheelsight import __version__\nfrom wheelsight.geometry import se3\n"
+    assert not wrong_imports(source, "recordings")
