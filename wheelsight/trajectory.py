@@ -88,7 +88,7 @@ class Trajectory:
         return float(self.distances_m[-1]) if len(self) else 0.0
 
     def at(self, stamps_s: ArrayLike, max_gap_s: float = np.inf) -> FloatArray:
-        """Poses (M, 4, 4) at stamps (M,), on the geodesic between neighbours; NaN outside and in gaps over `max_gap_s`."""
+        """Poses (M, 4, 4) at stamps (M,), on geodesics between neighbours; NaN outside and in gaps over `max_gap_s`."""
         return interpolate_at(self.stamps_s, self.T_world_body, stamps_s, max_gap_s)
 
     def between(self, start_s: float, end_s: float) -> Trajectory:
@@ -125,7 +125,7 @@ def read_tum(path: Path, body: str = "camera", warn: Callable[[str], None] = _lo
     """
     rows, frames = _read_rows(path, columns=8)
     lines = np.array([line for line, _ in rows])
-    values: FloatArray = np.array([row for _, row in rows], float).reshape(-1, 8)
+    values: FloatArray = np.array([row for _, row in rows], np.float64).reshape(-1, 8)
     norms = np.linalg.norm(values[:, 4:], axis=1)
     for bad in np.flatnonzero(np.abs(norms - 1) > _ORTHONORMAL_TOLERANCE):
         raise TrajectoryError(
@@ -185,7 +185,7 @@ def read_kitti(path: Path, period_s: float = 0.1, body: str = "camera") -> Traje
     for bad in np.flatnonzero(np.abs(R - values[:, :, :3]).max(axis=(1, 2), initial=0) > _ORTHONORMAL_TOLERANCE):
         raise TrajectoryError("the first 3×3 numbers are no rotation", path=path, line=rows[bad][0])
     world, body = frames or ("world", body)
-    stamps_s = period_s * np.arange(len(values))
+    stamps_s: FloatArray = period_s * np.arange(len(values), dtype=np.float64)
     return Trajectory(stamps_s, se3.from_parts(R, values[:, :, 3]), None, body, world)
 
 

@@ -1,0 +1,22 @@
+"""How good an estimated trajectory is: ATE and RPE as the TUM benchmark defines them, coverage, sequence statistics."""
+
+from wheelsight.evaluation.ate import AbsoluteError, ate
+from wheelsight.evaluation.coverage import frame_coverage, time_coverage
+from wheelsight.evaluation.evaluate import Evaluation, evaluate
+from wheelsight.evaluation.rpe import RelativeError, rpe
+from wheelsight.evaluation.sequence import SequenceStatistics, sequence_statistics
+from wheelsight.evaluation.statistics import Statistics
+
+__all__ = [
+    "AbsoluteError",
+    "Evaluation",
+    "RelativeError",
+    "SequenceStatistics",
+    "Statistics",
+    "ate",
+    "evaluate",
+    "frame_coverage",
+    "rpe",
+    "sequence_statistics",
+    "time_coverage",
+]

@@ -1,0 +1,49 @@
+"""How much of a recording the estimate speaks about: an error says nothing of frames without a pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.association import associate
+from wheelsight.errors import EvaluationError
+from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.trajectory import Trajectory
+
+# Stamps of one frame in two files differ by no more than their last decimal.
+_SAME_STAMP_S = 1e-3
+
+
+def frame_coverage(estimate: Trajectory, frame_stamps_s: ArrayLike) -> float:
+    """The share, 0 to 1, of listed frames at stamps (N,) seconds that have a pose.
+
+    Raises EvaluationError when no frame is listed.
+    """
+    frames = np.asarray(frame_stamps_s, float)
+    if not len(frames):
+        raise EvaluationError("no frames are listed, so no share of them can have a pose")
+    return len(associate(estimate.stamps_s, frames, _SAME_STAMP_S)) / len(frames)
+
+
+def time_coverage(estimate: Trajectory, truth: Trajectory, max_step_s: float = 0.5) -> float:
+    """The share, 0 to 1, of the truth's time that the estimate covers too.
+
+    A trajectory covers the time between neighbouring stamps that are at most `max_step_s` seconds apart.
+    Raises EvaluationError when the truth covers no time.
+    """
+    stamps_s = np.union1d(estimate.stamps_s, truth.stamps_s)
+    middle_s, step_s = (stamps_s[1:] + stamps_s[:-1]) / 2, np.diff(stamps_s)
+    in_truth = _covers(truth, middle_s, max_step_s)
+    if not in_truth.any():
+        raise EvaluationError(f"the ground truth has no two poses within {max_step_s:g} s, so it covers no time")
+    in_both = in_truth & _covers(estimate, middle_s, max_step_s)
+    return float(step_s[in_both].sum() / step_s[in_truth].sum())
+
+
+def _covers(trajectory: Trajectory, stamps_s: FloatArray, max_step_s: float) -> BoolArray:
+    if len(trajectory) < 2:
+        return np.zeros(len(stamps_s), bool)
+    after = np.searchsorted(trajectory.stamps_s, stamps_s)
+    inside = (after > 0) & (after < len(trajectory))
+    steps_s = np.diff(trajectory.stamps_s)[(after - 1).clip(0, len(trajectory) - 2)]
+    return np.asarray(inside & (steps_s <= max_step_s))
