@@ -43,9 +43,9 @@ class InputError(WheelsightError):
         where = "" if self.path is None else str(self.path)
         if self.line is not None:
             where += f":{self.line}"
-        text = f"{where}: {self.problem}" if where else self.problem
-        text = " ".join(text.split())
-        return f"{text} ({self.fix})" if self.fix else text
+        problem, fix = " ".join(self.problem.split()), " ".join((self.fix or "").split())
+        text = f"{where}: {problem}" if where else problem
+        return f"{text} ({fix})" if fix else text
 
 
 class RecordingError(InputError):

@@ -1,0 +1,198 @@
+"""Calibrations: what they refuse, and that calibration.yaml keeps them to the last bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wheelsight.calibration import Calibration, DepthNoise, load_calibration, save_calibration
+from wheelsight.errors import CalibrationError, OutputError
+from wheelsight.geometry import PinholeCamera, se3
+
+COLOR = PinholeCamera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633))
+DEPTH = PinholeCamera(512, 424, 365.0, 365.5, 255.0, 211.0)
+T_COLOR_DEPTH = se3.exp([0.025, -0.001, 0.002, 0.01, -0.02, 0.003])
+T_BASE_CAMERA = se3.exp([0.3, 0.0, 1.1, -1.2, 1.2, -1.2])
+
+positive = st.floats(1e-6, 1e6)
+small = st.floats(-2, 2)
+cameras = st.builds(
+    PinholeCamera,
+    *(st.integers(1, 8000), st.integers(1, 8000)),
+    *(positive, positive, st.floats(0, 1), st.floats(0, 1)),
+    st.tuples(small, small, small, small, small),
+)
+motions = st.none() | st.tuples(*[small] * 6).map(se3.exp)
+noises = st.builds(DepthNoise, st.floats(0, 1), positive, st.floats(0, 1), st.floats(1.5, 100))
+
+
+def assert_same(first: Calibration, second: Calibration) -> None:
+    assert (first.color, first.depth) == (second.color, second.depth)
+    assert (first.depth_noise, first.source) == (second.depth_noise, second.source)
+    for name in ("T_color_depth", "T_base_camera"):
+        np.testing.assert_equal(getattr(first, name), getattr(second, name))
+
+
+@given(cameras, cameras, motions, motions, noises, st.text(max_size=20))
+def test_yaml_keeps_everything_to_the_last_bit(
+    tmp_path_factory: pytest.TempPathFactory,
+    color: PinholeCamera,
+    depth: PinholeCamera,
+    T_color_depth: np.ndarray | None,
+    T_base_camera: np.ndarray | None,
+    noise: DepthNoise,
+    source: str,
+) -> None:
+    depth = color if T_color_depth is None else depth
+    calibration = Calibration(color, depth, T_color_depth, noise, T_base_camera, source)
+    path = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
+    save_calibration(calibration, path)
+    assert_same(load_calibration(path), calibration)
+
+
+def test_numpy_numbers_are_written_as_numbers(tmp_path: Path) -> None:
+    camera = PinholeCamera(np.int64(640), np.int32(480), *np.array([500.0, 501.0, 320.0, 240.0]), np.zeros(5))
+    save_calibration(Calibration.registered_camera(camera), tmp_path / "c.yaml")
+    assert load_calibration(tmp_path / "c.yaml").color == camera
+
+
+def test_a_hand_written_file_needs_only_the_colour_camera(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    path.write_text(
+        "# our robot\nformat: wheelsight-calibration-1\n"
+        "color: {width: 640, height: 480, fx: 5.25e2, fy: 525, cx: 3195e-1, cy: 239.5}\n"
+    )
+    calibration = load_calibration(path)
+    assert calibration.is_registered
+    assert calibration.depth == calibration.color == PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
+    assert calibration.depth_noise == DepthNoise()
+    assert calibration.T_base_camera is None
+
+
+def document(**changes: Any) -> dict[str, Any]:
+    camera = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5}
+    return {"format": "wheelsight-calibration-1", "color": camera} | changes
+
+
+def color(**changes: Any) -> dict[str, Any]:
+    return document(color={k: v for k, v in (document()["color"] | changes).items() if v != "gone"})
+
+
+EYE = np.eye(4).tolist()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ([1, 2], "field calibration must hold names and values"),
+        (None, "field calibration must hold names and values"),
+        ({"color": {}}, "field format is None.*write format"),
+        (document(format="other-2"), "field format is 'other-2'"),
+        ({"format": "wheelsight-calibration-1"}, "field color is missing"),
+        (document(colour={}), "unknown entry 'colour'.*known: format"),
+        (document(color=3), "field color must hold"),
+        (color(fx="gone"), "field color.fx is missing"),
+        (color(width="gone"), "field color.width is missing"),
+        (color(focal=3), "field color has an unknown entry 'focal'"),
+        (color(fx="wide"), "field color.fx is 'wide', not a number"),
+        (color(fx=True), "field color.fx is True, not a number"),
+        (color(fx=None), "field color.fx is None, not a number"),
+        (color(cy=float("nan")), "field color.cy is nan, not a number"),
+        (color(fx=-5.0), "field color: .*must be positive"),
+        (color(width=640.5), "field color.width is 640.5, not a whole number"),
+        (color(distortion=[0.1, 0.2]), "field color.distortion takes five numbers"),
+        (color(distortion=0.1), "field color.distortion takes five numbers"),
+        (color(distortion=[0, 0, 0, 0, "x"]), "field color.distortion is 'x'"),
+        (document(depth=None), "field depth must hold"),
+        (document(depth=color(fx=300.0)["color"]), "no T_color_depth says how they are joined.*register"),
+        (document(T_color_depth=[[1, 0], [0, 1]]), "field T_color_depth must be four rows"),
+        (document(T_color_depth=[1, [2]]), "field T_color_depth must be four rows"),
+        (document(T_color_depth="x"), "field T_color_depth must be four rows"),
+        (document(T_base_camera=(2 * np.eye(4)).tolist()), "T_base_camera is not a rigid motion"),
+        (document(T_base_camera=np.diag([1, 1, -1.0, 1]).tolist()), "T_base_camera is not a rigid motion"),
+        (document(T_base_camera=[*EYE[:3], [0, 0, 1, 1]]), "T_base_camera is not a rigid motion"),
+        (document(T_base_camera=[*EYE[:3], [0, 0, float("nan"), 1]]), "T_base_camera is not a rigid motion"),
+        (document(depth_noise=0.01), "field depth_noise must hold"),
+        (document(depth_noise={"sigma": 1}), "unknown entry 'sigma'.*known: constant_m"),
+        (document(depth_noise={"constant_m": "big"}), "field depth_noise.constant_m is 'big'"),
+        (document(depth_noise={"constant_m": -1.0}), "not negative"),
+        (document(depth_noise={"quadratic_per_m": 0.0}), "not both zero"),
+        (document(depth_noise={"near_m": 5.0, "far_m": 4.0}), "range 5.0 to 4.0 m is empty"),
+    ],
+)
+def test_a_bad_file_is_named_with_field_and_problem(tmp_path: Path, content: Any, message: str) -> None:
+    path = tmp_path / "calibration.yaml"
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(CalibrationError, match=message) as caught:
+        load_calibration(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"color: [1, 2\nfx: }", "is not YAML"),
+        (b"\xff\xfe\x00", "is not YAML"),
+        (b"a: \x07", "is not YAML"),
+        (b"", "field"),
+    ],
+)
+def test_what_is_not_yaml_is_said_in_one_line(tmp_path: Path, data: bytes, message: str) -> None:
+    path = tmp_path / "calibration.yaml"
+    path.write_bytes(data)
+    with pytest.raises(CalibrationError, match=message) as caught:
+        load_calibration(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_said(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match=r"none\.yaml: cannot be read: No such file"):
+        load_calibration(tmp_path / "none.yaml")
+    with pytest.raises(CalibrationError, match="cannot be read"):
+        load_calibration(tmp_path)
+
+
+def test_no_code_is_run_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    path.write_text("!!python/object/apply:os.mkdir ['made']\n")
+    with pytest.raises(CalibrationError, match="is not YAML"):
+        load_calibration(path)
+
+
+def test_saving_into_a_missing_folder(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="does not exist"):
+        save_calibration(Calibration.registered_camera(COLOR), tmp_path / "nowhere" / "c.yaml")
+
+
+def test_cameras_that_differ_need_the_motion_between_them() -> None:
+    with pytest.raises(CalibrationError, match="no T_color_depth"):
+        Calibration(COLOR, DEPTH)
+    assert not Calibration(COLOR, DEPTH, T_COLOR_DEPTH).is_registered
+    assert Calibration.registered_camera(COLOR).is_registered
+
+
+def test_a_calibration_cannot_be_changed_from_outside() -> None:
+    T = T_BASE_CAMERA.copy()
+    calibration = Calibration.registered_camera(COLOR, T_base_camera=T)
+    T[0, 3] = 99.0
+    np.testing.assert_array_equal(calibration.T_base_camera, T_BASE_CAMERA)
+    with pytest.raises(ValueError, match="read-only"):
+        calibration.T_base_camera[0, 3] = 99.0
+
+
+def test_a_stack_of_motions_is_not_one() -> None:
+    with pytest.raises(CalibrationError, match="not a rigid motion"):
+        Calibration.registered_camera(COLOR, T_base_camera=np.stack([T_BASE_CAMERA] * 2))
+
+
+def test_depth_noise_grows_with_the_square_of_depth() -> None:
+    noise = DepthNoise(constant_m=0.001, quadratic_per_m=0.002)
+    np.testing.assert_allclose(noise.sigma_m([0.0, 1.0, 3.0]), [0.001, 0.003, 0.019], atol=1e-15)
+    assert DepthNoise().sigma_m(2.0) == pytest.approx(5.7e-3)

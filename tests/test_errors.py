@@ -1,0 +1,51 @@
+"""Errors: one root, one line each, with file, line and fix."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+
+import pytest
+
+from wheelsight import errors
+from wheelsight.errors import CalibrationError, InputError, RecordingError, WheelsightError
+
+ALL_ERRORS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, Exception)]
+
+
+@pytest.mark.parametrize("kind", ALL_ERRORS)
+def test_everything_raised_on_purpose_has_one_root(kind: type[Exception]) -> None:
+    assert issubclass(kind, WheelsightError)
+    assert not issubclass(kind, (OSError, ValueError)), "callers must be able to tell them from accidents"
+
+
+def test_the_tree_in_the_docstring_is_the_tree() -> None:
+    for kind in ALL_ERRORS:
+        assert f"{kind.__name__} " in f"{errors.__doc__} ".replace("\n", " "), kind
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({}, "is wrong"),
+        ({"path": Path("a/rgb.txt")}, "a/rgb.txt: is wrong"),
+        ({"path": "rgb.txt", "line": 3}, "rgb.txt:3: is wrong"),
+        ({"path": "rgb.txt", "line": 3, "fix": "mend it"}, "rgb.txt:3: is wrong (mend it)"),
+        ({"fix": "mend it"}, "is wrong (mend it)"),
+        ({"path": "two  blanks/rgb.txt"}, "two  blanks/rgb.txt: is wrong"),
+    ],
+)
+def test_a_message_names_place_problem_and_fix(keywords: dict[str, object], message: str) -> None:
+    error = InputError("is wrong", **keywords)
+    assert str(error) == message
+    assert error.problem == "is wrong"
+
+
+def test_a_message_is_one_line_whatever_it_quotes() -> None:
+    error = CalibrationError("is not YAML: while parsing\n  a block\n    mapping", path="c.yaml", fix="look\nat it")
+    assert str(error) == "c.yaml: is not YAML: while parsing a block mapping (look at it)"
+
+
+def test_the_place_can_be_asked_for() -> None:
+    error = RecordingError("is absent", path="rgb.txt", line=7, fix="remove the line")
+    assert (error.path, error.line, error.fix) == (Path("rgb.txt"), 7, "remove the line")
