@@ -33,9 +33,8 @@ def _too_few(estimate: Trajectory, truth: Trajectory, pairs: int, max_gap_s: flo
         start_s, end_s = max(estimate.stamps_s[0], truth.stamps_s[0]), min(estimate.stamps_s[-1], truth.stamps_s[-1])
         shared_s = end_s - start_s
     overlap = f"they share {shared_s:.3f} s" if shared_s > 0 else "they do not overlap in time"
-    return (
-        f"only {pairs} poses are within {max_gap_s:g} s of a true one, {_FEWEST_PAIRS} are needed: {spans}; {overlap}"
-    )
+    found = f"{pairs} of the estimate's poses within {max_gap_s:g} s of a true one, {_FEWEST_PAIRS} needed"
+    return f"{found}: {spans}; {overlap}"
 
 
 def _span(trajectory: Trajectory) -> str:

@@ -57,9 +57,10 @@ def rpe(estimate: Trajectory, truth: Trajectory, delta: float, unit: Unit, *, ma
 
     Raises:
         EvaluationError: different bodies, fewer than three pairs, or no step of that length.
+        ValueError: a delta that is not positive, or a broken number of frames.
     """
-    if not delta > 0:
-        raise ValueError(f"a step must be longer than {delta}")
+    if not delta > 0 or (unit == "frames" and delta != int(delta)):
+        raise ValueError(f"no step can be {delta} {unit} long")
     near, true = matched(estimate, truth, max_gap_s)
     start, end = _steps(true, delta, unit)
     if not len(start):
