@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from wheelsight.calibration import Calibration
+from wheelsight.errors import ConfigError
 from wheelsight.events import Event
 from wheelsight.trajectory import Trajectory
 
@@ -35,32 +37,46 @@ class AssociationReport:
 
 @runtime_checkable
 class Recording(Protocol):
-    """A finished recording: calibration, events in order of time, and the true trajectory if it has one.
+    """A finished recording: calibration, events in order of time, and the true trajectory if it has one."""
 
-    Attributes:
-        name: for titles and file names.
-        path: the folder it was read from.
-        format: the reader's name in the registry.
-        body: the frame its trajectory describes, "base" where the calibration says T_base_camera, else "camera".
-        calibration: of the sensors.
-        frame_count: how many RGB-D frames `events()` will yield, skipped ones included.
-        association: how colour and depth were paired.
-        ground_truth: T_world_body of `body`'s frame named in it, or None.
-        warnings: what a user should know before trusting results, one sentence each.
-    """
+    @property
+    def name(self) -> str:
+        """For titles and file names."""
 
-    name: str
-    path: Path
-    format: str
-    calibration: Calibration
-    frame_count: int
-    association: AssociationReport
-    ground_truth: Trajectory | None
-    warnings: tuple[str, ...]
+    @property
+    def path(self) -> Path:
+        """The folder it was read from."""
+
+    @property
+    def format(self) -> str:
+        """The reader's name in the registry."""
+
+    @property
+    def body(self) -> str:
+        """The frame its trajectory describes: "base" where the calibration says T_base_camera, else "camera"."""
+
+    @property
+    def calibration(self) -> Calibration:
+        """Of the sensors."""
+
+    @property
+    def frame_count(self) -> int:
+        """How many RGB-D frames `events()` will yield, skipped ones included."""
+
+    @property
+    def association(self) -> AssociationReport:
+        """How colour and depth were paired."""
+
+    @property
+    def ground_truth(self) -> Trajectory | None:
+        """T_world_body of `body`, or None."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know before trusting results, one sentence each."""
 
     def events(self) -> Iterator[Event]:
         """The events in order of time, from the start at each call; images are decoded as they are asked for."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +87,35 @@ class OpenOptions:
         camera: name of a shipped calibration (see `camera_names()`), or a calibration.yaml; None to go by the files.
         max_gap_s: largest distance in time between a colour and a depth image of one frame.
         depth_factor: depth units a metre, where it differs from the format's own.
+
+    Raises:
+        ConfigError: a gap that is not finite and from 0 up, or a factor that is not positive.
     """
 
     camera: str | None = None
     max_gap_s: float = 0.02
     depth_factor: float | None = None
-    extra: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.max_gap_s) and self.max_gap_s >= 0):
+            raise ConfigError(f"--max-gap is {self.max_gap_s}, not a number of seconds from 0 up")
+        if self.depth_factor is not None and not (math.isfinite(self.depth_factor) and self.depth_factor > 0):
+            raise ConfigError(f"--depth-factor is {self.depth_factor}, not a positive number", fix="1000: millimetres")
+
+
+class Reader(Protocol):
+    """Reads one format of recording."""
+
+    @property
+    def name(self) -> str:
+        """What the format is called."""
+
+    @property
+    def needs(self) -> str:
+        """What a folder of this format holds, in a few words, for a user whose folder is none."""
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether an existing folder looks like this format, by names of files alone."""
+
+    def open(self, folder: Path, options: OpenOptions) -> Recording:
+        """The recording in a folder that was recognised. Raises InputError where it cannot be read."""

@@ -1,0 +1,166 @@
+"""A recording kept as image files: what all folder formats come down to once their lists are read."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.association import associate
+from wheelsight.calibration import Calibration
+from wheelsight.errors import CalibrationError, RecordingError
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.geometry import PinholeCamera
+from wheelsight.recordings._images import DepthEncoding, image_size, read_color, read_depth
+from wheelsight.recordings._read_ahead import read_ahead
+from wheelsight.recordings._text import ListedFile
+from wheelsight.recordings.bodies import express_for
+from wheelsight.recordings.protocol import AssociationReport
+from wheelsight.trajectory import Trajectory
+
+_FRAMES_READ_AHEAD = 4
+_FRAMES_TRIED = 8
+
+
+@dataclass(frozen=True, slots=True)
+class FramePaths:
+    """The two image files of a frame; its time is that of the colour image, in seconds."""
+
+    stamp_s: float
+    color: Path
+    depth: Path
+
+
+@dataclass(frozen=True, eq=False)
+class ImageRecording:
+    """A `Recording` made of image files. Attributes beside the protocol's:
+
+    frames: the image files of each frame, in order of time.
+    encoding: how depth images are to be read.
+    wheels: readings of the wheel encoders, in order of time.
+    odometry: T_odom_base as the robot's own wheel odometry computed it, for recordings that have no ticks.
+    """
+
+    name: str
+    path: Path
+    format: str
+    calibration: Calibration
+    association: AssociationReport
+    frames: tuple[FramePaths, ...]
+    encoding: DepthEncoding
+    ground_truth: Trajectory | None = None
+    warnings: tuple[str, ...] = ()
+    wheels: tuple[WheelTicks, ...] = ()
+    odometry: Trajectory | None = None
+
+    @property
+    def body(self) -> str:
+        """The frame the ground truth describes: "base" where the calibration has one, else "camera"."""
+        return "camera" if self.calibration.T_base_camera is None else "base"
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames `events()` will yield, skipped ones included."""
+        return len(self.frames)
+
+    def events(self) -> Iterator[Event]:
+        """Frames and wheel readings in order of time, from the start at each call; decoded a few frames ahead."""
+        frames = (self._frame_or_reason(index) for index in range(len(self.frames)))
+        merged: Iterator[Event] = heapq.merge(self.wheels, frames, key=_stamp_s)
+        return read_ahead(merged, _FRAMES_READ_AHEAD)
+
+    def read_frame(self, index: int) -> RgbdFrame:
+        """The frame at `index`. Raises RecordingError naming the file and what makes it unusable."""
+        files = self.frames[index]
+        color, depth_m = read_color(files.color), read_depth(files.depth, self.encoding)
+        registered = self.calibration.is_registered
+        if registered and color.shape[:2] != depth_m.shape:
+            problem = f"depth image is {image_size(depth_m)}, its colour image {image_size(color)}"
+            raise RecordingError(problem, path=files.depth, fix="register depth to colour, or give T_color_depth")
+        _check_size("colour", image_size(color), self.calibration.color, files.color)
+        _check_size("depth", image_size(depth_m), self.calibration.depth, files.depth)
+        return RgbdFrame(files.stamp_s, color, depth_m, index)
+
+    def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:
+        try:
+            return self.read_frame(index)
+        except RecordingError as error:
+            return SkippedFrame(self.frames[index].stamp_s, error.problem, index)
+
+
+def complete(recording: ImageRecording) -> ImageRecording:
+    """A recording tried and made ready: some frame can be read, truth is told for its body, warnings are added.
+
+    Raises:
+        RecordingError: none of some frames spread over the recording can be used; says why the first cannot.
+        CalibrationError: the ground truth describes another body, and nothing says where that is.
+    """
+    _try_frames(recording)
+    if recording.ground_truth is None:
+        return recording
+    try:
+        truth = express_for(recording.body, recording.ground_truth, recording.calibration)
+    except CalibrationError as error:
+        raise CalibrationError(f"ground truth: {error.problem}", path=recording.path, fix=error.fix) from error
+    return replace(recording, ground_truth=truth, warnings=(*recording.warnings, *_coverage(recording, truth)))
+
+
+def pair_images(
+    color: Sequence[ListedFile], depth: Sequence[ListedFile], max_gap_s: float, color_list: Path
+) -> tuple[tuple[FramePaths, ...], AssociationReport]:
+    """Frames of the colour and depth images that belong together, and how that went.
+
+    Raises:
+        RecordingError: no two images lie within `max_gap_s` seconds; names the list and the nearest gap.
+    """
+    color_s, depth_s = (np.array([file.stamp_s for file in files], float) for files in (color, depth))
+    pairs = associate(color_s, depth_s, max_gap_s)
+    if not len(pairs):
+        after = np.searchsorted(depth_s, color_s)
+        beside = (depth_s[(after - 1).clip(0)], depth_s[after.clip(max=len(depth_s) - 1)])
+        nearest_s = min(float(np.abs(color_s - other).min()) for other in beside)
+        problem = f"no depth image lies within {max_gap_s:g} s of a colour image; the nearest pair is {nearest_s:.6g} s"
+        fix = "check that both lists use one clock, or raise --max-gap"
+        raise RecordingError(f"{problem} apart", path=color_list, fix=fix)
+    frames = tuple(FramePaths(color[i].stamp_s, color[i].path, depth[j].path) for i, j in pairs.tolist())
+    largest_s = float(np.abs(color_s[pairs[:, 0]] - depth_s[pairs[:, 1]]).max())
+    return frames, AssociationReport(len(color), len(depth), len(frames), max_gap_s, largest_s)
+
+
+def _stamp_s(event: Event) -> float:
+    return event.stamp_s
+
+
+def _check_size(name: str, size: str, camera: PinholeCamera, path: Path) -> None:
+    expected = f"{camera.width}×{camera.height}"
+    if size != expected:
+        raise RecordingError(
+            f"{name} image is {size}, the calibration's {expected}", path=path, fix="choose another with --camera"
+        )
+
+
+def _try_frames(recording: ImageRecording) -> None:
+    """Read frames spread over the recording until one is usable; if none is, the first one's error is the answer."""
+    first: RecordingError | None = None
+    tried = np.linspace(0, len(recording.frames) - 1, _FRAMES_TRIED).astype(int)
+    for index in dict.fromkeys(tried.tolist()):
+        try:
+            recording.read_frame(index)
+            return
+        except RecordingError as error:
+            first = first or error
+    if first is not None:
+        raise first
+
+
+def _coverage(recording: ImageRecording, truth: Trajectory) -> list[str]:
+    """A warning where the ground truth does not reach over all frames."""
+    start_s, end_s = truth.stamps_s[0], truth.stamps_s[-1]
+    covered = sum(bool(start_s <= frame.stamp_s <= end_s) for frame in recording.frames)
+    slack = 0 if len(recording.frames) < 3 else 2
+    if covered + slack >= len(recording.frames):
+        return []
+    return [f"The ground truth covers {covered} of {len(recording.frames)} frames; only these can be evaluated."]

@@ -1,0 +1,98 @@
+"""Image files into arrays: colour as RGB bytes, depth as metres; whatever cannot be trusted is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelsight.errors import RecordingError
+from wheelsight.geometry import ByteArray, Float32Array
+
+_PLAUSIBLE_MEDIAN_M = (0.05, 50.0)
+_MEDIAN_STRIDE = 8
+_COLOR_FLAGS = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
+_TRAILERS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
+_TRAILER_REACH = 64
+
+
+@dataclass(frozen=True, slots=True)
+class DepthEncoding:
+    """How 16-bit depth images are to be read: units a metre, and which raw value besides 0 means nothing measured."""
+
+    factor: float
+    invalid: int | None = None
+
+
+def read_color(path: Path) -> ByteArray:
+    """The colour image (H, W, 3) uint8, red green blue. Raises RecordingError naming the file."""
+    return np.asarray(_decode(path, _COLOR_FLAGS, "colour"), np.uint8)
+
+
+def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
+    """The depth image (H, W) float32 in metres, 0 where nothing was measured.
+
+    Raises:
+        RecordingError: naming the file, if it is no 16-bit image with one channel, holds no depth at all,
+            or its median depth is under 5 cm or over 50 m.
+    """
+    raw = _decode(path, cv2.IMREAD_UNCHANGED, "depth")
+    if raw.ndim != 2 or raw.dtype != np.uint16:
+        channels = 1 if raw.ndim == 2 else raw.shape[2]
+        problem = f"depth image has {channels} channel(s) of {8 * raw.dtype.itemsize} bits, not one of 16"
+        raise RecordingError(problem, path=path, fix="depth must be a 16-bit greyscale PNG")
+    if encoding.invalid is not None:
+        raw[raw == encoding.invalid] = 0
+    _check_scale(_median(raw, path) / encoding.factor, path, encoding)
+    depth_m: Float32Array = np.multiply(raw, np.float32(1 / encoding.factor), dtype=np.float32)
+    return depth_m
+
+
+def image_size(image: NDArray[np.generic]) -> str:
+    """Width × height of an image, for messages."""
+    return f"{image.shape[1]}×{image.shape[0]}"
+
+
+def _decode(path: Path, flags: int, kind: str) -> NDArray[np.integer]:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise RecordingError(f"listed {kind} image is absent", path=path) from error
+    except OSError as error:
+        raise RecordingError(f"{kind} image cannot be read: {error.strerror}", path=path) from error
+    for start, trailer in _TRAILERS.items():
+        if data.startswith(start) and trailer not in data[-_TRAILER_REACH:]:
+            raise RecordingError(f"{kind} image is cut off before its end", path=path)
+    if not data:
+        raise RecordingError(f"{kind} image is empty", path=path)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise RecordingError(f"{kind} image is damaged, or no image", path=path)
+    return np.asarray(image)
+
+
+def _median(raw: NDArray[np.integer], path: Path) -> float:
+    """Median of the measured depth units, from a sample where it holds enough."""
+    sample = raw[::_MEDIAN_STRIDE, ::_MEDIAN_STRIDE]
+    measured = sample[sample > 0]
+    if not len(measured):
+        measured = raw[raw > 0]
+    if not len(measured):
+        raise RecordingError("depth image measured nothing: no pixel is valid", path=path)
+    return float(np.median(measured))
+
+
+def _check_scale(median_m: float, path: Path, encoding: DepthEncoding) -> None:
+    near, far = _PLAUSIBLE_MEDIAN_M
+    if not near <= median_m <= far:
+        raise RecordingError(
+            f"median depth is {median_m:.3g} m at {encoding.factor:g} depth units a metre",
+            path=path,
+            fix="give the right number of units a metre with --depth-factor; 1000 means millimetres",
+        )

@@ -1,0 +1,110 @@
+"""The TUM RGB-D benchmark's layout: rgb.txt, depth.txt, groundtruth.txt (Sturm et al., IROS 2012)."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from wheelsight.calibration import Calibration
+from wheelsight.errors import CalibrationError, RecordingError
+from wheelsight.recordings._cameras import camera_choices, choose_calibration, load_camera
+from wheelsight.recordings._image_recording import FramePaths, ImageRecording, complete, pair_images
+from wheelsight.recordings._images import DepthEncoding
+from wheelsight.recordings._text import keep_growing, parse_stamp, read_file_list, read_lines
+from wheelsight.recordings.protocol import AssociationReport, OpenOptions
+from wheelsight.trajectory import Trajectory, read_tum
+
+DEPTH_FACTOR = 5000.0
+_ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt", "assoc.txt")
+_FREIBURG = re.compile(r"(?<![a-z])(?:freiburg|fr)([123])(?![0-9])", re.IGNORECASE)
+
+
+class TumReader:
+    """Colour and registered depth in PNG or JPEG files; 5000 depth units a metre."""
+
+    name = "tum"
+    needs = "rgb.txt and depth.txt"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether one of the two list files is there."""
+        return any((folder / name).is_file() for name in ("rgb.txt", "depth.txt"))
+
+    def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
+        """The recording in `folder`; a ready associations file in it is used as it is.
+
+        Raises:
+            InputError: naming file and line; also for a camera that neither folder name, file nor option tells.
+        """
+        calibration = choose_calibration(folder, options, lambda: _camera_by_name(folder))
+        frames, association, warnings = read_frames(folder, options)
+        return complete(
+            ImageRecording(
+                name=folder.resolve().name,
+                path=folder,
+                format=self.name,
+                calibration=calibration,
+                association=association,
+                frames=frames,
+                encoding=DepthEncoding(options.depth_factor or DEPTH_FACTOR),
+                ground_truth=read_truth(folder / "groundtruth.txt", warnings),
+                warnings=tuple(warnings),
+            )
+        )
+
+
+def read_frames(folder: Path, options: OpenOptions) -> tuple[tuple[FramePaths, ...], AssociationReport, list[str]]:
+    """The frames of rgb.txt and depth.txt, how they were paired, and warnings. Raises RecordingError."""
+    color, color_warnings = read_file_list(folder / "rgb.txt")
+    depth, depth_warnings = read_file_list(folder / "depth.txt")
+    warnings = color_warnings + depth_warnings
+    ready = next((folder / name for name in _ASSOCIATIONS if (folder / name).is_file()), None)
+    if ready is None:
+        frames, association = pair_images(color, depth, options.max_gap_s, folder / "rgb.txt")
+        return frames, association, warnings
+    pairs, pair_warnings = _read_associations(ready)
+    frames = tuple(pair.frame for pair in pairs)
+    gap_s = max(pair.gap_s for pair in pairs)
+    association = AssociationReport(
+        max(len(color), len(frames)), max(len(depth), len(frames)), len(frames), gap_s, gap_s
+    )
+    note = f"Colour and depth are paired as {ready.name} says, with gaps up to {gap_s:.3f} s."
+    return frames, association, [*warnings, *pair_warnings, note]
+
+
+def read_truth(path: Path, warnings: list[str], body: str = "camera") -> Trajectory | None:
+    """The trajectory in `path`, or None where there is no such file; warnings are added to the list.
+
+    Raises TrajectoryError naming file and line.
+    """
+    return read_tum(path, body, warnings.append) if path.is_file() else None
+
+
+def _camera_by_name(folder: Path) -> Calibration:
+    name = folder.resolve().name
+    found = set(_FREIBURG.findall(name))
+    if len(found) != 1:
+        problem = f"nothing says which camera took it: the folder's name {name!r} names no freiburg1, 2 or 3"
+        raise CalibrationError(problem, path=folder, fix=camera_choices())
+    return load_camera(f"freiburg{found.pop()}")
+
+
+class _Pair:
+    """One line of an associations file: `stamp color stamp depth`, or depth first."""
+
+    def __init__(self, words: list[str], path: Path, line: int) -> None:
+        if len(words) != 4:
+            raise RecordingError("`stamp color-file stamp depth-file` is expected", path=path, line=line)
+        first, second = ((parse_stamp(words[i], path, line), path.parent / words[i + 1]) for i in (0, 2))
+        if words[1].startswith("depth"):
+            first, second = second, first
+        self.frame = FramePaths(first[0], first[1], second[1])
+        self.stamp_s = first[0]
+        self.gap_s = abs(first[0] - second[0])
+
+
+def _read_associations(path: Path) -> tuple[list[_Pair], list[str]]:
+    lines = read_lines(path)
+    if not lines:
+        raise RecordingError("pairs no images", path=path, fix="remove the file to have them paired by stamp")
+    pairs = [_Pair(re.split(r"[\s,]+", line.text), path, line.number) for line in lines]
+    return keep_growing(pairs, [line.number for line in lines], path)

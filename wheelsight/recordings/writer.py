@@ -1,0 +1,172 @@
+"""Writing recordings in wheelsight's own layout, so that a broken-off recording is only a shorter one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelsight.calibration import Calibration, save_calibration
+from wheelsight.errors import OutputError, RecordingError
+from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.files import make_output_folder, output_error, write_bytes
+from wheelsight.geometry import Float32Array, PinholeCamera
+from wheelsight.recordings._images import image_size
+from wheelsight.recordings.bodies import express_for
+from wheelsight.recordings.native import WHEELS_HEADER
+from wheelsight.recordings.protocol import Recording
+from wheelsight.recordings.tum import DEPTH_FACTOR
+from wheelsight.trajectory import Trajectory, write_tum
+
+_HEADERS = {
+    "rgb.txt": "# color images\n# timestamp filename\n",
+    "depth.txt": "# depth maps\n# timestamp filename\n",
+    "wheels.csv": f"{WHEELS_HEADER}\n",
+}
+_TRUTHS = {"camera": "groundtruth.txt", "base": "groundtruth_base.txt"}
+_DEEPEST_UNITS = np.iinfo(np.uint16).max
+_FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+
+
+class RecordingWriter:
+    """Writes events into a folder as they come; use it in a `with` block, and `open_recording` reads them again.
+
+    Colour is kept exactly, depth to 0.1 mm: 5000 units a metre in 16 bits, as in the TUM benchmark, so that any
+    TUM tool reads it. That ends at 13.107 m; what lies beyond, or is no number, is written as not measured and
+    counted in `depths_too_far`. Images appear whole or not at all, and a list names an image only once it is
+    there; a recording broken off at any point, even by a power cut, is a valid shorter one.
+
+    Attributes:
+        folder: where the recording lies.
+        frames, readings: how many frames and wheel readings were written.
+        depths_too_far: depth pixels beyond 13.107 m, in all frames.
+
+    Raises:
+        OutputError: the folder is not empty and `force` is off, cannot be written, or the disk is full.
+    """
+
+    def __init__(self, folder: Path | str, calibration: Calibration, force: bool = False) -> None:
+        self.folder = make_output_folder(Path(folder), force)
+        self.frames = self.readings = self.depths_too_far = 0
+        self._calibration = calibration
+        self._last_stamp_s = {RgbdFrame: -np.inf, WheelTicks: -np.inf}
+        for name in _TRUTHS.values():
+            (self.folder / name).unlink(missing_ok=True)
+        for name in ("rgb", "depth"):
+            make_output_folder(self.folder / name, force=True)
+        save_calibration(calibration, self.folder / "calibration.yaml")
+        self._lists = {name: self._start(name, header) for name, header in _HEADERS.items()}
+
+    def add(self, event: Event) -> None:
+        """Write one event; frames that were skipped when they were read leave no trace.
+
+        Raises:
+            RecordingError: stamps that do not grow, or images of another size than the calibration's.
+            OutputError: the disk is full or the folder has gone.
+        """
+        if isinstance(event, RgbdFrame):
+            self._check_stamp(event)
+            self._add_frame(event)
+        elif isinstance(event, WheelTicks):
+            self._check_stamp(event)
+            self._append("wheels.csv", f"{_seconds(event.stamp_s)},{event.left},{event.right}\n")
+            self.readings += 1
+
+    def add_ground_truth(self, truth: Trajectory) -> None:
+        """Write the true trajectory of the camera or the base; if the calibration joins the two, both.
+
+        Raises:
+            CalibrationError: the trajectory describes the base and no T_base_camera says where the camera is.
+            OutputError: it cannot be written.
+        """
+        bodies = ("camera",) if self._calibration.T_base_camera is None else ("camera", "base")
+        for body in bodies:
+            write_tum(express_for(body, truth, self._calibration), self.folder / _TRUTHS[body])
+
+    def close(self) -> None:
+        """End the recording. Nothing is lost without it but what the system had not yet written."""
+        for stream in self._lists.values():
+            stream.close()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _add_frame(self, frame: RgbdFrame) -> None:
+        _check_size("colour", frame.color, self._calibration.color)
+        _check_size("depth", frame.depth_m, self._calibration.depth)
+        seconds = _seconds(frame.stamp_s)
+        names = {"rgb": f"rgb/{seconds}.png", "depth": f"depth/{seconds}.png"}
+        _write_png(self.folder / names["rgb"], cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR))
+        _write_png(self.folder / names["depth"], self._depth_units(frame.depth_m))
+        for name, file in names.items():
+            self._append(f"{name}.txt", f"{seconds} {file}\n")
+        self.frames += 1
+
+    def _depth_units(self, depth_m: Float32Array) -> NDArray[np.uint16]:
+        units = np.rint(np.asarray(depth_m, np.float64) * DEPTH_FACTOR)
+        fits = (units >= 0) & (units <= _DEEPEST_UNITS)
+        self.depths_too_far += int(np.count_nonzero(units > _DEEPEST_UNITS))
+        return np.where(fits, units, 0).astype(np.uint16)
+
+    def _check_stamp(self, event: RgbdFrame | WheelTicks) -> None:
+        if not self._last_stamp_s[type(event)] < event.stamp_s < np.inf:
+            last_s = self._last_stamp_s[type(event)]
+            raise RecordingError(f"stamp {event.stamp_s:.6f} does not come after {last_s:.6f}", path=self.folder)
+        self._last_stamp_s[type(event)] = event.stamp_s
+
+    def _start(self, name: str, header: str) -> IO[str]:
+        try:
+            stream = (self.folder / name).open("w", encoding="utf-8", newline="\n")
+            stream.write(header)
+            stream.flush()
+        except OSError as error:
+            raise output_error(error, self.folder / name) from error
+        return stream
+
+    def _append(self, name: str, line: str) -> None:
+        try:
+            self._lists[name].write(line)
+            self._lists[name].flush()
+        except OSError as error:
+            raise output_error(error, self.folder / name) from error
+
+
+def write_recording(folder: Path | str, recording: Recording, force: bool = False) -> RecordingWriter:
+    """Write any recording in wheelsight's own layout; answers the closed writer with its counts.
+
+    Raises:
+        OutputError, RecordingError: as `RecordingWriter`.
+    """
+    with RecordingWriter(folder, recording.calibration, force) as writer:
+        if recording.ground_truth is not None:
+            writer.add_ground_truth(recording.ground_truth)
+        for event in recording.events():
+            writer.add(event)
+    return writer
+
+
+def _seconds(stamp_s: float) -> str:
+    """A stamp with all its decimals, never in powers of ten, so that it reads back exactly."""
+    return np.format_float_positional(stamp_s, min_digits=6)
+
+
+def _check_size(name: str, image: NDArray[np.generic], camera: PinholeCamera) -> None:
+    if image.shape[:2] != (camera.height, camera.width):
+        expected = f"{camera.width}×{camera.height}"
+        raise RecordingError(f"{name} image is {image_size(image)}, the calibration's {expected}")
+
+
+def _write_png(path: Path, image: NDArray[np.integer | np.floating]) -> None:
+    is_encoded, data = cv2.imencode(".png", image, _FAST_PNG)
+    if not is_encoded:
+        raise OutputError("the image cannot be encoded as PNG", path=path)
+    write_bytes(path, data.tobytes())
