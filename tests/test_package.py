@@ -59,6 +59,11 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
         _ = wheelsight.nonsense
 
 
+def test_the_documentation_lists_every_public_name(project_folder: Path) -> None:
+    listed = (project_folder / "docs" / "api" / "index.md").read_text(encoding="utf-8")
+    assert all(f"`{name}`" in listed for name in wheelsight.__all__ if name != "__version__")
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_all_is_sorted_and_true(package: str) -> None:
     module = importlib.import_module(package)

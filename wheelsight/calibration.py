@@ -48,7 +48,8 @@ class Calibration:
     frame too. Else depth pixel and colour pixel of a point differ, and `T_color_depth` joins them.
 
     Attributes:
-        color, depth: the two cameras; alike when registered.
+        color: the colour camera.
+        depth: the depth camera; alike when registered.
         T_color_depth: (4, 4) that maps points of the depth camera into the colour camera, or None.
         depth_noise: of the depth camera.
         T_base_camera: (4, 4), or None where the recording has no base.

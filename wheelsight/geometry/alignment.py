@@ -23,7 +23,8 @@ def align_points(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = Non
     """`T_a_b` (4, 4) that minimises Σ wᵢ ‖p_aᵢ − T_a_b p_bᵢ‖² (Zhang, section 3.2).
 
     Args:
-        p_a, p_b: matched points (N, 3), metres.
+        p_a: points (N, 3) in frame a, metres.
+        p_b: the same points (N, 3) in frame b, in the same order.
         weights: one non-negative weight a pair (N,); all alike when left out.
 
     Raises:
