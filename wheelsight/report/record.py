@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 from wheelsight.estimates import Reason, Status
@@ -24,6 +25,11 @@ class FrameRecord:
     inliers: int
     seconds: float
     note: str = ""
+
+    @property
+    def is_skipped(self) -> bool:
+        """Whether the frame was listed but could not be used, so that odometry never judged it."""
+        return self.reason is Reason.FRAME_UNUSABLE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +68,7 @@ class RunRecord:
         stage_seconds: median time a frame of each stage (extract, match, align, …).
         config: the resolved configuration.
         peak_memory_mb: of the whole process, or None where the system does not tell.
+        finished_at: when the run ended, with its time zone.
     """
 
     recording: str
@@ -77,3 +84,4 @@ class RunRecord:
     stage_seconds: dict[str, float] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     peak_memory_mb: float | None = None
+    finished_at: datetime = field(default_factory=lambda: datetime.now(UTC))

@@ -1,0 +1,109 @@
+"""What the report's figures share: colours, a calm style, lines with gaps, one time axis for all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from wheelsight.geometry import FloatArray
+from wheelsight.report import _series as series
+from wheelsight.report.record import FrameRecord, RunRecord
+
+# Okabe and Ito's colours; these four also stand out from white and from near black.
+BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
+ORANGE, SKY = "#E69F00", "#56B4E9"
+DASHED = {"color": GREY, "width": 1.5, "dash": "dash"}
+_GRID = "rgba(128,128,128,0.22)"
+_AXIS = {
+    "gridcolor": _GRID,
+    "zeroline": False,
+    "linecolor": _GRID,
+    "showline": True,
+    "ticks": "outside",
+    "tickcolor": _GRID,
+    "automargin": False,
+    "title": {"font": {"size": 13}},
+}
+_STYLE = go.layout.Template(
+    layout={
+        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#333333"},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "hoverlabel": {"bgcolor": "#2b2f36", "bordercolor": "#2b2f36", "font": {"color": "#ffffff"}},
+        "legend": {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.0, "yanchor": "bottom"},
+        "margin": {"l": 62, "r": 14, "t": 36, "b": 46},
+        "xaxis": _AXIS,
+        "yaxis": _AXIS,
+    }
+)
+
+
+def style(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
+    """`figure` in the report's style, `height` in px; its width is that of its place."""
+    figure.update_layout(template=_STYLE, height=height, **layout)
+    return figure
+
+
+def add_line(figure: go.Figure, x: FloatArray, y: FloatArray, **trace: Any) -> None:
+    """A line over time (N,) that keeps gaps and peaks however long it is; lone values show as dots."""
+    kept = series.keep_peaks(y)
+    add_path(figure, np.stack([x[kept], y[kept]], axis=-1), **trace)
+
+
+def add_path(figure: go.Figure, path: FloatArray, *, line: dict[str, Any], row: int = 1, **trace: Any) -> None:
+    """A line through points (N, 2), broken at NaN; points without neighbours show as dots."""
+    where = {"row": row, "col": 1} if row > 1 or figure._has_subplots() else {}
+    figure.add_scatter(x=path[:, 0], y=path[:, 1], mode="lines", line=line, legendgroup=trace["name"], **trace, **where)
+    lone = series.alone(path.sum(axis=1))
+    if lone.any():
+        marker = {"size": line["width"] + 4, "color": line["color"]}
+        dots = trace | {"showlegend": False}
+        figure.add_scatter(
+            x=path[lone, 0], y=path[lone, 1], mode="markers", marker=marker, legendgroup=trace["name"], **dots, **where
+        )
+
+
+def panel_title(figure: go.Figure, text: str, y: float = 1.0) -> None:
+    """A panel's title at its upper left, `y` as a share of the figure's plotting height."""
+    place = {"x": 0, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
+    figure.add_annotation(text=text, showarrow=False, yshift=3, **place)
+
+
+def horizontal(figure: go.Figure, y: float, text: str) -> None:
+    """A dashed line across the figure at `y`, labelled above its right end."""
+    figure.add_shape(type="line", x0=0, x1=1, xref="paper", y0=y, y1=y, line=DASHED)
+    figure.add_annotation(
+        text=text, x=1, xref="paper", y=y, xanchor="right", yanchor="bottom", showarrow=False, font={"size": 11}
+    )
+
+
+def time_axis(figure: go.Figure, record: RunRecord, title: str = "seconds since the first frame") -> None:
+    """The same time axis for every figure of a run, so that they can be compared by eye."""
+    end_s = max(seconds_since_start(record, [frame.stamp_s for frame in record.frames]), default=0.0)
+    margin_s = 0.01 * end_s if end_s > 0 else 0.5
+    figure.update_xaxes(range=[-margin_s, end_s + margin_s], hoverformat=".2f")
+    figure.update_layout(margin_l=88)
+    lowest = min(figure.select_xaxes(), key=lambda axis: 0 if axis.showticklabels is not False else 1)
+    lowest.title.text = title
+
+
+def seconds_since_start(record: RunRecord, stamps_s: Sequence[float] | FloatArray) -> FloatArray:
+    """Stamps (N,) as seconds after the run's first frame."""
+    start_s = record.frames[0].stamp_s if record.frames else 0.0
+    return np.asarray(stamps_s, float) - start_s
+
+
+def used_frames(record: RunRecord) -> list[FrameRecord]:
+    """The frames that odometry judged."""
+    return [frame for frame in record.frames if not frame.is_skipped]
+
+
+def frame_spans_s(record: RunRecord) -> tuple[FloatArray, FloatArray]:
+    """From when (N,) to when (N,) each frame's answer holds, in seconds since the first: till the next frame."""
+    starts_s = seconds_since_start(record, [frame.stamp_s for frame in record.frames])
+    steps_s = np.diff(starts_s)
+    last_s = float(np.median(steps_s)) if len(steps_s) else 1.0
+    return starts_s, starts_s + np.append(steps_s, last_s)[: len(starts_s)]

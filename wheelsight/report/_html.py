@@ -1,0 +1,75 @@
+"""The few pieces of HTML that the page is made of. All text that comes in is escaped here, and only here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+import plotly.graph_objects as go
+
+
+def section(key: str, title: str, intro: str, *parts: str) -> str:
+    """A section with its heading and a sentence; `parts` are HTML."""
+    body = "\n".join(part for part in parts if part)
+    heading = f'<h2 id="{key}">{escape(title)}</h2>'
+    return f'<section aria-labelledby="{key}">\n{heading}\n{paragraph(intro)}{body}\n</section>'
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """A paragraph, or nothing for no text."""
+    return f"<p{_class(kind)}>{escape(text)}</p>\n" if text else ""
+
+
+def plot(key: str, figure: go.Figure, title: str, sentence: str, alt: str) -> str:
+    """A plotly figure as data that the page's script draws, with its caption; `alt` says what it shows."""
+    data = figure.to_json().replace("<", "\\u003c")
+    height = figure.layout.height
+    return (
+        f"<figure>\n<figcaption><strong>{escape(title)}.</strong> {escape(sentence)}</figcaption>\n"
+        f'<div class="plot" id="plot-{key}" style="min-height:{height}px" role="img" aria-label="{escape(alt)}"></div>'
+        f'<script type="application/json">{data}</script>\n</figure>'
+    )
+
+
+def picture(uri: str, caption: str, alt: str) -> str:
+    """An image held in the page itself."""
+    image = f'<img class="matches" src="{escape(uri)}" alt="{escape(alt)}">'
+    return f"<figure>\n{image}\n<figcaption>{escape(caption)}</figcaption>\n</figure>"
+
+
+def group(kind: str, parts: Iterable[str]) -> str:
+    """Parts of HTML side by side where there is room."""
+    return f"<div{_class(kind)}>\n" + "\n".join(parts) + "\n</div>"
+
+
+def tile(name: str, value: str, more: str = "") -> str:
+    """A key figure with its name and what puts it into proportion."""
+    extra = f'<dd class="more">{escape(more)}</dd>' if more else ""
+    return f'<div><dt>{escape(name)}</dt><dd class="value">{escape(value)}</dd>{extra}</div>'
+
+
+def bullets(items: Sequence[str], kind: str) -> str:
+    """A list of sentences."""
+    return f"<ul{_class(kind)}>\n" + "\n".join(f"<li>{escape(item)}</li>" for item in items) + "\n</ul>"
+
+
+def table(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table whose first column names its rows; wide ones scroll."""
+    heads = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    lines = "\n".join(
+        f'<tr><th scope="row">{escape(name)}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+        for name, *cells in rows
+    )
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}"><table>\n'
+        f"<caption>{escape(caption)}</caption>\n<thead><tr>{heads}</tr></thead>\n<tbody>\n{lines}\n</tbody>\n</table></div>"
+    )
+
+
+def folded(title: str, text: str) -> str:
+    """Preformatted text, folded away until asked for."""
+    return f"<details>\n<summary>{escape(title)}</summary>\n<pre>{escape(text)}</pre>\n</details>"
+
+
+def _class(kind: str) -> str:
+    return f' class="{kind}"' if kind else ""

@@ -1,0 +1,172 @@
+"""The page's sections: each a question a reader has, and the figures that answer it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wheelsight.evaluation import Statistics
+from wheelsight.report import _html as html
+from wheelsight.report import _words as words
+from wheelsight.report import figures
+from wheelsight.report.pictures import data_uri
+from wheelsight.report.record import MatchPicture, RunRecord
+from wheelsight.report.summary import Summary
+
+MOST_PICTURES = 12
+_VIEW_NAMES = {"xy": "x–y", "xz": "x–z", "yz": "y–z"}
+
+
+def path(record: RunRecord, summary: Summary) -> str:
+    """Where the body went, in three views."""
+    if not len(record.estimate):
+        return html.section(
+            "path", "Where it went", "", html.paragraph("No pose was found, so there is no path.", "missing")
+        )
+    who = record.estimate.body
+    if record.evaluation is not None and record.ground_truth is not None:
+        intro = (
+            f"The {who}'s estimated path, laid upon the ground truth by one rigid motion: where the two lines part, "
+            "the estimate is wrong. The blue line breaks where no pose is known."
+        )
+    else:
+        intro = f"The {who}'s estimated path in its own world. The line breaks where no pose is known."
+    plots = []
+    for view, name in _VIEW_NAMES.items():
+        alt = f"Path seen in the {name} plane of the world, {words.length(summary.length_m)} long in all."
+        sentence = f"Seen along the world's {({*'xyz'} - {*view}).pop()} axis."
+        plots.append(html.plot(f"path-{view}", figures.trajectory_figure(record, view), name, sentence, alt))
+    return html.section("path", "Where it went", intro, html.group("triple", plots))
+
+
+def errors(record: RunRecord) -> str:
+    """How far off the estimate is, over time and in a table."""
+    title = "How far off it was"
+    if record.evaluation is None:
+        why = record.evaluation_problem or "the recording has no ground truth"
+        return html.section("errors", title, "", html.paragraph(f"Not evaluated: {why.rstrip('.')}.", "missing"))
+    ate = record.evaluation.ate.translation
+    sentence = (
+        "ATE is the distance to the true position once both paths are laid upon each other; RPE is the error of the "
+        "motion from one frame to the next, so a spike there is a frame that was misjudged, or the step across a gap."
+    )
+    alt = f"ATE over time: {words.length(ate.rmse)} RMSE, {words.length(ate.max)} at most."
+    plot = html.plot("errors", figures.error_figure(record), "Error over time", sentence, alt)
+    return html.section("errors", title, "", plot, _error_table(record))
+
+
+def _error_table(record: RunRecord) -> str:
+    assert record.evaluation is not None
+    evaluation = record.evaluation
+    kinds = {
+        "ATE": evaluation.ate,
+        "RPE a frame": evaluation.rpe_per_frame,
+        "RPE a second": evaluation.rpe_per_second,
+        "RPE a metre": evaluation.rpe_per_metre,
+    }
+    rows = []
+    for name, error in kinds.items():
+        if error is None:
+            rows.append([name, "", *["no step is so long"], *[""] * 5])
+            continue
+        rows.append([f"{name}, translation", "m", *_cells(error.translation)])
+        rows.append([f"{name}, rotation", "°", *_cells(error.rotation.in_degrees())])
+    head = ["Error", "Unit", "RMSE", "Mean", "Median", "Maximum", "Std", "Count"]
+    return html.table("The same errors as numbers; the count is of poses or steps compared.", head, rows)
+
+
+def _cells(s: Statistics) -> list[str]:
+    return [*(words.number(value, 4) for value in (s.rmse, s.mean, s.median, s.max, s.std)), f"{s.count:,}"]
+
+
+def tracking(record: RunRecord, summary: Summary) -> str:
+    """Whether the camera was followed, frame by frame."""
+    if not record.frames:
+        return ""
+    lost = words.count(summary.lost_episodes, "lost episode")
+    status = html.plot(
+        "status",
+        figures.status_figure(record),
+        "Status over time",
+        "A pose is known only while tracking; failing is a frame or few without one, lost is when only seeing a "
+        "known place again helps.",
+        f"Status over time: {words.percent(summary.pose_share)} of frames have a pose, {lost}.",
+    )
+    return html.section("tracking", "Was it ever lost?", "", status, _matches(record))
+
+
+def _matches(record: RunRecord) -> str:
+    if not any(frame.matches for frame in record.frames):
+        return html.paragraph("No frame had any matches.", "missing")
+    inliers = np.median([frame.inliers for frame in record.frames if not frame.is_skipped])
+    return html.plot(
+        "matches",
+        figures.matches_figure(record),
+        "Matches over time",
+        "How many points were found again in the reference frame, and how many of them agree on one motion (inliers): "
+        "with few, the pose hangs by a thread.",
+        f"Matches and inliers a frame over time; median {inliers:.0f} inliers.",
+    )
+
+
+def timing(record: RunRecord, summary: Summary) -> str:
+    """Whether it keeps up with the camera."""
+    if not summary.median_s >= 0:
+        return ""
+    median, p95, longest = (words.duration(s) for s in (summary.median_s, summary.p95_s, summary.longest_s))
+    numbers = f"Median {median}, 95 % under {p95}, longest {longest}"
+    over = html.plot(
+        "time",
+        figures.time_figure(record),
+        "Time a frame",
+        f"{numbers}; reading images is not included. Triangles at the upper edge are frames that took longer still.",
+        f"Time a frame over the run. {numbers}.",
+    )
+    spread = html.plot(
+        "time-histogram",
+        figures.time_histogram_figure(record),
+        "Spread",
+        "How many frames took how long: a narrow hill is a steady pace.",
+        f"Histogram of the time a frame. {numbers}.",
+    )
+    return html.section("timing", "Was it quick enough?", "", over, html.group("pair", [spread, *_stages(record)]))
+
+
+def _stages(record: RunRecord) -> list[str]:
+    if not record.stage_seconds:
+        return []
+    stages = ", ".join(f"{name} {words.duration(seconds)}" for name, seconds in record.stage_seconds.items())
+    plot = html.plot(
+        "stages",
+        figures.stage_figure(record),
+        "Stages",
+        "Where the time of a usual frame goes.",
+        f"Median time of each stage: {stages}.",
+    )
+    return [plot]
+
+
+def pictures(record: RunRecord) -> str:
+    """A few frames with their matches."""
+    if not record.pictures:
+        return ""
+    intro = (
+        "Left the reference frame, right the current one. Green circles are matches that agree with the motion found, "
+        "orange crosses those that do not; good ones move alike and lie all over the image."
+    )
+    chosen = np.linspace(0, len(record.pictures) - 1, min(len(record.pictures), MOST_PICTURES)).round().astype(int)
+    if len(chosen) < len(record.pictures):
+        intro += f" {len(chosen)} of {len(record.pictures)} pictures are shown."
+    start_s = record.frames[0].stamp_s if record.frames else record.pictures[0].stamp_s
+    shown = [_picture(record.pictures[i], start_s) for i in chosen]
+    return html.section("pictures", "What it saw", intro, html.group("pictures", shown))
+
+
+def _picture(picture: MatchPicture, start_s: float) -> str:
+    inliers, matches = int(np.count_nonzero(picture.is_inlier)), len(picture.is_inlier)
+    caption = (
+        f"{picture.stamp_s - start_s:.2f} s after the start (stamp {picture.stamp_s:.3f}) against stamp "
+        f"{picture.reference_stamp_s:.3f}: {words.count(matches, 'match', 'matches')}, {words.count(inliers, 'inlier')}"
+    )
+    if matches:
+        caption += f" ({words.percent(inliers / matches)})"
+    return html.picture(data_uri(picture), caption + ".", f"Two frames side by side with their matches: {caption}.")

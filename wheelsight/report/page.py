@@ -1,0 +1,122 @@
+"""The report: one HTML page that holds all it needs, so that it opens anywhere, offline, years later."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from importlib import resources
+from pathlib import Path
+from string import Template
+
+import yaml
+from plotly.offline import get_plotlyjs
+
+from wheelsight._version import __version__
+from wheelsight.files import write_text
+from wheelsight.report import _html as html
+from wheelsight.report import _sections as sections
+from wheelsight.report import _words as words
+from wheelsight.report.record import RunRecord
+from wheelsight.report.summary import Summary, summarise
+from wheelsight.report.verdict import judge, notes
+
+_BODIES = {
+    "camera": "poses of the camera's optical frame (x right, y down, z forward) in the world",
+    "base": "poses of the robot's base (x forward, y left, z up) in the world",
+}
+
+
+def write_report(record: RunRecord, path: Path) -> None:
+    """Write the page about `record` to `path`, atomically, about 5 MB and the pictures. Raises OutputError."""
+    write_text(path, render(record))
+
+
+def render(record: RunRecord) -> str:
+    """The page about `record` as HTML that refers to nothing outside itself."""
+    summary = summarise(record)
+    verdict = judge(record, summary)
+    return Template(_asset("template.html")).substitute(
+        title=escape(record.recording),
+        style=_asset("style.css"),
+        facts=" · ".join(escape(fact) for fact in _facts(record)),
+        tone=verdict.tone,
+        phrase=escape(verdict.phrase),
+        sentences=escape(" ".join(verdict.sentences)),
+        tiles="\n".join(html.tile(*tile) for tile in _tiles(record, summary)),
+        notes=_notes(record, summary),
+        sections="\n".join(part for part in _sections(record, summary) if part),
+        footer=escape(_footer(record)),
+        plotly=get_plotlyjs(),
+        script=_asset("page.js"),
+    )
+
+
+def _asset(name: str) -> str:
+    return (resources.files("wheelsight.report") / name).read_text(encoding="utf-8")
+
+
+def _facts(record: RunRecord) -> list[str]:
+    when = record.finished_at.strftime("%Y-%m-%d %H:%M %Z").strip()
+    return [f"format {record.format}", _frame(record), when, f"wheelsight {__version__}"]
+
+
+def _frame(record: RunRecord) -> str:
+    return f"T_{record.estimate.world}_{record.estimate.body}"
+
+
+def _footer(record: RunRecord) -> str:
+    body = _BODIES.get(record.estimate.body, f"poses of the {record.estimate.body} in the world")
+    return f"{_frame(record)}: {body}. Lengths are in metres, stamps in seconds. This page needs no network."
+
+
+def _tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
+    posed = f"{summary.posed:,} of {summary.frames:,}"
+    rate = f"{words.number(summary.frames_per_second)} frames/s, 95 % under {words.duration(summary.p95_s)}"
+    lost = f"{words.duration(summary.lost_s)} in all" if summary.lost_episodes else ""
+    return [
+        *_error_tiles(record, summary),
+        ("Frames with a pose", words.percent(summary.pose_share), posed),
+        ("Lost episodes", str(summary.lost_episodes), lost),
+        ("Median time a frame", words.duration(summary.median_s), rate if summary.median_s > 0 else ""),
+        ("Distance travelled", words.length(summary.length_m), "of the estimate"),
+        ("Duration", words.duration(summary.duration_s), words.count(summary.frames, "frame")),
+        *([("Peak memory", f"{record.peak_memory_mb:,.0f} MB", "")] if record.peak_memory_mb is not None else []),
+    ]
+
+
+def _error_tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
+    evaluation = record.evaluation
+    if evaluation is None:
+        return [("ATE", words.UNKNOWN, "not evaluated")]
+    ate = evaluation.ate.translation
+    share = f"{words.percent(ate.rmse / summary.length_m)} of the path" if summary.length_m > 0 else ""
+    tiles = [("ATE, RMSE", words.length(ate.rmse), share)]
+    for name, error in (("second", evaluation.rpe_per_second), ("metre", evaluation.rpe_per_metre)):
+        if error is not None:
+            turn = f"{words.angle(error.rotation.in_degrees().rmse)} of rotation"
+            tiles.append((f"RPE a {name}, RMSE", words.length(error.translation.rmse), turn))
+    return tiles
+
+
+def _notes(record: RunRecord, summary: Summary) -> str:
+    found = notes(record, summary)
+    intro = "" if found else "Nothing: every listed image was used, and every frame has a pose."
+    body = html.bullets(found, "notes") if found else ""
+    return html.section("notes", "What to know before trusting it", intro, body)
+
+
+def _sections(record: RunRecord, summary: Summary) -> list[str]:
+    return [
+        sections.path(record, summary),
+        sections.errors(record),
+        sections.tracking(record, summary),
+        sections.timing(record, summary),
+        sections.pictures(record),
+        _settings(record),
+    ]
+
+
+def _settings(record: RunRecord) -> str:
+    plain = json.loads(json.dumps(record.config, default=str))
+    text = yaml.safe_dump(plain, sort_keys=False, allow_unicode=True) if plain else "none recorded"
+    return html.section("settings", "Settings", "", html.folded("Show the settings of this run", text))

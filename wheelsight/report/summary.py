@@ -1,0 +1,94 @@
+"""What a run comes to in a few numbers: the key figures of the report, and the words they deserve."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.estimates import Status
+from wheelsight.report._series import poseless_stamps_s, runs
+from wheelsight.report.record import RunRecord
+
+SKIPPED = "skipped"
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The key figures of a run.
+
+    Attributes:
+        frames, skipped, posed: how many were listed, could not be used, and have a pose in the trajectory.
+        duration_s: from the first frame to the last.
+        frame_period_s: median time between frames, NaN with fewer than two.
+        length_m: distance travelled by the estimate.
+        lost_episodes, lost_s: how often the camera was lost, and for how long in all.
+        failures: (why, count) of the frames that were used but gave no pose, most frequent first.
+        skips: (why, count) of the frames that could not be used, most frequent first.
+        median_s, p95_s, longest_s: time a used frame took; NaN when none was used.
+    """
+
+    frames: int
+    skipped: int
+    posed: int
+    duration_s: float
+    frame_period_s: float
+    length_m: float
+    lost_episodes: int
+    lost_s: float
+    failures: tuple[tuple[str, int], ...]
+    skips: tuple[tuple[str, int], ...]
+    median_s: float
+    p95_s: float
+    longest_s: float
+
+    @property
+    def pose_share(self) -> float:
+        """Share of all listed frames that have a pose; 0 without frames."""
+        return self.posed / self.frames if self.frames else 0.0
+
+    @property
+    def frames_per_second(self) -> float:
+        """Frames a second at the median time a frame."""
+        return 1 / self.median_s if self.median_s > 0 else float("nan")
+
+
+def summarise(record: RunRecord) -> Summary:
+    """The key figures of `record`."""
+    frames = record.frames
+    stamps_s = np.array([frame.stamp_s for frame in frames])
+    seconds = np.array([frame.seconds for frame in frames if not frame.is_skipped and np.isfinite(frame.seconds)])
+    lost = lost_spans_s(record)
+    used = [frame for frame in frames if not frame.is_skipped]
+    skips = Counter(frame.note or str(frame.reason) for frame in frames if frame.is_skipped)
+    failures = Counter(str(frame.reason) for frame in used if frame.reason is not None)
+    return Summary(
+        frames=len(frames),
+        skipped=len(frames) - len(used),
+        posed=len(frames) - len(poseless_stamps_s(record)),
+        duration_s=float(np.ptp(stamps_s)) if len(frames) else 0.0,
+        frame_period_s=float(np.median(np.diff(stamps_s))) if len(frames) > 1 else float("nan"),
+        length_m=record.estimate.length_m,
+        lost_episodes=len(lost),
+        lost_s=sum(end - start for start, end in lost),
+        failures=tuple(failures.most_common()),
+        skips=tuple(skips.most_common()),
+        median_s=_percentile(seconds, 50),
+        p95_s=_percentile(seconds, 95),
+        longest_s=_percentile(seconds, 100),
+    )
+
+
+def lost_spans_s(record: RunRecord) -> list[tuple[float, float]]:
+    """When the camera was lost: (first lost stamp, the next one that was not); skipped frames don't count."""
+    used = [frame for frame in record.frames if not frame.is_skipped]
+    spans = []
+    for first, after, status in runs([str(frame.status) for frame in used]):
+        if status == Status.LOST:
+            spans.append((used[first].stamp_s, used[min(after, len(used) - 1)].stamp_s))
+    return spans
+
+
+def _percentile(values: np.ndarray, percent: float) -> float:
+    return float(np.percentile(values, percent)) if len(values) else float("nan")

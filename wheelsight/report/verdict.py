@@ -1,0 +1,128 @@
+"""The run in words: whether to trust it, and what a reader should know before doing so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from wheelsight.report import _words as words
+from wheelsight.report.record import RunRecord
+from wheelsight.report.summary import Summary
+
+Tone = Literal["good", "fair", "poor"]
+
+_ALMOST_ALL = 0.95
+_MOST_REASONS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A run in a phrase, the sentences that bear it out, and how it sounds."""
+
+    phrase: str
+    sentences: tuple[str, ...]
+    tone: Tone
+
+
+def judge(record: RunRecord, summary: Summary) -> Verdict:
+    """What `record` shows, in words. Only tracking is judged; how much error is too much is the reader's to say."""
+    phrase, tone = _tracking_phrase(summary)
+    sentences = (_tracking_sentence(summary), _accuracy_sentence(record, summary), _speed_sentence(summary))
+    return Verdict(phrase, tuple(filter(None, sentences)), tone)
+
+
+def notes(record: RunRecord, summary: Summary) -> list[str]:
+    """What was dropped, skipped, not covered or doubtful, one sentence each."""
+    found = [*record.warnings]
+    if summary.skipped:
+        found.append(f"{words.count(summary.skipped, 'frame')} could not be used: {_counted(summary.skips)}.")
+    if summary.failures:
+        failed = sum(n for _, n in summary.failures)
+        found.append(f"{words.count(failed, 'used frame')} gave no pose: {_counted(summary.failures)}.")
+    found += _association_notes(record)
+    found += _evaluation_notes(record, summary)
+    return found
+
+
+def _tracking_phrase(summary: Summary) -> tuple[str, Tone]:
+    share = summary.pose_share
+    if not summary.posed:
+        return "No pose was found", "poor"
+    if summary.frames == 1:
+        return "A single frame, so nothing to follow", "fair"
+    if share == 1:
+        return "Followed in every frame", "good"
+    if share >= _ALMOST_ALL and not summary.lost_episodes:
+        return "Followed almost throughout", "good"
+    if share >= 0.5:
+        return "Followed, with gaps", "fair"
+    return "Without a pose most of the time", "poor"
+
+
+def _tracking_sentence(summary: Summary) -> str:
+    if not summary.frames:
+        return "The recording holds no frames."
+    share = words.percent(summary.pose_share)
+    text = f"{summary.posed:,} of {words.count(summary.frames, 'frame')} ({share}) have a pose"
+    if not summary.lost_episodes:
+        return text + ("; the camera was never lost." if summary.posed else ".")
+    times = "once" if summary.lost_episodes == 1 else f"{summary.lost_episodes} times"
+    return text + f"; the camera was lost {times}, for {words.duration(summary.lost_s)} in all."
+
+
+def _accuracy_sentence(record: RunRecord, summary: Summary) -> str:
+    if not summary.posed:
+        return ""
+    if record.evaluation is None:
+        why = record.evaluation_problem or "there is no ground truth"
+        return f"How accurate the path is cannot be said: {why.rstrip('.')}."
+    error = record.evaluation.ate.translation
+    text = f"Laid upon the ground truth, the path errs by {words.length(error.rmse)} (RMSE) "
+    text += f"and by {words.length(error.max)} at worst"
+    if summary.length_m > 0:
+        text += f", on {words.length(summary.length_m)} travelled"
+    return text + "."
+
+
+def _speed_sentence(summary: Summary) -> str:
+    if not summary.median_s > 0:
+        return ""
+    text = f"A frame takes {words.duration(summary.median_s)} at the median"
+    ratio = summary.frame_period_s / summary.median_s
+    if not ratio > 0:
+        return text + "."
+    if ratio >= 1:
+        return f"{text}, {words.number(ratio, 2)} times as fast as the camera delivers them."
+    return f"{text}; the camera delivers {words.number(1 / ratio, 2)} in that time."
+
+
+def _counted(reasons: tuple[tuple[str, int], ...]) -> str:
+    text = ", ".join(f"{why} ({n:,})" for why, n in reasons[:_MOST_REASONS])
+    left = sum(n for _, n in reasons[_MOST_REASONS:])
+    return f"{text}, other reasons ({left:,})" if left else text
+
+
+def _association_notes(record: RunRecord) -> list[str]:
+    pairing = record.association
+    if not (pairing.dropped_color or pairing.dropped_depth):
+        return []
+    return [
+        f"{pairing.dropped_color:,} of {words.count(pairing.color_images, 'colour image')} and "
+        f"{pairing.dropped_depth:,} of {words.count(pairing.depth_images, 'depth image')} found no partner within "
+        f"{1e3 * pairing.max_gap_s:g} ms and were left out."
+    ]
+
+
+def _evaluation_notes(record: RunRecord, summary: Summary) -> list[str]:
+    if record.evaluation is None:
+        return []
+    evaluation = record.evaluation
+    found = []
+    if evaluation.pairs < summary.posed:
+        found.append(
+            f"Only {evaluation.pairs:,} of {words.count(summary.posed, 'pose')} have a true pose beside them; "
+            "errors speak of these alone."
+        )
+    if evaluation.scale is not None:
+        found.append(f"Positions were multiplied by {evaluation.scale:.5f} to fit the ground truth.")
+    return found
