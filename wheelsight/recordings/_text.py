@@ -109,7 +109,7 @@ def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[
 
 
 def _longest_growing(stamps: Sequence[float]) -> list[int]:
-    """Indices of a longest strictly growing subsequence (patience sorting)."""
+    """Indices of a longest strictly growing subsequence (patience sorting); of equal stamps the first."""
     ends: list[float] = []
     indices: list[int] = []
     before: list[int] = []
@@ -119,7 +119,7 @@ def _longest_growing(stamps: Sequence[float]) -> list[int]:
         if length == len(ends):
             ends.append(stamp)
             indices.append(i)
-        else:
+        elif stamp < ends[length]:
             ends[length], indices[length] = stamp, i
     chain = [indices[-1]] if indices else []
     while chain and before[chain[-1]] >= 0:

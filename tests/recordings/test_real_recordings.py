@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import se3
+from wheelsight.recordings import find_recordings, open_recording, write_recording
+
+pytestmark = pytest.mark.data
+
+
+@pytest.fixture
+def freiburg(data_folder):
+    return open_recording(data_folder / "rgbd" / "freiburg1_rpy_part")
+
+
+@pytest.fixture
+def kitchen(data_folder):
+    return open_recording(data_folder / "rgbd" / "red_kitchen")
+
+
+def test_finds_both(data_folder):
+    names = [path.name for path in find_recordings(data_folder)]
+    assert names == ["freiburg1_rpy_part", "red_kitchen"]
+
+
+def test_freiburg1(freiburg):
+    assert (freiburg.format, freiburg.body, freiburg.frame_count) == ("tum", "camera", 255)
+    association = freiburg.association
+    assert (association.color_images, association.depth_images, association.pairs) == (255, 255, 255)
+    assert 0.01 < association.largest_gap_s < 0.02
+    assert freiburg.calibration.color.fx == 517.3
+    assert freiburg.calibration.is_registered
+    assert freiburg.warnings == ()
+    frame = next(freiburg.events())
+    assert frame.stamp_s == 1305031229.528748
+    assert (frame.color.shape, frame.depth_m.shape) == ((480, 640, 3), (480, 640))
+    assert 0.3 < np.median(frame.depth_m[frame.depth_m > 0]) < 5
+    np.testing.assert_allclose(freiburg.ground_truth.positions_m[0], [1.3357, 0.6698, 1.6180])
+
+
+def test_red_kitchen(kitchen):
+    assert (kitchen.format, kitchen.body, kitchen.frame_count) == ("seven_scenes", "camera", 500)
+    assert kitchen.calibration.depth.fx == 585
+    assert not kitchen.calibration.is_registered
+    assert len(kitchen.ground_truth) == 500
+    assert se3.is_valid(kitchen.ground_truth.T_world_body, tolerance=1e-9)
+    frame = next(kitchen.events())
+    assert frame.depth_m.max() < 10
+    assert (frame.depth_m == 0).any()
+
+
+@pytest.mark.parametrize("name", ["freiburg1_rpy_part", "red_kitchen"])
+def test_each_frame_can_be_used(data_folder, name):
+    recording = open_recording(data_folder / "rgbd" / name)
+    stamps = [event.stamp_s for event in recording.events() if isinstance(event, RgbdFrame)]
+    assert len(stamps) == recording.frame_count
+    assert (np.diff(stamps) > 0).all()
+
+
+def test_written_as_our_own_it_is_the_same(freiburg, tmp_path):
+    class Part:
+        calibration, ground_truth = freiburg.calibration, freiburg.ground_truth
+
+        def events(self):
+            return (event for event, _ in zip(freiburg.events(), range(3), strict=False))
+
+    write_recording(tmp_path / "new", Part())
+    for got, wanted in zip(open_recording(tmp_path / "new").events(), Part().events(), strict=True):
+        np.testing.assert_array_equal(got.color, wanted.color)
+        np.testing.assert_array_equal(got.depth_m, wanted.depth_m)

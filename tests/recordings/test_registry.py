@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from wheelsight.calibration import load_calibration
+from wheelsight.errors import CalibrationError, RecordingError
+from wheelsight.geometry import se3
+from wheelsight.recordings import (
+    camera_names,
+    express_for,
+    find_recordings,
+    load_camera,
+    open_recording,
+    reader_names,
+)
+from wheelsight.trajectory import Trajectory
+
+
+def test_names_are_sorted():
+    assert reader_names() == ["openloris", "seven_scenes", "tum", "wheelsight"]
+    assert camera_names() == ["freiburg1", "freiburg2", "freiburg3", "seven_scenes"]
+
+
+@pytest.mark.parametrize("name", camera_names())
+def test_each_shipped_camera_is_a_calibration_that_says_its_source(name):
+    calibration = load_camera(name)
+    assert (calibration.color.width, calibration.color.height) == (640, 480)
+    assert calibration.source != "unknown"
+    assert calibration.is_registered == name.startswith("freiburg")
+
+
+def test_freiburg1_is_what_the_benchmark_publishes():
+    camera = load_camera("freiburg1").color
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (517.3, 516.5, 318.6, 255.3)
+    assert camera.distortion == (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+
+
+def test_a_missing_folder_a_file_and_an_unknown_folder(tmp_path, tum_folder):
+    with pytest.raises(RecordingError, match="there is no such folder"):
+        open_recording(tmp_path / "nowhere")
+    with pytest.raises(RecordingError, match="is a file, but a recording is a folder"):
+        open_recording(tum_folder / "rgb.txt")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RecordingError) as caught:
+        open_recording(tmp_path / "empty")
+    for name in reader_names():
+        assert f"{name} needs " in str(caught.value)
+
+
+def test_a_folder_of_recordings_points_to_one(tmp_path, tum_folder):
+    with pytest.raises(RecordingError, match=f"did you mean {tum_folder}"):
+        open_recording(tmp_path)
+
+
+def test_finds_recordings_below_but_not_inside_recordings(tmp_path, tum_folder):
+    deep = tmp_path / "a" / "b" / "freiburg1_x"
+    deep.parent.mkdir(parents=True)
+    shutil.copytree(tum_folder, deep)
+    shutil.copytree(tum_folder, tum_folder / "inner")
+    shutil.copytree(tum_folder, tmp_path / ".hidden")
+    assert find_recordings(tmp_path) == [deep, tum_folder]
+    assert find_recordings(tmp_path / "nowhere") == []
+
+
+def test_opens_paths_given_as_text(tum_folder):
+    assert open_recording(str(tum_folder)).path == tum_folder
+
+
+def test_express_for_goes_there_and_back(tum_folder):
+    calibration = load_calibration(tum_folder / "calibration.yaml")
+    T_base_camera = se3.exp([0.2, 0.1, 1.0, 0.3, -1.2, 0.9])
+    robot = type(calibration)(calibration.color, calibration.depth, T_base_camera=T_base_camera)
+    rng = np.random.default_rng(1)
+    T = se3.exp(rng.normal(size=(4, 6)))
+    camera = Trajectory(np.arange(4.0), T, np.tile(np.eye(6), (4, 1, 1)))
+    base = express_for("base", camera, robot)
+    assert (base.body, base.world) == ("base", "world")
+    np.testing.assert_allclose(base.T_world_body @ T_base_camera, T, atol=1e-12)
+    np.testing.assert_allclose(express_for("camera", base, robot).T_world_body, T, atol=1e-12)
+    np.testing.assert_array_equal(base.covariances, camera.covariances)
+    with pytest.raises(CalibrationError):
+        express_for("base", camera, calibration)
+    with pytest.raises(CalibrationError):
+        express_for("laser", camera, robot)
