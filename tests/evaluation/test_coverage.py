@@ -31,6 +31,13 @@ def test_time_counts_without_the_gaps_of_either() -> None:
         assert time_coverage(nothing, truth) == 0
 
 
+def test_sparse_truth_covers_its_usual_steps() -> None:
+    truth = standing(0, 1, 2, 3, 10, 11, 12)
+    assert time_coverage(truth, truth) == pytest.approx(1.0)
+    assert time_coverage(standing(*np.arange(0, 2.05, 0.1)), truth) == pytest.approx(2 / 5)
+
+
 def test_truth_that_covers_nothing_is_refused() -> None:
-    with pytest.raises(EvaluationError, match="covers no time"):
-        time_coverage(standing(0.0, 0.1), standing(0.0, 5.0))
+    for truth in (standing(), standing(3.0)):
+        with pytest.raises(EvaluationError, match="covers no time"):
+            time_coverage(standing(0.0, 0.1), truth)
