@@ -1,0 +1,90 @@
+"""`python -m benchmarks`: measure all contenders on all recordings, judge, print, and keep."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence as Many
+from pathlib import Path
+
+from rich.console import Console
+
+from benchmarks import contenders, machine
+from benchmarks.run import Result, run
+from benchmarks.sequences import Sequence, default_data_folder, find_sequences
+from benchmarks.startup import measure_startup
+from benchmarks.table import document, problems_of, results_sheets, startup_sheet, targets_sheet
+from benchmarks.targets import judge
+from wheelsight.errors import WheelsightError
+from wheelsight.files import write_text
+
+# Where the output is piped, as wide as the tables need.
+_CONSOLE = Console(width=None if sys.stdout.isatty() else 140)
+
+
+def main(words: Many[str] | None = None) -> int:
+    """The exit code: 0 when all were measured (targets met or not), 1 when one failed, 2 for bad input."""
+    arguments = _parse(words)
+    try:
+        return _benchmark(arguments)
+    except WheelsightError as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def _benchmark(arguments: argparse.Namespace) -> int:
+    about = machine.description()
+    if machine.is_busy():
+        _CONSOLE.print(f"The machine is busy ({about['Load']}): times will be too long.", style="yellow")
+    results = _measure_all(arguments.chosen, find_sequences(arguments.data), arguments.frames)
+    startup = measure_startup()
+    sheets = (targets_sheet(judge(results, startup)), *results_sheets(results), startup_sheet(startup))
+    for sheet in sheets:
+        _CONSOLE.print(sheet.to_rich())
+    problems = problems_of(results)
+    for problem in problems:
+        _CONSOLE.print(problem, style="red", markup=False)
+    if arguments.out is not None:
+        write_text(arguments.out, document(sheets, about, _command(arguments), arguments.chosen, problems))
+    return 1 if problems else 0
+
+
+def _measure_all(chosen: Many[contenders.Contender], sequences: Many[Sequence], limit: int | None) -> list[Result]:
+    results = []
+    for sequence in sequences:
+        for contender in chosen:
+            if contender.registers and sequence.is_registered:
+                continue
+            _CONSOLE.print(f"{sequence.name}: {contender.name} …", style="dim")
+            results.append(run(contender, sequence, limit))
+    return results
+
+
+def _parse(words: Many[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("--data", type=Path, default=default_data_folder(), help="folder with rgbd/RECORDING in it")
+    parser.add_argument("--frames", type=int, help="only the first so many frames of each recording")
+    parser.add_argument("--only", action="append", metavar="NAME", help="contenders whose name holds NAME; repeatable")
+    parser.add_argument("--out", type=Path, help="keep the tables in this file, e.g. BENCHMARKS.md")
+    arguments = parser.parse_args(words)
+    wanted = [name.lower() for name in arguments.only or [""]]
+    arguments.chosen = [c for c in contenders.ALL if any(name in c.name.lower() for name in wanted)]
+    if not arguments.chosen:
+        parser.error(f"--only: no such contender; there are {', '.join(c.name for c in contenders.ALL)}")
+    if arguments.frames is not None and arguments.frames < 1:
+        parser.error("--frames: must be at least 1")
+    if arguments.out is not None and not arguments.out.parent.is_dir():
+        parser.error(f"--out: the folder {arguments.out.parent} does not exist")
+    return arguments
+
+
+def _command(arguments: argparse.Namespace) -> str:
+    """The command that repeats this run, without this machine's paths."""
+    words = ["python -m benchmarks"]
+    words += [f"--frames {arguments.frames}"] if arguments.frames is not None else []
+    words += [f'--only "{name}"' for name in arguments.only or []]
+    return " ".join([*words, f"--out {arguments.out.name}"])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""The figures as tables: in the terminal with rich, and as Markdown to keep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich.markup import escape
+from rich.table import Table
+
+from benchmarks.contenders import Contender
+from benchmarks.measure import THREADS
+from benchmarks.run import Result
+from benchmarks.startup import Startup
+from benchmarks.targets import Target
+
+_NONE = "—"
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """A table of words: the first column is set to the left, the others, figures, to the right."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def to_rich(self) -> Table:
+        """For the terminal."""
+        table = Table(title=self.title, title_justify="left")
+        for column, name in enumerate(self.header):
+            table.add_column(escape(name), justify="left" if column == 0 else "right")
+        for row in self.rows:
+            table.add_row(*map(escape, row))
+        return table
+
+    def to_markdown(self) -> str:
+        """For a file."""
+        rule = [":---" if column == 0 else "---:" for column in range(len(self.header))]
+        lines = [" | ".join(cells) for cells in (self.header, rule, *self.rows)]
+        return f"## {self.title}\n\n" + "\n".join(f"| {line} |" for line in lines) + "\n"
+
+
+def targets_sheet(targets: Sequence[Target]) -> Sheet:
+    """What was to be reached, and whether it was."""
+    rows = tuple(
+        (t.what, _figure(t.limit, t.decimals, t.unit), _figure(t.measured, t.decimals, t.unit), t.verdict)
+        for t in targets
+    )
+    return Sheet("Targets", ("target", "at most", "measured", "verdict"), rows)
+
+
+def results_sheets(results: Sequence[Result]) -> list[Sheet]:
+    """One sheet a sequence, one row a contender."""
+    figures = ("ATE m", "RPE/s m", "RPE/s °", "poses %", "median ms", "p95 ms", "streamed ms", "peak MB", "same twice")
+    return [
+        Sheet(
+            f"Side by side: {sequence}",
+            ("contender", *figures),
+            tuple((result.contender.name, *_cells(result)) for result in results if result.sequence == sequence),
+        )
+        for sequence in dict.fromkeys(result.sequence for result in results)
+    ]
+
+
+def startup_sheet(startup: Startup) -> Sheet:
+    """Seconds before anything happens."""
+    rows = (
+        ("bare Python", _figure(startup.bare_s, 3)),
+        ("Python and `import wheelsight`", _figure(startup.import_s, 3)),
+        ("`import wheelsight` alone (the difference)", _figure(startup.import_alone_s, 3)),
+        ("`wheelsight --help`", _figure(startup.help_s, 3)),
+    )
+    return Sheet("Start-up, medians of fresh processes", ("program", "s"), rows)
+
+
+def problems_of(results: Sequence[Result]) -> list[str]:
+    """A line for each contender that could not be measured."""
+    return [f"{r.contender.name} failed on {r.sequence}: {r.problem}" for r in results if r.problem is not None]
+
+
+def document(
+    sheets: Sequence[Sheet],
+    machine: dict[str, str],
+    command: str,
+    contenders: Sequence[Contender],
+    problems: Sequence[str] = (),
+) -> str:
+    """The whole of BENCHMARKS.md."""
+    about = "\n".join(f"- {name}: {value}" for name, value in machine.items())
+    settings = "\n".join(f"- {contender.name}: {contender.settings}." for contender in contenders)
+    return "\n".join(
+        (
+            "# Benchmarks\n",
+            f"Written by `{command}`; how it measures: [docs/benchmarks.md](docs/benchmarks.md).\n",
+            f"{about}\n- Threads: {THREADS} for every contender\n",
+            *(sheet.to_markdown() for sheet in sheets),
+            *(f"{problem}\n" for problem in problems),
+            f"## Contenders\n\n{settings}\n",
+        )
+    )
+
+
+def _cells(result: Result) -> tuple[str, ...]:
+    figures = result.figures
+    if figures is None:
+        return (_NONE,) * 8 + ("failed",)
+    return (
+        _figure(figures.accuracy.ate_m, 4),
+        _figure(figures.accuracy.rpe_m, 4),
+        _figure(figures.accuracy.rpe_deg, 2),
+        f"{100 * figures.with_pose / figures.frames:.1f}" if figures.frames else _NONE,
+        _figure(figures.median_ms, 1),
+        _figure(figures.p95_ms, 1),
+        _figure(figures.streamed_ms, 1),
+        _figure(figures.peak_memory_mb, 0),
+        "yes" if figures.differing_poses == 0 else f"{figures.differing_poses} differ",
+    )
+
+
+def _figure(value: float | None, decimals: int, unit: str = "") -> str:
+    return _NONE if value is None else f"{value:.{decimals}f} {unit}".rstrip()
