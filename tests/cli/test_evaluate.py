@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from synthetic import wobbling_trajectory
+from typer.testing import Result
+
+from wheelsight.trajectory import Trajectory, write_tum
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    """An estimate 1 % too large, and the truth."""
+    truth = wobbling_trajectory(90)
+    T = truth.T_world_body.copy()
+    T[:, :3, 3] *= 1.01
+    write_tum(Trajectory(truth.stamps_s, T), tmp_path / "estimate.txt")
+    write_tum(truth, tmp_path / "truth.txt")
+    return tmp_path / "estimate.txt", tmp_path / "truth.txt"
+
+
+def test_the_table_tells_all_errors(wheelsight: Command, files: tuple[Path, Path]) -> None:
+    result = wheelsight("evaluate", *files)
+    assert result.exit_code == 0
+    for name in ("ATE, position", "RPE a frame, rotation", "RPE a second, position", "RMSE", "median"):
+        assert name in result.stdout
+    assert "90 pairs of poses; 100 % of the truth's time covered" in result.stdout
+    assert "\x1b" not in result.stdout
+
+
+def test_json_holds_figures_with_units(wheelsight: Command, files: tuple[Path, Path]) -> None:
+    figures = json.loads(wheelsight("evaluate", *files, "--json").stdout)
+    assert 0 < figures["ate_m"]["rmse"] < 0.01
+    assert figures["scale"] is None
+
+
+def test_scale_is_fitted_when_asked(wheelsight: Command, files: tuple[Path, Path]) -> None:
+    figures = json.loads(wheelsight("evaluate", *files, "--json", "--scale").stdout)
+    assert figures["scale"] == pytest.approx(1 / 1.01)
+    assert figures["ate_m"]["rmse"] < 1e-6
+    assert "estimate scaled by 0.9901" in wheelsight("evaluate", *files, "--scale").stdout
+
+
+def test_max_gap_decides_what_is_compared(wheelsight: Command, files: tuple[Path, Path]) -> None:
+    estimate, truth = files
+    shifted = wobbling_trajectory(90)
+    write_tum(Trajectory(shifted.stamps_s + 0.012, shifted.T_world_body), estimate)
+    assert json.loads(wheelsight("evaluate", estimate, truth, "--json").stdout)["pairs"] == 90
+    result = wheelsight("evaluate", estimate, truth, "--max-gap", "0.005")
+    assert result.exit_code == 2
+    assert "within 0.005 s of a true one" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("1 0 0 0 0 0 0 2", ":3: quaternion has length 2, not 1 ("),
+        ("1 nan 0 0 0 0 0 1", ":3: a value is not finite ("),
+        ("1 0 0 0 0 0 1", ":3: 7 values where 8 are expected"),
+        ("0.5 0 0 0 0 0 0 1", ":3: stamp 0.500000"),
+    ],
+)
+def test_a_wrong_line_is_named(refusal: Callable[..., str], tmp_path: Path, line: str, expected: str) -> None:
+    path = tmp_path / "wrong.txt"
+    path.write_text(f"# a comment\n1.0 0 0 0 0 0 0 1\n{line}\n")
+    if line.startswith("1 "):
+        path.write_text(path.read_text().replace("\n1 ", "\n2 "))
+    assert refusal("evaluate", path, path).startswith(f"{path}{expected}")
+
+
+def test_comments_and_windows_line_ends_are_no_matter(wheelsight: Command, files: tuple[Path, Path]) -> None:
+    estimate, truth = files
+    text = "# written elsewhere\n" + estimate.read_text().replace("\n", " # so\n")
+    estimate.write_bytes(text.replace("\n", "\r\n").encode())
+    assert json.loads(wheelsight("evaluate", estimate, truth, "--json").stdout)["pairs"] == 90
+
+
+def test_trajectories_of_different_times_are_refused(refusal: Callable[..., str], files: tuple[Path, Path]) -> None:
+    estimate, truth = files
+    later = wobbling_trajectory(90, start_s=500.0)
+    write_tum(later, estimate)
+    assert "they do not overlap in time" in refusal("evaluate", estimate, truth)
+
+
+def test_a_missing_file_is_named(refusal: Callable[..., str], files: tuple[Path, Path]) -> None:
+    missing = files[0].with_name("none.txt")
+    assert refusal("evaluate", missing, files[1]) == f"{missing}: cannot be read: No such file or directory"

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import Result
+
+Command = Callable[..., Result]
+
+
+def test_it_tells_what_is_in_a_recording(wheelsight: Command, room: Path) -> None:
+    result = wheelsight("info", room)
+    assert result.exit_code == 0
+    lines = {line[:16].strip(): line[16:].strip() for line in result.stdout.splitlines()}
+    assert "10 in 0.30 s, 30.0 Hz" in result.stdout
+    assert "320 × 240, f 262, 260 px (synthetic room)" in result.stdout
+    assert "10 colour, 10 depth, 0 and 0 without a partner; at most 2.0 ms apart" in result.stdout
+    assert "none over three periods" in result.stdout
+    assert "100 % of pixels" in result.stdout
+    assert "registered, by the calibration; the images agree" in result.stdout
+    assert "Ground truth" in lines
+    assert result.stderr == ""
+    assert "\x1b" not in result.output
+
+
+def test_json_holds_the_same(wheelsight: Command, room: Path) -> None:
+    figures = json.loads(wheelsight("info", room, "--json").stdout)
+    assert figures["frames"] == 10
+    assert figures["valid_depth_share"] == 1
+    assert figures["ground_truth"]["duration_s"] == pytest.approx(0.3, abs=1e-3)
+    assert figures["warnings"] == []
+
+
+def test_a_damaged_image_is_counted_and_named(wheelsight: Command, room: Path) -> None:
+    path = sorted((room / "depth").iterdir())[4]
+    path.write_bytes(path.read_bytes()[:2000])
+    result = wheelsight("info", room)
+    assert result.exit_code == 0
+    assert "1 × depth image is cut off" in result.stdout
+
+
+def test_a_depth_scale_that_is_probably_wrong_is_warned_of(wheelsight: Command, room: Path) -> None:
+    result = wheelsight("info", room, "--depth-factor", "80000")
+    assert result.exit_code == 0
+    assert result.stderr.startswith("warning: Most depth lies outside the 0.3 to 10 m")
+    assert "See --depth-factor." in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.data
+def test_the_kitchen_is_said_to_be_unregistered(wheelsight: Command, data_folder: Path) -> None:
+    result = wheelsight("info", data_folder / "rgbd" / "red_kitchen")
+    assert result.exit_code == 0
+    assert "not registered; the calibration joins them; colour lies -8 px right" in result.stdout
+    assert "500 in 16.63 s, 30.0 Hz" in result.stdout

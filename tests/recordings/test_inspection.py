@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from stand_ins import MemoryRecording
+from synthetic import CAMERA, make_tum_recording, render_room, wobbling_trajectory
+
+from wheelsight.calibration import Calibration, DepthNoise
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.geometry import ByteArray
+from wheelsight.recordings import OpenOptions, open_recording
+from wheelsight.recordings.inspection import Inspection, inspect_recording
+
+REGISTERED = Calibration.registered_camera(CAMERA)
+
+
+def flat(index: int, stamp_s: float, depth_m: float = 2.0, measured: int = 240) -> RgbdFrame:
+    """A grey frame before a wall; depth is measured in the upper `measured` rows."""
+    depth = np.zeros((240, 320), np.float32)
+    depth[:measured] = depth_m
+    return RgbdFrame(stamp_s, np.full((240, 320, 3), 99, np.uint8), depth, index)
+
+
+def inspect(events: list[Event], calibration: Calibration = REGISTERED) -> Inspection:
+    return inspect_recording(MemoryRecording(events, calibration=calibration))
+
+
+def moved(color: ByteArray, right: float, down: float, scale: float) -> ByteArray:
+    """The image shown larger about its middle, then moved."""
+    height, width = color.shape[:2]
+    A = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 0.0, scale)
+    A[:, 2] += (right, down)
+    return np.asarray(cv2.warpAffine(color, A, (width, height), borderMode=cv2.BORDER_REFLECT), np.uint8)
+
+
+def room_frames(right: float = 0, down: float = 0, scale: float = 1) -> list[Event]:
+    frames: list[Event] = []
+    for index, (stamp_s, T_world_camera) in enumerate(wobbling_trajectory(8, rate_hz=1.0)):
+        color, depth_m = render_room(T_world_camera)
+        frames.append(RgbdFrame(stamp_s, moved(color, right, down, scale), depth_m, index))
+    return frames
+
+
+def test_counts_rates_and_gaps() -> None:
+    stamps_s = [0.0, 0.1, 0.2, 0.3, 0.9, 1.0, 1.25]
+    events: list[Event] = [flat(index, stamp_s) for index, stamp_s in enumerate(stamps_s)]
+    events[2] = SkippedFrame(0.2, "cut off", 2)
+    events.insert(1, WheelTicks(0.05, 1, 1))
+    inspection = inspect(events)
+    assert (inspection.frames, inspection.wheel_readings) == (7, 1)
+    assert inspection.skipped == (("cut off", 1),)
+    assert inspection.duration_s == pytest.approx(1.25)
+    assert inspection.rate_hz == pytest.approx(10)
+    assert [(gap.start_s, pytest.approx(gap.length_s)) for gap in inspection.gaps] == [(0.3, 0.6)]
+
+
+def test_depth_is_told_by_share_and_percentiles() -> None:
+    inspection = inspect([flat(0, 0.0, 1.0), flat(1, 0.1, 2.0), flat(2, 0.2, 4.0, measured=120)])
+    assert inspection.valid_depth_share == pytest.approx((1 + 1 + 0.5) / 3)
+    assert inspection.depth_m["p5"] == pytest.approx(1.0, rel=0.003)
+    assert inspection.depth_m["median"] == pytest.approx(2.0, rel=0.003)
+    assert inspection.depth_m["p95"] == pytest.approx(4.0, rel=0.003)
+
+
+def test_a_recording_without_a_usable_frame_is_told_too() -> None:
+    inspection = inspect([SkippedFrame(0.0, "cut off", 0)])
+    assert math.isnan(inspection.valid_depth_share)
+    assert math.isnan(inspection.depth_m["median"])
+    assert inspection.offset is None
+    assert inspection.warnings == ()
+
+
+def test_depth_outside_the_trusted_range_is_warned_of() -> None:
+    noise = DepthNoise(near_m=0.5, far_m=5.0)
+    calibration = Calibration.registered_camera(CAMERA, depth_noise=noise)
+    for depth_m, suspicious in ((0.4, True), (1.0, False), (12.0, True)):
+        warned = any("--depth-factor" in warning for warning in inspect([flat(0, 0.0, depth_m)], calibration).warnings)
+        assert warned is suspicious
+
+
+def test_a_blank_wall_does_not_tell_whether_colour_is_registered() -> None:
+    assert inspect([flat(index, 0.1 * index) for index in range(4)]).offset is None
+
+
+def test_registered_images_are_found_so() -> None:
+    inspection = inspect(room_frames())
+    assert inspection.offset is not None
+    assert not inspection.offset.is_clear
+    assert inspection.warnings == ()
+
+
+@pytest.mark.parametrize(("right", "down", "scale"), [(9, 0, 1.0), (-6, 3, 1.0), (0, 0, 1.06), (4, 0, 0.94)])
+def test_images_that_are_not_registered_are_measured(right: float, down: float, scale: float) -> None:
+    inspection = inspect(room_frames(right, down, scale))
+    offset = inspection.offset
+    assert offset is not None
+    assert offset.is_clear
+    assert offset.shift_px == pytest.approx((right, down), abs=1.01)
+    assert offset.scale == pytest.approx(scale, abs=0.02)
+    assert any("not registered, though the calibration says so" in warning for warning in inspection.warnings)
+
+
+def test_a_calibration_that_knows_of_it_is_not_warned_of() -> None:
+    calibration = Calibration(CAMERA, CAMERA, T_color_depth=np.eye(4))
+    inspection = inspect(room_frames(9), calibration)
+    assert inspection.offset is not None
+    assert inspection.offset.is_clear
+    assert inspection.warnings == ()
+
+
+def test_truth_is_told_in_zhangs_figures(tmp_path: Path) -> None:
+    truth = make_tum_recording(tmp_path / "room", frames=4)
+    calls: list[None] = []
+    inspection = inspect_recording(open_recording(tmp_path / "room"), lambda: calls.append(None))
+    assert len(calls) == 4
+    assert inspection.ground_truth is not None
+    assert inspection.ground_truth.duration_s == pytest.approx(truth.duration_s, abs=1e-5)
+    assert inspection.to_dict()["association"]["pairs"] == 4
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("name", "is_clear"), [("red_kitchen", True), ("freiburg1_rpy_part", False)])
+def test_real_recordings(data_folder: Path, name: str, is_clear: bool) -> None:
+    inspection = inspect_recording(open_recording(data_folder / "rgbd" / name, OpenOptions()))
+    offset = inspection.offset
+    assert offset is not None
+    assert offset.is_clear is is_clear
+    if is_clear:  # a colour camera of f = 525 beside a depth camera of 585
+        assert offset.scale == pytest.approx(525 / 585, abs=0.02)
+        assert offset.shift_px[0] == pytest.approx(-8, abs=4)
+    else:
+        assert np.abs(offset.shift_px).max() <= 4
+        assert offset.scale == 1

@@ -1,0 +1,101 @@
+"""Stand-ins for a recording and for odometry whose answers are known, so that what joins them is tested alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.estimates import Estimate, Reason, Status
+from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.geometry import BoolArray, FloatArray, PinholeCamera
+from wheelsight.recordings import AssociationReport
+from wheelsight.trajectory import Trajectory
+
+CAMERA = PinholeCamera(32, 24, 26.0, 26.0, 15.5, 11.5)
+
+
+def frame(index: int, stamp_s: float, *, dark: bool = False) -> RgbdFrame:
+    """A small frame whose colour tells its index; a dark one is what `TrueOdometry` cannot follow."""
+    color = np.full((24, 32, 3), 0 if dark else 1 + index, np.uint8)
+    return RgbdFrame(stamp_s, color, np.full((24, 32), 2.0, np.float32), index)
+
+
+@dataclass
+class MemoryRecording:
+    """A recording made of given events; exceptions among them are raised in their place."""
+
+    given: Sequence[Event | BaseException]
+    ground_truth: Trajectory | None = None
+    calibration: Calibration = field(default_factory=lambda: Calibration.registered_camera(CAMERA))
+    warnings: tuple[str, ...] = ()
+    decoding_s: float = 0.0
+    was_closed: bool = False
+    name: str = "memory"
+    path: Path = Path("memory")
+    format: str = "memory"
+
+    @property
+    def body(self) -> str:
+        return "camera" if self.calibration.T_base_camera is None else "base"
+
+    @property
+    def frame_count(self) -> int:
+        return sum(not isinstance(event, WheelTicks | BaseException) for event in self.given)
+
+    @property
+    def association(self) -> AssociationReport:
+        return AssociationReport(self.frame_count + 2, self.frame_count + 1, self.frame_count, 0.02)
+
+    def events(self) -> Iterator[Event]:
+        try:
+            for event in self.given:
+                time.sleep(self.decoding_s)
+                if isinstance(event, BaseException):
+                    raise event
+                yield event
+        finally:
+            self.was_closed = True
+
+
+@dataclass(frozen=True)
+class Matches:
+    reference_stamp_s: float
+    px: FloatArray
+    reference_px: FloatArray
+    is_inlier: BoolArray
+
+
+class TrueOdometry:
+    """Answers with the true pose at each frame's stamp, and with failure where the frame is dark."""
+
+    truth: ClassVar[Trajectory]
+    seen: ClassVar[list[RgbdFrame]]
+
+    def __init__(self, calibration: Calibration, settings: object) -> None:
+        type(self).seen = []
+        self.last_matches: Matches | None = None
+        self.stage_seconds: dict[str, float] = {}
+        self._reference_s: float | None = None
+
+    def miss(self, stamp_s: float) -> Estimate:
+        status = Status.INITIALIZING if self._reference_s is None else Status.FAILING
+        return Estimate(stamp_s, status, reason=Reason.FRAME_UNUSABLE)
+
+    def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
+        self.seen.append(frame)
+        self.stage_seconds = {"extract": 0.002, "align": 0.001}
+        self.last_matches = None
+        if not frame.color.any():
+            return Estimate(frame.stamp_s, Status.FAILING, reason=Reason.TOO_FEW_KEYPOINTS)
+        if self._reference_s is not None:
+            px = np.full((3, 2), float(frame.index))
+            self.last_matches = Matches(self._reference_s, px, px - 1, np.array([True, True, False]))
+        self._reference_s = frame.stamp_s
+        T = self.truth.at([frame.stamp_s])[0]
+        return Estimate(frame.stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6), None, "camera", 3, 2)

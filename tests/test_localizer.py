@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from stand_ins import CAMERA, TrueOdometry, frame
+
+from wheelsight.calibration import Calibration
+from wheelsight.estimates import Reason, Status
+from wheelsight.events import SkippedFrame, WheelTicks
+from wheelsight.geometry import se3
+from wheelsight.localizer import Localizer
+from wheelsight.trajectory import Trajectory
+
+
+@pytest.fixture(autouse=True)
+def truth(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> Trajectory:
+    motions = se3.exp(0.1 * rng.standard_normal((10, 6)))
+    TrueOdometry.truth = Trajectory(np.arange(10.0), motions)
+    monkeypatch.setattr("wheelsight.localizer.FeatureOdometry", TrueOdometry)
+    return TrueOdometry.truth
+
+
+def localizer(T_base_camera: np.ndarray | None = None) -> Localizer:
+    return Localizer(Calibration.registered_camera(CAMERA, T_base_camera=T_base_camera))
+
+
+def test_wheel_readings_say_nothing_about_a_frame() -> None:
+    assert localizer().process(WheelTicks(0.0, 1, 2)) is None
+
+
+def test_a_frame_is_answered_by_odometry(truth: Trajectory) -> None:
+    estimate = localizer().process(frame(3, 3.0))
+    assert estimate is not None
+    assert estimate.body == "camera"
+    np.testing.assert_allclose(estimate.T_world_body, truth.T_world_body[3])
+
+
+def test_a_skipped_frame_gets_no_pose_and_says_why() -> None:
+    subject = localizer()
+    estimate = subject.process(SkippedFrame(0.0, "depth/0.png is truncated"))
+    assert estimate is not None
+    assert estimate.T_world_body is None
+    assert estimate.reason is Reason.FRAME_UNUSABLE
+    assert estimate.status is Status.INITIALIZING
+    assert subject.note == "depth/0.png is truncated"
+
+
+def test_a_skipped_frame_is_not_called_tracked() -> None:
+    subject = localizer()
+    subject.process(frame(0, 0.0))
+    skipped = subject.process(SkippedFrame(1.0, "unreadable"))
+    assert skipped is not None
+    assert skipped.status is Status.FAILING
+    tracked = subject.process(frame(2, 2.0))
+    assert tracked is not None
+    assert tracked.status is Status.TRACKING
+    assert subject.note == ""
+
+
+@pytest.mark.parametrize("late_s", [5.0, 4.0])
+def test_a_frame_that_is_not_newer_is_refused_with_the_reason_said(late_s: float) -> None:
+    subject = localizer()
+    subject.process(frame(0, 5.0))
+    estimate = subject.process(frame(1, late_s))
+    assert estimate is not None
+    assert estimate.T_world_body is None
+    assert estimate.reason is Reason.FRAME_UNUSABLE
+    assert "does not come after 5.000000 s" in subject.note
+    assert len(TrueOdometry.seen) == 1
+    newer = subject.process(frame(2, 6.0))
+    assert newer is not None
+    assert newer.status is Status.TRACKING
+
+
+def test_poses_of_the_base_start_where_the_base_was(truth: Trajectory, rng: np.random.Generator) -> None:
+    T_base_camera = se3.exp(rng.standard_normal(6))
+    estimate = localizer(T_base_camera).process(frame(3, 3.0))
+    assert estimate is not None
+    assert estimate.body == "base"
+    T_start_base, T_camera0_camera = estimate.T_world_body, truth.T_world_body[3]
+    # A point fixed to the base, seen by either way round.
+    p_camera = rng.standard_normal(3)
+    p_base = se3.apply(T_base_camera, p_camera)
+    by_camera = se3.apply(T_base_camera, se3.apply(T_camera0_camera, p_camera))
+    np.testing.assert_allclose(se3.apply(T_start_base, p_base), by_camera, atol=1e-12)
+
+
+def test_covariance_of_the_base_moves_as_the_pose_does(truth: Trajectory, rng: np.random.Generator) -> None:
+    T_base_camera = se3.exp(rng.standard_normal(6))
+    estimate = localizer(T_base_camera).process(frame(3, 3.0))
+    assert estimate is not None
+    assert estimate.T_world_body is not None
+    T_camera_base = se3.invert(T_base_camera)
+    J = np.empty((6, 6))  # of the base's perturbation by the camera's, measured
+    for axis in range(6):
+        xi = np.zeros(6)
+        xi[axis] = 1e-6
+        moved = T_base_camera @ se3.exp(xi) @ truth.T_world_body[3] @ T_camera_base
+        J[:, axis] = se3.log(moved @ se3.invert(estimate.T_world_body)) / 1e-6
+    np.testing.assert_allclose(estimate.covariance, J @ (1e-6 * np.eye(6)) @ J.T, rtol=1e-5, atol=1e-12)
+
+
+def test_a_failing_frame_of_a_robot_with_a_base_is_still_of_the_base() -> None:
+    estimate = localizer(np.eye(4)).process(frame(3, 3.0, dark=True))
+    assert estimate is not None
+    assert (estimate.body, estimate.T_world_body) == ("base", None)

@@ -1,0 +1,63 @@
+"""The application: its commands, its version, and what becomes of errors."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+import typer.core
+
+from wheelsight import __version__
+from wheelsight.cli import evaluate, info, run
+from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error
+from wheelsight.errors import WheelsightError
+
+
+class _Commands(typer.core.TyperGroup):
+    """Tells a user's errors in one line; anything else is a bug and keeps its traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except WheelsightError as error:
+            print_error(str(error))
+            raise typer.Exit(INPUT_IS_WRONG) from error
+        except KeyboardInterrupt as interruption:
+            print_error("interrupted")
+            raise typer.Exit(INTERRUPTED) from interruption
+
+
+app = typer.Typer(
+    cls=_Commands,
+    name="wheelsight",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("info")(info.info)
+app.command("run")(run.run)
+app.command("evaluate")(evaluate.evaluate)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"wheelsight {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _about(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Where a wheeled robot is and what its place looks like, from its wheels and a depth camera.
+
+    Begin with [bold]wheelsight info RECORDING[/bold], then [bold]wheelsight run RECORDING --out DIR[/bold].
+    """
+
+
+def main() -> None:
+    """The entry point of the command `wheelsight`."""
+    app()

@@ -1,0 +1,85 @@
+"""How the commands speak: tables on stdout, errors and progress on stderr, plain text where nobody watches."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+
+INPUT_IS_WRONG = 2
+INTERRUPTED = 130
+_WIDTH_OF_FILES = 200
+
+
+def console(stderr: bool = False) -> Console:
+    """A console for stdout or stderr; made anew each time, since either may have been redirected."""
+    from rich.console import Console
+
+    made = Console(stderr=stderr, highlight=False, soft_wrap=True)
+    if not made.is_terminal:
+        made.width = max(made.width, _WIDTH_OF_FILES)
+    return made
+
+
+def print_error(message: str) -> None:
+    """Print "error: message" on stderr, on one line however narrow the terminal."""
+    _print_labelled("error", "bold red", message)
+
+
+def print_warning(message: str) -> None:
+    """Print "warning: message" on stderr, on one line however narrow the terminal."""
+    _print_labelled("warning", "yellow", message)
+
+
+def print_note(message: str) -> None:
+    """Print a message about the work itself on stderr."""
+    console(stderr=True).print(message, markup=False)
+
+
+def print_json(document: Any) -> None:
+    """Print nested values as JSON on stdout; numbers that JSON lacks (NaN) become null."""
+    import typer
+
+    typer.echo(json.dumps(_without_nan(document), indent=2, allow_nan=False))
+
+
+def facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:
+    """A borderless table of names and values under a title."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(
+        title=Text(title, style="bold"), title_justify="left", box=None, show_header=False, padding=(0, 2, 0, 0)
+    )
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in facts:
+        table.add_row(name, Text(value))
+    return table
+
+
+def percent(share: float) -> str:
+    """A share as a percentage that says 100 only when it is all; "unknown" for NaN."""
+    if not math.isfinite(share):
+        return "unknown"
+    return "100 %" if share == 1 else f"{min(100 * share, 99.9):.1f} %"
+
+
+def _print_labelled(label: str, style: str, message: str) -> None:
+    from rich.text import Text
+
+    console(stderr=True).print(Text.assemble((f"{label}: ", style), message))
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,51 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from wheelsight.config import Config
+
+RecordingPath = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="Folder of the recording.", show_default=False)
+]
+Camera = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE",
+        help="Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml.",
+        show_default="what the recording itself says",
+    ),
+]
+DepthFactor = Annotated[
+    float | None,
+    typer.Option(help="Depth units a metre in the depth images.", show_default="as its format says"),
+]
+MaxGap = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS", help="Largest distance in time of a colour and a depth image.", show_default="0.02"
+    ),
+]
+
+
+_SETTINGS = {
+    "--odometry": "odometry",
+    "--reference": "features.reference",
+    "--seed": "features.seed",
+    "--camera": "recording.camera",
+    "--depth-factor": "recording.depth_factor",
+    "--max-gap": "recording.max_gap_s",
+}
+
+
+def settings_from(options: dict[str, object], file: Path | None = None) -> Config:
+    """The configuration of a file, and over it the options that were given (are not None). Raises ConfigError."""
+    from wheelsight.config import load_config
+
+    overrides = {_SETTINGS[option]: value for option, value in options.items() if value is not None}
+    return load_config(file, overrides, called={name: option for option, name in _SETTINGS.items()})

@@ -1,0 +1,42 @@
+"""A progress bar for passes over frames; silent where no terminal watches."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from wheelsight.cli._console import console
+
+
+class FrameProgress:
+    """Shows frame, rate, status and time left on stderr while its `with` block runs; `status` until the first frame."""
+
+    def __init__(self, action: str, frame_count: int, status: str = "") -> None:
+        stderr = console(stderr=True)
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TaskProgressColumn("{task.speed:.0f} frames/s", show_speed=True),
+            TextColumn("{task.fields[status]}"),
+            TimeRemainingColumn(compact=True),
+            console=stderr,
+            disable=not stderr.is_terminal,
+            transient=True,
+        )
+        self._task = self._progress.add_task(action, total=frame_count, status=status)
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def advance(self, status: str = "") -> None:
+        """One frame more."""
+        self._progress.update(self._task, advance=1, status=status)

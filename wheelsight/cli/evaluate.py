@@ -1,0 +1,82 @@
+"""`wheelsight evaluate`: an estimated trajectory against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from wheelsight.evaluation import Evaluation, Statistics
+
+
+def evaluate(
+    estimate: Annotated[
+        Path, typer.Argument(metavar="ESTIMATE", help="Estimated trajectory, TUM text.", show_default=False)
+    ],
+    ground_truth: Annotated[
+        Path, typer.Argument(metavar="GROUND_TRUTH", help="True trajectory, TUM text.", show_default=False)
+    ],
+    scale: Annotated[
+        bool, typer.Option("--scale", help="Fit the estimate's scale too (hides errors of scale).")
+    ] = False,
+    max_gap: Annotated[
+        float, typer.Option(metavar="SECONDS", min=0, help="Largest distance in time of two poses that are compared.")
+    ] = 0.02,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Compare an estimated trajectory with the truth, as the TUM benchmark does.
+
+    ATE after rigid alignment, RPE over a frame, a second and a metre, and how much of the time the estimate covers.
+
+    [bold]Examples[/bold]
+
+    wheelsight evaluate results/trajectory.txt rgbd_dataset_freiburg1_desk/groundtruth.txt
+
+    wheelsight evaluate monocular.txt truth.txt --scale --json
+    """
+    from wheelsight.cli._console import console, print_json
+    from wheelsight.evaluation import evaluate as compare
+    from wheelsight.trajectory import read_tum
+
+    estimated, truth = read_tum(estimate), read_tum(ground_truth)
+    evaluation = compare(estimated, truth, max_gap_s=max_gap, with_scale=scale)
+    if as_json:
+        print_json(evaluation.to_dict())
+        return
+    console().print(evaluation_table(evaluation))
+
+
+def evaluation_table(evaluation: Evaluation) -> Table:
+    """Errors in rows, their statistics in columns; coverage and scale below."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from wheelsight.cli._console import percent
+
+    covered = f"{evaluation.pairs} pairs of poses; {percent(evaluation.truth_time_covered)} of the truth's time covered"
+    scaled = "" if evaluation.scale is None else f"; estimate scaled by {evaluation.scale:.4f}"
+    table = Table(box=SIMPLE_HEAD, caption=covered + scaled, caption_justify="left", caption_style="")
+    table.add_column("")
+    for name in ("RMSE", "mean", "median", "max"):
+        table.add_column(name, justify="right")
+    for name, unit, errors in _rows(evaluation):
+        values = () if errors is None else (errors.rmse, errors.mean, errors.median, errors.max)
+        table.add_row(name, *[f"{value:.4f} {unit}" for value in values] or ["too short"])
+    return table
+
+
+def _rows(evaluation: Evaluation) -> Iterator[tuple[str, str, Statistics | None]]:
+    named = {
+        "ATE": evaluation.ate,
+        "RPE a frame": evaluation.rpe_per_frame,
+        "RPE a second": evaluation.rpe_per_second,
+        "RPE a metre": evaluation.rpe_per_metre,
+    }
+    for name, error in named.items():
+        yield f"{name}, position", "m", None if error is None else error.translation
+        yield f"{name}, rotation", "°", None if error is None else error.rotation.in_degrees()

@@ -1,0 +1,112 @@
+"""`wheelsight info`: what is in a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from wheelsight.cli._options import Camera, DepthFactor, MaxGap, RecordingPath, settings_from
+
+if TYPE_CHECKING:
+    from wheelsight.evaluation import SequenceStatistics
+    from wheelsight.recordings import AssociationReport
+    from wheelsight.recordings.inspection import Inspection, RegistrationOffset
+
+_GAPS_SHOWN = 5
+
+
+def info(
+    recording: RecordingPath,
+    camera: Camera = None,
+    depth_factor: DepthFactor = None,
+    max_gap: MaxGap = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Tell what is in a recording, and what to know before trusting results made from it.
+
+    Every image is read once: rates, gaps, depth, registration, ground truth, and warnings.
+
+    [bold]Examples[/bold]
+
+    wheelsight info rgbd_dataset_freiburg1_desk
+
+    wheelsight info my_recording --camera my_camera.yaml --json
+    """
+    from wheelsight.cli._console import console, facts_table, print_json, print_warning
+    from wheelsight.cli._progress import FrameProgress
+    from wheelsight.recordings import open_recording
+    from wheelsight.recordings.inspection import inspect_recording
+
+    config = settings_from({"--camera": camera, "--depth-factor": depth_factor, "--max-gap": max_gap})
+    source = open_recording(recording, config.recording.open_options())
+    with FrameProgress("reading", source.frame_count) as progress:
+        inspection = inspect_recording(source, progress.advance)
+    if as_json:
+        print_json(inspection.to_dict())
+        return
+    stdout = console()
+    stdout.print(facts_table(inspection.name, _facts(inspection)))
+    if inspection.ground_truth is not None:
+        stdout.print()
+        stdout.print(facts_table("Ground truth", _truth_facts(inspection.ground_truth)))
+    for warning in inspection.warnings:
+        print_warning(warning)
+
+
+def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
+    from wheelsight.cli._console import percent
+
+    yield "format", inspection.format
+    yield "camera", inspection.camera
+    yield "trajectory of", f"the {inspection.body} (T_world_{inspection.body})"
+    yield "frames", f"{inspection.frames} in {inspection.duration_s:.2f} s, {inspection.rate_hz:.1f} Hz"
+    yield "images", _pairing(inspection.association)
+    for reason, count in inspection.skipped:
+        yield "unusable", f"{count} × {reason}"
+    if inspection.wheel_readings:
+        yield "wheel readings", str(inspection.wheel_readings)
+    yield "gaps", _gaps(inspection)
+    depth_m = inspection.depth_m
+    yield "valid depth", f"{percent(inspection.valid_depth_share)} of pixels"
+    yield "depth", f"median {depth_m['median']:.2f} m, 5 to 95 % within {depth_m['p5']:.2f} to {depth_m['p95']:.2f} m"
+    yield "registration", _registration(inspection.offset, inspection.is_registered)
+    if inspection.ground_truth is None:
+        yield "ground truth", "none"
+
+
+def _pairing(association: AssociationReport) -> str:
+    dropped = f"{association.dropped_color} and {association.dropped_depth} without a partner"
+    counts = f"{association.color_images} colour, {association.depth_images} depth, {dropped}"
+    return f"{counts}; at most {1e3 * association.largest_gap_s:.1f} ms apart"
+
+
+def _gaps(inspection: Inspection) -> str:
+    gaps = inspection.gaps
+    if not gaps:
+        return "none over three periods"
+    longest = sorted(gaps, key=lambda gap: -gap.length_s)[:_GAPS_SHOWN]
+    shown = ", ".join(f"{gap.length_s:.2f} s at {gap.start_s:.2f}" for gap in longest)
+    return f"{len(gaps)} over three periods: {shown}" + (", …" if len(gaps) > _GAPS_SHOWN else "")
+
+
+def _registration(offset: RegistrationOffset | None, is_registered: bool) -> str:
+    said = "registered, by the calibration" if is_registered else "not registered; the calibration joins them"
+    if offset is None:
+        return f"{said}; too few edges to check"
+    if not offset.is_clear:
+        return f"{said}; the images agree with shared pixels"
+    right, down = offset.shift_px
+    return f"{said}; colour lies {right:+.0f} px right, {down:+.0f} px down of depth, {offset.scale:.2f} times as large"
+
+
+def _truth_facts(truth: SequenceStatistics) -> Iterator[tuple[str, str]]:
+    from math import degrees
+
+    yield "duration", f"{truth.duration_s:.2f} s"
+    yield "with poses", f"{truth.posed_duration_s:.2f} s"
+    yield "length", f"{truth.length_m:.3f} m; in steps of {truth.window_s:g} s {truth.windowed_length_m:.3f} m"
+    yield "mean speed", f"{truth.mean_speed_m_per_s:.3f} m/s"
+    yield "mean turning", f"{degrees(truth.mean_angular_speed_rad_per_s):.2f} °/s"
+    yield "extent", " × ".join(f"{side:.2f}" for side in truth.extent_m) + " m"

@@ -1,0 +1,112 @@
+"""`wheelsight run`: where the camera went."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from wheelsight.cli._console import INTERRUPTED
+from wheelsight.cli._options import Camera, DepthFactor, MaxGap, RecordingPath, settings_from
+
+if TYPE_CHECKING:
+    from wheelsight.report import RunRecord
+
+
+def run(
+    recording: RecordingPath,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for the results; made if need be.", show_default=False)
+    ],
+    odometry: Annotated[
+        str | None, typer.Option(metavar="NAME", help="How motion is estimated: features.", show_default="features")
+    ] = None,
+    camera: Camera = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Settings in YAML; options given here win over it.", show_default=False),
+    ] = None,
+    depth_factor: DepthFactor = None,
+    max_gap: MaxGap = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="What a frame is aligned with: previous or keyframes.", show_default="keyframes"
+        ),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all random choices.", show_default="0")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite results in DIR.")] = False,
+) -> None:
+    """Find where the camera went: trajectory, status of each frame, metrics and a report go to DIR.
+
+    DIR gets trajectory.txt (TUM), status.csv, metrics.json, the resolved config.yaml and report.html.
+
+    Ctrl-C stops early and keeps what was found until then.
+
+    [bold]Examples[/bold]
+
+    wheelsight run rgbd_dataset_freiburg1_desk --out results
+
+    wheelsight run my_recording --camera my_camera.yaml --config settings.yaml --out results --force
+    """
+    from wheelsight import pipeline
+    from wheelsight.cli._console import print_note
+    from wheelsight.cli._progress import FrameProgress
+    from wheelsight.recordings import open_recording
+
+    of_recording: dict[str, object] = {"--camera": camera, "--depth-factor": depth_factor, "--max-gap": max_gap}
+    of_odometry: dict[str, object] = {"--odometry": odometry, "--reference": reference, "--seed": seed}
+    settings = settings_from(of_recording | of_odometry, config)
+    source = open_recording(recording, settings.recording.open_options())
+    at_first = "" if _kernels_are_compiled() else "compiling kernels, once after installation"
+    try:
+        with FrameProgress("tracking", source.frame_count, at_first) as progress:
+            record = pipeline.run(
+                source, settings, out, force=force, on_frame=lambda f: progress.advance(str(f.status))
+            )
+    except KeyboardInterrupt as interruption:
+        print_note(f"interrupted; what was found until then is in {out}")
+        raise typer.Exit(INTERRUPTED) from interruption
+    _print_summary(record, out)
+
+
+def _kernels_are_compiled() -> bool:
+    """Whether odometry's compiled kernels are in numba's cache, beside their sources or where NUMBA_CACHE_DIR says."""
+    from wheelsight import odometry
+
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(odometry.__file__).parent)
+    return any(folder.rglob("*kernels*.nbi"))
+
+
+def _print_summary(record: RunRecord, out: Path) -> None:
+    from wheelsight.cli._console import console, facts_table, print_warning
+    from wheelsight.cli.evaluate import evaluation_table
+
+    stdout = console()
+    stdout.print(facts_table(f"{record.recording}: T_{record.estimate.world}_{record.estimate.body}", _facts(record)))
+    if record.evaluation is not None:
+        stdout.print(evaluation_table(record.evaluation))
+    for warning in record.warnings:
+        print_warning(warning)
+    stdout.print(f"report: {out / 'report.html'}")
+
+
+def _facts(record: RunRecord) -> Iterator[tuple[str, str]]:
+    from wheelsight.cli._console import percent
+    from wheelsight.report import summarise
+
+    summary = summarise(record)
+    yield "frames", f"{summary.posed} of {summary.frames} with a pose ({percent(summary.pose_share)})"
+    for why, count in summary.skips:
+        yield "skipped", f"{count} × {why}"
+    for why, count in summary.failures:
+        yield "no pose", f"{count} × {why}"
+    if summary.lost_episodes:
+        yield "lost", f"{summary.lost_episodes} times, {summary.lost_s:.2f} s in all"
+    yield "way", f"{summary.length_m:.2f} m in {summary.duration_s:.2f} s"
+    yield "time a frame", f"median {1e3 * summary.median_s:.1f} ms, 95 % within {1e3 * summary.p95_s:.1f} ms"
+    if record.evaluation is None:
+        yield "not evaluated", record.evaluation_problem or ""

@@ -1,0 +1,159 @@
+"""Config: every setting of a run, read from YAML, overridden by name, written out resolved beside the results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, ValidationError
+
+from wheelsight.errors import ConfigError
+from wheelsight.files import write_text
+from wheelsight.odometry.features import FeatureSettings
+from wheelsight.recordings import OpenOptions
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class RecordingSettings(_Settings):
+    """What a user says about a recording that its files do not."""
+
+    camera: str | None = Field(None, description="name of a shipped calibration, or a calibration.yaml")
+    max_gap_s: NonNegativeFloat = Field(
+        0.02, description="largest distance in time between colour and depth of one frame"
+    )
+    depth_factor: PositiveFloat | None = Field(None, description="depth units a metre, if not the format's own")
+
+    def open_options(self) -> OpenOptions:
+        """The same, as `open_recording` takes it."""
+        return OpenOptions(camera=self.camera, max_gap_s=self.max_gap_s, depth_factor=self.depth_factor)
+
+
+class EvaluationSettings(_Settings):
+    """How an estimate is compared with the ground truth."""
+
+    with_scale: bool = Field(False, description="estimate a scale too when aligning; hides errors of scale")
+    max_gap_s: NonNegativeFloat = Field(
+        0.02, description="largest distance in time between an estimated and a true pose"
+    )
+
+
+class ReportSettings(_Settings):
+    """What report.html shows beside the curves."""
+
+    pictures: NonNegativeInt = Field(4, description="frames drawn with their matches")
+
+
+class Config(_Settings):
+    """Every setting of a run; the defaults are what `wheelsight run` uses when nothing is said."""
+
+    odometry: Literal["features"] = "features"
+    recording: RecordingSettings = RecordingSettings()
+    features: FeatureSettings = FeatureSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
+    report: ReportSettings = ReportSettings()
+
+    def to_dict(self) -> dict[str, Any]:
+        """All settings as plain nested values, as YAML and JSON take them."""
+        return self.model_dump(mode="json")
+
+
+def load_config(
+    path: Path | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    called: Mapping[str, str] | None = None,
+) -> Config:
+    """Read settings from a YAML file; those it does not name keep their defaults.
+
+    Args:
+        path: the file, or None for defaults only.
+        overrides: values by dotted name, such as {"features.seed": 3}; they win over the file.
+        called: what the user knows an override as, such as {"features.seed": "--seed"}, for messages.
+
+    Raises:
+        ConfigError: naming file, line, setting and what would be right.
+    """
+    text, document = ("", {}) if path is None else _read(path)
+    settings = document
+    for name, value in (overrides or {}).items():
+        settings = _with(settings, name.split("."), value)
+    try:
+        return Config.model_validate(settings)
+    except ValidationError as invalid:
+        details = invalid.errors(include_url=False)[0]
+        location = [str(part) for part in details["loc"]]
+        name = ".".join(location)
+        problem, fix = _explain(dict(details), (called or {}).get(name, name), location)
+        if name in (overrides or {}):
+            raise ConfigError(problem, fix=fix) from None
+        raise ConfigError(problem, path=path, line=_line_of(text, location), fix=fix) from None
+
+
+def save_config(config: Config, path: Path) -> None:
+    """Write all settings, defaults included, as YAML that `load_config` reads back. Raises OutputError."""
+    write_text(path, yaml.safe_dump(config.to_dict(), sort_keys=False))
+
+
+def _read(path: Path) -> tuple[str, dict[str, Any]]:
+    try:
+        text = path.read_text(encoding="utf-8")
+        document = yaml.safe_load(text)
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", path=path) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError("is not a text file", path=path) from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        problem = getattr(error, "problem", None) or str(error)
+        raise ConfigError(f"is not YAML: {problem}", path=path, line=mark and mark.line + 1) from error
+    if document is None:
+        return text, {}
+    if not isinstance(document, dict):
+        raise ConfigError("must hold names and values", path=path, fix="such as: features: {seed: 1}")
+    return text, document
+
+
+def _with(settings: Mapping[str, Any], name: list[str], value: Any) -> dict[str, Any]:
+    """A copy of nested `settings` in which the setting of that dotted name has `value`."""
+    head, *rest = name
+    below = settings.get(head)
+    inner = _with(below if isinstance(below, Mapping) else {}, rest, value) if rest else value
+    return {**settings, head: inner}
+
+
+def _explain(details: dict[str, Any], name: str, location: list[str]) -> tuple[str, str | None]:
+    """What is wrong with a setting, and what would be right."""
+    if details["type"] == "extra_forbidden":
+        known = _known_settings(location[:-1])
+        near = get_close_matches(location[-1], known, n=1)
+        fix = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+        return f"unknown setting {name}", fix
+    if details["type"] == "literal_error":
+        return f"{name} is {details['input']!r}", f"known: {details['ctx']['expected']}"
+    message = details["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    return f"{name} is {details['input']!r}, which {message}", None
+
+
+def _known_settings(location: list[str]) -> list[str]:
+    model: Any = Config
+    for part in location:
+        model = model.model_fields[part].annotation
+    return sorted(model.model_fields)
+
+
+def _line_of(text: str, location: list[str]) -> int | None:
+    """The line on which a setting stands, or the innermost section above it that the file has."""
+    node, line = yaml.compose(text), None
+    for part in location:
+        entries = node.value if isinstance(node, yaml.MappingNode) else []
+        found = [(key, value) for key, value in entries if key.value == part]
+        if not found:
+            break
+        key, node = found[-1]
+        line = key.start_mark.line + 1
+    return line
