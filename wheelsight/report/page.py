@@ -28,7 +28,8 @@ _BODIES = {
 
 def write_report(record: RunRecord, path: Path) -> None:
     """Write the page about `record` to `path`, atomically, about 5 MB and the pictures. Raises OutputError."""
-    write_text(path, render(record))
+    # A folder's name may hold bytes that are no text; they must not cost the page.
+    write_text(path, render(record).encode("utf-8", "replace").decode("utf-8"))
 
 
 def render(record: RunRecord) -> str:

@@ -1,0 +1,113 @@
+"""Runs that never happened, but could have: what the report is tested on. All seeded, none recorded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from wheelsight.errors import EvaluationError
+from wheelsight.estimates import Reason, Status
+from wheelsight.evaluation import evaluate
+from wheelsight.geometry import ByteArray, se3
+from wheelsight.recordings import AssociationReport
+from wheelsight.report import FrameRecord, MatchPicture, RunRecord
+from wheelsight.trajectory import Trajectory
+
+START_S = 1305031102.17
+_RATE_HZ = 30.0
+
+
+def example_run(frames: int = 500, seed: int = 1, with_truth: bool = True, **others: Any) -> RunRecord:
+    """A hand-held camera's run: it fails, is lost a tenth of the time, recovers; two frames were unreadable."""
+    rng = np.random.default_rng(seed)
+    stamps_s = START_S + np.arange(frames) / _RATE_HZ
+    records = tuple(_frame(i, stamp, frames, rng) for i, stamp in enumerate(stamps_s))
+    posed = np.array([f.status is Status.TRACKING and not f.is_skipped for f in records], bool)
+    estimate = _drifting(stamps_s, rng).select(np.flatnonzero(posed))
+    truth = _path(np.arange(START_S - 0.1, stamps_s[-1] + 0.1, 0.01)) if with_truth else None
+    evaluation, problem = None, None if truth is None else "the estimate has no poses"
+    if truth is not None:
+        try:
+            evaluation, problem = evaluate(estimate, truth, frame_stamps_s=stamps_s), None
+        except EvaluationError as error:
+            problem = str(error)
+    plain = RunRecord(
+        recording="corridor with a lost while",
+        format="tum",
+        frames=records,
+        estimate=estimate,
+        ground_truth=truth,
+        evaluation=evaluation,
+        evaluation_problem=problem,
+        association=AssociationReport(frames + 12, frames + 3, frames, max_gap_s=0.02, largest_gap_s=0.0187),
+        warnings=("Colour and depth are not registered: edges lie about 14 px apart.",),
+        stage_seconds={"extract": 0.0048, "match": 0.0013, "align": 0.0009, "refine": 0.0004, "map": 0.0021},
+        config={"odometry": {"kind": "features", "features": {"keypoints": 1000, "levels": 8}}, "seed": 0},
+        peak_memory_mb=312.4,
+        finished_at=datetime(2024, 8, 17, 14, 3, tzinfo=UTC),
+    )
+    return replace(plain, **others)
+
+
+def empty_run(frames: int = 30) -> RunRecord:
+    """A blank wall: every frame was used, none gave a pose."""
+    records = tuple(
+        FrameRecord(i, START_S + i / _RATE_HZ, Status.INITIALIZING, Reason.TOO_FEW_KEYPOINTS, 0, 0, 0.004)
+        for i in range(frames)
+    )
+    nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+    return replace(example_run(3, with_truth=False), frames=records, estimate=nothing, stage_seconds={}, warnings=())
+
+
+def example_picture(color: ByteArray | None = None, matches: int = 300, seed: int = 2) -> MatchPicture:
+    """Two images, one shifted against the other, four in five matches right."""
+    rng = np.random.default_rng(seed)
+    if color is None:
+        color = rng.integers(0, 255, (60, 80, 3), np.uint8).repeat(8, axis=0).repeat(8, axis=1)
+    height, width = color.shape[:2]
+    px = rng.uniform((20, 20), (width - 40, height - 40), (matches, 2))
+    is_inlier = rng.random(matches) < 0.8
+    reference_px = np.where(is_inlier[:, None], px + (12.0, 3.0), px + rng.uniform(-60, 60, (matches, 2)))
+    reference = np.roll(color, (3, 12), axis=(0, 1))
+    return MatchPicture(START_S + 2.0, START_S + 1.9, color, reference, px, reference_px, is_inlier)
+
+
+def _frame(i: int, stamp_s: float, frames: int, rng: np.random.Generator) -> FrameRecord:
+    share = i / frames
+    seconds = 1.31 if i == 0 else float(0.0085 + rng.gamma(3, 0.0006) + 0.004 * (i % 15 == 0))
+    matches = int(320 + 90 * np.sin(9 * share) + rng.normal(0, 18))
+    inliers = int(matches * (0.72 + 0.08 * np.sin(21 * share)))
+    if i == 0 and frames > 1:
+        return FrameRecord(i, stamp_s, Status.INITIALIZING, None, 0, 0, seconds)
+    if 0.15 < share < 0.155:
+        note = "depth image is truncated"
+        return FrameRecord(i, stamp_s, Status.TRACKING, Reason.FRAME_UNUSABLE, 0, 0, 0.0, note)
+    if 0.43 < share <= 0.45 or 0.71 < share < 0.713:
+        return FrameRecord(i, stamp_s, Status.FAILING, Reason.TOO_FEW_INLIERS, matches // 5, 7, seconds)
+    if 0.45 < share < 0.55:
+        return FrameRecord(i, stamp_s, Status.LOST, Reason.TOO_FEW_MATCHES, matches // 12, 0, seconds)
+    return FrameRecord(i, stamp_s, Status.TRACKING, None, matches, inliers, seconds)
+
+
+def _path(stamps_s: np.ndarray) -> Trajectory:
+    """A loop through two rooms, looking ahead."""
+    t = (stamps_s - START_S) / 16.7 * 2 * np.pi
+    p = np.stack([2.4 * np.sin(t), 1.5 * np.sin(2 * t), 1.2 + 0.15 * np.sin(3 * t)], axis=-1)
+    turn = np.stack([0.1 * np.sin(5 * t), 0.1 * np.cos(4 * t), t], axis=-1)
+    T = se3.exp(np.concatenate([np.zeros_like(p), turn], axis=-1))
+    T[:, :3, 3] = p
+    return Trajectory(stamps_s, T)
+
+
+def _drifting(stamps_s: np.ndarray, rng: np.random.Generator) -> Trajectory:
+    """The path as odometry finds it, in the frame of its first pose: errors add up."""
+    true = _path(stamps_s)
+    noise = rng.normal(0, (0.0012, 0.0012, 0.0012, 0.0004, 0.0004, 0.0004), (len(stamps_s), 6))
+    T = [np.eye(4)]
+    for i in range(1, len(stamps_s)):
+        step = se3.invert(true.T_world_body[i - 1]) @ true.T_world_body[i]
+        T.append(T[-1] @ step @ se3.exp(noise[i]))
+    return Trajectory(stamps_s, np.array(T))
