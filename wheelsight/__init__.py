@@ -1,6 +1,8 @@
 """Where a wheeled robot is and what its place looks like: wheel encoders and a depth camera, joined.
 
-The names below are loaded when first asked for, so `import wheelsight` costs next to nothing.
+All in one: `run(open_recording(folder), Config(), out)`. Frame by frame: `Localizer(calibration).process(frame)`.
+Every step by hand: the sub-packages. The names below are loaded when first asked for, so `import wheelsight` costs
+next to nothing.
 """
 
 from __future__ import annotations
@@ -12,18 +14,30 @@ from wheelsight._version import __version__
 
 if TYPE_CHECKING:
     from wheelsight.calibration import Calibration, load_calibration, save_calibration
+    from wheelsight.config import Config, load_config, save_config
     from wheelsight.errors import WheelsightError
     from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+    from wheelsight.evaluation import Evaluation, evaluate
     from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
     from wheelsight.geometry import PinholeCamera
-    from wheelsight.trajectory import Trajectory
+    from wheelsight.localizer import Localizer
+    from wheelsight.odometry.features import FeatureOdometry
+    from wheelsight.pipeline import run
+    from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
+    from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 __all__ = [
     "Calibration",
+    "Config",
     "Estimate",
+    "Evaluation",
+    "FeatureOdometry",
+    "Localizer",
     "MotionEstimate",
+    "OpenOptions",
     "PinholeCamera",
     "Reason",
+    "Recording",
     "RgbdFrame",
     "SkippedFrame",
     "Status",
@@ -31,17 +45,33 @@ __all__ = [
     "WheelTicks",
     "WheelsightError",
     "__version__",
+    "evaluate",
     "load_calibration",
+    "load_config",
+    "open_recording",
+    "read_kitti",
+    "read_tum",
+    "run",
     "save_calibration",
+    "save_config",
+    "write_kitti",
+    "write_recording",
+    "write_tum",
 ]
 
 _NAMES_OF = {
     "calibration": ("Calibration", "load_calibration", "save_calibration"),
+    "config": ("Config", "load_config", "save_config"),
     "errors": ("WheelsightError",),
     "estimates": ("Estimate", "MotionEstimate", "Reason", "Status"),
+    "evaluation": ("Evaluation", "evaluate"),
     "events": ("RgbdFrame", "SkippedFrame", "WheelTicks"),
     "geometry": ("PinholeCamera",),
-    "trajectory": ("Trajectory",),
+    "localizer": ("Localizer",),
+    "odometry.features": ("FeatureOdometry",),
+    "pipeline": ("run",),
+    "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
+    "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
 
