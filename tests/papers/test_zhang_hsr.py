@@ -9,6 +9,7 @@ from types import ModuleType
 import cv2
 import numpy as np
 import pytest
+from synthetic import make_tum_recording
 
 from wheelsight.geometry import se3
 from wheelsight.trajectory import Trajectory, read_tum, write_tum
@@ -68,6 +69,17 @@ def test_a_ground_truth_file_alone_gives_one_figure(
 ) -> None:
     assert zhang_hsr.main([str(files[0]), "--out", str(tmp_path / "figures")]) == 0
     assert [path.name for path in (tmp_path / "figures").iterdir()] == ["ground_truth.png"]
+
+
+def test_a_recording_is_tracked_where_no_estimate_is_given(
+    zhang_hsr: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_tum_recording(tmp_path / "room", frames=12)
+    out = tmp_path / "figures"
+    assert zhang_hsr.main([str(tmp_path / "room"), "--out", str(out)]) == 0
+    assert "Errors of 12 poses" in capsys.readouterr().out
+    assert {path.name for path in out.iterdir()} == {"ground_truth.png", "absolute_error.png", "run"}
+    assert (out / "run" / "report.html").is_file()
 
 
 def test_lines_break_where_nothing_is_known(zhang_hsr: ModuleType) -> None:
