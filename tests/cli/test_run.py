@@ -29,6 +29,18 @@ def test_results_are_written_and_summed_up(wheelsight: Command, room: Path, tmp_
     assert (out / "report.html").is_file()
 
 
+def test_a_terminal_sees_frame_rate_and_status_pass_by(
+    wheelsight: Command, room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    result = wheelsight("run", room, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "10/10" in result.stderr
+    assert "frames/s" in result.stderr
+    assert "tracking" in result.stderr
+
+
 def test_options_win_over_the_settings_file_and_both_are_written_resolved(
     wheelsight: Command, room: Path, tmp_path: Path
 ) -> None:

@@ -5,9 +5,25 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Self
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
 
 from wheelsight.cli._console import console
+
+
+class _Rate(ProgressColumn):
+    """Frames a second, once there are some."""
+
+    def render(self, task: Task) -> Text:
+        return Text("" if task.speed is None else f"{task.speed:.0f} frames/s")
 
 
 class FrameProgress:
@@ -19,7 +35,7 @@ class FrameProgress:
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
-            TaskProgressColumn("{task.speed:.0f} frames/s", show_speed=True),
+            _Rate(),
             TextColumn("{task.fields[status]}"),
             TimeRemainingColumn(compact=True),
             console=stderr,

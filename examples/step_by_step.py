@@ -1,0 +1,69 @@
+"""Every step by hand: keypoints, points, matches, motion, trajectory, error; frame to frame, as Zhang, section 3.
+
+It shows what the parts are called; `FeatureOdometry` does each step better, and says when it is lost.
+Usage: python examples/step_by_step.py RECORDING
+"""
+
+import sys
+
+import cv2
+import numpy as np
+
+from wheelsight import RgbdFrame, Trajectory, evaluate, open_recording
+from wheelsight.errors import DegenerateGeometryError
+from wheelsight.geometry import align_points, se3
+
+INLIER_M = 0.03
+
+orb = cv2.ORB_create(1000)
+matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+rng = np.random.default_rng(0)
+
+
+def points_and_descriptors(frame, camera):
+    """Points (N, 3) in the camera frame, metres, and BRIEF descriptors (N, 32) of keypoints that have a depth."""
+    keypoints, descriptors = orb.detectAndCompute(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), None)
+    px = cv2.KeyPoint.convert(keypoints)
+    columns, rows = np.rint(px).astype(int).T
+    depth_m = frame.depth_m[rows, columns]
+    measured = depth_m > 0
+    return camera.back_project(px[measured], depth_m[measured]), descriptors[measured]
+
+
+def align_most(p_reference, p_current, trials=200):
+    """T_reference_current on which most point pairs agree: RANSAC over closed-form alignment."""
+    agreeing = np.zeros(len(p_current), bool)
+    for _ in range(trials):
+        three = rng.choice(len(p_current), 3, replace=False)
+        try:
+            T_reference_current = align_points(p_reference[three], p_current[three])
+        except DegenerateGeometryError:
+            continue
+        distance_m = np.linalg.norm(se3.apply(T_reference_current, p_current) - p_reference, axis=1)
+        if (distance_m < INLIER_M).sum() > agreeing.sum():
+            agreeing = distance_m < INLIER_M
+    return align_points(p_reference[agreeing], p_current[agreeing])
+
+
+recording = open_recording(sys.argv[1])
+if not recording.calibration.is_registered:
+    sys.exit("this example looks depth up at colour pixels, so both must share one pixel grid")
+
+frames = (event for event in recording.events() if isinstance(event, RgbdFrame))
+first = next(frames)
+p_reference, reference_descriptors = points_and_descriptors(first, recording.calibration.depth)
+stamps_s, poses = [first.stamp_s], [np.eye(4)]
+for frame in frames:
+    p_current, descriptors = points_and_descriptors(frame, recording.calibration.depth)
+    pairs = matcher.match(reference_descriptors, descriptors)
+    of_reference, of_current = np.array([(pair.queryIdx, pair.trainIdx) for pair in pairs]).T
+    T_reference_current = align_most(p_reference[of_reference], p_current[of_current])
+    stamps_s.append(frame.stamp_s)
+    poses.append(poses[-1] @ T_reference_current)
+    p_reference, reference_descriptors = p_current, descriptors
+
+estimate = Trajectory(np.array(stamps_s), np.array(poses))
+print(f"{len(estimate)} poses over {estimate.length_m:.3f} m")
+if recording.ground_truth is not None:
+    evaluation = evaluate(estimate, recording.ground_truth)
+    print(f"ATE {evaluation.ate.translation.rmse:.4f} m RMSE")
