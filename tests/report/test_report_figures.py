@@ -79,21 +79,21 @@ def test_errors_are_those_of_the_evaluation() -> None:
     run = example_run(500)
     figure = error_figure(run)
     expected = {
-        "ATE, m": run.evaluation.ate.errors_m,
-        "RPE a frame, translation, m": run.evaluation.rpe_per_frame.errors_m,
-        "RPE a frame, rotation, °": np.degrees(run.evaluation.rpe_per_frame.errors_rad),
+        "ATE": run.evaluation.ate.errors_m,
+        "RPE a frame, translation": run.evaluation.rpe_per_frame.errors_m,
+        "RPE a frame, rotation": np.degrees(run.evaluation.rpe_per_frame.errors_rad),
     }
     for name, errors in expected.items():
         drawn = np.array(_trace(figure, name).y)
         np.testing.assert_array_equal(drawn[~np.isnan(drawn)], errors)
         assert np.isnan(drawn).sum() >= 2
-    np.testing.assert_allclose(_trace(figure, "ATE, m").x[0], run.estimate.stamps_s[0] - run.frames[0].stamp_s)
+    np.testing.assert_allclose(_trace(figure, "ATE").x[0], run.estimate.stamps_s[0] - run.frames[0].stamp_s)
 
 
 def test_errors_without_steps_of_a_frame() -> None:
     run = example_run(100)
     figure = error_figure(replace(run, evaluation=replace(run.evaluation, rpe_per_frame=None)))
-    assert [trace.name for trace in figure.data] == ["ATE, m"]
+    assert [trace.name for trace in figure.data] == ["ATE"]
 
 
 def test_errors_need_an_evaluation() -> None:
@@ -160,7 +160,7 @@ def test_long_runs_stay_light() -> None:
     for figure in figures:
         assert max(len(trace.x) for trace in figure.data) < 5000
     peak = np.nanmax(run.evaluation.ate.errors_m)
-    assert np.nanmax(_trace(figures[0], "ATE, m").y) == peak
+    assert np.nanmax(_trace(figures[0], "ATE").y) == peak
 
 
 def test_times_that_are_not_known() -> None:

@@ -26,6 +26,9 @@ _AXIS = {
     "tickcolor": _GRID,
     "automargin": False,
     "title": {"font": {"size": 13}},
+    "spikecolor": GREY,
+    "spikethickness": 1,
+    "spikedash": "solid",
 }
 _STYLE = go.layout.Template(
     layout={
@@ -47,23 +50,24 @@ def style(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
     return figure
 
 
-def add_line(figure: go.Figure, x: FloatArray, y: FloatArray, **trace: Any) -> None:
-    """A line over time (N,) that keeps gaps and peaks however long it is; lone values show as dots."""
+def add_line(figure: go.Figure, x: FloatArray, y: FloatArray, **how: Any) -> None:
+    """A line over time (N,) that keeps gaps and peaks however long it is, drawn as by `add_path`."""
     kept = series.keep_peaks(y)
-    add_path(figure, np.stack([x[kept], y[kept]], axis=-1), **trace)
+    add_path(figure, np.stack([x[kept], y[kept]], axis=-1), **how)
 
 
-def add_path(figure: go.Figure, path: FloatArray, *, line: dict[str, Any], row: int = 1, **trace: Any) -> None:
+def add_path(
+    figure: go.Figure, path: FloatArray, *, name: str, line: dict[str, Any], hover: str, row: int | None = None
+) -> None:
     """A line through points (N, 2), broken at NaN; points without neighbours show as dots."""
-    where = {"row": row, "col": 1} if row > 1 or figure._has_subplots() else {}
-    figure.add_scatter(x=path[:, 0], y=path[:, 1], mode="lines", line=line, legendgroup=trace["name"], **trace, **where)
+    where = {} if row is None else {"row": row, "col": 1}
+    text = {"name": name, "legendgroup": name, "hovertemplate": f"{name}: {hover}<extra></extra>"}
+    figure.add_scatter(x=path[:, 0], y=path[:, 1], mode="lines", line=line, **text, **where)
     lone = series.alone(path.sum(axis=1))
     if lone.any():
+        x, y = path[lone].T
         marker = {"size": line["width"] + 4, "color": line["color"]}
-        dots = trace | {"showlegend": False}
-        figure.add_scatter(
-            x=path[lone, 0], y=path[lone, 1], mode="markers", marker=marker, legendgroup=trace["name"], **dots, **where
-        )
+        figure.add_scatter(x=x, y=y, mode="markers", marker=marker, showlegend=False, **text, **where)
 
 
 def panel_title(figure: go.Figure, text: str, y: float = 1.0) -> None:

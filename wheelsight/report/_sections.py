@@ -118,7 +118,8 @@ def timing(record: RunRecord, summary: Summary) -> str:
         "time",
         figures.time_figure(record),
         "Time a frame",
-        f"{numbers}; reading images is not included. Triangles at the upper edge are frames that took longer still.",
+        f"{numbers}; reading images is not included. Triangles at the upper edge are frames that took longer still; "
+        "the first may have compiled kernels, once after installation.",
         f"Time a frame over the run. {numbers}.",
     )
     spread = html.plot(

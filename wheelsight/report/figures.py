@@ -44,10 +44,10 @@ def trajectory_figure(record: RunRecord, view: str = "xy") -> go.Figure:
     if record.evaluation is not None and record.ground_truth is not None:
         truth = _truth_path_m(record)[:, [across, up]]
         truth = truth[series.keep_shape(truth)]
-        drawing.add_path(figure, truth, name="ground truth", line={"color": GREY, "width": 4}, hovertemplate=hover)
+        drawing.add_path(figure, truth, name="ground truth", line={"color": GREY, "width": 4}, hover=hover)
     path = _estimated_path_m(record)[:, [across, up]]
     path = path[series.keep_shape(path)]
-    drawing.add_path(figure, path, name="estimate", line={"color": BLUE, "width": 2}, hovertemplate=hover)
+    drawing.add_path(figure, path, name="estimate", line={"color": BLUE, "width": 2}, hover=hover)
     _mark_ends(figure, path[~np.isnan(path).any(axis=1)])
     figure.update_xaxes(title_text=f"{view[0]}, m")
     figure.update_yaxes(title_text=f"{view[1]}, m", scaleanchor="x", scaleratio=1)
@@ -64,11 +64,12 @@ def error_figure(record: RunRecord) -> go.Figure:
     breaks_s = series.poseless_stamps_s(record)
     figure = make_subplots(rows=len(lines), cols=1, shared_xaxes=True, vertical_spacing=0.11)
     drawing.style(figure, 80 + 160 * len(lines), hovermode="x unified", showlegend=False)
-    for row, (name, stamps_s, errors, colour, hover) in enumerate(lines, start=1):
+    for row, (name, unit, stamps_s, errors) in enumerate(lines, start=1):
         x, y = series.with_gaps(stamps_s, errors, breaks_s)
         x = drawing.seconds_since_start(record, x)
-        drawing.add_line(figure, x, y, name=name, line={"color": colour, "width": 1.5}, hovertemplate=hover, row=row)
-        drawing.panel_title(figure, name, y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
+        line = {"color": VERMILLION if row == 1 else BLUE, "width": 1.5}
+        drawing.add_line(figure, x, y, name=name, line=line, hover=f"%{{y:.4f}} {unit}", row=row)
+        drawing.panel_title(figure, f"{name}, {unit}", y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
     figure.update_yaxes(rangemode="tozero")
     drawing.time_axis(figure, record)
     return figure
@@ -87,7 +88,13 @@ def status_figure(record: RunRecord) -> go.Figure:
         text = [t for a, b, n in spans for t in (f"{a:.2f} to {b:.2f} s, {words.count(n, 'frame')}",) * 2 + ("",)]
         line = {"color": STATUS_COLOURS[lane], "width": 16}
         figure.add_scatter(
-            x=x, y=[lane] * len(x), mode="lines", name=lane, line=line, text=text, hovertemplate="%{text}"
+            x=x,
+            y=[lane] * len(x),
+            mode="lines",
+            name=lane,
+            line=line,
+            text=text,
+            hovertemplate=f"{lane}: %{{text}}<extra></extra>",
         )
     order = {"categoryorder": "array", "categoryarray": lanes[::-1], "range": [-0.6, len(lanes) - 0.4]}
     figure.update_yaxes(showgrid=False, **order)
@@ -103,7 +110,7 @@ def matches_figure(record: RunRecord) -> go.Figure:
     for name, colour in (("matches", GREY), ("inliers", GREEN)):
         counts = np.array([np.nan if frame.is_skipped else getattr(frame, name) for frame in record.frames], float)
         line = {"color": colour, "width": 1.5}
-        drawing.add_line(figure, x, counts, name=name, line=line, hovertemplate="%{y:.0f}")
+        drawing.add_line(figure, x, counts, name=name, line=line, hover="%{y:.0f}")
     figure.update_yaxes(rangemode="tozero")
     drawing.panel_title(figure, "points")
     drawing.time_axis(figure, record)
@@ -118,7 +125,7 @@ def time_figure(record: RunRecord) -> go.Figure:
     ms = np.array([1e3 * frame.seconds for frame in frames], float)
     top = _time_ceiling_ms(ms)
     above, line = ms > top, {"color": BLUE, "width": 1.5}
-    drawing.add_line(figure, x, np.where(above, top, ms), name="time a frame", line=line, hovertemplate="%{y:.1f} ms")
+    drawing.add_line(figure, x, np.where(above, top, ms), name="time a frame", line=line, hover="%{y:.1f} ms")
     if above.any():
         marker = {"symbol": "triangle-up", "size": 9, "color": VERMILLION}
         figure.add_scatter(
@@ -128,7 +135,7 @@ def time_figure(record: RunRecord) -> go.Figure:
             name="slower than shown",
             marker=marker,
             customdata=ms[above],
-            hovertemplate="%{customdata:.0f} ms",
+            hovertemplate="%{customdata:.0f} ms<extra></extra>",
         )
     period_ms = 1e3 * summarise(record).frame_period_s
     if 0 < period_ms < 0.95 * top:
@@ -200,16 +207,16 @@ def _evaluation(record: RunRecord) -> Evaluation:
     return record.evaluation
 
 
-def _error_lines(evaluation: Evaluation) -> list[tuple[str, FloatArray, FloatArray, str, str]]:
-    """Panel title, stamps (M,), errors (M,), colour and hover text of each panel."""
-    lines = [("ATE, m", evaluation.ate.stamps_s, evaluation.ate.errors_m, VERMILLION, "%{y:.4f} m")]
+def _error_lines(evaluation: Evaluation) -> list[tuple[str, str, FloatArray, FloatArray]]:
+    """Name, unit, stamps (M,) and errors (M,) of each panel."""
+    lines = [("ATE", "m", evaluation.ate.stamps_s, evaluation.ate.errors_m)]
     per_frame = evaluation.rpe_per_frame
     if per_frame is None:
         return lines
     return [
         *lines,
-        ("RPE a frame, translation, m", per_frame.end_s, per_frame.errors_m, BLUE, "%{y:.4f} m"),
-        ("RPE a frame, rotation, °", per_frame.end_s, np.degrees(per_frame.errors_rad), BLUE, "%{y:.3f}°"),
+        ("RPE a frame, translation", "m", per_frame.end_s, per_frame.errors_m),
+        ("RPE a frame, rotation", "°", per_frame.end_s, np.degrees(per_frame.errors_rad)),
     ]
 
 
