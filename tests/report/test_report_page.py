@@ -90,7 +90,7 @@ def test_steps_that_do_not_exist_are_said_so(tmp_path: Path) -> None:
     run = example_run(100)
     page = _page(replace(run, evaluation=replace(run.evaluation, rpe_per_metre=None)), tmp_path)
     assert "RPE a metre, RMSE" not in page.tiles
-    assert "no step is so long" in page.rows["RPE a metre"]
+    assert "no step that long" in page.rows["RPE a metre"]
 
 
 def test_figures_hold_the_records_numbers(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def _error_table(record: RunRecord) -> str:
     rows = []
     for name, error in kinds.items():
         if error is None:
-            rows.append([name, "", *["no step is so long"], *[""] * 5])
+            rows.append([name, "", *["no step that long"], *[""] * 5])
             continue
         rows.append([f"{name}, translation", "m", *_cells(error.translation)])
         rows.append([f"{name}, rotation", "°", *_cells(error.rotation.in_degrees())])
