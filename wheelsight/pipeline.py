@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import platform
 import sys
 import time
@@ -194,8 +193,8 @@ def _write(record: RunRecord, track: _Track, recording: Recording, config: Confi
     save_config(config, folder / "config.yaml")
     write_tum(record.estimate, folder / "trajectory.txt")
     write_text(folder / "status.csv", _status_csv(record))
-    metrics = _without_nan(_metrics(record, track, recording))
-    write_text(folder / "metrics.json", json.dumps(metrics, indent=2, allow_nan=False) + "\n")
+    metrics = json.dumps(_metrics(record, track, recording), indent=2, allow_nan=False)
+    write_text(folder / "metrics.json", metrics + "\n")
     write_report(record, folder / "report.html")
 
 
@@ -246,11 +245,11 @@ def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
 def _timing(record: RunRecord, track: _Track) -> dict[str, Any]:
     """Times a frame, image decoding not included; the first frame, which may compile kernels, stands apart."""
     used_ms = [1e3 * frame.seconds for frame in record.frames if not frame.is_skipped]
-    later_ms = used_ms[1:] or [math.nan]
+    later_ms = used_ms[1:]
     return {
-        "frame_median_ms": float(np.median(later_ms)),
-        "frame_p95_ms": float(np.percentile(later_ms, 95)),
-        "frame_max_ms": max(later_ms),
+        "frame_median_ms": float(np.median(later_ms)) if later_ms else None,
+        "frame_p95_ms": float(np.percentile(later_ms, 95)) if later_ms else None,
+        "frame_max_ms": max(later_ms, default=None),
         "first_frame_ms": used_ms[0] if used_ms else None,
         "stages_median_ms": {stage: 1e3 * seconds for stage, seconds in record.stage_seconds.items()},
         "elapsed_s": track.elapsed_s,
@@ -280,12 +279,3 @@ def _peak_memory_mb() -> float | None:
         return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024)
-
-
-def _without_nan(value: Any) -> Any:
-    """The same nested values with null for what JSON cannot say."""
-    if isinstance(value, dict):
-        return {key: _without_nan(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -13,32 +13,37 @@ from wheelsight.cli._console import INTERRUPTED
 from wheelsight.cli._options import Camera, DepthFactor, MaxGap, RecordingPath, settings_from
 
 if TYPE_CHECKING:
+    from wheelsight.config import Config
     from wheelsight.report import RunRecord
+
+
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; made if need be.", show_default=False)]
+Odometry = Annotated[
+    str | None, typer.Option(metavar="NAME", help="How motion is estimated: features.", show_default="features")
+]
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Settings in YAML; options given here win over it.", show_default=False),
+]
+Reference = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="What a frame is aligned with: previous or keyframes.", show_default="keyframes"),
+]
+Seed = Annotated[int | None, typer.Option(help="Seed of all random choices.", show_default="0")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite results in DIR.")]
 
 
 def run(
     recording: RecordingPath,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for the results; made if need be.", show_default=False)
-    ],
-    odometry: Annotated[
-        str | None, typer.Option(metavar="NAME", help="How motion is estimated: features.", show_default="features")
-    ] = None,
+    out: Out,
+    odometry: Odometry = None,
     camera: Camera = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Settings in YAML; options given here win over it.", show_default=False),
-    ] = None,
+    config: SettingsFile = None,
     depth_factor: DepthFactor = None,
     max_gap: MaxGap = None,
-    reference: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="What a frame is aligned with: previous or keyframes.", show_default="keyframes"
-        ),
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of all random choices.", show_default="0")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite results in DIR.")] = False,
+    reference: Reference = None,
+    seed: Seed = None,
+    force: Force = False,
 ) -> None:
     """Find where the camera went: trajectory, status of each frame, metrics and a report go to DIR.
 
@@ -52,25 +57,26 @@ def run(
 
     wheelsight run my_recording --camera my_camera.yaml --config settings.yaml --out results --force
     """
+    of_recording: dict[str, object] = {"--camera": camera, "--depth-factor": depth_factor, "--max-gap": max_gap}
+    of_odometry: dict[str, object] = {"--odometry": odometry, "--reference": reference, "--seed": seed}
+    settings = settings_from(of_recording | of_odometry, config)
+    _print_summary(_track(recording, settings, out, force), out)
+
+
+def _track(folder: Path, settings: Config, out: Path, force: bool) -> RunRecord:
     from wheelsight import pipeline
     from wheelsight.cli._console import print_note
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.recordings import open_recording
 
-    of_recording: dict[str, object] = {"--camera": camera, "--depth-factor": depth_factor, "--max-gap": max_gap}
-    of_odometry: dict[str, object] = {"--odometry": odometry, "--reference": reference, "--seed": seed}
-    settings = settings_from(of_recording | of_odometry, config)
-    source = open_recording(recording, settings.recording.open_options())
+    source = open_recording(folder, settings.recording.open_options())
     at_first = "" if _kernels_are_compiled() else "compiling kernels, once after installation"
     try:
         with FrameProgress("tracking", source.frame_count, at_first) as progress:
-            record = pipeline.run(
-                source, settings, out, force=force, on_frame=lambda f: progress.advance(str(f.status))
-            )
+            return pipeline.run(source, settings, out, force=force, on_frame=lambda f: progress.advance(str(f.status)))
     except KeyboardInterrupt as interruption:
         print_note(f"interrupted; what was found until then is in {out}")
         raise typer.Exit(INTERRUPTED) from interruption
-    _print_summary(record, out)
 
 
 def _kernels_are_compiled() -> bool:
