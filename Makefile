@@ -19,7 +19,6 @@ QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 
 demo: recording $(VENV)/.installed-core
 	$(BIN)/wheelsight run "$(RECORDING)" --odometry features --out "$(OUT)" --force
-	@echo "The report: $(abspath $(OUT))/report.html"
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(QUICK) $(ARGS)
