@@ -13,16 +13,18 @@ from wheelsight.files import write_text
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
 
 FORMAT = "wheelsight-calibration-1"
+_SLOWEST_SHUTTER_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class DepthNoise:
     """Standard deviation of a depth reading, σ(z) = constant_m + quadratic_per_m · z², and the trusted range.
 
-    The default is Kinect v1's: Khoshelham & Elberink, Sensors 12 (2012), fitted σ(z) = 1.425e-3 z².
+    The default is Kinect v1's: Khoshelham & Elberink, Sensors 12 (2012), fitted σ(z) = 1.425e-3 z²; depth images
+    in millimetres add a constant of about one.
     """
 
-    constant_m: float = 0.0
+    constant_m: float = 0.001
     quadratic_per_m: float = 1.425e-3
     near_m: float = 0.3
     far_m: float = 10.0
@@ -52,6 +54,10 @@ class Calibration:
         depth: the depth camera; alike when registered.
         T_color_depth: (4, 4) that maps points of the depth camera into the colour camera, or None.
         depth_noise: of the depth camera.
+        rolling_shutter_s: time from the exposure of the images' first row to that of the last; 0 for a global shutter.
+            A frame's stamp is the time of its middle row.
+        color_sigma_px: how far off the colour camera's numbers may be, as a standard deviation in the image; 0 for a
+            camera calibrated well enough for it not to matter, more for nominal values.
         T_base_camera: (4, 4), or None where the recording has no base.
         source: where the numbers come from, for reports.
     """
@@ -60,6 +66,8 @@ class Calibration:
     depth: PinholeCamera
     T_color_depth: FloatArray | None = None
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
+    rolling_shutter_s: float = 0.0
+    color_sigma_px: float = 0.0
     T_base_camera: FloatArray | None = None
     source: str = "unknown"
 
@@ -72,6 +80,10 @@ class Calibration:
             object.__setattr__(self, name, T)
             if T.shape != (4, 4) or not se3.is_valid(T, tolerance=1e-4):
                 raise CalibrationError(f"{name} is not a rigid motion: orthonormal rotation, last row 0 0 0 1")
+        if not 0 <= self.rolling_shutter_s <= _SLOWEST_SHUTTER_S:
+            raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
+        if not 0 <= self.color_sigma_px < self.color.width:
+            raise CalibrationError(f"color_sigma_px is {self.color_sigma_px}, not 0 to an image's width")
         if self.T_color_depth is None and self.color != self.depth:
             raise CalibrationError(
                 "colour and depth cameras differ, but no T_color_depth says how they are joined",
@@ -118,7 +130,8 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 
 _CAMERA_FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 _NOISE_FIELDS = ("constant_m", "quadratic_per_m", "near_m", "far_m")
-_TOP_FIELDS = ("format", "source", "color", "depth", "T_color_depth", "depth_noise", "T_base_camera")
+_NUMBERS = ("rolling_shutter_s", "color_sigma_px")
+_TOP_FIELDS = ("format", "source", "color", "depth", "T_color_depth", "depth_noise", *_NUMBERS, "T_base_camera")
 
 
 def _to_document(calibration: Calibration) -> dict[str, Any]:
@@ -134,6 +147,7 @@ def _to_document(calibration: Calibration) -> dict[str, Any]:
     if not calibration.is_registered:
         document |= {"depth": camera(calibration.depth), "T_color_depth": motion(calibration.T_color_depth)}
     document["depth_noise"] = {name: float(getattr(calibration.depth_noise, name)) for name in _NOISE_FIELDS}
+    document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
     if calibration.T_base_camera is not None:
         document["T_base_camera"] = motion(calibration.T_base_camera)
     return document
@@ -152,6 +166,7 @@ def _from_document(document: Any) -> Calibration:
         depth=_camera(fields["depth"], "depth") if "depth" in fields else color,
         T_color_depth=_motion(fields.get("T_color_depth"), "T_color_depth"),
         depth_noise=DepthNoise(**{name: _number(value, f"depth_noise.{name}") for name, value in noise.items()}),
+        **{name: _number(fields[name], name) for name in _NUMBERS if name in fields},
         T_base_camera=_motion(fields.get("T_base_camera"), "T_base_camera"),
         source=str(fields.get("source", "unknown")),
     )

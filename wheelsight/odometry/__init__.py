@@ -1,0 +1,1 @@
+"""How far the camera or the robot moved: one way of telling it a sub-package."""

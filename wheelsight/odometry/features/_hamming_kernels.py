@@ -1,0 +1,97 @@
+"""Compiled Hamming distances between 256-bit descriptors, held as four 64-bit words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numba.extending import intrinsic
+
+_FAR = 1000
+
+
+@intrinsic
+def _count_bits(typing_context: Any, word: Any) -> Any:
+    """The processor's own bit count, which numba has no name for."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.ctpop(arguments[0])
+
+    return types.uint64(types.uint64), generate
+
+
+@njit(cache=True, nogil=True)
+def hamming(a: Any, b: Any) -> int:
+    """Number of bits in which two descriptors (4,) differ."""
+    bits = _count_bits(a[0] ^ b[0]) + _count_bits(a[1] ^ b[1]) + _count_bits(a[2] ^ b[2]) + _count_bits(a[3] ^ b[3])
+    return np.int64(bits)
+
+
+@njit(cache=True, nogil=True)
+def nearest_both_ways(first: Any, second: Any) -> Any:
+    """For each of (N, 4) the nearest of (M, 4) and its distance; and for each of the second its nearest in the first.
+
+    The lower index wins where distances are equal; -1 where the other set is empty.
+    """
+    n, m = len(first), len(second)
+    nearest, distance = np.full(n, -1, np.int64), np.full(n, _FAR, np.int64)
+    nearest_back, distance_back = np.full(m, -1, np.int64), np.full(m, _FAR, np.int64)
+    for i in range(n):
+        for j in range(m):
+            d = hamming(first[i], second[j])
+            if d < distance[i]:
+                distance[i], nearest[i] = d, j
+            if d < distance_back[j]:
+                distance_back[j], nearest_back[j] = d, i
+    return nearest, distance, nearest_back
+
+
+@njit(cache=True, nogil=True)
+def nearest_within(
+    expected_px: Any,
+    expected: Any,
+    px: Any,
+    descriptors: Any,
+    order: Any,
+    starts: Any,
+    columns: int,
+    rows: int,
+    cell_px: int,
+    radius_px: float,
+    max_hamming: int,
+) -> Any:
+    """For each expected keypoint the index of the nearest descriptor within `radius_px`, or -1.
+
+    Seen keypoints are sorted into cells: `order[starts[c]:starts[c + 1]]` lie in cell c. A seen keypoint wanted by
+    several goes to the one whose descriptor is nearest.
+    """
+    found = np.full(len(expected), -1, np.int64)
+    owner, owned_at = np.full(len(px), -1, np.int64), np.full(len(px), _FAR, np.int64)
+    for i in range(len(expected)):
+        u, v = expected_px[i, 0], expected_px[i, 1]
+        if not (np.isfinite(u) and np.isfinite(v)):
+            continue
+        best, second_best, best_j = _FAR, _FAR, -1
+        left, right = max(0, int((u - radius_px) // cell_px)), min(columns - 1, int((u + radius_px) // cell_px))
+        top, bottom = max(0, int((v - radius_px) // cell_px)), min(rows - 1, int((v + radius_px) // cell_px))
+        if left > right:
+            continue
+        for row in range(top, bottom + 1):
+            for place in range(starts[row * columns + left], starts[row * columns + right + 1]):
+                j = order[place]
+                if (px[j, 0] - u) ** 2 + (px[j, 1] - v) ** 2 > radius_px**2:
+                    continue
+                d = hamming(expected[i], descriptors[j])
+                if d < best:
+                    best, second_best, best_j = d, best, j
+                elif d < second_best:
+                    second_best = d
+        # Ambiguous in its own neighbourhood: a repeated texture, better left out.
+        if best_j < 0 or best > max_hamming or best > 0.9 * second_best + 1:
+            continue
+        if best < owned_at[best_j]:
+            if owner[best_j] >= 0:
+                found[owner[best_j]] = -1
+            owner[best_j], owned_at[best_j], found[i] = i, best, best_j
+    return found

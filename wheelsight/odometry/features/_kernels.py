@@ -1,0 +1,231 @@
+"""Compiled inner loops of feature odometry: depth at keypoints, RANSAC over closed-form alignment, refinement."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+_FIXED_POINT_STEPS = 6
+_FIRST_GUESS_M = 1.5
+_NEAREST_M = 0.1
+
+
+@njit(cache=True, nogil=True)
+def depth_at_keypoints(
+    depth_m: Any,
+    px: Any,
+    xy: Any,
+    R_color_depth: Any,
+    t_color_depth: Any,
+    intrinsics: Any,
+    registered: bool,
+    near_m: float,
+    far_m: float,
+    jump: float,
+) -> Any:
+    """Depth (N,) along the colour camera's z axis at keypoints (N, 2), 0 where there is none to trust.
+
+    Registered, the depth image is read at the keypoint's own pixel. Else the point is sought where the ray through
+    `xy` meets the depth image's surface: guess a depth, look where that point falls in the depth image, take the
+    depth found there as the next guess, until it stays.
+    """
+    found = np.zeros(len(px))
+    for i in range(len(px)):
+        if registered:
+            z = _smooth_depth(depth_m, px[i, 0], px[i, 1], jump)
+            if near_m <= z <= far_m:
+                found[i] = z
+            continue
+        z_color = _FIRST_GUESS_M
+        for _ in range(_FIXED_POINT_STEPS):
+            ray = np.array([xy[i, 0] * z_color, xy[i, 1] * z_color, z_color]) - t_color_depth
+            p = R_color_depth.T @ ray
+            u = intrinsics[0] * p[0] / p[2] + intrinsics[2]
+            v = intrinsics[1] * p[1] / p[2] + intrinsics[3]
+            z = _smooth_depth(depth_m, u, v, jump)
+            if not near_m <= z <= far_m:
+                z_color = 0.0
+                break
+            x, y = (u - intrinsics[2]) / intrinsics[0] * z, (v - intrinsics[3]) / intrinsics[1] * z
+            before = z_color
+            z_color = R_color_depth[2, 0] * x + R_color_depth[2, 1] * y + R_color_depth[2, 2] * z + t_color_depth[2]
+            if abs(z_color - before) < 1e-4:
+                break
+        found[i] = z_color
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _smooth_depth(depth_m: Any, u: float, v: float, jump: float) -> float:
+    """Bilinear depth at a pixel; 0 beside holes, at edges of objects and outside the image.
+
+    The sixteen readings around must all be there and differ by at most `jump` of the nearest: a keypoint on an
+    object's edge could belong to either side.
+    """
+    column, row = int(np.floor(u)), int(np.floor(v))
+    if column < 1 or row < 1 or column >= depth_m.shape[1] - 2 or row >= depth_m.shape[0] - 2:
+        return 0.0
+    low, high = np.inf, 0.0
+    for r in range(row - 1, row + 3):
+        for c in range(column - 1, column + 3):
+            z = depth_m[r, c]
+            if z <= 0:
+                return 0.0
+            low, high = min(low, z), max(high, z)
+    if high - low > jump * low:
+        return 0.0
+    a, b = u - column, v - row
+    top = (1 - a) * depth_m[row, column] + a * depth_m[row, column + 1]
+    bottom = (1 - a) * depth_m[row + 1, column] + a * depth_m[row + 1, column + 1]
+    return (1 - b) * top + b * bottom
+
+
+@njit(cache=True, nogil=True)
+def align_three(p_a: Any, p_b: Any) -> Any:
+    """Rotation and translation that lay (3, 3) points b on points a: Zhang section 3.2, the reflection mended."""
+    mean_a = (p_a[0] + p_a[1] + p_a[2]) / 3
+    mean_b = (p_b[0] + p_b[1] + p_b[2]) / 3
+    W = np.zeros((3, 3))
+    for i in range(3):
+        W += np.outer(p_a[i] - mean_a, p_b[i] - mean_b)
+    U, _, Vt = np.linalg.svd(W)
+    if np.linalg.det(U) * np.linalg.det(Vt) < 0:
+        U[:, 2] = -U[:, 2]
+    R = U @ Vt
+    return R, mean_a - R @ mean_b
+
+
+@njit(cache=True, nogil=True)
+def residuals_of(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, out: Any) -> Any:
+    """Squared, normalised distance (N,) between points (N, 3), moved, and what was seen of them; inf behind the camera.
+
+    `scale_xy`, `scale_m` (N,) are 1/σ on the plane z = 1 and of the depth; a `scale_m` of 0 leaves depth out.
+    """
+    for i in range(len(p_reference)):
+        x, y, z = p_reference[i]
+        Z = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        if Z < _NEAREST_M:
+            out[i] = np.inf
+            continue
+        u = ((R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]) / Z - xy[i, 0]) * scale_xy[i]
+        v = ((R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]) / Z - xy[i, 1]) * scale_xy[i]
+        w = (Z - depth_m[i]) * scale_m[i]
+        out[i] = u * u + v * v + w * w
+    return out
+
+
+@njit(cache=True, nogil=True)
+def ransac(
+    p_reference: Any,
+    p_current: Any,
+    xy: Any,
+    scale_xy: Any,
+    scale_m: Any,
+    gate: float,
+    iterations: int,
+    seed: int,
+) -> Any:
+    """R, t current from reference that most of N point pairs agree with, and how many do (their chi-square < gate).
+
+    Three pairs make a hypothesis. Those whose distances differ between the frames, or that stand too close together
+    to tell a rotation, are not tried. Stops early once a better hypothesis is unlikely (at 99.9 %).
+    """
+    np.random.seed(seed)
+    n = len(p_reference)
+    best_R, best_t, best, needed = np.eye(3), np.zeros(3), 0, iterations
+    squares = np.empty(n)
+    trial = 0
+    while trial < needed:
+        trial += 1
+        chosen = np.random.choice(n, 3, replace=False) if n < 20 else np.random.randint(0, n, 3)
+        if chosen[0] == chosen[1] or chosen[1] == chosen[2] or chosen[0] == chosen[2]:
+            continue
+        a, b = p_current[chosen], p_reference[chosen]
+        if not _same_triangle(a, b):
+            continue
+        R, t = align_three(a, b)
+        residuals_of(R, t, p_reference, xy, p_current[:, 2], scale_xy, scale_m, squares)
+        agreeing = np.count_nonzero(squares < gate)
+        if agreeing > best:
+            best, best_R, best_t = agreeing, R, t
+            miss = 1 - (agreeing / n) ** 3
+            needed = min(iterations, 1 if miss < 1e-9 else int(np.log(1e-3) / np.log(miss)) + 1)
+    return best_R, best_t, best
+
+
+@njit(cache=True, nogil=True)
+def _same_triangle(a: Any, b: Any) -> bool:
+    for i in range(3):
+        j = (i + 1) % 3
+        side_a = np.sqrt(((a[i] - a[j]) ** 2).sum())
+        side_b = np.sqrt(((b[i] - b[j]) ** 2).sum())
+        if side_a < 0.05 or abs(side_a - side_b) > 0.05 + 0.03 * side_a:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def normal_equations(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float) -> Any:
+    """H (6, 6), g (6,) of the robust least squares at R, t, and the weighted sum of squares.
+
+    Perturbation δ = (v, ω) from the left of T_current_reference. Weights are Geman and McClure's,
+    1 / (1 + χ² / (gate/2))², so that a pair beyond the gate counts for little.
+    """
+    H, g, cost = np.zeros((6, 6)), np.zeros(6), 0.0
+    J = np.zeros((3, 6))
+    for i in range(len(p_reference)):
+        x, y, z = p_reference[i]
+        X = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+        Y = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+        Z = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        if Z < _NEAREST_M:
+            continue
+        a = scale_xy[i] / Z
+        d = scale_m[i]
+        r0, r1, r2 = (X / Z - xy[i, 0]) * scale_xy[i], (Y / Z - xy[i, 1]) * scale_xy[i], (Z - depth_m[i]) * d
+        square = r0 * r0 + r1 * r1 + r2 * r2
+        root = 1 / (1 + square / (0.5 * gate))
+        weight = root * root
+        cost += square * root
+        # Rows: x/z, y/z and z of the moved point p; dp = v + ω × p.
+        J[0, 0], J[0, 2], J[1, 1], J[1, 2], J[2, 2] = a, -a * X / Z, a, -a * Y / Z, d
+        J[0, 3], J[0, 4], J[0, 5] = J[0, 2] * Y, a * Z - J[0, 2] * X, -a * Y
+        J[1, 3], J[1, 4], J[1, 5] = -a * Z + J[1, 2] * Y, -J[1, 2] * X, a * X
+        J[2, 3], J[2, 4] = d * Y, -d * X
+        for p in range(6):
+            g[p] += weight * (J[0, p] * r0 + J[1, p] * r1 + J[2, p] * r2)
+            for q in range(p, 6):
+                H[p, q] += weight * (J[0, p] * J[0, q] + J[1, p] * J[1, q] + J[2, p] * J[2, q])
+    for p in range(6):
+        for q in range(p):
+            H[p, q] = H[q, p]
+    return H, g, cost
+
+
+@njit(cache=True, nogil=True)
+def refine(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float, steps: int) -> Any:
+    """Gauss–Newton from R, t: the better R, t, H (6, 6) there, and χ² (N,) of all pairs."""
+    for _ in range(steps):
+        H, g, _ = normal_equations(R, t, p_reference, xy, depth_m, scale_xy, scale_m, gate)
+        for p in range(6):
+            H[p, p] += 1e-9 * H[p, p] + 1e-12
+        step = -np.linalg.solve(H, g)
+        dR = _rotation(step[3:])
+        R, t = dR @ R, dR @ t + step[:3]
+        if np.abs(step).max() < 1e-7:
+            break
+    H, _, _ = normal_equations(R, t, p_reference, xy, depth_m, scale_xy, scale_m, gate)
+    squares = residuals_of(R, t, p_reference, xy, depth_m, scale_xy, scale_m, np.empty(len(p_reference)))
+    return R, t, H, squares
+
+
+@njit(cache=True, nogil=True)
+def _rotation(omega: Any) -> Any:
+    """Rotation matrix of a rotation vector (Rodrigues)."""
+    angle = np.sqrt((omega**2).sum())
+    W = np.array([[0.0, -omega[2], omega[1]], [omega[2], 0.0, -omega[0]], [-omega[1], omega[0], 0.0]])
+    if angle < 1e-6:
+        return np.eye(3) + W + 0.5 * (W @ W)
+    return np.eye(3) + np.sin(angle) / angle * W + (1 - np.cos(angle)) / angle**2 * (W @ W)

@@ -1,0 +1,90 @@
+"""The motion between two sets of matched points: RANSAC over closed-form alignment, then refinement (Zhang, 3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.estimates import Reason
+from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.odometry.features import _kernels
+
+# Chi-square with three degrees of freedom: 99.9 % of right pairs lie below; the wider gate serves RANSAC, whose
+# hypotheses from three noisy points are rough.
+GATE = 16.3
+_ROUGH_GATE = 36.0
+_STEPS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointPairs:
+    """N points known in a reference frame and what the current frame saw of them.
+
+    Attributes:
+        p_reference: (N, 3) metres.
+        xy: (N, 2) seen on the plane z = 1.
+        depth_m: (N,) seen, 0 where there is none.
+        sigma_xy: (N,) of `xy`.
+        sigma_m: (N,) of `depth_m`.
+    """
+
+    p_reference: FloatArray
+    xy: FloatArray
+    depth_m: FloatArray
+    sigma_xy: FloatArray
+    sigma_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.p_reference)
+
+    def scales(self) -> tuple[FloatArray, FloatArray]:
+        """1/σ (N,) of `xy` and of `depth_m`; 0 for depth that is not there."""
+        return 1 / self.sigma_xy, np.where(self.depth_m > 0, 1 / np.maximum(self.sigma_m, 1e-6), 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """What refinement found.
+
+    Attributes:
+        T_current_reference: (4, 4).
+        covariance: (6, 6) of the left perturbation (v, ω) of `T_current_reference`.
+        is_inlier: (N,) which pairs agree with it.
+    """
+
+    T_current_reference: FloatArray
+    covariance: FloatArray
+    is_inlier: BoolArray
+
+
+def find_motion(pairs: PointPairs, iterations: int, min_inliers: int, seed: int) -> FloatArray | Reason:
+    """T_current_reference (4, 4) by RANSAC over triples of pairs with depth, or why there is none."""
+    usable = pairs.depth_m > 0
+    if np.count_nonzero(usable) < min_inliers:
+        return Reason.TOO_FEW_MATCHES
+    xy, depth_m = pairs.xy[usable], pairs.depth_m[usable]
+    p_current = np.column_stack([xy * depth_m[:, None], depth_m])
+    scale_xy, scale_m = pairs.scales()
+    R, t, agreeing = _kernels.ransac(
+        pairs.p_reference[usable], p_current, xy, scale_xy[usable], scale_m[usable], _ROUGH_GATE, iterations, seed
+    )
+    return se3.from_parts(R, t) if agreeing >= min_inliers else Reason.TOO_FEW_INLIERS
+
+
+def refine_motion(pairs: PointPairs, T_current_reference: FloatArray) -> Alignment:
+    """The motion that minimises the robust, noise-weighted distance of all pairs, starting from one near it.
+
+    Pixel and depth are weighted each by its σ (depth's grows with z²), which weights the 3D–3D distance of Zhang's
+    section 3.2 by the points' true, elongated uncertainty. Pairs without depth count by their pixels alone.
+    """
+    R, t = np.ascontiguousarray(T_current_reference[:3, :3]), T_current_reference[:3, 3].copy()
+    observed = (pairs.p_reference, pairs.xy, pairs.depth_m, *pairs.scales())
+    R, t, H, squares = _kernels.refine(R, t, *observed, GATE, _STEPS)
+    return Alignment(se3.from_parts(R, t), _covariance(H), squares < GATE)
+
+
+def _covariance(H: FloatArray) -> FloatArray:
+    """The inverse of an information matrix; directions it says nothing about get 10⁶ (m², rad²), never infinity."""
+    values, vectors = np.linalg.eigh(H)
+    return np.asarray((vectors / np.maximum(values, 1e-6)) @ vectors.T)

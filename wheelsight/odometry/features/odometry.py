@@ -1,0 +1,199 @@
+"""FeatureOdometry: the camera's pose, frame by frame, or an honest word that it is lost (Zhang, Fig. 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.odometry.features.extraction import FeatureExtractor, Features
+from wheelsight.odometry.features.landmarks import LandmarkMap, View
+from wheelsight.odometry.features.settings import FeatureSettings
+from wheelsight.odometry.features.stopwatch import Stopwatch
+from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
+
+# Of a fresh start: nothing is uncertain about where the world begins, but no covariance may be singular.
+_START_VARIANCE = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedPixels:
+    """Which pixels of the last frame were matched with which of its reference.
+
+    Attributes:
+        reference_stamp_s: of the reference frame, seconds.
+        px, reference_px: (N, 2) in the two colour images.
+        is_inlier: (N,) which pairs agree with the motion found.
+    """
+
+    reference_stamp_s: float
+    px: FloatArray
+    reference_px: FloatArray
+    is_inlier: BoolArray
+
+
+class FeatureOdometry:
+    """ORB + 3D–3D alignment with the state machine of Zhang's Fig. 3, and recovery.
+
+    The first frame with enough keypoints starts the world. Each later frame is aligned with the frame tracked last
+    and, unless `reference` is "previous", with the landmarks of near keyframes. A frame that fails is counted;
+    after `lost_after` in a row the state is LOST, and goes on being so until the last keyframes are recognised.
+
+    Attributes:
+        last_motion: of the last frame against its reference keyframe (or the previous frame).
+        last_matches: the pixels matched in the last frame, None where none were.
+        stage_seconds: time the last frame spent in "extract", "match", "align" and "map".
+    """
+
+    def __init__(self, calibration: Calibration, settings: FeatureSettings | None = None) -> None:
+        self._settings = settings or FeatureSettings()
+        self._extractor = FeatureExtractor(calibration, self._settings)
+        self._map = LandmarkMap(self._settings.kept_keyframes)
+        self._watch = Stopwatch()
+        self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
+        self._map_tracker = MapTracker(calibration, self._settings, self._map)
+        T = calibration.T_color_depth
+        self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
+        self._last: View | None = None
+        self._velocity: FloatArray = np.zeros(6)
+        self._failures = 0
+        self._frames = 0
+        self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
+        self.last_matches: MatchedPixels | None = None
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """Seconds the last frame spent in each stage."""
+        return self._watch.seconds
+
+    def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
+        """The camera's pose at a frame, T_world_camera, or why there is none.
+
+        Args:
+            frame: newer than the one before.
+            T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
+                for instance; bounds the search for matches.
+        """
+        self._watch.restart()
+        self._frames += 1
+        self.last_matches = None
+        with self._watch.stage("extract"):
+            raw = self._extractor.extract(frame)
+        if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
+            return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
+        if self._last is None:
+            return self._start(raw)
+        fix = self._locate(raw, self._last, T_previous_current_prior)
+        return self._succeed(fix) if isinstance(fix, Fix) else self._fail(raw.stamp_s, fix)
+
+    def miss(self, stamp_s: float) -> Estimate:
+        """Count a frame that came to nothing before it reached odometry, as a failed one."""
+        self._watch.restart()
+        self.last_matches = None
+        return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
+
+    def _start(self, features: Features) -> Estimate:
+        T_world_color = se3.invert(self._T_color_camera)
+        view = View(features, T_world_color, _START_VARIANCE * np.eye(6), np.full(len(features), -1))
+        self._last = self._map.add_keyframe(view)
+        self.last_motion = MotionEstimate(np.eye(4), view.covariance)
+        return self._answer(self._last)
+
+    def _locate(self, raw: Features, last: View, prior: FloatArray | None) -> Fix | MotionEstimate:
+        """Align with the first reference that works, then with the map; refuse what no camera could have done."""
+        expected = None if prior is None else self._in_color(prior)
+        failure = MotionEstimate.failed(Reason.TOO_FEW_MATCHES)
+        for reference in self._references(last):
+            found = self._view_tracker.track(
+                raw, reference, self._velocity, expected if reference is last else None, self._frames
+            )
+            if isinstance(found, Fix):
+                break
+            failure = found if reference is last else failure
+        else:
+            return failure
+        if self._settings.reference == "keyframes":
+            with self._watch.stage("map"):
+                refined = self._map_tracker.track(raw, found, last)
+            if isinstance(refined, MotionEstimate):
+                return refined
+            found = refined
+        if not self._is_plausible(last, found):
+            return MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.motion.matches, found.motion.inliers)
+        return found
+
+    def _references(self, last: View) -> list[View]:
+        """The view tracked last; while frames fail, also the newest keyframe; once lost, some older ones in turn."""
+        keyframes = self._map.keyframes
+        references = [last]
+        if self._failures > 0:
+            references.append(keyframes[-1])
+        if self._failures >= self._settings.lost_after and len(keyframes) > 1:
+            references.append(keyframes[-1 - self._failures % len(keyframes)])
+        return [view for place, view in enumerate(references) if all(view is not other for other in references[:place])]
+
+    def _is_plausible(self, last: View, fix: Fix) -> bool:
+        seconds = fix.view.features.stamp_s - last.features.stamp_s
+        velocity = velocity_of(last, fix.view, seconds)
+        fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
+        return not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s)
+
+    def _succeed(self, fix: Fix) -> Estimate:
+        with self._watch.stage("map"):
+            view = self._update(fix)
+        seconds = view.features.stamp_s - self._last.features.stamp_s if self._last else np.inf
+        self._velocity = velocity_of(self._last, view, seconds) if self._last else np.zeros(6)
+        self._last, self._failures = view, 0
+        self.last_motion = self._in_camera(fix.motion)
+        self.last_matches = MatchedPixels(*fix.pixels)
+        return self._answer(view)
+
+    def _update(self, fix: Fix) -> View:
+        """Remember what was seen; keep the view as a keyframe when too little of the last one is in sight."""
+        if self._settings.reference == "previous":
+            self._map.keyframes[:] = [fix.view]
+            return fix.view
+        seen = np.flatnonzero(fix.view.landmark >= 0)
+        self._map.see_again(fix.view.landmark[seen], fix.view.features, seen, fix.view.T_world_color)
+        known = np.count_nonzero(self._map.keyframes[-1].landmark >= 0)
+        if len(seen) < self._settings.keyframe_share * known:
+            return self._map.add_keyframe(fix.view)
+        return fix.view
+
+    def _fail(self, stamp_s: float, failure: MotionEstimate) -> Estimate:
+        self._failures += 1
+        self._velocity = np.zeros(6)
+        self.last_motion = failure
+        lost = self._failures >= self._settings.lost_after
+        status = Status.LOST if lost else Status.FAILING
+        if self._last is None:
+            status = Status.INITIALIZING
+        return Estimate(
+            stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers
+        )
+
+    def _answer(self, view: View) -> Estimate:
+        return Estimate(
+            view.features.stamp_s,
+            Status.TRACKING,
+            view.T_world_color @ self._T_color_camera,
+            view.covariance,
+            matches=self.last_motion.matches,
+            inliers=self.last_motion.inliers,
+        )
+
+    def _in_color(self, T_previous_current: FloatArray) -> FloatArray:
+        """A motion of the camera frame as one of the colour camera."""
+        return self._T_color_camera @ T_previous_current @ se3.invert(self._T_color_camera)
+
+    def _in_camera(self, motion: MotionEstimate) -> MotionEstimate:
+        """A motion of the colour camera as one of the camera frame."""
+        assert motion.T_reference_current is not None and motion.covariance is not None
+        T_camera_color = se3.invert(self._T_color_camera)
+        Ad = se3.adjoint(T_camera_color)
+        T_reference_current = T_camera_color @ motion.T_reference_current @ self._T_color_camera
+        return replace(motion, T_reference_current=T_reference_current, covariance=Ad @ motion.covariance @ Ad.T)
