@@ -1,1 +1,3 @@
 """How far the camera or the robot moved: one way of telling it a sub-package."""
+
+__all__: list[str] = []

@@ -12,7 +12,7 @@ _FAR = 1000
 
 
 @intrinsic
-def _count_bits(typing_context: Any, word: Any) -> Any:
+def _ctpop(typing_context: Any, word: Any) -> Any:
     """The processor's own bit count, which numba has no name for."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -21,8 +21,11 @@ def _count_bits(typing_context: Any, word: Any) -> Any:
     return types.uint64(types.uint64), generate
 
 
+_count_bits: Any = _ctpop
+
+
 @njit(cache=True, nogil=True)
-def hamming(a: Any, b: Any) -> int:
+def hamming(a: Any, b: Any) -> Any:
     """Number of bits in which two descriptors (4,) differ."""
     bits = _count_bits(a[0] ^ b[0]) + _count_bits(a[1] ^ b[1]) + _count_bits(a[2] ^ b[2]) + _count_bits(a[3] ^ b[3])
     return np.int64(bits)

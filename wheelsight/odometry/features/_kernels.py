@@ -58,7 +58,7 @@ def depth_at_keypoints(
 
 
 @njit(cache=True, nogil=True)
-def _smooth_depth(depth_m: Any, u: float, v: float, jump: float) -> float:
+def _smooth_depth(depth_m: Any, u: float, v: float, jump: float) -> Any:
     """Bilinear depth at a pixel; 0 beside holes, at edges of objects and outside the image.
 
     The sixteen readings around must all be there and differ by at most `jump` of the nearest: a keypoint on an
@@ -147,7 +147,7 @@ def ransac(
             continue
         R, t = align_three(a, b)
         residuals_of(R, t, p_reference, xy, p_current[:, 2], scale_xy, scale_m, squares)
-        agreeing = np.count_nonzero(squares < gate)
+        agreeing = int(np.count_nonzero(squares < gate))
         if agreeing > best:
             best, best_R, best_t = agreeing, R, t
             miss = 1 - (agreeing / n) ** 3
@@ -167,7 +167,9 @@ def _same_triangle(a: Any, b: Any) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def normal_equations(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float) -> Any:
+def normal_equations(
+    R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float
+) -> Any:
     """H (6, 6), g (6,) of the robust least squares at R, t, and the weighted sum of squares.
 
     Perturbation δ = (v, ω) from the left of T_current_reference. Weights are Geman and McClure's,
@@ -205,7 +207,9 @@ def normal_equations(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, sc
 
 
 @njit(cache=True, nogil=True)
-def refine(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float, steps: int) -> Any:
+def refine(
+    R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float, steps: int
+) -> Any:
     """Gauss–Newton from R, t: the better R, t, H (6, 6) there, and χ² (N,) of all pairs."""
     for _ in range(steps):
         H, g, _ = normal_equations(R, t, p_reference, xy, depth_m, scale_xy, scale_m, gate)

@@ -57,6 +57,11 @@ class Alignment:
     covariance: FloatArray
     is_inlier: BoolArray
 
+    @property
+    def inliers(self) -> int:
+        """How many pairs agree."""
+        return int(np.count_nonzero(self.is_inlier))
+
 
 def find_motion(pairs: PointPairs, iterations: int, min_inliers: int, seed: int) -> FloatArray | Reason:
     """T_current_reference (4, 4) by RANSAC over triples of pairs with depth, or why there is none."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -63,11 +64,9 @@ class FeatureExtractor:
     def __init__(self, calibration: Calibration, settings: FeatureSettings) -> None:
         self._calibration = calibration
         self._settings = settings
-        self._orb = cv2.ORB.create(
-            nfeatures=settings.candidates,
-            scaleFactor=_SCALE,
-            nlevels=settings.pyramid_levels,
-            fastThreshold=settings.fast_threshold,
+        self._orb, self._faint = (
+            cv2.ORB.create(settings.candidates, _SCALE, settings.pyramid_levels, fastThreshold=threshold)
+            for threshold in (settings.fast_threshold, settings.fast_threshold_faint)
         )
 
     def extract(self, frame: RgbdFrame) -> Features:
@@ -86,22 +85,21 @@ class FeatureExtractor:
             self._settings.depth_jump,
         )
         sigma_px = np.hypot(_SIGMA_PX * _SIGMA_GROWTH**octave, calibration.color_sigma_px)
-        return Features(
-            frame.stamp_s, px, descriptors, xy, depth_m, sigma_px, calibration.depth_noise.sigma_m(depth_m)
-        )
+        return Features(frame.stamp_s, px, descriptors, xy, depth_m, sigma_px, calibration.depth_noise.sigma_m(depth_m))
 
     def _keypoints(self, grey: np.ndarray) -> tuple[FloatArray, IntArray, UInt64Array]:
         """Pixels (N, 2), pyramid levels (N,) and descriptors (N, 4), spread over the image."""
         candidates = self._orb.detect(grey, None)
-        px = cv2.KeyPoint.convert(candidates).reshape(-1, 2)
+        if len(candidates) < self._settings.keypoints:
+            candidates = self._faint.detect(grey, None)
+        px = _pixels_of(candidates)
         strength = np.fromiter((k.response for k in candidates), float, len(candidates))
         chosen = spread(px, strength, self._settings.cell_px, self._settings.keypoints)
         kept, descriptors = self._orb.compute(grey, [candidates[i] for i in chosen])
-        if descriptors is None:
-            return np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 4), np.uint64)
         octave = np.fromiter((k.octave for k in kept), np.int64, len(kept))
-        words = np.ascontiguousarray(descriptors).view(np.uint64)
-        return cv2.KeyPoint.convert(kept).astype(float), octave, words
+        words = np.zeros((0, 4), np.uint64) if len(kept) == 0 else np.ascontiguousarray(descriptors).view(np.uint64)
+        # OpenCV scales a level's pixel indices up; the pixels' centres lie half a pixel of that level further on.
+        return _pixels_of(kept) + 0.5 * (_SCALE**octave - 1)[:, None], octave, words
 
     def _geometry(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Rotation and translation colour from depth, and the depth camera's fx, fy, cx, cy."""
@@ -110,6 +108,11 @@ class FeatureExtractor:
         depth = self._calibration.depth
         R, t = np.ascontiguousarray(T_color_depth[:3, :3]), T_color_depth[:3, 3].copy()
         return R, t, np.array([depth.fx, depth.fy, depth.cx, depth.cy])
+
+
+def _pixels_of(keypoints: Sequence[cv2.KeyPoint]) -> FloatArray:
+    """(N, 2)."""
+    return np.array(cv2.KeyPoint.convert(keypoints), float).reshape(-1, 2)
 
 
 def spread(px: FloatArray, strength: FloatArray, cell_px: int, wanted: int) -> IntArray:

@@ -172,9 +172,7 @@ class FeatureOdometry:
         status = Status.LOST if lost else Status.FAILING
         if self._last is None:
             status = Status.INITIALIZING
-        return Estimate(
-            stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers
-        )
+        return Estimate(stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers)
 
     def _answer(self, view: View) -> Estimate:
         return Estimate(
@@ -192,7 +190,8 @@ class FeatureOdometry:
 
     def _in_camera(self, motion: MotionEstimate) -> MotionEstimate:
         """A motion of the colour camera as one of the camera frame."""
-        assert motion.T_reference_current is not None and motion.covariance is not None
+        if motion.T_reference_current is None or motion.covariance is None:
+            return motion
         T_camera_color = se3.invert(self._T_color_camera)
         Ad = se3.adjoint(T_camera_color)
         T_reference_current = T_camera_color @ motion.T_reference_current @ self._T_color_camera

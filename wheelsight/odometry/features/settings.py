@@ -19,9 +19,10 @@ class FeatureSettings(BaseModel):
 
     keypoints: int = Field(1000, ge=50, le=20_000, description="kept in each frame, spread over the image")
     candidates: int = Field(2000, ge=50, le=50_000, description="detected before spreading")
-    fast_threshold: PositiveInt = Field(7, description="grey levels by which a corner's ring must differ")
+    fast_threshold: PositiveInt = Field(20, description="grey levels by which a corner's ring must differ")
+    fast_threshold_faint: PositiveInt = Field(7, description="the same where an image has too few clear corners")
     pyramid_levels: int = Field(8, ge=1, le=12, description="image scales, each 1.2 times smaller")
-    cell_px: int = Field(40, ge=8, description="cells in which keypoints compete when they are spread")
+    cell_px: int = Field(64, ge=8, description="cells in which keypoints compete when they are spread")
     depth_jump: PositiveFloat = Field(
         0.03, description="share of the depth by which readings around a keypoint may differ; more is an edge"
     )

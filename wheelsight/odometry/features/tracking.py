@@ -69,7 +69,7 @@ class _Tracker:
 
     def _judge(self, found: Alignment) -> Reason | None:
         """Why an alignment is no answer, or None."""
-        if np.count_nonzero(found.is_inlier) < self._settings.min_inliers:
+        if found.inliers < self._settings.min_inliers:
             return Reason.TOO_FEW_INLIERS
         variance_m = np.linalg.eigvalsh(found.covariance[:3, :3])[-1]
         variance_rad = np.linalg.eigvalsh(found.covariance[3:, 3:])[-1]
@@ -114,7 +114,7 @@ class ViewTracker(_Tracker):
                 pairs = self._pairs(features, reference.features, matches)
                 found = refine_motion(pairs, found.T_current_reference)
         if reason := self._judge(found):
-            return MotionEstimate.failed(reason, len(pairs), np.count_nonzero(found.is_inlier))
+            return MotionEstimate.failed(reason, len(pairs), found.inliers)
         return self._fix(features, reference, matches, found)
 
     def _match(self, features: Features, reference: Features, expected: FloatArray | None) -> Matches:
@@ -136,9 +136,7 @@ class ViewTracker(_Tracker):
         i, j = matches
         sigma_px = np.hypot(reference.sigma_px[i], features.sigma_px[j])
         sigma_m = np.hypot(reference.sigma_m[i], features.sigma_m[j])
-        return PointPairs(
-            reference.points[i], features.xy[j], features.depth_m[j], sigma_px / self._color.fx, sigma_m
-        )
+        return PointPairs(reference.points[i], features.xy[j], features.depth_m[j], sigma_px / self._color.fx, sigma_m)
 
     def _fix(self, features: Features, reference: View, matches: Matches, found: Alignment) -> Fix:
         T_reference_current = se3.invert(found.T_current_reference)
@@ -151,7 +149,7 @@ class ViewTracker(_Tracker):
             reference.covariance + Ad_world @ motion_covariance @ Ad_world.T,
             np.full(len(features), -1),
         )
-        inliers = np.count_nonzero(found.is_inlier)
+        inliers = found.inliers
         motion = MotionEstimate(T_reference_current, motion_covariance, None, len(matches.first), inliers)
         px, reference_px = features.px[matches.second], reference.features.px[matches.first]
         return Fix(view, motion, (reference.features.stamp_s, px, reference_px, found.is_inlier))
@@ -178,7 +176,7 @@ class MapTracker(_Tracker):
             pairs = self._pairs(numbers, features, seen)
             found = refine_motion(pairs, found.T_current_reference)
         if reason := self._judge(found):
-            return MotionEstimate.failed(reason, len(pairs), np.count_nonzero(found.is_inlier))
+            return MotionEstimate.failed(reason, len(pairs), found.inliers)
         landmark = np.full(len(features), -1)
         landmark[seen[found.is_inlier]] = numbers[found.is_inlier]
         return self._fix(features, landmark, found, rough, len(pairs))
@@ -218,6 +216,6 @@ class MapTracker(_Tracker):
         T_keyframe_world = se3.invert(keyframe.T_world_color)
         Ad_keyframe = se3.adjoint(T_keyframe_world)
         covariance = Ad_keyframe @ in_map @ Ad_keyframe.T
-        inliers = np.count_nonzero(found.is_inlier)
+        inliers = found.inliers
         motion = MotionEstimate(T_keyframe_world @ T_world_color, covariance, None, matches, inliers)
         return Fix(view, motion, rough.pixels)
