@@ -34,12 +34,13 @@ noises = st.builds(DepthNoise, st.floats(0, 1), positive, st.floats(0, 1), st.fl
 
 def assert_same(first: Calibration, second: Calibration) -> None:
     assert (first.color, first.depth) == (second.color, second.depth)
-    assert (first.depth_noise, first.source) == (second.depth_noise, second.source)
+    for name in ("depth_noise", "rolling_shutter_s", "color_sigma_px", "source"):
+        assert getattr(first, name) == getattr(second, name)
     for name in ("T_color_depth", "T_base_camera"):
         np.testing.assert_equal(getattr(first, name), getattr(second, name))
 
 
-@given(cameras, cameras, motions, motions, noises, st.text(max_size=20))
+@given(cameras, cameras, motions, motions, noises, st.floats(0, 0.2), st.floats(0, 0.9), st.text(max_size=20))
 def test_yaml_keeps_everything_to_the_last_bit(
     tmp_path_factory: pytest.TempPathFactory,
     color: PinholeCamera,
@@ -47,10 +48,14 @@ def test_yaml_keeps_everything_to_the_last_bit(
     T_color_depth: np.ndarray | None,
     T_base_camera: np.ndarray | None,
     noise: DepthNoise,
+    shutter_s: float,
+    sigma_px: float,
     source: str,
 ) -> None:
     depth = color if T_color_depth is None else depth
-    calibration = Calibration(color, depth, T_color_depth, noise, T_base_camera, source)
+    calibration = Calibration(
+        color, depth, T_color_depth, noise, shutter_s, sigma_px, T_base_camera=T_base_camera, source=source
+    )
     path = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
     save_calibration(calibration, path)
     assert_same(load_calibration(path), calibration)
