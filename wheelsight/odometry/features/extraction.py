@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
@@ -15,9 +16,7 @@ from wheelsight.geometry._types import UInt64Array
 from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.settings import FeatureSettings
 
-_SCALE = 1.2
-# Reprojection residuals of 150 000 matches on two Kinect recordings: σ is 0.65 px at full size and grows with the
-# pyramid level more slowly than the level's pixels do (1.12 against 1.2 a level).
+SCALE = 1.2
 _SIGMA_PX, _SIGMA_GROWTH = 0.65, 1.12
 # Depth of keypoints that have none, where one is needed to straighten rows: it only scales a small parallax.
 _TYPICAL_DEPTH_M = 2.0
@@ -30,6 +29,7 @@ class Features:
     Attributes:
         stamp_s: of the frame, seconds.
         px: (N, 2) where they were detected, distorted pixels.
+        level: (N,) of the image pyramid, each `SCALE` times smaller than the one before.
         descriptors: (N, 4) uint64, the 256 bits of ORB.
         xy: (N, 2) on the plane z = 1, without lens distortion and rolling shutter.
         depth_m: (N,) along the colour camera's z axis, 0 where there is none to trust.
@@ -38,6 +38,7 @@ class Features:
 
     stamp_s: float
     px: FloatArray
+    level: IntArray
     descriptors: UInt64Array
     xy: FloatArray
     depth_m: FloatArray
@@ -65,13 +66,13 @@ class FeatureExtractor:
         self._calibration = calibration
         self._settings = settings
         self._orb, self._faint = (
-            cv2.ORB.create(settings.candidates, _SCALE, settings.pyramid_levels, fastThreshold=threshold)
+            cv2.ORB.create(settings.candidates, SCALE, settings.pyramid_levels, fastThreshold=threshold)
             for threshold in (settings.fast_threshold, settings.fast_threshold_faint)
         )
 
     def extract(self, frame: RgbdFrame) -> Features:
         """The features of a frame, rows not yet straightened (see `straighten`)."""
-        px, octave, descriptors = self._keypoints(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY))
+        px, level, descriptors = self._keypoints(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY))
         calibration = self._calibration
         xy = calibration.color.normalise(px)
         depth_m = _kernels.depth_at_keypoints(
@@ -84,8 +85,9 @@ class FeatureExtractor:
             calibration.depth_noise.far_m,
             self._settings.depth_jump,
         )
-        sigma_px = np.hypot(_SIGMA_PX * _SIGMA_GROWTH**octave, calibration.color_sigma_px)
-        return Features(frame.stamp_s, px, descriptors, xy, depth_m, sigma_px, calibration.depth_noise.sigma_m(depth_m))
+        sigma_px = np.hypot(keypoint_sigma_px(level), calibration.color_sigma_px)
+        sigma_m = calibration.depth_noise.sigma_m(depth_m)
+        return Features(frame.stamp_s, px, level, descriptors, xy, depth_m, sigma_px, sigma_m)
 
     def _keypoints(self, grey: np.ndarray) -> tuple[FloatArray, IntArray, UInt64Array]:
         """Pixels (N, 2), pyramid levels (N,) and descriptors (N, 4), spread over the image."""
@@ -96,10 +98,10 @@ class FeatureExtractor:
         strength = np.fromiter((k.response for k in candidates), float, len(candidates))
         chosen = spread(px, strength, self._settings.cell_px, self._settings.keypoints)
         kept, descriptors = self._orb.compute(grey, [candidates[i] for i in chosen])
-        octave = np.fromiter((k.octave for k in kept), np.int64, len(kept))
+        level = np.fromiter((k.octave for k in kept), np.int64, len(kept))
         words = np.zeros((0, 4), np.uint64) if len(kept) == 0 else np.ascontiguousarray(descriptors).view(np.uint64)
         # OpenCV scales a level's pixel indices up; the pixels' centres lie half a pixel of that level further on.
-        return _pixels_of(kept) + 0.5 * (_SCALE**octave - 1)[:, None], octave, words
+        return _pixels_of(kept) + 0.5 * (SCALE**level - 1)[:, None], level, words
 
     def _geometry(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Rotation and translation colour from depth, and the depth camera's fx, fy, cx, cy."""
@@ -113,6 +115,15 @@ class FeatureExtractor:
 def _pixels_of(keypoints: Sequence[cv2.KeyPoint]) -> FloatArray:
     """(N, 2)."""
     return np.array(cv2.KeyPoint.convert(keypoints), float).reshape(-1, 2)
+
+
+def keypoint_sigma_px(level: ArrayLike) -> FloatArray:
+    """Standard deviation (...) of a keypoint's pixel, found on a pyramid level (...).
+
+    Measured on two Kinect recordings (`python -m benchmarks.sensor`): it grows with the level more slowly than the
+    level's pixels do.
+    """
+    return np.asarray(_SIGMA_PX * _SIGMA_GROWTH ** np.asarray(level, float))
 
 
 def spread(px: FloatArray, strength: FloatArray, cell_px: int, wanted: int) -> IntArray:
