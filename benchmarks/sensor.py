@@ -126,7 +126,7 @@ def _noise_table(views: list[Features], velocities: list[FloatArray], calibratio
         off_px = (p[:, :2] / p[:, 2:] - pairs.xy) * (calibration.color.fx, calibration.color.fy)
         for level in range(levels.max() + 1):
             left.setdefault(level, []).append(off_px[levels == level].ravel())
-    table = Table(title="Noise of a keypoint, px (robust: 1.4826 × median deviation)")
+    table = Table(title="Noise of a keypoint, px")
     for name in ("level", "pixels of the level", "measured σ", "assumed σ"):
         table.add_column(name, justify="right")
     for level, parts in sorted(left.items()):
