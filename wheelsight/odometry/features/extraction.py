@@ -100,8 +100,7 @@ class FeatureExtractor:
         kept, descriptors = self._orb.compute(grey, [candidates[i] for i in chosen])
         level = np.fromiter((k.octave for k in kept), np.int64, len(kept))
         words = np.zeros((0, 4), np.uint64) if len(kept) == 0 else np.ascontiguousarray(descriptors).view(np.uint64)
-        # OpenCV scales a level's pixel indices up; the pixels' centres lie half a pixel of that level further on.
-        return _pixels_of(kept) + 0.5 * (SCALE**level - 1)[:, None], level, words
+        return _in_full_image(_pixels_of(kept), level, grey.shape), level, words
 
     def _geometry(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Rotation and translation colour from depth, and the depth camera's fx, fy, cx, cy."""
@@ -124,6 +123,17 @@ def keypoint_sigma_px(level: ArrayLike) -> FloatArray:
     level's pixels do.
     """
     return np.asarray(_SIGMA_PX * _SIGMA_GROWTH ** np.asarray(level, float))
+
+
+def _in_full_image(px: FloatArray, level: IntArray, shape: tuple[int, ...]) -> FloatArray:
+    """Where the centres of pyramid pixels lie in the full image (height, width); OpenCV gives `px` (N, 2).
+
+    OpenCV multiplies a level's pixel indices by 1.2 a level. But the centre of pixel 0 moves too, and a level has a
+    whole number of pixels, so that it is not scaled by exactly that: 1.4 px at the far edge of 640.
+    """
+    size = np.array([shape[1], shape[0]])
+    scale = SCALE ** level[:, None]
+    return (px / scale + 0.5) * (size / np.rint(size / scale)) - 0.5
 
 
 def spread(px: FloatArray, strength: FloatArray, cell_px: int, wanted: int) -> IntArray:
