@@ -119,9 +119,8 @@ class FeatureOdometry:
         if self._settings.reference == "keyframes":
             with self._watch.stage("map"):
                 refined = self._map_tracker.track(raw, found, last)
-            if isinstance(refined, MotionEstimate):
-                return refined
-            found = refined
+            # A quick turn may leave the map behind at once; the view alone then carries on, and becomes a keyframe.
+            found = refined if isinstance(refined, Fix) else found
         if not self._is_plausible(last, found):
             return MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.motion.matches, found.motion.inliers)
         return found
