@@ -29,7 +29,8 @@ def depth_at_keypoints(
 
     Registered, the depth image is read at the keypoint's own pixel. Else the point is sought where the ray through
     `xy` meets the depth image's surface: guess a depth, look where that point falls in the depth image, take the
-    depth found there as the next guess, until it stays.
+    depth found there as the next guess, until it stays. Where it does not, at edges that one camera sees past and the
+    other does not, there is none.
     """
     found = np.zeros(len(px))
     for i in range(len(px)):
@@ -42,18 +43,19 @@ def depth_at_keypoints(
         for _ in range(_FIXED_POINT_STEPS):
             ray = np.array([xy[i, 0] * z_color, xy[i, 1] * z_color, z_color]) - t_color_depth
             p = R_color_depth.T @ ray
+            if p[2] < _NEAREST_M:
+                break
             u = intrinsics[0] * p[0] / p[2] + intrinsics[2]
             v = intrinsics[1] * p[1] / p[2] + intrinsics[3]
             z = _smooth_depth(depth_m, u, v, jump)
             if not near_m <= z <= far_m:
-                z_color = 0.0
                 break
             x, y = (u - intrinsics[2]) / intrinsics[0] * z, (v - intrinsics[3]) / intrinsics[1] * z
             before = z_color
             z_color = R_color_depth[2, 0] * x + R_color_depth[2, 1] * y + R_color_depth[2, 2] * z + t_color_depth[2]
             if abs(z_color - before) < 1e-4:
+                found[i] = z_color
                 break
-        found[i] = z_color
     return found
 
 
