@@ -1,0 +1,17 @@
+"""Compiled kernels as the plain Python they were written in."""
+
+from __future__ import annotations
+
+from types import FunctionType, ModuleType, SimpleNamespace
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+
+def plain(module: ModuleType) -> SimpleNamespace:
+    """A module's kernels uncompiled, all the way down; bits are counted by numpy, the processor's count having no name."""
+    names = dict(vars(module))
+    names["_count_bits"] = lambda word: int(np.bitwise_count(word))
+    kernels = {name: kernel.py_func for name, kernel in names.items() if isinstance(kernel, Dispatcher)}
+    names |= {name: FunctionType(f.__code__, names, name, f.__defaults__) for name, f in kernels.items()}
+    return SimpleNamespace(**{name: names[name] for name in kernels})

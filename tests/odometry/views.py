@@ -1,0 +1,68 @@
+"""Frames of the synthetic room, what odometry says of them, and how far that is from the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from synthetic import CAMERA, render_room
+
+from wheelsight.calibration import Calibration
+from wheelsight.estimates import Estimate
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
+
+FRAME_S = 1 / 30
+
+
+def room_frame(
+    T_world_camera: FloatArray,
+    stamp_s: float,
+    camera: PinholeCamera = CAMERA,
+    seed: int = 0,
+    *,
+    depth_noise: bool = False,
+    blank: bool = False,
+) -> RgbdFrame:
+    """The room as a registered camera sees it."""
+    return RgbdFrame(stamp_s, *render_room(T_world_camera, camera, seed, depth_noise, blank))
+
+
+def covered_frame(stamp_s: float, camera: PinholeCamera = CAMERA) -> RgbdFrame:
+    """What a camera sees whose lens is covered: nothing."""
+    size = (camera.height, camera.width)
+    return RgbdFrame(stamp_s, np.zeros((*size, 3), np.uint8), np.zeros(size, np.float32))
+
+
+def room_frames(trajectory: Iterable[tuple[float, FloatArray]], **how: object) -> list[RgbdFrame]:
+    """The room seen along a trajectory."""
+    return [room_frame(T_world_camera, stamp_s, **how) for stamp_s, T_world_camera in trajectory]
+
+
+def odometry(calibration: Calibration | None = None, **settings: object) -> FeatureOdometry:
+    """Feature odometry of the room's camera unless another is given."""
+    return FeatureOdometry(calibration or Calibration.registered_camera(CAMERA), FeatureSettings(**settings))
+
+
+def run(subject: FeatureOdometry, frames: Iterable[RgbdFrame]) -> list[Estimate]:
+    """What it answers, frame by frame."""
+    return [subject.process(frame) for frame in frames]
+
+
+def from_start(T_world_camera: FloatArray) -> FloatArray:
+    """Poses (N, 4, 4) in the frame of the first, which is odometry's world."""
+    return se3.invert(T_world_camera[0]) @ T_world_camera
+
+
+def error_of(estimate: Estimate, T_world_camera: FloatArray) -> tuple[float, float]:
+    """Metres and radians between an estimate and the truth (4, 4) in its world."""
+    assert estimate.T_world_body is not None, f"no pose: {estimate.reason}"
+    apart = se3.invert(T_world_camera) @ estimate.T_world_body
+    return float(np.linalg.norm(apart[:3, 3])), float(so3.angle(apart[:3, :3]))
+
+
+def nees(estimate: Estimate, T_world_camera: FloatArray) -> float:
+    """Normalised estimation error squared of a pose: chi-square with six degrees of freedom where it is honest."""
+    error = se3.log(T_world_camera @ se3.invert(estimate.T_world_body))
+    return float(error @ np.linalg.solve(estimate.covariance, error))
