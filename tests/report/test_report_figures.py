@@ -47,6 +47,33 @@ def test_start_and_end_are_marked() -> None:
         assert mark.text == (name,)
 
 
+@pytest.mark.parametrize("view", VIEWS)
+def test_no_path_is_cut_at_the_edge(view: str) -> None:
+    figure = trajectory_figure(example_run(500), view)
+    for name in ("estimate", "ground truth"):
+        path = _trace(figure, name)
+        for drawn, axis in ((path.x, figure.layout.xaxis), (path.y, figure.layout.yaxis)):
+            low, high = axis.range
+            margin = 0.05 * (high - low)
+            assert low + 0.5 * margin < np.nanmin(drawn)
+            assert np.nanmax(drawn) < high - 0.5 * margin
+
+
+def test_the_words_of_start_and_end_stay_apart() -> None:
+    run = example_run(100, with_truth=False)
+    figure = trajectory_figure(run, "xz")
+    start, end = _trace(figure, "start"), _trace(figure, "end")
+    upper, lower = (start, end) if start.y[0] >= end.y[0] else (end, start)
+    assert (upper.textposition, lower.textposition) == ("top center", "bottom center")
+
+
+def test_a_single_pose_has_room_around_it() -> None:
+    run = example_run(1, with_truth=False)
+    figure = trajectory_figure(run)
+    low, high = figure.layout.xaxis.range
+    assert low < _trace(figure, "start").x[0] < high
+
+
 def test_without_an_evaluation_no_truth_is_drawn() -> None:
     run = replace(example_run(100), evaluation=None)
     figure = trajectory_figure(run)

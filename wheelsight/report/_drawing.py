@@ -16,6 +16,8 @@ from wheelsight.report.record import FrameRecord, RunRecord
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
 ORANGE, SKY = "#E69F00", "#56B4E9"
 DASHED = {"color": GREY, "width": 1.5, "dash": "dash"}
+_AIR = 0.08  # of the longer side, around a path: enough for the words at its ends
+_LEAST_EXTENT_M = 0.01
 _GRID = "rgba(128,128,128,0.22)"
 _AXIS = {
     "gridcolor": _GRID,
@@ -68,6 +70,15 @@ def add_path(
         x, y = path[lone].T
         marker = {"size": line["width"] + 4, "color": line["color"]}
         figure.add_scatter(x=x, y=y, mode="markers", marker=marker, showlegend=False, **text, **where)
+
+
+def room_around(points: FloatArray) -> tuple[list[float] | None, list[float] | None]:
+    """Ranges of x and y that hold all points (N, 2) with some air, so that no line is cut; None without points."""
+    if not len(points):
+        return None, None
+    low, high = points.min(axis=0), points.max(axis=0)
+    air = _AIR * max(float((high - low).max()), _LEAST_EXTENT_M)
+    return [low[0] - air, high[0] + air], [low[1] - air, high[1] + air]
 
 
 def panel_title(figure: go.Figure, text: str, y: float = 1.0) -> None:

@@ -71,7 +71,11 @@ def _error_table(record: RunRecord) -> str:
         rows.append([f"{name}, translation", "m", *_cells(error.translation)])
         rows.append([f"{name}, rotation", "°", *_cells(error.rotation.in_degrees())])
     head = ["Error", "Unit", "RMSE", "Mean", "Median", "Maximum", "Std", "Count"]
-    return html.table("The same errors as numbers; the count is of poses or steps compared.", head, rows)
+    caption = (
+        "The same errors as numbers; the count is of poses or steps compared. Only positions are aligned: where the "
+        "path is short, the rotation of that alignment is loose, and ATE, rotation tells of it more than of the camera."
+    )
+    return html.table(caption, head, rows)
 
 
 def _cells(s: Statistics) -> list[str]:

@@ -38,19 +38,22 @@ def trajectory_figure(record: RunRecord, view: str = "xy") -> go.Figure:
     With an evaluation the estimate is drawn as it was laid upon the truth, in the truth's world; without one it
     stands alone in its own, for two paths that are not aligned say nothing. Gaps are where no pose is known.
     """
-    across, up = VIEWS[view]
     figure = drawing.style(go.Figure(), 380, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
     hover = f"{view[0]} %{{x:.3f}}, {view[1]} %{{y:.3f}} m"
+    paths = {"estimate": (_estimated_path_m(record), {"color": BLUE, "width": 2})}
     if record.evaluation is not None and record.ground_truth is not None:
-        truth = _truth_path_m(record)[:, [across, up]]
-        truth = truth[series.keep_shape(truth)]
-        drawing.add_path(figure, truth, name="ground truth", line={"color": GREY, "width": 4}, hover=hover)
-    path = _estimated_path_m(record)[:, [across, up]]
-    path = path[series.keep_shape(path)]
-    drawing.add_path(figure, path, name="estimate", line={"color": BLUE, "width": 2}, hover=hover)
-    _mark_ends(figure, path[~np.isnan(path).any(axis=1)])
-    figure.update_xaxes(title_text=f"{view[0]}, m")
-    figure.update_yaxes(title_text=f"{view[1]}, m", scaleanchor="x", scaleratio=1)
+        paths = {"ground truth": (_truth_path_m(record), {"color": GREY, "width": 4}), **paths}
+    drawn = np.empty((0, 2))
+    for name, (positions_m, line) in paths.items():
+        path = positions_m[:, VIEWS[view]]
+        path = path[series.keep_shape(path)]
+        drawing.add_path(figure, path, name=name, line=line, hover=hover)
+        known = path[~np.isnan(path).any(axis=1)]
+        drawn = np.concatenate([drawn, known])
+    _mark_ends(figure, known)  # of the estimate, which comes last
+    x_range, y_range = drawing.room_around(drawn)
+    figure.update_xaxes(title_text=f"{view[0]}, m", range=x_range)
+    figure.update_yaxes(title_text=f"{view[1]}, m", range=y_range, scaleanchor="x", scaleratio=1)
     return figure
 
 
@@ -237,10 +240,12 @@ def _truth_path_m(record: RunRecord) -> FloatArray:
 
 
 def _mark_ends(figure: go.Figure, path: FloatArray) -> None:
-    """The start as a ring, the end as a square, each with its word beside it."""
+    """The start as a ring, the end as a square, each with its word on the side away from the other."""
     if not len(path):
         return
-    for name, point, symbol, place in (("start", path[0], "circle-open", "top"), ("end", path[-1], "square", "bottom")):
+    places = ("top", "bottom") if path[0, 1] >= path[-1, 1] else ("bottom", "top")
+    ends = (("start", path[0], "circle-open"), ("end", path[-1], "square"))
+    for (name, point, symbol), place in zip(ends, places, strict=True):
         marker = {"symbol": symbol, "size": 11, "color": VERMILLION, "line": {"width": 3 if name == "start" else 0}}
         figure.add_scatter(
             x=point[:1],
