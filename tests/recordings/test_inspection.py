@@ -13,7 +13,7 @@ from wheelsight.calibration import Calibration, DepthNoise
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import ByteArray
 from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.recordings.inspection import Inspection, inspect_recording
+from wheelsight.recordings.inspection import Inspection, RegistrationOffset, inspect_recording
 
 REGISTERED = Calibration.registered_camera(CAMERA)
 
@@ -102,6 +102,13 @@ def test_images_that_are_not_registered_are_measured(right: float, down: float, 
     assert offset.shift_px == pytest.approx((right, down), abs=1.01)
     assert offset.scale == pytest.approx(scale, abs=0.02)
     assert any("not registered, though the calibration says so" in warning for warning in inspection.warnings)
+
+
+def test_an_offset_is_told_in_words() -> None:
+    words = str(RegistrationOffset((-8.0, 2.0), 0.9, strength=1.0, strength_as_is=0.1))
+    assert words == (
+        "in the middle of the image colour lies 8 px left and 2 px down of depth, and shows things 0.90 times as large"
+    )
 
 
 def test_a_calibration_that_knows_of_it_is_not_warned_of() -> None:

@@ -97,8 +97,7 @@ def _registration(offset: RegistrationOffset | None, is_registered: bool) -> str
         return f"{said}; too few edges to check"
     if not offset.is_clear:
         return f"{said}; the images agree with shared pixels"
-    right, down = offset.shift_px
-    return f"{said}; colour lies {right:+.0f} px right, {down:+.0f} px down of depth, {offset.scale:.2f} times as large"
+    return f"{said}; {offset}"
 
 
 def _truth_facts(truth: SequenceStatistics) -> Iterator[tuple[str, str]]:

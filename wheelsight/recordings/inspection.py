@@ -177,10 +177,8 @@ def _depth_warnings(tally: _Tally, recording: Recording) -> list[str]:
 def _offset_warnings(offset: RegistrationOffset | None, recording: Recording) -> list[str]:
     if offset is None or not offset.is_clear or not recording.calibration.is_registered:
         return []
-    right, down = offset.shift_px
     return [
-        f"Colour and depth are not registered, though the calibration says so: in the middle of the image colour lies "
-        f"{right:+.0f} px right and {down:+.0f} px down of depth, and shows things {offset.scale:.2f} times as large. "
+        f"Colour and depth are not registered, though the calibration says so: {offset}. "
         f"Give a calibration with T_color_depth."
     ]
 
@@ -213,6 +211,14 @@ class RegistrationOffset:
     def is_clear(self) -> bool:
         """Whether the images fit clearly better when moved."""
         return self.strength > 1.5 * max(self.strength_as_is, 0.0)
+
+    def __str__(self) -> str:
+        """In words, for a user."""
+        right, down = self.shift_px
+        across = f"{abs(right):.0f} px {'left' if right < 0 else 'right'}"
+        along = f"{abs(down):.0f} px {'up' if down < 0 else 'down'}"
+        size = f"shows things {self.scale:.2f} times as large"
+        return f"in the middle of the image colour lies {across} and {along} of depth, and {size}"
 
 
 class _OffsetMeter:

@@ -25,7 +25,11 @@ _ORTHONORMAL_TOLERANCE = 1e-2
 
 
 class SevenScenesReader:
-    """Colour and depth that are not registered; depth in millimetres, 65535 where nothing was measured."""
+    """Colour and depth that are not registered; depth in millimetres, 65535 where nothing was measured.
+
+    The colour camera sits 25 mm beside the depth camera and shows things 0.90 times as large. At 2 m, colour lies about
+    25 px right of depth at the image's left edge, 7 px left of it in the middle, and 40 px left at the right edge.
+    """
 
     name = "seven_scenes"
     needs = "frame-NNNNNN.color.png (or .jpg) and frame-NNNNNN.depth.png"
@@ -45,8 +49,8 @@ class SevenScenesReader:
         warnings = [f"The format has no time stamps; {_RATE_HZ:g} frames a second are assumed."]
         if not calibration.is_registered:
             warnings.append(
-                "Colour and depth images are not registered (they lie about 14 px apart); "
-                f"they are joined by T_color_depth of: {calibration.source}."
+                "Colour and depth images are not registered: things lie up to about 40 px apart in them. "
+                f"They are joined by T_color_depth of: {calibration.source}."
             )
         return complete(
             ImageRecording(
