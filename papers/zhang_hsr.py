@@ -37,6 +37,7 @@ PAPER_SEQUENCE = "freiburg1_desk"
 PAPER_TABLE_2 = ("23.40 s", "23.35 s", "9.263 m", "", "0.413 m/s", "23.327 °/s", "2.42 × 1.34 × 0.66 m")
 
 LEAP_S = 0.5
+LEAST_SHAPE = 0.8  # width over height of the two views together
 INK, BLUE, RED, PALE = "#222222", "#1f6fb4", "#c8372d", "#dddddd"
 
 
@@ -208,6 +209,7 @@ def _room_around(positions_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest x, y, z to draw: all positions, some air, and no direction too thin to be read."""
     middle, extent = (positions_m.max(axis=0) + positions_m.min(axis=0)) / 2, np.ptp(positions_m, axis=0)
     half = 0.55 * np.maximum(extent, max(0.2 * extent.max(), 0.01))
+    half[0] = max(half[0], LEAST_SHAPE * (half[1] + half[2]))  # beside a tall path the title has no room
     return middle - half, middle + half
 
 

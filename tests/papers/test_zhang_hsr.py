@@ -92,6 +92,16 @@ def test_a_robot_that_stood_still_can_be_drawn(zhang_hsr: ModuleType, tmp_path: 
     assert zhang_hsr.main([str(tmp_path / "still.txt"), "--out", str(tmp_path / "figures")]) == 0
 
 
+def test_the_title_of_a_tall_path_is_not_cut(zhang_hsr: ModuleType) -> None:
+    T = np.tile(np.eye(4), (50, 1, 1))
+    T[:, 2, 3] = np.linspace(0, 3, 50)
+    figure = zhang_hsr.ground_truth_figure(Trajectory(np.arange(50) / 10, T), "a_sequence_of_a_usual_name")
+    figure.draw_without_rendering()
+    title = figure.axes[0]._left_title.get_window_extent()
+    assert figure.bbox.x0 <= title.x0
+    assert title.x1 <= figure.bbox.x1
+
+
 def test_errors_are_one_line_and_code_2(
     zhang_hsr: ModuleType, files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
