@@ -20,6 +20,7 @@ _log = logging.getLogger(__name__)
 _ORTHONORMAL_TOLERANCE = 1e-2
 # Motion-capture files repeat a stamp now and then (TUM fr2/desk: one); stamps cut to seconds repeat nearly all.
 _REPEATED_SHARE_ALLOWED = 0.01
+_LINE_OF = {8: "stamp tx ty tz qx qy qz qw", 12: "three rows of R and t"}
 _FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<world>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
 
 
@@ -217,7 +218,8 @@ def _read_rows(path: Path, columns: int) -> tuple[list[tuple[int, list[float]]],
 
 def _numbers(words: list[str], columns: int, path: Path, line: int) -> list[float]:
     if len(words) != columns:
-        raise TrajectoryError(f"{len(words)} values where {columns} are expected", path=path, line=line)
+        problem = f"{len(words)} values where {columns} are expected"
+        raise TrajectoryError(problem, path=path, line=line, fix=f"{_LINE_OF[columns]} a line")
     try:
         values = [float(word) for word in words]
     except ValueError as error:

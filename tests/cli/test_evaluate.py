@@ -39,6 +39,18 @@ def test_json_holds_figures_with_units(wheelsight: Command, files: tuple[Path, P
     assert figures["scale"] is None
 
 
+def test_the_frame_is_told_and_what_headers_leave_out_can_be_said(
+    wheelsight: Command, refusal: Callable[..., str], files: tuple[Path, Path]
+) -> None:
+    estimate, truth = files
+    assert "T_world_camera: 90 pairs" in wheelsight("evaluate", *files).stdout
+    estimate.write_text(estimate.read_text().replace("T_world_camera", "T_world_base"))
+    assert "move differently" in refusal("evaluate", *files)
+    truth.write_text("\n".join(line for line in truth.read_text().splitlines() if not line.startswith("#")))
+    assert "move differently" in refusal("evaluate", *files)
+    assert "T_world_base: 90 pairs" in wheelsight("evaluate", *files, "--body", "base").stdout
+
+
 def test_scale_is_fitted_when_asked(wheelsight: Command, files: tuple[Path, Path]) -> None:
     figures = json.loads(wheelsight("evaluate", *files, "--json", "--scale").stdout)
     assert figures["scale"] == pytest.approx(1 / 1.01)
@@ -61,7 +73,7 @@ def test_max_gap_decides_what_is_compared(wheelsight: Command, files: tuple[Path
     [
         ("1 0 0 0 0 0 0 2", ":3: quaternion has length 2, not 1 ("),
         ("1 nan 0 0 0 0 0 1", ":3: a value is not finite ("),
-        ("1 0 0 0 0 0 1", ":3: 7 values where 8 are expected"),
+        ("1 0 0 0 0 0 1", ":3: 7 values where 8 are expected (stamp tx ty tz qx qy qz qw a line)"),
         ("0.5 0 0 0 0 0 0 1", ":3: stamp 0.500000"),
     ],
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -27,6 +27,9 @@ def evaluate(
     max_gap: Annotated[
         float, typer.Option(metavar="SECONDS", min=0, help="Largest distance in time of two poses that are compared.")
     ] = 0.02,
+    body: Annotated[
+        Literal["camera", "base"], typer.Option(help="What a file describes whose header does not say it.")
+    ] = "camera",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Compare an estimated trajectory with the truth, as the TUM benchmark does.
@@ -43,7 +46,7 @@ def evaluate(
     from wheelsight.evaluation import evaluate as compare
     from wheelsight.trajectory import read_tum
 
-    estimated, truth = read_tum(estimate), read_tum(ground_truth)
+    estimated, truth = read_tum(estimate, body), read_tum(ground_truth, body)
     evaluation = compare(estimated, truth, max_gap_s=max_gap, with_scale=scale)
     if as_json:
         print_json(evaluation.to_dict())
@@ -58,7 +61,9 @@ def evaluation_table(evaluation: Evaluation) -> Table:
 
     from wheelsight.cli._console import percent
 
-    covered = f"{evaluation.pairs} pairs of poses; {percent(evaluation.truth_time_covered)} of the truth's time covered"
+    aligned = evaluation.ate.aligned
+    pairs = f"T_{aligned.world}_{aligned.body}: {evaluation.pairs} pairs of poses"
+    covered = f"{pairs}; {percent(evaluation.truth_time_covered)} of the truth's time covered"
     scaled = "" if evaluation.scale is None else f"; estimate scaled by {evaluation.scale:.4f}"
     table = Table(box=SIMPLE_HEAD, caption=covered + scaled, caption_justify="left", caption_style="")
     table.add_column("")

@@ -18,7 +18,8 @@ def matched(estimate: Trajectory, truth: Trajectory, max_gap_s: float) -> tuple[
     if estimate.body != truth.body:
         raise EvaluationError(
             f"the estimate is T_{estimate.world}_{estimate.body} but the ground truth T_{truth.world}_{truth.body}: "
-            f"the {estimate.body} and the {truth.body} move differently (convert one by T_base_camera)"
+            f"the {estimate.body} and the {truth.body} move differently (convert one by T_base_camera; where a file's "
+            "header does not name its frames, say --body)"
         )
     pairs = associate(estimate.stamps_s, truth.stamps_s, max_gap_s)
     if len(pairs) < _FEWEST_PAIRS:
