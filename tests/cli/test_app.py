@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -42,6 +43,33 @@ def test_help_of_each_command_shows_an_example(wheelsight: Command, command: str
     result = wheelsight(command, "--help")
     assert result.exit_code == 0
     assert f"wheelsight {command} " in result.output.split("Examples")[1]
+
+
+def test_help_takes_less_than_half_a_second() -> None:
+    seconds = []
+    for _ in range(5):
+        started = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "wheelsight", "--help"], stdout=subprocess.DEVNULL, check=True)
+        seconds.append(time.perf_counter() - started)
+        if seconds[-1] < 0.5:
+            return
+    pytest.fail(f"--help took {min(seconds):.2f} s at best")
+
+
+def test_compiled_kernels_that_can_be_kept_nowhere_are_told_in_one_line(room: Path, tmp_path: Path) -> None:
+    """As for a user without a home of its own, who may not write into the installed package."""
+    code = (
+        "from numba.core import caching\n"
+        "caching.CompileResultCacheImpl._locator_classes = []\n"
+        "from wheelsight.cli import main\n"
+        "main()\n"
+    )
+    command = [sys.executable, "-c", code, "run", str(room), "--out", str(tmp_path / "out")]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert answer.returncode == 2
+    assert answer.stderr == (
+        "error: no folder can keep the compiled kernels (set NUMBA_CACHE_DIR to one that you may write to)\n"
+    )
 
 
 def test_version(wheelsight: Command) -> None:

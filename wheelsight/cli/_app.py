@@ -22,6 +22,11 @@ class _Commands(typer.core.TyperGroup):
         except WheelsightError as error:
             print_error(str(error))
             raise typer.Exit(INPUT_IS_WRONG) from error
+        except RuntimeError as error:
+            if "no locator available" not in str(error):
+                raise
+            print_error("no folder can keep the compiled kernels (set NUMBA_CACHE_DIR to one that you may write to)")
+            raise typer.Exit(INPUT_IS_WRONG) from error
         except KeyboardInterrupt as interruption:
             print_error("interrupted")
             raise typer.Exit(INTERRUPTED) from interruption
