@@ -204,7 +204,10 @@ def _status_csv(record: RunRecord) -> str:
     rows.writerow(["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "note"])
     for frame in record.frames:
         counts = (frame.matches, frame.inliers, f"{1e3 * frame.seconds:.3f}")
-        rows.writerow([f"{frame.stamp_s:.6f}", frame.status, frame.reason or "", *counts, frame.note])
+        stamp = np.format_float_positional(
+            frame.stamp_s, min_digits=6
+        )  # as in trajectory.txt, so that rows can be joined
+        rows.writerow([stamp, frame.status, frame.reason or "", *counts, frame.note])
     return text.getvalue()
 
 
