@@ -3,7 +3,7 @@
 #   make demo [RECORDING=folder]   the main job on one recording, and its report
 #   make test [SLOW=1]             all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
-#   make bench                     side by side with OpenCV and Open3D on the real recordings
+#   make bench                     side by side with OpenCV and Open3D on the real recordings; kept in BENCHMARKS.md
 #   make docs | wheel | clean
 
 PYTHON ?= python3
@@ -30,7 +30,7 @@ check: $(VENV)/.installed-dev docs
 	$(BIN)/python -m pytest --quiet tests/test_layers.py
 
 bench: $(VENV)/.installed-bench
-	$(BIN)/python -m benchmarks $(ARGS)
+	$(BIN)/python -m benchmarks --out BENCHMARKS.md $(ARGS)
 
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
