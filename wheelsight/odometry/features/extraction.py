@@ -133,7 +133,7 @@ def _in_full_image(px: FloatArray, level: IntArray, shape: tuple[int, ...]) -> F
     """
     size = np.array([shape[1], shape[0]])
     scale = SCALE ** level[:, None]
-    return (px / scale + 0.5) * (size / np.rint(size / scale)) - 0.5
+    return np.asarray((px / scale + 0.5) * (size / np.rint(size / scale)) - 0.5)
 
 
 def spread(px: FloatArray, strength: FloatArray, cell_px: int, wanted: int) -> IntArray:
