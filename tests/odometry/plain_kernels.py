@@ -9,7 +9,7 @@ from numba.core.dispatcher import Dispatcher
 
 
 def plain(module: ModuleType) -> SimpleNamespace:
-    """A module's kernels uncompiled, all the way down; bits are counted by numpy, the processor's count having no name."""
+    """A module's kernels uncompiled, all the way down, with numpy counting bits."""
     names = dict(vars(module))
     names["_count_bits"] = lambda word: int(np.bitwise_count(word))
     kernels = {name: kernel.py_func for name, kernel in names.items() if isinstance(kernel, Dispatcher)}

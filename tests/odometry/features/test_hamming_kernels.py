@@ -46,7 +46,9 @@ def test_hamming_of_all_bits_and_of_none():
 
 def test_nearest_both_ways_in_plain_python(rng):
     first, second = descriptors(rng, 30), descriptors(rng, 25)
-    for got, expected in zip(compiled.nearest_both_ways(first, second), in_python.nearest_both_ways(first, second)):
+    for got, expected in zip(
+        compiled.nearest_both_ways(first, second), in_python.nearest_both_ways(first, second), strict=True
+    ):
         np.testing.assert_array_equal(got, expected)
 
 
