@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 
 _FIXED_POINT_STEPS = 6
-_FIRST_GUESS_M = 1.5
+# From near to far: where a ray meets an object's edge and the wall behind, the object hides the wall.
+_GUESSES_M = (0.6, 1.0, 1.7, 3.0)
 _NEAREST_M = 0.1
 
 
@@ -29,8 +30,8 @@ def depth_at_keypoints(
 
     Registered, the depth image is read at the keypoint's own pixel. Else the point is sought where the ray through
     `xy` meets the depth image's surface: guess a depth, look where that point falls in the depth image, take the
-    depth found there as the next guess, until it stays. Where it does not, at edges that one camera sees past and the
-    other does not, there is none.
+    depth found there as the next guess, until it stays. Where it does not from any guess, at edges that one camera
+    sees past and the other does not, there is none.
     """
     found = np.zeros(len(px))
     for i in range(len(px)):
@@ -39,24 +40,44 @@ def depth_at_keypoints(
             if near_m <= z <= far_m:
                 found[i] = z
             continue
-        z_color = _FIRST_GUESS_M
-        for _ in range(_FIXED_POINT_STEPS):
-            ray = np.array([xy[i, 0] * z_color, xy[i, 1] * z_color, z_color]) - t_color_depth
-            p = R_color_depth.T @ ray
-            if p[2] < _NEAREST_M:
-                break
-            u = intrinsics[0] * p[0] / p[2] + intrinsics[2]
-            v = intrinsics[1] * p[1] / p[2] + intrinsics[3]
-            z = _smooth_depth(depth_m, u, v, jump)
-            if not near_m <= z <= far_m:
-                break
-            x, y = (u - intrinsics[2]) / intrinsics[0] * z, (v - intrinsics[3]) / intrinsics[1] * z
-            before = z_color
-            z_color = R_color_depth[2, 0] * x + R_color_depth[2, 1] * y + R_color_depth[2, 2] * z + t_color_depth[2]
-            if abs(z_color - before) < 1e-4:
-                found[i] = z_color
+        for guess_m in _GUESSES_M:
+            z = _depth_along_ray(depth_m, xy[i], R_color_depth, t_color_depth, intrinsics, near_m, far_m, jump, guess_m)
+            if z > 0:
+                found[i] = z
                 break
     return found
+
+
+@njit(cache=True, nogil=True)
+def _depth_along_ray(
+    depth_m: Any,
+    xy: Any,
+    R_color_depth: Any,
+    t_color_depth: Any,
+    intrinsics: Any,
+    near_m: float,
+    far_m: float,
+    jump: float,
+    guess_m: float,
+) -> float:
+    """Depth of the colour camera at `xy` (2,) by fixed-point iteration from a guess; 0 where it does not settle."""
+    z_color = guess_m
+    for _ in range(_FIXED_POINT_STEPS):
+        ray = np.array([xy[0] * z_color, xy[1] * z_color, z_color]) - t_color_depth
+        p = R_color_depth.T @ ray
+        if p[2] < _NEAREST_M:
+            return 0.0
+        u = intrinsics[0] * p[0] / p[2] + intrinsics[2]
+        v = intrinsics[1] * p[1] / p[2] + intrinsics[3]
+        z = _smooth_depth(depth_m, u, v, jump)
+        if not near_m <= z <= far_m:
+            return 0.0
+        x, y = (u - intrinsics[2]) / intrinsics[0] * z, (v - intrinsics[3]) / intrinsics[1] * z
+        before = z_color
+        z_color = R_color_depth[2, 0] * x + R_color_depth[2, 1] * y + R_color_depth[2, 2] * z + t_color_depth[2]
+        if abs(z_color - before) < 1e-4:
+            return z_color
+    return 0.0
 
 
 @njit(cache=True, nogil=True)
