@@ -118,10 +118,10 @@ def box_before_a_wall(camera: PinholeCamera, T_camera_depth: np.ndarray) -> np.n
     return np.where((np.abs(at[..., :2]) < 0.2).all(axis=-1), to_board, to_wall).astype(np.float32)
 
 
-# Of a ray that grazes the board, the wall behind is a second crossing that the depth camera sees: with 6 cm between
-# the cameras it is sometimes found first.
-@pytest.mark.parametrize(("apart_m", "share"), [(0.025, 0), (-0.025, 0), (-0.06, 0.015), (0.12, 0), (-0.2, 0)])
-def test_unregistered_depth_at_edges_is_right_or_refused(apart_m, share):
+# A ray that grazes the board crosses the wall behind a second time, where the depth camera sees it; beside the edge,
+# where the board's own depth is refused, that is found instead. It is rare, and RANSAC casts such pairs out.
+@pytest.mark.parametrize("apart_m", [0.025, -0.025, -0.06, 0.12, -0.2])
+def test_unregistered_depth_at_edges_is_right_or_refused(apart_m):
     T_color_depth = se3.exp(np.array([apart_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
     seen = box_before_a_wall(COLOR, T_color_depth)
     depth_m = box_before_a_wall(DEPTH, np.eye(4))
@@ -129,8 +129,8 @@ def test_unregistered_depth_at_edges_is_right_or_refused(apart_m, share):
     got = depth_at(depth_m, np.column_stack([u.ravel(), v.ravel()]), COLOR, T_color_depth).reshape(u.shape)
     answered = got > 0
     wrong = answered & (np.abs(got - seen[v, u]) > 0.02)
-    assert answered.mean() > 0.6
-    assert wrong.mean() <= share
+    assert answered.mean() > 0.75
+    assert wrong.mean() < 0.02
 
 
 def test_points_behind_the_depth_camera_have_no_depth(rng):
