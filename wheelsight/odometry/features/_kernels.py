@@ -59,7 +59,7 @@ def _depth_along_ray(
     far_m: float,
     jump: float,
     guess_m: float,
-) -> float:
+) -> Any:
     """Depth of the colour camera at `xy` (2,) by fixed-point iteration from a guess; 0 where it does not settle."""
     z_color = guess_m
     for _ in range(_FIXED_POINT_STEPS):
