@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -120,6 +121,7 @@ def test_a_blackout_of_two_seconds_is_lost_and_found_again(wheelsight: Command, 
     make_tum_recording(tmp_path / "room", trajectory=Trajectory(stamps_s, T), **{kind: away})
     result = wheelsight("run", tmp_path / "room", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
+    assert re.search(r"^lost +once, for 1\.\d+ s in all", result.stdout, re.MULTILINE)
     with (tmp_path / "out" / "status.csv").open() as stream:
         status = [row["status"] for row in csv.DictReader(stream)]
     assert status[9] == "tracking"

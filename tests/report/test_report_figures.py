@@ -7,6 +7,7 @@ import pytest
 from run_example import START_S, empty_run, example_run
 
 from wheelsight.errors import EvaluationError
+from wheelsight.estimates import Reason
 from wheelsight.report import (
     error_figure,
     matches_figure,
@@ -138,6 +139,14 @@ def test_status_lanes_hold_each_frame_once() -> None:
     starts = list(_trace(figure, "lost").x[::3])
     first_lost = next(f.stamp_s for f in run.frames if f.status == "lost")
     np.testing.assert_allclose(starts, [first_lost - START_S])
+
+
+def test_unusable_frames_while_lost_are_in_the_lane_of_the_lost() -> None:
+    run = example_run(500)
+    unusable = {"reason": Reason.FRAME_UNUSABLE, "note": "depth image measured nothing"}
+    covered = tuple(replace(f, **unusable) if f.status == "lost" else f for f in run.frames)
+    before, after = (_trace(status_figure(replace(run, frames=frames)), "lost").x for frames in (run.frames, covered))
+    assert before == after
 
 
 def test_a_single_frame_can_be_seen_among_20_000() -> None:

@@ -14,10 +14,12 @@ from wheelsight.report.verdict import judge, notes
 
 
 def _with_statuses(*statuses: str) -> RunRecord:
-    """Frames a second apart; "skipped" is one that could not be used."""
+    """Frames a second apart; "skipped ..." is one that could not be used, and left the state at what follows."""
     frames = tuple(
-        FrameRecord(i, 10.0 + i, Status.LOST, Reason.FRAME_UNUSABLE, 0, 0, 0.0, "depth image is truncated")
-        if status == "skipped"
+        FrameRecord(
+            i, 10.0 + i, Status(status.split()[1]), Reason.FRAME_UNUSABLE, 0, 0, 0.0, "depth image is truncated"
+        )
+        if status.startswith("skipped")
         else FrameRecord(i, 10.0 + i, Status(status), None, 0, 0, 0.01)
         for i, status in enumerate(statuses)
     )
@@ -46,8 +48,9 @@ def test_the_key_figures_of_a_run() -> None:
     [
         (("tracking", "tracking"), 0, 0),
         (("tracking", "lost", "lost", "tracking"), 1, 2),
-        (("tracking", "lost", "skipped", "lost", "tracking"), 1, 3),
-        (("tracking", "skipped", "tracking"), 0, 0),
+        (("tracking", "lost", "skipped lost", "lost", "tracking"), 1, 3),
+        (("tracking", "skipped failing", "tracking"), 0, 0),
+        (("tracking", "skipped failing", "skipped lost", "skipped lost", "tracking"), 1, 2),
         (("lost", "tracking", "failing", "lost", "lost"), 2, 2),
         ((), 0, 0),
     ],

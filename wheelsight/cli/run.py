@@ -111,7 +111,8 @@ def _facts(record: RunRecord) -> Iterator[tuple[str, str]]:
     for why, count in summary.failures:
         yield "no pose", f"{count} × {why}"
     if summary.lost_episodes:
-        yield "lost", f"{summary.lost_episodes} times, {summary.lost_s:.2f} s in all"
+        times = "once" if summary.lost_episodes == 1 else f"{summary.lost_episodes} times"
+        yield "lost", f"{times}, for {summary.lost_s:.2f} s in all"
     yield "way", f"{summary.length_m:.2f} m in {summary.duration_s:.2f} s"
     yield "time a frame", f"median {1e3 * summary.median_s:.1f} ms, 95 % within {1e3 * summary.p95_s:.1f} ms"
     if record.evaluation is None:

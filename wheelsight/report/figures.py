@@ -79,8 +79,10 @@ def error_figure(record: RunRecord) -> go.Figure:
 
 
 def status_figure(record: RunRecord) -> go.Figure:
-    """What the answer to each frame was, as one lane a status over time."""
-    labels = [SKIPPED if frame.is_skipped else str(frame.status) for frame in record.frames]
+    """What the answer to each frame was, as one lane a status over time; a skipped frame shows as such unless lost."""
+    labels = [
+        SKIPPED if frame.is_skipped and frame.status != Status.LOST else str(frame.status) for frame in record.frames
+    ]
     starts_s, ends_s = drawing.frame_spans_s(record)
     least_s = _LEAST_WIDTH * float(ends_s[-1]) if labels else 0.0
     lanes = [lane for lane in STATUS_COLOURS if lane in labels or lane == Status.TRACKING]

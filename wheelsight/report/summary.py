@@ -19,14 +19,19 @@ class Summary:
     """The key figures of a run.
 
     Attributes:
-        frames, skipped, posed: how many were listed, could not be used, and have a pose in the trajectory.
+        frames: how many were listed.
+        skipped: how many of them could not be used.
+        posed: how many have a pose in the trajectory.
         duration_s: from the first frame to the last.
         frame_period_s: median time between frames, NaN with fewer than two.
         length_m: distance travelled by the estimate.
-        lost_episodes, lost_s: how often the camera was lost, and for how long in all.
+        lost_episodes: how often the camera was lost.
+        lost_s: for how long in all.
         failures: (why, count) of the frames that were used but gave no pose, most frequent first.
         skips: (why, count) of the frames that could not be used, most frequent first.
-        median_s, p95_s, longest_s: time a used frame took; NaN when none was used.
+        median_s: time a used frame took; NaN when none was used.
+        p95_s: the time within which 95 % of them were done.
+        longest_s: the longest time.
     """
 
     frames: int
@@ -81,13 +86,10 @@ def summarise(record: RunRecord) -> Summary:
 
 
 def lost_spans_s(record: RunRecord) -> list[tuple[float, float]]:
-    """When the camera was lost: (first lost stamp, the next one that was not); skipped frames don't count."""
-    used = [frame for frame in record.frames if not frame.is_skipped]
-    spans = []
-    for first, after, status in runs([str(frame.status) for frame in used]):
-        if status == Status.LOST:
-            spans.append((used[first].stamp_s, used[min(after, len(used) - 1)].stamp_s))
-    return spans
+    """When the camera was lost: (first lost stamp, the next one that was not), whether frames were usable or not."""
+    frames = record.frames
+    lost = [(i, j) for i, j, status in runs([str(frame.status) for frame in frames]) if status == Status.LOST]
+    return [(frames[i].stamp_s, frames[min(j, len(frames) - 1)].stamp_s) for i, j in lost]
 
 
 def _percentile(values: np.ndarray, percent: float) -> float:
