@@ -37,6 +37,7 @@ def test_json_holds_figures_with_units(wheelsight: Command, files: tuple[Path, P
     figures = json.loads(wheelsight("evaluate", *files, "--json").stdout)
     assert 0 < figures["ate_m"]["rmse"] < 0.01
     assert figures["scale"] is None
+    assert figures["frame"] == "T_world_camera"
 
 
 def test_the_frame_is_told_and_what_headers_leave_out_can_be_said(

@@ -49,7 +49,8 @@ def evaluate(
     estimated, truth = read_tum(estimate, body), read_tum(ground_truth, body)
     evaluation = compare(estimated, truth, max_gap_s=max_gap, with_scale=scale)
     if as_json:
-        print_json(evaluation.to_dict())
+        aligned = evaluation.ate.aligned
+        print_json({"frame": f"T_{aligned.world}_{aligned.body}", **evaluation.to_dict()})
         return
     console().print(evaluation_table(evaluation))
 
