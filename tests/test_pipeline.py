@@ -59,6 +59,7 @@ def test_a_run_leaves_every_file_and_a_true_trajectory(tmp_path: Path, truth: Tr
     out = tmp_path / "new" / "out"
     assert {path.name for path in out.iterdir()} == FILES
     written = read_tum(out / "trajectory.txt")
+    assert [float(row["stamp_s"]) for row in status_in(out)] == written.stamps_s.tolist()
     np.testing.assert_allclose(written.T_world_body, truth.T_world_body, atol=1e-8)
     assert (out / "trajectory.txt").read_text().startswith("# frames: T_world_camera")
     assert record.estimate.covariances is not None
