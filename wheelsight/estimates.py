@@ -40,7 +40,8 @@ class MotionEstimate:
         T_reference_current: (4, 4), or None on failure.
         covariance: (6, 6) of the left perturbation (v, ω) of `T_reference_current`, or None on failure.
         reason: None on success.
-        matches, inliers: how many point pairs were proposed, and how many agree with the motion.
+        matches: how many point pairs were proposed.
+        inliers: how many of them agree with the motion.
     """
 
     T_reference_current: FloatArray | None
@@ -65,7 +66,8 @@ class Estimate:
         T_world_body: (4, 4), or None while it is not known. `body` is "camera" or "base".
         covariance: (6, 6) of the left perturbation (v, ω) of `T_world_body`, or None.
         reason: why there is no pose, or None.
-        matches, inliers: of this frame's alignment.
+        matches: of this frame's alignment.
+        inliers: likewise.
     """
 
     stamp_s: float

@@ -32,7 +32,8 @@ class Trajectory:
         stamps_s: (N,) seconds.
         T_world_body: (N, 4, 4); `body` says of which frame, "camera" or "base".
         covariances: (N, 6, 6) of the left perturbation (v, ω), or None.
-        body, world: names of the two frames.
+        body: name of the frame whose poses these are.
+        world: name of the frame they are in.
 
     Raises:
         TrajectoryError: shapes that do not fit, stamps that do not grow, poses that are no rigid motions.

@@ -29,7 +29,8 @@ class AbsoluteError:
         scale: by which positions of the estimate were multiplied; 1 unless asked for.
         aligned: the whole estimate, scaled and moved into the truth's world.
         truth: the true poses of the pairs.
-        translation, rotation: statistics of `errors_m` and `errors_rad`.
+        translation: statistics of `errors_m`.
+        rotation: statistics of `errors_rad`.
     """
 
     stamps_s: FloatArray

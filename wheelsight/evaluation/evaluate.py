@@ -20,7 +20,9 @@ class Evaluation:
 
     Attributes:
         ate: the absolute error after rigid alignment.
-        rpe_per_frame, rpe_per_second, rpe_per_metre: the relative errors, None where no step is so long.
+        rpe_per_frame: the relative error over a frame, None where no step is so long.
+        rpe_per_second: the same over a second.
+        rpe_per_metre: the same over a metre of the truth.
         pairs: how many poses had a true one within `max_gap_s` seconds.
         max_gap_s: see `pairs`.
         frames_with_pose: share of the listed frames, 0 to 1, or None where none were listed.

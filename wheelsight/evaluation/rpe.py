@@ -25,11 +25,14 @@ class RelativeError:
     """The relative pose error over M steps.
 
     Attributes:
-        delta, unit: how long a step is.
-        start_s, end_s: (M,) stamps between which each step goes, seconds.
+        delta: how long a step is, in `unit`.
+        unit: frames, seconds or metres.
+        start_s: (M,) stamps at which each step begins, seconds.
+        end_s: (M,) stamps at which it ends.
         errors_m: (M,) translation of the error of each step.
         errors_rad: (M,) rotation angle of the error of each step.
-        translation, rotation: statistics of `errors_m` and `errors_rad`.
+        translation: statistics of `errors_m`.
+        rotation: statistics of `errors_rad`.
     """
 
     delta: float

@@ -25,7 +25,8 @@ class SequenceStatistics:
         length_m: of the path through all poses, shaking and measurement noise included.
         windowed_length_m: of the path in whole steps of `window_s`, averaged over where the first step starts;
             shorter, since it cuts corners and leaves out the last, broken step.
-        mean_speed_m_per_s, mean_angular_speed_rad_per_s: over windows of `window_s`, averaged over all of them.
+        mean_speed_m_per_s: over windows of `window_s`, averaged over all of them.
+        mean_angular_speed_rad_per_s: likewise.
         extent_m: along the world's x, y and z.
         window_s: of the windows; the duration, where that is shorter than what was asked for.
     """

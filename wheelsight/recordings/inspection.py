@@ -35,12 +35,16 @@ class Inspection:
     """A recording in figures.
 
     Attributes:
-        name, format, body: the recording's name, its reader, and the frame its trajectory describes.
+        name: the recording's.
+        format: its reader's name.
+        body: the frame its trajectory describes.
         camera: colour camera: image size, focal lengths, where the numbers come from.
         is_registered: whether, by its calibration, depth and colour share one pixel grid.
-        frames, skipped: listed frames; (why, how many) of those that cannot be used.
+        frames: how many are listed.
+        skipped: (why, how many) of those that cannot be used.
         wheel_readings: how many there are.
-        duration_s, rate_hz: of the frames; the rate at their median period; NaN with fewer than two.
+        duration_s: from the first frame to the last.
+        rate_hz: of the frames, at their median period; NaN with fewer than two.
         gaps: stretches without a frame longer than three periods.
         valid_depth_share: share of depth pixels that measured something; NaN without a usable frame.
         depth_m: depth in metres at the 5th, 50th and 95th percentile; NaN where nothing was measured.
@@ -198,8 +202,8 @@ class RegistrationOffset:
     Attributes:
         shift_px: (right, down) that the colour image's things lie from the depth image's in the image's middle.
         scale: how many times as large they are.
-        strength, strength_as_is: mean contrast of colour edges at depth edges (mean of all contrast: 1, by chance: 0),
-            moved by shift and scale, and where they lie.
+        strength: mean contrast of colour edges at depth edges moved by shift and scale (all contrast: 1, by chance: 0).
+        strength_as_is: the same where depth edges lie.
     """
 
     shift_px: tuple[float, float]

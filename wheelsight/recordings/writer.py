@@ -42,7 +42,8 @@ class RecordingWriter:
 
     Attributes:
         folder: where the recording lies.
-        frames, readings: how many frames and wheel readings were written.
+        frames: how many were written.
+        readings: how many wheel readings were written.
         depths_too_far: depth pixels beyond 13.107 m, in all frames.
 
     Raises:
@@ -144,7 +145,8 @@ def write_recording(folder: Path | str, recording: Recording, force: bool = Fals
     """Write any recording in wheelsight's own layout; answers the closed writer with its counts.
 
     Raises:
-        OutputError, RecordingError: as `RecordingWriter`.
+        OutputError: as `RecordingWriter`.
+        RecordingError: as `RecordingWriter`.
     """
     with RecordingWriter(folder, recording.calibration, force) as writer:
         if recording.ground_truth is not None:

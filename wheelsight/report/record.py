@@ -37,9 +37,12 @@ class MatchPicture:
     """Two frames with the point pairs that joined them.
 
     Attributes:
-        stamp_s, reference_stamp_s: of the current and the reference frame, seconds.
-        color, reference_color: (H, W, 3) uint8, red green blue.
-        px, reference_px: matched pixels (N, 2) in the two images.
+        stamp_s: of the current frame, seconds.
+        reference_stamp_s: of the reference frame, seconds.
+        color: (H, W, 3) uint8, red green blue.
+        reference_color: likewise.
+        px: matched pixels (N, 2) in the current image.
+        reference_px: their partners (N, 2) in the reference image.
         is_inlier: (N,) which pairs agree with the motion found.
     """
 
@@ -57,7 +60,8 @@ class RunRecord:
     """A finished run.
 
     Attributes:
-        recording, format: the recording's name and its reader's.
+        recording: the recording's name.
+        format: its reader's name.
         frames: one record for each frame listed, skipped ones included.
         estimate: the trajectory; frames without a pose are not in it.
         ground_truth: or None.
