@@ -10,7 +10,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, se3
-from wheelsight.odometry.features.extraction import FeatureExtractor, Features
+from wheelsight.odometry.features.extraction import FeatureExtractor, Features, twist_between
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.stopwatch import Stopwatch
@@ -76,7 +76,7 @@ class FeatureOdometry:
         Args:
             frame: newer than the one before.
             T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
-                for instance; bounds the search for matches.
+                for instance; bounds the search for matches. Where that finds nothing, a search without it decides.
         """
         self._watch.restart()
         self._frames += 1
@@ -99,18 +99,18 @@ class FeatureOdometry:
     def _start(self, features: Features) -> Estimate:
         T_world_color = se3.invert(self._T_color_camera)
         view = View(features, T_world_color, _START_VARIANCE * np.eye(6), np.full(len(features), -1))
-        self._last = self._map.add_keyframe(view)
+        self._last, self._failures = self._map.add_keyframe(view), 0
         self.last_motion = MotionEstimate(np.eye(4), view.covariance)
         return self._answer(self._last)
 
     def _locate(self, raw: Features, last: View, prior: FloatArray | None) -> Fix | MotionEstimate:
         """Align with the first reference that works, then with the map; refuse what no camera could have done."""
-        expected = None if prior is None else self._in_color(prior)
+        attempts: list[tuple[View, FloatArray | None]] = [(view, None) for view in self._references(last)]
+        if prior is not None:
+            attempts.insert(0, (last, self._in_color(prior)))
         failure = MotionEstimate.failed(Reason.TOO_FEW_MATCHES)
-        for reference in self._references(last):
-            found = self._view_tracker.track(
-                raw, reference, self._velocity, expected if reference is last else None, self._frames
-            )
+        for reference, expected in attempts:
+            found = self._view_tracker.track(raw, reference, self._velocity, expected, self._frames)
             if isinstance(found, Fix):
                 break
             failure = found if reference is last else failure
@@ -137,7 +137,7 @@ class FeatureOdometry:
 
     def _is_plausible(self, last: View, fix: Fix) -> bool:
         seconds = fix.view.features.stamp_s - last.features.stamp_s
-        velocity = velocity_of(last, fix.view, seconds)
+        velocity = twist_between(last.T_world_color, fix.view.T_world_color, seconds)
         fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
         return not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s)
 
