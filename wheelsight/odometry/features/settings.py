@@ -15,7 +15,7 @@ class FeatureSettings(BaseModel):
     reference: Literal["keyframes", "previous"] = Field(
         "keyframes", description="align with landmarks of near keyframes, or with the previous frame as in the paper"
     )
-    seed: NonNegativeInt = Field(0, description="of RANSAC; one seed gives one trajectory")
+    seed: NonNegativeInt = Field(0, lt=2**32, description="of RANSAC; one seed gives one trajectory")
 
     keypoints: int = Field(1000, ge=50, le=20_000, description="kept in each frame, spread over the image")
     candidates: int = Field(2000, ge=50, le=50_000, description="detected before spreading")
