@@ -106,6 +106,20 @@ def _smooth_depth(depth_m: Any, u: float, v: float, jump: float) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def project(points: Any, fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> Any:
+    """Pixels (N, 2) of points (N, 3) seen by a camera without distortion; NaN behind it or outside the image."""
+    px = np.full((len(points), 2), np.nan)
+    for i in range(len(points)):
+        x, y, z = points[i]
+        if z <= _NEAREST_M:
+            continue
+        u, v = fx * x / z + cx, fy * y / z + cy
+        if 0 < u < width and 0 < v < height:
+            px[i, 0], px[i, 1] = u, v
+    return px
+
+
+@njit(cache=True, nogil=True)
 def align_three(p_a: Any, p_b: Any) -> Any:
     """Rotation and translation that lay (3, 3) points b on points a: Zhang section 3.2, the reflection mended."""
     mean_a = (p_a[0] + p_a[1] + p_a[2]) / 3

@@ -92,7 +92,7 @@ class FeatureExtractor:
     def _keypoints(self, grey: np.ndarray) -> tuple[FloatArray, IntArray, UInt64Array]:
         """Pixels (N, 2), pyramid levels (N,) and descriptors (N, 4), spread over the image."""
         candidates = self._orb.detect(grey, None)
-        if len(candidates) < self._settings.keypoints:
+        if len(candidates) < self._settings.keypoints // 2:
             candidates = self._faint.detect(grey, None)
         px = _pixels_of(candidates)
         strength = np.fromiter((k.response for k in candidates), float, len(candidates))

@@ -9,6 +9,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.alignment import Alignment, PointPairs, find_motion, refine_motion
 from wheelsight.odometry.features.extraction import Features, straighten, twist_between
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
@@ -57,11 +58,8 @@ class _Tracker:
 
     def _project(self, p_color: FloatArray) -> FloatArray:
         """Undistorted pixels (N, 2) of points (N, 3); NaN outside the image or behind the camera."""
-        z = np.where(p_color[:, 2] > 0.1, p_color[:, 2], np.nan)
-        px = p_color[:, :2] / z[:, None] * (self._color.fx, self._color.fy) + (self._color.cx, self._color.cy)
-        with np.errstate(invalid="ignore"):
-            inside = (px > 0).all(axis=1) & (px[:, 0] < self._color.width) & (px[:, 1] < self._color.height)
-        return np.where(inside[:, None], px, np.nan)
+        color = self._color
+        return np.asarray(_kernels.project(p_color, color.fx, color.fy, color.cx, color.cy, color.width, color.height))
 
     def _pixels(self, features: Features) -> FloatArray:
         """Undistorted, straightened pixels (N, 2)."""
