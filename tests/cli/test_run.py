@@ -62,6 +62,14 @@ def test_force_overwrites(wheelsight: Command, room: Path, tmp_path: Path) -> No
     assert wheelsight("run", room, "--out", tmp_path / "out", "--force").exit_code == 0
 
 
+def test_one_seed_gives_one_trajectory_to_the_byte(wheelsight: Command, room: Path, tmp_path: Path) -> None:
+    written = []
+    for name in ("first", "second"):
+        assert wheelsight("run", room, "--out", tmp_path / name, "--seed", "3").exit_code == 0
+        written.append((tmp_path / name / "trajectory.txt").read_bytes())
+    assert written[0] == written[1]
+
+
 def test_damaged_and_absent_images_are_skipped_and_counted(wheelsight: Command, room: Path, tmp_path: Path) -> None:
     depth, color = (sorted((room / name).iterdir()) for name in ("depth", "rgb"))
     depth[3].write_bytes(depth[3].read_bytes()[:2000])
