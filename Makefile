@@ -30,7 +30,7 @@ check: $(VENV)/.installed-dev docs
 	$(BIN)/python -m pytest --quiet tests/test_layers.py
 
 bench: $(VENV)/.installed-bench
-	$(BIN)/python -m benchmarks --out BENCHMARKS.md $(ARGS)
+	$(BIN)/python -m benchmarks $(or $(ARGS),--out BENCHMARKS.md)
 
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
