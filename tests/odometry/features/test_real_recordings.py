@@ -1,0 +1,28 @@
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from wheelsight.estimates import Status
+from wheelsight.evaluation import ate
+from wheelsight.events import RgbdFrame
+from wheelsight.odometry.features import FeatureOdometry
+from wheelsight.recordings import open_recording
+from wheelsight.trajectory import Trajectory
+
+pytestmark = pytest.mark.data
+
+
+@pytest.mark.parametrize("name", ["freiburg1_rpy_part", "red_kitchen"])
+def test_two_seconds_of_a_real_recording_are_followed(data_folder, name):
+    recording = open_recording(data_folder / "rgbd" / name)
+    subject = FeatureOdometry(recording.calibration)
+    frames = (event for event in recording.events() if isinstance(event, RgbdFrame))
+    answers = [subject.process(frame) for frame in islice(frames, 60)]
+    assert [answer.status for answer in answers] == [Status.TRACKING] * 60
+    found = Trajectory(
+        np.array([answer.stamp_s for answer in answers]), np.array([answer.T_world_body for answer in answers])
+    )
+    assert ate(found, recording.ground_truth).translation.rmse < 0.03

@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import pytest
+from odometry.views import FRAME_S, odometry, room_frames, run
+from pydantic import ValidationError
+from synthetic import wobbling_trajectory
+
+from wheelsight.odometry.features import FeatureSettings
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"reference": "map"}, {"seed": -1}, {"seed": 2**32}, {"keypoints": 10}, {"min_inliers": 3}, {"max_speed_m_s": 0}]
+    + [{"keyframe_share": 1.5}, {"lost_after": 0}, {"max_sigma_m": float("inf")}, {"unknown": 1}],
+)
+def test_impossible_settings_are_refused(wrong):
+    with pytest.raises(ValidationError):
+        FeatureSettings(**wrong)
+
+
+def test_the_largest_seed_works():
+    frames = room_frames(wobbling_trajectory(3))
+    assert frames[1].stamp_s - frames[0].stamp_s == pytest.approx(FRAME_S)
+    assert run(odometry(seed=2**32 - 1), frames)[-1].T_world_body is not None
