@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from odometry.plain_kernels import plain
 
-from wheelsight.geometry import align_points, se3, so3
+from wheelsight.geometry import PinholeCamera, align_points, se3, so3
 from wheelsight.odometry.features import _kernels as compiled
 
 GATE = 16.3
@@ -50,6 +50,19 @@ def derivative(function, at: np.ndarray, step: float = 1e-6) -> np.ndarray:
 def assert_same(got, expected, rtol: float = 1e-9, atol: float = 1e-9) -> None:
     for one, other in zip(got, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=rtol, atol=atol)
+
+
+def test_project_agrees_with_the_camera(rng):
+    camera = PinholeCamera(320, 240, 262.0, 260.0, 161.3, 118.4)
+    points = rng.uniform((-3, -3, -1), (3, 3, 3), (500, 3))
+    points = points[np.abs(points[:, 2]) > 0.1]
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+    got = compiled.project(points, *numbers)
+    expected, _ = camera.project(points)
+    inside = ((expected > 0) & (expected < (320, 240))).all(axis=1)
+    assert 20 < inside.sum() < 400
+    np.testing.assert_allclose(got, np.where(inside[:, None], expected, np.nan))
+    np.testing.assert_array_equal(in_python.project(points, *numbers), got)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
