@@ -135,9 +135,9 @@ def test_a_long_drive_stays_within_its_memory():
     """Back and forth, with so few keyframes kept that most are forgotten: tracking goes on, arrays stay bounded."""
     truth = wobbling_trajectory(90, speed=4.0)
     subject = odometry(kept_keyframes=4, local_keyframes=2, keyframe_share=0.9, keypoints=300)
-    landmarks = subject._map
     for frame in room_frames(truth):
         assert subject.process(frame).status is Status.TRACKING
+        landmarks = subject._map
         assert len(landmarks.keyframes) <= 4
         n = len(landmarks.numbers)
         assert n <= 4 * 300

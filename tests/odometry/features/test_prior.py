@@ -48,6 +48,7 @@ def test_a_right_prior_gives_the_same_within_noise(frames, reference):
 
 WRONG = {
     "2 m aside": np.array([2.0, 0, 0, 0, 0, 0]),
+    "2 m ahead": np.array([0, 0, 2.0, 0, 0, 0]),
     "1 m ahead": np.array([0, 0, 1.0, 0, 0, 0]),
     "turned back": np.array([0, 0, 0, 0, np.pi, 0]),
     "turned a little": np.array([0, 0, 0, 0, 0.3, 0]),

@@ -107,18 +107,15 @@ def rolling_frame(truth: Trajectory, stamp_s: float, bands: int = 24) -> RgbdFra
     return RgbdFrame(stamp_s, color, depth_m)
 
 
-@pytest.fixture(scope="module")
-def swing() -> tuple[list[RgbdFrame], np.ndarray]:
-    """Frames of a camera that swings to and fro at up to 2 rad/s, and its poses (N, 4, 4) from the first.
-
-    It starts from a standstill: the first frame cannot be straightened, its velocity not being known.
-    """
+@pytest.fixture(scope="module", params=[0, 3], ids=["from a standstill", "already turning"])
+def swing(request: pytest.FixtureRequest) -> tuple[list[RgbdFrame], np.ndarray]:
+    """Frames of a camera that swings to and fro at up to 2 rad/s, and its poses (N, 4, 4) from the first."""
     stamps = 10 + np.arange(-6, 78) / 180
     turn = 0.35 * (1 - np.cos(6 * (stamps - 10)))
     zero = np.zeros_like(turn)
     R = so3.exp(np.stack([zero, zero, turn], axis=-1)) @ np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     truth = Trajectory(stamps, se3.from_parts(R, np.array([-1.2, 0.0, 1.2]) + 0 * zero[:, None]))
-    frames = [rolling_frame(truth, stamp) for stamp in stamps[6:-6:6]]
+    frames = [rolling_frame(truth, stamp) for stamp in stamps[6:-6:6][request.param :]]
     return frames, from_start(truth.at([frame.stamp_s for frame in frames]))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from odometry.views import error_of, from_start
@@ -9,6 +11,7 @@ from synthetic import render_room, wobbling_trajectory
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
+from wheelsight.errors import CalibrationError
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import PinholeCamera, se3
 from wheelsight.localizer import Localizer
@@ -35,6 +38,12 @@ def frames():
 
 def calibration(**others) -> Calibration:
     return Calibration(COLOR, DEPTH, T_COLOR_DEPTH, **others)
+
+
+def test_a_distorted_depth_camera_is_refused() -> None:
+    bent = replace(DEPTH, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(CalibrationError, match=r"distorted depth camera.*undistort"):
+        FeatureOdometry(Calibration(COLOR, bent, T_COLOR_DEPTH))
 
 
 def errors(answers, world):

@@ -207,7 +207,7 @@ def _same_triangle(a: Any, b: Any) -> bool:
 def normal_equations(
     R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float
 ) -> Any:
-    """H (6, 6), g (6,) of the robust least squares at R, t, and the weighted sum of squares.
+    """H (6, 6), g (6,) of the robust least squares at R, t, and its cost Σ χ² / (1 + χ² / (gate/2)).
 
     Perturbation δ = (v, ω) from the left of T_current_reference. Weights are Geman and McClure's,
     1 / (1 + χ² / (gate/2))², so that a pair beyond the gate counts for little.

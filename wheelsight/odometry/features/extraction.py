@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
+from wheelsight.errors import CalibrationError
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3, so3
 from wheelsight.geometry._types import UInt64Array
@@ -60,9 +61,17 @@ class Features:
 
 
 class FeatureExtractor:
-    """Detects, spreads, describes and lifts keypoints to 3D."""
+    """Detects, spreads, describes and lifts keypoints to 3D.
+
+    Raises CalibrationError for an unregistered depth camera with lens distortion.
+    """
 
     def __init__(self, calibration: Calibration, settings: FeatureSettings) -> None:
+        if not calibration.is_registered and calibration.depth.has_distortion:
+            raise CalibrationError(
+                "a distorted depth camera beside an unregistered colour camera is not supported",
+                fix="undistort the depth images, or register them to colour",
+            )
         self._calibration = calibration
         self._settings = settings
         self._orb, self._faint = (

@@ -55,10 +55,11 @@ class FeatureOdometry:
         self._map = LandmarkMap(self._settings.kept_keyframes)
         self._watch = Stopwatch()
         self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
-        self._map_tracker = MapTracker(calibration, self._settings, self._map)
+        self._map_tracker = MapTracker(calibration, self._settings)
         T = calibration.T_color_depth
         self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
         self._last: View | None = None
+        self._first_raw: Features | None = None
         self._velocity: FloatArray = np.zeros(6)
         self._failures = 0
         self._frames = 0
@@ -88,6 +89,8 @@ class FeatureOdometry:
         if self._last is None:
             return self._start(raw)
         fix = self._locate(raw, self._last, T_previous_current_prior)
+        if isinstance(fix, Fix) and self._first_raw is not None:
+            fix = self._begin_again(self._first_raw, raw, fix)
         return self._succeed(fix) if isinstance(fix, Fix) else self._fail(raw.stamp_s, fix)
 
     def miss(self, stamp_s: float) -> Estimate:
@@ -97,11 +100,26 @@ class FeatureOdometry:
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
     def _start(self, features: Features) -> Estimate:
+        self._first_raw = features
+        self._map = LandmarkMap(self._settings.kept_keyframes)
         T_world_color = se3.invert(self._T_color_camera)
         view = View(features, T_world_color, _START_VARIANCE * np.eye(6), np.full(len(features), -1))
         self._last, self._failures = self._map.add_keyframe(view), 0
         self.last_motion = MotionEstimate(np.eye(4), view.covariance)
         return self._answer(self._last)
+
+    def _begin_again(self, first_raw: Features, raw: Features, fix: Fix) -> Fix:
+        """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
+        assert self._last is not None
+        velocity = velocity_of(self._last, fix.view, raw.stamp_s - first_raw.stamp_s)
+        straight = self._view_tracker.straighten(first_raw, velocity)
+        self._first_raw = None
+        if straight is first_raw:
+            return fix
+        self._start(straight)
+        self._first_raw = None
+        better = self._locate(raw, self._last, None)
+        return better if isinstance(better, Fix) else fix
 
     def _locate(self, raw: Features, last: View, prior: FloatArray | None) -> Fix | MotionEstimate:
         """Align with the first reference that works, then with the map; refuse what no camera could have done."""
@@ -118,7 +136,7 @@ class FeatureOdometry:
             return failure
         if self._settings.reference == "keyframes":
             with self._watch.stage("map"):
-                refined = self._map_tracker.track(raw, found, last)
+                refined = self._map_tracker.track(raw, found, last, self._map)
             # A quick turn may leave the map behind at once; the view alone then carries on, and becomes a keyframe.
             found = refined if isinstance(refined, Fix) else found
         if not self._is_plausible(last, found):

@@ -21,6 +21,8 @@ from wheelsight.odometry.features.stopwatch import Stopwatch
 _LONGEST_STEP_S = 0.2
 # A prior motion is a hint, not a measurement: search this many times wider around it.
 _PRIOR_RADII = 3.0
+# With fewer of the points found, the prior is wrong or much has left the image, and all keypoints are searched.
+_PRIOR_TRUST = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +55,8 @@ class _Tracker:
         self._shutter_s = calibration.rolling_shutter_s
         self._settings = settings
 
-    def _straighten(self, raw: Features, velocity: FloatArray) -> Features:
+    def straighten(self, raw: Features, velocity: FloatArray) -> Features:
+        """A frame's features as if all rows were exposed at once, of a camera moving at `velocity` (6,)."""
         return straighten(raw, velocity, self._shutter_s, self._color.height)
 
     def _project(self, p_color: FloatArray) -> FloatArray:
@@ -94,7 +97,7 @@ class ViewTracker(_Tracker):
             expected: (4, 4) T_reference_current of the colour camera, if somebody knows.
             trial: makes RANSAC's seed differ from frame to frame.
         """
-        features = self._straighten(raw, velocity)
+        features = self.straighten(raw, velocity)
         with self._watch.stage("match"):
             matches = self._match(features, reference.features, expected)
         with self._watch.stage("align"):
@@ -108,7 +111,7 @@ class ViewTracker(_Tracker):
                 T_world_color = reference.T_world_color @ se3.invert(found.T_current_reference)
                 guess = View(raw, T_world_color, reference.covariance, reference.landmark)
                 better = velocity_of(reference, guess, raw.stamp_s - reference.features.stamp_s)
-                features = self._straighten(raw, better if better.any() else velocity)
+                features = self.straighten(raw, better if better.any() else velocity)
                 pairs = self._pairs(features, reference.features, matches)
                 found = refine_motion(pairs, found.T_current_reference)
         if reason := self._judge(found):
@@ -119,14 +122,16 @@ class ViewTracker(_Tracker):
         """Pairs (reference, current); the reference's have depth."""
         lifted = np.flatnonzero(reference.has_depth)
         descriptors, limit = reference.descriptors[lifted], self._settings.max_hamming
-        if expected is None:
-            matches = match_all(descriptors, features.descriptors, limit)
-        else:
+        matches = None
+        if expected is not None:
             expected_px = self._project(se3.apply(se3.invert(expected), reference.points[lifted]))
             radius_px = _PRIOR_RADII * self._settings.search_radius_px
             matches = match_near(
                 expected_px, descriptors, self._pixels(features), features.descriptors, radius_px, limit
             )
+            matches = matches if len(matches.first) > _PRIOR_TRUST * len(lifted) else None
+        if matches is None:
+            matches = match_all(descriptors, features.descriptors, limit)
         return Matches(lifted[matches.first], matches.second)
 
     def _pairs(self, features: Features, reference: Features, matches: Matches) -> PointPairs:
@@ -156,13 +161,9 @@ class ViewTracker(_Tracker):
 class MapTracker(_Tracker):
     """Aligns a frame, roughly located, with the landmarks around it."""
 
-    def __init__(self, calibration: Calibration, settings: FeatureSettings, landmarks: LandmarkMap) -> None:
-        super().__init__(calibration, settings)
-        self._map = landmarks
-
-    def track(self, raw: Features, rough: Fix, last: View) -> Fix | MotionEstimate:
+    def track(self, raw: Features, rough: Fix, last: View, landmarks: LandmarkMap) -> Fix | MotionEstimate:
         """Locate a frame against the map, starting from a rough fix; or say why not."""
-        numbers, pairs, seen = self._find_landmarks(rough.view)
+        numbers, pairs, seen = self._find_landmarks(rough.view, landmarks)
         if len(pairs) < self._settings.min_inliers:
             return MotionEstimate.failed(Reason.TOO_FEW_MATCHES, len(pairs))
         found = refine_motion(pairs, se3.invert(rough.view.T_world_color))
@@ -170,19 +171,19 @@ class MapTracker(_Tracker):
         if self._shutter_s:
             guess = View(raw, se3.invert(found.T_current_reference), last.covariance, last.landmark)
             velocity = velocity_of(last, guess, raw.stamp_s - last.features.stamp_s)
-            features = self._straighten(raw, velocity) if velocity.any() else features
-            pairs = self._pairs(numbers, features, seen)
+            features = self.straighten(raw, velocity) if velocity.any() else features
+            pairs = self._pairs(numbers, features, seen, landmarks)
             found = refine_motion(pairs, found.T_current_reference)
         if reason := self._judge(found):
             return MotionEstimate.failed(reason, len(pairs), found.inliers)
         landmark = np.full(len(features), -1)
         landmark[seen[found.is_inlier]] = numbers[found.is_inlier]
-        return self._fix(features, landmark, found, rough, len(pairs))
+        return self._fix(features, landmark, found, rough, len(pairs), landmarks.keyframes[-1])
 
-    def _find_landmarks(self, rough: View) -> tuple[np.ndarray, PointPairs, np.ndarray]:
+    def _find_landmarks(self, rough: View, landmarks: LandmarkMap) -> tuple[np.ndarray, PointPairs, np.ndarray]:
         """Numbers (M,) of the landmarks found, the pairs, and the keypoints (M,) that show them."""
-        numbers = self._map.near(rough.T_world_color, self._settings.local_keyframes)
-        points, descriptors, _ = self._map.get(numbers)
+        numbers = landmarks.near(rough.T_world_color, self._settings.local_keyframes)
+        points, descriptors, _ = landmarks.get(numbers)
         expected_px = self._project(se3.apply(se3.invert(rough.T_world_color), points))
         visible = np.flatnonzero(np.isfinite(expected_px[:, 0]))
         features = rough.features
@@ -195,18 +196,19 @@ class MapTracker(_Tracker):
             self._settings.max_hamming,
         )
         numbers = numbers[visible[matches.first]]
-        return numbers, self._pairs(numbers, features, matches.second), matches.second
+        return numbers, self._pairs(numbers, features, matches.second, landmarks), matches.second
 
-    def _pairs(self, numbers: np.ndarray, features: Features, seen: np.ndarray) -> PointPairs:
+    def _pairs(self, numbers: np.ndarray, features: Features, seen: np.ndarray, landmarks: LandmarkMap) -> PointPairs:
         """A landmark seen n times is as uncertain as the mean of n readings."""
-        points, _, sightings = self._map.get(numbers)
+        points, _, sightings = landmarks.get(numbers)
         growth = np.sqrt(1 + 1 / sightings)
         sigma_xy, sigma_m = growth * features.sigma_px[seen] / self._color.fx, growth * features.sigma_m[seen]
         return PointPairs(points, features.xy[seen], features.depth_m[seen], sigma_xy, sigma_m)
 
-    def _fix(self, features: Features, landmark: np.ndarray, found: Alignment, rough: Fix, matches: int) -> Fix:
+    def _fix(
+        self, features: Features, landmark: np.ndarray, found: Alignment, rough: Fix, matches: int, keyframe: View
+    ) -> Fix:
         """The map drifted as far as its newest keyframe; the frame's own uncertainty comes on top."""
-        keyframe = self._map.keyframes[-1]
         T_world_color = se3.invert(found.T_current_reference)
         Ad = se3.adjoint(T_world_color)
         in_map = Ad @ found.covariance @ Ad.T
