@@ -77,11 +77,12 @@ class ImageRecording:
         files = self.frames[index]
         color, depth_m = read_color(files.color), read_depth(files.depth, self.encoding)
         registered = self.calibration.is_registered
+        color_camera, depth_camera = self.calibration.cameras
         if registered and color.shape[:2] != depth_m.shape:
             problem = f"depth image is {image_size(depth_m)}, its colour image {image_size(color)}"
             raise RecordingError(problem, path=files.depth, fix="register depth to colour, or give T_color_depth")
-        _check_size("colour", image_size(color), self.calibration.color, files.color)
-        _check_size("depth", image_size(depth_m), self.calibration.depth, files.depth)
+        _check_size("colour", image_size(color), color_camera, files.color)
+        _check_size("depth", image_size(depth_m), depth_camera, files.depth)
         return RgbdFrame(files.stamp_s, color, depth_m, index)
 
     def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:

@@ -85,7 +85,7 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
             on_event()
     stamps_s = np.array(tally.stamps_s, float)
     period_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else float("nan")
-    truth, camera = recording.ground_truth, recording.calibration.color
+    truth, (camera, _) = recording.ground_truth, recording.calibration.cameras
     offset = tally.offset_meter.offset()
     return Inspection(
         name=recording.name,

@@ -101,8 +101,9 @@ class RecordingWriter:
         self.close()
 
     def _add_frame(self, frame: RgbdFrame) -> None:
-        _check_size("colour", frame.color, self._calibration.color)
-        _check_size("depth", frame.depth_m, self._calibration.depth)
+        color_camera, depth_camera = self._calibration.cameras
+        _check_size("colour", frame.color, color_camera)
+        _check_size("depth", frame.depth_m, depth_camera)
         seconds = _seconds(frame.stamp_s)
         names = {"rgb": f"rgb/{seconds}.png", "depth": f"depth/{seconds}.png"}
         _write_png(self.folder / names["rgb"], cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR))

@@ -74,7 +74,7 @@ class FeatureExtractor:
         """The features of a frame, rows not yet straightened (see `straighten`)."""
         px, level, descriptors = self._keypoints(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY))
         calibration = self._calibration
-        xy = calibration.color.normalise(px)
+        xy = calibration.cameras[0].normalise(px)
         depth_m = _kernels.depth_at_keypoints(
             frame.depth_m,
             px,
@@ -106,7 +106,7 @@ class FeatureExtractor:
         """Rotation and translation colour from depth, and the depth camera's fx, fy, cx, cy."""
         T = self._calibration.T_color_depth
         T_color_depth = np.eye(4) if T is None else np.array(T)
-        depth = self._calibration.depth
+        depth = self._calibration.cameras[1]
         R, t = np.ascontiguousarray(T_color_depth[:3, :3]), T_color_depth[:3, 3].copy()
         return R, t, np.array([depth.fx, depth.fy, depth.cx, depth.cy])
 
@@ -133,7 +133,7 @@ def _in_full_image(px: FloatArray, level: IntArray, shape: tuple[int, ...]) -> F
     """
     size = np.array([shape[1], shape[0]])
     scale = SCALE ** level[:, None]
-    return (px / scale + 0.5) * (size / np.rint(size / scale)) - 0.5
+    return np.asarray((px / scale + 0.5) * (size / np.rint(size / scale)) - 0.5)
 
 
 def spread(px: FloatArray, strength: FloatArray, cell_px: int, wanted: int) -> IntArray:
