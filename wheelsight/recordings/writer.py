@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.errors import OutputError, RecordingError
-from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.files import make_output_folder, output_error, write_bytes
 from wheelsight.geometry import Float32Array, PinholeCamera
 from wheelsight.recordings._images import image_size
 from wheelsight.recordings.bodies import express_for
-from wheelsight.recordings.native import WHEELS_HEADER
+from wheelsight.recordings.native import GYRO_HEADER, WHEELS_HEADER
 from wheelsight.recordings.protocol import Recording
 from wheelsight.recordings.tum import DEPTH_FACTOR
 from wheelsight.trajectory import Trajectory, write_tum
 
-_HEADERS = {
+_IMAGE_HEADERS = {
     "rgb.txt": "# color images\n# timestamp filename\n",
     "depth.txt": "# depth maps\n# timestamp filename\n",
-    "wheels.csv": f"{WHEELS_HEADER}\n",
 }
+_READING_HEADERS = {"wheels.csv": f"{WHEELS_HEADER}\n", "gyro.csv": f"{GYRO_HEADER}\n"}
 _TRUTHS = {"camera": "groundtruth.txt", "base": "groundtruth_base.txt"}
 _DEEPEST_UNITS = np.iinfo(np.uint16).max
 _FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -39,6 +39,8 @@ class RecordingWriter:
     TUM tool reads it. That ends at 13.107 m; what lies beyond, or is no number, is written as not measured and
     counted in `depths_too_far`. Images appear whole or not at all, and a list names an image only once it is
     there; a recording broken off at any point, even by a power cut, is a valid shorter one.
+
+    Of a robot without cameras, by its calibration, it is a recording of the wheels alone.
 
     Attributes:
         folder: where the recording lies.
@@ -53,13 +55,15 @@ class RecordingWriter:
         self.folder = make_output_folder(Path(folder), force)
         self.frames = self.readings = self.depths_too_far = 0
         self._calibration = calibration
-        self._last_stamp_s = {RgbdFrame: -np.inf, WheelTicks: -np.inf}
+        self._last_stamp_s: dict[type, float] = {}
         for name in _TRUTHS.values():
             (self.folder / name).unlink(missing_ok=True)
-        for name in ("rgb", "depth"):
+        has_cameras = calibration.color is not None
+        for name in ("rgb", "depth") if has_cameras else ():
             make_output_folder(self.folder / name, force=True)
         save_calibration(calibration, self.folder / "calibration.yaml")
-        self._lists = {name: self._start(name, header) for name, header in _HEADERS.items()}
+        headers = (_IMAGE_HEADERS if has_cameras else {}) | _READING_HEADERS
+        self._lists = {name: self._start(name, header) for name, header in headers.items()}
 
     def add(self, event: Event) -> None:
         """Write one event; frames that were skipped when they were read leave no trace.
@@ -75,6 +79,11 @@ class RecordingWriter:
             self._check_stamp(event)
             self._append("wheels.csv", f"{_seconds(event.stamp_s)},{event.left},{event.right}\n")
             self.readings += 1
+        elif isinstance(event, YawRate):
+            self._check_stamp(event)
+            self._append("gyro.csv", f"{_seconds(event.stamp_s)},{_seconds(event.yaw_rate_rad_s)}\n")
+        elif isinstance(event, WheelSpeeds):
+            raise RecordingError("wheel speeds have no place here: wheels.csv holds ticks", path=self.folder)
 
     def add_ground_truth(self, truth: Trajectory) -> None:
         """Write the true trajectory of the camera or the base; if the calibration joins the two, both.
@@ -83,7 +92,9 @@ class RecordingWriter:
             CalibrationError: the trajectory describes the base and no T_base_camera says where the camera is.
             OutputError: it cannot be written.
         """
-        bodies = ("camera",) if self._calibration.T_base_camera is None else ("camera", "base")
+        bodies: tuple[str, ...] = ("camera",) if self._calibration.T_base_camera is None else ("camera", "base")
+        if self._calibration.color is None:
+            bodies = ("base",)
         for body in bodies:
             write_tum(express_for(body, truth, self._calibration), self.folder / _TRUTHS[body])
 
@@ -118,9 +129,9 @@ class RecordingWriter:
         self.depths_too_far += int(np.count_nonzero(units > _DEEPEST_UNITS))
         return np.where(fits, units, 0).astype(np.uint16)
 
-    def _check_stamp(self, event: RgbdFrame | WheelTicks) -> None:
-        if not self._last_stamp_s[type(event)] < event.stamp_s < np.inf:
-            last_s = self._last_stamp_s[type(event)]
+    def _check_stamp(self, event: RgbdFrame | WheelTicks | YawRate) -> None:
+        last_s = self._last_stamp_s.get(type(event), -np.inf)
+        if not last_s < event.stamp_s < np.inf:
             raise RecordingError(f"stamp {event.stamp_s:.6f} does not come after {last_s:.6f}", path=self.folder)
         self._last_stamp_s[type(event)] = event.stamp_s
 

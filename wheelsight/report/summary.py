@@ -27,6 +27,7 @@ class Summary:
         failures: (why, count) of the frames that were used but gave no pose, most frequent first.
         skips: (why, count) of the frames that could not be used, most frequent first.
         median_s, p95_s, longest_s: time a used frame took; NaN when none was used.
+        unit: "frame", or "reading" where frames are wheel readings.
     """
 
     frames: int
@@ -42,6 +43,7 @@ class Summary:
     median_s: float
     p95_s: float
     longest_s: float
+    unit: str = "frame"
 
     @property
     def pose_share(self) -> float:
@@ -77,6 +79,7 @@ def summarise(record: RunRecord) -> Summary:
         median_s=_percentile(seconds, 50),
         p95_s=_percentile(seconds, 95),
         longest_s=_percentile(seconds, 100),
+        unit=record.unit,
     )
 
 

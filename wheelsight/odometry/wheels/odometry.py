@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Gyro, Wheels
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import WheelSpeeds, WheelTicks
-from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se2
+from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.odometry.wheels import _kernels as kernels
 from wheelsight.trajectory import Trajectory
 
@@ -152,12 +152,9 @@ class WheelTrack:
         """T_odom_base, without the readings that were refused."""
         kept = ~self.is_refused
         poses = self.poses[kept]
-        T = np.tile(np.eye(4), (len(poses), 1, 1))
-        T[:, :2, :2] = se2.from_parts(*poses.T)[:, :2, :2]
-        T[:, :2, 3] = poses[:, :2]
         covariances = np.zeros((len(poses), 6, 6))
         covariances[np.ix_(np.arange(len(poses)), _PLANE, _PLANE)] = self.covariances[kept]
-        return Trajectory(self.stamps_s[kept], T, covariances, body="base", world="odom")
+        return Trajectory(self.stamps_s[kept], se3.from_plane(*poses.T), covariances, body="base", world="odom")
 
 
 def integrate_log(
