@@ -216,7 +216,8 @@ class Calibration:
             newer.pop("T_base_camera", None)
         if other.wheels is not None:
             newer |= {"wheels": other.wheels, "gyro": other.gyro}
-        return replace(self, **newer, source=f"{self.source}, updated by: {other.source}")
+        both = self.source if self.source == other.source else f"{self.source}, updated by: {other.source}"
+        return replace(self, **newer, source=both)
 
 
 def load_calibration(path: Path) -> Calibration:
