@@ -49,7 +49,8 @@ class Chip:
 
     def ask(self, command: str) -> list[str]:
         """The words of the answer to a command of the simulator."""
-        assert self._process.stdin is not None and self._process.stdout is not None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
         self._process.stdin.write(command + "\n")
         self._process.stdin.flush()
         status, *words = self._process.stdout.readline().split() or ["the simulator has ended"]

@@ -29,7 +29,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#define SLICE (CHIP_HZ / 2000)
+#define SLICE (CHIP_HZ / 200)
 #define MOST_BEHIND (CHIP_HZ / 10)
 
 static bool is_live;

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import pytest
 from simulated_chip import FASTEST_PULSES_PER_S, Chip
@@ -39,12 +40,10 @@ def live_duties(chip: Chip) -> tuple[float, float]:
     return 2000 * left.duty - 1000, 2000 * right.duty - 1000
 
 
-def shows(link: WheelLink, left: int, right: int) -> Callable[[], bool]:
-    def is_so() -> bool:
-        last = link.report().last
-        return last is not None and (last.left, last.right) == (left, right)
-
-    return is_so
+def last(link: WheelLink) -> tuple[int, int] | None:
+    """The newest counts that the link gave out."""
+    ticks = link.report().last
+    return None if ticks is None else (ticks.left, ticks.right)
 
 
 def turn_at_full_speed(chip: Chip) -> tuple[int, int]:
@@ -58,14 +57,14 @@ def test_ticks_are_the_pulses(chip: Chip, port: str) -> None:
         wait(lambda: link.status is LinkStatus.CONNECTED)
         assert link.report().format is Format.FRAMED
         expected = turn_at_full_speed(chip)
-        wait(shows(link, *expected))
+        wait(lambda: last(link) == expected)
         report = link.report()
         ticks: list[WheelTicks] = []
         while (tick := link.read(0)) is not None:
             ticks.append(tick)
     assert (report.line.lost, report.line.crc_errors, report.restarts, report.refused) == (0, 0, 0, 0)
     assert abs(report.drift_ppm) < 20_000  # the simulated chip only keeps up with a busy machine's clock on the whole
-    assert all(before.stamp_s < after.stamp_s for before, after in zip(ticks, ticks[1:], strict=False))
+    assert all(before.stamp_s < after.stamp_s for before, after in pairwise(ticks))
 
 
 def test_commands_are_confirmed(chip: Chip, port: str) -> None:
@@ -79,10 +78,10 @@ def test_commands_are_confirmed(chip: Chip, port: str) -> None:
         link.stop()
         assert live_duties(chip) == pytest.approx((0, 0), abs=4)
         expected = turn_at_full_speed(chip)
-        wait(shows(link, *expected))
+        wait(lambda: last(link) == expected)
         link.reset_counts()
         time.sleep(0.1)
-        assert shows(link, *expected)()  # a reset is no motion
+        assert last(link) == expected  # a reset is no motion
 
 
 def test_the_papers_format_is_recognised_and_exact(chip: Chip, port: str) -> None:
@@ -92,11 +91,20 @@ def test_the_papers_format_is_recognised_and_exact(chip: Chip, port: str) -> Non
     with WheelLink(port) as link:
         wait(lambda: link.report().format is Format.PAPER)
         expected = turn_at_full_speed(chip)
-        wait(shows(link, *expected))
+        wait(lambda: last(link) == expected)
         link.set_format(Format.FRAMED)
         wait(lambda: link.report().format is Format.FRAMED)
+
+
+def test_a_change_of_format_is_no_motion(chip: Chip, port: str) -> None:
+    with WheelLink(port) as link:
+        expected = turn_at_full_speed(chip)
+        wait(lambda: last(link) == expected)
+        for wanted in (Format.PAPER, Format.FRAMED, Format.PAPER, Format.FRAMED):
+            link.set_format(wanted)
+            wait(lambda wanted=wanted: link.report().format is wanted)
         time.sleep(0.1)
-        assert shows(link, *expected)()
+        assert last(link) == expected
 
 
 def test_motors_rest_when_the_program_that_drives_is_killed(chip: Chip, port: str) -> None:

@@ -72,7 +72,7 @@ def test_commands_are_obeyed_and_not_answered(paper_chip: Chip) -> None:
     paper_chip.command(Command.GET_VERSION)
     paper_chip.command(0x99)
     paper_chip.run(0.02)
-    assert paper_chip.duties() == pytest.approx((500, -500), abs=4)
+    assert paper_chip.duties() == pytest.approx((500, -500), abs=1)
     _, pulses = pairs(paper_chip)
     assert np.all(pulses == 0)
 
