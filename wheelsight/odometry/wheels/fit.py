@@ -2,8 +2,10 @@
 
 The reference, ground truth or visual odometry, is cut into short pieces. What the wheels make of each is compared with
 what the reference says, along and across the way and in yaw, and wheel sizes and delay are sought for which the
-differences are least. Pieces where a wheel slipped or the reference jumped lose their weight (Geman & McClure 1985;
-graduated as in Yang et al., RA-L 2020): what counts as a slip is narrowed from generous to the spread found.
+differences are least. The body that the reference follows, a marker or a camera, may sit off the middle of the axle and
+look a little aside: its mount is fitted along with the rest. Pieces where a wheel slipped or the reference jumped lose
+their weight (Geman & McClure 1985; graduated as in Yang et al., RA-L 2020): what counts as a slip is narrowed from
+generous to the spread found.
 """
 
 from __future__ import annotations
@@ -31,9 +33,11 @@ LARGEST_DELAY_S = 0.5
 
 _FEWEST_SEGMENTS = 12
 _COARSE_STEP_S = 0.02
+_STEP = 0.01
 _FIRST_SCALES = np.array([0.02, 0.02, 0.02])
 _LEAST_SCALES = np.array([5e-4, 5e-4, 5e-4])  # no reference is better than half a millimetre and half a milliradian
 _NARROWING = (32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
+_MOUNT_SIGMAS = np.array([0.5, 0.5, 0.3])  # how far off a mount may well be; holds what a straight drive leaves open
 _SLIP_CHI2 = 16.0  # three normal residuals exceed it once in a thousand
 _MOST_CLUSTERS = 25
 
@@ -45,6 +49,7 @@ class WheelFit:
     Attributes:
         nominal, wheels: before and after.
         sigmas: standard deviation of each of PARAMETERS that was fitted, by name, in its unit.
+        mount: (3,) x, y in metres and yaw in radians of T_axle_body: how the reference's body was found to sit.
         segments: what the wheels had to explain.
         residuals: (M, 3) of the fitted wheels, along and across each segment in metres, yaw in radians.
         weights: (M,) 0 to 1 of the segments; a slip has about 0.
@@ -54,6 +59,7 @@ class WheelFit:
     nominal: Wheels
     wheels: Wheels
     sigmas: dict[str, float]
+    mount: FloatArray
     segments: Segments
     residuals: FloatArray
     weights: FloatArray
@@ -79,7 +85,8 @@ def fit_wheels(
     Args:
         wheels: nominal ones: radii and track width right to a factor of two, delay to half a second.
         drive: the readings of both wheels.
-        reference: T_world_base (see `recordings.bodies.express_for` for one of the camera).
+        reference: T_world_base, with a base that is right to a few decimetres and degrees (see
+            `recordings.bodies.express_for` for one of the camera).
         segment_m: way between two poses that are compared: long for a noisy reference, short for frequent slips.
         with_delay: also fit `delay_s`; else the nominal one is kept.
         on_step: told in a word what is being done, a few times.
@@ -110,35 +117,39 @@ def fit_wheels(
     refuse_if_unobservable(sigmas, fitted, segments)
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
     slips = ((residuals / scales) ** 2).sum(axis=1) > _SLIP_CHI2
-    return WheelFit(wheels, fitted, sigmas, segments, residuals, weights, slips)
+    return WheelFit(wheels, fitted, sigmas, problem.mount(values), segments, residuals, weights, slips)
 
 
 class _Problem:
-    """Residuals as a function of what is sought: logarithms of sizes over nominal, the delay's change in seconds."""
+    """Residuals as a function of what is sought: logarithms of sizes over nominal, mount, change of delay."""
 
     def __init__(self, drive: Drive, segments: Segments, nominal: Wheels, with_delay: bool) -> None:
         self.drive, self.segments, self.nominal = drive, segments, nominal
         self.nominal_sizes = np.array([nominal.left_radius_m, nominal.right_radius_m, nominal.track_width_m])
-        self.unknowns = 4 if with_delay else 3
+        self.bounds = np.array([np.log(8.0)] * 3 + [3.0, 3.0, 1.5] + [2 * LARGEST_DELAY_S] * with_delay)
+        self.with_delay = with_delay
 
     def sizes(self, values: FloatArray) -> FloatArray:
         return np.asarray(self.nominal_sizes * np.exp(values[:3]))
 
+    def mount(self, values: FloatArray) -> FloatArray:
+        return np.asarray(values[3:6])
+
     def delay_s(self, values: FloatArray) -> float:
-        return self.nominal.delay_s + (float(values[3]) if self.unknowns == 4 else 0.0)
+        return self.nominal.delay_s + (float(values[6]) if self.with_delay else 0.0)
 
     def residuals(self, values: FloatArray) -> FloatArray:
         """(M, 3) in metres, metres, radians."""
-        motions = self.segments.predicted(self.drive, self.sizes(values), self.delay_s(values))
-        return self.segments.residuals(motions)
+        robot = (self.sizes(values), self.delay_s(values), self.mount(values))
+        return self.segments.residuals(self.segments.predicted(self.drive, *robot))
 
     def coarse(self) -> FloatArray:
         """Nominal sizes with the delay for which wheel angles best go along with the reference, linearly."""
-        values = np.zeros(self.unknowns)
-        if self.unknowns == 4:
+        values = np.zeros(len(self.bounds))
+        if self.with_delay:
             steps = round(LARGEST_DELAY_S / _COARSE_STEP_S)
             delays_s = _COARSE_STEP_S * np.arange(-steps, steps + 1)
-            values[3] = delays_s[np.argmin([self._linear_misfit(delay_s) for delay_s in delays_s])]
+            values[6] = delays_s[np.argmin([self._linear_misfit(delay_s) for delay_s in delays_s])]
         return values
 
     def _linear_misfit(self, delay_s: float) -> float:
@@ -161,9 +172,9 @@ class _Problem:
         )
 
     def sigmas(self, values: FloatArray, covariance: FloatArray) -> dict[str, float]:
-        units = np.append(self.sizes(values), 1.0)[: self.unknowns]
-        names = PARAMETERS[: self.unknowns]
-        return dict(zip(names, (units * np.sqrt(np.diag(covariance))).tolist(), strict=True))
+        deviations = np.sqrt(np.diag(covariance))
+        found = dict(zip(PARAMETERS, (self.sizes(values) * deviations[:3]).tolist(), strict=False))
+        return found | ({"delay_s": float(deviations[6])} if self.with_delay else {})
 
 
 def _misfit(regressors: FloatArray, wanted: FloatArray) -> float:
@@ -189,15 +200,14 @@ def _solve(problem: _Problem, start: FloatArray, scales: FloatArray, weights: Fl
     from scipy.optimize import least_squares
 
     root = np.sqrt(weights)[:, None] / scales
-    bounds = np.array([np.log(8.0)] * 3 + [2 * LARGEST_DELAY_S])[: problem.unknowns]
-    solution = least_squares(
-        lambda values: (root * problem.residuals(values)).ravel(),
-        start.clip(-0.99 * bounds, 0.99 * bounds),
-        jac="3-point",
-        bounds=(-bounds, bounds),
-        x_scale=np.array([0.01, 0.01, 0.01, 0.01])[: problem.unknowns],
-    )
-    return np.asarray(solution.x)
+
+    def misfit(values: FloatArray) -> FloatArray:
+        prior = problem.mount(values) / _MOUNT_SIGMAS
+        return np.concatenate([(root * problem.residuals(values)).ravel(), prior])
+
+    bounds = problem.bounds
+    within = start.clip(-0.99 * bounds, 0.99 * bounds)
+    return np.asarray(least_squares(misfit, within, jac="3-point", bounds=(-bounds, bounds), x_scale=_STEP * bounds).x)
 
 
 def _weights(chi2: FloatArray) -> FloatArray:
@@ -224,21 +234,22 @@ def _covariance(problem: _Problem, values: FloatArray, scales: FloatArray) -> Fl
     H = np.einsum("mip,m,miq->pq", J, w, J)
     along = np.einsum("mip,mi->mp", J, r)
     robust = H + np.einsum("mp,m,mq->pq", along, slope, along)
-    tiny = 1e-6 * np.eye(len(values))  # what nothing determines has a standard deviation of a thousand
-    if np.linalg.eigvalsh(robust)[0] < 0.1 * np.linalg.eigvalsh(H)[0]:
+    known = np.diag(np.full(len(values), 1e-6))  # what nothing determines has a standard deviation of a thousand
+    known[range(3, 6), range(3, 6)] = _MOUNT_SIGMAS**-2
+    if np.linalg.eigvalsh(robust + known)[0] < 0.1 * np.linalg.eigvalsh(H + known)[0]:
         robust = H
-    inverse = np.linalg.inv(robust + tiny)
+    inverse = np.linalg.inv(robust + known)
     size = -(-len(r) // _MOST_CLUSTERS)
     gradients = np.add.reduceat(w[:, None] * along, np.arange(0, len(r), size))
     groups = len(gradients)
     spread = gradients.T @ gradients * groups / (groups - len(values))
-    return np.asarray(inverse @ spread @ inverse + _floor(J, scales, tiny))
+    return np.asarray(inverse @ spread @ inverse + _floor(J, scales, known))
 
 
-def _floor(J: FloatArray, scales: FloatArray, tiny: FloatArray) -> FloatArray:
+def _floor(J: FloatArray, scales: FloatArray, known: FloatArray) -> FloatArray:
     """The covariance (P, P) that residuals of the least credible size would leave."""
     whole = J * (scales / _LEAST_SCALES)[None, :, None]
-    return np.asarray(np.linalg.inv(np.einsum("mip,miq->pq", whole, whole) + tiny))
+    return np.asarray(np.linalg.inv(np.einsum("mip,miq->pq", whole, whole) + known))
 
 
 def _jacobian(problem: _Problem, values: FloatArray) -> FloatArray:

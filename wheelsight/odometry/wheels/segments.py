@@ -32,12 +32,18 @@ class Segments:
     def __len__(self) -> int:
         return len(self.start_s)
 
-    def predicted(self, drive: Drive, sizes_m: FloatArray, delay_s: float) -> FloatArray:
-        """The same motions (M, 3) by the wheels; `sizes_m` is left radius, right radius, track width."""
+    def predicted(self, drive: Drive, sizes_m: FloatArray, delay_s: float, mount: FloatArray) -> FloatArray:
+        """The same motions (M, 3) by the wheels.
+
+        `sizes_m` is left radius, right radius, track width; `mount` (3,) is x, y and yaw of T_axle_body: where the
+        body that the reference follows sits, seen from the middle of the axle.
+        """
         start, end = (poses_at(drive, sizes_m, stamps_s + delay_s) for stamps_s in (self.start_s, self.end_s))
-        step = end - start
-        forward = (step[:, 0] + 1j * step[:, 1]) * np.exp(-1j * start[:, 2])
-        return np.stack([forward.real, forward.imag, step[:, 2]], axis=-1)
+        step = (end - start)[:, :2] @ np.array([1, 1j])
+        turn_rad = end[:, 2] - start[:, 2]
+        swing = complex(*mount[:2]) * (np.exp(1j * turn_rad) - 1)
+        moved = (step * np.exp(-1j * start[:, 2]) + swing) * np.exp(-1j * mount[2])
+        return np.stack([moved.real, moved.imag, turn_rad], axis=-1)
 
     def residuals(self, motions: FloatArray) -> FloatArray:
         """Predicted `motions` (M, 3) minus the reference's: along and across its chord in metres, yaw in radians."""
@@ -86,7 +92,7 @@ def _progress(drive: Drive, wheels: Wheels, length_m: float, stamps_s: FloatArra
     )
     total = np.concatenate([[0.0], np.cumsum(np.minimum(gone, 1.0))])  # a counter that jumps is no long way
     along: FloatArray = np.interp(stamps_s + wheels.delay_s, drive.stamps_s, total)
-    return along - along[0]
+    return np.asarray(along - along[0])
 
 
 def _has_fault(drive: Drive, wheels: Wheels, start_s: FloatArray, end_s: FloatArray) -> BoolArray:
@@ -97,8 +103,8 @@ def _has_fault(drive: Drive, wheels: Wheels, start_s: FloatArray, end_s: FloatAr
     )
     fault = np.flatnonzero((step_s > wheels.max_gap_s) | (rolled_m > wheels.max_speed_m_s * step_s))
     opens_s, closes_s = drive.stamps_s[fault], drive.stamps_s[fault + 1]
-    opened, closed = np.searchsorted(opens_s, end_s), np.searchsorted(closes_s, start_s, side="right")
-    return np.greater(opened, closed)
+    is_inside: BoolArray = np.searchsorted(opens_s, end_s) > np.searchsorted(closes_s, start_s, side="right")
+    return is_inside
 
 
 def _span(stamps_s: FloatArray) -> str:
