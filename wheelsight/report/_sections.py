@@ -90,8 +90,8 @@ def certainty(record: RunRecord) -> str:
     position_m, yaw_deg = figures.standard_deviations(record.estimate)
     end = f"{words.length(position_m[-1])} and {words.angle(yaw_deg[-1])} at the end"
     sentence = (
-        "One standard deviation of the position, along its worst direction, and of the yaw: both grow with the way, "
-        "since dead reckoning never sees a place again. Errors of calibration are not in it."
+        "One standard deviation of the position, along its worst direction, and of the yaw, which grows with the "
+        "way, since dead reckoning never sees a place again. Errors of calibration are not in it."
     )
     alt = f"Standard deviations of position and yaw over time: {end}."
     plot = html.plot("certainty", figures.certainty_figure(record), "Uncertainty over time", sentence, alt)
@@ -102,7 +102,7 @@ def tracking(record: RunRecord, summary: Summary) -> str:
     """Whether the camera was followed, frame by frame."""
     if not record.frames:
         return ""
-    lost = words.count(summary.lost_episodes, "lost episode")
+    lost = f", {words.count(summary.lost_episodes, 'lost episode')}" if record.unit == "frame" else ""
     status = html.plot(
         "status",
         figures.status_figure(record),
@@ -111,7 +111,7 @@ def tracking(record: RunRecord, summary: Summary) -> str:
         "known place again helps."
         if record.unit == "frame"
         else "Failing is a reading that was refused; the notes above say why.",
-        f"Status over time: {words.percent(summary.pose_share)} of {record.unit}s have a pose, {lost}.",
+        f"Status over time: {words.percent(summary.pose_share)} of {record.unit}s have a pose{lost}.",
     )
     if record.unit == "reading":
         return html.section("tracking", "Was every reading used?", "", status)

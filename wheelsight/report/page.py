@@ -36,9 +36,9 @@ def render(record: RunRecord) -> str:
     """The page about `record` as HTML that refers to nothing outside itself."""
     summary = summarise(record)
     verdict = judge(record, summary)
-    return Template(_asset("template.html")).substitute(
+    return fill_template(
+        kicker="wheelsight run report",
         title=escape(record.recording),
-        style=_asset("style.css"),
         facts=" · ".join(escape(fact) for fact in _facts(record)),
         tone=verdict.tone,
         phrase=escape(verdict.phrase),
@@ -47,9 +47,13 @@ def render(record: RunRecord) -> str:
         notes=_notes(record, summary),
         sections="\n".join(part for part in _sections(record, summary) if part),
         footer=escape(_footer(record)),
-        plotly=get_plotlyjs(),
-        script=_asset("page.js"),
     )
+
+
+def fill_template(**parts: str) -> str:
+    """A whole page of parts in HTML: kicker, title, facts, tone, phrase, sentences, tiles, notes, sections, footer."""
+    assets = {"style": _asset("style.css"), "plotly": get_plotlyjs(), "script": _asset("page.js")}
+    return Template(_asset("template.html")).substitute(parts, **assets)
 
 
 def _asset(name: str) -> str:
