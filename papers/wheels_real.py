@@ -29,8 +29,9 @@ from wheelsight.trajectory import Trajectory
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-EXAMPLES = """example:
-  python papers/wheels_real.py skid_steer_run20 mocap_floor corridor_864m --out figures
+EXAMPLES = """examples:
+  python papers/wheels_real.py skid_steer_run20 mocap_floor --out figures
+  python papers/wheels_real.py corridor_864m --segment 5 --out figures --force
 """
 HEAD = ("recording", "wheels", "way", "ATE", "end", "end, of the way", "drift", "turn a 100 m")
 DRIFT_M = (100.0, 50.0, 20.0, 10.0)
@@ -41,13 +42,13 @@ COLOURS = ("#d55e00", "#1f6fb4", "#e69f00", "#009e73")
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A recording's readings as arrays (N,): ticks, and the gyroscope's mean rates or None."""
+    """A recording's readings as arrays: ticks (N,) of both wheels, and stamps and yaw rates (M, 2) of a gyroscope."""
 
     name: str
     stamps_s: FloatArray
     left: FloatArray
     right: FloatArray
-    rates_rad_s: FloatArray | None
+    yaw_rates: FloatArray
     calibration: Calibration
     truth: Trajectory
 
@@ -55,7 +56,7 @@ class Log:
         self, wheels: Wheels, from_s: float, *, gyro: bool = False, integration: Integration = "arc"
     ) -> Trajectory:
         """T_odom_base of the readings; only what comes after `from_s`, though the gyroscope's bias is older."""
-        rates = self.rates_rad_s if gyro else None
+        rates = mean_yaw_rates(self.stamps_s - wheels.delay_s, *self.yaw_rates.T) if gyro else None
         ticks = (self.stamps_s, self.left, self.right)
         track = integrate_log(
             wheels, *ticks, integration=integration, yaw_rates_rad_s=rates, gyro=self.calibration.gyro
@@ -92,7 +93,7 @@ def main(arguments: list[str] | None = None) -> int:
         for path in options.recordings:
             recording = open_recording(path)
             log = read_log(recording)
-            ways = ways_of(log, recording, options.share)
+            ways = ways_of(log, recording, options.share, options.segment)
             rows += [_row(log.name, way, errors_of(track, log.truth)) for way, track in ways.items()]
             save(figure(log, ways), folder / f"{log.name}.png")
     except WheelsightError as error:
@@ -116,11 +117,10 @@ def read_log(recording: Recording) -> Log:
         turning = np.array([(reading.left_rad_s, reading.right_rad_s) for reading in speeds])
         left, right = ticks_from_speeds(recording.calibration.wheels, stamps_s, *turning.T)
     yaw_rates = np.array([(e.stamp_s, e.yaw_rate_rad_s) for e in events if isinstance(e, YawRate)]).reshape(-1, 2)
-    rates = mean_yaw_rates(stamps_s, *yaw_rates.T) if len(yaw_rates) else None
-    return Log(recording.name, stamps_s, left, right, rates, recording.calibration, recording.ground_truth)
+    return Log(recording.name, stamps_s, left, right, yaw_rates, recording.calibration, recording.ground_truth)
 
 
-def ways_of(log: Log, recording: Recording, share: float) -> dict[str, Trajectory]:
+def ways_of(log: Log, recording: Recording, share: float, segment_m: float) -> dict[str, Trajectory]:
     """T_odom_base of the part after `share` of the time, by each way of reckoning."""
     nominal = log.calibration.wheels
     assert nominal is not None
@@ -130,19 +130,32 @@ def ways_of(log: Log, recording: Recording, share: float) -> dict[str, Trajector
         "midpoint, nominal": log.reckoned(nominal, split_s, integration="midpoint"),
         "arc, nominal": log.reckoned(nominal, split_s),
     }
-    if log.rates_rad_s is not None:
+    if len(log.yaw_rates):
         ways["arc with gyro, nominal"] = log.reckoned(nominal, split_s, gyro=True)
-    try:
-        drive = drive_of(recording, nominal).between(-np.inf, split_s)
-        fitted = fit_wheels(nominal, drive, log.truth.between(-np.inf, split_s)).wheels
-    except CalibrationError as error:
-        print(f"{log.name}: not fitted: {error}", file=sys.stderr)
+    fitted = _fitted(log, recording, nominal, split_s, segment_m)
+    if fitted is None:
         return ways
     ways["arc, fitted"] = log.reckoned(fitted, split_s)
-    if log.rates_rad_s is not None:
+    if len(log.yaw_rates):
         ways["arc with gyro, fitted"] = log.reckoned(fitted, split_s, gyro=True)
-    print(f"{log.name}: fitted {fitted}")
     return ways
+
+
+def _fitted(log: Log, recording: Recording, nominal: Wheels, until_s: float, segment_m: float) -> Wheels | None:
+    """Sizes fitted to the truth until then, or None; the delay is kept where steady motion hides it."""
+    drive, truth = drive_of(recording, nominal).between(-np.inf, until_s), log.truth.between(-np.inf, until_s)
+    for with_delay in (True, False):
+        try:
+            fitted = fit_wheels(nominal, drive, truth, with_delay=with_delay, segment_m=segment_m).wheels
+        except CalibrationError as error:
+            print(f"{log.name}: not fitted{'' if with_delay else ' either'}: {error}", file=sys.stderr)
+            continue
+        sizes = (
+            f"radii {fitted.left_radius_m:.4f} and {fitted.right_radius_m:.4f} m, track {fitted.track_width_m:.4f} m"
+        )
+        print(f"{log.name}: fitted {sizes}, delay {1e3 * fitted.delay_s:.0f} ms{'' if with_delay else ' (kept)'}")
+        return fitted
+    return None
 
 
 def errors_of(track: Trajectory, truth: Trajectory) -> Errors:
@@ -224,6 +237,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--share", type=float, default=0.5, help="part of the time that sizes are fitted to (%(default)s)"
     )
+    parser.add_argument("--segment", type=float, default=1.0, help="way between compared poses, metres (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("wheels_real"), help="folder for the figures (%(default)s)")
     parser.add_argument("--force", action="store_true", help="write into a folder that holds something already")
     return parser
