@@ -62,7 +62,7 @@ def residual_figure(trial: WheelTrial) -> go.Figure:
         limit = _limit(values[~fit.is_slip], factor * fit.spread[row - 1])
         for kind, which, color, symbol in (
             ("segment", ~fit.is_slip, BLUE, "circle"),
-            ("slip, hardly counted", fit.is_slip, VERMILLION, "x"),
+            ("slip or jump, hardly counted", fit.is_slip, VERMILLION, "x"),
         ):
             figure.add_scatter(
                 x=middle_s[which],

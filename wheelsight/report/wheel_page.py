@@ -104,13 +104,11 @@ def _changes(trial: WheelTrial) -> tuple[float, float]:
 
 
 def _sentences(trial: WheelTrial) -> str:
-    before, after = trial.before, trial.after
+    before, after = trial.before.evaluation, trial.after.evaluation
+    ate = (words.length(evaluation.ate.translation.rmse) for evaluation in (after, before))
     length = words.length(trial.held_out.length_m)
-    text = (
-        f"Over the {length} that the fit did not see, the path's error (ATE) is "
-        f"{words.length(after.evaluation.ate.translation.rmse)} after {words.length(before.evaluation.ate.translation.rmse)}"
-    )
-    old, new = before.evaluation.rpe_per_metre, after.evaluation.rpe_per_metre
+    text = "Over the {} that the fit did not see, the path's error (ATE) is {} after {}".format(length, *ate)
+    old, new = before.rpe_per_metre, after.rpe_per_metre
     if old is None or new is None:
         return text + "."
     turns = (words.angle(error.rotation.in_degrees().rmse) for error in (new, old))
@@ -123,7 +121,7 @@ def _tiles(trial: WheelTrial) -> list[tuple[str, str, str]]:
     old, new = before.evaluation.rpe_per_metre, after.evaluation.rpe_per_metre
     if old is not None and new is not None:
         tiles.append(_tile("RPE a metre, RMSE", old.translation.rmse, new.translation.rmse))
-    slips = words.count(int(fit.is_slip.sum()), "of them a slip", "of them slips")
+    slips = words.count(int(fit.is_slip.sum()), "of them a slip or jump", "of them slips or jumps")
     along, _, turn = fit.spread
     return [
         *tiles,
@@ -138,12 +136,14 @@ def _tile(name: str, before: float, after: float) -> tuple[str, str, str]:
 
 
 def _notes(trial: WheelTrial) -> str:
-    x_m, y_m, yaw_rad = trial.fit.mount
+    x_m, y_m, yaw_rad = trial.fit.mount.tolist()
+    ahead, aside, turned = ("ahead", "behind")[x_m < 0], ("left", "right")[y_m < 0], ("left", "right")[yaw_rad < 0]
     mount = (
-        f"The reference's body sits {words.length(x_m)} forward and {words.length(y_m)} left of the axle's middle and "
-        f"looks {words.angle(float(np.degrees(yaw_rad)))} to the left, as fitted; the comparison allows for that."
+        f"By the fit, what the reference follows sits {words.length(abs(x_m))} {ahead} and {words.length(abs(y_m))} "
+        f"{aside} of the axle's middle and looks {words.angle(abs(np.degrees(yaw_rad)))} to the {turned}; "
+        "the comparison allows for that."
     )
-    found = [*trial.warnings, mount, "Errors hold the reference's own; slips are in the part not fitted, too."]
+    found = [*trial.warnings, mount, "All errors hold the reference's own, and those of slips."]
     return html.section("notes", "What to know before trusting it", "", html.bullets(found, "notes"))
 
 
@@ -177,7 +177,7 @@ def _residuals(trial: WheelTrial) -> str:
         "residuals",
         figures.residual_figure(trial),
         "Residuals",
-        "Wheels minus reference over each segment; slips beyond the scale lie at its edge.",
+        "Wheels minus reference over each segment; slips, and jumps of the reference, beyond the scale lie at its edge.",
         "Residuals of the segments over time, along, across and in turn",
     )
     return html.section("segments", "On the part it was fitted to", "", plot)

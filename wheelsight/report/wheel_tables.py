@@ -15,7 +15,8 @@ _LENGTHS = {"left_radius_m": "left radius", "right_radius_m": "right radius", "t
 def fit_rows(fit: WheelFit) -> list[tuple[str, ...]]:
     """One row a parameter, as `HEAD` names the columns."""
     ratio_before, ratio_after = (w.right_radius_m / w.left_radius_m for w in (fit.nominal, fit.wheels))
-    ratio = ("right over left", f"{ratio_before:.5f}", f"{ratio_after:.5f}", "", _change(ratio_before, ratio_after))
+    ratios = (f"{ratio_before:.5f}", f"{ratio_after:.5f}", f"{fit.ratio_sigma:.5f}")
+    ratio = ("right over left", *ratios, _change(ratio_before, ratio_after))
     delay_ms = [f"{1e3 * wheels.delay_s:.1f} ms" for wheels in (fit.nominal, fit.wheels)]
     change_ms = 1e3 * (fit.wheels.delay_s - fit.nominal.delay_s)
     delay_sigma = f"{1e3 * fit.sigmas['delay_s']:.1f} ms" if "delay_s" in fit.sigmas else "kept"
@@ -39,7 +40,7 @@ def square_rows(result: Umbmark) -> list[tuple[str, ...]]:
 def error_rows(trial: WheelTrial) -> list[tuple[str, ...]]:
     """Errors of nominal and of calibrated wheels on the part not calibrated on, one row each kind."""
     both = (trial.before, trial.after)
-    rows = [("ATE, position", *(words.length(x.evaluation.ate.translation.rmse) for x in both))]
+    rows: list[tuple[str, ...]] = [("ATE, position", *(words.length(x.evaluation.ate.translation.rmse) for x in both))]
     for name in ("second", "metre"):
         errors = [getattr(x.evaluation, f"rpe_per_{name}") for x in both]
         if None not in errors:
@@ -49,7 +50,7 @@ def error_rows(trial: WheelTrial) -> list[tuple[str, ...]]:
 
 
 def _length_rows(nominal: Wheels, wheels: Wheels, sigmas: dict[str, float]) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for field, name in _LENGTHS.items():
         before, after = float(getattr(nominal, field)), float(getattr(wheels, field))
         sigma = f"{1e3 * sigmas[field]:.2f} mm" if field in sigmas else ""

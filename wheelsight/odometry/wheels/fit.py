@@ -49,6 +49,7 @@ class WheelFit:
     Attributes:
         nominal, wheels: before and after.
         sigmas: standard deviation of each of PARAMETERS that was fitted, by name, in its unit.
+        ratio_sigma: standard deviation of right radius over left, far smaller than what each radius alone allows.
         mount: (3,) x, y in metres and yaw in radians of T_axle_body: how the reference's body was found to sit.
         segments: what the wheels had to explain.
         residuals: (M, 3) of the fitted wheels, along and across each segment in metres, yaw in radians.
@@ -59,6 +60,7 @@ class WheelFit:
     nominal: Wheels
     wheels: Wheels
     sigmas: dict[str, float]
+    ratio_sigma: float
     mount: FloatArray
     segments: Segments
     residuals: FloatArray
@@ -113,11 +115,14 @@ def fit_wheels(
     values, scales, weights = _robust(problem, start)
     fitted, residuals = problem.fitted(values), problem.residuals(values)
     refuse_if_unlike(segments, residuals, drive, fitted.delay_s)
-    sigmas = problem.sigmas(values, _covariance(problem, values, scales))
+    covariance = _covariance(problem, values, scales)
+    sigmas = problem.sigmas(values, covariance)
     refuse_if_unobservable(sigmas, fitted, segments)
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
     slips = ((residuals / scales) ** 2).sum(axis=1) > _SLIP_CHI2
-    return WheelFit(wheels, fitted, sigmas, problem.mount(values), segments, residuals, weights, slips)
+    difference = np.array([-1, 1]) @ covariance[:2, :2] @ np.array([-1, 1])
+    ratio_sigma = float(fitted.right_radius_m / fitted.left_radius_m * np.sqrt(difference))
+    return WheelFit(wheels, fitted, sigmas, ratio_sigma, problem.mount(values), segments, residuals, weights, slips)
 
 
 class _Problem:

@@ -46,6 +46,10 @@ class SquareRun:
         steps = (poses[:, :2] - poses[0, :2]) @ np.array([1, 1j]) * np.exp(-1j * poses[0, 2])
         return np.column_stack([steps.real, steps.imag, poses[:, 2] - poses[0, 2]])
 
+    def turns_left(self, wheels: Wheels) -> bool:
+        """Whether it went counter-clockwise."""
+        return bool(self.path(wheels)[-1, 2] > 0)
+
     def error_m(self, wheels: Wheels) -> FloatArray:
         """Return position error (2,), true minus computed."""
         return np.asarray(self.true_end_m - self.path(wheels)[-1, :2])
@@ -86,13 +90,13 @@ def umbmark_from_runs(wheels: Wheels, runs: Sequence[SquareRun], side_m: float |
         lengths = [np.hypot(*np.diff(path[:, :2], axis=0).T).sum() / 4 for path in paths]
         side_m = float(np.median(lengths)) if lengths else 0.0
     errors = np.array([run.error_m(wheels) for run in runs]).reshape(-1, 2)
-    turns_left = np.array([path[-1, 2] > 0 for path in paths], bool)
+    turns_left = np.array([run.turns_left(wheels) for run in runs], bool)
     return umbmark(wheels, errors[~turns_left], errors[turns_left], side_m)
 
 
 def errors_on_unused_runs_m(wheels: Wheels, runs: Sequence[SquareRun]) -> FloatArray | None:
     """Distance (N,) by which each run misses its true end with wheels corrected by all others; None for too few."""
-    directions = [run.path(wheels)[-1, 2] > 0 for run in runs]
+    directions = [run.turns_left(wheels) for run in runs]
     if min(directions.count(True), directions.count(False)) < 2:
         return None
     others = [[run for run in runs if run is not left_out] for left_out in runs]

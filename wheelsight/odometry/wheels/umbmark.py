@@ -54,11 +54,15 @@ class Umbmark:
         return max(float(np.hypot(*runs.mean(axis=0))) for runs in (self.clockwise_m, self.counter_clockwise_m))
 
     @property
-    def largest_error_after_m(self) -> float:
-        """E_max,syst that the correction leaves, by the model of the square."""
+    def errors_after_m(self) -> tuple[FloatArray, FloatArray]:
+        """The errors (n, 2), (m, 2) that the correction leaves of each run, by the model of the square."""
         explained = _square_errors(self.nominal, self.side_m, np.array([self.diameter_ratio, self.track_factor]))
-        means = np.concatenate([self.clockwise_m.mean(axis=0), self.counter_clockwise_m.mean(axis=0)])
-        return float(np.hypot(*(means - explained).reshape(2, 2).T).max())
+        return self.clockwise_m - explained[:2], self.counter_clockwise_m - explained[2:]
+
+    @property
+    def largest_error_after_m(self) -> float:
+        """E_max,syst of these."""
+        return max(float(np.hypot(*runs.mean(axis=0))) for runs in self.errors_after_m)
 
 
 def umbmark(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLike, side_m: float) -> Umbmark:
