@@ -28,7 +28,7 @@ class Commands:
     def __init__(self, port: str, write: Callable[[bytes], None]) -> None:
         self.version: Version | None = None
         self._port, self._write = port, write
-        self._sending = threading.Lock()
+        self._sending = threading.RLock()
         self._sequence = 0
         self._drive: bytes | None = None
         self._has_driven = False
@@ -41,16 +41,19 @@ class Commands:
         for side, duty in (("left", left), ("right", right)):
             if not -1 <= duty <= 1:
                 raise DeviceError(f"the {side} duty is {duty}, not -1 to 1", path=self._port)
-        self._until_s = math.inf if hold_s is None else time.monotonic() + hold_s
-        self._drive, self._has_driven = drive_body(left, right), True
-        self._send(Command.DRIVE, self._drive)
-        self._next_s = time.monotonic() + KEEP_ALIVE_S
+        body = drive_body(left, right)
+        with self._sending:
+            self._drive, self._has_driven = None, True
+            self._send(Command.DRIVE, body)  # where the port is gone, nothing is left to be kept up when it comes back
+            now_s = time.monotonic()
+            self._drive, self._next_s = body, now_s + KEEP_ALIVE_S
+            self._until_s = math.inf if hold_s is None else now_s + hold_s
 
     def keep_alive(self, now_s: float) -> None:
         """Repeat DRIVE when it is due; the controller stops the motors without it."""
-        if self._drive is None or now_s < min(self._next_s, self._until_s):
-            return
-        with suppress(DeviceError):  # a port that vanished is found out by reading
+        with self._sending, suppress(DeviceError):  # a port that vanished is found out by reading
+            if self._drive is None or now_s < min(self._next_s, self._until_s):
+                return
             if now_s >= self._until_s:
                 self.forget_drive()
                 self._send(Command.STOP)
@@ -60,7 +63,8 @@ class Commands:
 
     def forget_drive(self) -> None:
         """Do not keep up what the motors were told."""
-        self._drive = None
+        with self._sending:
+            self._drive = None
 
     def stop(self, is_answered: bool) -> None:
         """Stop the motors; confirmed where the controller answers."""

@@ -59,7 +59,7 @@ class TickTracker:
         last, held = self._last, self._held
         if last is None:
             return [self._begin(_Reading(counts, counts.clock_us, arrival_s))]
-        self._see_reset(last.counts, counts)
+        last = self._last = self._as_if_reset(last, counts)
         reading = self._unwrap(last, counts, arrival_s)
         if self._follows(last, reading):
             self.refused += held is not None
@@ -98,11 +98,12 @@ class TickTracker:
         """The port was opened anew: what comes is fresh, so a clock that lags shows a restart."""
         self._was_replugged = True
 
-    def _see_reset(self, last: Counts, counts: Counts) -> None:
-        if self._reset_is_due and abs(counts.left) + abs(counts.right) < sum(map(abs, _steps(last, counts))):
-            assert self._last is not None
-            self._last = _from_zero(self._last)
+    def _as_if_reset(self, last: _Reading, counts: Counts) -> _Reading:
+        """`last`, with zero counts if a reset is due and `counts` are nearer to zero than to what they were."""
+        if self._reset_is_due and abs(counts.left) + abs(counts.right) < sum(map(abs, _steps(last.counts, counts))):
             self._reset_is_due = False
+            return _from_zero(last)
+        return last
 
     def _unwrap(self, last: _Reading, counts: Counts, arrival_s: float) -> _Reading:
         """The reading with as many roll-overs of its clock since `last` as host time says."""

@@ -231,7 +231,7 @@ class WheelLink:
                     self._put(ticks)
                 if self._tracker.restarts > restarts:
                     self._commands.forget_drive()
-                    self._decoder.forget_sequence()
+                    self._decoder.forgive_gap()
             elif isinstance(message, Pulses):
                 self._put(self._tracker.add(message))
             elif isinstance(message, Ack) and self._commands.answered(message):
@@ -250,10 +250,10 @@ class WheelLink:
 
     def _wait_for_port(self) -> None:
         """After the port vanished: forget what the motors were told, and open it again as soon as it is there."""
-        self._commands.forget_drive()
         if self._serial is not None:
             self._serial.close()
             self._serial = None
+        self._commands.forget_drive()
         self._tell(LinkStatus.VANISHED)
         while not self._is_closing.wait(_RETRY_S):
             try:

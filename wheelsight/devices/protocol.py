@@ -139,6 +139,7 @@ class FrameDecoder:
         self._sequence: int | None = None
         self._recent: deque[bytes] = deque(maxlen=_REPEATS_KNOWN)
         self._is_in_step = True
+        self._gap = self._gap_at = 0
 
     def feed(self, data: bytes) -> list[Message]:
         """The messages that `data` completes, in their order; damage never raises, it is counted."""
@@ -199,12 +200,19 @@ class FrameDecoder:
         if last is not None and (step := (sequence - last) & 0xFF) != 1:
             if frame in self._recent:
                 return False
-            self.statistics.lost += (step - 1) & 0xFF
+            self._gap, self._gap_at = (step - 1) & 0xFF, self.statistics.frames
+            self.statistics.lost += self._gap
         self._sequence = sequence
         self._recent.append(frame)
         return True
 
+    def forgive_gap(self) -> None:
+        """Take back a loss counted at one of the last two frames: the controller had begun anew."""
+        if self.statistics.frames - self._gap_at < 2:
+            self.statistics.lost -= self._gap
+            self._gap = 0
+
     def forget_sequence(self) -> None:
-        """Count no loss before the next frame: the controller, or the line, began anew."""
+        """Count no loss before the next frame: the port was opened anew."""
         self._sequence = None
         self._rest = b""

@@ -64,9 +64,9 @@ class LineDecoder:
         self._frames.forget_sequence()
         self._forget_pairs()
 
-    def forget_sequence(self) -> None:
-        """Count no loss before the next frame: the controller began anew."""
-        self._frames.forget_sequence()
+    def forgive_gap(self) -> None:
+        """Take back a loss just counted: the controller had begun anew."""
+        self._frames.forgive_gap()
 
     def _gather(self, data: bytes, arrival_s: float) -> list[Pulses]:
         orphans = self._paper.statistics.malformed
