@@ -36,7 +36,7 @@ class NativeReader:
         """The recording in `folder`. Raises InputError naming file and line."""
         has_images = any((folder / name).is_file() for name in ("rgb.txt", "depth.txt"))
         calibration = choose_calibration(folder, options, lambda: _missing(folder, options, has_images))
-        wheels, warnings = _read_wheels(folder / "wheels.csv")
+        wheels, warnings = read_wheels(folder / "wheels.csv")
         yaw_rates, more = _read_yaw_rates(folder / "gyro.csv")
         warnings += more
         truth = None
@@ -72,7 +72,7 @@ def _missing(folder: Path, options: OpenOptions, has_images: bool) -> Calibratio
     raise CalibrationError("is missing", path=folder / "calibration.yaml", fix=fix)
 
 
-def _read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
+def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
     """The readings of wheels.csv in order of time, and warnings."""
     rows, warnings = read_table(path, WHEELS_HEADER.split(","))
     ticks = [WheelTicks(row.stamp_s, row.whole("left"), row.whole("right")) for row in rows]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelsight.calibration import Calibration, save_calibration
-from wheelsight.errors import OutputError, RecordingError
+from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.files import make_output_folder, output_error, write_bytes
 from wheelsight.geometry import Float32Array, PinholeCamera
@@ -40,7 +40,8 @@ class RecordingWriter:
     counted in `depths_too_far`. Images appear whole or not at all, and a list names an image only once it is
     there; a recording broken off at any point, even by a power cut, is a valid shorter one.
 
-    Of a robot without cameras, by its calibration, it is a recording of the wheels alone.
+    Of a robot without cameras, by its calibration, it is a recording of the wheels alone; so it is where `calibration`
+    is None, of a robot not calibrated yet.
 
     Attributes:
         folder: where the recording lies.
@@ -51,17 +52,20 @@ class RecordingWriter:
         OutputError: the folder is not empty and `force` is off, cannot be written, or the disk is full.
     """
 
-    def __init__(self, folder: Path | str, calibration: Calibration, force: bool = False) -> None:
+    def __init__(self, folder: Path | str, calibration: Calibration | None, force: bool = False) -> None:
         self.folder = make_output_folder(Path(folder), force)
         self.frames = self.readings = self.depths_too_far = 0
         self._calibration = calibration
         self._last_stamp_s: dict[type, float] = {}
         for name in _TRUTHS.values():
             (self.folder / name).unlink(missing_ok=True)
-        has_cameras = calibration.color is not None
+        has_cameras = calibration is not None and calibration.color is not None
         for name in ("rgb", "depth") if has_cameras else ():
             make_output_folder(self.folder / name, force=True)
-        save_calibration(calibration, self.folder / "calibration.yaml")
+        if calibration is None:
+            (self.folder / "calibration.yaml").unlink(missing_ok=True)
+        else:
+            save_calibration(calibration, self.folder / "calibration.yaml")
         headers = (_IMAGE_HEADERS if has_cameras else {}) | _READING_HEADERS
         self._lists = {name: self._start(name, header) for name, header in headers.items()}
 
@@ -92,11 +96,12 @@ class RecordingWriter:
             CalibrationError: the trajectory describes the base and no T_base_camera says where the camera is.
             OutputError: it cannot be written.
         """
-        bodies: tuple[str, ...] = ("camera",) if self._calibration.T_base_camera is None else ("camera", "base")
-        if self._calibration.color is None:
+        calibration = self._known_calibration()
+        bodies: tuple[str, ...] = ("camera",) if calibration.T_base_camera is None else ("camera", "base")
+        if calibration.color is None:
             bodies = ("base",)
         for body in bodies:
-            write_tum(express_for(body, truth, self._calibration), self.folder / _TRUTHS[body])
+            write_tum(express_for(body, truth, calibration), self.folder / _TRUTHS[body])
 
     def close(self) -> None:
         """End the recording. Nothing is lost without it but what the system had not yet written."""
@@ -111,8 +116,13 @@ class RecordingWriter:
     ) -> None:
         self.close()
 
+    def _known_calibration(self) -> Calibration:
+        if self._calibration is None:
+            raise CalibrationError("is missing", path=self.folder / "calibration.yaml", fix="record with a calibration")
+        return self._calibration
+
     def _add_frame(self, frame: RgbdFrame) -> None:
-        color_camera, depth_camera = self._calibration.cameras
+        color_camera, depth_camera = self._known_calibration().cameras
         _check_size("colour", frame.color, color_camera)
         _check_size("depth", frame.depth_m, depth_camera)
         seconds = _seconds(frame.stamp_s)
