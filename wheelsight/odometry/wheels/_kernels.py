@@ -75,15 +75,14 @@ def step(
     rate_rad_s: float,
 ) -> None:
     """Move the state by the travel of both wheels in `dt_s`; the gyroscope's mean rate may be NaN for none."""
-    slip_squared, track_m = parameters[SLIP_SQUARED], parameters[TRACK]
+    track_m, slip_squared = parameters[TRACK], parameters[SLIP_SQUARED]
     left_variance, right_variance = slip_squared * abs(left_m), slip_squared * abs(right_m)
     way_m, turn_rad = (left_m + right_m) / 2, (right_m - left_m) / track_m
     way_variance = (left_variance + right_variance) / 4
     turn_variance = 4 * way_variance / track_m**2
     shared = (right_variance - left_variance) / (2 * track_m)
-    is_still = left_m == 0 and right_m == 0
     state[BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
-    turn_per_bias = 0.0
+    is_still, turn_per_bias = left_m == 0 and right_m == 0, 0.0
     if not math.isnan(rate_rad_s) and is_still and state[IS_STILL] > 0:
         _learn_bias(state, rate_rad_s, parameters[GYRO_VARIANCE] / dt_s)
     elif not math.isnan(rate_rad_s) and not is_still:
@@ -99,10 +98,9 @@ def step(
     state[SPEED], state[YAW_RATE] = way_m / dt_s, turn_rad / dt_s
     if is_still:
         return
-    along_way, along_turn = move(state, integration, way_m, turn_rad)
+    (wx, wy), (tx, ty) = move(state, integration, way_m, turn_rad)
     # as left perturbations: a turn where the robot now stands is one about the origin, and a shift
-    tx, ty = along_turn[0] + state[Y], along_turn[1] - state[X]
-    wx, wy = along_way
+    tx, ty = tx + state[Y], ty - state[X]
     _add_pair(state, way_variance, shared, turn_variance, wx, wy, tx, ty)
     state[SENSITIVITY] += turn_per_bias * tx
     state[SENSITIVITY + 1] += turn_per_bias * ty
