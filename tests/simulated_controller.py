@@ -26,7 +26,7 @@ class SimulatedController:
         speeds: pulses a period of both wheels.
         duties: what DRIVE last said, (0, 0) after STOP or the watchdog.
         commands: all received, (type, body).
-        is_muted, answers: whether it sends nothing; whether it answers commands.
+        is_muted, is_noisy, answers: whether it sends no counts; sends noise; answers commands.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -35,7 +35,7 @@ class SimulatedController:
         self.speeds = (0, 0)
         self.duties = (0, 0)
         self.commands: list[tuple[int, bytes]] = []
-        self.is_muted, self.answers, self.is_paper = False, True, False
+        self.is_muted, self.is_noisy, self.answers, self.is_paper = False, False, True, False
         self._zero = (0, 0)
         self._sequence = 0
         self._booted_s = time.monotonic()
@@ -108,6 +108,8 @@ class SimulatedController:
         self.right += right
         if time.monotonic() - self._driven_s > WATCHDOG_S:
             self.duties = (0, 0)
+        if self.is_noisy:
+            self.send(os.urandom(7))
         if self.is_muted:
             return
         if self.is_paper:

@@ -108,10 +108,15 @@ def serve(
 
 
 def note_status(port: str) -> Callable[[LinkStatus], None]:
-    """What to do with a new status of the link: say it on stderr, with the time."""
+    """What to do with a new status of the link: say it on stderr, with the time; its end goes without saying."""
     from wheelsight.cli._console import print_note
+    from wheelsight.devices import LinkStatus
 
-    return lambda status: print_note(f"{time.strftime('%H:%M:%S')} {port}: {status}")
+    def note(status: LinkStatus) -> None:
+        if status is not LinkStatus.CLOSED:
+            print_note(f"{time.strftime('%H:%M:%S')} {port}: {status}")
+
+    return note
 
 
 def _wheels_of(path: Path) -> Wheels:

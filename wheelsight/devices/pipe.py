@@ -15,6 +15,8 @@ from wheelsight.files import output_error
 LONGEST_LINE = 4096  # PIPE_BUF of Linux: so many bytes go into a pipe whole or not at all
 _MOST_WAITING = 256
 
+_Identity = tuple[int, int, int]
+
 
 class TelemetryPipe:
     """Writes lines into a named pipe and never waits; use it in a `with` block, at the end of which the pipe is gone.
@@ -65,7 +67,7 @@ class TelemetryPipe:
         """Remove the pipe, unless something else lies in its place by now; may be called twice."""
         self._let_go()
         with suppress(OSError):
-            if _identity(self.path) == self._identity:
+            if _identity(self.path.stat()) == self._identity:
                 self.path.unlink()
 
     def __enter__(self) -> TelemetryPipe:
@@ -77,10 +79,15 @@ class TelemetryPipe:
         self.close()
 
     def _find_reader(self) -> bool:
-        with suppress(OSError):  # ENXIO: nobody reads; ENOENT: someone took the pipe away
-            if _identity(self.path) == self._identity:
-                self._writer = os.open(self.path, os.O_WRONLY | os.O_NONBLOCK)
-        return self._writer is not None
+        try:
+            writer = os.open(self.path, os.O_WRONLY | os.O_NONBLOCK)
+        except OSError:  # ENXIO: nobody reads; ENOENT: someone took the pipe away
+            return False
+        if _identity(os.fstat(writer)) != self._identity:
+            os.close(writer)
+            return False
+        self._writer = writer
+        return True
 
     def _flush(self) -> None:
         assert self._writer is not None
@@ -101,18 +108,19 @@ class TelemetryPipe:
             self._writer = None
 
 
-def _make(path: Path) -> tuple[int, int]:
+def _make(path: Path) -> _Identity:
     """Make the pipe, or take one that is left over; its identity."""
     try:
         with suppress(FileExistsError):
             os.mkfifo(path)
-        if not stat.S_ISFIFO(path.stat().st_mode):
-            raise OutputError("is there already and is no pipe", path=path, fix="choose another path for the pipe")
-        return _identity(path)
+        status = path.stat()
     except OSError as error:
         raise output_error(error, path) from error
+    if not stat.S_ISFIFO(status.st_mode):
+        raise OutputError("is there already and is no pipe", path=path, fix="choose another path for the pipe")
+    return _identity(status)
 
 
-def _identity(path: Path) -> tuple[int, int]:
-    status = path.stat()
-    return status.st_dev, status.st_ino
+def _identity(status: os.stat_result) -> _Identity:
+    """Device, number and kind: a file that is made where a pipe was often gets its number."""
+    return status.st_dev, status.st_ino, stat.S_IFMT(status.st_mode)
