@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from wheelsight.calibration import Wheels
+from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.geometry import FloatArray, IntArray, se3, so3
-from wheelsight.trajectory import Trajectory
+from wheelsight.trajectory import Trajectory, write_tum
 
 RATE_HZ = 50
 Leg = tuple[float, float, float]  # seconds, m/s, rad/s
@@ -95,3 +96,24 @@ def _truth(
         yaw_rad = yaw_rad + sigma_rad * rng.standard_normal(len(yaw_rad))
     R = so3.exp(np.stack([np.zeros_like(yaw_rad), np.zeros_like(yaw_rad), yaw_rad], axis=-1))
     return Trajectory(stamps_s, se3.from_parts(R, positions), body="base")
+
+
+def square_legs(nominal: Wheels, true: Wheels, sense: int, side_m: float = 4.0) -> list[Leg]:
+    """How a robot truly moves that believes in `nominal` wheels and drives a square; sense 1 is counter-clockwise."""
+    legs = []
+    for seconds, v, omega in ((side_m / 0.5, 0.5, 0.0), (3.0, 0.0, sense * np.pi / 6)) * 4:
+        across = omega * nominal.track_width_m / 2
+        left = (v - across) * true.left_radius_m / nominal.left_radius_m
+        right = (v + across) * true.right_radius_m / nominal.right_radius_m
+        legs.append((seconds, (left + right) / 2, (right - left) / true.track_width_m))
+    return [*legs, (2.0, 0.0, 0.0)]
+
+
+def write_recording(folder: Path, nominal: Wheels, drive: SimulatedDrive, truth: Trajectory | None = None) -> None:
+    """A recording of wheels in wheelsight's own layout; `truth` stands in place of the drive's own."""
+    folder.mkdir(parents=True)
+    rows = zip(drive.stamps_s.tolist(), drive.left.tolist(), drive.right.tolist(), strict=True)
+    lines = [f"{stamp_s:.6f},{left},{right}\n" for stamp_s, left, right in rows]
+    (folder / "wheels.csv").write_text("stamp_s,left,right\n" + "".join(lines))
+    save_calibration(Calibration(wheels=nominal, source="nominal"), folder / "calibration.yaml")
+    write_tum(truth or drive.truth, folder / "groundtruth_base.txt")

@@ -83,11 +83,10 @@ def print_trial(trial: WheelTrial, out: Path, page: Path) -> None:
     """Wheels and errors before and after, and where the files are."""
     stdout, fit = console(), trial.fit
     along, across, turn = fit.spread
+    slips = f"{len(fit.segments)} segments, {int(fit.is_slip.sum())} of them slips or jumps"
     left = f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, {np.degrees(turn):.2f}°"
     stdout.print(_table(f"{trial.recording}: wheels", HEAD, fit_rows(fit)))
-    stdout.print(
-        f"{len(fit.segments)} segments, {int(fit.is_slip.sum())} of them slips or jumps; left unexplained in each: {left}"
-    )
+    stdout.print(f"{slips}; left unexplained in each: {left}")
     title = f"errors on the {trial.held_out.length_m:.1f} m that the fit did not see, RMSE"
     stdout.print()
     stdout.print(_table(title, ("", "nominal", "calibrated"), error_rows(trial)))

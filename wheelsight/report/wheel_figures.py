@@ -90,7 +90,7 @@ def squares_figure(result: Umbmark, after_m: tuple[FloatArray, FloatArray]) -> g
 
     `after_m` are the errors (n, 2) and (m, 2) that corrected wheels leave of clockwise and counter-clockwise runs.
     """
-    figure = drawing.style(go.Figure(), 520, hovermode="closest", margin={"l": 66, "r": 12, "t": 34, "b": 46})
+    figure = drawing.style(go.Figure(), 520, hovermode="closest", margin={"l": 78, "r": 12, "t": 34, "b": 46})
     given = (
         ("clockwise", result.clockwise_m, after_m[0]),
         ("counter-clockwise", result.counter_clockwise_m, after_m[1]),

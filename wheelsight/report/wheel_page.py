@@ -87,9 +87,9 @@ def _facts(method: str) -> str:
 
 def _verdict(trial: WheelTrial) -> tuple[str, str]:
     path, drift = _changes(trial)
-    if path < _BETTER and drift < _BETTER:
+    if path < _BETTER and drift < _WORSE:
         return f"{1 / path:.1f} times nearer to the reference where it was not fitted", "good"
-    if max(path, drift) > _WORSE and min(path, drift) > _BETTER:
+    if path > _WORSE and drift > _BETTER:
         return "No better than the nominal wheels where it was not fitted", "poor"
     return "Little changes where it was not fitted", "fair"
 
@@ -177,7 +177,7 @@ def _residuals(trial: WheelTrial) -> str:
         "residuals",
         figures.residual_figure(trial),
         "Residuals",
-        "Wheels minus reference over each segment; slips, and jumps of the reference, beyond the scale lie at its edge.",
+        "Wheels minus reference over each segment; slips, or jumps of the reference, may lie at the edge.",
         "Residuals of the segments over time, along, across and in turn",
     )
     return html.section("segments", "On the part it was fitted to", "", plot)

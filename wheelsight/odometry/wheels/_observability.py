@@ -104,7 +104,7 @@ def _advice(vague: list[str], segments: Segments) -> str:
     turn_rad = segments.motions[:, 2]
     turned_left, turned_right = turn_rad[turn_rad > 0].sum(), -turn_rad[turn_rad < 0].sum()
     if vague == ["delay_s"]:
-        return "start, stop and turn now and then, for steady motion hides the delay; or keep the nominal one"
+        return "start, stop and turn now and then, as steady motion hides the delay, or keep it (--no-delay)"
     if np.abs(chords_m(segments)).sum() < 2.0:
         return "the run hardly leaves its place: drive straight for some metres too"
     if turned_left + turned_right < 2 * np.pi:

@@ -46,6 +46,12 @@ class SquareRun:
         steps = (poses[:, :2] - poses[0, :2]) @ np.array([1, 1j]) * np.exp(-1j * poses[0, 2])
         return np.column_stack([steps.real, steps.imag, poses[:, 2] - poses[0, 2]])
 
+    def way_m(self, wheels: Wheels) -> float:
+        """How far it went; back and forth on the spot comes to nothing."""
+        x, y, yaw_rad = self.path(wheels).T
+        middle_rad = (yaw_rad[1:] + yaw_rad[:-1]) / 2
+        return float(np.sum(np.diff(x) * np.cos(middle_rad) + np.diff(y) * np.sin(middle_rad)))
+
     def turns_left(self, wheels: Wheels) -> bool:
         """Whether it went counter-clockwise."""
         return bool(self.path(wheels)[-1, 2] > 0)
@@ -85,10 +91,8 @@ def umbmark_from_runs(wheels: Wheels, runs: Sequence[SquareRun], side_m: float |
     Raises:
         CalibrationError: see `umbmark`.
     """
-    paths = [run.path(wheels) for run in runs]
     if side_m is None:
-        lengths = [np.hypot(*np.diff(path[:, :2], axis=0).T).sum() / 4 for path in paths]
-        side_m = float(np.median(lengths)) if lengths else 0.0
+        side_m = float(np.median([run.way_m(wheels) / 4 for run in runs])) if runs else 0.0
     errors = np.array([run.error_m(wheels) for run in runs]).reshape(-1, 2)
     turns_left = np.array([run.turns_left(wheels) for run in runs], bool)
     return umbmark(wheels, errors[~turns_left], errors[turns_left], side_m)
