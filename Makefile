@@ -4,6 +4,7 @@
 #   make test [SLOW=1]             all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
 #   make bench                     side by side with OpenCV and Open3D on the real recordings; kept in BENCHMARKS.md
+#   make firmware                  the wheel controller's program, and its size
 #   make docs | wheel | clean
 
 PYTHON ?= python3
@@ -15,7 +16,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 
-.PHONY: demo test check bench docs wheel clean recording
+.PHONY: demo test check bench docs firmware wheel clean recording
 
 demo: recording $(VENV)/.installed-core
 	$(BIN)/wheelsight run "$(RECORDING)" --odometry features --out "$(OUT)" --force
@@ -35,11 +36,15 @@ bench: $(VENV)/.installed-bench
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
+firmware:
+	@command -v avr-gcc >/dev/null || { echo 'avr-gcc is missing; on Debian: apt-get install gcc-avr avr-libc' >&2; exit 1; }
+	$(MAKE) --no-print-directory -C firmware/atmega8
+
 wheel: $(VENV)/.installed-core
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf build dist site out/demo .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist site out/demo firmware/*/build .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 recording:

@@ -72,7 +72,7 @@ def _pairs(before: Features, now: Features, calibration: Calibration) -> PointPa
     matches = match_all(before.descriptors, now.descriptors, max_hamming=50)
     both = before.has_depth[matches.first] & now.has_depth[matches.second]
     i, j = matches.first[both], matches.second[both]
-    sigma_xy = np.hypot(before.sigma_px[i], now.sigma_px[j]) / calibration.color.fx
+    sigma_xy = np.hypot(before.sigma_px[i], now.sigma_px[j]) / calibration.cameras[0].fx
     sigma_m = np.hypot(before.sigma_m[i], now.sigma_m[j])
     return PointPairs(before.points[i], now.xy[j], now.depth_m[j], sigma_xy, sigma_m)
 
@@ -92,7 +92,7 @@ def _disagreement(
     views: list[Features], velocities: list[FloatArray], calibration: Calibration, shutter_s: float
 ) -> float:
     """Mean χ² of matched points, cut off at the gate, over frames `GAP` apart."""
-    costs, height = [], calibration.color.height
+    costs, height = [], calibration.cameras[0].height
     for i in range(0, len(views) - GAP, EVERY):
         before, now = (straighten(views[k], velocities[k], shutter_s, height) for k in (i, i + GAP))
         pairs = _pairs(before, now, calibration)
@@ -113,7 +113,8 @@ def _shutter_table(costs: list[float]) -> Table:
 def _noise_table(views: list[Features], velocities: list[FloatArray], calibration: Calibration) -> Table:
     """Spread of what is left between frames next to each other, over √2 since both were measured."""
     left: dict[int, list[FloatArray]] = {}
-    height, shutter_s = calibration.color.height, calibration.rolling_shutter_s
+    color, shutter_s = calibration.cameras[0], calibration.rolling_shutter_s
+    height = color.height
     for i in range(0, len(views) - 1, EVERY):
         before, now = (straighten(views[k], velocities[k], shutter_s, height) for k in (i, i + 1))
         matches = match_all(before.descriptors, now.descriptors, max_hamming=50)
@@ -123,7 +124,7 @@ def _noise_table(views: list[Features], velocities: list[FloatArray], calibratio
         both = before.has_depth[matches.first] & now.has_depth[matches.second]
         levels = now.level[matches.second[both]]
         p = se3.apply(T, pairs.p_reference)
-        off_px = (p[:, :2] / p[:, 2:] - pairs.xy) * (calibration.color.fx, calibration.color.fy)
+        off_px = (p[:, :2] / p[:, 2:] - pairs.xy) * (color.fx, color.fy)
         for level in range(levels.max() + 1):
             left.setdefault(level, []).append(off_px[levels == level].ravel())
     table = Table(title="Noise of a keypoint, px")

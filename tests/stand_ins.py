@@ -49,6 +49,10 @@ class MemoryRecording:
         return sum(not isinstance(event, WheelTicks | BaseException) for event in self.given)
 
     @property
+    def wheel_count(self) -> int:
+        return sum(isinstance(event, WheelTicks) for event in self.given)
+
+    @property
     def association(self) -> AssociationReport:
         return AssociationReport(self.frame_count + 2, self.frame_count + 1, self.frame_count, 0.02)
 

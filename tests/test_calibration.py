@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.calibration import Calibration, DepthNoise, load_calibration, save_calibration
+from wheelsight.calibration import Calibration, DepthNoise, Gyro, Wheels, load_calibration, save_calibration
 from wheelsight.errors import CalibrationError, OutputError
 from wheelsight.geometry import PinholeCamera, se3
 
@@ -29,18 +29,34 @@ cameras = st.builds(
     st.tuples(small, small, small, small, small),
 )
 motions = st.none() | st.tuples(*[small] * 6).map(se3.exp)
+wheels = st.none() | st.builds(
+    Wheels,
+    *(positive, positive, positive, positive, st.sampled_from([0, 8, 16, 32]), small, positive, positive, positive),
+)
+gyros = st.builds(Gyro, positive, small, st.floats(0, 1), st.floats(0, 1))
 noises = st.builds(DepthNoise, st.floats(0, 1), positive, st.floats(0, 1), st.floats(1.5, 100))
 
 
 def assert_same(first: Calibration, second: Calibration) -> None:
     assert (first.color, first.depth) == (second.color, second.depth)
-    for name in ("depth_noise", "rolling_shutter_s", "color_sigma_px", "source"):
+    for name in ("depth_noise", "rolling_shutter_s", "color_sigma_px", "wheels", "gyro", "source"):
         assert getattr(first, name) == getattr(second, name)
     for name in ("T_color_depth", "T_base_camera"):
         np.testing.assert_equal(getattr(first, name), getattr(second, name))
 
 
-@given(cameras, cameras, motions, motions, noises, st.floats(0, 0.2), st.floats(0, 0.9), st.text(max_size=20))
+@given(
+    cameras,
+    cameras,
+    motions,
+    motions,
+    noises,
+    st.floats(0, 0.2),
+    st.floats(0, 0.9),
+    wheels,
+    gyros,
+    st.text(max_size=20),
+)
 def test_yaml_keeps_everything_to_the_last_bit(
     tmp_path_factory: pytest.TempPathFactory,
     color: PinholeCamera,
@@ -50,11 +66,22 @@ def test_yaml_keeps_everything_to_the_last_bit(
     noise: DepthNoise,
     shutter_s: float,
     sigma_px: float,
+    wheels: Wheels | None,
+    gyro: Gyro,
     source: str,
 ) -> None:
     depth = color if T_color_depth is None else depth
     calibration = Calibration(
-        color, depth, T_color_depth, noise, shutter_s, sigma_px, T_base_camera=T_base_camera, source=source
+        color,
+        depth,
+        T_color_depth,
+        noise,
+        shutter_s,
+        sigma_px,
+        T_base_camera,
+        wheels,
+        Gyro() if wheels is None else gyro,
+        source,
     )
     path = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
     save_calibration(calibration, path)
@@ -87,6 +114,14 @@ def document(**changes: Any) -> dict[str, Any]:
 
 def color(**changes: Any) -> dict[str, Any]:
     return document(color={k: v for k, v in (document()["color"] | changes).items() if v != "gone"})
+
+
+def wheeled(**changes: Any) -> dict[str, Any]:
+    wheels = {"left_radius_m": 0.17, "right_radius_m": 0.17, "track_width_m": 0.6, "ticks_per_turn": 3200}
+    return {
+        "format": "wheelsight-calibration-1",
+        "wheels": {k: v for k, v in (wheels | changes).items() if v != "gone"},
+    }
 
 
 EYE = np.eye(4).tolist()
@@ -131,6 +166,27 @@ EYE = np.eye(4).tolist()
         (document(rolling_shutter_s=-0.01), "rolling_shutter_s is -0.01, not 0 to 0.2"),
         (document(rolling_shutter_s="slow"), "field rolling_shutter_s is 'slow', not a number"),
         (document(color_sigma_px=-1.0), "color_sigma_px is -1.0, not 0 to"),
+        (document(wheels=3), "field wheels must hold"),
+        (wheeled(radius_m=0.1), "field wheels has an unknown entry 'radius_m'.*known: left_radius_m"),
+        (wheeled(track_width_m="gone"), "field wheels.track_width_m is missing"),
+        (wheeled(left_radius_m="round"), "field wheels.left_radius_m is 'round', not a number"),
+        (wheeled(left_radius_m=0), "field wheels: left_radius_m is 0.0, not positive"),
+        (wheeled(right_radius_m=-0.1), "field wheels: right_radius_m is -0.1, not positive"),
+        (wheeled(track_width_m=float("inf")), "field wheels.track_width_m is inf, not a number"),
+        (wheeled(ticks_per_turn=0), "field wheels: ticks_per_turn is 0.0, not positive"),
+        (wheeled(ticks_per_turn=None), "field wheels.ticks_per_turn is None, not a number"),
+        (wheeled(counter_bits=12), "field wheels: counter_bits is 12 .8, 16, 32, or 0"),
+        (wheeled(counter_bits=8.5), "field wheels.counter_bits is 8.5, not a whole number$"),
+        (wheeled(delay_s=float("nan")), "field wheels.delay_s is nan, not a number"),
+        (wheeled(slip_m_per_sqrt_m=0), "field wheels: slip_m_per_sqrt_m is 0.0, not positive"),
+        (wheeled(max_speed_m_s=-1), "field wheels: max_speed_m_s is -1.0, not positive"),
+        (wheeled(max_gap_s=0), "field wheels: max_gap_s is 0.0, not positive"),
+        (wheeled() | {"gyro": 1}, "field gyro must hold"),
+        (wheeled() | {"gyro": {"bias": 1}}, "field gyro has an unknown entry 'bias'"),
+        (wheeled() | {"gyro": {"bias_sigma_rad_s": -1}}, "field gyro: bias_sigma_rad_s is -1.0, not a number from 0"),
+        (wheeled() | {"gyro": {"noise_rad_per_sqrt_s": 0}}, "no gyroscope is without noise"),
+        (wheeled() | {"T_base_camera": EYE}, "field color is missing"),
+        (wheeled() | {"depth_noise": {}}, "field color is missing"),
         (document(depth_noise={"near_m": 5.0, "far_m": 4.0}), "range 5.0 to 4.0 m is empty"),
     ],
 )
@@ -204,3 +260,52 @@ def test_depth_noise_grows_with_the_square_of_depth() -> None:
     noise = DepthNoise(constant_m=0.001, quadratic_per_m=0.002)
     np.testing.assert_allclose(noise.sigma_m([0.0, 1.0, 3.0]), [0.001, 0.003, 0.019], atol=1e-15)
     assert DepthNoise().sigma_m(2.0) == pytest.approx(6.7e-3)
+
+
+WHEELS = Wheels(0.17, 0.16, 0.6, 3200.0, counter_bits=16)
+
+
+def test_a_robot_may_have_wheels_alone(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    path.write_text(yaml.safe_dump(wheeled()))
+    calibration = load_calibration(path)
+    assert calibration.wheels == Wheels(0.17, 0.17, 0.6, 3200.0)
+    assert calibration.color is None
+    assert calibration.depth is None
+    with pytest.raises(CalibrationError, match=r"has no cameras .give color"):
+        _ = calibration.cameras
+
+
+def test_a_robot_has_something() -> None:
+    with pytest.raises(CalibrationError, match="neither cameras nor wheels"):
+        Calibration()
+    with pytest.raises(CalibrationError, match="one camera of two is missing"):
+        Calibration(color=COLOR, wheels=WHEELS)
+    with pytest.raises(CalibrationError, match="T_base_camera is given, but no camera"):
+        Calibration(wheels=WHEELS, T_base_camera=T_BASE_CAMERA)
+
+
+def test_a_tick_is_a_part_of_the_wheels_circumference() -> None:
+    assert WHEELS.left_m_per_tick == pytest.approx(2 * np.pi * 0.17 / 3200)
+    assert WHEELS.right_m_per_tick == pytest.approx(2 * np.pi * 0.16 / 3200)
+
+
+def test_a_calibration_of_the_wheels_leaves_the_cameras_as_they_are() -> None:
+    gyro = Gyro(bias_rad_s=0.01)
+    robot = Calibration(COLOR, DEPTH, T_COLOR_DEPTH, T_base_camera=T_BASE_CAMERA, wheels=WHEELS, source="factory")
+    better = Calibration(wheels=Wheels(0.18, 0.17, 0.61, 3200.0), gyro=gyro, source="squares")
+    updated = robot.updated_by(better)
+    assert updated.cameras == (COLOR, DEPTH)
+    assert (updated.wheels, updated.gyro) == (better.wheels, gyro)
+    assert updated.source == "factory, updated by: squares"
+    np.testing.assert_array_equal(updated.T_base_camera, T_BASE_CAMERA)
+
+
+def test_a_calibration_of_the_cameras_leaves_the_wheels_as_they_are() -> None:
+    robot = Calibration(COLOR, DEPTH, T_COLOR_DEPTH, T_base_camera=T_BASE_CAMERA, wheels=WHEELS)
+    updated = robot.updated_by(Calibration.registered_camera(COLOR, color_sigma_px=0.5))
+    assert updated.wheels == WHEELS
+    assert updated.cameras == (COLOR, COLOR)
+    assert updated.is_registered
+    assert updated.color_sigma_px == 0.5
+    np.testing.assert_array_equal(updated.T_base_camera, T_BASE_CAMERA)

@@ -31,6 +31,7 @@ LAYERS = (
     "config",
     "localizer",
     "report",
+    "telemetry",
     "pipeline",
     "cli",
     "__main__",

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from stand_ins import CAMERA, TrueOdometry, frame
 
-from wheelsight.calibration import Calibration
+from wheelsight.calibration import Calibration, Wheels
+from wheelsight.config import load_config
+from wheelsight.errors import CalibrationError
 from wheelsight.estimates import Reason, Status
-from wheelsight.events import SkippedFrame, WheelTicks
+from wheelsight.events import SkippedFrame, WheelTicks, YawRate
 from wheelsight.geometry import se3
 from wheelsight.localizer import Localizer
+from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.trajectory import Trajectory
 
 
@@ -104,3 +107,50 @@ def test_a_failing_frame_of_a_robot_with_a_base_is_still_of_the_base() -> None:
     estimate = localizer(np.eye(4)).process(frame(3, 3.0, dark=True))
     assert estimate is not None
     assert (estimate.body, estimate.T_world_body) == ("base", None)
+
+
+WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0, slip_m_per_sqrt_m=0.02)
+
+
+def wheeled(**settings: object) -> Localizer:
+    overrides = {"odometry": "wheels"} | {f"wheels.{name}": value for name, value in settings.items()}
+    return Localizer(Calibration(wheels=WHEELS), load_config(overrides=overrides))
+
+
+def test_wheels_answer_readings_of_wheels_alone() -> None:
+    subject = wheeled()
+    assert (subject.body, subject.world) == ("base", "odom")
+    assert subject.process(frame(0, 0.0)) is None
+    assert subject.process(SkippedFrame(0.0, "cut off")) is None
+    subject.process(WheelTicks(0.0, 0, 0))
+    estimate = subject.process(WheelTicks(0.02, 100, 100))
+    assert estimate is not None
+    assert estimate.T_world_body is not None
+    assert estimate.T_world_body[0, 3] == pytest.approx(100 * WHEELS.left_m_per_tick)
+    assert (subject.last_matches, subject.stage_seconds) == (None, {})
+
+
+def test_the_integration_is_as_set() -> None:
+    for integration in ("arc", "midpoint", "euler"):
+        subject, expected = wheeled(integration=integration), WheelOdometry(WHEELS, integration)  # type: ignore[arg-type]
+        for reading in (WheelTicks(0.0, 0, 0), WheelTicks(0.02, 20, 90), WheelTicks(0.04, 50, 200)):
+            estimate, wanted = subject.process(reading), expected.process(reading)
+            assert estimate is not None
+            np.testing.assert_array_equal(estimate.T_world_body, wanted.T_world_body)
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_the_gyroscope_turns_the_robot_where_it_is_wanted(gyro: bool) -> None:
+    subject = wheeled(gyro=gyro)
+    for i in range(100):
+        subject.process(YawRate(0.02 * i, 0.5))
+        estimate = subject.process(WheelTicks(0.02 * i, 100 * i, 100 * i))
+    assert estimate is not None
+    assert estimate.T_world_body is not None
+    yaw = np.arctan2(estimate.T_world_body[1, 0], estimate.T_world_body[0, 0])
+    assert yaw == pytest.approx(0.5 * 99 * 0.02, rel=0.05) if gyro else yaw == 0
+
+
+def test_what_the_odometry_needs_the_calibration_must_have() -> None:
+    with pytest.raises(CalibrationError, match=r"has no wheels .*--calibration"):
+        Localizer(Calibration.registered_camera(CAMERA), load_config(overrides={"odometry": "wheels"}))

@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING, Any
 from wheelsight._version import __version__
 
 if TYPE_CHECKING:
-    from wheelsight.calibration import Calibration, load_calibration, save_calibration
+    from wheelsight.calibration import Calibration, Gyro, Wheels, load_calibration, save_calibration
     from wheelsight.config import Config, load_config, save_config
     from wheelsight.errors import WheelsightError
     from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
     from wheelsight.evaluation import Evaluation, evaluate
-    from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
+    from wheelsight.events import RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
     from wheelsight.geometry import PinholeCamera
     from wheelsight.localizer import Localizer
     from wheelsight.odometry.features import FeatureOdometry
+    from wheelsight.odometry.wheels import WheelOdometry
     from wheelsight.pipeline import run
     from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
     from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
@@ -32,6 +33,7 @@ __all__ = [
     "Estimate",
     "Evaluation",
     "FeatureOdometry",
+    "Gyro",
     "Localizer",
     "MotionEstimate",
     "OpenOptions",
@@ -42,8 +44,12 @@ __all__ = [
     "SkippedFrame",
     "Status",
     "Trajectory",
+    "WheelOdometry",
+    "WheelSpeeds",
     "WheelTicks",
+    "Wheels",
     "WheelsightError",
+    "YawRate",
     "__version__",
     "evaluate",
     "load_calibration",
@@ -60,15 +66,16 @@ __all__ = [
 ]
 
 _NAMES_OF = {
-    "calibration": ("Calibration", "load_calibration", "save_calibration"),
+    "calibration": ("Calibration", "Gyro", "Wheels", "load_calibration", "save_calibration"),
     "config": ("Config", "load_config", "save_config"),
     "errors": ("WheelsightError",),
     "estimates": ("Estimate", "MotionEstimate", "Reason", "Status"),
     "evaluation": ("Evaluation", "evaluate"),
-    "events": ("RgbdFrame", "SkippedFrame", "WheelTicks"),
+    "events": ("RgbdFrame", "SkippedFrame", "WheelSpeeds", "WheelTicks", "YawRate"),
     "geometry": ("PinholeCamera",),
     "localizer": ("Localizer",),
     "odometry.features": ("FeatureOdometry",),
+    "odometry.wheels": ("WheelOdometry",),
     "pipeline": ("run",),
     "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
     "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),

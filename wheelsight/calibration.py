@@ -1,10 +1,12 @@
-"""How the robot is built: its cameras, their noise, and where the camera sits. YAML in and out."""
+"""How the robot is built: its cameras, its wheels, their noise, and where the camera sits. YAML in and out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -12,8 +14,11 @@ from wheelsight.errors import CalibrationError
 from wheelsight.files import write_text
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
 
+Part = TypeVar("Part")
+
 FORMAT = "wheelsight-calibration-1"
 _SLOWEST_SHUTTER_S = 0.2
+_COUNTER_BITS = (0, 8, 16, 32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,16 +46,94 @@ class DepthNoise:
         return self.constant_m + self.quadratic_per_m * np.asarray(depth_m, float) ** 2
 
 
+@dataclass(frozen=True, slots=True)
+class Wheels:
+    """Two driven wheels on one axle, or two sides of a skid-steered robot, and their encoders.
+
+    Attributes:
+        left_radius_m, right_radius_m: of the wheels, as they roll under load.
+        track_width_m: distance between the points where the wheels touch the ground. A skid-steered robot's
+            effective one is wider than the robot.
+        ticks_per_turn: counts of the encoder a turn of the wheel: counts a turn of the encoder × gear ratio.
+        counter_bits: width of the counters the ticks come from, 8, 16 or 32; 0 for ticks that never roll over.
+        delay_s: how late stamps are: a reading stamped t tells of the wheels at t - delay_s. May be negative.
+        slip_m_per_sqrt_m: standard deviation of a wheel's travel over one metre; its square grows with the way.
+        max_speed_m_s: fastest a wheel can roll; a step that needs more is a fault, no motion.
+        max_gap_s: longest time between readings that can be bridged.
+
+    Raises:
+        CalibrationError: a value that no robot can have.
+    """
+
+    left_radius_m: float
+    right_radius_m: float
+    track_width_m: float
+    ticks_per_turn: float
+    counter_bits: int = 0
+    delay_s: float = 0.0
+    slip_m_per_sqrt_m: float = 0.01
+    max_speed_m_s: float = 5.0
+    max_gap_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in _WHEEL_FIELDS:
+            value = getattr(self, name)
+            if not np.isfinite(value):
+                raise CalibrationError(f"{name} is {value}, not a number")
+            if value <= 0 and name not in ("counter_bits", "delay_s"):
+                raise CalibrationError(f"{name} is {value}, not positive")
+        if self.counter_bits not in _COUNTER_BITS:
+            raise CalibrationError(f"counter_bits is {self.counter_bits}", fix="8, 16, 32, or 0: never rolls over")
+
+    @property
+    def left_m_per_tick(self) -> float:
+        """How far the left wheel rolls while its encoder counts one."""
+        return 2 * math.pi * self.left_radius_m / self.ticks_per_turn
+
+    @property
+    def right_m_per_tick(self) -> float:
+        """How far the right wheel rolls while its encoder counts one."""
+        return 2 * math.pi * self.right_radius_m / self.ticks_per_turn
+
+
+@dataclass(frozen=True, slots=True)
+class Gyro:
+    """What a gyroscope's yaw rate, counter-clockwise seen from above, is worth.
+
+    Attributes:
+        noise_rad_per_sqrt_s: standard deviation of the yaw integrated over one second; its square grows with time.
+        bias_rad_s: what it shows at rest; refined whenever the wheels stand still.
+        bias_sigma_rad_s: how far off that may be, as a standard deviation; 0 for a bias that is to be kept.
+        bias_walk_rad_s_per_sqrt_s: how far the bias wanders in one second; its square grows with time.
+
+    Raises:
+        CalibrationError: a value that is not finite, or a negative deviation.
+    """
+
+    noise_rad_per_sqrt_s: float = 1e-3
+    bias_rad_s: float = 0.0
+    bias_sigma_rad_s: float = 0.02
+    bias_walk_rad_s_per_sqrt_s: float = 2e-5
+
+    def __post_init__(self) -> None:
+        for name in _GYRO_FIELDS:
+            value = getattr(self, name)
+            if not np.isfinite(value) or (value < 0 and name != "bias_rad_s"):
+                raise CalibrationError(f"{name} is {value}, not a number{'' if name == 'bias_rad_s' else ' from 0 up'}")
+        if self.noise_rad_per_sqrt_s == 0:
+            raise CalibrationError("noise_rad_per_sqrt_s is 0", fix="no gyroscope is without noise")
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The sensors of one robot.
+    """The sensors of one robot: a depth camera, wheels, or both.
 
     The frame `camera` is the optical frame in which depth is measured. Where `T_color_depth` is None,
     depth was registered to colour: both images share one pixel grid and `camera` is the colour camera's
     frame too. Else depth pixel and colour pixel of a point differ, and `T_color_depth` joins them.
 
     Attributes:
-        color: the colour camera.
+        color: the colour camera, or None where there is no depth camera.
         depth: the depth camera; alike when registered.
         T_color_depth: (4, 4) that maps points of the depth camera into the colour camera, or None.
         depth_noise: of the depth camera.
@@ -59,19 +142,24 @@ class Calibration:
         color_sigma_px: how far off the colour camera's numbers may be, as a standard deviation in the image; 0 for a
             camera calibrated well enough for it not to matter, more for nominal values.
         T_base_camera: (4, 4), or None where the recording has no base.
+        wheels: or None where no wheel is read.
+        gyro: what a yaw rate is worth, where there is one.
         source: where the numbers come from, for reports.
     """
 
-    color: PinholeCamera
-    depth: PinholeCamera
+    color: PinholeCamera | None = None
+    depth: PinholeCamera | None = None
     T_color_depth: FloatArray | None = None
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
     rolling_shutter_s: float = 0.0
     color_sigma_px: float = 0.0
     T_base_camera: FloatArray | None = None
+    wheels: Wheels | None = None
+    gyro: Gyro = field(default_factory=Gyro)
     source: str = "unknown"
 
     def __post_init__(self) -> None:
+        self._check_presence()
         for name in ("T_color_depth", "T_base_camera"):
             if getattr(self, name) is None:
                 continue
@@ -82,13 +170,22 @@ class Calibration:
                 raise CalibrationError(f"{name} is not a rigid motion: orthonormal rotation, last row 0 0 0 1")
         if not 0 <= self.rolling_shutter_s <= _SLOWEST_SHUTTER_S:
             raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
-        if not 0 <= self.color_sigma_px < self.color.width:
+        if self.color is not None and not 0 <= self.color_sigma_px < self.color.width:
             raise CalibrationError(f"color_sigma_px is {self.color_sigma_px}, not 0 to an image's width")
         if self.T_color_depth is None and self.color != self.depth:
             raise CalibrationError(
                 "colour and depth cameras differ, but no T_color_depth says how they are joined",
                 fix="give T_color_depth, or register depth to colour",
             )
+
+    def _check_presence(self) -> None:
+        if (self.color is None) != (self.depth is None):
+            raise CalibrationError("one camera of two is missing", fix="give color and depth, or neither")
+        if self.color is None and self.wheels is None:
+            raise CalibrationError("has neither cameras nor wheels", fix="give color, or wheels, or both")
+        for name in ("T_color_depth", "T_base_camera"):
+            if self.color is None and getattr(self, name) is not None:
+                raise CalibrationError(f"{name} is given, but no camera", fix="give color, or leave it out")
 
     @classmethod
     def registered_camera(cls, camera: PinholeCamera, **others: Any) -> Calibration:
@@ -99,6 +196,28 @@ class Calibration:
     def is_registered(self) -> bool:
         """Whether colour and depth share one pixel grid."""
         return self.T_color_depth is None
+
+    @property
+    def cameras(self) -> tuple[PinholeCamera, PinholeCamera]:
+        """Colour and depth camera. Raises CalibrationError where there are none."""
+        if self.color is None or self.depth is None:
+            raise CalibrationError(
+                f"the calibration ({self.source}) has no cameras", fix="give color, or estimate from wheels"
+            )
+        return self.color, self.depth
+
+    def updated_by(self, other: Calibration) -> Calibration:
+        """This robot with what `other` knows in place of its own: cameras, T_base_camera, wheels with gyro.
+
+        A calibration of the wheels alone leaves the cameras as they are, and the other way round.
+        """
+        newer = {name: getattr(other, name) for name in _CAMERA_PART} if other.color is not None else {}
+        if other.T_base_camera is None:
+            newer.pop("T_base_camera", None)
+        if other.wheels is not None:
+            newer |= {"wheels": other.wheels, "gyro": other.gyro}
+        both = self.source if self.source == other.source else f"{self.source}, updated by: {other.source}"
+        return replace(self, **newer, source=both)
 
 
 def load_calibration(path: Path) -> Calibration:
@@ -131,7 +250,10 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 _CAMERA_FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 _NOISE_FIELDS = ("constant_m", "quadratic_per_m", "near_m", "far_m")
 _NUMBERS = ("rolling_shutter_s", "color_sigma_px")
-_TOP_FIELDS = ("format", "source", "color", "depth", "T_color_depth", "depth_noise", *_NUMBERS, "T_base_camera")
+_CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", *_NUMBERS, "T_base_camera")
+_TOP_FIELDS = ("format", "source", *_CAMERA_PART, "wheels", "gyro")
+_WHEEL_FIELDS = tuple(f.name for f in fields(Wheels))
+_GYRO_FIELDS = tuple(f.name for f in fields(Gyro))
 
 
 def _to_document(calibration: Calibration) -> dict[str, Any]:
@@ -143,33 +265,69 @@ def _to_document(calibration: Calibration) -> dict[str, Any]:
         lens = {name: float(getattr(c, name)) for name in ("fx", "fy", "cx", "cy")}
         return size | lens | {"distortion": list(c.distortion)}
 
-    document: dict[str, Any] = {"format": FORMAT, "source": calibration.source, "color": camera(calibration.color)}
-    if not calibration.is_registered:
-        document |= {"depth": camera(calibration.depth), "T_color_depth": motion(calibration.T_color_depth)}
-    document["depth_noise"] = {name: float(getattr(calibration.depth_noise, name)) for name in _NOISE_FIELDS}
-    document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
-    if calibration.T_base_camera is not None:
-        document["T_base_camera"] = motion(calibration.T_base_camera)
+    document: dict[str, Any] = {"format": FORMAT, "source": calibration.source}
+    if calibration.color is not None and calibration.depth is not None:
+        document["color"] = camera(calibration.color)
+        if not calibration.is_registered:
+            document |= {"depth": camera(calibration.depth), "T_color_depth": motion(calibration.T_color_depth)}
+        document["depth_noise"] = _plain(calibration.depth_noise)
+        document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
+        if calibration.T_base_camera is not None:
+            document["T_base_camera"] = motion(calibration.T_base_camera)
+    if calibration.wheels is not None:
+        counter = {"counter_bits": int(calibration.wheels.counter_bits)}
+        document |= {"wheels": _plain(calibration.wheels) | counter, "gyro": _plain(calibration.gyro)}
     return document
 
 
+def _plain(numbers: DepthNoise | Wheels | Gyro) -> dict[str, float]:
+    return {f.name: float(getattr(numbers, f.name)) for f in fields(numbers)}
+
+
 def _from_document(document: Any) -> Calibration:
-    fields = _mapping(document, "calibration", _TOP_FIELDS)
-    if fields.get("format") != FORMAT:
-        raise CalibrationError(f"field format is {fields.get('format')!r}", fix=f"write format: {FORMAT}")
-    if "color" not in fields:
+    known = _mapping(document, "calibration", _TOP_FIELDS)
+    if known.get("format") != FORMAT:
+        raise CalibrationError(f"field format is {known.get('format')!r}", fix=f"write format: {FORMAT}")
+    of_camera = [name for name in _CAMERA_PART if name in known]
+    if "color" not in known and (of_camera or "wheels" not in known):
         raise CalibrationError("field color is missing", fix="give the colour camera: width, height, fx, fy, cx, cy")
-    color = _camera(fields["color"], "color")
-    noise = _mapping(fields.get("depth_noise", {}), "depth_noise", _NOISE_FIELDS)
-    return Calibration(
-        color=color,
-        depth=_camera(fields["depth"], "depth") if "depth" in fields else color,
-        T_color_depth=_motion(fields.get("T_color_depth"), "T_color_depth"),
-        depth_noise=DepthNoise(**{name: _number(value, f"depth_noise.{name}") for name, value in noise.items()}),
-        **{name: _number(fields[name], name) for name in _NUMBERS if name in fields},
-        T_base_camera=_motion(fields.get("T_base_camera"), "T_base_camera"),
-        source=str(fields.get("source", "unknown")),
-    )
+    parts = _camera_part(known) if of_camera else {}
+    if "wheels" in known:
+        parts["wheels"] = _wheels(known["wheels"])
+    if "gyro" in known:
+        gyro = _mapping(known["gyro"], "gyro", _GYRO_FIELDS)
+        parts["gyro"] = _made(Gyro, "gyro", {key: _number(value, f"gyro.{key}") for key, value in gyro.items()})
+    return Calibration(**parts, source=str(known.get("source", "unknown")))
+
+
+def _camera_part(known: dict[str, Any]) -> dict[str, Any]:
+    color = _camera(known["color"], "color")
+    noise = _mapping(known.get("depth_noise", {}), "depth_noise", _NOISE_FIELDS)
+    return {
+        "color": color,
+        "depth": _camera(known["depth"], "depth") if "depth" in known else color,
+        "depth_noise": DepthNoise(**{name: _number(value, f"depth_noise.{name}") for name, value in noise.items()}),
+        **{name: _motion(known.get(name), name) for name in ("T_color_depth", "T_base_camera")},
+        **{name: _number(known[name], name) for name in _NUMBERS if name in known},
+    }
+
+
+def _wheels(value: Any) -> Wheels:
+    known = _mapping(value, "wheels", _WHEEL_FIELDS)
+    missing = [f.name for f in fields(Wheels) if f.default is MISSING and f.name not in known]
+    if missing:
+        raise CalibrationError(f"field wheels.{missing[0]} is missing")
+    numbers: dict[str, Any] = {key: _number(number, f"wheels.{key}") for key, number in known.items()}
+    if "counter_bits" in known:
+        numbers["counter_bits"] = _whole(known["counter_bits"], "wheels.counter_bits", "")
+    return _made(Wheels, "wheels", numbers)
+
+
+def _made(kind: Callable[..., Part], name: str, numbers: dict[str, Any]) -> Part:
+    try:
+        return kind(**numbers)
+    except CalibrationError as error:
+        raise CalibrationError(f"field {name}: {error.problem}", fix=error.fix) from error
 
 
 def _mapping(value: Any, name: str, known: tuple[str, ...]) -> dict[str, Any]:
@@ -182,20 +340,18 @@ def _mapping(value: Any, name: str, known: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _camera(value: Any, name: str) -> PinholeCamera:
-    fields = _mapping(value, name, _CAMERA_FIELDS)
-    missing = [key for key in _CAMERA_FIELDS[:-1] if key not in fields]
+    known = _mapping(value, name, _CAMERA_FIELDS)
+    missing = [key for key in _CAMERA_FIELDS[:-1] if key not in known]
     if missing:
         raise CalibrationError(f"field {name}.{missing[0]} is missing")
-    distortion = fields.get("distortion", [0.0] * 5)
+    distortion = known.get("distortion", [0.0] * 5)
     if not isinstance(distortion, list) or len(distortion) != 5:
         raise CalibrationError(f"field {name}.distortion takes five numbers: k1, k2, p1, p2, k3")
     k1, k2, p1, p2, k3 = (_number(x, f"{name}.distortion") for x in distortion)
-    fx, fy, cx, cy = (_number(fields[key], f"{name}.{key}") for key in ("fx", "fy", "cx", "cy"))
-    width, height = (_whole(fields[key], f"{name}.{key}") for key in ("width", "height"))
-    try:
-        return PinholeCamera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
-    except CalibrationError as error:
-        raise CalibrationError(f"field {name}: {error.problem}", fix=error.fix) from error
+    fx, fy, cx, cy = (_number(known[key], f"{name}.{key}") for key in ("fx", "fy", "cx", "cy"))
+    width, height = (_whole(known[key], f"{name}.{key}") for key in ("width", "height"))
+    numbers = {"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+    return _made(PinholeCamera, name, numbers | {"distortion": (k1, k2, p1, p2, k3)})
 
 
 def _motion(value: Any, name: str) -> FloatArray | None:
@@ -210,10 +366,10 @@ def _motion(value: Any, name: str) -> FloatArray | None:
     return T
 
 
-def _whole(value: Any, name: str) -> int:
+def _whole(value: Any, name: str, of_what: str = " of pixels") -> int:
     number = _number(value, name)
     if number != int(number):
-        raise CalibrationError(f"field {name} is {value!r}, not a whole number of pixels")
+        raise CalibrationError(f"field {name} is {value!r}, not a whole number{of_what}")
     return int(number)
 
 

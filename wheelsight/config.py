@@ -28,10 +28,22 @@ class RecordingSettings(_Settings):
         0.02, description="largest distance in time between colour and depth of one frame"
     )
     depth_factor: PositiveFloat | None = Field(None, description="depth units a metre, if not the format's own")
+    calibration: str | None = Field(
+        None, description="a calibration.yaml whose wheels or cameras win over the recording's"
+    )
 
     def open_options(self) -> OpenOptions:
         """The same, as `open_recording` takes it."""
-        return OpenOptions(camera=self.camera, max_gap_s=self.max_gap_s, depth_factor=self.depth_factor)
+        return OpenOptions(self.camera, self.max_gap_s, self.depth_factor, self.calibration)
+
+
+class WheelSettings(_Settings):
+    """How wheel readings become a pose."""
+
+    integration: Literal["arc", "midpoint", "euler"] = Field(
+        "arc", description="of a step: exact, by Ligocki's eq. 1, or by Trinh's eq. 3"
+    )
+    gyro: bool = Field(True, description="join the yaw rates of a gyroscope, where the recording has them")
 
 
 class EvaluationSettings(_Settings):
@@ -52,9 +64,10 @@ class ReportSettings(_Settings):
 class Config(_Settings):
     """Every setting of a run; the defaults are what `wheelsight run` uses when nothing is said."""
 
-    odometry: Literal["features"] = "features"
+    odometry: Literal["features", "wheels"] = "features"
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
+    wheels: WheelSettings = WheelSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
 

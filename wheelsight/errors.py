@@ -6,7 +6,8 @@
     │   ├── CalibrationError     camera, depth or robot parameters
     │   ├── TrajectoryError      a trajectory's text or values
     │   ├── ConfigError          a setting that is unknown, impossible or in conflict
-    │   └── OutputError          an output that cannot be written, or would be overwritten
+    │   ├── OutputError          an output that cannot be written, or would be overwritten
+    │   └── DeviceError          a port or pipe that is missing, denied, in use, or does not answer
     ├── DegenerateGeometryError  points that do not determine the motion asked for
     └── EvaluationError          two trajectories that cannot be compared
 
@@ -66,6 +67,10 @@ class ConfigError(InputError):
 
 class OutputError(InputError):
     """An output cannot be written, or would overwrite what is there."""
+
+
+class DeviceError(InputError):
+    """A serial port or pipe is missing, denied or in use, or what is behind it does not answer."""
 
 
 class DegenerateGeometryError(WheelsightError):

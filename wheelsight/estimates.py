@@ -9,7 +9,7 @@ from wheelsight.geometry import FloatArray
 
 
 class Reason(StrEnum):
-    """Why a frame gave no motion, or no pose."""
+    """Why a frame or a wheel reading gave no motion, or no pose."""
 
     FRAME_UNUSABLE = "frame unusable"
     TOO_FEW_KEYPOINTS = "too few keypoints with depth"
@@ -17,6 +17,9 @@ class Reason(StrEnum):
     TOO_FEW_INLIERS = "too few inliers"
     DEGENERATE = "matches do not determine the motion"
     IMPLAUSIBLE_MOTION = "implausible motion"
+    CLOCK_BACKWARDS = "clock ran backwards"
+    GAP = "gap between readings"
+    COUNTER_AMBIGUOUS = "counters may have rolled over unseen"
 
 
 class Status(StrEnum):
@@ -63,9 +66,10 @@ class Estimate:
     Attributes:
         stamp_s: time of the event answered, seconds.
         status: what the pose can be used for.
-        T_world_body: (4, 4), or None while it is not known. `body` is "camera" or "base".
+        T_world_body: (4, 4), or None while it is not known. `body` is "camera" or "base". Where a wheel reading was
+            refused it is the pose before, and the covariance has grown by what may have happened since.
         covariance: (6, 6) of the left perturbation (v, ω) of `T_world_body`, or None.
-        reason: why there is no pose, or None.
+        reason: why the event gave no pose of its own, or None.
         matches: of this frame's alignment.
         inliers: likewise.
     """

@@ -26,11 +26,31 @@ class RgbdFrame:
 
 @dataclass(frozen=True, slots=True)
 class WheelTicks:
-    """Cumulative encoder counts of the left and right driven wheel at `stamp_s` seconds."""
+    """Cumulative encoder counts of the left and right driven wheel, growing forward, at `stamp_s` seconds."""
 
     stamp_s: float
     left: int
     right: int
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSpeeds:
+    """How fast the left and right driven wheel turn, rad/s forward, from `stamp_s` seconds until the next reading.
+
+    What is recorded as a robot's v and ω comes down to this by the track and radii it was computed with.
+    """
+
+    stamp_s: float
+    left_rad_s: float
+    right_rad_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class YawRate:
+    """A gyroscope's reading at `stamp_s` seconds: rad/s, counter-clockwise seen from above."""
+
+    stamp_s: float
+    yaw_rate_rad_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,4 +62,4 @@ class SkippedFrame:
     index: int = 0
 
 
-Event = RgbdFrame | WheelTicks | SkippedFrame
+Event = RgbdFrame | WheelTicks | WheelSpeeds | YawRate | SkippedFrame

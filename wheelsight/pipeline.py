@@ -11,20 +11,20 @@ import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from wheelsight import __version__
 from wheelsight.config import Config, save_config
-from wheelsight.errors import EvaluationError, WheelsightError
+from wheelsight.errors import CalibrationError, ConfigError, EvaluationError, WheelsightError
 from wheelsight.estimates import Estimate
 from wheelsight.evaluation import Evaluation, evaluate
-from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.files import make_output_folder, write_text
 from wheelsight.geometry import ByteArray
 from wheelsight.localizer import Localizer
-from wheelsight.recordings import Recording
+from wheelsight.recordings import Recording, express_for
 from wheelsight.report import FrameRecord, MatchPicture, RunRecord, write_report
 from wheelsight.trajectory import Trajectory, write_tum
 
@@ -50,9 +50,12 @@ def run(
         on_frame: called after each frame, for a progress bar.
 
     Raises:
+        ConfigError: the recording has no images, or no wheel readings, that the odometry asked for needs.
+        CalibrationError: the calibration lacks its cameras, or its wheels.
         OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
         RecordingError: the recording cannot be read on.
     """
+    _check(recording, config)
     folder = make_output_folder(out, force)
     track = _track(recording, config, on_frame)
     record = _record(recording, config, track)
@@ -60,6 +63,15 @@ def run(
     if track.interruption is not None:
         raise track.interruption
     return record
+
+
+def _check(recording: Recording, config: Config) -> None:
+    """Refuse what cannot end well, before anything is written."""
+    if config.odometry == "wheels" and not recording.wheel_count:
+        raise ConfigError(f"{recording.path}: the recording has no wheel readings", fix="--odometry features")
+    if config.odometry == "features" and recording.wheel_count and not recording.frame_count:
+        raise ConfigError(f"{recording.path}: the recording has no images", fix="--odometry wheels")
+    Localizer(recording.calibration, config)
 
 
 @dataclass
@@ -71,6 +83,7 @@ class _Track:
     pictures: list[MatchPicture] = field(default_factory=list)
     stage_seconds: dict[str, list[float]] = field(default_factory=dict)
     body: str = "camera"
+    world: str = "world"
     elapsed_s: float = 0.0
     interruption: BaseException | None = None
 
@@ -78,7 +91,7 @@ class _Track:
 def _track(recording: Recording, config: Config, on_frame: Callable[[FrameRecord], None] | None) -> _Track:
     localizer = Localizer(recording.calibration, config)
     photographer = _Photographer(config.report.pictures, recording.frame_count)
-    track = _Track(pictures=photographer.pictures, body=localizer.body)
+    track = _Track(pictures=photographer.pictures, body=localizer.body, world=localizer.world)
     started = time.perf_counter()
     events = recording.events()
     try:
@@ -103,16 +116,17 @@ def _step(
     started = time.perf_counter()
     estimate = localizer.process(event)
     seconds = time.perf_counter() - started
-    if estimate is None or isinstance(event, WheelTicks):
+    if estimate is None:
         return
-    if estimate.T_world_body is not None:
+    if estimate.T_world_body is not None and estimate.reason is None:
         track.poses.append(estimate)
     if isinstance(event, RgbdFrame) and not localizer.note:
-        photographer.look(event, estimate, localizer.odometry.last_matches)
-        for stage, spent in localizer.odometry.stage_seconds.items():
+        photographer.look(event, estimate, localizer.last_matches)
+        for stage, spent in localizer.stage_seconds.items():
             track.stage_seconds.setdefault(stage, []).append(spent)
     outcome = (estimate.status, estimate.reason, estimate.matches, estimate.inliers)
-    frame = FrameRecord(event.index, estimate.stamp_s, *outcome, seconds, localizer.note)
+    index = event.index if isinstance(event, RgbdFrame | SkippedFrame) else len(track.frames)
+    frame = FrameRecord(index, estimate.stamp_s, *outcome, seconds, localizer.note)
     track.frames.append(frame)
     if on_frame is not None:
         on_frame(frame)
@@ -143,17 +157,21 @@ class _Photographer:
 
 def _record(recording: Recording, config: Config, track: _Track) -> RunRecord:
     estimate = _trajectory(track)
-    evaluation, problem = _compare(estimate, recording.ground_truth, config, track)
+    truth, problem = _truth(recording, track)
+    evaluation = None
+    if truth is not None:
+        evaluation, problem = _compare(estimate, truth, config, track)
     warnings = recording.warnings
     if track.interruption is not None:
         why = "by the user" if isinstance(track.interruption, KeyboardInterrupt) else f"by {track.interruption}"
-        warnings += (f"Interrupted {why} after {len(track.frames)} of {recording.frame_count} frames.",)
+        listed = f"{_listed(recording, config)} {_unit(config)}s"
+        warnings += (f"Interrupted {why} after {len(track.frames)} of {listed}.",)
     return RunRecord(
         recording=recording.name,
         format=recording.format,
         frames=tuple(track.frames),
         estimate=estimate,
-        ground_truth=recording.ground_truth,
+        ground_truth=truth,
         evaluation=evaluation,
         association=recording.association,
         warnings=warnings,
@@ -162,7 +180,16 @@ def _record(recording: Recording, config: Config, track: _Track) -> RunRecord:
         stage_seconds={stage: float(np.median(spent)) for stage, spent in track.stage_seconds.items()},
         config=config.to_dict(),
         peak_memory_mb=_peak_memory_mb(),
+        unit=_unit(config),
     )
+
+
+def _unit(config: Config) -> Literal["frame", "reading"]:
+    return "reading" if config.odometry == "wheels" else "frame"
+
+
+def _listed(recording: Recording, config: Config) -> int:
+    return recording.wheel_count if config.odometry == "wheels" else recording.frame_count
 
 
 def _trajectory(track: _Track) -> Trajectory:
@@ -173,15 +200,24 @@ def _trajectory(track: _Track) -> Trajectory:
         np.array([estimate.T_world_body for estimate in poses], float).reshape(-1, 4, 4),
         None if not poses or any(c is None for c in covariances) else np.array(covariances, float),
         body=track.body,
+        world=track.world,
     )
 
 
+def _truth(recording: Recording, track: _Track) -> tuple[Trajectory | None, str | None]:
+    """The ground truth of the body that was followed, or why there is none."""
+    if recording.ground_truth is None:
+        return None, "the recording has no ground truth"
+    try:
+        return express_for(track.body, recording.ground_truth, recording.calibration), None
+    except CalibrationError as error:
+        return None, f"ground truth: {error}"
+
+
 def _compare(
-    estimate: Trajectory, truth: Trajectory | None, config: Config, track: _Track
+    estimate: Trajectory, truth: Trajectory, config: Config, track: _Track
 ) -> tuple[Evaluation | None, str | None]:
     """The evaluation, or why there is none."""
-    if truth is None:
-        return None, "the recording has no ground truth"
     stamps_s = [frame.stamp_s for frame in track.frames]
     try:
         return evaluate(estimate, truth, frame_stamps_s=stamps_s, **config.evaluation.model_dump()), None
@@ -217,7 +253,7 @@ def _metrics(record: RunRecord, track: _Track, recording: Recording) -> dict[str
         "recording": {"name": record.recording, "format": record.format, "path": str(recording.path)},
         "frame": f"T_{record.estimate.world}_{record.estimate.body}",
         "interrupted": track.interruption is not None,
-        "frames": _frame_counts(record, recording),
+        "frames" if record.unit == "frame" else "wheel_readings": _frame_counts(record, recording),
         "timing": _timing(record, track),
         "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
         "evaluation": None if record.evaluation is None else record.evaluation.to_dict(),
@@ -233,7 +269,7 @@ def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
     statuses = [str(frame.status) for frame in frames]
     reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
     return {
-        "listed": recording.frame_count,
+        "listed": recording.frame_count if record.unit == "frame" else recording.wheel_count,
         "processed": len(frames),
         "with_pose": len(record.estimate),
         "with_pose_share": len(record.estimate) / len(frames) if frames else 0.0,
@@ -246,7 +282,7 @@ def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
 
 
 def _timing(record: RunRecord, track: _Track) -> dict[str, Any]:
-    """Times a frame, image decoding not included; the first frame, which may compile kernels, stands apart."""
+    """Times a frame or reading, image decoding not included; the first, which may compile kernels, stands apart."""
     used_ms = [1e3 * frame.seconds for frame in record.frames if not frame.is_skipped]
     later_ms = used_ms[1:]
     return {

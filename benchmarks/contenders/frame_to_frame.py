@@ -24,9 +24,10 @@ class FrameToFrame(ABC):
 
     def __init__(self, calibration: Calibration, register: bool = False) -> None:
         self._register = _Registration(calibration) if register else None
-        self.K = (calibration.color if register else calibration.depth).K
-        self._color_maps = _undistortion_maps(calibration.color)
-        self._depth_maps = _undistortion_maps(calibration.depth)
+        color, depth = calibration.cameras
+        self.K = (color if register else depth).K
+        self._color_maps = _undistortion_maps(color)
+        self._depth_maps = _undistortion_maps(depth)
         self._previous: Any = None
         self._T_world_previous = np.eye(4)
 
@@ -69,7 +70,7 @@ class _Registration:
 
     def __init__(self, calibration: Calibration) -> None:
         self.T_color_depth = np.eye(4) if calibration.T_color_depth is None else calibration.T_color_depth
-        self._color, self._depth = calibration.color, calibration.depth
+        self._color, self._depth = calibration.cameras
 
     def to_color(self, depth_m: Float32Array) -> Float32Array:
         """Depth (H, W) as the colour camera without distortion would see it, holes of a pixel closed; 0 is none."""

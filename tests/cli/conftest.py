@@ -3,11 +3,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from synthetic import make_tum_recording
 from typer.testing import CliRunner, Result
 
+from wheelsight.calibration import Calibration, Wheels
 from wheelsight.cli import app
+from wheelsight.events import WheelTicks
+from wheelsight.odometry.wheels import integrate_log
+from wheelsight.recordings import RecordingWriter
+from wheelsight.trajectory import Trajectory
 
 
 @pytest.fixture
@@ -38,3 +44,16 @@ def room(tmp_path: Path) -> Path:
     folder = tmp_path / "room"
     make_tum_recording(folder, frames=10)
     return folder
+
+
+@pytest.fixture
+def wheels(tmp_path: Path) -> Path:
+    """A sound recording of wheels alone: 200 readings of a bend, with its truth."""
+    robot = Wheels(0.17, 0.17, 0.52, 3200.0)
+    stamps_s, left, right = 0.02 * np.arange(200), 30 * np.arange(200), 40 * np.arange(200)
+    with RecordingWriter(tmp_path / "wheels", Calibration(wheels=robot, source="our robot")) as writer:
+        path = integrate_log(robot, stamps_s, left, right).trajectory()
+        writer.add_ground_truth(Trajectory(stamps_s, path.T_world_body, body="base"))
+        for reading in zip(stamps_s.tolist(), left.tolist(), right.tolist(), strict=True):
+            writer.add(WheelTicks(*reading))
+    return tmp_path / "wheels"

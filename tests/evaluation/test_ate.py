@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from wheelsight.errors import EvaluationError
 from wheelsight.evaluation import ate
-from wheelsight.geometry import se3, so3
+from wheelsight.geometry import align_points_with_scale, se3, so3
 from wheelsight.trajectory import Trajectory
 
 
@@ -110,3 +110,31 @@ def test_compares_only_poses_near_in_time() -> None:
     np.testing.assert_array_equal(error.truth.stamps_s, truth.stamps_s[::2])
     with pytest.raises(EvaluationError, match=r"^0 of the estimate's poses within 0\.003 s"):
         ate(estimate, truth, max_gap_s=0.003)
+
+
+def bent_path(bend: float, n: int = 200) -> Trajectory:
+    """A drive in the plane through two corners, bent by so many radians a metre more than it should be."""
+    way = np.linspace(0, 20, n)
+    yaw = np.cumsum(0.1 * np.sin(way / 3) * 0.1 + bend * 0.1)
+    xy = np.cumsum(0.1 * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1), axis=0)
+    return Trajectory(way, se3.from_plane(*xy.T, yaw), body="base")
+
+
+@pytest.mark.parametrize("with_scale", [False, True])
+def test_a_path_in_the_plane_is_never_turned_over(with_scale: bool) -> None:
+    truth, estimate = bent_path(0.05), bent_path(-0.05)
+    mirrored, _ = align_points_with_scale(truth.positions_m, estimate.positions_m, with_scale=with_scale)
+    assert mirrored[2, 2] < 0  # the mirror image fits better, and in space it can be had
+    error = ate(estimate, truth, with_scale=with_scale)
+    T = error.T_truth_estimate
+    np.testing.assert_allclose(T[2], [0, 0, 1, 0], atol=1e-9)
+    assert error.rotation.rmse < 1.0
+
+    def rmse_at(yaw: float) -> float:
+        q = (estimate.positions_m - estimate.positions_m.mean(axis=0)) @ se3.exp([0, 0, 0, 0, 0, yaw])[:3, :3].T
+        off = truth.positions_m - truth.positions_m.mean(axis=0)
+        return float(np.sqrt(np.mean(np.sum((off - error.scale * q) ** 2, axis=1))))
+
+    yaw = np.arctan2(T[1, 0], T[0, 0])
+    assert error.translation.rmse == pytest.approx(rmse_at(yaw))
+    assert all(rmse_at(yaw + off) > rmse_at(yaw) for off in (-0.01, 0.01))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from wheelsight.geometry import se3, so3
+from wheelsight.geometry import se2, se3, so3
 
 NEAR_ZERO = [0.0, 1e-300, 1e-12, 1e-8, 9.9e-5, 1.01e-4, 1e-3]
 NEAR_PI = [np.pi - 1e-3, np.pi - 1e-6, np.pi - 1e-9, np.pi]
@@ -190,3 +190,12 @@ def test_what_is_no_rigid_motion_is_not_valid(spoil) -> None:
     T = se3.exp([1, 2, 3, 0.1, 0.2, 0.3])
     assert se3.is_valid(T, tolerance=1e-6)
     assert not se3.is_valid(spoil(T), tolerance=1e-6)
+
+
+def test_a_motion_in_the_plane_is_that_of_se2_in_space(rng: np.random.Generator) -> None:
+    x, y, yaw = rng.uniform(-3, 3, (3, 5))
+    T = se3.from_plane(x, y, yaw)
+    np.testing.assert_allclose(T[:, [0, 1, 3]][:, :, [0, 1, 3]], se2.from_parts(x, y, yaw), atol=1e-15)
+    np.testing.assert_array_equal(T[:, 2], np.tile([0.0, 0.0, 1.0, 0.0], (5, 1)))
+    assert se3.is_valid(T)
+    assert se3.from_plane(1.0, 2.0, 0.3).shape == (4, 4)

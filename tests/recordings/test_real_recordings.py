@@ -20,9 +20,9 @@ def kitchen(data_folder):
     return open_recording(data_folder / "rgbd" / "red_kitchen")
 
 
-def test_finds_both(data_folder):
+def test_finds_them_all(data_folder):
     names = [path.name for path in find_recordings(data_folder)]
-    assert names == ["freiburg1_rpy_part", "red_kitchen"]
+    assert names == ["freiburg1_rpy_part", "red_kitchen", "corridor_864m", "mocap_floor", "skid_steer_run20"]
 
 
 def test_freiburg1(freiburg):

@@ -20,7 +20,15 @@ from wheelsight.trajectory import Trajectory
 
 
 def test_names_are_sorted():
-    assert reader_names() == ["openloris", "seven_scenes", "tum", "wheelsight"]
+    assert reader_names() == [
+        "measurement_lines",
+        "openloris",
+        "seven_scenes",
+        "skid_steer",
+        "tum",
+        "velocities",
+        "wheelsight",
+    ]
     assert camera_names() == ["freiburg1", "freiburg2", "freiburg3", "seven_scenes"]
 
 

@@ -221,10 +221,13 @@ def test_any_recording_can_be_written_as_our_own(tmp_path, small_camera):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("stamp,l,r\n", "wheels.csv:1: the first line is not 'stamp_s,left,right'"),
-        ("", "wheels.csv:1: the first line is not"),
-        ("stamp_s,left,right\n1.0,2\n", "wheels.csv:2: a stamp and two whole numbers"),
-        ("stamp_s,left,right\n1.0,2,3\n2.0,2.5,3\n", "wheels.csv:3: a stamp and two whole numbers"),
+        (
+            "stamp,l,r\n",
+            "wheels.csv:1: has no column stamp_s .the first line must name the columns stamp_s, left, right",
+        ),
+        ("", "wheels.csv:1: has no column stamp_s"),
+        ("stamp_s,left,right\n1.0,2\n", "wheels.csv:2: 2 values where 3 are expected"),
+        ("stamp_s,left,right\n1.0,2,3\n2.0,2.5,3\n", "wheels.csv:3: left is '2.5', not a whole number"),
         ("stamp_s,left,right\nnan,2,3\n", "wheels.csv:2: 'nan' is not a stamp"),
         ("stamp_s,left,right\n2.0,2,3\n3.0,2,3\n1.0,2,3\n", "wheels.csv:4: stamp"),
     ],

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from wheelsight.calibration import Wheels
 from wheelsight.errors import EvaluationError
 from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import evaluate
 from wheelsight.geometry import ByteArray, se3
+from wheelsight.odometry.wheels import integrate_log
 from wheelsight.recordings import AssociationReport
 from wheelsight.report import FrameRecord, MatchPicture, RunRecord
 from wheelsight.trajectory import Trajectory
@@ -60,6 +62,34 @@ def empty_run(frames: int = 30) -> RunRecord:
     )
     nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
     return replace(example_run(3, with_truth=False), frames=records, estimate=nothing, stage_seconds={}, warnings=())
+
+
+def wheel_run(readings: int = 400, with_truth: bool = True) -> RunRecord:
+    """A robot's drive by its wheels alone; two readings were refused."""
+    wheels = Wheels(0.17, 0.17, 0.52, 3200.0)
+    stamps_s = START_S + 0.02 * np.arange(readings)
+    left, right = 30 * np.arange(readings), 38 * np.arange(readings)
+    refused = {readings // 2: Reason.IMPLAUSIBLE_MOTION, readings // 2 + 1: Reason.IMPLAUSIBLE_MOTION}
+    left[readings // 2] += 10**6
+    estimate = integrate_log(wheels, stamps_s, left, right).trajectory()
+    records = tuple(
+        FrameRecord(i, stamp, Status.FAILING if i in refused else Status.TRACKING, refused.get(i), 0, 0, 3e-6)
+        for i, stamp in enumerate(stamps_s.tolist())
+    )
+    true = integrate_log(replace(wheels, track_width_m=0.55), stamps_s, 30 * np.arange(readings), right).trajectory()
+    truth = Trajectory(true.stamps_s, true.T_world_body, body="base") if with_truth else None
+    return replace(
+        example_run(3, with_truth=False),
+        frames=records,
+        estimate=estimate,
+        ground_truth=truth,
+        evaluation=None if truth is None else evaluate(estimate, truth, frame_stamps_s=stamps_s),
+        association=AssociationReport(0, 0, 0, 0.0),
+        warnings=(),
+        stage_seconds={},
+        recording="yard",
+        unit="reading",
+    )
 
 
 def example_picture(color: ByteArray | None = None, matches: int = 300, seed: int = 2) -> MatchPicture:

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from run_example import START_S, empty_run, example_run
+from run_example import START_S, empty_run, example_run, wheel_run
 
 from wheelsight.errors import EvaluationError
 from wheelsight.estimates import Reason
+from wheelsight.geometry import se3
 from wheelsight.report import (
+    certainty_figure,
     error_figure,
     matches_figure,
     stage_figure,
@@ -17,7 +19,8 @@ from wheelsight.report import (
     time_histogram_figure,
     trajectory_figure,
 )
-from wheelsight.report.figures import STATUS_COLOURS, VIEWS
+from wheelsight.report.figures import STATUS_COLOURS, VIEWS, standard_deviations
+from wheelsight.trajectory import Trajectory
 
 
 def _trace(figure, name: str):
@@ -209,3 +212,21 @@ def test_times_that_are_not_known() -> None:
 def _total_length(x) -> float:
     starts, ends = np.array(x[::3], float), np.array(x[1::3], float)
     return float((ends - starts).sum())
+
+
+def test_uncertainty_is_that_of_the_body_not_of_the_origin() -> None:
+    """A robot that is sure of its place but not of its yaw, far from where it began."""
+    T = se3.from_plane(30.0, -40.0, 0.3)
+    at_body = np.diag([0.01, 0.01, 0.0, 0.0, 0.0, 0.04])
+    lever = se3.from_parts(np.eye(3), T[:3, 3])
+    covariance = se3.adjoint(lever) @ at_body @ se3.adjoint(lever).T
+    estimate = Trajectory([0.0], T[None], covariance[None], body="base", world="odom")
+    position_m, yaw_deg = standard_deviations(estimate)
+    np.testing.assert_allclose(position_m, [0.1], rtol=1e-9)
+    np.testing.assert_allclose(yaw_deg, np.degrees([0.2]), rtol=1e-9)
+
+
+def test_certainty_is_drawn_in_two_panels() -> None:
+    figure = certainty_figure(wheel_run())
+    assert [trace.name for trace in figure.data] == ["σ of position, m", "σ of yaw, °"]
+    assert all(max(y for y in trace.y if y is not None) > 0 for trace in figure.data)

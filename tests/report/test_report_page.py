@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from html_page import Page
-from run_example import empty_run, example_picture, example_run
+from run_example import empty_run, example_picture, example_run, wheel_run
 
 from wheelsight import __version__
 from wheelsight.errors import OutputError
@@ -202,3 +202,22 @@ def test_it_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 def test_its_size_is_plotlys_and_little_more(tmp_path: Path) -> None:
     write_report(example_run(20_000), tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size < 7e6
+
+
+def test_a_drive_by_wheels_shows_what_makes_sense_of_it(tmp_path: Path) -> None:
+    page = _page(wheel_run(), tmp_path)
+    assert set(page.plots) == {f"plot-{name}" for name in ("path-xy", "errors", "certainty", "status")}
+    assert "T_odom_base: poses of the robot's base (x forward, y left, z up) in odom" in page.text
+    assert page.tiles["Readings with a pose"] == ("99.5 %", "398 of 400")
+    assert page.tiles["Median time a reading"][0] == "3.00 µs"
+    assert "2 used readings gave no pose: implausible motion (2)." in page.text
+    assert "the path goes on from where it was" in page.text
+    assert "Was every reading used?" in page.text
+    for of_cameras in ("camera", "image", "frame ", "frames", "lost", "matches"):
+        assert of_cameras not in page.text.partition("Settings")[0].lower().replace("this page", ""), of_cameras
+
+
+def test_a_drive_without_truth_still_tells_how_sure_it_was(tmp_path: Path) -> None:
+    page = _page(wheel_run(with_truth=False), tmp_path)
+    assert set(page.plots) == {f"plot-{name}" for name in ("path-xy", "certainty", "status")}
+    assert "path in its own odom" in page.text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +22,14 @@ Camera = Annotated[
         show_default="what the recording itself says",
     ),
 ]
+CalibrationFile = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE",
+        help="calibration.yaml whose wheels or cameras stand in place of the recording's; what it leaves out stays.",
+        show_default=False,
+    ),
+]
 DepthFactor = Annotated[
     float | None,
     typer.Option(help="Depth units a metre in the depth images.", show_default="as its format says"),
@@ -36,14 +45,17 @@ MaxGap = Annotated[
 _SETTINGS = {
     "--odometry": "odometry",
     "--reference": "features.reference",
+    "--integration": "wheels.integration",
+    "--gyro": "wheels.gyro",
     "--seed": "features.seed",
     "--camera": "recording.camera",
+    "--calibration": "recording.calibration",
     "--depth-factor": "recording.depth_factor",
     "--max-gap": "recording.max_gap_s",
 }
 
 
-def settings_from(options: dict[str, object], file: Path | None = None) -> Config:
+def settings_from(options: Mapping[str, object], file: Path | None = None) -> Config:
     """The configuration of a file, and over it the options that were given (are not None). Raises ConfigError."""
     from wheelsight.config import load_config
 

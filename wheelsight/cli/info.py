@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wheelsight.cli._options import Camera, DepthFactor, MaxGap, RecordingPath, settings_from
+from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RecordingPath, settings_from
 
 if TYPE_CHECKING:
     from wheelsight.evaluation import SequenceStatistics
@@ -20,13 +20,14 @@ _GAPS_SHOWN = 5
 def info(
     recording: RecordingPath,
     camera: Camera = None,
+    calibration: CalibrationFile = None,
     depth_factor: DepthFactor = None,
     max_gap: MaxGap = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Tell what is in a recording, and what to know before trusting results made from it.
 
-    Every image is read once: rates, gaps, depth, registration, ground truth, and warnings.
+    Every image and reading is read once: rates, gaps, depth, registration, ground truth, and warnings.
 
     [bold]Examples[/bold]
 
@@ -39,9 +40,10 @@ def info(
     from wheelsight.recordings import open_recording
     from wheelsight.recordings.inspection import inspect_recording
 
-    config = settings_from({"--camera": camera, "--depth-factor": depth_factor, "--max-gap": max_gap})
+    options = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor, "--max-gap": max_gap}
+    config = settings_from(options)
     source = open_recording(recording, config.recording.open_options())
-    with FrameProgress("reading", source.frame_count) as progress:
+    with FrameProgress("reading", source.frame_count or source.wheel_count) as progress:
         inspection = inspect_recording(source, progress.advance)
     if as_json:
         print_json(inspection.to_dict())
@@ -56,24 +58,36 @@ def info(
 
 
 def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
+    span = f" in {inspection.duration_s:.2f} s, {inspection.rate_hz:.1f} Hz"
+    yield "format", inspection.format
+    yield "trajectory of", f"the {inspection.body} (T_world_{inspection.body})"
+    if inspection.camera is not None:
+        yield "camera", inspection.camera
+    if inspection.wheels is not None:
+        yield "wheels", inspection.wheels
+    if inspection.frames:
+        yield "frames", f"{inspection.frames}{span}"
+    if inspection.wheel_readings:
+        yield "wheel readings", f"{inspection.wheel_readings}{'' if inspection.frames else span}"
+    if inspection.yaw_readings:
+        yield "yaw rates", str(inspection.yaw_readings)
+    yield "gaps", _gaps(inspection)
+    if inspection.frames:
+        yield from _image_facts(inspection)
+    if inspection.ground_truth is None:
+        yield "ground truth", "none"
+
+
+def _image_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
     from wheelsight.cli._console import percent
 
-    yield "format", inspection.format
-    yield "camera", inspection.camera
-    yield "trajectory of", f"the {inspection.body} (T_world_{inspection.body})"
-    yield "frames", f"{inspection.frames} in {inspection.duration_s:.2f} s, {inspection.rate_hz:.1f} Hz"
     yield "images", _pairing(inspection.association)
     for reason, count in inspection.skipped:
         yield "unusable", f"{count} × {reason}"
-    if inspection.wheel_readings:
-        yield "wheel readings", str(inspection.wheel_readings)
-    yield "gaps", _gaps(inspection)
     depth_m = inspection.depth_m
     yield "valid depth", f"{percent(inspection.valid_depth_share)} of pixels"
     yield "depth", f"median {depth_m['median']:.2f} m, 5 to 95 % within {depth_m['p5']:.2f} to {depth_m['p95']:.2f} m"
-    yield "registration", _registration(inspection.offset, inspection.is_registered)
-    if inspection.ground_truth is None:
-        yield "ground truth", "none"
+    yield "registration", _registration(inspection.offset, bool(inspection.is_registered))
 
 
 def _pairing(association: AssociationReport) -> str:

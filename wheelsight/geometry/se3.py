@@ -29,6 +29,18 @@ def from_quaternion(t: ArrayLike, quaternion_xyzw: ArrayLike) -> FloatArray:
     return from_parts(so3.from_quaternion(quaternion_xyzw), t)
 
 
+def from_plane(x: ArrayLike, y: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) in the plane z = 0, of x, y (...) in metres and yaw (...) in radians about z."""
+    x, y, yaw_rad = np.broadcast_arrays(*(np.asarray(a, float) for a in (x, y, yaw_rad)))
+    T = np.zeros((*x.shape, 4, 4))
+    T[..., 0, 0] = T[..., 1, 1] = np.cos(yaw_rad)
+    T[..., 1, 0] = np.sin(yaw_rad)
+    T[..., 0, 1] = -T[..., 1, 0]
+    T[..., 0, 3], T[..., 1, 3] = x, y
+    T[..., 2, 2] = T[..., 3, 3] = 1.0
+    return T
+
+
 def exp(xi: ArrayLike) -> FloatArray:
     """Motions (..., 4, 4) of tangents (..., 6), (v, ω) in metres and radians."""
     v, omega = np.split(np.asarray(xi, float), 2, axis=-1)

@@ -36,7 +36,15 @@ def camera_choices() -> str:
 
 
 def choose_calibration(folder: Path, options: OpenOptions, otherwise: Callable[[], Calibration]) -> Calibration:
-    """The calibration the user names, else the folder's calibration.yaml, else what its format knows."""
+    """The calibration the user names, else the folder's calibration.yaml, else what its format knows.
+
+    Over it goes what `options.calibration` tells of wheels or cameras.
+    """
+    chosen = _chosen(folder, options, otherwise)
+    return chosen if options.calibration is None else chosen.updated_by(load_calibration(Path(options.calibration)))
+
+
+def _chosen(folder: Path, options: OpenOptions, otherwise: Callable[[], Calibration]) -> Calibration:
     if options.camera is not None:
         return load_camera(options.camera)
     if (folder / "calibration.yaml").is_file():

@@ -12,7 +12,7 @@ import numpy as np
 from wheelsight.association import associate
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
 from wheelsight.geometry import PinholeCamera
 from wheelsight.recordings._images import DepthEncoding, image_size, read_color, read_depth
 from wheelsight.recordings._read_ahead import read_ahead
@@ -41,6 +41,7 @@ class ImageRecording:
     frames: the image files of each frame, in order of time.
     encoding: how depth images are to be read.
     wheels: readings of the wheel encoders, in order of time.
+    yaw_rates: readings of a gyroscope, in order of time.
     odometry: T_odom_base as the robot's own wheel odometry computed it, for recordings that have no ticks.
     """
 
@@ -54,6 +55,7 @@ class ImageRecording:
     ground_truth: Trajectory | None = None
     warnings: tuple[str, ...] = ()
     wheels: tuple[WheelTicks, ...] = ()
+    yaw_rates: tuple[YawRate, ...] = ()
     odometry: Trajectory | None = None
 
     @property
@@ -66,10 +68,15 @@ class ImageRecording:
         """How many frames `events()` will yield, skipped ones included."""
         return len(self.frames)
 
+    @property
+    def wheel_count(self) -> int:
+        """How many wheel readings `events()` will yield."""
+        return len(self.wheels)
+
     def events(self) -> Iterator[Event]:
-        """Frames and wheel readings in order of time, from the start at each call; decoded a few frames ahead."""
+        """Frames and readings in order of time, from the start at each call; decoded a few frames ahead."""
         frames = (self._frame_or_reason(index) for index in range(len(self.frames)))
-        merged: Iterator[Event] = heapq.merge(self.wheels, frames, key=_stamp_s)
+        merged: Iterator[Event] = heapq.merge(self.yaw_rates, self.wheels, frames, key=_stamp_s)
         return read_ahead(merged, _FRAMES_READ_AHEAD)
 
     def read_frame(self, index: int) -> RgbdFrame:
@@ -77,11 +84,12 @@ class ImageRecording:
         files = self.frames[index]
         color, depth_m = read_color(files.color), read_depth(files.depth, self.encoding)
         registered = self.calibration.is_registered
+        color_camera, depth_camera = self.calibration.cameras
         if registered and color.shape[:2] != depth_m.shape:
             problem = f"depth image is {image_size(depth_m)}, its colour image {image_size(color)}"
             raise RecordingError(problem, path=files.depth, fix="register depth to colour, or give T_color_depth")
-        _check_size("colour", image_size(color), self.calibration.color, files.color)
-        _check_size("depth", image_size(depth_m), self.calibration.depth, files.depth)
+        _check_size("colour", image_size(color), color_camera, files.color)
+        _check_size("depth", image_size(depth_m), depth_camera, files.depth)
         return RgbdFrame(files.stamp_s, color, depth_m, index)
 
     def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:

@@ -33,6 +33,38 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table of numbers; its number in the file, from 1, and the words of the columns asked for."""
+
+    path: Path
+    number: int
+    words: dict[str, str]
+
+    @property
+    def stamp_s(self) -> float:
+        """Of column stamp_s. Raises RecordingError."""
+        return parse_stamp(self.words["stamp_s"], self.path, self.number)
+
+    def __getitem__(self, column: str) -> float:
+        """A finite number. Raises RecordingError."""
+        try:
+            value = float(self.words[column])
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise RecordingError(f"{column} is {self.words[column]!r}, not a number", path=self.path, line=self.number)
+        return value
+
+    def whole(self, column: str) -> int:
+        """A whole number. Raises RecordingError."""
+        try:
+            return int(self.words[column])
+        except ValueError as error:
+            problem = f"{column} is {self.words[column]!r}, not a whole number"
+            raise RecordingError(problem, path=self.path, line=self.number) from error
+
+
+@dataclass(frozen=True, slots=True)
 class ListedFile:
     """A file and its time in seconds, as a list file names them."""
 
@@ -74,6 +106,34 @@ def read_file_list(path: Path) -> tuple[list[ListedFile], list[str]]:
             raise RecordingError("a stamp and a file are expected", path=path, line=line.number)
         files.append(ListedFile(parse_stamp(words[0], path, line.number), path.parent / words[1]))
     return keep_growing(files, [line.number for line in lines], path)
+
+
+def read_table(path: Path, columns: Sequence[str]) -> tuple[list[Row], list[str]]:
+    """The rows of a table with commas whose first line names its columns, of which `columns` are read; and warnings.
+
+    A last line that does not end was cut off while it was written; its numbers may lack digits, so it is left out.
+
+    Raises:
+        RecordingError: naming file and line, for a column that is missing, or a line of too few or too many words.
+    """
+    lines = read_lines(path)
+    names = [name.strip() for name in lines[0].text.split(",")] if lines else []
+    for column in columns:
+        if column not in names:
+            expected = f"the first line must name the columns {', '.join(columns)}"
+            raise RecordingError(
+                f"has no column {column}", path=path, line=lines[0].number if lines else 1, fix=expected
+            )
+    warnings = []
+    if len(lines) > 1 and not path.read_bytes().endswith((b"\n", b"\r")):
+        warnings.append(f"{path.name}:{lines.pop().number}: the last line is cut off and was left out")
+    rows = []
+    for line in lines[1:]:
+        words = [word.strip() for word in line.text.split(",")]
+        if len(words) != len(names):
+            raise RecordingError(f"{len(words)} values where {len(names)} are expected", path=path, line=line.number)
+        rows.append(Row(path, line.number, dict(zip(names, words, strict=True))))
+    return rows, warnings
 
 
 def parse_stamp(word: str, path: Path, line: int) -> float:

@@ -10,8 +10,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from wheelsight.calibration import Calibration
 from wheelsight.evaluation import SequenceStatistics, sequence_statistics
-from wheelsight.events import RgbdFrame, WheelTicks
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.recordings.protocol import AssociationReport, Recording
 
@@ -38,14 +39,16 @@ class Inspection:
         name: the recording's.
         format: its reader's name.
         body: the frame its trajectory describes.
-        camera: colour camera: image size, focal lengths, where the numbers come from.
-        is_registered: whether, by its calibration, depth and colour share one pixel grid.
+        camera: colour camera: image size, focal lengths, where the numbers come from; None without one.
+        wheels: radii, track width, where the numbers come from; None where the calibration has no wheels.
+        is_registered: whether, by its calibration, depth and colour share one pixel grid; None without cameras.
         frames: how many are listed.
         skipped: (why, how many) of those that cannot be used.
-        wheel_readings: how many there are.
-        duration_s: from the first frame to the last.
-        rate_hz: of the frames, at their median period; NaN with fewer than two.
-        gaps: stretches without a frame longer than three periods.
+        wheel_readings: how many there are of the wheels.
+        yaw_readings: how many there are of a gyroscope.
+        duration_s: from the first frame to the last, or where there are none of the wheel readings.
+        rate_hz: of the same, at their median period; NaN with fewer than two.
+        gaps: stretches without one of these longer than three periods.
         valid_depth_share: share of depth pixels that measured something; NaN without a usable frame.
         depth_m: depth in metres at the 5th, 50th and 95th percentile; NaN where nothing was measured.
         offset: how far colour lies from depth, as seen in the images; None where too little is seen to say.
@@ -57,11 +60,13 @@ class Inspection:
     name: str
     format: str
     body: str
-    camera: str
-    is_registered: bool
+    camera: str | None
+    wheels: str | None
+    is_registered: bool | None
     frames: int
     skipped: tuple[tuple[str, int], ...]
     wheel_readings: int
+    yaw_readings: int
     duration_s: float
     rate_hz: float
     gaps: tuple[Gap, ...]
@@ -80,26 +85,29 @@ class Inspection:
 def inspect_recording(recording: Recording, on_event: Callable[[], None] | None = None) -> Inspection:
     """Read a whole recording once, every image of it, and say what is in it.
 
-    `on_event` is called after each frame, for a progress bar. Raises RecordingError when it cannot be read on.
+    `on_event` is called after each frame, or where there are none each wheel reading, for a progress bar.
+    Raises RecordingError when it cannot be read on.
     """
     tally = _Tally(recording)
     for event in recording.events():
         tally.add(event)
-        if on_event is not None and not isinstance(event, WheelTicks):
+        if on_event is not None and isinstance(event, tally.counted):
             on_event()
     stamps_s = np.array(tally.stamps_s, float)
     period_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else float("nan")
-    truth, camera = recording.ground_truth, recording.calibration.color
+    truth, calibration = recording.ground_truth, recording.calibration
     offset = tally.offset_meter.offset()
     return Inspection(
         name=recording.name,
         format=recording.format,
         body=recording.body,
-        camera=f"{camera.width} × {camera.height}, f {camera.fx:g}, {camera.fy:g} px ({recording.calibration.source})",
-        is_registered=recording.calibration.is_registered,
-        frames=len(stamps_s),
+        camera=_camera(calibration),
+        wheels=_wheels(calibration),
+        is_registered=None if calibration.color is None else calibration.is_registered,
+        frames=recording.frame_count,
         skipped=tuple(tally.skipped.most_common()),
         wheel_readings=tally.wheel_readings,
+        yaw_readings=tally.yaw_readings,
         duration_s=float(np.ptp(stamps_s)) if len(stamps_s) else 0.0,
         rate_hz=1 / period_s if period_s > 0 else float("nan"),
         gaps=_gaps(stamps_s, period_s),
@@ -112,6 +120,21 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
     )
 
 
+def _camera(calibration: Calibration) -> str | None:
+    camera = calibration.color
+    if camera is None:
+        return None
+    return f"{camera.width} × {camera.height}, f {camera.fx:g}, {camera.fy:g} px ({calibration.source})"
+
+
+def _wheels(calibration: Calibration) -> str | None:
+    wheels = calibration.wheels
+    if wheels is None:
+        return None
+    sizes = f"radius {wheels.left_radius_m:.5g} m left, {wheels.right_radius_m:.5g} m right"
+    return f"{sizes}, track {wheels.track_width_m:.5g} m, {wheels.ticks_per_turn:g} ticks a turn ({calibration.source})"
+
+
 @dataclass
 class _Tally:
     """Counts over the events of a recording, in little memory however long it is."""
@@ -120,18 +143,27 @@ class _Tally:
     stamps_s: list[float] = field(default_factory=list)
     skipped: Counter[str] = field(default_factory=Counter)
     wheel_readings: int = 0
+    yaw_readings: int = 0
     pixels: int = 0
     histogram: FloatArray = field(default_factory=lambda: np.zeros(len(_DEPTH_EDGES_M) - 1))
     offset_meter: _OffsetMeter = field(default_factory=lambda: _OffsetMeter())
 
-    def add(self, event: Any) -> None:
-        if isinstance(event, WheelTicks):
-            self.wheel_readings += 1
-            return
-        self.stamps_s.append(event.stamp_s)
-        if not isinstance(event, RgbdFrame):
+    @property
+    def counted(self) -> tuple[type, ...]:
+        """The events whose times are told of: frames, or where there are none the wheels' readings."""
+        return (RgbdFrame, SkippedFrame) if self.recording.frame_count else (WheelTicks, WheelSpeeds)
+
+    def add(self, event: Event) -> None:
+        if isinstance(event, self.counted):
+            self.stamps_s.append(event.stamp_s)
+        self.wheel_readings += isinstance(event, WheelTicks | WheelSpeeds)
+        self.yaw_readings += isinstance(event, YawRate)
+        if isinstance(event, SkippedFrame):
             self.skipped[event.reason] += 1
-            return
+        if isinstance(event, RgbdFrame):
+            self._add_frame(event)
+
+    def _add_frame(self, event: RgbdFrame) -> None:
         self._add_depth(event.depth_m[::_DEPTH_STRIDE, ::_DEPTH_STRIDE])
         every = max(1, self.recording.frame_count // _OFFSET_FRAMES)
         if event.index % every == every // 2 and event.color.shape[:2] == event.depth_m.shape:

@@ -1,45 +1,52 @@
-"""wheelsight's own layout: the TUM benchmark's, plus wheels.csv and calibration.yaml; any TUM tool can read it."""
+"""wheelsight's own layout: the TUM benchmark's, which any TUM tool reads, plus wheels.csv, gyro.csv, calibration.yaml.
+
+A recording of wheels alone has no lists of images.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from wheelsight.calibration import Calibration
-from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.events import WheelTicks
+from wheelsight.calibration import Calibration, load_calibration
+from wheelsight.errors import CalibrationError
+from wheelsight.events import WheelTicks, YawRate
 from wheelsight.recordings._cameras import camera_choices, choose_calibration
 from wheelsight.recordings._image_recording import ImageRecording, complete
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import keep_growing, parse_stamp, read_lines
+from wheelsight.recordings._text import keep_growing, read_table
+from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.recordings.tum import DEPTH_FACTOR, read_frames, read_truth
 
 WHEELS_HEADER = "stamp_s,left,right"
+GYRO_HEADER = "stamp_s,yaw_rate_rad_s"
 
 
 class NativeReader:
     """What `RecordingWriter` writes."""
 
     name = "wheelsight"
-    needs = "rgb.txt, depth.txt, wheels.csv and calibration.yaml"
+    needs = "wheels.csv and calibration.yaml, with images rgb.txt and depth.txt"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether wheels.csv is there beside a list of images."""
-        return (folder / "wheels.csv").is_file() and any((folder / name).is_file() for name in ("rgb.txt", "depth.txt"))
+        """Whether wheels.csv is there."""
+        return (folder / "wheels.csv").is_file()
 
-    def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
+    def open(self, folder: Path, options: OpenOptions) -> ImageRecording | WheelRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
-
-        def missing() -> Calibration:
-            raise CalibrationError("is missing", path=folder / "calibration.yaml", fix=camera_choices())
-
-        calibration = choose_calibration(folder, options, missing)
-        frames, association, warnings = read_frames(folder, options)
-        wheels, wheel_warnings = _read_wheels(folder / "wheels.csv")
-        warnings += wheel_warnings
+        has_images = any((folder / name).is_file() for name in ("rgb.txt", "depth.txt"))
+        calibration = choose_calibration(folder, options, lambda: _missing(folder, options, has_images))
+        wheels, warnings = read_wheels(folder / "wheels.csv")
+        yaw_rates, more = _read_yaw_rates(folder / "gyro.csv")
+        warnings += more
         truth = None
-        if calibration.T_base_camera is not None:
+        if not has_images or calibration.T_base_camera is not None:
             truth = read_truth(folder / "groundtruth_base.txt", warnings, body="base")
+        if not has_images:
+            given = (tuple(wheels), tuple(yaw_rates), truth, tuple(warnings))
+            return WheelRecording(folder.resolve().name, folder, self.name, calibration, *given)
+        frames, association, more = read_frames(folder, options)
+        warnings += more
         return complete(
             ImageRecording(
                 name=folder.resolve().name,
@@ -52,32 +59,32 @@ class NativeReader:
                 ground_truth=truth or read_truth(folder / "groundtruth.txt", warnings),
                 warnings=tuple(warnings),
                 wheels=tuple(wheels),
+                yaw_rates=tuple(yaw_rates),
             )
         )
 
 
-def _read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
-    """The readings of wheels.csv in order of time, and warnings.
+def _missing(folder: Path, options: OpenOptions, has_images: bool) -> Calibration:
+    """What serves in place of a calibration.yaml: that of wheels the user gave, if nothing more is needed."""
+    if options.calibration is not None and not has_images:
+        return load_calibration(Path(options.calibration))
+    fix = camera_choices() if has_images else "say how large the wheels are with --calibration"
+    raise CalibrationError("is missing", path=folder / "calibration.yaml", fix=fix)
 
-    A last line that does not end was cut off while it was written; its numbers may lack digits, so it is left out.
-    """
-    lines = read_lines(path)
-    if not lines or lines[0].text.replace(" ", "") != WHEELS_HEADER:
-        raise RecordingError(
-            f"the first line is not {WHEELS_HEADER!r}", path=path, line=lines[0].number if lines else 1
-        )
-    warnings = []
-    if len(lines) > 1 and not path.read_bytes().endswith((b"\n", b"\r")):
-        warnings.append(f"{path.name}:{lines.pop().number}: the last line is cut off and was left out")
-    ticks = [_parse_ticks(line.text, path, line.number) for line in lines[1:]]
-    growing, more = keep_growing(ticks, [line.number for line in lines[1:]], path)
+
+def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
+    """The readings of wheels.csv in order of time, and warnings."""
+    rows, warnings = read_table(path, WHEELS_HEADER.split(","))
+    ticks = [WheelTicks(row.stamp_s, row.whole("left"), row.whole("right")) for row in rows]
+    growing, more = keep_growing(ticks, [row.number for row in rows], path)
     return growing, warnings + more
 
 
-def _parse_ticks(text: str, path: Path, line: int) -> WheelTicks:
-    words = text.split(",")
-    try:
-        left, right = (int(word) for word in words[1:])
-    except ValueError as error:
-        raise RecordingError("a stamp and two whole numbers are expected", path=path, line=line) from error
-    return WheelTicks(parse_stamp(words[0], path, line), left, right)
+def _read_yaw_rates(path: Path) -> tuple[list[YawRate], list[str]]:
+    """The readings of gyro.csv in order of time, and warnings; none where there is no such file."""
+    if not path.is_file():
+        return [], []
+    rows, warnings = read_table(path, GYRO_HEADER.split(","))
+    rates = [YawRate(row.stamp_s, row["yaw_rate_rad_s"]) for row in rows]
+    growing, more = keep_growing(rates, [row.number for row in rows], path)
+    return growing, warnings + more

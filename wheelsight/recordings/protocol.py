@@ -64,6 +64,10 @@ class Recording(Protocol):
         """How many RGB-D frames `events()` will yield, skipped ones included."""
 
     @property
+    def wheel_count(self) -> int:
+        """How many wheel readings `events()` will yield."""
+
+    @property
     def association(self) -> AssociationReport:
         """How colour and depth were paired."""
 
@@ -87,6 +91,7 @@ class OpenOptions:
         camera: name of a shipped calibration (see `camera_names()`), or a calibration.yaml; None to go by the files.
         max_gap_s: largest distance in time between a colour and a depth image of one frame.
         depth_factor: depth units a metre, where it differs from the format's own.
+        calibration: a calibration.yaml; what it tells of wheels or cameras stands in place of what the recording says.
 
     Raises:
         ConfigError: a gap that is not finite and from 0 up, or a factor that is not positive.
@@ -95,6 +100,7 @@ class OpenOptions:
     camera: str | None = None
     max_gap_s: float = 0.02
     depth_factor: float | None = None
+    calibration: str | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.max_gap_s) and self.max_gap_s >= 0):

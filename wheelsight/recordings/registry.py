@@ -5,13 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 
 from wheelsight.errors import RecordingError
+from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader
 from wheelsight.recordings.protocol import OpenOptions, Reader, Recording
 from wheelsight.recordings.seven_scenes import SevenScenesReader
+from wheelsight.recordings.skid_steer import SkidSteerReader
 from wheelsight.recordings.tum import TumReader
+from wheelsight.recordings.velocities import VelocityReader
 
-_READERS: tuple[Reader, ...] = (NativeReader(), OpenLorisReader(), SevenScenesReader(), TumReader())
+_READERS: tuple[Reader, ...] = (
+    NativeReader(),
+    OpenLorisReader(),
+    SevenScenesReader(),
+    TumReader(),
+    SkidSteerReader(),
+    VelocityReader(),
+    MeasurementLineReader(),
+)
 _SEARCH_DEPTH = 3
 
 

@@ -89,7 +89,7 @@ def _calibration(folder: Path) -> Calibration:
         (fx, skew, cx), (_, fy, cy), bottom = _read_matrix(path, 3)
         if skew != 0 or bottom.tolist() != [0, 0, 1]:
             raise CalibrationError("is not an intrinsic matrix fx 0 cx, 0 fy cy, 0 0 1")
-        depth = replace(shipped.depth, fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy))
+        depth = replace(shipped.cameras[1], fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy))
     except (CalibrationError, RecordingError) as error:
         raise CalibrationError(error.problem, path=path, fix="correct or remove the file") from error
     return replace(shipped, depth=depth)

@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelsight.calibration import Calibration, save_calibration
-from wheelsight.errors import OutputError, RecordingError
-from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.errors import CalibrationError, OutputError, RecordingError
+from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.files import make_output_folder, output_error, write_bytes
 from wheelsight.geometry import Float32Array, PinholeCamera
 from wheelsight.recordings._images import image_size
 from wheelsight.recordings.bodies import express_for
-from wheelsight.recordings.native import WHEELS_HEADER
+from wheelsight.recordings.native import GYRO_HEADER, WHEELS_HEADER
 from wheelsight.recordings.protocol import Recording
 from wheelsight.recordings.tum import DEPTH_FACTOR
 from wheelsight.trajectory import Trajectory, write_tum
 
-_HEADERS = {
+_IMAGE_HEADERS = {
     "rgb.txt": "# color images\n# timestamp filename\n",
     "depth.txt": "# depth maps\n# timestamp filename\n",
-    "wheels.csv": f"{WHEELS_HEADER}\n",
 }
+_READING_HEADERS = {"wheels.csv": f"{WHEELS_HEADER}\n", "gyro.csv": f"{GYRO_HEADER}\n"}
 _TRUTHS = {"camera": "groundtruth.txt", "base": "groundtruth_base.txt"}
 _DEEPEST_UNITS = np.iinfo(np.uint16).max
 _FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -40,6 +40,9 @@ class RecordingWriter:
     counted in `depths_too_far`. Images appear whole or not at all, and a list names an image only once it is
     there; a recording broken off at any point, even by a power cut, is a valid shorter one.
 
+    Of a robot without cameras, by its calibration, it is a recording of the wheels alone; so it is where `calibration`
+    is None, of a robot not calibrated yet.
+
     Attributes:
         folder: where the recording lies.
         frames: how many were written.
@@ -50,17 +53,22 @@ class RecordingWriter:
         OutputError: the folder is not empty and `force` is off, cannot be written, or the disk is full.
     """
 
-    def __init__(self, folder: Path | str, calibration: Calibration, force: bool = False) -> None:
+    def __init__(self, folder: Path | str, calibration: Calibration | None, force: bool = False) -> None:
         self.folder = make_output_folder(Path(folder), force)
         self.frames = self.readings = self.depths_too_far = 0
         self._calibration = calibration
-        self._last_stamp_s = {RgbdFrame: -np.inf, WheelTicks: -np.inf}
+        self._last_stamp_s: dict[type, float] = {}
         for name in _TRUTHS.values():
             (self.folder / name).unlink(missing_ok=True)
-        for name in ("rgb", "depth"):
+        has_cameras = calibration is not None and calibration.color is not None
+        for name in ("rgb", "depth") if has_cameras else ():
             make_output_folder(self.folder / name, force=True)
-        save_calibration(calibration, self.folder / "calibration.yaml")
-        self._lists = {name: self._start(name, header) for name, header in _HEADERS.items()}
+        if calibration is None:
+            (self.folder / "calibration.yaml").unlink(missing_ok=True)
+        else:
+            save_calibration(calibration, self.folder / "calibration.yaml")
+        headers = (_IMAGE_HEADERS if has_cameras else {}) | _READING_HEADERS
+        self._lists = {name: self._start(name, header) for name, header in headers.items()}
 
     def add(self, event: Event) -> None:
         """Write one event; frames that were skipped when they were read leave no trace.
@@ -76,6 +84,11 @@ class RecordingWriter:
             self._check_stamp(event)
             self._append("wheels.csv", f"{_seconds(event.stamp_s)},{event.left},{event.right}\n")
             self.readings += 1
+        elif isinstance(event, YawRate):
+            self._check_stamp(event)
+            self._append("gyro.csv", f"{_seconds(event.stamp_s)},{_seconds(event.yaw_rate_rad_s)}\n")
+        elif isinstance(event, WheelSpeeds):
+            raise RecordingError("wheel speeds have no place here: wheels.csv holds ticks", path=self.folder)
 
     def add_ground_truth(self, truth: Trajectory) -> None:
         """Write the true trajectory of the camera or the base; if the calibration joins the two, both.
@@ -84,9 +97,12 @@ class RecordingWriter:
             CalibrationError: the trajectory describes the base and no T_base_camera says where the camera is.
             OutputError: it cannot be written.
         """
-        bodies = ("camera",) if self._calibration.T_base_camera is None else ("camera", "base")
+        calibration = self._known_calibration()
+        bodies: tuple[str, ...] = ("camera",) if calibration.T_base_camera is None else ("camera", "base")
+        if calibration.color is None:
+            bodies = ("base",)
         for body in bodies:
-            write_tum(express_for(body, truth, self._calibration), self.folder / _TRUTHS[body])
+            write_tum(express_for(body, truth, calibration), self.folder / _TRUTHS[body])
 
     def close(self) -> None:
         """End the recording. Nothing is lost without it but what the system had not yet written."""
@@ -101,9 +117,15 @@ class RecordingWriter:
     ) -> None:
         self.close()
 
+    def _known_calibration(self) -> Calibration:
+        if self._calibration is None:
+            raise CalibrationError("is missing", path=self.folder / "calibration.yaml", fix="record with a calibration")
+        return self._calibration
+
     def _add_frame(self, frame: RgbdFrame) -> None:
-        _check_size("colour", frame.color, self._calibration.color)
-        _check_size("depth", frame.depth_m, self._calibration.depth)
+        color_camera, depth_camera = self._known_calibration().cameras
+        _check_size("colour", frame.color, color_camera)
+        _check_size("depth", frame.depth_m, depth_camera)
         seconds = _seconds(frame.stamp_s)
         names = {"rgb": f"rgb/{seconds}.png", "depth": f"depth/{seconds}.png"}
         _write_png(self.folder / names["rgb"], cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR))
@@ -118,9 +140,9 @@ class RecordingWriter:
         self.depths_too_far += int(np.count_nonzero(units > _DEEPEST_UNITS))
         return np.where(fits, units, 0).astype(np.uint16)
 
-    def _check_stamp(self, event: RgbdFrame | WheelTicks) -> None:
-        if not self._last_stamp_s[type(event)] < event.stamp_s < np.inf:
-            last_s = self._last_stamp_s[type(event)]
+    def _check_stamp(self, event: RgbdFrame | WheelTicks | YawRate) -> None:
+        last_s = self._last_stamp_s.get(type(event), -np.inf)
+        if not last_s < event.stamp_s < np.inf:
             raise RecordingError(f"stamp {event.stamp_s:.6f} does not come after {last_s:.6f}", path=self.folder)
         self._last_stamp_s[type(event)] = event.stamp_s
 

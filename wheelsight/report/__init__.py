@@ -1,6 +1,7 @@
 """The report of a run: what it learned (RunRecord), its figures, and the page that shows them."""
 
 from wheelsight.report.figures import (
+    certainty_figure,
     error_figure,
     matches_figure,
     stage_figure,
@@ -19,6 +20,7 @@ __all__ = [
     "MatchPicture",
     "RunRecord",
     "Summary",
+    "certainty_figure",
     "draw_matches",
     "error_figure",
     "matches_figure",

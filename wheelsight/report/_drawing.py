@@ -95,14 +95,14 @@ def horizontal(figure: go.Figure, y: float, text: str) -> None:
     )
 
 
-def time_axis(figure: go.Figure, record: RunRecord, title: str = "seconds since the first frame") -> None:
+def time_axis(figure: go.Figure, record: RunRecord) -> None:
     """The same time axis for every figure of a run, so that they can be compared by eye."""
     end_s = max(seconds_since_start(record, [frame.stamp_s for frame in record.frames]), default=0.0)
     margin_s = 0.01 * end_s if end_s > 0 else 0.5
     figure.update_xaxes(range=[-margin_s, end_s + margin_s], hoverformat=".2f")
     figure.update_layout(margin_l=88)
     lowest = min(figure.select_xaxes(), key=lambda axis: 0 if axis.showticklabels is not False else 1)
-    lowest.title.text = title
+    lowest.title.text = f"seconds since the first {record.unit}"
 
 
 def seconds_since_start(record: RunRecord, stamps_s: Sequence[float] | FloatArray) -> FloatArray:

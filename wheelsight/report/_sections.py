@@ -29,13 +29,16 @@ def path(record: RunRecord, summary: Summary) -> str:
             "the estimate is wrong. The blue line breaks where no pose is known."
         )
     else:
-        intro = f"The {who}'s estimated path in its own world. The line breaks where no pose is known."
+        intro = (
+            f"The {who}'s estimated path in its own {record.estimate.world}. The line breaks where no pose is known."
+        )
     plots = []
-    for view, name in _VIEW_NAMES.items():
+    shown = {"xy": _VIEW_NAMES["xy"]} if record.is_planar else _VIEW_NAMES
+    for view, name in shown.items():
         alt = f"Path seen in the {name} plane of the world, {words.length(summary.length_m)} long in all."
         sentence = f"Seen along the world's {({*'xyz'} - {*view}).pop()} axis."
         plots.append(html.plot(f"path-{view}", figures.trajectory_figure(record, view), name, sentence, alt))
-    return html.section("path", "Where it went", intro, html.group("triple", plots))
+    return html.section("path", "Where it went", intro, *(plots if record.is_planar else [html.group("triple", plots)]))
 
 
 def errors(record: RunRecord) -> str:
@@ -47,7 +50,8 @@ def errors(record: RunRecord) -> str:
     ate = record.evaluation.ate.translation
     sentence = (
         "ATE is the distance to the true position once both paths are laid upon each other; RPE is the error of the "
-        "motion from one frame to the next, so a spike there is a frame that was misjudged, or the step across a gap."
+        f"motion from one {record.unit} to the next, so a spike there is a {record.unit} that was misjudged, or the "
+        "step across a gap."
     )
     alt = f"ATE over time: {words.length(ate.rmse)} RMSE, {words.length(ate.max)} at most."
     plot = html.plot("errors", figures.error_figure(record), "Error over time", sentence, alt)
@@ -59,7 +63,7 @@ def _error_table(record: RunRecord) -> str:
     evaluation = record.evaluation
     kinds = {
         "ATE": evaluation.ate,
-        "RPE a frame": evaluation.rpe_per_frame,
+        f"RPE a {record.unit}": evaluation.rpe_per_frame,
         "RPE a second": evaluation.rpe_per_second,
         "RPE a metre": evaluation.rpe_per_metre,
     }
@@ -73,7 +77,7 @@ def _error_table(record: RunRecord) -> str:
     head = ["Error", "Unit", "RMSE", "Mean", "Median", "Maximum", "Std", "Count"]
     caption = (
         "The same errors as numbers; the count is of poses or steps compared. Only positions are aligned: where the "
-        "path is short, the rotation of that alignment is loose, and ATE, rotation tells of it more than of the camera."
+        "path is short, the rotation of that alignment is loose, and ATE, rotation tells of it more than of the estimate."
     )
     return html.table(caption, head, rows)
 
@@ -82,19 +86,39 @@ def _cells(s: Statistics) -> list[str]:
     return [*(words.number(value, 4) for value in (s.rmse, s.mean, s.median, s.max, s.std)), f"{s.count:,}"]
 
 
+def certainty(record: RunRecord) -> str:
+    """How sure dead reckoning was of itself."""
+    covariances = record.estimate.covariances
+    if record.unit != "reading" or covariances is None or not len(record.estimate):
+        return ""
+    position_m, yaw_deg = figures.standard_deviations(record.estimate)
+    end = f"{words.length(position_m[-1])} and {words.angle(yaw_deg[-1])} at the end"
+    sentence = (
+        "One standard deviation of the position, along its worst direction, and of the yaw, which grows with the "
+        "way, since dead reckoning never sees a place again. Errors of calibration are not in it."
+    )
+    alt = f"Standard deviations of position and yaw over time: {end}."
+    plot = html.plot("certainty", figures.certainty_figure(record), "Uncertainty over time", sentence, alt)
+    return html.section("certainty", "How sure it was", "", plot)
+
+
 def tracking(record: RunRecord, summary: Summary) -> str:
     """Whether the camera was followed, frame by frame."""
     if not record.frames:
         return ""
-    lost = words.count(summary.lost_episodes, "lost episode")
+    lost = f", {words.count(summary.lost_episodes, 'lost episode')}" if record.unit == "frame" else ""
     status = html.plot(
         "status",
         figures.status_figure(record),
         "Status over time",
         "A pose is known only while tracking; failing is a frame or few without one, lost is when only seeing a "
-        "known place again helps.",
-        f"Status over time: {words.percent(summary.pose_share)} of frames have a pose, {lost}.",
+        "known place again helps."
+        if record.unit == "frame"
+        else "Failing is a reading that was refused; the notes above say why.",
+        f"Status over time: {words.percent(summary.pose_share)} of {record.unit}s have a pose{lost}.",
     )
+    if record.unit == "reading":
+        return html.section("tracking", "Was every reading used?", "", status)
     return html.section("tracking", "Was it ever lost?", "", status, _matches(record))
 
 
@@ -113,8 +137,8 @@ def _matches(record: RunRecord) -> str:
 
 
 def timing(record: RunRecord, summary: Summary) -> str:
-    """Whether it keeps up with the camera."""
-    if not summary.median_s >= 0:
+    """Whether it keeps up with the camera; a wheel reading is too quick to ask."""
+    if not summary.median_s >= 0 or record.unit == "reading":
         return ""
     median, p95, longest = (words.duration(s) for s in (summary.median_s, summary.p95_s, summary.longest_s))
     numbers = f"Median {median}, 95 % under {p95}, longest {longest}"

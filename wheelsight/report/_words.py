@@ -32,11 +32,13 @@ def length(metres: float | None) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """A time in ms, s, or minutes and seconds."""
+    """A time in µs, ms, s, or minutes and seconds."""
     if seconds is None or not math.isfinite(seconds):
         return UNKNOWN
     if seconds == 0:
         return "0 s"
+    if seconds < 1e-4:
+        return f"{number(seconds * 1e6)} µs"
     if seconds < 1:
         return f"{number(seconds * 1e3)} ms"
     if seconds < 120:

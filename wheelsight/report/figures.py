@@ -19,6 +19,7 @@ from wheelsight.report import _words as words
 from wheelsight.report._drawing import BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION
 from wheelsight.report.record import RunRecord
 from wheelsight.report.summary import SKIPPED, summarise
+from wheelsight.trajectory import Trajectory
 
 STATUS_COLOURS = {
     Status.TRACKING.value: GREEN,
@@ -38,7 +39,8 @@ def trajectory_figure(record: RunRecord, view: str = "xy") -> go.Figure:
     With an evaluation the estimate is drawn as it was laid upon the truth, in the truth's world; without one it
     stands alone in its own, for two paths that are not aligned say nothing. Gaps are where no pose is known.
     """
-    figure = drawing.style(go.Figure(), 380, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
+    height = 520 if record.is_planar else 380
+    figure = drawing.style(go.Figure(), height, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
     hover = f"{view[0]} %{{x:.3f}}, {view[1]} %{{y:.3f}} m"
     paths = {"estimate": (_estimated_path_m(record), {"color": BLUE, "width": 2})}
     if record.evaluation is not None and record.ground_truth is not None:
@@ -63,7 +65,7 @@ def error_figure(record: RunRecord) -> go.Figure:
     Raises:
         EvaluationError: the run has no evaluation.
     """
-    lines = _error_lines(_evaluation(record))
+    lines = _error_lines(_evaluation(record), record.unit)
     breaks_s = series.poseless_stamps_s(record)
     figure = make_subplots(rows=len(lines), cols=1, shared_xaxes=True, vertical_spacing=0.11)
     drawing.style(figure, 80 + 160 * len(lines), hovermode="x unified", showlegend=False)
@@ -78,6 +80,31 @@ def error_figure(record: RunRecord) -> go.Figure:
     return figure
 
 
+def certainty_figure(record: RunRecord) -> go.Figure:
+    """Over time: one standard deviation of position and yaw, of an estimate in the plane that has covariances."""
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.11)
+    drawing.style(figure, 360, hovermode="x unified", showlegend=False)
+    x = drawing.seconds_since_start(record, record.estimate.stamps_s)
+    panels = zip(("σ of position, m", "σ of yaw, °"), standard_deviations(record.estimate), strict=True)
+    for row, (name, sigmas) in enumerate(panels, start=1):
+        line = {"color": VERMILLION if row == 1 else BLUE, "width": 1.5}
+        drawing.add_line(figure, x, sigmas, name=name, line=line, hover="%{y:.4f}", row=row)
+        drawing.panel_title(figure, name, y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
+    figure.update_yaxes(rangemode="tozero")
+    drawing.time_axis(figure, record)
+    return figure
+
+
+def standard_deviations(estimate: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """σ (N,) of the position along its worst direction in the plane, metres, and of the yaw, degrees."""
+    assert estimate.covariances is not None
+    Ad = np.tile(np.eye(3), (len(estimate), 1, 1))  # a turn about the world's origin shifts the body that stands off it
+    Ad[:, 0, 2], Ad[:, 1, 2] = -estimate.positions_m[:, 1], estimate.positions_m[:, 0]
+    covariances = Ad @ estimate.covariances[:, [[0], [1], [5]], [0, 1, 5]] @ Ad.transpose(0, 2, 1)
+    position = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1]
+    return np.sqrt(position.clip(0)), np.degrees(np.sqrt(covariances[:, 2, 2]))
+
+
 def status_figure(record: RunRecord) -> go.Figure:
     """What the answer to each frame was, as one lane a status over time; a skipped frame shows as such unless lost."""
     labels = [
@@ -90,7 +117,7 @@ def status_figure(record: RunRecord) -> go.Figure:
     for lane in lanes:
         spans = [(starts_s[i], ends_s[j - 1], j - i) for i, j, label in series.runs(labels) if label == lane]
         x = [value for a, b, _ in spans for value in (a, max(b, a + least_s), None)]
-        text = [t for a, b, n in spans for t in (f"{a:.2f} to {b:.2f} s, {words.count(n, 'frame')}",) * 2 + ("",)]
+        text = [t for a, b, n in spans for t in (f"{a:.2f} to {b:.2f} s, {words.count(n, record.unit)}",) * 2 + ("",)]
         line = {"color": STATUS_COLOURS[lane], "width": 16}
         figure.add_scatter(
             x=x,
@@ -212,7 +239,7 @@ def _evaluation(record: RunRecord) -> Evaluation:
     return record.evaluation
 
 
-def _error_lines(evaluation: Evaluation) -> list[tuple[str, str, FloatArray, FloatArray]]:
+def _error_lines(evaluation: Evaluation, unit: str) -> list[tuple[str, str, FloatArray, FloatArray]]:
     """Name, unit, stamps (M,) and errors (M,) of each panel."""
     lines = [("ATE", "m", evaluation.ate.stamps_s, evaluation.ate.errors_m)]
     per_frame = evaluation.rpe_per_frame
@@ -220,8 +247,8 @@ def _error_lines(evaluation: Evaluation) -> list[tuple[str, str, FloatArray, Flo
         return lines
     return [
         *lines,
-        ("RPE a frame, translation", "m", per_frame.end_s, per_frame.errors_m),
-        ("RPE a frame, rotation", "°", per_frame.end_s, np.degrees(per_frame.errors_rad)),
+        (f"RPE a {unit}, translation", "m", per_frame.end_s, per_frame.errors_m),
+        (f"RPE a {unit}, rotation", "°", per_frame.end_s, np.degrees(per_frame.errors_rad)),
     ]
 
 

@@ -21,8 +21,8 @@ from wheelsight.report.summary import Summary, summarise
 from wheelsight.report.verdict import judge, notes
 
 _BODIES = {
-    "camera": "poses of the camera's optical frame (x right, y down, z forward) in the world",
-    "base": "poses of the robot's base (x forward, y left, z up) in the world",
+    "camera": "poses of the camera's optical frame (x right, y down, z forward)",
+    "base": "poses of the robot's base (x forward, y left, z up)",
 }
 
 
@@ -36,9 +36,9 @@ def render(record: RunRecord) -> str:
     """The page about `record` as HTML that refers to nothing outside itself."""
     summary = summarise(record)
     verdict = judge(record, summary)
-    return Template(_asset("template.html")).substitute(
+    return fill_template(
+        kicker="wheelsight run report",
         title=escape(record.recording),
-        style=_asset("style.css"),
         facts=" · ".join(escape(fact) for fact in _facts(record)),
         tone=verdict.tone,
         phrase=escape(verdict.phrase),
@@ -47,9 +47,13 @@ def render(record: RunRecord) -> str:
         notes=_notes(record, summary),
         sections="\n".join(part for part in _sections(record, summary) if part),
         footer=escape(_footer(record)),
-        plotly=get_plotlyjs(),
-        script=_asset("page.js"),
     )
+
+
+def fill_template(**parts: str) -> str:
+    """A whole page of parts in HTML: kicker, title, facts, tone, phrase, sentences, tiles, notes, sections, footer."""
+    assets = {"style": _asset("style.css"), "plotly": get_plotlyjs(), "script": _asset("page.js")}
+    return Template(_asset("template.html")).substitute(parts, **assets)
 
 
 def _asset(name: str) -> str:
@@ -66,21 +70,23 @@ def _frame(record: RunRecord) -> str:
 
 
 def _footer(record: RunRecord) -> str:
-    body = _BODIES.get(record.estimate.body, f"poses of the {record.estimate.body} in the world")
-    return f"{_frame(record)}: {body}. Lengths are in metres, stamps in seconds. This page needs no network."
+    body = _BODIES.get(record.estimate.body, f"poses of the {record.estimate.body}")
+    where = "the world" if record.estimate.world == "world" else f"{record.estimate.world}, where it was at first"
+    return f"{_frame(record)}: {body} in {where}. Lengths are in metres, stamps in seconds. This page needs no network."
 
 
 def _tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
     posed = f"{summary.posed:,} of {summary.frames:,}"
-    rate = f"{words.number(summary.frames_per_second)} frames/s, 95 % under {words.duration(summary.p95_s)}"
+    unit = summary.unit
+    rate = f"{words.number(summary.frames_per_second)} {unit}s/s, 95 % under {words.duration(summary.p95_s)}"
     lost = f"{words.duration(summary.lost_s)} in all" if summary.lost_episodes else ""
     return [
         *_error_tiles(record, summary),
-        ("Frames with a pose", words.percent(summary.pose_share), posed),
-        ("Lost episodes", str(summary.lost_episodes), lost),
-        ("Median time a frame", words.duration(summary.median_s), rate if summary.median_s > 0 else ""),
+        (f"{unit.capitalize()}s with a pose", words.percent(summary.pose_share), posed),
+        *([("Lost episodes", str(summary.lost_episodes), lost)] if unit == "frame" else []),
+        (f"Median time a {unit}", words.duration(summary.median_s), rate if summary.median_s > 0 else ""),
         ("Distance travelled", words.length(summary.length_m), "of the estimate"),
-        ("Duration", words.duration(summary.duration_s), words.count(summary.frames, "frame")),
+        ("Duration", words.duration(summary.duration_s), words.count(summary.frames, unit)),
         *([("Peak memory", f"{record.peak_memory_mb:,.0f} MB", "")] if record.peak_memory_mb is not None else []),
     ]
 
@@ -101,7 +107,8 @@ def _error_tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, st
 
 def _notes(record: RunRecord, summary: Summary) -> str:
     found = notes(record, summary)
-    intro = "" if found else "Nothing: every listed image was used, and every frame has a pose."
+    listed = "image" if summary.unit == "frame" else "reading"
+    intro = "" if found else f"Nothing: every listed {listed} was used, and every {summary.unit} has a pose."
     body = html.bullets(found, "notes") if found else ""
     return html.section("notes", "What to know before trusting it", intro, body)
 
@@ -110,6 +117,7 @@ def _sections(record: RunRecord, summary: Summary) -> list[str]:
     return [
         sections.path(record, summary),
         sections.errors(record),
+        sections.certainty(record),
         sections.tracking(record, summary),
         sections.timing(record, summary),
         sections.pictures(record),

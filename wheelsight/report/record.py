@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import Evaluation
@@ -15,7 +15,7 @@ from wheelsight.trajectory import Trajectory
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """One frame of a run: what was answered, and how long it took (image decoding not included)."""
+    """One frame or wheel reading of a run: what was answered, and how long it took (image decoding not included)."""
 
     index: int
     stamp_s: float
@@ -62,7 +62,7 @@ class RunRecord:
     Attributes:
         recording: the recording's name.
         format: its reader's name.
-        frames: one record for each frame listed, skipped ones included.
+        frames: one record for each frame listed, skipped ones included; of wheel odometry, for each wheel reading.
         estimate: the trajectory; frames without a pose are not in it.
         ground_truth: or None.
         evaluation: against the ground truth, or None without one; `evaluation_problem` then says why.
@@ -73,6 +73,7 @@ class RunRecord:
         config: the resolved configuration.
         peak_memory_mb: of the whole process, or None where the system does not tell.
         finished_at: when the run ended, with its time zone.
+        unit: what `frames` holds, "frame" or "reading".
     """
 
     recording: str
@@ -89,3 +90,9 @@ class RunRecord:
     config: dict[str, Any] = field(default_factory=dict)
     peak_memory_mb: float | None = None
     finished_at: datetime = field(default_factory=lambda: datetime.now(UTC))
+    unit: Literal["frame", "reading"] = "frame"
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether the estimate keeps to one plane, as wheels do."""
+        return self.unit == "reading"

@@ -32,6 +32,7 @@ class Summary:
         median_s: time a used frame took; NaN when none was used.
         p95_s: the time within which 95 % of them were done.
         longest_s: the longest time.
+        unit: "frame", or "reading" where frames are wheel readings.
     """
 
     frames: int
@@ -47,6 +48,7 @@ class Summary:
     median_s: float
     p95_s: float
     longest_s: float
+    unit: str = "frame"
 
     @property
     def pose_share(self) -> float:
@@ -82,6 +84,7 @@ def summarise(record: RunRecord) -> Summary:
         median_s=_percentile(seconds, 50),
         p95_s=_percentile(seconds, 95),
         longest_s=_percentile(seconds, 100),
+        unit=record.unit,
     )
 
 

@@ -35,10 +35,14 @@ def notes(record: RunRecord, summary: Summary) -> list[str]:
     """What was dropped, skipped, not covered or doubtful, one sentence each."""
     found = [*record.warnings]
     if summary.skipped:
-        found.append(f"{words.count(summary.skipped, 'frame')} could not be used: {_counted(summary.skips)}.")
+        found.append(f"{words.count(summary.skipped, summary.unit)} could not be used: {_counted(summary.skips)}.")
     if summary.failures:
         failed = sum(n for _, n in summary.failures)
-        found.append(f"{words.count(failed, 'used frame')} gave no pose: {_counted(summary.failures)}.")
+        found.append(f"{words.count(failed, f'used {summary.unit}')} gave no pose: {_counted(summary.failures)}.")
+    if summary.failures and record.unit == "reading":
+        found.append(
+            "After a reading without a pose the path goes on from where it was: what lies between is not known."
+        )
     found += _association_notes(record)
     found += _evaluation_notes(record, summary)
     return found
@@ -49,9 +53,9 @@ def _tracking_phrase(summary: Summary) -> tuple[str, Tone]:
     if not summary.posed:
         return "No pose was found", "poor"
     if summary.frames == 1:
-        return "A single frame, so nothing to follow", "fair"
+        return f"A single {summary.unit}, so nothing to follow", "fair"
     if share == 1:
-        return "Followed in every frame", "good"
+        return f"Followed in every {summary.unit}", "good"
     if share >= _ALMOST_ALL and not summary.lost_episodes:
         return "Followed almost throughout", "good"
     if share >= 0.5:
@@ -61,9 +65,11 @@ def _tracking_phrase(summary: Summary) -> tuple[str, Tone]:
 
 def _tracking_sentence(summary: Summary) -> str:
     if not summary.frames:
-        return "The recording holds no frames."
+        return f"The recording holds no {summary.unit}s."
     share = words.percent(summary.pose_share)
-    text = f"{summary.posed:,} of {words.count(summary.frames, 'frame')} ({share}) have a pose"
+    text = f"{summary.posed:,} of {words.count(summary.frames, summary.unit)} ({share}) have a pose"
+    if summary.unit == "reading":
+        return text + "."
     if not summary.lost_episodes:
         return text + ("; the camera was never lost." if summary.posed else ".")
     times = "once" if summary.lost_episodes == 1 else f"{summary.lost_episodes} times"
@@ -87,13 +93,14 @@ def _accuracy_sentence(record: RunRecord, summary: Summary) -> str:
 def _speed_sentence(summary: Summary) -> str:
     if not summary.median_s > 0:
         return ""
-    text = f"A frame takes {words.duration(summary.median_s)} at the median"
+    text = f"A {summary.unit} takes {words.duration(summary.median_s)} at the median"
+    source = "camera delivers" if summary.unit == "frame" else "wheels deliver"
     ratio = summary.frame_period_s / summary.median_s
     if not ratio > 0:
         return text + "."
     if ratio >= 1:
-        return f"{text}, {words.number(ratio, 2)} times as fast as the camera delivers them."
-    return f"{text}; the camera delivers {words.number(1 / ratio, 2)} in that time."
+        return f"{text}, {words.number(ratio, 2)} times as fast as the {source} them."
+    return f"{text}; the {source} {words.number(1 / ratio, 2)} in that time."
 
 
 def _counted(reasons: tuple[tuple[str, int], ...]) -> str:

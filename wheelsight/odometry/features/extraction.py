@@ -67,7 +67,7 @@ class FeatureExtractor:
     """
 
     def __init__(self, calibration: Calibration, settings: FeatureSettings) -> None:
-        if not calibration.is_registered and calibration.depth.has_distortion:
+        if not calibration.is_registered and calibration.cameras[1].has_distortion:
             raise CalibrationError(
                 "a distorted depth camera beside an unregistered colour camera is not supported",
                 fix="undistort the depth images, or register them to colour",
@@ -83,7 +83,7 @@ class FeatureExtractor:
         """The features of a frame, rows not yet straightened (see `straighten`)."""
         px, level, descriptors = self._keypoints(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY))
         calibration = self._calibration
-        xy = calibration.color.normalise(px)
+        xy = calibration.cameras[0].normalise(px)
         depth_m = _kernels.depth_at_keypoints(
             frame.depth_m,
             px,
@@ -115,7 +115,7 @@ class FeatureExtractor:
         """Rotation and translation colour from depth, and the depth camera's fx, fy, cx, cy."""
         T = self._calibration.T_color_depth
         T_color_depth = np.eye(4) if T is None else np.array(T)
-        depth = self._calibration.depth
+        depth = self._calibration.cameras[1]
         R, t = np.ascontiguousarray(T_color_depth[:3, :3]), T_color_depth[:3, 3].copy()
         return R, t, np.array([depth.fx, depth.fy, depth.cx, depth.cy])
 

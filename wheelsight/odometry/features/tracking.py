@@ -51,7 +51,7 @@ class _Tracker:
     """What both ways of locating a frame share."""
 
     def __init__(self, calibration: Calibration, settings: FeatureSettings) -> None:
-        self._color = calibration.color
+        self._color, _ = calibration.cameras
         self._shutter_s = calibration.rolling_shutter_s
         self._settings = settings
 

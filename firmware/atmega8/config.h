@@ -1,0 +1,34 @@
+/* What a builder may change: the clock, the wiring, the times. */
+#ifndef CONFIG_H
+#define CONFIG_H
+
+/* 14.7456 MHz divides to 115200 baud without error, and to 20 ms in whole overflows of Timer0. */
+#define F_CPU 14745600UL
+#define BAUD 115200UL
+
+/* Port D. The channels A stand on INT0 and INT1, which are fixed pins; the channels B may move within the port. */
+#define LEFT_A 2
+#define RIGHT_A 3
+#define LEFT_B 4
+#define RIGHT_B 5
+
+/* Port B. Timer1's outputs, fixed pins. */
+#define LEFT_PWM 1
+#define RIGHT_PWM 2
+
+/* 2: both edges of channel A, so that a count is a function of the wheel's position alone.
+ * 1: the rising edge alone, as Trinh et al. eq. 4 counts interrupts; a wheel that trembles on that edge drifts. */
+#ifndef EDGES
+#define EDGES 2
+#endif
+
+#define FRAME_MS 20
+#define DRIVE_TIMEOUT_MS 500
+
+/* The paper's frame holds ±127 pulses a wheel; one is sent early when a count reaches this. */
+#define PAPER_FULL 100
+
+#define VERSION_MAJOR 1
+#define VERSION_MINOR 0
+
+#endif

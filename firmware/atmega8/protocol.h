@@ -1,0 +1,26 @@
+/* What goes over the line: counts out, commands in. docs/firmware.md describes the bytes. */
+#ifndef PROTOCOL_H
+#define PROTOCOL_H
+
+#include <stdint.h>
+
+/* Both wheels at one instant: its time in clock ticks, and the pulses since the counts were last reset. */
+struct sample {
+    uint16_t ticks;
+    uint32_t left;
+    uint32_t right;
+};
+
+/* `reset_cause` is told to the host with the version: MCUCSR as it was at the start. */
+void protocol_init(uint8_t reset_cause);
+
+/* Sends the sample where, by the format in use, it is time to. */
+void protocol_report(const struct sample *sample);
+
+/* Takes one byte from the host and obeys where it ends a frame. The sample's counts begin anew if the host says so. */
+void protocol_receive(uint8_t byte, struct sample *sample);
+
+/* Brings both motors to rest where the host has not driven for DRIVE_TIMEOUT_MS. */
+void protocol_watch(uint16_t ticks);
+
+#endif

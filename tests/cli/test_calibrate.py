@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import open_page
+from drives import simulate, square_legs, write_recording
+from typer.testing import Result
+
+from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
+from wheelsight.odometry.wheels.umbmark import corrected
+from wheelsight.trajectory import Trajectory, read_tum, write_tum
+
+Command = Callable[..., Result]
+Refusal = Callable[..., str]
+
+NOMINAL = Wheels(left_radius_m=0.17, right_radius_m=0.17, track_width_m=0.58, ticks_per_turn=3200)
+TRUE = replace(NOMINAL, left_radius_m=0.171, right_radius_m=0.1695, track_width_m=0.615, delay_s=0.06)
+SQUARE = replace(corrected(NOMINAL, 1.006, 1.02), slip_m_per_sqrt_m=0.001)
+
+
+@pytest.fixture
+def drive(tmp_path: Path, rng: np.random.Generator) -> Path:
+    simulated = simulate(replace(TRUE, slip_m_per_sqrt_m=0.002), rng=rng, slips=4, reference_sigma_m=0.002)
+    write_recording(tmp_path / "drive", NOMINAL, simulated)
+    return tmp_path / "drive"
+
+
+@pytest.fixture
+def squares(tmp_path: Path, rng: np.random.Generator) -> list[Path]:
+    folders = [tmp_path / f"square{number}" for number in range(4)]
+    for folder, sense in zip(folders, (-1, 1, -1, 1), strict=True):
+        simulated = simulate(SQUARE, square_legs(NOMINAL, SQUARE, sense), rng=rng)
+        write_recording(folder, NOMINAL, simulated, simulated.truth.select([0, -1]))
+    return folders
+
+
+def wheels_in(path: Path) -> Wheels:
+    wheels = load_calibration(path).wheels
+    assert wheels is not None
+    return wheels
+
+
+def test_a_drive_gives_a_calibration_and_a_page(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "wheels.yaml"
+    result = wheelsight("calibrate", "wheels", drive, "--out", out)
+    assert result.exit_code == 0, result.output
+    for word in ("580.00 mm", "track width", "± σ", "delay", "ATE, position", "RPE a metre, heading", "off at the end"):
+        assert word in result.stdout
+    found = wheels_in(out)
+    assert found.track_width_m == pytest.approx(0.615, rel=3e-3)
+    assert found.delay_s == pytest.approx(0.06, abs=5e-3)
+    assert load_calibration(out).source == "wheels fitted on drive to its ground truth"
+    page = out.with_suffix(".html").read_text(encoding="utf-8")
+    assert "On the part it did not use" in page
+    assert result.stdout.count(str(out.parent)) == 2
+    assert sorted(path.name for path in out.parent.iterdir()) == ["wheels.html", "wheels.yaml"]
+
+
+def test_a_run_takes_the_calibration(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    """The way to the end: calibrate once, run with it, and be nearer to the truth than without."""
+    out = tmp_path / "wheels.yaml"
+    assert wheelsight("calibrate", "wheels", drive, "--out", out).exit_code == 0
+    errors = []
+    for name, options in (("nominal", ()), ("calibrated", ("--calibration", out))):
+        command = ("run", drive, "--odometry", "wheels", "--out", tmp_path / name, *options)
+        assert wheelsight(*command).exit_code == 0
+        metrics = json.loads((tmp_path / name / "metrics.json").read_text())
+        errors.append(metrics["evaluation"]["rpe_per_metre_deg"]["median"])
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_reference_and_nominal_wheels_can_be_given(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    (drive / "groundtruth_base.txt").rename(tmp_path / "elsewhere.txt")
+    nominal = tmp_path / "nominal.yaml"
+    save_calibration(Calibration(wheels=replace(NOMINAL, track_width_m=0.7)), nominal)
+    given = ("--reference", tmp_path / "elsewhere.txt", "--calibration", nominal)
+    result = wheelsight("calibrate", "wheels", drive, *given, "--out", tmp_path / "wheels.yaml")
+    assert result.exit_code == 0, result.output
+    assert "700.00 mm" in result.stdout
+    assert wheels_in(tmp_path / "wheels.yaml").track_width_m == pytest.approx(0.615, rel=3e-3)
+
+
+def test_a_delay_can_be_kept(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    result = wheelsight("calibrate", "wheels", drive, "--no-delay", "--out", tmp_path / "wheels.yaml")
+    assert "kept" in result.stdout
+    assert wheels_in(tmp_path / "wheels.yaml").delay_s == 0
+
+
+def test_nothing_is_overwritten_unasked(wheelsight: Command, refusal: Refusal, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "wheels.yaml"
+    out.write_text("mine")
+    told = refusal("calibrate", "wheels", drive, "--out", out)
+    assert told == f"{out}: is there already (choose another --out, or add --force to overwrite)"
+    assert out.read_text() == "mine"
+    assert wheelsight("calibrate", "wheels", drive, "--out", out, "--force").exit_code == 0
+    out.unlink()
+    assert "wheels.html: is there already" in refusal("calibrate", "wheels", drive, "--out", out)
+
+
+def test_outputs_that_cannot_be_are_refused(refusal: Refusal, drive: Path, tmp_path: Path) -> None:
+    assert "is a folder, not a file" in refusal("calibrate", "wheels", drive, "--out", tmp_path)
+    assert "is the name of the page" in refusal("calibrate", "wheels", drive, "--out", tmp_path / "wheels.html")
+
+
+def test_a_straight_drive_is_refused_and_leaves_nothing(refusal: Refusal, tmp_path: Path) -> None:
+    legs = [(20.0, 0.8, 0.0), (2.0, 0.0, 0.0)] * 6
+    write_recording(tmp_path / "straight", NOMINAL, simulate(TRUE, legs))
+    told = refusal("calibrate", "wheels", tmp_path / "straight", "--out", tmp_path / "wheels.yaml")
+    assert told.startswith("the drive does not determine: ")
+    assert "track width" in told
+    assert "drive some full turns, both ways" in told
+    assert not (tmp_path / "wheels.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda drive: (drive / "groundtruth_base.txt").unlink(), "drive has no ground truth to calibrate against"),
+        (lambda drive: (drive / "wheels.csv").write_text("stamp_s,left,right\n1,2,3\n"), "drive has 1 wheel readings"),
+        (lambda drive: (drive / "calibration.yaml").unlink(), "calibration.yaml: is missing"),
+    ],
+    ids=["no-truth", "no-readings", "no-wheels"],
+)
+def test_what_lacks_something_says_so(
+    refusal: Refusal, drive: Path, tmp_path: Path, change: Callable[[Path], object], told: str
+) -> None:
+    change(drive)
+    assert told in refusal("calibrate", "wheels", drive, "--out", tmp_path / "wheels.yaml")
+
+
+def test_squares_are_told_apart_by_their_turning(wheelsight: Command, squares: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "wheels.yaml"
+    result = wheelsight("calibrate", "umbmark", *squares, "--out", out)
+    assert result.exit_code == 0, result.output
+    for word in ("E_d, right over left", "E_b, track factor", "E_max,syst", "by wheels corrected without it"):
+        assert word in result.stdout
+    found = wheels_in(out)
+    assert found.right_radius_m / found.left_radius_m == pytest.approx(1.006, abs=1e-3)
+    assert found.track_width_m == pytest.approx(1.02 * 0.58, rel=5e-3)
+    assert "Return position errors" in out.with_suffix(".html").read_text(encoding="utf-8")
+
+
+def test_a_table_of_errors_will_do(wheelsight: Command, refusal: Refusal, tmp_path: Path) -> None:
+    table, nominal, out = (tmp_path / name for name in ("errors.csv", "nominal.yaml", "wheels.yaml"))
+    save_calibration(Calibration(wheels=NOMINAL), nominal)
+    table.write_text("direction,x_m,y_m\ncw,-0.10,-0.10\ncw,-0.11,-0.09\nccw,-0.10,0.10\nccw,-0.09,0.11\n")
+    assert "add --calibration and --side" in refusal("calibrate", "umbmark", table, "--out", out)
+    result = wheelsight("calibrate", "umbmark", table, "--side", 4, "--calibration", nominal, "--out", out)
+    assert result.exit_code == 0, result.output
+    found = wheels_in(out)
+    assert found.track_width_m > NOMINAL.track_width_m
+    assert found.left_radius_m == pytest.approx(found.right_radius_m, rel=1e-3)
+
+
+def test_squares_of_two_robots_are_refused(refusal: Refusal, squares: list[Path], tmp_path: Path) -> None:
+    other = replace(NOMINAL, track_width_m=0.9)
+    save_calibration(Calibration(wheels=other), squares[2] / "calibration.yaml")
+    told = refusal("calibrate", "umbmark", *squares, "--out", tmp_path / "wheels.yaml")
+    assert told.startswith("square2 and square0 have different nominal wheels")
+
+
+@pytest.mark.parametrize("command", ["wheels", "umbmark"])
+def test_help_shows_an_example(wheelsight: Command, command: str) -> None:
+    result = wheelsight("calibrate", command, "--help")
+    assert f"wheelsight calibrate {command} " in result.output.split("Examples")[1]
+
+
+@pytest.mark.browser
+def test_the_pages_draw_all_they_promise(
+    wheelsight: Command, drive: Path, squares: list[Path], tmp_path: Path, chromium: str
+) -> None:
+    for command, given, plots in (("wheels", [drive], 3), ("umbmark", squares, 1)):
+        out = tmp_path / f"{command}.yaml"
+        assert wheelsight("calibrate", command, *given, "--out", out).exit_code == 0
+        document, complaints = open_page(chromium, out.with_suffix(".html"))
+        assert complaints == []
+        assert document.count('class="main-svg"') >= plots
+        assert document.count('class="plot js-plotly-plot"') == plots
+        assert "NaN" not in document.split("<script")[0]
+
+
+def test_the_reference_is_read_as_told(wheelsight: Command, refusal: Refusal, drive: Path, tmp_path: Path) -> None:
+    camera = tmp_path / "camera.txt"
+    truth = read_tum(drive / "groundtruth_base.txt")
+    write_tum(Trajectory(truth.stamps_s, truth.T_world_body, body="camera"), camera)
+    told = refusal("calibrate", "wheels", drive, "--reference", camera, "--out", tmp_path / "wheels.yaml")
+    assert "give T_base_camera" in told

@@ -1,0 +1,139 @@
+"""The paper's two bytes, and how either format is recognised."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wheelsight.devices.paper import PaperDecoder, Pulses
+from wheelsight.devices.protocol import Counts, Message, encode_message
+from wheelsight.devices.recognition import Format, LineDecoder
+
+PERIOD_S = 0.02
+Got = list[Message | Pulses]
+
+
+def pair(left: int, right: int) -> bytes:
+    return bytes([right & 0xFF, left & 0xFF])
+
+
+def paired(decoder: LineDecoder, counts: np.ndarray, start_s: float) -> Got:
+    got: Got = []
+    for n, (left, right) in enumerate(counts.tolist()):
+        got += decoder.feed(pair(left, right), start_s + PERIOD_S * n)
+    return got
+
+
+def framed(decoder: LineDecoder, count: int, start_s: float, first: int = 0) -> Got:
+    got: Got = []
+    for n in range(first, first + count):
+        got += decoder.feed(encode_message(Counts(n & 0xFF, 20_000 * n, n, n)), start_s + PERIOD_S * (n - first))
+    return got
+
+
+@pytest.fixture
+def counts(rng: np.random.Generator) -> np.ndarray:
+    return rng.integers(-100, 101, (200, 2))
+
+
+def test_right_comes_first_and_both_are_signed() -> None:
+    assert PaperDecoder().feed(bytes([1, 0xFF]), 5.0) == [Pulses(5.0, -1, 1, True)]
+    (extreme,) = PaperDecoder().feed(bytes([0x80, 0x7F]), 5.0)
+    assert (extreme.left, extreme.right) == (127, -128)
+
+
+def test_a_pair_may_come_in_two_reads() -> None:
+    decoder = PaperDecoder()
+    assert decoder.feed(b"\x01", 5.0) == []
+    assert decoder.feed(b"\x02", 5.001) == [Pulses(5.001, 2, 1, True)]
+
+
+def test_a_lost_byte_costs_its_pair_and_no_other() -> None:
+    decoder = PaperDecoder()
+    got = [*decoder.feed(pair(1, 2), 0.0), *decoder.feed(b"\x09", 0.02)]
+    for n in range(2, 5):
+        got += decoder.feed(pair(n, -n), PERIOD_S * n)
+    assert [(pulses.left, pulses.right) for pulses in got] == [(1, 2), (2, -2), (3, -3), (4, -4)]
+    assert (decoder.statistics.malformed, decoder.statistics.frames) == (1, 4)
+
+
+def test_pairs_that_waited_are_taken_in_twos() -> None:
+    got = PaperDecoder().feed(pair(1, 2) + pair(3, 4) + pair(5, 6), 9.0)
+    assert [(pulses.left, pulses.right, pulses.follows_silence) for pulses in got] == [
+        (1, 2, True),
+        (3, 4, False),
+        (5, 6, False),
+    ]
+
+
+def test_the_papers_format_is_recognised_in_half_a_second_and_no_pulse_is_lost(counts: np.ndarray) -> None:
+    decoder = LineDecoder()
+    assert paired(decoder, counts[:25], 0.0) == []
+    assert decoder.format is None
+    got = paired(decoder, counts[25:], 25 * PERIOD_S)
+    assert decoder.format is Format.PAPER
+    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
+    np.testing.assert_allclose([pulses.arrival_s for pulses in got], PERIOD_S * np.arange(200))
+    assert (decoder.statistics.frames, decoder.statistics.malformed) == (200, 0)
+
+
+def test_wheels_at_rest_are_recognised_too() -> None:
+    decoder = LineDecoder()
+    assert len(paired(decoder, np.zeros((60, 2), int), 0.0)) == 60
+    assert decoder.format is Format.PAPER
+
+
+def test_one_frame_is_enough_for_framed() -> None:
+    decoder = LineDecoder()
+    got = framed(decoder, 1, 0.0)
+    assert got == [Counts(0, 0, 0, 0)]
+    assert decoder.format is Format.FRAMED
+
+
+def test_a_change_of_format_is_followed_both_ways(counts: np.ndarray) -> None:
+    decoder = LineDecoder()
+    framed(decoder, 100, 0.0)
+    got = paired(decoder, counts, 100 * PERIOD_S)
+    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
+    assert decoder.format is Format.PAPER
+    assert len(framed(decoder, 50, 300 * PERIOD_S, first=100)) >= 49
+    assert decoder.format is Format.FRAMED
+    assert decoder.statistics.crc_errors == 0
+
+
+@pytest.mark.parametrize("piece", [1, 3, 7, 18])
+def test_random_bytes_are_neither(piece: int, rng: np.random.Generator) -> None:
+    decoder = LineDecoder()
+    got: Got = []
+    for n in range(300):
+        got += decoder.feed(rng.bytes(piece), PERIOD_S * n)
+    assert decoder.format is None
+    assert got == []
+
+
+@pytest.mark.parametrize("factor", [2, 3, 4, 6, 8, 12])
+@pytest.mark.parametrize("is_slower", [True, False])
+def test_framed_counts_at_a_wrong_baud_rate_are_neither(factor: int, is_slower: bool) -> None:
+    decoder = LineDecoder()
+    for n in range(300):
+        frame = encode_message(Counts(n & 0xFF, 20_000 * n + n % 7, 3 * n, -5 * n))
+        decoder.feed(misread(frame, factor, is_slower), PERIOD_S * n)
+    assert decoder.format is None
+
+
+def misread(data: bytes, factor: int, is_slower: bool) -> bytes:
+    """What a receiver makes of 8N1 bytes that are sent `factor` times as fast, or as slowly, as it expects."""
+    levels = [level for byte in data for level in (0, *((byte >> bit) & 1 for bit in range(8)), 1)]
+    steps_a_bit, stretch = (factor, 1) if is_slower else (1, factor)
+    line = [level for level in levels for _ in range(stretch)] + [1] * 12 * steps_a_bit
+    read, at = [], 0
+    while at < len(line) - 10 * steps_a_bit:
+        if line[at]:
+            at += 1
+            continue
+        middle = at + steps_a_bit // 2
+        read.append(sum(line[middle + steps_a_bit * (1 + bit)] << bit for bit in range(8)))
+        at = middle + 9 * steps_a_bit
+        while at < len(line) and not line[at]:
+            at += 1  # no stop bit: wait for the line to rest
+    return bytes(read)

@@ -1,0 +1,136 @@
+"""`wheelsight calibrate`: how large the wheels are and how far apart, from a drive or from squares."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from wheelsight.cli._options import CalibrationFile, RecordingPath, settings_from
+
+if TYPE_CHECKING:
+    from wheelsight.recordings import Recording
+
+app = typer.Typer(no_args_is_help=True, help="Find how large a robot's wheels are and how far apart.")
+
+Out = Annotated[
+    Path,
+    typer.Option(metavar="FILE", help="calibration.yaml to write; a page about it goes beside it.", show_default=False),
+]
+Reference = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="TRAJECTORY",
+        help="Where it truly went, TUM text, such as visual odometry's; of what body, its '# frames:' line says.",
+        show_default="the recording's ground truth",
+    ),
+]
+TrainShare = Annotated[
+    float, typer.Option(metavar="SHARE", help="Share of the time to calibrate on; the rest shows what it is worth.")
+]
+Segment = Annotated[
+    float, typer.Option(metavar="METRES", min=0.05, help="Way between two poses of the reference that are compared.")
+]
+Delay = Annotated[bool, typer.Option("--delay/--no-delay", help="Also find how late the wheels' stamps are.")]
+Runs = Annotated[
+    list[Path],
+    typer.Argument(metavar="RUN...", help="Recordings of one square each, or one table.", show_default=False),
+]
+Side = Annotated[
+    float | None, typer.Option(metavar="METRES", help="Side of the squares.", show_default="a quarter of the way")
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite FILE and its page.")]
+
+
+@app.command("wheels")
+def wheels(
+    recording: RecordingPath,
+    out: Out,
+    reference: Reference = None,
+    calibration: CalibrationFile = None,
+    train_share: TrainShare = 0.5,
+    segment: Segment = 1.0,
+    delay: Delay = True,
+    force: Force = False,
+) -> None:
+    """Fit both radii, the track width and the clocks' delay to a reference trajectory.
+
+    The first part is fitted, the rest shows what the result is worth.
+    FILE gets the wheels, for wheelsight run --calibration.
+    A drive that leaves something open is refused, as a straight one does the track width;
+    what to drive instead is said.
+
+    [bold]Examples[/bold]
+
+    wheelsight calibrate wheels my_drive --out wheels.yaml
+
+    wheelsight calibrate wheels my_drive --reference visual/trajectory.txt --calibration nominal.yaml --out wheels.yaml
+    """
+    from wheelsight.cli._calibration import print_trial, save, show_steps
+    from wheelsight.odometry.wheels.trial import try_calibration
+    from wheelsight.report.wheel_page import write_wheel_page
+    from wheelsight.trajectory import read_tum
+
+    page = _page_beside(out, force)
+    source = _open(recording, calibration)
+    truth = None if reference is None else read_tum(reference, body=source.body)
+    with show_steps() as on_step:
+        trial = try_calibration(
+            source, truth, train_share=train_share, segment_m=segment, with_delay=delay, on_step=on_step
+        )
+    against = "its ground truth" if reference is None else reference.name
+    save(trial.fit.wheels, source.calibration.gyro, f"wheels fitted on {source.name} to {against}", out)
+    write_wheel_page(trial, page)
+    print_trial(trial, out, page)
+
+
+@app.command("umbmark")
+def umbmark(runs: Runs, out: Out, calibration: CalibrationFile = None, side: Side = None, force: Force = False) -> None:
+    """Correct wheel ratio and track width by squares, driven both ways and measured by tape (Borenstein & Feng 1996).
+
+    A RUN is a recording of one square, with true poses at its start and end.
+    Or it is a table with columns direction (cw or ccw), x_m and y_m:
+    where each run truly ended, less where the robot believed to be, x along the first side, y to the left.
+    A table needs --side and --calibration.
+
+    [bold]Examples[/bold]
+
+    wheelsight calibrate umbmark squares/* --out wheels.yaml
+
+    wheelsight calibrate umbmark errors.csv --side 4 --calibration nominal.yaml --out wheels.yaml
+    """
+    from wheelsight.cli._calibration import print_squares, save, squares_from_recordings, squares_from_table
+    from wheelsight.report.wheel_page import write_squares_page
+
+    page = _page_beside(out, force)
+    if len(runs) == 1 and not runs[0].is_dir():
+        squares = squares_from_table(runs[0], calibration, side)
+    else:
+        squares = squares_from_recordings([_open(run, calibration) for run in runs], side)
+    save(squares.result.wheels, squares.gyro, f"UMBmark, {squares.name}", out)
+    write_squares_page(squares.result, squares.after_m, squares.name, page)
+    print_squares(squares, out, page)
+
+
+def _open(folder: Path, calibration: str | None) -> Recording:
+    from wheelsight.recordings import open_recording
+
+    return open_recording(folder, settings_from({"--calibration": calibration}).recording.open_options())
+
+
+def _page_beside(out: Path, force: bool) -> Path:
+    """Where the page goes; raises OutputError, before any work, where it or `out` cannot or must not be written."""
+    from wheelsight.errors import OutputError
+    from wheelsight.files import make_output_folder
+
+    page = out.with_suffix(".html")
+    if page == out:
+        raise OutputError("is the name of the page, not of a calibration", path=out, fix="end it with .yaml")
+    for path in (out, page):
+        if path.is_dir():
+            raise OutputError("is a folder, not a file", path=path, fix="choose another --out")
+        if path.exists() and not force:
+            raise OutputError("is there already", path=path, fix="choose another --out, or add --force to overwrite")
+    make_output_folder(out.parent, force=True)
+    return page

@@ -1,0 +1,98 @@
+"""What the controller's clock means in host time: offset and drift, found beneath the delays of the transport.
+
+A frame arrives when it was sent plus a delay that is never negative, often small, and sometimes large. Plotted over
+the controller's clock, arrivals lie on or above a line whose slope is the drift and whose height is the offset: the
+line beneath all points with the least distance to them in sum. That is the edge of their lower convex hull above
+which their mean lies (Moon, Skelly & Towsley, *Estimation and removal of clock skew from network delay measurements*,
+INFOCOM 1999). What no observer of one-way arrivals can tell is the smallest delay itself; it stays in the offset.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import pairwise
+
+WINDOW_S = 60.0
+_BUCKET_S = 0.5
+_SHORTEST_SPAN_S = 4.0
+_LARGEST_DRIFT = 0.01
+_LEAST_PROGRESS = 0.5
+_TICK_S = 1e-6
+
+_Point = tuple[float, float]
+
+
+class ClockMap:
+    """Maps seconds of the controller's clock to seconds of the host's, from the arrivals of its frames.
+
+    Only the earliest arrival of each half second of the last minute is kept, so an update takes constant time.
+    Before four seconds have passed, the drift is taken for zero.
+    """
+
+    def __init__(self) -> None:
+        self._points: deque[_Point] = deque()
+        self._slope, self._offset_s = 1.0, 0.0
+        self._last: _Point | None = None
+
+    @property
+    def drift_ppm(self) -> float:
+        """How much faster than the host's the controller's clock runs, in millionths."""
+        return (1 / self._slope - 1) * 1e6
+
+    def host_s(self, clock_s: float) -> float:
+        """Host time at which the controller's clock showed `clock_s`, later by the smallest delay of the transport."""
+        return self._offset_s + self._slope * clock_s
+
+    def update(self, clock_s: float, arrival_s: float) -> None:
+        """Learn that what was sent at `clock_s` arrived at `arrival_s`; `clock_s` must not decrease."""
+        early_s = self.host_s(clock_s) - arrival_s if self._points else 0.0
+        bucket = self._points[-1] if self._points else None
+        if bucket is None or clock_s // _BUCKET_S > bucket[0] // _BUCKET_S:
+            self._points.append((clock_s, arrival_s))
+            while self._points[0][0] < clock_s - WINDOW_S:
+                self._points.popleft()
+            self._fit()
+        elif arrival_s - self.host_s(clock_s) < bucket[1] - self.host_s(bucket[0]):
+            self._points[-1] = (clock_s, arrival_s)
+            if early_s > 0:
+                self._fit()
+
+    def stamp_s(self, clock_s: float) -> float:
+        """As `host_s`, for stamps in a row: when the estimate is corrected downwards, they slow down but go on."""
+        stamp_s = self.host_s(clock_s)
+        if self._last is not None:
+            passed_s = self._slope * (clock_s - self._last[0])
+            stamp_s = max(stamp_s, self._last[1] + max(_LEAST_PROGRESS * passed_s, _TICK_S))
+        self._last = (clock_s, stamp_s)
+        return stamp_s
+
+    def restart(self) -> None:
+        """Forget everything but the last stamp: the controller's clock began anew."""
+        self._points.clear()
+        self._slope, self._offset_s = 1.0, 0.0
+        if self._last is not None:
+            self._last = (float("inf"), self._last[1])
+
+    def _fit(self) -> None:
+        points = self._points
+        if points[-1][0] - points[0][0] >= _SHORTEST_SPAN_S:
+            slope = _slope_beneath(list(points))
+            self._slope = min(max(slope, 1 - _LARGEST_DRIFT), 1 + _LARGEST_DRIFT)
+        self._offset_s = min(arrival_s - self._slope * clock_s for clock_s, arrival_s in points)
+
+
+def _slope_beneath(points: list[_Point]) -> float:
+    """Slope of the lower convex hull's edge at the points' mean; `points` are sorted by their first coordinate."""
+    hull: list[_Point] = []
+    for point in points:
+        while len(hull) >= 2 and _turn(hull[-2], hull[-1], point) <= 0:
+            hull.pop()
+        hull.append(point)
+    mean = sum(x for x, _ in points) / len(points)
+    left, right = next(edge for edge in pairwise(hull) if edge[1][0] >= mean)
+    return (right[1] - left[1]) / (right[0] - left[0])
+
+
+def _turn(a: _Point, b: _Point, c: _Point) -> float:
+    """Positive where a, b, c turn to the left."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

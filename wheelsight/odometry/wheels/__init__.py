@@ -1,0 +1,41 @@
+"""Wheel odometry: encoder counts to a pose with its covariance (Trinh et al., section II; Ligocki, section 3).
+
+And how large the wheels are: by squares, or against a reference trajectory.
+"""
+
+from wheelsight.odometry.wheels.drive import Drive, drive_from_ticks, drive_of, drive_path
+from wheelsight.odometry.wheels.encoder import Encoder
+from wheelsight.odometry.wheels.fit import WheelFit, fit_wheels
+from wheelsight.odometry.wheels.gyro import YawRateMeter, mean_yaw_rates
+from wheelsight.odometry.wheels.odometry import (
+    Integration,
+    WheelOdometry,
+    WheelTrack,
+    integrate_log,
+    sides_of_four,
+    ticks_from_speeds,
+)
+from wheelsight.odometry.wheels.trial import WheelTrial, try_calibration
+from wheelsight.odometry.wheels.umbmark import Umbmark, umbmark
+
+__all__ = [
+    "Drive",
+    "Encoder",
+    "Integration",
+    "Umbmark",
+    "WheelFit",
+    "WheelOdometry",
+    "WheelTrack",
+    "WheelTrial",
+    "YawRateMeter",
+    "drive_from_ticks",
+    "drive_of",
+    "drive_path",
+    "fit_wheels",
+    "integrate_log",
+    "mean_yaw_rates",
+    "sides_of_four",
+    "ticks_from_speeds",
+    "try_calibration",
+    "umbmark",
+]

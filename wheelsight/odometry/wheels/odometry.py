@@ -1,0 +1,237 @@
+"""WheelOdometry: dead reckoning from the counts of two wheels, reading by reading or a whole log at once.
+
+The robot drives differentially: from the travel of both wheels follow way and turn (Trinh et al., eq. 2), from these
+the next pose by one of three integrations: "euler", along the old heading (Trinh et al., eq. 3); "midpoint", along the
+heading halfway (Ligocki, eq. 1); "arc", along the arc itself, exact for wheels that turn evenly. The variance of a
+wheel's travel grows with its way, independently of the other wheel's. A gyroscope's yaw rate, where there is one, is
+joined with the turn that the wheels tell of, by the variances of both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.calibration import Gyro, Wheels
+from wheelsight.estimates import Estimate, Reason, Status
+from wheelsight.events import WheelSpeeds, WheelTicks
+from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
+from wheelsight.odometry.wheels import _kernels as kernels
+from wheelsight.trajectory import Trajectory
+
+Integration = Literal["arc", "midpoint", "euler"]
+
+_INTEGRATIONS = {"euler": kernels.EULER, "midpoint": kernels.MIDPOINT, "arc": kernels.ARC}
+_REASONS = (None, Reason.CLOCK_BACKWARDS, Reason.GAP, Reason.COUNTER_AMBIGUOUS, Reason.IMPLAUSIBLE_MOTION)
+_PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
+
+
+class WheelOdometry:
+    """Where the base is in the frame `odom`, which is where it was at the first reading.
+
+    A reading is refused when its stamp does not come after the last one's, when it comes too late (`max_gap_s`), when
+    counters may have rolled over more than half their range since, or when a wheel would have had to roll faster than
+    `max_speed_m_s`. Then the pose keeps, the covariance grows by all that the wheels could have done meanwhile, and the
+    way goes on from there with the next reading; one whose stamp runs backwards changes nothing at all.
+
+    Args:
+        wheels: of the robot. Estimates are stamped with the time the wheels stood so: `stamp_s - delay_s`.
+        integration: "arc", "midpoint" or "euler".
+        gyro: what the yaw rates given are worth; None for the defaults of `Gyro`.
+    """
+
+    def __init__(self, wheels: Wheels, integration: Integration = "arc", gyro: Gyro | None = None) -> None:
+        self._wheels = wheels
+        self._integration = _INTEGRATIONS[integration]
+        self._parameters, self._state = _prepare(wheels, gyro or Gyro())
+        self._span = self._parameters[kernels.SPAN]
+        self._ticks_per_rad = wheels.ticks_per_turn / (2 * math.pi)
+        self._T_odom_base, self._covariance = np.eye(4), np.zeros((6, 6))
+        self._last: WheelTicks | WheelSpeeds | None = None
+
+    @property
+    def T_odom_base(self) -> FloatArray:
+        """The pose (4, 4) after the last reading."""
+        return self._T_odom_base.copy()
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(6, 6) of the left perturbation (v, ω) of `T_odom_base`; zero out of the plane."""
+        return self._covariance.copy()
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """x, y in metres and yaw in [-π, π] radians of the base in odom."""
+        x_m, y_m, yaw_rad = self._state[:3]
+        return float(x_m), float(y_m), float(yaw_rad)
+
+    @property
+    def twist(self) -> tuple[float, float]:
+        """Forward speed in m/s and yaw rate in rad/s over the last step; zero after a reading that was refused."""
+        return float(self._state[kernels.SPEED]), float(self._state[kernels.YAW_RATE])
+
+    @property
+    def gyro_bias_rad_s(self) -> float:
+        """What the gyroscope is thought to show at rest, as far as it is known by now."""
+        return float(self._state[kernels.BIAS])
+
+    def process(self, reading: WheelTicks | WheelSpeeds, yaw_rate_rad_s: float | None = None) -> Estimate:
+        """The pose at a reading.
+
+        Args:
+            reading: cumulative ticks, or speeds that hold until the next reading.
+            yaw_rate_rad_s: the gyroscope's mean since the reading before, or None.
+
+        Returns:
+            `Status.TRACKING` with the pose; or, of a reading that was refused, `Status.FAILING` with the reason, the
+            pose as it was before and the covariance grown.
+        """
+        why = self._advance(reading, math.nan if yaw_rate_rad_s is None else yaw_rate_rad_s)
+        return Estimate(
+            reading.stamp_s - self._wheels.delay_s,
+            Status.FAILING if why else Status.TRACKING,
+            self._T_odom_base.copy(),
+            self._covariance.copy(),
+            _REASONS[why],
+            "base",
+        )
+
+    def _advance(self, reading: WheelTicks | WheelSpeeds, rate_rad_s: float) -> int:
+        last = self._last
+        if last is None:
+            self._last = reading
+            return kernels.OK
+        dt_s = reading.stamp_s - last.stamp_s
+        ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s)
+        self._parameters[kernels.SPAN] = self._span if isinstance(reading, WheelTicks) else 0.0
+        filled = (self._T_odom_base, self._covariance)
+        why: int = kernels.update(self._state, self._parameters, self._integration, *ticks, dt_s, rate_rad_s, *filled)
+        if why != kernels.BACKWARDS:
+            self._last = reading
+        return why
+
+
+@dataclass(frozen=True, eq=False)
+class WheelTrack:
+    """A whole log, dead-reckoned.
+
+    Attributes:
+        stamps_s: (N,) as given, less `delay_s`; not growing where the clock ran backwards.
+        poses: (N, 3), x, y in metres and yaw in [-π, π] radians of T_odom_base.
+        covariance_parts: (N, 6), xx, xy, xω, yy, yω, ωω of the left perturbation (vx, vy, ω).
+        reason_codes: (N,) 0, or why a reading was refused; see `reason`.
+    """
+
+    stamps_s: FloatArray
+    poses: FloatArray
+    covariance_parts: FloatArray
+    reason_codes: ByteArray
+
+    def __len__(self) -> int:
+        return len(self.stamps_s)
+
+    @property
+    def is_refused(self) -> BoolArray:
+        """(N,) which readings were refused."""
+        return np.not_equal(self.reason_codes, kernels.OK)
+
+    def reason(self, index: int) -> Reason | None:
+        """Why a reading was refused, or None."""
+        return _REASONS[self.reason_codes[index]]
+
+    @property
+    def covariances(self) -> FloatArray:
+        """(N, 3, 3) of the left perturbation (vx, vy, ω)."""
+        return self.covariance_parts[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+
+    def trajectory(self) -> Trajectory:
+        """T_odom_base, without the readings that were refused."""
+        kept = ~self.is_refused
+        poses = self.poses[kept]
+        covariances = np.zeros((len(poses), 6, 6))
+        covariances[np.ix_(np.arange(len(poses)), _PLANE, _PLANE)] = self.covariances[kept]
+        return Trajectory(self.stamps_s[kept], se3.from_plane(*poses.T), covariances, body="base", world="odom")
+
+
+def integrate_log(
+    wheels: Wheels,
+    stamps_s: ArrayLike,
+    left: ArrayLike,
+    right: ArrayLike,
+    *,
+    integration: Integration = "arc",
+    yaw_rates_rad_s: ArrayLike | None = None,
+    gyro: Gyro | None = None,
+) -> WheelTrack:
+    """Dead reckoning of a whole log; the same as `WheelOdometry`, reading by reading, in one go.
+
+    Args:
+        wheels: of the robot.
+        stamps_s: (N,) seconds.
+        left, right: (N,) cumulative ticks, up to 2⁵³; they may be fractions (see `ticks_from_speeds`).
+        integration: "arc", "midpoint" or "euler".
+        yaw_rates_rad_s: (N,) the gyroscope's mean since the reading before (see `mean_yaw_rates`), NaN
+            for none; or None.
+        gyro: what these are worth; None for the defaults of `Gyro`.
+    """
+    stamps = np.ascontiguousarray(stamps_s, np.float64)
+    left, right = (np.ascontiguousarray(side, np.float64) for side in (left, right))
+    rates = np.empty(0) if yaw_rates_rad_s is None else np.ascontiguousarray(yaw_rates_rad_s, np.float64)
+    n = len(stamps)
+    if any(side.shape != (n,) for side in (left, right)) or rates.shape not in ((0,), (n,)):
+        raise ValueError(f"{n} stamps need as many ticks of each wheel, and as many yaw rates if any")
+    parameters, state = _prepare(wheels, gyro or Gyro())
+    poses, parts, codes = np.empty((n, 3)), np.empty((n, 6)), np.zeros(n, np.uint8)
+    kernels.integrate(state, parameters, _INTEGRATIONS[integration], stamps, left, right, rates, poses, parts, codes)
+    return WheelTrack(stamps - wheels.delay_s, poses, parts, codes)
+
+
+def ticks_from_speeds(
+    wheels: Wheels, stamps_s: ArrayLike, left_rad_s: ArrayLike, right_rad_s: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Cumulative ticks (N,), with fractions, of wheels that turn at speeds (N,), each until the next stamp (N,)."""
+    steps_s = np.diff(np.asarray(stamps_s, float))
+
+    def turned(speeds_rad_s: ArrayLike) -> FloatArray:
+        steps_rad = np.asarray(speeds_rad_s, float)[:-1] * steps_s
+        return np.concatenate([[0.0], np.cumsum(steps_rad)]) * wheels.ticks_per_turn / (2 * np.pi)
+
+    return turned(left_rad_s), turned(right_rad_s)
+
+
+def sides_of_four(
+    front_left: ArrayLike, rear_left: ArrayLike, front_right: ArrayLike, rear_right: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Ticks (N,) of the left and right side of a skid-steered robot: means of front and rear wheels, each (N,)."""
+    pairs = ((front_left, rear_left), (front_right, rear_right))
+    left, right = (np.mean([np.asarray(wheel, float) for wheel in pair], axis=0) for pair in pairs)
+    return left, right
+
+
+def _ticks_between(
+    last: WheelTicks | WheelSpeeds, now: WheelTicks | WheelSpeeds, ticks_per_speed: float
+) -> tuple[float, float]:
+    if isinstance(now, WheelTicks) and isinstance(last, WheelTicks):
+        return float(now.left - last.left), float(now.right - last.right)
+    if isinstance(last, WheelSpeeds) and isinstance(now, WheelSpeeds):
+        return last.left_rad_s * ticks_per_speed, last.right_rad_s * ticks_per_speed
+    raise TypeError("a robot's wheels tell either ticks or speeds, not both")
+
+
+def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
+    """Parameters and first state as the kernels take them."""
+    parameters, state = np.zeros(kernels.PARAMETERS_SIZE), np.zeros(kernels.STATE_SIZE)
+    parameters[kernels.TRACK] = wheels.track_width_m
+    parameters[kernels.SLIP_SQUARED] = wheels.slip_m_per_sqrt_m**2
+    parameters[kernels.SPEED_LIMIT] = wheels.max_speed_m_s
+    parameters[kernels.GAP_LIMIT] = wheels.max_gap_s
+    parameters[kernels.GYRO_VARIANCE] = gyro.noise_rad_per_sqrt_s**2
+    parameters[kernels.WALK_VARIANCE] = gyro.bias_walk_rad_s_per_sqrt_s**2
+    parameters[kernels.LEFT_M], parameters[kernels.RIGHT_M] = wheels.left_m_per_tick, wheels.right_m_per_tick
+    parameters[kernels.SPAN] = 2.0**wheels.counter_bits if wheels.counter_bits else 0.0
+    state[kernels.BIAS], state[kernels.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
+    return parameters, state
