@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from bad_lines import decode_damaged, decode_noise
+
+from benchmarks.bad_lines import decode_damaged, decode_noise
 
 slow = pytest.mark.slow
 
