@@ -77,7 +77,7 @@ def _error_table(record: RunRecord) -> str:
     head = ["Error", "Unit", "RMSE", "Mean", "Median", "Maximum", "Std", "Count"]
     caption = (
         "The same errors as numbers; the count is of poses or steps compared. Only positions are aligned: where the "
-        "path is short, the rotation of that alignment is loose, and ATE, rotation tells of it more than of the estimate."
+        "path is short, that alignment's rotation is loose, and ATE, rotation tells more of it than of the estimate."
     )
     return html.table(caption, head, rows)
 
