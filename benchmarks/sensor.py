@@ -19,7 +19,7 @@ from rich.table import Table
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Reason
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
 from wheelsight.odometry.features.alignment import GATE, PointPairs, find_motion, refine_motion
 from wheelsight.odometry.features.extraction import (
@@ -68,13 +68,14 @@ def _walk(recording: Recording) -> tuple[list[Features], list[FloatArray]]:
     return features[1:-1], twists
 
 
-def _pairs(before: Features, now: Features, calibration: Calibration) -> PointPairs:
+def _pairs(before: Features, now: Features, calibration: Calibration) -> tuple[PointPairs, IntArray]:
+    """Matched points (N,) with depth in both frames, and the pyramid level (N,) of the later keypoint."""
     matches = match_all(before.descriptors, now.descriptors, max_hamming=50)
     both = before.has_depth[matches.first] & now.has_depth[matches.second]
     i, j = matches.first[both], matches.second[both]
     sigma_xy = np.hypot(before.sigma_px[i], now.sigma_px[j]) / calibration.cameras[0].fx
     sigma_m = np.hypot(before.sigma_m[i], now.sigma_m[j])
-    return PointPairs(before.points[i], now.xy[j], now.depth_m[j], sigma_xy, sigma_m)
+    return PointPairs(before.points[i], now.xy[j], now.depth_m[j], sigma_xy, sigma_m), now.level[j]
 
 
 def _aligned(pairs: PointPairs) -> FloatArray | None:
@@ -95,7 +96,7 @@ def _disagreement(
     costs, height = [], calibration.cameras[0].height
     for i in range(0, len(views) - GAP, EVERY):
         before, now = (straighten(views[k], velocities[k], shutter_s, height) for k in (i, i + GAP))
-        pairs = _pairs(before, now, calibration)
+        pairs, _ = _pairs(before, now, calibration)
         if (T := _aligned(pairs)) is not None:
             costs.append(np.minimum(_chi_square(pairs, T), GATE).mean())
     return float(np.mean(costs))
@@ -117,12 +118,9 @@ def _noise_table(views: list[Features], velocities: list[FloatArray], calibratio
     height = color.height
     for i in range(0, len(views) - 1, EVERY):
         before, now = (straighten(views[k], velocities[k], shutter_s, height) for k in (i, i + 1))
-        matches = match_all(before.descriptors, now.descriptors, max_hamming=50)
-        pairs = _pairs(before, now, calibration)
+        pairs, levels = _pairs(before, now, calibration)
         if (T := _aligned(pairs)) is None:
             continue
-        both = before.has_depth[matches.first] & now.has_depth[matches.second]
-        levels = now.level[matches.second[both]]
         p = se3.apply(T, pairs.p_reference)
         off_px = (p[:, :2] / p[:, 2:] - pairs.xy) * (color.fx, color.fy)
         for level in range(levels.max() + 1):

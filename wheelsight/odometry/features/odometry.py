@@ -87,6 +87,7 @@ class FeatureOdometry:
         if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
             return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
         if self._last is None:
+            self._first_raw = raw
             return self._start(raw)
         fix = self._locate(raw, self._last, T_previous_current_prior)
         if isinstance(fix, Fix) and self._first_raw is not None:
@@ -100,7 +101,6 @@ class FeatureOdometry:
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
     def _start(self, features: Features) -> Estimate:
-        self._first_raw = features
         self._map = LandmarkMap(self._settings.kept_keyframes)
         T_world_color = se3.invert(self._T_color_camera)
         view = View(features, T_world_color, _START_VARIANCE * np.eye(6), np.full(len(features), -1))
@@ -116,10 +116,13 @@ class FeatureOdometry:
         self._first_raw = None
         if straight is first_raw:
             return fix
+        bent = self._map, self._last
         self._start(straight)
-        self._first_raw = None
         better = self._locate(raw, self._last, None)
-        return better if isinstance(better, Fix) else fix
+        if isinstance(better, Fix):
+            return better
+        self._map, self._last = bent  # a fix belongs to the map whose landmarks it names
+        return fix
 
     def _locate(self, raw: Features, last: View, prior: FloatArray | None) -> Fix | MotionEstimate:
         """Align with the first reference that works, then with the map; refuse what no camera could have done."""
