@@ -18,6 +18,7 @@ LAYERS = (
     "calibration",
     "association",
     "trajectory",
+    "areas",
     "estimates",
     "evaluation",
     "recordings",

@@ -5,6 +5,7 @@
     │   ├── RecordingError       a recording's folder, list files or images
     │   ├── CalibrationError     camera, depth or robot parameters
     │   ├── TrajectoryError      a trajectory's text or values
+    │   ├── AreaError            polygons of areas, their coordinates, or labels that fit none
     │   ├── ConfigError          a setting that is unknown, impossible or in conflict
     │   ├── OutputError          an output that cannot be written, or would be overwritten
     │   └── DeviceError          a port or pipe that is missing, denied, in use, or does not answer
@@ -59,6 +60,10 @@ class CalibrationError(InputError):
 
 class TrajectoryError(InputError):
     """A trajectory's text or values are not one."""
+
+
+class AreaError(InputError):
+    """Areas overlap, cross themselves, tell no coordinate, or a label names none of them."""
 
 
 class ConfigError(InputError):

@@ -1,6 +1,6 @@
 """Rigid motions, cameras and alignment: mathematics that knows nothing of robots."""
 
-from wheelsight.geometry._types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from wheelsight.geometry._types import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray
 from wheelsight.geometry.alignment import align_points, align_points_with_scale
 from wheelsight.geometry.camera import PinholeCamera
 from wheelsight.geometry.interpolation import interpolate_at
@@ -10,6 +10,7 @@ __all__ = [
     "ByteArray",
     "Float32Array",
     "FloatArray",
+    "Int32Array",
     "IntArray",
     "PinholeCamera",
     "align_points",

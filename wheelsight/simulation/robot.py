@@ -1,0 +1,101 @@
+"""The simulated robot as it truly is, and as its owner believes it to be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wheelsight.calibration import Wheels
+from wheelsight.errors import ConfigError
+from wheelsight.geometry import FloatArray
+
+TICK_PERIOD_S = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """A powered wheelchair with the dimensions of Trinh et al., section II; errors make truth differ from them.
+
+    Attributes:
+        left_radius_m, right_radius_m: true radii of the driven wheels.
+        track_width_m: true distance between the points where they touch the ground.
+        gear_ratio: turns of a motor a turn of its wheel.
+        counts_per_turn: of the encoder on the motor.
+        length_m, width_m, height_m: of the whole wheelchair.
+        camera_height_m, camera_forward_m: where the camera sits over the ground and ahead of the axle.
+        camera_pitch_rad: how far it looks down.
+        has_gyro: whether a gyroscope is read too.
+
+    Raises:
+        ConfigError: a value that no wheelchair has.
+    """
+
+    left_radius_m: float = 0.17
+    right_radius_m: float = 0.17
+    track_width_m: float = 0.52
+    gear_ratio: float = 32.0
+    counts_per_turn: int = 100
+    length_m: float = 1.10
+    width_m: float = 0.60
+    height_m: float = 1.00
+    camera_height_m: float = 0.90
+    camera_forward_m: float = 0.35
+    camera_pitch_rad: float = 0.10
+    has_gyro: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("left_radius_m", "right_radius_m", "track_width_m", "gear_ratio", "counts_per_turn"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ConfigError(f"{name} is {value}, not positive")
+        if max(self.left_radius_m, self.right_radius_m) > 0.5 or self.track_width_m > 2:
+            raise ConfigError(
+                f"wheels of {self.left_radius_m} and {self.right_radius_m} m, {self.track_width_m} m apart, "
+                "are no wheelchair's",
+                fix="radii up to 0.5 m, track up to 2 m",
+            )
+
+    @property
+    def T_base_camera(self) -> FloatArray:
+        """(4, 4) the true pose of the camera's optical frame on the base."""
+        c, s = math.cos(self.camera_pitch_rad), math.sin(self.camera_pitch_rad)
+        T = np.eye(4)
+        T[:3, 0], T[:3, 1], T[:3, 2] = (0, -1, 0), (-s, 0, -c), (c, 0, -s)
+        T[:3, 3] = self.camera_forward_m, 0, self.camera_height_m
+        return T
+
+    @property
+    def wheels(self) -> Wheels:
+        """The wheels as an ideal calibration would find them."""
+        return Wheels(
+            self.left_radius_m, self.right_radius_m, self.track_width_m, self.gear_ratio * self.counts_per_turn
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """A round patch of floor with another friction: ice, wet tiles."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+    friction: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class WheelFaults:
+    """What goes wrong with the wheels during a drive.
+
+    Attributes:
+        dropouts_s: (from, to) times in which no reading arrives; counting goes on.
+        unplugged_s: (from, to) times in which an encoder's cable is out and its pulses are lost; both wheels.
+        patches: of low friction.
+        lifted_s: (from, to) times in which the left driven wheel hangs free.
+    """
+
+    dropouts_s: tuple[tuple[float, float], ...] = ()
+    unplugged_s: tuple[tuple[float, float], ...] = ()
+    patches: tuple[Patch, ...] = field(default=())
+    lifted_s: tuple[tuple[float, float], ...] = ()
