@@ -165,14 +165,22 @@ def _first_of_each_stamp(stamps_s: FloatArray, lines: IntArray, path: Path, warn
 
 def write_tum(trajectory: Trajectory, path: Path) -> None:
     """Write TUM text, atomically; the header names the frames, and stamps read back exactly. Raises OutputError."""
-    t, q = trajectory.positions_m, so3.to_quaternion(trajectory.T_world_body[:, :3, :3])
+    write_text(path, tum_header(trajectory) + "".join(tum_lines(trajectory)))
+
+
+def tum_header(trajectory: Trajectory) -> str:
+    """The comment lines that TUM text begins with; they name the trajectory's frames."""
     name = f"T_{trajectory.world}_{trajectory.body}"
-    lines = [f"# frames: {name} (pose of the {trajectory.body} in the {trajectory.world} frame)"]
-    lines.append("# timestamp tx ty tz qx qy qz qw")
+    frames = f"# frames: {name} (pose of the {trajectory.body} in the {trajectory.world} frame)"
+    return f"{frames}\n# timestamp tx ty tz qx qy qz qw\n"
+
+
+def tum_lines(trajectory: Trajectory) -> Iterator[str]:
+    """A line of TUM text for each pose."""
+    t, q = trajectory.positions_m, so3.to_quaternion(trajectory.T_world_body[:, :3, :3])
     for stamp, position, quaternion in zip(trajectory.stamps_s, t, q, strict=True):
         seconds = np.format_float_positional(stamp, min_digits=6)
-        lines.append(f"{seconds} " + " ".join(f"{x:.9f}" for x in (*position, *quaternion)))
-    write_text(path, "\n".join(lines) + "\n")
+        yield f"{seconds} " + " ".join(f"{x:.9f}" for x in (*position, *quaternion)) + "\n"
 
 
 def read_kitti(path: Path, period_s: float = 0.1, body: str = "camera") -> Trajectory:

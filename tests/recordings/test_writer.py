@@ -19,6 +19,7 @@ from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import PinholeCamera, se3
 from wheelsight.recordings import RecordingWriter, open_recording, write_recording
+from wheelsight.recordings._growing_text import GrowingText
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.recordings.tum import TumReader
 from wheelsight.trajectory import Trajectory, read_tum
@@ -259,3 +260,65 @@ def test_cannot_write_below_a_file(tmp_path, calibration):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
         RecordingWriter(Path(tmp_path / "file"), calibration)
+
+
+def test_truth_and_labels_may_come_as_they_become_known(tmp_path, calibration, events):
+    base = Trajectory(TRUTH.stamps_s, TRUTH.T_world_body @ se3.invert(T_BASE_CAMERA), body="base")
+    with RecordingWriter(tmp_path / "new", calibration) as writer:
+        for index, event in enumerate(event for event in events if isinstance(event, RgbdFrame)):
+            for truth in (TRUTH, base):
+                writer.append_ground_truth(truth.select([index]))
+            writer.add_label(event.stamp_s, [None, "hall"][index % 2])
+            writer.add(event)
+    write(tmp_path / "at_once", calibration, events, base)
+    for name in ("groundtruth.txt", "groundtruth_base.txt"):
+        assert (tmp_path / "new" / name).read_text() == (tmp_path / "at_once" / name).read_text()
+    lines = (tmp_path / "new" / "labels.csv").read_text().splitlines()
+    assert lines[:3] == ["stamp_s,area", "1305031229.123456,", f"{TRUTH.stamps_s[1]},hall"]
+    assert len(lines) == 7
+
+
+def test_truth_and_labels_refuse_what_no_reader_would_take(tmp_path, calibration):
+    with RecordingWriter(tmp_path / "new", calibration) as writer:
+        writer.append_ground_truth(TRUTH.select(slice(2, 4)))
+        with pytest.raises(RecordingError, match="does not come after"):
+            writer.append_ground_truth(TRUTH.select([3]))
+        with pytest.raises(RecordingError, match="truth of 'head' has no place"):
+            writer.append_ground_truth(Trajectory([5.0], np.eye(4)[None], body="head"))
+        writer.add_label(1.0, "hall")
+        with pytest.raises(RecordingError, match="does not come after"):
+            writer.add_label(1.0, "hall")
+        with pytest.raises(RecordingError, match="cannot be called 'a,b'"):
+            writer.add_label(2.0, "a,b")
+    assert len(read_tum(tmp_path / "new" / "groundtruth.txt")) == 2
+
+
+def test_a_disk_that_fills_up_within_a_line_keeps_whole_lines(tmp_path, monkeypatch):
+    text = GrowingText(tmp_path / "list.txt", "header\n")
+    text.append("one\n")
+    stream = text._stream
+
+    class Full:
+        """Takes four bytes more."""
+
+        def __init__(self):
+            self.room = 4
+
+        def write(self, data):
+            if not self.room:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            written = stream.write(bytes(data[: self.room]))
+            self.room -= written
+            return written
+
+        def __getattr__(self, name):
+            return getattr(stream, name)
+
+    monkeypatch.setattr(text, "_stream", Full())
+    with pytest.raises(OutputError, match=r"list.txt: no space left on the disk"):
+        text.append("a longer line\n")
+    monkeypatch.undo()
+    assert (tmp_path / "list.txt").read_text() == "header\none\n"
+    text.append("two\n")
+    text.close()
+    assert (tmp_path / "list.txt").read_text() == "header\none\ntwo\n"

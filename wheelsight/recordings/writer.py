@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import TracebackType
-from typing import IO
 
 import cv2
 import numpy as np
@@ -13,14 +12,15 @@ from numpy.typing import NDArray
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.files import make_output_folder, output_error, write_bytes
+from wheelsight.files import make_output_folder, write_bytes
 from wheelsight.geometry import Float32Array, PinholeCamera
+from wheelsight.recordings._growing_text import GrowingText
 from wheelsight.recordings._images import image_size
 from wheelsight.recordings.bodies import express_for
 from wheelsight.recordings.native import GYRO_HEADER, WHEELS_HEADER
 from wheelsight.recordings.protocol import Recording
 from wheelsight.recordings.tum import DEPTH_FACTOR
-from wheelsight.trajectory import Trajectory, write_tum
+from wheelsight.trajectory import Trajectory, tum_header, tum_lines, write_tum
 
 _IMAGE_HEADERS = {
     "rgb.txt": "# color images\n# timestamp filename\n",
@@ -28,6 +28,8 @@ _IMAGE_HEADERS = {
 }
 _READING_HEADERS = {"wheels.csv": f"{WHEELS_HEADER}\n", "gyro.csv": f"{GYRO_HEADER}\n"}
 _TRUTHS = {"camera": "groundtruth.txt", "base": "groundtruth_base.txt"}
+_LABELS = "labels.csv"
+_LABELS_HEADER = "stamp_s,area\n"
 _DEEPEST_UNITS = np.iinfo(np.uint16).max
 _FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
@@ -57,8 +59,8 @@ class RecordingWriter:
         self.folder = make_output_folder(Path(folder), force)
         self.frames = self.readings = self.depths_too_far = 0
         self._calibration = calibration
-        self._last_stamp_s: dict[type, float] = {}
-        for name in _TRUTHS.values():
+        self._last_stamp_s: dict[str, float] = {}
+        for name in (*_TRUTHS.values(), _LABELS):
             (self.folder / name).unlink(missing_ok=True)
         has_cameras = calibration is not None and calibration.color is not None
         for name in ("rgb", "depth") if has_cameras else ():
@@ -68,7 +70,7 @@ class RecordingWriter:
         else:
             save_calibration(calibration, self.folder / "calibration.yaml")
         headers = (_IMAGE_HEADERS if has_cameras else {}) | _READING_HEADERS
-        self._lists = {name: self._start(name, header) for name, header in headers.items()}
+        self._lists = {name: GrowingText(self.folder / name, header) for name, header in headers.items()}
 
     def add(self, event: Event) -> None:
         """Write one event; frames that were skipped when they were read leave no trace.
@@ -78,15 +80,15 @@ class RecordingWriter:
             OutputError: the disk is full or the folder has gone.
         """
         if isinstance(event, RgbdFrame):
-            self._check_stamp(event)
+            self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
             self._add_frame(event)
         elif isinstance(event, WheelTicks):
-            self._check_stamp(event)
-            self._append("wheels.csv", f"{_seconds(event.stamp_s)},{event.left},{event.right}\n")
+            self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
+            self._lists["wheels.csv"].append(f"{_seconds(event.stamp_s)},{event.left},{event.right}\n")
             self.readings += 1
         elif isinstance(event, YawRate):
-            self._check_stamp(event)
-            self._append("gyro.csv", f"{_seconds(event.stamp_s)},{_seconds(event.yaw_rate_rad_s)}\n")
+            self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
+            self._lists["gyro.csv"].append(f"{_seconds(event.stamp_s)},{_seconds(event.yaw_rate_rad_s)}\n")
         elif isinstance(event, WheelSpeeds):
             raise RecordingError("wheel speeds have no place here: wheels.csv holds ticks", path=self.folder)
 
@@ -103,6 +105,40 @@ class RecordingWriter:
             bodies = ("base",)
         for body in bodies:
             write_tum(express_for(body, truth, calibration), self.folder / _TRUTHS[body])
+
+    def append_ground_truth(self, truth: Trajectory) -> None:
+        """Append true poses of the camera or the base as they become known, to that body's file alone.
+
+        Unlike `add_ground_truth` it believes no T_base_camera: whoever knows both bodies' truth gives both.
+
+        Raises:
+            RecordingError: the body is another, or stamps do not come after those appended before.
+            OutputError: as `add`.
+        """
+        name = _TRUTHS.get(truth.body)
+        if name is None:
+            raise RecordingError(f"the truth of {truth.body!r} has no place here", path=self.folder)
+        if not len(truth):
+            return
+        self._check_stamps(name, float(truth.stamps_s[0]), float(truth.stamps_s[-1]))
+        if name not in self._lists:
+            self._lists[name] = GrowingText(self.folder / name, tum_header(truth))
+        self._lists[name].append("".join(tum_lines(truth)))
+
+    def add_label(self, stamp_s: float, area: str | None) -> None:
+        """Say in which area the robot was at a frame's time, None for no area; they land in labels.csv.
+
+        Raises:
+            RecordingError: a stamp that does not grow, or a name that would break its line.
+            OutputError: as `add`.
+        """
+        name = area or ""
+        if any(sign in name for sign in ',"\r\n#'):
+            raise RecordingError(f"an area cannot be called {name!r}", path=self.folder / _LABELS)
+        self._check_stamps(_LABELS, stamp_s, stamp_s)
+        if _LABELS not in self._lists:
+            self._lists[_LABELS] = GrowingText(self.folder / _LABELS, _LABELS_HEADER)
+        self._lists[_LABELS].append(f"{_seconds(stamp_s)},{name}\n")
 
     def close(self) -> None:
         """End the recording. Nothing is lost without it but what the system had not yet written."""
@@ -131,7 +167,7 @@ class RecordingWriter:
         _write_png(self.folder / names["rgb"], cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR))
         _write_png(self.folder / names["depth"], self._depth_units(frame.depth_m))
         for name, file in names.items():
-            self._append(f"{name}.txt", f"{seconds} {file}\n")
+            self._lists[f"{name}.txt"].append(f"{seconds} {file}\n")
         self.frames += 1
 
     def _depth_units(self, depth_m: Float32Array) -> NDArray[np.uint16]:
@@ -140,27 +176,12 @@ class RecordingWriter:
         self.depths_too_far += int(np.count_nonzero(units > _DEEPEST_UNITS))
         return np.where(fits, units, 0).astype(np.uint16)
 
-    def _check_stamp(self, event: RgbdFrame | WheelTicks | YawRate) -> None:
-        last_s = self._last_stamp_s.get(type(event), -np.inf)
-        if not last_s < event.stamp_s < np.inf:
-            raise RecordingError(f"stamp {event.stamp_s:.6f} does not come after {last_s:.6f}", path=self.folder)
-        self._last_stamp_s[type(event)] = event.stamp_s
-
-    def _start(self, name: str, header: str) -> IO[str]:
-        try:
-            stream = (self.folder / name).open("w", encoding="utf-8", newline="\n")
-            stream.write(header)
-            stream.flush()
-        except OSError as error:
-            raise output_error(error, self.folder / name) from error
-        return stream
-
-    def _append(self, name: str, line: str) -> None:
-        try:
-            self._lists[name].write(line)
-            self._lists[name].flush()
-        except OSError as error:
-            raise output_error(error, self.folder / name) from error
+    def _check_stamps(self, what: str, first_s: float, last_s: float) -> None:
+        """Refuse stamps that do not come after those of the same kind, or are no numbers."""
+        before_s = self._last_stamp_s.get(what, -np.inf)
+        if not before_s < first_s <= last_s < np.inf:
+            raise RecordingError(f"stamp {first_s:.6f} does not come after {before_s:.6f}", path=self.folder)
+        self._last_stamp_s[what] = last_s
 
 
 def write_recording(folder: Path | str, recording: Recording, force: bool = False) -> RecordingWriter:
