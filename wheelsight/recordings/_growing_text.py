@@ -31,9 +31,7 @@ class GrowingText:
         """Write whole lines. Raises OutputError, and adds nothing, where the disk is full or the folder has gone."""
         data = memoryview(text.encode("utf-8"))
         try:
-            written = 0
-            while written < len(data):
-                written += self._stream.write(data[written:])
+            self._write(data)
         except BaseException as error:
             with suppress(OSError):
                 os.ftruncate(self._stream.fileno(), self._length)
@@ -42,6 +40,10 @@ class GrowingText:
                 raise output_error(error, self._path) from error
             raise
         self._length += len(data)
+
+    def _write(self, data: memoryview) -> None:
+        while data:
+            data = data[self._stream.write(data) :]
 
     def close(self) -> None:
         """Nothing is lost without it but what the system had not yet written."""
