@@ -17,12 +17,14 @@ class Drive:
         ticks: the wheel controller's readings in order of time, every 20 ms where none dropped out.
         yaw_rates: of the gyroscope; empty where the robot has none.
         is_complete: False where the driver gave up or the time limit ended the drive before the route's end.
+        reason: why not, in words; empty where it is complete.
     """
 
     truth: Trajectory
     ticks: tuple[WheelTicks, ...]
     yaw_rates: tuple[YawRate, ...] = ()
     is_complete: bool = True
+    reason: str = ""
 
     @property
     def duration_s(self) -> float:

@@ -1,0 +1,160 @@
+"""A drive, stepped by MuJoCo: the driver's commands turn motors, motors turn wheels, wheels grip or slip."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.calibration import Gyro
+from wheelsight.errors import ConfigError
+from wheelsight.events import WheelTicks, YawRate
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.simulation._chair import Chair
+from wheelsight.simulation.drive import Drive
+from wheelsight.simulation.drivers import COMMAND_PERIOD_S, Command, Driver
+from wheelsight.simulation.encoders import GYRO_PERIOD_S, Encoders, Gyroscope
+from wheelsight.simulation.robot import TICK_PERIOD_S, Robot, WheelFaults
+from wheelsight.simulation.wheelchair import TIMESTEP_S
+from wheelsight.simulation.world import World
+from wheelsight.trajectory import Trajectory
+
+TRUTH_PERIOD_S = 0.005
+NO_FAULTS = WheelFaults()
+STUCK_AFTER_S = 10.0
+
+_SETTLING_S = 0.5
+_STUCK_M, _STUCK_RAD = 0.05, 0.05
+_STEPS = round(TRUTH_PERIOD_S / TIMESTEP_S)
+
+
+def simulate_drive(
+    world: World,
+    robot: Robot,
+    driver: Driver,
+    *,
+    faults: WheelFaults = NO_FAULTS,
+    slip: bool = True,
+    seed: int = 0,
+    time_limit_s: float = 3600.0,
+    on_progress: Callable[[float], None] | None = None,
+) -> Drive:
+    """Drive until the driver has arrived, the robot is stuck or has fallen over, or the time is up.
+
+    The base is the middle between the points where the driven wheels touch the ground. Wheels slip as far as friction,
+    an uneven floor and a fidgeting rider make them; with `slip` False they roll as odometry takes them to. The same
+    arguments and seed give the same drive to the last bit.
+
+    Args:
+        world: what there is to bump into, and where the drive starts unless the driver says so.
+        robot: as it truly is.
+        driver: who sees the true pose and gives the commands.
+        faults: what goes wrong with the wheels, and when.
+        slip: whether the wheels may slip.
+        seed: of the floor, the rider, the castors' first directions, the encoders' phases and the gyroscope.
+        time_limit_s: when a drive ends that has not arrived.
+        on_progress: told the simulated seconds about once a second.
+
+    Raises:
+        ConfigError: a time limit that is none, or a world MuJoCo does not take.
+    """
+    if not (math.isfinite(time_limit_s) and time_limit_s > 0):
+        raise ConfigError(f"time_limit_s is {time_limit_s}", fix="give seconds above 0")
+    chair_rng, encoder_rng, gyro_rng = (np.random.default_rng([seed, part]) for part in range(3))
+    start = driver.T_world_start if driver.T_world_start is not None else _start_of(world)
+    chair = Chair(world, robot, faults, start, slip=slip, rng=chair_rng)
+    chair.settle(_SETTLING_S)
+    log = _Log(chair, Encoders(robot, faults, encoder_rng), Gyroscope(Gyro(), gyro_rng) if robot.has_gyro else None)
+    reason = _drive(chair, driver, log, time_limit_s, on_progress)
+    return log.drive(reason)
+
+
+def _drive(
+    chair: Chair, driver: Driver, log: _Log, time_limit_s: float, on_progress: Callable[[float], None] | None
+) -> str:
+    """Steps to the end; why it ended before the driver had arrived, or nothing."""
+    watch = _Watch()
+    for tick in range(math.ceil(time_limit_s / TRUTH_PERIOD_S) + 1):
+        stamp_s = tick * TRUTH_PERIOD_S
+        log.note(tick, stamp_s)
+        if tick % _every(COMMAND_PERIOD_S) == 0:
+            command = driver.command(stamp_s, chair.T_world_base)
+            if command is None:
+                return ""
+            reason = watch.trouble(stamp_s, chair, command)
+            if reason:
+                return reason
+            chair.obey(command.v_m_s, command.yaw_rate_rad_s)
+        if on_progress is not None and tick % _every(1.0) == 0:
+            on_progress(stamp_s)
+        chair.step(stamp_s, _STEPS)
+    return f"the time limit of {time_limit_s:g} s came before the end of the route"
+
+
+class _Log:
+    """What is kept of a drive while it goes on."""
+
+    def __init__(self, chair: Chair, encoders: Encoders, gyroscope: Gyroscope | None) -> None:
+        self._chair, self._encoders, self._gyroscope = chair, encoders, gyroscope
+        self._stamps_s: list[float] = []
+        self._positions: list[FloatArray] = []
+        self._quaternions: list[FloatArray] = []
+        self._ticks: list[WheelTicks] = []
+        self._yaw_rates: list[YawRate] = []
+
+    def note(self, tick: int, stamp_s: float) -> None:
+        """The pose, and each sensor whose turn it is."""
+        self._stamps_s.append(stamp_s)
+        position, quaternion_wxyz = self._chair.pose
+        self._positions.append(position)
+        self._quaternions.append(quaternion_wxyz)
+        self._encoders.turn(stamp_s, self._chair.wheels_rad)
+        if tick % _every(TICK_PERIOD_S) == 0:
+            reading = self._encoders.read(stamp_s)
+            self._ticks += [] if reading is None else [reading]
+        if self._gyroscope is not None and tick % _every(GYRO_PERIOD_S) == 0:
+            self._yaw_rates.append(self._gyroscope.read(stamp_s, self._chair.yaw_rate_rad_s))
+
+    def drive(self, reason: str) -> Drive:
+        """All of it."""
+        quaternions_xyzw = np.roll(np.array(self._quaternions), -1, axis=1)
+        T_world_base = se3.from_quaternion(np.array(self._positions), quaternions_xyzw)
+        truth = Trajectory(np.array(self._stamps_s), T_world_base, body="base")
+        return Drive(truth, tuple(self._ticks), tuple(self._yaw_rates), not reason, reason)
+
+
+@dataclass(slots=True)
+class _Watch:
+    """Sees when a robot that is told to move no longer does."""
+
+    since_s: float | None = None
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+
+    def trouble(self, stamp_s: float, chair: Chair, command: Command) -> str:
+        """What the matter is, or nothing."""
+        T = chair.T_world_base
+        if chair.is_broken or T[2, 2] < 0.7:
+            return f"the wheelchair fell over at {stamp_s:.1f} s"
+        x_m, y_m, yaw_rad = float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0])
+        rests = abs(command.v_m_s) < 0.005 and abs(command.yaw_rate_rad_s) < 0.005
+        moved_m = math.hypot(x_m - self.x_m, y_m - self.y_m)
+        turned_rad = abs(math.remainder(yaw_rad - self.yaw_rad, 2 * math.pi))
+        if self.since_s is None or rests or moved_m > _STUCK_M or turned_rad > _STUCK_RAD:
+            self.since_s, self.x_m, self.y_m, self.yaw_rad = stamp_s, x_m, y_m, yaw_rad
+        if stamp_s - self.since_s >= STUCK_AFTER_S:
+            return f"stuck at x = {x_m:.2f}, y = {y_m:.2f} m since {self.since_s:.1f} s"
+        return ""
+
+
+def _start_of(world: World) -> FloatArray:
+    """At the route's first waypoint, heading for the second."""
+    (x, y), towards = world.route[0], world.route[1] - world.route[0]
+    return se3.from_plane(x, y, np.arctan2(towards[1], towards[0]))
+
+
+def _every(period_s: float) -> int:
+    return round(period_s / TRUTH_PERIOD_S)
