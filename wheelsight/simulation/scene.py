@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 _KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
 _BANDS = 30
 _NO_LIMIT = 1e10
+# MuJoCo's bounding volumes are those of compilation; told that there are none, it tries every target.
+_NO_TREE = -1
 _SMALLEST_TARGETS = 8
 # A row's own z axis may be turned from the band's by as much as a shutter allows.
 _FAR_MARGIN = 1.05
@@ -175,6 +177,7 @@ class _Targets:
             for _ in range(size):
                 spec.worldbody.add_geom(size=[1, 1, 1])
             model = spec.compile()
+            model.body_bvhadr[:] = _NO_TREE
             data = mujoco.MjData(model)
             mujoco.mj_kinematics(model, data)
             self._models[size] = model, data
