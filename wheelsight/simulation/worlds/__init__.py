@@ -1,0 +1,40 @@
+"""Worlds to drive in: a floor of a building, a home, a blank corridor and a hall for UMBmark, as MJCF documents."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from wheelsight.errors import ConfigError
+from wheelsight.simulation.world import World
+from wheelsight.simulation.worlds.floor4 import build_floor4
+from wheelsight.simulation.worlds.square import build_square
+
+_BUILDERS = {"floor4": build_floor4, "square": build_square}
+
+__all__ = ["build_world", "world_names"]
+
+
+def world_names() -> tuple[str, ...]:
+    """What `build_world` knows."""
+    return tuple(_BUILDERS)
+
+
+def build_world(name: str, seed: int = 0) -> World:
+    """The world of that name.
+
+    Args:
+        name: one of `world_names()`.
+        seed: of its dressing: which posters hang where, where bins and chairs stand, how paint came out; walls, route
+            and areas are the same for all.
+
+    Raises:
+        ConfigError: there is no such world, or the seed is negative.
+    """
+    if seed < 0:
+        raise ConfigError(f"seed is {seed}", fix="a whole number from 0 on")
+    builder = _BUILDERS.get(name)
+    if builder is None:
+        near = get_close_matches(name, world_names(), n=1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ConfigError(f"there is no world {name}", fix=f"{hint}known: {', '.join(world_names())}")
+    return builder(seed)

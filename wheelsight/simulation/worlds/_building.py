@@ -1,0 +1,333 @@
+"""Building: collects what stands in a world, and writes it as one MJCF document.
+
+Walls are drawn as lines with the free side on the left, as one walks round a room anticlockwise or round a core
+clockwise; what hangs on a wall is then told by how far along it hangs. Boxes have their x axis along the wall, y out of
+it and z up.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.areas import Area, AreaMap
+from wheelsight.geometry import FloatArray
+from wheelsight.simulation.world import Surface, World
+from wheelsight.simulation.worlds._surfaces import POSTERS, painted
+
+CEILING_M = 2.8
+WALL_THICKNESS_M = 0.2
+_COVERING_M = 0.003  # over the floor, so that no renderer takes one for the other
+_FLUSH_M = 0.001  # how far a wall ends short of a corner, so that no two faces lie in one plane
+_POSTER_SIZES_M = ((0.59, 0.84), (0.84, 1.19), (0.84, 0.59), (1.19, 0.84))
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """A hole in a wall: a doorway, or a window with a pane.
+
+    Attributes:
+        at_m: its middle, from the wall's start.
+        width_m: along the wall.
+        sill_m, head_m: where it begins and ends over the floor.
+        pane: the material that closes it at its far side, or None.
+    """
+
+    at_m: float
+    width_m: float = 1.0
+    sill_m: float = 0.0
+    head_m: float = 2.1
+    pane: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """The free side of a wall, from start to end, on their left."""
+
+    name: str
+    start: tuple[float, float]
+    end: tuple[float, float]
+
+    @property
+    def length_m(self) -> float:
+        """From start to end."""
+        return math.dist(self.start, self.end)
+
+    @property
+    def yaw_rad(self) -> float:
+        """Of the direction from start to end."""
+        return math.atan2(self.end[1] - self.start[1], self.end[0] - self.start[0])
+
+    def spot(self, at_m: float, out_m: float = 0.0) -> Spot:
+        """The place `at_m` along the wall and `out_m` away from it."""
+        return Spot(*self.start, self.yaw_rad).offset(at_m, out_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A place on the floor and a direction."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float = 0.0
+
+    def offset(self, forward_m: float, left_m: float) -> Spot:
+        """The place so far ahead and to the left of this one."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return Spot(self.x_m + c * forward_m - s * left_m, self.y_m + s * forward_m + c * left_m, self.yaw_rad)
+
+
+class Building:
+    """A world in the making.
+
+    Args:
+        name: of the world.
+        seed: of its dressing: `rng` places posters, bins and chairs, and materials come out a little different.
+    """
+
+    def __init__(self, name: str, seed: int) -> None:
+        self.name = name
+        self.rng = np.random.default_rng([seed, 2024])
+        self.faces: dict[str, Face] = {}
+        self._seed = seed
+        self._geoms: dict[str, dict[str, str]] = {}
+        self._surfaces: dict[str, Surface] = {}
+        self._size_m = (0.0, 0.0, 0.0, 0.0)
+
+    def floor_and_ceiling(
+        self, floor: str, ceiling: str, size_m: tuple[float, float, float, float], friction: float = 0.9
+    ) -> None:
+        """The ground at z = 0, which wheels roll on, and the ceiling, one-sided: a viewer looks in from above."""
+        self._size_m = size_m
+        x_min, y_min, x_max, y_max = size_m
+        half = ((x_max - x_min) / 2, (y_max - y_min) / 2, 1.0)
+        middle = ((x_min + x_max) / 2, (y_min + y_max) / 2)
+        grip = f"{friction:g} 0.005 0.0001"
+        self._add("floor", "plane", floor, (*middle, 0), half, is_solid=True, friction=grip)
+        self._add("ceiling", "plane", ceiling, (*middle, CEILING_M), half, is_solid=False, quat="0 1 0 0")
+
+    def walls(
+        self,
+        corners: Sequence[tuple[float, float]],
+        edges: Sequence[tuple[str, str, Sequence[Opening]]],
+        *,
+        is_closed: bool = True,
+        thickness_m: float = WALL_THICKNESS_M,
+    ) -> None:
+        """Walls along `corners`, free on the left; an edge is (name, material, openings) of a corner's wall to the next."""
+        n = len(corners)
+        for k, (name, material, openings) in enumerate(edges):
+            start, end = corners[k], corners[(k + 1) % n]
+            grow = [0.0, 0.0]
+            if is_closed or k > 0:
+                grow[0] = _growth(corners[k - 1], start, end, thickness_m)
+            if is_closed or k + 2 < n:
+                grow[1] = _growth(start, end, corners[(k + 2) % n], thickness_m)
+            face = self.faces[name] = Face(name, start, end)
+            self._wall(face, material, openings, -thickness_m / 2, thickness_m, (grow[0], grow[1]))
+
+    def partition(
+        self,
+        name: str,
+        material: str,
+        start: tuple[float, float],
+        end: tuple[float, float],
+        openings: Sequence[Opening] = (),
+        thickness_m: float = 0.12,
+    ) -> None:
+        """A wall between two rooms, on both sides of its line; faces `name` (on the left) and `name`_back."""
+        line = Face(name, start, end)
+        self._wall(line, material, openings, 0.0, thickness_m, (0.0, 0.0))
+        left, right = line.spot(0, thickness_m / 2), line.spot(line.length_m, -thickness_m / 2)
+        far_left, far_right = line.spot(line.length_m, thickness_m / 2), line.spot(0, -thickness_m / 2)
+        self.faces[name] = Face(name, (left.x_m, left.y_m), (far_left.x_m, far_left.y_m))
+        self.faces[f"{name}_back"] = Face(f"{name}_back", (right.x_m, right.y_m), (far_right.x_m, far_right.y_m))
+
+    def hang(
+        self,
+        face: str,
+        name: str,
+        material: str,
+        at_m: float,
+        width_m: float,
+        bottom_m: float,
+        top_m: float,
+        depth_m: float = 0.02,
+        *,
+        is_solid: bool = False,
+    ) -> None:
+        """Something on a wall, its middle `at_m` from the wall's start."""
+        spot = self.faces[face].spot(at_m, depth_m / 2)
+        self.box(name, material, spot, (width_m, depth_m), bottom_m, top_m, is_solid=is_solid)
+
+    def doors(self, face: str, material: str, *at_m: float, width_m: float = 0.95, height_m: float = 2.08) -> None:
+        """Closed doors with their frames, as leaves on the wall."""
+        for at in at_m:
+            self.hang(face, f"door_{face}", material, at, width_m, 0.0, height_m, 0.03)
+
+    def posters(self, face: str, *stretches: tuple[float, float]) -> None:
+        """A poster somewhere on each of the stretches (from, to) along the wall, as the seed has it."""
+        for begin, end in stretches:
+            width, height = _POSTER_SIZES_M[self.rng.integers(len(_POSTER_SIZES_M))]
+            slack = (end - begin - width) / 2
+            at = (begin + end) / 2 + (self.rng.uniform(-slack, slack) if slack > 0 else 0.0)
+            bottom = self.rng.uniform(1.45, 1.60) - height / 2
+            material = POSTERS[self.rng.integers(len(POSTERS))]
+            self.hang(face, f"poster_{face}", material, at, min(width, end - begin), bottom, bottom + height, 0.015)
+
+    def cover(self, name: str, material: str, x: tuple[float, float], y: tuple[float, float]) -> None:
+        """Carpet or other tiles over a part of the floor; too thin to feel."""
+        spot = Spot((x[0] + x[1]) / 2, (y[0] + y[1]) / 2)
+        self.box(name, material, spot, (x[1] - x[0], y[1] - y[0]), -0.02, _COVERING_M, is_solid=False)
+
+    def lamps(self, *places: tuple[float, float], along_x: bool = True) -> None:
+        """Long lamps under the ceiling."""
+        size = (1.2, 0.3) if along_x else (0.3, 1.2)
+        for x, y in places:
+            self.box("lamp", "lamp", Spot(x, y), size, CEILING_M - 0.06, CEILING_M + 0.02, is_solid=False)
+
+    def box(
+        self,
+        name: str,
+        material: str,
+        spot: Spot,
+        size_m: tuple[float, float],
+        bottom_m: float,
+        top_m: float,
+        *,
+        is_solid: bool = True,
+    ) -> None:
+        """A box with its middle over `spot`, `size_m` along and across the spot's direction."""
+        centre = (spot.x_m, spot.y_m, (bottom_m + top_m) / 2)
+        half = (size_m[0] / 2, size_m[1] / 2, (top_m - bottom_m) / 2)
+        turn = {} if spot.yaw_rad == 0 else {"euler": f"0 0 {spot.yaw_rad:.6g}"}
+        self._add(name, "box", material, centre, half, is_solid=is_solid, **turn)
+
+    def cylinder(self, name: str, material: str, spot: Spot, radius_m: float, bottom_m: float, top_m: float) -> None:
+        """An upright cylinder, solid."""
+        centre = (spot.x_m, spot.y_m, (bottom_m + top_m) / 2)
+        self._add(name, "cylinder", material, centre, (radius_m, (top_m - bottom_m) / 2), is_solid=True)
+
+    def ellipsoid(self, name: str, material: str, spot: Spot, radius_m: float, bottom_m: float, top_m: float) -> None:
+        """An upright ellipsoid, solid."""
+        centre = (spot.x_m, spot.y_m, (bottom_m + top_m) / 2)
+        half = (radius_m, radius_m, (top_m - bottom_m) / 2)
+        self._add(name, "ellipsoid", material, centre, half, is_solid=True)
+
+    def world(self, description: str, areas: Sequence[Area], route: ArrayLike, *, is_loop: bool) -> World:
+        """What was built."""
+        waypoints: FloatArray = np.array(route, float)
+        waypoints.setflags(write=False)
+        surfaces = dict(sorted(self._surfaces.items()))
+        areas_of = AreaMap(tuple(areas))
+        return World(self.name, description, self._mjcf(), surfaces, areas_of, waypoints, is_loop, self._size_m)
+
+    def _wall(
+        self,
+        face: Face,
+        material: str,
+        openings: Sequence[Opening],
+        out_m: float,
+        thickness_m: float,
+        grow_m: tuple[float, float],
+    ) -> None:
+        """Pieces between the openings, full height, and sill, lintel and pane at each of them."""
+
+        def piece(kind: str, begin: float, end: float, bottom: float, top: float) -> None:
+            spot = face.spot((begin + end) / 2, out_m)
+            self.box(f"{kind}_{face.name}", material, spot, (end - begin, thickness_m), bottom, top)
+
+        at = -grow_m[0]
+        for opening in sorted(openings, key=lambda o: o.at_m):
+            begin, end = opening.at_m - opening.width_m / 2, opening.at_m + opening.width_m / 2
+            piece("wall", at, begin, 0.0, CEILING_M)
+            if opening.sill_m > 0:
+                piece("sill", begin, end, 0.0, opening.sill_m)
+            if opening.head_m < CEILING_M:
+                piece("lintel", begin, end, opening.head_m, CEILING_M)
+            if opening.pane is not None:
+                spot = face.spot(opening.at_m, out_m - thickness_m / 2 + 0.015)
+                size = (opening.width_m, 0.03)
+                self.box(f"pane_{face.name}", opening.pane, spot, size, opening.sill_m, opening.head_m)
+            at = end
+        piece("wall", at, face.length_m + grow_m[1], 0.0, CEILING_M)
+
+    def _add(
+        self,
+        name: str,
+        kind: str,
+        material: str,
+        position_m: tuple[float, float, float],
+        size_m: tuple[float, ...],
+        *,
+        is_solid: bool,
+        **more: str,
+    ) -> None:
+        if material not in self._surfaces:
+            self._surfaces[material] = painted(material, self._seed)
+        touch = "1" if is_solid else "0"
+        self._geoms[self._free_name(name)] = {
+            "type": kind,
+            "material": material,
+            "pos": _numbers(position_m),
+            "size": _numbers(size_m),
+            **more,
+            "contype": touch,
+            "conaffinity": touch,
+        }
+
+    def _free_name(self, name: str) -> str:
+        if name not in self._geoms:
+            return name
+        number = 2
+        while f"{name}_{number}" in self._geoms:
+            number += 1
+        return f"{name}_{number}"
+
+    def _mjcf(self) -> str:
+        x_min, y_min, x_max, y_max = self._size_m
+        extent = max(x_max - x_min, y_max - y_min) / 2
+        root = ET.Element("mujoco", model=self.name)
+        ET.SubElement(root, "compiler", angle="radian")
+        middle = _numbers(((x_min + x_max) / 2, (y_min + y_max) / 2, 1.0))
+        ET.SubElement(root, "statistic", center=middle, extent=f"{extent:g}")
+        _add_view(root, extent)
+        asset = ET.SubElement(root, "asset")
+        for name, surface in sorted(self._surfaces.items()):
+            colour, shine = _numbers((*surface.rgb, 1.0)), f"{surface.shine:g}"
+            ET.SubElement(asset, "material", name=name, rgba=colour, specular=shine, shininess=shine)
+        ground = ET.SubElement(root, "worldbody")
+        high = {"pos": middle, "dir": "0.3 0.2 -1", "type": "directional", "castshadow": "false"}
+        ET.SubElement(ground, "light", name="daylight", diffuse="0.35 0.35 0.35", specular="0.1 0.1 0.1", **high)
+        for name, attributes in self._geoms.items():
+            ET.SubElement(ground, "geom", name=name, **attributes)
+        ET.indent(root)
+        return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _add_view(root: ET.Element, extent_m: float) -> None:
+    """Light from the viewer's head, and a near plane close enough for rooms; MuJoCo takes it in extents."""
+    visual = ET.SubElement(root, "visual")
+    ET.SubElement(visual, "headlight", ambient="0.45 0.45 0.45", diffuse="0.35 0.35 0.35", specular="0.1 0.1 0.1")
+    ET.SubElement(visual, "map", znear=f"{0.05 / extent_m:.6g}", zfar="10")
+    ET.SubElement(visual, "global", azimuth="-90", elevation="-60", offwidth="1280", offheight="960")
+
+
+def _growth(
+    before: tuple[float, float], corner: tuple[float, float], after: tuple[float, float], thickness_m: float
+) -> float:
+    """How far walls reach beyond a corner: through each other's bodies where it is hollow, just short where it juts."""
+    (ax, ay), (bx, by), (cx, cy) = before, corner, after
+    turn = (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
+    if turn == 0:
+        return 0.0
+    return thickness_m if turn > 0 else -_FLUSH_M
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(f"{value:.6g}" for value in values)
