@@ -17,7 +17,7 @@
 #define RIGHT_PWM 2
 
 /* 2: both edges of channel A, so that a count is a function of the wheel's position alone.
- * 1: the rising edge alone, as Trinh et al. eq. 4 counts interrupts; a wheel that trembles on that edge drifts. */
+ * 1: the rising edge alone; a wheel that trembles on that edge drifts. */
 #ifndef EDGES
 #define EDGES 2
 #endif

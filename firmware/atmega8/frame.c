@@ -4,22 +4,21 @@
 #include "crc.h"
 #include "uart.h"
 
-#include <stdbool.h>
 #include <stddef.h>
 #include <string.h>
 
 #define HEADER 2
 #define CRC 2
 
-static void send_zero_ended(const uint8_t *bytes, uint8_t length)
+static bool send_zero_ended(const uint8_t *bytes, uint8_t length)
 {
     uint8_t encoded[HEADER + FRAME_BODY_MAX + CRC + 2];
     cobs_encode(bytes, length, encoded);
     encoded[length + 1] = 0;
-    uart_send(encoded, length + 2);
+    return uart_send(encoded, length + 2);
 }
 
-void frame_send(uint8_t type, const void *body, uint8_t length)
+bool frame_send(uint8_t type, const void *body, uint8_t length)
 {
     static uint8_t sequence;
     uint8_t bytes[HEADER + FRAME_BODY_MAX + CRC] = {type, sequence++};
@@ -27,7 +26,7 @@ void frame_send(uint8_t type, const void *body, uint8_t length)
     length += HEADER;
     const uint16_t crc = crc16(bytes, length);
     memcpy(bytes + length, &crc, CRC); /* this chip is little-endian, as the line is */
-    send_zero_ended(bytes, length + CRC);
+    return send_zero_ended(bytes, length + CRC);
 }
 
 void frame_end(void)

@@ -2,6 +2,7 @@
 #ifndef FRAME_H
 #define FRAME_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #define FRAME_BODY_MAX 12 /* of those sent; received ones are shorter */
@@ -13,8 +14,9 @@ struct frame {
     uint8_t length; /* of the body */
 };
 
-/* Sends a frame, or none where the line is behind; its sequence is used up either way, so that the host sees the gap. */
-void frame_send(uint8_t type, const void *body, uint8_t length);
+/* Sends a frame, or none, and answers false, where the line is behind; its sequence is used up either way, so that the
+ * host sees the gap. */
+bool frame_send(uint8_t type, const void *body, uint8_t length);
 
 /* Ends what was sent before in another format, so that it does not spoil the next frame. */
 void frame_end(void);

@@ -19,7 +19,7 @@ enum format { FRAMED, PAPER };
 static enum format format;
 static uint8_t reset_cause;
 static uint16_t reported_ticks;                 /* when counts were last sent */
-static uint32_t reported_left, reported_right;  /* of which the paper's frames have told */
+static uint32_t reported_left, reported_right;  /* of which the host has been told, in either format */
 static uint32_t silent_ticks;                   /* since the host last drove */
 
 static void report_framed(const struct sample *sample)
@@ -27,7 +27,10 @@ static void report_framed(const struct sample *sample)
     const struct {
         uint32_t clock_us, left, right;
     } body = {clock_us(sample->ticks), sample->left, sample->right};
-    frame_send(COUNTS, &body, sizeof body);
+    if (!frame_send(COUNTS, &body, sizeof body))
+        return;
+    reported_left = sample->left;
+    reported_right = sample->right;
 }
 
 static int8_t fit(int16_t pulses)
@@ -42,6 +45,14 @@ static void report_paper(int16_t left, int16_t right)
         return;
     reported_right += bytes[0];
     reported_left += bytes[1];
+}
+
+/* Of one sample, the last pair and the first frame: no pulse falls between the formats. */
+static void end_pairs(const struct sample *sample)
+{
+    report_paper(sample->left - reported_left, sample->right - reported_right);
+    frame_end();
+    report_framed(sample);
 }
 
 static bool is_full(int16_t pulses)
@@ -84,12 +95,12 @@ static enum status set_format(const struct frame *frame, const struct sample *sa
         return BAD_LENGTH;
     if (frame->body[0] > PAPER)
         return OUT_OF_RANGE;
-    if (format == PAPER && frame->body[0] == FRAMED)
-        frame_end();
+    if (frame->body[0] == format)
+        return DONE;
     format = frame->body[0];
     reported_ticks = sample->ticks;
-    reported_left = sample->left;
-    reported_right = sample->right;
+    if (format == FRAMED)
+        end_pairs(sample);
     return DONE;
 }
 
@@ -101,8 +112,9 @@ static void send_version(void)
 
 static void reset_counts(struct sample *sample)
 {
+    reported_left -= sample->left; /* what was not yet told is not forgotten */
+    reported_right -= sample->right;
     sample->left = sample->right = 0;
-    reported_left = reported_right = 0;
 }
 
 static enum status obey(const struct frame *frame, struct sample *sample)

@@ -179,13 +179,27 @@ def test_the_papers_format_end_to_end(controller: SimulatedController, port: str
         wait(lambda: link.report().format is Format.PAPER)
         link.stop()  # not answered, and not waited for
         time.sleep(0.2)
-        behind = catches_up(link, controller)
-        assert max(map(abs, behind)) <= 99  # pulses of the period in which the format changed
+        assert catches_up(link, controller) == (0, 0)
         link.set_format(Format.FRAMED)
         wait(lambda: link.report().format is Format.FRAMED)
         time.sleep(0.1)
         assert catches_up(link, controller) == (0, 0)
     assert controller.commands[1][0] == Command.STOP
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_the_papers_format_may_be_asked_for_twice(controller: SimulatedController, port: str, is_known: bool) -> None:
+    controller.is_paper = True
+    with WheelLink(port) as link:
+        if is_known:
+            wait(lambda: link.report().format is Format.PAPER)
+        link.set_format(Format.PAPER)
+        assert link.report().format is Format.PAPER
+        with pytest.raises(DeviceError, match=r"paper's format, which has no answers \(set_format"):
+            link.ask_version()
+        controller.answers = False
+        with pytest.raises(DeviceError, match="does not answer SET_FORMAT"):
+            link.set_format(Format.FRAMED)
 
 
 def test_drive_is_kept_up_and_ends_with_stop(controller: SimulatedController, port: str) -> None:

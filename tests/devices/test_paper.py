@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wheelsight.devices.paper import PaperDecoder, Pulses
-from wheelsight.devices.protocol import Counts, Message, encode_message
+from wheelsight.devices.protocol import Ack, Counts, Message, encode_message
 from wheelsight.devices.recognition import Format, LineDecoder
 
 PERIOD_S = 0.02
@@ -21,6 +21,7 @@ def paired(decoder: LineDecoder, counts: np.ndarray, start_s: float) -> Got:
     got: Got = []
     for n, (left, right) in enumerate(counts.tolist()):
         got += decoder.feed(pair(left, right), start_s + PERIOD_S * n)
+    got += decoder.feed(b"", start_s + PERIOD_S * (len(counts) - 0.5))  # a pair is one after the silence behind it
     return got
 
 
@@ -99,6 +100,93 @@ def test_a_change_of_format_is_followed_both_ways(counts: np.ndarray) -> None:
     assert len(framed(decoder, 50, 300 * PERIOD_S, first=100)) >= 49
     assert decoder.format is Format.FRAMED
     assert decoder.statistics.crc_errors == 0
+
+
+def late(stamps_s: np.ndarray, rng: np.random.Generator) -> list[float]:
+    """When a busy host reads what came at these stamps: delayed by some milliseconds, now and then by a second."""
+    read, free_s = [], 0.0
+    for stamp_s in stamps_s:
+        free_s = max(free_s, stamp_s + rng.exponential(0.004))
+        if rng.random() < 0.02:
+            free_s += rng.uniform(0.1, 1.2)
+        read.append(free_s)
+    return read
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_busy_host_neither_loses_nor_doubles_a_pulse(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(-100, 101, (2000, 2))
+    decoder, formats = LineDecoder(), set()
+    got: Got = paired(decoder, counts[:50], 0.0)
+    for (left, right), read_s in zip(
+        counts[50:].tolist(), late(PERIOD_S * np.arange(50, len(counts)), rng), strict=True
+    ):
+        got += decoder.feed(pair(left, right), read_s)
+        formats.add(decoder.format)
+    got += decoder.feed(b"", 1e3)
+    assert formats == {Format.PAPER}
+    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
+
+
+def test_a_controller_held_up_for_seconds_is_still_known(counts: np.ndarray) -> None:
+    """As a simulated one on a busy machine, which sends fewer pairs than the wall's clock asks for."""
+    decoder, got = LineDecoder(), []
+    start_s = 0.0
+    for part in np.split(counts, 5):
+        got += paired(decoder, part, start_s)
+        start_s += 5.0
+    assert decoder.format is Format.PAPER
+    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
+
+
+def test_noise_after_pairs_is_not_taken_for_pulses_for_long(counts: np.ndarray, rng: np.random.Generator) -> None:
+    decoder = LineDecoder()
+    paired(decoder, counts, 0.0)
+    got: Got = []
+    for n in range(400):
+        got += decoder.feed(rng.bytes(18), 200 * PERIOD_S + PERIOD_S * n)
+    assert decoder.format is None
+    assert len(got) < 100
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 100])
+@pytest.mark.parametrize("is_told", [True, False])
+def test_frames_after_pairs_are_not_misread_as_pulses(counts: np.ndarray, size: int, is_told: bool) -> None:
+    """As the firmware changes over: a last pair, a zero, and frames, without a silence, read in pieces of any size."""
+    decoder = LineDecoder()
+    got = paired(decoder, counts, 0.0)
+    decoder.expect_frames(is_told)
+    messages = [Counts(0, 4_000_000, 7833, -3916), Ack(1, 0x85, 9, 0), Counts(2, 4_020_000, 7900, -3900)]
+    change = pair(0, 99) + b"\0" + b"".join(map(encode_message, messages))
+    start_s = PERIOD_S * len(counts)
+    for at in range(0, len(change), size):
+        got += decoder.feed(change[at : at + size], start_s + 1e-4 * at)
+    assert got[-3:] == messages
+    assert [[pulses.left, pulses.right] for pulses in got[:-3]] == [*counts.tolist(), [0, 99]]
+    assert decoder.format is Format.FRAMED
+    assert decoder.feed(b"", start_s + 1) == ()
+
+
+def test_frames_that_come_in_pieces_seconds_apart_are_no_pulses_once_they_are_expected(counts: np.ndarray) -> None:
+    decoder = LineDecoder()
+    got = paired(decoder, counts, 0.0)
+    decoder.expect_frames(True)
+    frame = encode_message(Ack(1, 0x85, 9, 0))
+    for n, piece in enumerate((b"\0" + frame[:3], frame[3:6], b"", frame[6:])):
+        got += decoder.feed(piece, PERIOD_S * len(counts) + n)
+    assert len(got) == len(counts) + 1
+    assert isinstance(got[-1], Ack)
+
+
+def test_pairs_behind_a_frame_in_one_read_are_not_lost(counts: np.ndarray) -> None:
+    decoder = LineDecoder()
+    framed(decoder, 100, 0.0)
+    start_s = 100 * PERIOD_S
+    first = b"".join(pair(*row) for row in counts[:3].tolist())
+    got = [*decoder.feed(encode_message(Ack(100, 0x85, 9, 0)) + first, start_s)]
+    got += paired(decoder, counts[3:], start_s + 3 * PERIOD_S)
+    assert [[pulses.left, pulses.right] for pulses in got[1:]] == counts.tolist()
 
 
 @pytest.mark.parametrize("piece", [1, 3, 7, 18])

@@ -54,7 +54,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def rising_edges(built: Path) -> Path:
-    """The program built to count rising edges alone, as the paper does."""
+    """The program built to count rising edges alone."""
     folder = built / "rising"
     build("atmega8", folder, "EDGES=1")
     return folder / "controller.elf"

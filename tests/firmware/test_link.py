@@ -94,6 +94,24 @@ def test_the_papers_format_is_recognised_and_exact(chip: Chip, port: str) -> Non
         wait(lambda: last(link) == expected)
         link.set_format(Format.FRAMED)
         wait(lambda: link.report().format is Format.FRAMED)
+        time.sleep(0.1)
+        assert last(link) == expected  # answers are no pulses
+
+
+def test_no_pulse_is_lost_when_the_format_changes_at_full_speed(chip: Chip, port: str) -> None:
+    with WheelLink(port) as link:
+        wait(lambda: link.status is LinkStatus.CONNECTED)
+        link.set_format(Format.PAPER)
+    with WheelLink(port) as link:  # which knows nothing but what comes from here on
+        wait(lambda: link.report().format is Format.PAPER)
+        chip.turn("left", 12 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
+        chip.turn("right", -12 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
+        for wanted in (Format.FRAMED, Format.PAPER, Format.FRAMED, Format.PAPER):
+            time.sleep(0.1)
+            link.set_format(wanted)
+            wait(lambda wanted=wanted: link.report().format is wanted)
+        wait(lambda: last(link) == (3 * FASTEST_PULSES_PER_S, -3 * FASTEST_PULSES_PER_S))
+        assert link.report().restarts == 0
 
 
 def test_a_change_of_format_is_no_motion(chip: Chip, port: str) -> None:

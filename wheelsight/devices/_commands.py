@@ -90,9 +90,9 @@ class Commands:
         """Set the controller's counters to zero."""
         self._ask(Command.RESET_COUNTS, is_answered=is_answered)
 
-    def set_format(self, is_paper: bool) -> None:
-        """Choose the wire format; answered in either, since one side of the change is framed."""
-        self._ask(Command.SET_FORMAT, bytes([is_paper]))
+    def set_format(self, is_paper: bool, is_answered: bool) -> None:
+        """Choose the wire format; a change is answered either way, since one side of it is framed."""
+        self._ask(Command.SET_FORMAT, bytes([is_paper]), is_answered)
 
     def answered(self, ack: Ack) -> bool:
         """Take an answer; whether it says that the counters are zero now."""

@@ -11,7 +11,7 @@ from serial.tools.list_ports import comports
 
 from wheelsight.errors import DeviceError
 
-_READ_TIMEOUT_S = 0.02
+_READ_TIMEOUT_S = 0.006  # beyond paper.SILENCE_S, which ends a pair of bytes
 _WRITE_TIMEOUT_S = 0.2
 _REASONS = {
     errno.EACCES: ("no permission to open the port", "join its group, e.g. sudo usermod -aG dialout $USER"),

@@ -142,6 +142,12 @@ class WheelLink:
 
     def ask_version(self) -> Version:
         """What the controller's program calls itself. Raises DeviceError where it does not answer."""
+        if not self._is_answering:
+            raise DeviceError(
+                "the controller speaks the paper's format, which has no answers",
+                path=self.port,
+                fix="set_format(Format.FRAMED) first",
+            )
         return self._commands.ask_version()
 
     def reset_counts(self) -> None:
@@ -154,8 +160,18 @@ class WheelLink:
             raise
 
     def set_format(self, wanted: Format) -> None:
-        """Ask the controller for a wire format. Raises DeviceError as `stop`."""
-        self._commands.set_format(wanted is Format.PAPER)
+        """Ask the controller for a wire format; pulses are neither lost nor made up in the change.
+
+        Raises DeviceError as `stop`.
+        """
+        is_paper = wanted is Format.PAPER
+        self._decoder.expect_frames(not is_paper)
+        try:
+            self._commands.set_format(is_paper, is_answered=self._is_answering or not is_paper)
+        except DeviceError:
+            self._decoder.expect_frames(False)
+            if not (is_paper and self._decoder.format is wanted and self._status is LinkStatus.CONNECTED):
+                raise  # else it spoke so already, found out meanwhile, and had nothing to answer
 
     @property
     def _is_answering(self) -> bool:
@@ -218,7 +234,7 @@ class WheelLink:
         now_s = time.monotonic()
         if data:
             self._heard_s = now_s
-            self._receive(data, now_s)
+        self._receive(data, now_s)
         self._commands.keep_alive(now_s)
         self._judge(now_s)
 

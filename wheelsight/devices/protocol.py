@@ -131,10 +131,16 @@ class FrameDecoder:
 
     A damaged frame costs itself, and the next one where the zero between them was hit. Memory stays below
     `LONGEST_FRAME` bytes between two calls, whatever comes.
+
+    Attributes:
+        statistics: what came, and what was lost.
+        begun, ended: bytes from the first byte of the last call's first message, and from the end of its last message,
+            to the end of what was fed.
     """
 
     def __init__(self) -> None:
         self.statistics = LineStatistics()
+        self.begun = self.ended = 0
         self._rest = b""
         self._sequence: int | None = None
         self._recent: deque[bytes] = deque(maxlen=_REPEATS_KNOWN)
@@ -145,10 +151,14 @@ class FrameDecoder:
         """The messages that `data` completes, in their order; damage never raises, it is counted."""
         self.statistics.bytes += len(data)
         *pieces, rest = (self._rest + data).split(b"\0")
+        left = len(self._rest) + len(data)
         self._rest = rest[: LONGEST_FRAME + 1]  # one byte too long is enough to know that it is no frame
-        messages = []
+        messages: list[Message] = []
         for piece in pieces:
+            left -= len(piece) + 1
             if piece and (message := self._message(piece)) is not None:
+                self.begun = self.begun if messages else left + len(piece) + 1
+                self.ended = left
                 messages.append(message)
         return messages
 

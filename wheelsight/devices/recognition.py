@@ -6,16 +6,19 @@ from collections import deque
 from collections.abc import Sequence
 from enum import StrEnum
 
-from wheelsight.devices.paper import PaperDecoder, Pulses
+from wheelsight.devices.paper import SILENCE_S, PaperDecoder, Pulses
 from wheelsight.devices.protocol import FrameDecoder, LineStatistics, Message
 
 EVIDENCE_S = 0.5
-_PAIRS_A_SECOND = 30
+_FEWEST_A_SECOND, _MOST_A_SECOND = 30, 300
+_MOST_AT_ONCE = 2048  # a system's buffer holds so many, for a host that was away
 _MOST_PULSES = 110
 _SHARE_ALONE = 0.7
 _SHARE_BELIEVABLE = 0.9
 _SHARE_OF_ORPHANS = 0.1
-_MOST_HELD = 400
+_FEWEST_DOUBTED = 10
+_MOST_KEPT = 400
+_MOST_HELD_BYTES = 1024
 
 
 class Format(StrEnum):
@@ -31,14 +34,23 @@ class LineDecoder:
     One frame with a right checksum means framed. Half a second of bytes in pairs, each after a silence and
     with no more pulses than make a controller send early, means paper; the pulses of that half second are handed on
     with it, so none is lost. Everything else is noise, and framed stays framed.
+
+    Bytes are read as pairs only after the silence behind them, since they might be the beginning of a frame: of what
+    came without a silence, pairs are what lies before the first frame. Once recognised, the paper's format is given up
+    for a frame, or for what delays cannot make of pairs (pulses beyond belief, or too many pairs): after a busy host or
+    a slow line they only come later, and together.
     """
 
     def __init__(self) -> None:
         self.format: Format | None = None
         self._frames = FrameDecoder()
         self._paper = PaperDecoder()
-        self._evidence: deque[Pulses] = deque(maxlen=_MOST_HELD)
-        self._orphans: deque[float] = deque(maxlen=_MOST_HELD)
+        self._held: deque[tuple[bytes, float]] = deque()
+        self._heard_s = -float("inf")
+        self._expects_frames = False
+        self._evidence: deque[Pulses] = deque(maxlen=_MOST_KEPT)
+        self._orphans: deque[float] = deque(maxlen=_MOST_KEPT)
+        self._credit, self._judged_s = 0.0, 0.0
 
     @property
     def statistics(self) -> LineStatistics:
@@ -46,57 +58,105 @@ class LineDecoder:
         return self._paper.statistics if self.format is Format.PAPER else self._frames.statistics
 
     def feed(self, data: bytes, arrival_s: float) -> Sequence[Message | Pulses]:
-        """What `data`, read at `arrival_s` seconds, completes: messages or pulses. Raises nothing, whatever comes."""
+        """What `data`, read at `arrival_s` seconds, completes: messages or pulses. Raises nothing, whatever comes.
+
+        To be called without data too when nothing came for `SILENCE_S`, so that a pair need not wait for the next.
+        """
+        pulses: Sequence[Pulses] = ()
+        if self._held and self._is_whole(arrival_s):
+            pulses = self._judged(self._take_pairs(0))
+        if not data:
+            return pulses
+        self._held.append((data, arrival_s))
+        self._heard_s = arrival_s
         messages = self._frames.feed(data)
-        if messages:
-            if self.format is Format.PAPER:
-                self._frames.statistics = LineStatistics(len(data), len(messages))
-            self.format = Format.FRAMED
-            self._forget_pairs()
-            return messages
-        pairs = self._gather(data, arrival_s)
-        if self._evidence and arrival_s - self._evidence[0].arrival_s >= EVIDENCE_S:
-            return self._judge(pairs, arrival_s)
-        return pairs if self.format is Format.PAPER else ()
+        return [*pulses, *self._before_frames(data), *messages] if messages else pulses
+
+    def expect_frames(self, is_so: bool) -> None:
+        """Whether the controller was told to change to frames: then nothing is read as pairs until they come."""
+        self._expects_frames = is_so
 
     def restart(self) -> None:
-        """Forget what is half-read: the port was opened anew."""
+        """Forget what is half-read, and that the format was the paper's: the port was opened anew."""
         self._frames.forget_sequence()
+        self._held.clear()
         self._forget_pairs()
+        self.format = None if self.format is Format.PAPER else self.format
 
     def forgive_gap(self) -> None:
         """Take back a loss just counted: the controller had begun anew."""
         self._frames.forgive_gap()
 
-    def _gather(self, data: bytes, arrival_s: float) -> list[Pulses]:
-        orphans = self._paper.statistics.malformed
-        pairs = self._paper.feed(data, arrival_s)
-        self._evidence += pairs
-        if self._paper.statistics.malformed > orphans:
-            self._orphans.append(arrival_s)
+    def _is_whole(self, now_s: float) -> bool:
+        """Whether what is held can be no frame's beginning any more."""
+        if self._expects_frames:
+            return False
+        return now_s - self._heard_s > SILENCE_S or sum(len(data) for data, _ in self._held) > _MOST_HELD_BYTES
+
+    def _before_frames(self, data: bytes) -> list[Pulses]:
+        """Change to frames, or stay with them; the pairs that came before the first of them, if they were pairs."""
+        pairs: list[Pulses] = []
+        if self.format is Format.PAPER:
+            pairs = self._take_pairs(self._frames.begun + 1)  # and the zero that parts frames from pairs
+            self._frames.statistics = LineStatistics(self._frames.begun, 1)
+        self.format, self._expects_frames = Format.FRAMED, False
+        self._held.clear()
+        if self._frames.ended:
+            self._held.append((data[-self._frames.ended :], self._heard_s))  # pairs, where the format changed
+        self._forget_pairs()
         return pairs
 
-    def _judge(self, pairs: list[Pulses], arrival_s: float) -> Sequence[Pulses]:
-        """Decide by half a second of evidence, and drop what is older."""
-        if self._is_paired():
-            if self.format is not Format.PAPER:
-                self.format = Format.PAPER
-                pairs = list(self._evidence)
-                self._paper.statistics = LineStatistics(2 * len(pairs), len(pairs))
-            self._drop_before(arrival_s - EVIDENCE_S / 2)
-            return pairs
+    def _take_pairs(self, but_last: int) -> list[Pulses]:
+        """Read all held bytes but the last few as pairs, and hold the rest."""
+        pairs: list[Pulses] = []
+        count = sum(len(data) for data, _ in self._held) - but_last
+        orphans = self._paper.statistics.malformed
+        while self._held and count > 0:
+            data, arrival_s = self._held.popleft()
+            pairs += self._paper.feed(data[:count], arrival_s)
+            if self._paper.statistics.malformed > orphans:
+                orphans = self._paper.statistics.malformed
+                self._orphans.append(arrival_s)
+            count -= len(data)
+        return pairs
+
+    def _judged(self, pairs: list[Pulses]) -> Sequence[Pulses]:
+        """What to hand on of pairs just read, by what has come in the last half second."""
+        self._evidence += pairs
         if self.format is Format.PAPER:
+            if self._may_be_pairs(len(pairs)):
+                return pairs
             self.format = None
-        self._drop_before(arrival_s - EVIDENCE_S)
-        return ()
+            self._evidence.clear()
+            return ()
+        if not self._evidence or self._heard_s - self._evidence[0].arrival_s < EVIDENCE_S:
+            return ()
+        found = list(self._evidence) if self._is_paired() else []
+        if found:
+            self.format = Format.PAPER
+            self._paper.statistics = LineStatistics(2 * len(found), len(found))
+            self._credit, self._judged_s = _MOST_AT_ONCE, self._heard_s
+        self._drop_before(self._heard_s - EVIDENCE_S)
+        return found
 
     def _is_paired(self) -> bool:
+        """Whether the evidence is pairs as a controller sends them."""
         span_s = self._evidence[-1].arrival_s - self._evidence[0].arrival_s
         pairs = len(self._evidence)
         alone = sum(pair.follows_silence for pair in self._evidence)
+        regular = pairs >= _FEWEST_A_SECOND * span_s and alone >= _SHARE_ALONE * pairs
+        return self._is_believable() and regular and len(self._orphans) <= _SHARE_OF_ORPHANS * pairs
+
+    def _may_be_pairs(self, count: int) -> bool:
+        """Whether `count` more may be pairs too, held up on their way perhaps, or by a busy host."""
+        passed_s, self._judged_s = self._heard_s - self._judged_s, self._heard_s
+        self._credit = min(self._credit + _MOST_A_SECOND * passed_s, _MOST_AT_ONCE) - count
+        self._drop_before(self._heard_s - EVIDENCE_S)
+        return self._credit >= 0 and (len(self._evidence) < _FEWEST_DOUBTED or self._is_believable())
+
+    def _is_believable(self) -> bool:
         believable = sum(max(abs(pair.left), abs(pair.right)) <= _MOST_PULSES for pair in self._evidence)
-        regular = pairs >= _PAIRS_A_SECOND * span_s and alone >= _SHARE_ALONE * pairs
-        return believable >= _SHARE_BELIEVABLE * pairs and regular and len(self._orphans) <= _SHARE_OF_ORPHANS * pairs
+        return believable >= _SHARE_BELIEVABLE * len(self._evidence)
 
     def _drop_before(self, stamp_s: float) -> None:
         while self._evidence and self._evidence[0].arrival_s < stamp_s:

@@ -48,7 +48,7 @@ class Encoder:
         return motor_rpm / _SECONDS_A_MINUTE * self.counts_per_turn
 
     def interrupts_per_s(self, motor_rpm: float) -> float:
-        """Interrupts a second of a controller that counts two such encoders (MaxExternalInterrupts)."""
+        """Two a pulse (MaxExternalInterrupts): both edges of this encoder, or one edge of two such encoders."""
         return 2 * self.pulses_per_s(motor_rpm)
 
     def wheel_speed_m_s(self, motor_rpm: float) -> float:
