@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from wheelsight.calibration import DepthNoise
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import PinholeCamera
-from wheelsight.simulation.depth_sensors import DepthSensor, IdealDepth
+from wheelsight.simulation.depth_sensors import DepthSensor, IdealDepth, StructuredLight, TimeOfFlight
 
 _LARGEST_PX = 4096
 
@@ -85,6 +85,28 @@ _MODELS = {
             rolling_shutter_s=0.0,
             depth=IdealDepth(),
             depth_noise=DepthNoise(constant_m=0.001, quadratic_per_m=0.0, near_m=0.05, far_m=20.0),
+        ),
+        # Khoshelham & Elberink's focal length: 57.3° × 44.5°. The shutter is the one that feature odometry finds in
+        # recordings of two real cameras.
+        CameraModel(
+            "kinect-v1",
+            "640×480, structured light, 0.8 to 3.5 m, rolling shutter",
+            _centred(640, 480, 586.0),
+            rate_hz=30.0,
+            rolling_shutter_s=0.026,
+            depth=StructuredLight(),
+            depth_noise=DepthNoise(constant_m=0.001, quadratic_per_m=1.425e-3, near_m=0.45, far_m=10.0),
+        ),
+        # 70.0° × 60.2°: focal lengths of depth cameras read out of several units lie around 365.5 px. Depth is timed in
+        # all pixels at once, and a frame has one set of rays, so that colour, registered to it, is of one moment too.
+        CameraModel(
+            "kinect-v2",
+            "512×424, time of flight, 0.5 to 4.5 m, flying pixels at edges",
+            _centred(512, 424, 365.5),
+            rate_hz=30.0,
+            rolling_shutter_s=0.0,
+            depth=TimeOfFlight(),
+            depth_noise=DepthNoise(constant_m=1.5e-3, quadratic_per_m=0.2e-3, near_m=0.5, far_m=8.0),
         ),
     )
 }
