@@ -6,6 +6,7 @@
     │   ├── CalibrationError     camera, depth or robot parameters
     │   ├── TrajectoryError      a trajectory's text or values
     │   ├── AreaError            polygons of areas, their coordinates, or labels that fit none
+    │   ├── PlaceError           a model of places that is none, is hostile, or does not fit these areas or frames
     │   ├── ConfigError          a setting that is unknown, impossible or in conflict
     │   ├── OutputError          an output that cannot be written, or would be overwritten
     │   └── DeviceError          a port or pipe that is missing, denied, in use, or does not answer
@@ -64,6 +65,10 @@ class TrajectoryError(InputError):
 
 class AreaError(InputError):
     """Areas overlap, cross themselves, tell no coordinate, or a label names none of them."""
+
+
+class PlaceError(InputError):
+    """A model of places cannot be trained, read, or used with what it is given."""
 
 
 class ConfigError(InputError):

@@ -1,0 +1,150 @@
+"""Models of places in files: plain values and arrays in skops' format, and nothing that could do something."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from wheelsight.errors import PlaceError
+from wheelsight.files import write_bytes
+from wheelsight.places.calibration import ProbabilityScale
+from wheelsight.places.describer import describer_from
+from wheelsight.places.forest import Forest, ForestSettings
+from wheelsight.places.model import HeldOutFigures, PlaceModel
+
+FORMAT = "wheelsight-places-1"
+_LARGEST_BYTES = 1 << 30
+_RETRAIN = "train the model again"
+_NO_MODEL = "give a file that `PlaceModel.save` wrote"
+_ARRAYS = ("roots", "left", "right", "feature", "threshold", "share")
+# What a model of ours is made of; skops itself would allow far more, such as estimators and functions of numpy.
+_PLAIN = {
+    ("DictNode", "builtins.dict"),
+    ("ListNode", "builtins.list"),
+    ("JsonNode", "builtins.str"),
+    ("TypeNode", "builtins.str"),
+    ("NdArrayNode", "numpy.ndarray"),
+}
+
+
+def save_model(model: PlaceModel, path: Path) -> None:
+    """Write a model atomically. Raises OutputError."""
+    import skops.io
+
+    write_bytes(path, skops.io.dumps(_to_document(model), compression=zipfile.ZIP_DEFLATED))
+
+
+def load_model(path: Path) -> PlaceModel:
+    """Read a model.
+
+    Raises:
+        PlaceError: naming the file: it cannot be read, is no model, holds more than plain values and arrays (nothing
+            of it is then made), is of another version, or contradicts itself.
+    """
+    import skops.io
+
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise PlaceError(f"cannot be read: {error.strerror}", path=path, fix=_NO_MODEL) from error
+    try:
+        _refuse_all_but_plain(data)
+        document = skops.io.loads(data, trusted=[])
+        return _from_document(document)
+    except PlaceError as error:
+        raise PlaceError(error.problem, path=path, fix=error.fix) from error
+    except ValidationError as error:
+        raise PlaceError(f"settings: {error.errors()[0]['msg']}", path=path, fix=_RETRAIN) from error
+    except Exception as error:  # a damaged file fails inside zip, json, numpy or skops in ways of their own
+        raise PlaceError(f"is damaged: {type(error).__name__}", path=path, fix=_RETRAIN) from error
+
+
+def _refuse_all_but_plain(data: bytes) -> None:
+    """Read the file's table of contents, and only that; whatever it names but plain values is refused."""
+    import skops.io
+
+    if not zipfile.is_zipfile(io.BytesIO(data)):
+        raise PlaceError("is no model of places", fix=_NO_MODEL)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if "schema.json" not in archive.namelist():
+            raise PlaceError("is no model of places", fix=_NO_MODEL)
+        if sum(entry.file_size for entry in archive.infolist()) > _LARGEST_BYTES:
+            raise PlaceError("unpacks to more than a model of places ever needs", fix="do not trust this file")
+        schema = json.loads(archive.read("schema.json"))
+    odd = {found for found in _types_in(schema) if found not in _PLAIN}
+    if odd:
+        loader, kind = sorted(odd)[0]
+        raise PlaceError(f"holds a {kind} ({loader}), which no model of places does", fix="do not trust this file")
+    untrusted = skops.io.get_untrusted_types(data=data)
+    if untrusted:
+        raise PlaceError(f"holds a {untrusted[0]}, which no model of places does", fix="do not trust this file")
+
+
+def _types_in(schema: Any) -> Iterator[tuple[str, str]]:
+    """Loader and full type of everything that a skops schema would make."""
+    waiting = [schema]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, dict):
+            if "__loader__" in node or "__class__" in node:
+                yield str(node.get("__loader__")), f"{node.get('__module__')}.{node.get('__class__')}"
+            waiting.extend(node.values())
+        elif isinstance(node, list):
+            waiting.extend(node)
+
+
+def _to_document(model: PlaceModel) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "area_names": list(model.area_names),
+        "area_shares": model.area_shares.tolist(),
+        "describer": model.describer.settings,
+        "frame_size": None if model.frame_size is None else list(model.frame_size),
+        "settings": model.settings.model_dump(mode="json"),
+        "scale": asdict(model.scale),
+        "least_confidence": model.least_confidence,
+        "figures": asdict(model.figures),
+        "forest": {name: getattr(model.forest, name) for name in _ARRAYS} | {"size": model.forest.size},
+    }
+
+
+def _from_document(document: Any) -> PlaceModel:
+    if not isinstance(document, dict) or "format" not in document:
+        raise PlaceError("is no model of places", fix=_NO_MODEL)
+    if document["format"] != FORMAT:
+        raise PlaceError(f"is of version {document['format']!r}", fix=f"this wheelsight reads {FORMAT!r}; {_RETRAIN}")
+    describer = describer_from(document["describer"])
+    forest = Forest(**{name: document["forest"][name] for name in _ARRAYS}, size=int(document["forest"]["size"]))
+    size = document["frame_size"]
+    model = PlaceModel(
+        forest,
+        tuple(str(name) for name in document["area_names"]),
+        describer,
+        ProbabilityScale(**{f.name: float(document["scale"][f.name]) for f in fields(ProbabilityScale)}),
+        float(document["least_confidence"]),
+        np.array(document["area_shares"], float),
+        ForestSettings.model_validate(document["settings"]),
+        HeldOutFigures(**{f.name: float(document["figures"][f.name]) for f in fields(HeldOutFigures)}),
+        None if size is None else (int(size[0]), int(size[1]), int(size[2]), int(size[3])),
+    )
+    _check_agreement(model)
+    return model
+
+
+def _check_agreement(model: PlaceModel) -> None:
+    areas, forest, scale = len(model.area_names), model.forest, model.scale
+    if forest.size != model.describer.size:
+        problem = f"describes frames with {model.describer.size} numbers, but its forest takes {forest.size}"
+        raise PlaceError(problem, fix=_RETRAIN)
+    if forest.share.shape[1] != areas or model.area_shares.shape != (areas,) or areas < 2:
+        raise PlaceError(f"names {areas} areas, but its forest has {forest.share.shape[1]}", fix=_RETRAIN)
+    if not (0 < scale.temperature < np.inf and 0 <= scale.blend <= 1 and 0 <= model.least_confidence <= 1):
+        raise PlaceError("has impossible probabilities", fix=_RETRAIN)
