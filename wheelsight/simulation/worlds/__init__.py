@@ -6,10 +6,12 @@ from difflib import get_close_matches
 
 from wheelsight.errors import ConfigError
 from wheelsight.simulation.world import World
+from wheelsight.simulation.worlds.blank import build_blank
+from wheelsight.simulation.worlds.flat import build_flat
 from wheelsight.simulation.worlds.floor4 import build_floor4
 from wheelsight.simulation.worlds.square import build_square
 
-_BUILDERS = {"floor4": build_floor4, "square": build_square}
+_BUILDERS = {"floor4": build_floor4, "flat": build_flat, "blank": build_blank, "square": build_square}
 
 __all__ = ["build_world", "world_names"]
 

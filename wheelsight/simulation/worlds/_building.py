@@ -119,7 +119,7 @@ class Building:
         is_closed: bool = True,
         thickness_m: float = WALL_THICKNESS_M,
     ) -> None:
-        """Walls along `corners`, free on the left; an edge is (name, material, openings) of a corner's wall to the next."""
+        """Walls along `corners`, free on the left; an edge: (name, material, openings) up to the next corner."""
         n = len(corners)
         for k, (name, material, openings) in enumerate(edges):
             start, end = corners[k], corners[(k + 1) % n]
@@ -236,26 +236,40 @@ class Building:
         thickness_m: float,
         grow_m: tuple[float, float],
     ) -> None:
-        """Pieces between the openings, full height, and sill, lintel and pane at each of them."""
+        """Piers between the openings; below and above these sills and lintels; windows in a row share theirs."""
+        size = (-grow_m[0], face.length_m + grow_m[1])
+        openings = sorted(openings, key=lambda opening: opening.at_m)
 
         def piece(kind: str, begin: float, end: float, bottom: float, top: float) -> None:
             spot = face.spot((begin + end) / 2, out_m)
             self.box(f"{kind}_{face.name}", material, spot, (end - begin, thickness_m), bottom, top)
 
-        at = -grow_m[0]
-        for opening in sorted(openings, key=lambda o: o.at_m):
+        def pane(first: Opening, last: Opening) -> None:
+            if first.pane is not None:
+                begin, end = first.at_m - first.width_m / 2, last.at_m + last.width_m / 2
+                spot = face.spot((begin + end) / 2, out_m - thickness_m / 2 + 0.015)
+                self.box(f"pane_{face.name}", first.pane, spot, (end - begin, 0.03), first.sill_m, first.head_m)
+
+        heights = {(opening.sill_m, opening.head_m, opening.pane) for opening in openings}
+        is_row = len(heights) == 1 and openings[0].sill_m > 0
+        bottom, top = (openings[0].sill_m, openings[0].head_m) if is_row else (0.0, CEILING_M)
+        if is_row:
+            piece("sill", *size, 0.0, bottom)
+            piece("lintel", *size, top, CEILING_M)
+            pane(openings[0], openings[-1])
+        at = size[0]
+        for opening in openings:
             begin, end = opening.at_m - opening.width_m / 2, opening.at_m + opening.width_m / 2
-            piece("wall", at, begin, 0.0, CEILING_M)
+            piece("wall", at, begin, bottom, top)
+            at = end
+            if is_row:
+                continue
             if opening.sill_m > 0:
                 piece("sill", begin, end, 0.0, opening.sill_m)
             if opening.head_m < CEILING_M:
                 piece("lintel", begin, end, opening.head_m, CEILING_M)
-            if opening.pane is not None:
-                spot = face.spot(opening.at_m, out_m - thickness_m / 2 + 0.015)
-                size = (opening.width_m, 0.03)
-                self.box(f"pane_{face.name}", opening.pane, spot, size, opening.sill_m, opening.head_m)
-            at = end
-        piece("wall", at, face.length_m + grow_m[1], 0.0, CEILING_M)
+            pane(opening, opening)
+        piece("wall", at, size[1], bottom, top)
 
     def _add(
         self,
@@ -302,10 +316,10 @@ class Building:
             colour, shine = _numbers((*surface.rgb, 1.0)), f"{surface.shine:g}"
             ET.SubElement(asset, "material", name=name, rgba=colour, specular=shine, shininess=shine)
         ground = ET.SubElement(root, "worldbody")
-        high = {"pos": middle, "dir": "0.3 0.2 -1", "type": "directional", "castshadow": "false"}
-        ET.SubElement(ground, "light", name="daylight", diffuse="0.35 0.35 0.35", specular="0.1 0.1 0.1", **high)
+        daylight = {"name": "daylight", "type": "directional", "dir": "0.3 0.2 -1", "castshadow": "false"}
+        ET.SubElement(ground, "light", daylight, diffuse="0.35 0.35 0.35", specular="0.1 0.1 0.1")
         for name, attributes in self._geoms.items():
-            ET.SubElement(ground, "geom", name=name, **attributes)
+            ET.SubElement(ground, "geom", {"name": name, **attributes})
         ET.indent(root)
         return ET.tostring(root, encoding="unicode") + "\n"
 

@@ -16,13 +16,22 @@ def table(
     height_m: float = 0.74,
     top: str = "wood_light",
 ) -> None:
-    """A board on four legs, its middle at the spot."""
+    """A board between two sides, its middle at the spot."""
     length, width = size_m
     building.box(f"{name}_top", top, spot, size_m, height_m - 0.04, height_m)
+    for end in (-1, 1):
+        side = spot.offset(end * (length / 2 - 0.08), 0)
+        building.box(f"{name}_leg", "wood_dark", side, (0.05, width - 0.1), 0.0, height_m - 0.04)
+
+
+def four_legged_table(building: Building, name: str, spot: Spot, size_m: tuple[float, float], height_m: float) -> None:
+    """A board on four thin legs, its middle at the spot."""
+    length, width = size_m
+    building.box(f"{name}_top", "wood_light", spot, size_m, height_m - 0.04, height_m)
     for forward in (-1, 1):
         for left in (-1, 1):
             leg = spot.offset(forward * (length / 2 - 0.06), left * (width / 2 - 0.06))
-            building.box(f"{name}_leg", "steel", leg, (0.05, 0.05), 0.0, height_m - 0.04)
+            building.cylinder(f"{name}_leg", "steel", leg, 0.025, 0.0, height_m - 0.04)
 
 
 def chair(building: Building, name: str, spot: Spot, fabric: str = "fabric_blue") -> None:

@@ -54,8 +54,8 @@ def _outer_walls(building: Building) -> None:
         (35.0, 23.0),
         (35.0, 25.0),
         (25.0, 25.0),
-        (25.0, 22.0),
-        (18.5, 22.0),
+        (25.0, 22.6),
+        (18.5, 22.6),
         (18.5, 17.2),
         (0.0, 17.2),
     ]
@@ -134,7 +134,7 @@ def _floors(building: Building) -> None:
     building.cover("floor_lifts", "tiles_dark", (35.0, 41.0), (0.0, 6.0))
     building.cover("floor_corridor_3", "carpet_blue", (38.4, 41.0), (6.0, 17.0))
     building.cover("floor_hall", "tiles_light", (25.0, 35.0), (16.0, 25.0))
-    building.cover("floor_kitchen", "parquet", (18.5, 25.0), (14.6, 22.0))
+    building.cover("floor_kitchen", "parquet", (18.5, 25.0), (14.6, 22.6))
     building.cover("floor_corridor_7", "carpet_grey", (2.4, 18.5), (14.6, 17.2))
     building.cover("floor_meeting", "carpet_brown", (34.4, 38.4), (9.0, 13.5))
     building.cover("floor_office", "carpet_brown", (7.0, 12.0), (2.8, 6.6))
@@ -149,7 +149,7 @@ def _areas() -> list[Area]:
         _area("3", 38.4, 6.0, 41.0, 17.0, tells="x"),
         _area("4", 35.0, 17.0, 41.0, 23.0, tells="xy"),
         _area("5", 25.0, 16.0, 35.0, 25.0, tells="xy"),
-        _area("6", 18.5, 14.6, 25.0, 22.0, tells="xy"),
+        _area("6", 18.5, 14.6, 25.0, 22.6, tells="xy"),
         _area("7", 2.4, 14.6, 18.5, 17.2, tells="y"),
         _area("8", 0.0, 2.8, 2.4, 17.2, tells="x"),
     ]

@@ -1,0 +1,137 @@
+"""`flat`: a furnished home of four rooms, with a lap through all of them that a wheelchair can drive."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from wheelsight.areas import Area
+from wheelsight.geometry import FloatArray
+from wheelsight.simulation.world import World
+from wheelsight.simulation.worlds._building import Building, Opening, Spot
+from wheelsight.simulation.worlds._furniture import (
+    bed,
+    bench,
+    bin_beside,
+    chair,
+    four_legged_table,
+    loose_chair,
+    plant,
+    shelf,
+    sofa,
+)
+
+EAST_M, NORTH_M = 11.0, 9.6
+LIVING_EAST_M, LIVING_NORTH_M, KITCHEN_NORTH_M = 6.0, 5.0, 4.4  # where the walls between rooms stand
+ROUTE = ((2.4, 3.4), (4.6, 3.4), (4.6, 1.7), (7.6, 1.7), (7.6, 6.4), (1.6, 6.4), (1.6, 3.4))
+_DOORWAY_M = 1.2  # as homes for wheelchairs have them
+
+
+def build_flat(seed: int) -> World:
+    """The home; the robot starts in the living room, heading east."""
+    building = Building("flat", seed)
+    building.floor_and_ceiling("parquet", "ceiling_plain", (-0.4, -0.4, EAST_M + 0.4, NORTH_M + 0.4))
+    _walls(building)
+    _living(building)
+    _kitchen(building)
+    _hall(building)
+    _bedroom(building)
+    areas = [
+        _area("living room", 0.0, 0.0, LIVING_EAST_M, LIVING_NORTH_M),
+        _area("kitchen", LIVING_EAST_M, 0.0, EAST_M, KITCHEN_NORTH_M),
+        _area("hall", LIVING_EAST_M, KITCHEN_NORTH_M, EAST_M, NORTH_M),
+        _area("bedroom", 0.0, LIVING_NORTH_M, LIVING_EAST_M, NORTH_M),
+    ]
+    return building.world("a furnished home of four rooms", areas, ROUTE, is_loop=True)
+
+
+def _walls(building: Building) -> None:
+    def window(at_m: float) -> Opening:
+        return Opening(at_m, 1.6, 0.9, 2.2, "glass")
+
+    building.walls(
+        [(0.0, 0.0), (EAST_M, 0.0), (EAST_M, NORTH_M), (0.0, NORTH_M)],
+        [
+            ("south", "plaster_cream", [window(4.4), window(8.8)]),
+            ("east", "plaster_white", ()),
+            ("north", "plaster_sage", [window(EAST_M - 0.9)]),
+            ("west", "plaster_cream", [window(NORTH_M - 2.4), window(NORTH_M - 6.0)]),
+        ],
+    )
+    x, y = LIVING_EAST_M, LIVING_NORTH_M
+    through = [Opening(1.7, _DOORWAY_M), Opening(6.4, _DOORWAY_M)]
+    building.partition("middle", "plaster_white", (x, 0.0), (x, NORTH_M), through)
+    building.partition("bedroom_south", "plaster_sage", (x - 0.06, y), (0.0, y), [Opening(x - 0.06 - 1.6, _DOORWAY_M)])
+    start, end = (x + 0.06, KITCHEN_NORTH_M), (EAST_M, KITCHEN_NORTH_M)
+    building.partition("hall_south", "plaster_white", start, end, [Opening(7.6 - x - 0.06, _DOORWAY_M)])
+
+
+def _living(building: Building) -> None:
+    building.cover("rug", "carpet_red", (0.9, 3.1), (1.1, 2.7))
+    sofa(building, "sofa", building.faces["south"].spot(1.9), 2.2)
+    four_legged_table(building, "coffee_table", Spot(1.9, 1.8), (1.1, 0.6), 0.45)
+    turn = building.rng.uniform(-0.2, 0.2)
+    chair(building, "armchair", Spot(3.4, 1.1, turn), "fabric_red")
+    building.box("sideboard", "wood_dark", building.faces["west"].spot(NORTH_M - 1.1, 0.22), (1.3, 0.42), 0.0, 0.55)
+    building.box("television", "screen", building.faces["west"].spot(NORTH_M - 1.1, 0.2), (1.1, 0.05), 0.60, 1.25)
+    shelf(building, "shelf", building.faces["bedroom_south"].spot(1.5), 1.8)
+    building.posters("bedroom_south", (2.5, 3.7))
+    building.posters("south", (1.2, 2.6), (5.3, 5.9))
+    building.posters("middle", (2.5, 3.5), (3.6, 4.8))
+    building.posters("west", (NORTH_M - 4.6, NORTH_M - 3.4))
+    plant(building, "plant", Spot(5.5, 4.5), 1.5)
+    building.lamps((3.0, 2.5))
+
+
+def _kitchen(building: Building) -> None:
+    building.cover("floor_kitchen", "tiles_light", (6.06, EAST_M), (0.0, KITCHEN_NORTH_M - 0.06))
+    south, east = building.faces["south"], building.faces["east"]
+    building.box("counter_south", "wood_light", south.spot(9.1, 0.3), (3.2, 0.6), 0.0, 0.87)
+    building.box("worktop_south", "steel", south.spot(9.1, 0.31), (3.2, 0.62), 0.87, 0.91)
+    building.hang("south", "splashback", "wall_tiles", 7.75, 0.5, 0.95, 1.5)
+    building.box("counter_east", "wood_light", east.spot(1.8, 0.3), (2.3, 0.6), 0.0, 0.87)
+    building.box("worktop_east", "steel", east.spot(1.8, 0.31), (2.3, 0.62), 0.87, 0.91)
+    building.hang("east", "cupboard", "door_white", 1.8, 2.3, 1.45, 2.15, 0.34, is_solid=True)
+    building.hang("east", "splash_tiles", "wall_tiles", 1.8, 2.3, 0.95, 1.4)
+    building.box("fridge", "white_board", east.spot(3.4, 0.32), (0.62, 0.62), 0.0, 1.8)
+    four_legged_table(building, "kitchen_table", Spot(9.4, 2.6), (1.0, 0.8), 0.75)
+    for side, yaw in ((-1, 0.0), (1, math.pi)):
+        place = Spot(9.4 + building.rng.uniform(-0.15, 0.15), 2.6 + side * 0.65, yaw + building.rng.uniform(-0.3, 0.3))
+        chair(building, "kitchen_chair", place)
+    building.posters("middle_back", (NORTH_M - 4.2, NORTH_M - 2.8))
+    building.posters("hall_south_back", (0.4, 1.6), (1.6, 2.6))
+    building.lamps((8.5, 2.2))
+
+
+def _hall(building: Building) -> None:
+    building.doors("east", "door_oak", 6.4)
+    building.box("wardrobe", "door_white", building.faces["north"].spot(1.6, 0.3), (2.4, 0.6), 0.0, 2.1)
+    building.hang("east", "mirror", "glass", 8.2, 0.6, 0.4, 1.9)
+    bench(building, "bench", building.faces["hall_south"].spot(3.6), 1.2)
+    building.posters("hall_south", (2.9, 4.6))
+    building.posters("north", (3.0, 4.4))
+    building.posters("middle_back", (0.4, 1.6), (1.6, 2.5))
+    building.posters("east", (4.6, 5.8))
+    loose_chair(building, "chair_hall", "east", 8.4, 8.8)
+    building.cover("doormat", "carpet_brown", (10.1, 10.9), (5.9, 6.9))
+    building.lamps((8.5, 7.0))
+
+
+def _bedroom(building: Building) -> None:
+    building.cover("bedroom_carpet", "carpet_grey", (2.0, 5.0), (5.6, 8.4))
+    bed(building, "bed", building.faces["north"].spot(EAST_M - 3.2))
+    for at in (-1.1, 1.1):
+        spot = building.faces["north"].spot(EAST_M - 3.2 + at, 0.22)
+        building.box("nightstand", "wood_light", spot, (0.45, 0.4), 0.0, 0.5)
+    building.box("chest", "wood_dark", building.faces["middle"].spot(8.6, 0.24), (1.2, 0.45), 0.0, 0.85)
+    building.posters("north", (EAST_M - 5.6, EAST_M - 4.5))
+    building.posters("middle", (7.2, 8.2), (8.2, 9.3))
+    building.posters("bedroom_south_back", (2.4, 3.8), (4.0, 5.6))
+    bin_beside(building, "west", 0.4, 1.2)
+    building.lamps((3.2, 7.2))
+
+
+def _area(name: str, x_min: float, y_min: float, x_max: float, y_max: float) -> Area:
+    polygon: FloatArray = np.array([(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)])
+    return Area(name, polygon, (x_min + x_max) / 2, (y_min + y_max) / 2)
