@@ -7,15 +7,16 @@ import math
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.simulation._ground import Tyres, UnevenFloor
 from wheelsight.simulation.encoders import is_during
 from wheelsight.simulation.robot import Robot, WheelFaults
 from wheelsight.simulation.wheelchair import LIFT_M, PREFIX, ROLLING, TIMESTEP_S, scene
 from wheelsight.simulation.world import World
 
 _GRAVITY_M_S2 = 9.81
-_FLOOR_SLOPE, _FLOOR_WAVES, _FLOOR_WAVE_M = 0.002, 12, (0.5, 4.0)
-_SWAY_N, _SWAY_S = 6.0, 1.0
+_SWAY_N, _SWAY_S = 10.0, 1.0
 _LIFT_M_S = 0.02
+_LARGEST_SWIVEL_RAD = 0.5
 
 
 class Chair:
@@ -33,38 +34,35 @@ class Chair:
     ) -> None:
         import mujoco
 
-        self._mujoco, self._robot, self._faults, self._slip, self._rng = mujoco, robot, faults, slip, rng
+        self._mujoco, self._faults, self._slip, self._rng = mujoco, faults, slip, rng
+        self._nominal = robot.nominal
         self._model = scene(world, robot, slip=slip)
         self._data = mujoco.MjData(self._model)
-        self._base = self._model.body(PREFIX + "base").id
-        self._jack = self._model.geom(PREFIX + "jack").id
-        self._jack_down_m = float(self._model.geom_pos[self._jack, 2])
-        self._jack_m = self._jack_up_m = self._jack_down_m + 2 * LIFT_M
-        self._wheel_bodies = [self._model.geom(PREFIX + name).id for name in ROLLING]
-        self._pairs = [self._model.pair(name).id for name in ROLLING]
-        self._friction = self._model.pair_friction[self._pairs].copy()
+        self._tyres = Tyres(self._model, (robot.left_radius_m, robot.right_radius_m), faults.patches, creep=slip)
+        self._floor, self._sway_n = UnevenFloor(rng), np.zeros(2)
+        base = self._model.joint(PREFIX + "base")
+        self._body = int(base.bodyid[0])
+        self._pose = self._data.qpos[int(base.qposadr[0]) :][:7]
+        self._velocity = self._data.qvel[int(base.dofadr[0]) :][:6]
         self._angles = [int(self._model.joint(PREFIX + name).qposadr[0]) for name in ROLLING[:2]]
-        self._floor = _Floor(rng)
-        self._sway = np.zeros(2)
+        self._jack = self._model.geom(PREFIX + "jack").id
+        self._lowest_m = float(self._model.geom_pos[self._jack, 2])
+        self._jack_m = self._lowest_m + 2 * LIFT_M
         self._place(T_world_base)
 
     def _place(self, T_world_base: FloatArray) -> None:
-        adr = int(self._model.joint(PREFIX + "base").qposadr[0])
-        self._data.qpos[adr : adr + 3] = T_world_base[:3, 3]
-        self._data.qpos[adr + 3 : adr + 7] = np.roll(so3.to_quaternion(T_world_base[:3, :3]), 1)
+        self._pose[:3] = T_world_base[:3, 3]
+        self._pose[3:] = np.roll(so3.to_quaternion(T_world_base[:3, :3]), 1)
         for side in ("left", "right"):
             swivel = int(self._model.joint(f"{PREFIX}{side}_swivel").qposadr[0])
-            self._data.qpos[swivel] = self._rng.uniform(-0.5, 0.5)
-        self._pose = self._data.qpos[adr : adr + 7]
-        dof = int(self._model.joint(PREFIX + "base").dofadr[0])
-        self._velocity = self._data.qvel[dof : dof + 6]
-        self._model.geom_pos[self._jack, 2] = self._jack_m
-        self._mujoco.mj_forward(self._model, self._data)
+            self._data.qpos[swivel] = self._rng.uniform(-_LARGEST_SWIVEL_RAD, _LARGEST_SWIVEL_RAD)
         self._zero_rad = self._data.qpos[self._angles].copy()
 
     def settle(self, seconds: float) -> None:
         """Lets the wheelchair come to rest on its wheels, motors braked."""
-        self.step(-math.inf, round(seconds / TIMESTEP_S))
+        self._lift(False, 0.0)
+        self._mujoco.mj_step(self._model, self._data, round(seconds / TIMESTEP_S))
+        self._tyres.weigh(self._data)
         self._zero_rad = self._data.qpos[self._angles].copy()
 
     @property
@@ -83,6 +81,12 @@ class Chair:
         return np.asarray(self._data.qpos[self._angles] - self._zero_rad)
 
     @property
+    def swivels_rad(self) -> FloatArray:
+        """(2,) directions of the left and right castor's fork against the frame; 0 for one that trails behind."""
+        joints = [self._model.joint(f"{PREFIX}{side}_swivel") for side in ("left", "right")]
+        return np.array([float(self._data.qpos[int(joint.qposadr[0])]) for joint in joints])
+
+    @property
     def yaw_rate_rad_s(self) -> float:
         """About the base's z axis, as a gyroscope on it feels it."""
         return float(self._velocity[5])
@@ -93,57 +97,31 @@ class Chair:
         return bool(self._data.warning.number.any())
 
     def obey(self, v_m_s: float, yaw_rate_rad_s: float) -> None:
-        """Sets the motors' speeds, by the nominal wheels as the owner entered them."""
-        nominal = Robot()
-        across = yaw_rate_rad_s * nominal.track_width_m / 2
-        self._data.ctrl[:] = (v_m_s - across) / nominal.left_radius_m, (v_m_s + across) / nominal.right_radius_m
+        """Sets the motors' speeds, by the wheels as the owner believes them to be."""
+        across_m_s = yaw_rate_rad_s * self._nominal.track_width_m / 2
+        self._data.ctrl[0] = (v_m_s - across_m_s) / self._nominal.left_radius_m
+        self._data.ctrl[1] = (v_m_s + across_m_s) / self._nominal.right_radius_m
 
     def step(self, stamp_s: float, steps: int) -> None:
         """Goes on by so many time steps with the floor, the rider and the faults of `stamp_s`."""
-        self._lift(is_during(stamp_s, self._faults.lifted_s), steps * TIMESTEP_S)
-        if self._faults.patches:
-            self._grip()
+        if self._faults.lifted_s:
+            self._lift(is_during(stamp_s, self._faults.lifted_s), steps * TIMESTEP_S)
+        self._tyres.grip(self._data)
         if self._slip:
             self._disturb(steps * TIMESTEP_S)
         self._mujoco.mj_step(self._model, self._data, steps)
 
-    def _grip(self) -> None:
-        """Each wheel's friction by the patch it stands on."""
-        for pair, geom, usual in zip(self._pairs, self._wheel_bodies, self._friction, strict=True):
-            x, y = self._data.geom_xpos[geom, :2]
-            self._model.pair_friction[pair] = usual
-            for patch in self._faults.patches:
-                if math.hypot(x - patch.x_m, y - patch.y_m) < patch.radius_m:
-                    self._model.pair_friction[pair, :2] = patch.friction
-
     def _lift(self, is_lifted: bool, seconds: float) -> None:
-        """Moves the jack under the left end of the axle towards the ground, or back up."""
-        goal = self._jack_down_m if is_lifted else self._jack_up_m
-        step = _LIFT_M_S * seconds
-        self._jack_m += min(max(goal - self._jack_m, -step), step)
+        """Moves the jack under the left end of the axle down against the ground, or back up."""
+        goal_m = self._lowest_m if is_lifted else self._lowest_m + 2 * LIFT_M
+        step_m = _LIFT_M_S * seconds
+        self._jack_m += min(max(goal_m - self._jack_m, -step_m), step_m)
         self._model.geom_pos[self._jack, 2] = self._jack_m
 
     def _disturb(self, seconds: float) -> None:
-        """A floor that is not quite level where the wheelchair stands, and a rider who shifts about."""
-        slope = self._floor.slope(self._pose[0], self._pose[1])
+        """The floor's slope, and a rider who shifts about and pushes the wheelchair a little."""
+        slope = self._floor.slope(float(self._pose[0]), float(self._pose[1]))
         self._model.opt.gravity[:2] = -_GRAVITY_M_S2 * slope
         keep = math.exp(-seconds / _SWAY_S)
-        self._sway = keep * self._sway + _SWAY_N * math.sqrt(1 - keep**2) * self._rng.standard_normal(2)
-        self._data.xfrc_applied[self._base, :2] = self._sway
-
-
-class _Floor:
-    """The slope of a floor with waves of a few decimetres to metres, of one root mean square in x and in y."""
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        directions = rng.uniform(0, 2 * math.pi, _FLOOR_WAVES)
-        lengths_m = rng.uniform(*_FLOOR_WAVE_M, _FLOOR_WAVES)
-        self._waves = 2 * math.pi / lengths_m[:, None] * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
-        self._phases = rng.uniform(0, 2 * math.pi, _FLOOR_WAVES)
-        self._units = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
-        self._slope = _FLOOR_SLOPE * 2 / math.sqrt(_FLOOR_WAVES)
-
-    def slope(self, x_m: float, y_m: float) -> FloatArray:
-        """(2,) rise a metre along x and y."""
-        heights = np.sin(self._waves @ (x_m, y_m) + self._phases)
-        return np.asarray(self._slope * heights @ self._units)
+        self._sway_n = keep * self._sway_n + _SWAY_N * math.sqrt(1 - keep**2) * self._rng.standard_normal(2)
+        self._data.xfrc_applied[self._body, :2] = self._sway_n

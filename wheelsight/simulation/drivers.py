@@ -1,6 +1,6 @@
 """Who drives: along a route with rounded corners, with a stop at each corner, or by speeds from a file.
 
-A driver sees the true pose, as a person with eyes does, and asks for a forward speed and a yaw rate. That these change
+A driver sees the true pose, as a person with eyes does (or goes by the wheels alone), and asks for a forward speed and a yaw rate. That these change
 no faster than a person can bear is the drivers' own care; `ManualVelocities` is taken at its word.
 """
 
@@ -27,6 +27,7 @@ COMMAND_PERIOD_S = 0.02
 _ACCELERATION_M_S2, _YAW_ACCELERATION_RAD_S2 = 0.5, 1.5
 _CORNER_YAW_RATE_RAD_S, _TURN_RATE_RAD_S = 0.6, 0.8
 _ARRIVED_M, _ALIGNED_RAD = 0.005, 0.002
+_CREEPING = 0.02
 _PULL_PER_M, _PULL_PER_RAD = 4.0, 3.0
 
 
@@ -44,6 +45,11 @@ class Driver(Protocol):
     @property
     def T_world_start(self) -> FloatArray | None:
         """(4, 4) where the base has to stand at the start, or None where any place will do."""
+        ...
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether the pose this driver is given is that of the wheelchair's own dead reckoning, not the true one."""
         ...
 
     def command(self, stamp_s: float, T_world_base: FloatArray) -> Command | None:
@@ -64,6 +70,7 @@ class RouteFollower:
         self._along_m = 0.0
         self._ramp = _Ramp()
         self.T_world_start: FloatArray | None = se3.from_plane(*paths[0].at(0.0))
+        self.is_blind = False
 
     def command(self, stamp_s: float, T_world_base: FloatArray) -> Command | None:
         """The next command, or None at the end of the last path."""
@@ -96,8 +103,13 @@ class RouteFollower:
 class StopAndTurn:
     """Drives straight to each waypoint, stops, turns on the spot to the next: UMBmark's way round a square."""
 
-    def __init__(self, waypoints: ArrayLike, speed_m_s: float = 0.5, *, final_turn: bool = True) -> None:
+    def __init__(
+        self, waypoints: ArrayLike, speed_m_s: float = 0.5, *, final_turn: bool = True, is_blind: bool = False
+    ) -> None:
         """Waypoints (N, 2) in metres; with `final_turn` it ends in the direction of the first leg.
+
+        Blind, it steers by the wheels as their owner believes them to be, as UMBmark's robots do: its own odometry
+        says that it went round the square, and truth shows where it went.
 
         Raises:
             ConfigError: fewer than two waypoints, two alike in succession, or a speed no wheelchair has.
@@ -109,6 +121,7 @@ class StopAndTurn:
         self._goals = points[1:]
         self._yaws_rad = [*yaws_rad.tolist(), float(yaws_rad[0] if final_turn else yaws_rad[-1])]
         self._leg, self._is_driving = 0, True
+        self.is_blind = is_blind
         self._ramp = _Ramp()
         self.T_world_start: FloatArray | None = se3.from_plane(points[0, 0], points[0, 1], yaws_rad[0])
 
@@ -141,6 +154,7 @@ class ManualVelocities:
     """Speeds given for times: each holds until the next one, and the last one ends the drive."""
 
     T_world_start: FloatArray | None = None
+    is_blind = False
 
     def __init__(self, stamps_s: ArrayLike, v_m_s: ArrayLike, yaw_rates_rad_s: ArrayLike) -> None:
         """Arrays (N,); stamps from 0 s on. Raises ConfigError for arrays that do not fit, or speeds over the limit."""
@@ -224,12 +238,13 @@ def _speed_profile(path: Path2d, speed_m_s: float) -> FloatArray:
 
 def _braking_speed(left: float, rate: float) -> float:
     """From which a braking at `rate` ends after `left`, in m and m/s or in rad and rad/s."""
-    return max(math.sqrt(2 * rate * max(left, 0.0)), 0.01 if left > 0 else 0.0)
+    return max(math.sqrt(2 * rate * left), _CREEPING) if left > 0 else 0.0
 
 
 def _turning_rate(error_rad: float) -> float:
     """The yaw rate of a turn on the spot that has `error_rad` left: quick, then gently to the end."""
     rate = min(_TURN_RATE_RAD_S, 0.7 * _braking_speed(abs(error_rad), _YAW_ACCELERATION_RAD_S2), 3.0 * abs(error_rad))
+    rate = max(rate, _CREEPING) if abs(error_rad) > _ALIGNED_RAD else 0.0
     return math.copysign(rate, error_rad)
 
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wheelsight.calibration import Gyro
+from wheelsight.calibration import Gyro, Wheels
 from wheelsight.events import WheelTicks, YawRate
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.simulation.robot import Robot, WheelFaults
 
 GYRO_PERIOD_S = 0.01
@@ -37,11 +37,16 @@ class Encoders:
             self._counts += steps - self._steps
         self._steps = steps
 
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Of the left and right encoder, as the controller has them."""
+        return int(self._counts[0]), int(self._counts[1])
+
     def read(self, stamp_s: float) -> WheelTicks | None:
         """The counts, or None where the reading does not arrive."""
         if is_during(stamp_s, self._faults.dropouts_s):
             return None
-        return WheelTicks(stamp_s, int(self._counts[0]), int(self._counts[1]))
+        return WheelTicks(stamp_s, *self.counts)
 
 
 class Gyroscope:
@@ -58,6 +63,28 @@ class Gyroscope:
         self._bias_rad_s += self._walk_rad_s * self._rng.standard_normal()
         noise_rad_s = self._noise_rad_s * self._rng.standard_normal()
         return YawRate(stamp_s, float(yaw_rate_rad_s + self._bias_rad_s + noise_rad_s))
+
+
+class Reckoning:
+    """Where the wheelchair's own controller takes itself to be, by counts alone: what a blind driver steers by."""
+
+    def __init__(self, nominal: Wheels, T_world_start: FloatArray) -> None:
+        self._nominal = nominal
+        self._x_m, self._y_m = float(T_world_start[0, 3]), float(T_world_start[1, 3])
+        self._yaw_rad = math.atan2(T_world_start[1, 0], T_world_start[0, 0])
+        self._last = (0, 0)
+
+    def update(self, left: int, right: int) -> FloatArray:
+        """T_world_base (4, 4) as believed, from cumulative counts; each step is taken along its middle direction."""
+        left_m = self._nominal.left_m_per_tick * (left - self._last[0])
+        right_m = self._nominal.right_m_per_tick * (right - self._last[1])
+        turn_rad = (right_m - left_m) / self._nominal.track_width_m
+        middle_rad = self._yaw_rad + turn_rad / 2
+        self._x_m += (left_m + right_m) / 2 * math.cos(middle_rad)
+        self._y_m += (left_m + right_m) / 2 * math.sin(middle_rad)
+        self._yaw_rad += turn_rad
+        self._last = (left, right)
+        return se3.from_plane(self._x_m, self._y_m, self._yaw_rad)
 
 
 def is_during(stamp_s: float, spans_s: Sequence[tuple[float, float]]) -> bool:

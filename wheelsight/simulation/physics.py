@@ -15,7 +15,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.simulation._chair import Chair
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.drivers import COMMAND_PERIOD_S, Command, Driver
-from wheelsight.simulation.encoders import GYRO_PERIOD_S, Encoders, Gyroscope
+from wheelsight.simulation.encoders import GYRO_PERIOD_S, Encoders, Gyroscope, Reckoning
 from wheelsight.simulation.robot import TICK_PERIOD_S, Robot, WheelFaults
 from wheelsight.simulation.wheelchair import TIMESTEP_S
 from wheelsight.simulation.world import World
@@ -66,7 +66,8 @@ def simulate_drive(
     start = driver.T_world_start if driver.T_world_start is not None else _start_of(world)
     chair = Chair(world, robot, faults, start, slip=slip, rng=chair_rng)
     chair.settle(_SETTLING_S)
-    log = _Log(chair, Encoders(robot, faults, encoder_rng), Gyroscope(Gyro(), gyro_rng) if robot.has_gyro else None)
+    gyroscope = Gyroscope(Gyro(), gyro_rng) if robot.has_gyro else None
+    log = _Log(chair, Encoders(robot, faults, encoder_rng), gyroscope, Reckoning(robot.nominal, start))
     reason = _drive(chair, driver, log, time_limit_s, on_progress)
     return log.drive(reason)
 
@@ -80,7 +81,8 @@ def _drive(
         stamp_s = tick * TRUTH_PERIOD_S
         log.note(tick, stamp_s)
         if tick % _every(COMMAND_PERIOD_S) == 0:
-            command = driver.command(stamp_s, chair.T_world_base)
+            believed = log.T_world_believed()
+            command = driver.command(stamp_s, believed if driver.is_blind else chair.T_world_base)
             if command is None:
                 return ""
             reason = watch.trouble(stamp_s, chair, command)
@@ -96,8 +98,8 @@ def _drive(
 class _Log:
     """What is kept of a drive while it goes on."""
 
-    def __init__(self, chair: Chair, encoders: Encoders, gyroscope: Gyroscope | None) -> None:
-        self._chair, self._encoders, self._gyroscope = chair, encoders, gyroscope
+    def __init__(self, chair: Chair, encoders: Encoders, gyroscope: Gyroscope | None, reckoning: Reckoning) -> None:
+        self._chair, self._encoders, self._gyroscope, self._reckoning = chair, encoders, gyroscope, reckoning
         self._stamps_s: list[float] = []
         self._positions: list[FloatArray] = []
         self._quaternions: list[FloatArray] = []
@@ -116,6 +118,10 @@ class _Log:
             self._ticks += [] if reading is None else [reading]
         if self._gyroscope is not None and tick % _every(GYRO_PERIOD_S) == 0:
             self._yaw_rates.append(self._gyroscope.read(stamp_s, self._chair.yaw_rate_rad_s))
+
+    def T_world_believed(self) -> FloatArray:
+        """(4, 4) by the wheels alone."""
+        return self._reckoning.update(*self._encoders.counts)
 
     def drive(self, reason: str) -> Drive:
         """All of it."""

@@ -12,6 +12,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray
 
 TICK_PERIOD_S = 0.02
+NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M = 0.17, 0.52
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +33,9 @@ class Robot:
         ConfigError: a value that no wheelchair has.
     """
 
-    left_radius_m: float = 0.17
-    right_radius_m: float = 0.17
-    track_width_m: float = 0.52
+    left_radius_m: float = NOMINAL_RADIUS_M
+    right_radius_m: float = NOMINAL_RADIUS_M
+    track_width_m: float = NOMINAL_TRACK_WIDTH_M
     gear_ratio: float = 32.0
     counts_per_turn: int = 100
     length_m: float = 1.10
@@ -65,6 +66,12 @@ class Robot:
         T[:3, 0], T[:3, 1], T[:3, 2] = (0, -1, 0), (-s, 0, -c), (c, 0, -s)
         T[:3, 3] = self.camera_forward_m, 0, self.camera_height_m
         return T
+
+    @property
+    def nominal(self) -> Wheels:
+        """The wheels as their owner believes them to be: the data sheet's size, and this encoder and gear."""
+        radius_m, track_width_m = NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M
+        return Wheels(radius_m, radius_m, track_width_m, self.gear_ratio * self.counts_per_turn)
 
     @property
     def wheels(self) -> Wheels:

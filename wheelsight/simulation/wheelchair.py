@@ -22,15 +22,16 @@ ROLLING = ("left_wheel", "right_wheel", "left_castor", "right_castor")
 TIMESTEP_S = 0.0025
 FLOOR_FRICTION = 0.7
 LIFT_M = 0.01
+CASTOR_RADIUS_M = 0.08
 
-_CASTOR_RADIUS_M, _CASTOR_TRAIL_M = 0.08, 0.05
+_CASTOR_TRAIL_M = 0.05
 _CASTOR_X_M, _CASTOR_Y_M = 0.45, 0.17
 _TAIL_M = 0.30
 _CLEARANCE_M = 0.03
 _NO_SLIP_FRICTION = 3.0
-# Slip grows in proportion to force, as that of rubber does: about 0.02 mm/s a newton.
-_FRICTION_STIFFNESS = 0.02
-_STIFF, _SOFT = (2 * TIMESTEP_S, 1.0), (0.1, 1.0)
+# Soft enough for creep to be set at any speed, see `_ground.Tyres`; and hard, for wheels that must not slip.
+_FRICTION_TO_NORMAL_IMPEDANCE = {True: 0.05, False: 10.0}
+_STIFF = (2 * TIMESTEP_S, 1.0)
 _IMPEDANCE = (0.99, 0.99, 0.001, 0.5, 2.0)
 
 _MJCF = """
@@ -40,9 +41,9 @@ _MJCF = """
     <geom contype="0" conaffinity="0" mass="0" group="1"/>
     <default class="touch"><geom group="3" rgba="0.4 0.4 0.9 0.3"/></default>
     <default class="tyre"><geom type="cylinder" euler="1.5707963 0 0" rgba="0.1 0.1 0.1 1"/></default>
-    <default class="motor"><joint axis="0 1 0" armature="0.2" damping="0.05"/></default>
-    <default class="swivel"><joint axis="0 0 1" damping="0.02" frictionloss="0.02"/></default>
-    <default class="castor"><joint axis="0 1 0" damping="0.002" frictionloss="0.05"/></default>
+    <default class="motor"><joint axis="0 1 0" armature="0.2" damping="0.05" frictionloss="0.7"/></default>
+    <default class="swivel"><joint axis="0 0 1" damping="0.02" frictionloss="0.05"/></default>
+    <default class="castor"><joint axis="0 1 0" damping="0.002" frictionloss="0.2"/></default>
   </default>
   <worldbody>
     <body name="base">
@@ -60,8 +61,8 @@ _MJCF = """
     </body>
   </worldbody>
   <actuator>
-    <velocity name="left_motor" joint="left_wheel" kv="60" forcerange="-45 45"/>
-    <velocity name="right_motor" joint="right_wheel" kv="60" forcerange="-45 45"/>
+    <velocity name="left_motor" joint="left_wheel" kv="400" forcerange="-45 45"/>
+    <velocity name="right_motor" joint="right_wheel" kv="400" forcerange="-45 45"/>
   </actuator>
 </mujoco>
 """
@@ -98,7 +99,7 @@ def wheelchair_mjcf(robot: Robot) -> str:
         for side, y, radius in (("left", half_y, robot.left_radius_m), ("right", -half_y, robot.right_radius_m))
     ]
     castors = [
-        _CASTOR.format(side=side, x=_CASTOR_X_M, y=y, radius=_CASTOR_RADIUS_M, trail=-_CASTOR_TRAIL_M)
+        _CASTOR.format(side=side, x=_CASTOR_X_M, y=y, radius=CASTOR_RADIUS_M, trail=-_CASTOR_TRAIL_M)
         for side, y in (("left", _CASTOR_Y_M), ("right", -_CASTOR_Y_M))
     ]
     return _MJCF.format(
@@ -152,7 +153,7 @@ def _add_contacts(spec: mujoco.MjSpec, *, slip: bool) -> None:
     option.timestep = TIMESTEP_S
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.impratio = _FRICTION_STIFFNESS if slip else 10.0
+    option.impratio = _FRICTION_TO_NORMAL_IMPEDANCE[slip]
     option.noslip_iterations = 0 if slip else 20
     friction = FLOOR_FRICTION if slip else _NO_SLIP_FRICTION
     for name in (*ROLLING, "jack"):
@@ -162,6 +163,6 @@ def _add_contacts(spec: mujoco.MjSpec, *, slip: bool) -> None:
             geomname2=PREFIX + name,
             condim=3,
             friction=(friction, friction, 0.005, 0.0001, 0.0001),
-            solref=_SOFT if name == "jack" else _STIFF,
+            solref=_STIFF,
             solimp=_IMPEDANCE,
         )
