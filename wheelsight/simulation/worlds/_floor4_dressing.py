@@ -25,11 +25,11 @@ def dress(building: Building) -> None:
 
 def _corridor_1(building: Building) -> None:
     """Doors in even rhythm on both sides, notices between them."""
-    building.doors("south", "door_oak", 4.5, 11.0, 17.5, 24.0, 30.5)
+    building.doors("south", "door_oak", 1.2, 4.5, 11.0, 17.5, 24.0, 30.5)
     building.doors("core_south", "door_oak", 35 - 4.5, 35 - 14.5, 35 - 18.5, 35 - 28.0, 35 - 32.0)
     building.hang("south", "notice_board", "notice_cork", 14.2, 2.4, 0.9, 2.1)
     building.posters(
-        "south", (1.0, 3.0), (6.0, 8.0), (8.5, 10.2), (19.0, 21.0), (21.2, 23.2), (26.0, 28.0), (32.0, 34.0)
+        "south", (2.0, 3.8), (6.0, 8.0), (8.5, 10.2), (19.0, 21.0), (21.2, 23.2), (26.0, 28.0), (32.0, 34.0)
     )
     building.posters("core_south", (0.6, 2.2), (4.2, 5.9), (8.0, 9.8), (14.0, 16.0), (17.4, 19.6), (27.0, 29.6))
     building.lamps(*[(x, 1.4) for x in (6.0, 14.0, 22.0, 30.0)])
@@ -65,7 +65,7 @@ def _stairs(building: Building) -> None:
         building.box(f"step_{step + 1}", "concrete", Spot(37.3, 23.9 + 0.3 * step), (2.6, 0.3), 0.0, 0.17 * (step + 1))
     building.posters("stairs_east", (0.2, 1.6), (4.4, 5.8))
     building.hang("stairs_north", "sign", "sign", 5.55, 0.4, 1.5, 2.1)
-    building.posters("stairs_north", (0.5, 2.2))
+    building.posters("stairs_north", (0.2, 2.2))
     bin_beside(building, "stairs_east", 4.6, 5.6)
     building.lamps((38.0, 20.0))
 
@@ -93,9 +93,9 @@ def _hall(building: Building) -> None:
 def _kitchen(building: Building) -> None:
     """A counter with cupboards before tiles, vending machines, a table."""
     counter = building.faces["kitchen_west"]
-    building.box("kitchen_counter", "wood_light", counter.spot(2.4, 0.3), (3.2, 0.6), 0.0, 0.88)
-    building.box("kitchen_top", "steel", counter.spot(2.4, 0.31), (3.24, 0.64), 0.88, 0.92)
-    building.box("kitchen_cupboard", "door_white", counter.spot(2.4, 0.18), (3.2, 0.36), 1.45, 2.1)
+    building.box("kitchen_counter", "wood_light", counter.spot(2.9, 0.3), (3.2, 0.6), 0.0, 0.88)
+    building.box("kitchen_top", "steel", counter.spot(2.9, 0.31), (3.24, 0.64), 0.88, 0.92)
+    building.box("kitchen_cupboard", "door_white", counter.spot(2.9, 0.18), (3.2, 0.36), 1.45, 2.1)
     machines = building.faces["kitchen_north"]
     building.box("machine", "machine", machines.spot(1.3, 0.4), (0.95, 0.78), 0.0, 1.85)
     building.box("machine_dark", "screen", machines.spot(2.35, 0.38), (0.8, 0.74), 0.0, 1.8)
@@ -103,7 +103,8 @@ def _kitchen(building: Building) -> None:
     table(building, "kitchen_table", Spot(24.0, 16.6), (0.8, 1.2))
     chair(building, "kitchen_chair", Spot(23.9, 15.65, building.rng.uniform(-0.3, 0.3)), "fabric_red")
     chair(building, "kitchen_chair", Spot(24.0, 17.6, math.pi + building.rng.uniform(-0.3, 0.3)), "fabric_red")
-    building.posters("core_kitchen", (0.6, 2.6), (3.4, 5.4))
+    building.hang("core_kitchen", "notice_board", "notice_cork", 3.6, 1.8, 0.9, 2.1)
+    building.posters("core_kitchen", (0.6, 2.4), (4.6, 5.4))
     bin_beside(building, "core_kitchen", 0.5, 1.6)
     building.lamps((21.8, 18.3), along_x=False)
 
@@ -127,18 +128,19 @@ def _corridor_8(building: Building) -> None:
     """Windows over radiators, few doors."""
     building.doors("core_west", "door_oak", 1.8, 9.6)
     building.posters("core_west", (2.8, 4.6), (6.9, 8.6), (10.4, 11.6))
-    building.posters("west", (0.6, 2.0), (14.0, 16.0))
+    building.hang("west", "notice_board", "notice_cork", 1.3, 1.6, 0.9, 2.1)
+    building.hang("west", "notice_board", "notice_felt", 15.9, 1.4, 0.9, 2.1)
     for y in (4.5, 7.5, 10.5, 13.5):
         building.hang("west", "radiator", "radiator", 17.2 - y, 1.4, 0.15, 0.75, 0.1, is_solid=True)
     building.posters("west", (4.7, 5.7), (7.7, 8.7), (10.7, 11.7))
-    bin_beside(building, "west", 14.0, 15.4)
+    bin_beside(building, "west", 13.9, 14.3)
     building.lamps((1.2, 5.5), (1.2, 12.0), along_x=False)
 
 
 def _rooms(building: Building) -> None:
     """Behind the doorways, where a camera that passes looks in."""
     desk(building, "office_desk", building.faces["office_back"].spot(2.6))
-    shelf(building, "office_shelf", building.faces["office_last"].spot(1.8), 1.6)
+    shelf(building, "office_shelf", building.faces["office_last"].spot(1.8), 1.6, rows=3)
     building.posters("office_back", (3.4, 4.8))
     building.box("copier", "plastic_grey", building.faces["alcove_back"].spot(0.9, 0.35), (1.1, 0.65), 0.0, 1.05)
     building.box("copier_top", "plastic_black", building.faces["alcove_back"].spot(0.9, 0.37), (0.9, 0.6), 1.05, 1.13)
@@ -150,5 +152,5 @@ def _rooms(building: Building) -> None:
     desk(building, "laboratory_desk", building.faces["laboratory_back"].spot(2.2))
     building.box("cupboard", "wood_light", building.faces["laboratory_last"].spot(1.2, 0.25), (1.6, 0.5), 0.0, 1.95)
     building.posters("laboratory_back", (0.2, 1.4))
-    shelf(building, "studio_shelf", building.faces["studio_back"].spot(2.3), 2.0)
+    shelf(building, "studio_shelf", building.faces["studio_back"].spot(2.3), 2.0, rows=3)
     table(building, "studio_table", Spot(8.4, 19.0), (1.2, 0.8))

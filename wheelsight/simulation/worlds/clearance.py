@@ -18,7 +18,10 @@ from wheelsight.simulation.world import World
 LOWEST_M = 0.05  # what is lower, a wheelchair rolls over
 HIGHEST_M = 1.0  # what is higher, it passes under
 _CIRCLE_SEGMENTS = 16  # in a quarter
-_ROUND = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+_SPHERE, _CYLINDER, _ELLIPSOID = (
+    int(kind)
+    for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +150,7 @@ def _footprints(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Footprin
         R, middle = data.geom_xmat[k].reshape(3, 3), data.geom_xpos[k]
         centre, half = model.geom_aabb[k, :3], model.geom_aabb[k, 3:]
         corners = middle + (centre + half * np.array(list(product((-1, 1), repeat=3)))) @ R.T
-        is_upright_round = model.geom_type[k] in _ROUND and abs(R[2, 2]) > 0.999
+        is_upright_round = int(model.geom_type[k]) in (_SPHERE, _CYLINDER, _ELLIPSOID) and abs(R[2, 2]) > 0.999
         if is_upright_round:
             polygon = shapely.Point(middle[:2]).buffer(max(half[:2]), _CIRCLE_SEGMENTS)
         else:
