@@ -178,7 +178,7 @@ def _beside_edge(
 
 
 @njit(cache=True, nogil=True)
-def _obliqueness(cosine: float) -> float:
+def _obliqueness(cosine: float) -> Any:
     """θ² / (π/2 - θ)², the growth of noise with the angle of incidence in Nguyen's and Fankhauser's models."""
     angle = np.arccos(min(max(cosine, 0.02), 1.0))
     return (angle / (0.5 * np.pi - angle)) ** 2

@@ -222,7 +222,10 @@ class TimeOfFlight:
 
 def _light(view: View, scattered: FloatArray) -> tuple[Any, Any]:
     R_world_rows = np.ascontiguousarray(view.T_world_camera[:, :3, :3])
-    return kernels.returned_light(view.depth_m, view.geom, view.normal_world, R_world_rows, view.rays, scattered)  # type: ignore[no-any-return]
+    cosine, light = kernels.returned_light(
+        view.depth_m, view.geom, view.normal_world, R_world_rows, view.rays, scattered
+    )
+    return cosine, light
 
 
 def _correlated(rng: np.random.Generator, shape: tuple[int, ...], sigma_px: float) -> NDArray[np.float32]:
@@ -233,7 +236,7 @@ def _correlated(rng: np.random.Generator, shape: tuple[int, ...], sigma_px: floa
     reach = math.ceil(3 * sigma_px)
     weights = cv2.getGaussianKernel(2 * reach + 1, sigma_px, cv2.CV_32F)
     # Weights that keep the deviation, not the sum.
-    weights /= np.linalg.norm(weights)
+    weights = weights / np.linalg.norm(weights)
     return np.asarray(cv2.sepFilter2D(white, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_REFLECT_101))
 
 
