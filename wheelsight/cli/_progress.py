@@ -20,22 +20,26 @@ from wheelsight.cli._console import console
 
 
 class _Rate(ProgressColumn):
-    """Frames a second, once there are some."""
+    """Frames, or another unit, a second, once there are some."""
+
+    def __init__(self, unit: str) -> None:
+        super().__init__()
+        self._unit = unit
 
     def render(self, task: Task) -> Text:
-        return Text("" if task.speed is None else f"{task.speed:.0f} frames/s")
+        return Text("" if task.speed is None else f"{task.speed:.0f} {self._unit}/s")
 
 
 class FrameProgress:
     """Shows frame, rate, status and time left on stderr while its `with` block runs; `status` until the first frame."""
 
-    def __init__(self, action: str, frame_count: int, status: str = "") -> None:
+    def __init__(self, action: str, frame_count: int | None, status: str = "", unit: str = "frames") -> None:
         stderr = console(stderr=True)
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
-            _Rate(),
+            _Rate(unit),
             TextColumn("{task.fields[status]}"),
             TimeRemainingColumn(compact=True),
             console=stderr,
@@ -56,3 +60,7 @@ class FrameProgress:
     def advance(self, status: str = "") -> None:
         """One frame more."""
         self._progress.update(self._task, advance=1, status=status)
+
+    def reach(self, done: float, total: float | None) -> None:
+        """So much is done by now, of a total that is only now known, or not yet."""
+        self._progress.update(self._task, completed=int(done), total=None if total is None else int(total))

@@ -1,0 +1,166 @@
+"""Simulate a drive, and write it down: the verbs behind `wheelsight simulate`."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wheelsight import __version__
+from wheelsight.areas import save_areas
+from wheelsight.calibration import save_calibration
+from wheelsight.errors import ConfigError
+from wheelsight.events import RgbdFrame
+from wheelsight.files import make_output_folder, write_bytes, write_text
+from wheelsight.geometry import se3
+from wheelsight.recordings import RecordingWriter
+from wheelsight.simulation._way import driver_of, expected_s, refuse_walls, route_of
+from wheelsight.simulation.cameras import camera_model
+from wheelsight.simulation.physics import simulate_drive
+from wheelsight.simulation.renderer import Renderer
+from wheelsight.simulation.settings import SimulationSettings
+from wheelsight.simulation.simulated_recording import SimulatedRecording
+from wheelsight.simulation.worlds import build_world
+from wheelsight.trajectory import Trajectory
+
+_LONGEST_DRIVE_S = 4 * 3600.0
+_FORMAT = "wheelsight-simulation-1"
+_PARTS = ("mujoco", "numpy", "numba", "opencv-python-headless")
+
+
+def simulate(
+    settings: SimulationSettings,
+    on_progress: Callable[[float, float | None], None] | None = None,
+    *,
+    refused: Path | None = None,
+) -> SimulatedRecording:
+    """Drive through a world as the settings say; images are rendered when the recording's events are asked for.
+
+    Args:
+        settings: all there is to say.
+        on_progress: told about once a simulated second how many seconds are driven, and of about how many.
+        refused: where a picture goes that shows why a way cannot be driven; none is drawn otherwise.
+
+    Raises:
+        ConfigError: an unknown world or camera, a value out of range, a way through a wall, or MuJoCo is missing.
+        InputError: a file of velocities that cannot be read; names file and line.
+    """
+    need_mujoco()
+    camera = camera_model(settings.camera, settings.size)
+    world = build_world(settings.world, settings.seed)
+    driver = driver_of(settings, world)
+    refuse_walls(settings, world, driver, refused)
+    total_s = expected_s(settings, world)
+    drive = simulate_drive(
+        world,
+        settings.robot,
+        driver,
+        faults=settings.faults,
+        slip=settings.has_slip,
+        seed=settings.seed,
+        time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
+        on_progress=None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s),
+    )
+    return SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
+
+
+def need_mujoco() -> None:
+    """Raises ConfigError where the simulator's extra is not installed."""
+    if find_spec("mujoco") is None:
+        raise ConfigError("the simulator needs MuJoCo", fix='pip install "wheelsight[sim]"')
+
+
+def write_simulation(
+    recording: SimulatedRecording,
+    folder: Path | str,
+    *,
+    force: bool = False,
+    on_frame: Callable[[RgbdFrame], None] | None = None,
+) -> RecordingWriter:
+    """Render a simulated recording into a folder in wheelsight's own layout; answers the closed writer.
+
+    Beside what every recording has, the folder gets areas.yaml, labels.csv, plan.png, and in truth/ the true
+    calibration, the settings and the world. The same settings leave the same bytes. Whatever breaks the writing off
+    leaves a valid shorter recording, its truth and labels as far as its frames.
+
+    Args:
+        recording: from `simulate`.
+        folder: made if need be.
+        force: write into a folder that holds something already.
+        on_frame: called after each frame, for a progress bar.
+
+    Raises:
+        OutputError: the folder is not empty and `force` is off, cannot be written, or the disk is full.
+    """
+    with RecordingWriter(folder, recording.calibration, force) as writer:
+        _write_surroundings(recording, writer.folder)
+        truth = _TruthInSteps(recording, writer)
+        events = recording.events()
+        try:
+            for event in events:
+                if isinstance(event, RgbdFrame):
+                    truth.write_until(event.stamp_s)
+                    writer.add_label(event.stamp_s, recording.area_at(event.stamp_s))
+                writer.add(event)
+                if on_frame is not None and isinstance(event, RgbdFrame):
+                    on_frame(event)
+        finally:
+            events.close()
+        truth.write_until(np.inf)
+    return writer
+
+
+class _TruthInSteps:
+    """Writes the truth of base and camera as far as events are written."""
+
+    def __init__(self, recording: SimulatedRecording, writer: RecordingWriter) -> None:
+        self._base = recording.ground_truth
+        self._T_base_camera = recording.settings.robot.T_base_camera
+        self._writer = writer
+        self._written = 0
+
+    def write_until(self, stamp_s: float) -> None:
+        """All poses up to the first one at or after `stamp_s`."""
+        end = int(np.searchsorted(self._base.stamps_s, stamp_s)) + 1
+        base = self._base.select(slice(self._written, end))
+        self._written = max(self._written, end)
+        camera = Trajectory(base.stamps_s, se3.compose(base.T_world_body, self._T_base_camera), body="camera")
+        for truth in (base, camera):
+            self._writer.append_ground_truth(truth)
+
+
+def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:
+    """All that is known before the first frame."""
+    from wheelsight.simulation.plan import draw_plan
+
+    settings, world = recording.settings, recording.world
+    if world.areas.areas:
+        save_areas(world.areas, folder / "areas.yaml")
+    draw_plan(
+        world, folder / "plan.png", route=route_of(settings, world), track=recording.ground_truth.positions_m[:, :2]
+    )
+    truth = make_output_folder(folder / "truth", force=True)
+    save_calibration(recording.true_calibration, truth / "calibration.yaml")
+    write_text(truth / "world.xml", world.mjcf)
+    write_text(truth / "settings.yaml", _settings_text(recording))
+    if settings.velocities is not None:
+        write_bytes(truth / "velocities.csv", settings.velocities.read_bytes())
+
+
+def _settings_text(recording: SimulatedRecording) -> str:
+    import yaml
+
+    drive = recording.drive
+    versions = {"wheelsight": __version__, "python": platform.python_version()}
+    document: dict[str, Any] = {
+        "format": _FORMAT,
+        "settings": recording.settings.to_dict(),
+        "drive": {"duration_s": drive.duration_s, "is_complete": drive.is_complete, "reason": drive.reason},
+        "versions": versions | {part: version(part) for part in _PARTS},
+    }
+    return str(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100))

@@ -1,0 +1,115 @@
+"""A simulated drive as a recording: events in order of time, rendered as they are asked for."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.events import Event
+from wheelsight.recordings import AssociationReport
+from wheelsight.simulation.drive import Drive
+from wheelsight.simulation.renderer import Renderer
+from wheelsight.simulation.robot import Robot
+from wheelsight.simulation.settings import SimulationSettings
+from wheelsight.simulation.world import World
+from wheelsight.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedRecording:
+    """A `Recording` that needs no disk; memory stays flat however long the drive is. Attributes beside the protocol's:
+
+    settings: what it was made of.
+    world: what was driven through.
+    drive: what physics left; `ground_truth` is its truth.
+    renderer: makes the frames.
+    """
+
+    settings: SimulationSettings
+    world: World
+    drive: Drive
+    renderer: Renderer
+
+    @property
+    def name(self) -> str:
+        """World and seed."""
+        return f"{self.settings.world}-{self.settings.seed}"
+
+    @property
+    def path(self) -> Path:
+        """No folder holds it; this says where it came from."""
+        return Path("simulation") / self.name
+
+    @property
+    def format(self) -> str:
+        """No reader's: it was simulated."""
+        return "simulation"
+
+    @property
+    def body(self) -> str:
+        """The robot's base."""
+        return "base"
+
+    @property
+    def calibration(self) -> Calibration:
+        """What the robot's owner measured: the nominal wheels and camera mount, none of the errors injected."""
+        return calibration_of(Robot(has_gyro=self.settings.robot.has_gyro), self.renderer.calibration, "nominal")
+
+    @property
+    def true_calibration(self) -> Calibration:
+        """What the robot truly is."""
+        return calibration_of(self.settings.robot, self.renderer.calibration, "true")
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames `events()` will yield."""
+        return self.renderer.frame_count
+
+    @property
+    def wheel_count(self) -> int:
+        """How many wheel readings `events()` will yield."""
+        return len(self.drive.ticks)
+
+    @property
+    def association(self) -> AssociationReport:
+        """Each colour image has its depth image, of the same moment."""
+        count = self.frame_count
+        return AssociationReport(count, count, count, 0.0)
+
+    @property
+    def ground_truth(self) -> Trajectory:
+        """T_world_base, as physics had it."""
+        return self.drive.truth
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Why the drive ended before the end of its route, unless that was asked for."""
+        is_asked_for = self.settings.duration_s is not None and self.drive.duration_s >= self.settings.duration_s
+        if self.drive.is_complete or is_asked_for:
+            return ()
+        return (f"The drive ended early: {self.drive.reason}.",)
+
+    def events(self) -> Generator[Event]:
+        """Readings and frames in order of time, from the start at each call; frames are rendered a few ahead."""
+        frames = self.renderer.frames()
+        sources: tuple[Iterable[Event], ...] = (self.drive.yaw_rates, self.drive.ticks, frames)
+        try:
+            yield from heapq.merge(*sources, key=lambda event: event.stamp_s)
+        finally:
+            frames.close()
+
+    def area_at(self, stamp_s: float) -> str | None:
+        """The area in which the base truly was."""
+        T_world_base = self.drive.truth.at(np.clip(stamp_s, *self.drive.truth.stamps_s[[0, -1]]))[0]
+        return self.world.areas.name_at(float(T_world_base[0, 3]), float(T_world_base[1, 3]))
+
+
+def calibration_of(robot: Robot, camera: Calibration, kind: str) -> Calibration:
+    """Cameras, mount and wheels in one; `camera` is the calibration of the camera alone, `kind` a word for reports."""
+    source = f"{camera.source}, {kind} wheelchair, simulated"
+    return replace(camera, T_base_camera=robot.T_base_camera, wheels=robot.wheels, source=source)
