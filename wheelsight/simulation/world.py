@@ -26,6 +26,7 @@ class Surface:
         contrast: how strongly the texture's detail differs from the main colour, 0 to 1.
         infrared: reflectance at the depth camera's wavelength, 0 to 1; below about 0.1 little returns.
         shine: share of the light that is mirrored away rather than scattered, 0 to 1.
+        glow: light it sends out itself; the lamps of an office send about 5.
     """
 
     kind: SurfaceKind
@@ -35,6 +36,7 @@ class Surface:
     contrast: float = 0.5
     infrared: float = 0.6
     shine: float = 0.0
+    glow: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
