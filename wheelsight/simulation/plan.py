@@ -165,7 +165,7 @@ def _free_place(polygon: FloatArray, crowd: shapely.Geometry, width_m: float, he
 
 def _draw_route(axes: Axes, waypoints: FloatArray) -> None:
     """The way as a line, its waypoints as dots, and an arrow that leaves the first one."""
-    axes.plot(*waypoints.T, color=_ROUTE, lw=2, alpha=0.9, zorder=6, solid_joinstyle="round")
+    axes.plot(*waypoints.T, color=_ROUTE, lw=2, zorder=6, solid_joinstyle="round")
     axes.plot(*waypoints.T, "o", ms=4, color=_ROUTE, zorder=6)
     start = waypoints[0]
     axes.plot(*start, "o", ms=9, mfc="white", mec=_ROUTE, mew=2, zorder=8)

@@ -327,9 +327,9 @@ class Building:
 def _add_view(root: ET.Element, extent_m: float) -> None:
     """Light from the viewer's head, and a near plane close enough for rooms; MuJoCo takes it in extents."""
     visual = ET.SubElement(root, "visual")
-    ET.SubElement(visual, "headlight", ambient="0.45 0.45 0.45", diffuse="0.35 0.35 0.35", specular="0.1 0.1 0.1")
+    ET.SubElement(visual, "headlight", ambient="0.55 0.55 0.55", diffuse="0.45 0.45 0.45", specular="0.1 0.1 0.1")
     ET.SubElement(visual, "map", znear=f"{0.05 / extent_m:.6g}", zfar="10")
-    ET.SubElement(visual, "global", azimuth="-90", elevation="-60", offwidth="1280", offheight="960")
+    ET.SubElement(visual, "global", azimuth="90", elevation="-60", offwidth="1280", offheight="960")
 
 
 def _growth(
