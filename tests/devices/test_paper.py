@@ -113,6 +113,25 @@ def late(stamps_s: np.ndarray, rng: np.random.Generator) -> list[float]:
     return read
 
 
+def test_halves_of_a_pair_that_come_apart_are_joined() -> None:
+    """As a USB adapter hands them over, or a host that was held up between them."""
+    decoder = PaperDecoder()
+    got = [*decoder.feed(pair(1, 2), 0.0), *decoder.feed(pair(3, 4)[:1], 0.02), *decoder.feed(pair(3, 4)[1:], 0.036)]
+    got += decoder.feed(pair(5, 6), 0.04)
+    assert [(pulses.left, pulses.right) for pulses in got] == [(1, 2), (3, 4), (5, 6)]
+    assert (decoder.torn, decoder.statistics.malformed) == (1, 0)
+
+
+def test_a_host_held_up_within_a_pair_still_takes_it_for_one(counts: np.ndarray) -> None:
+    decoder, got = LineDecoder(), []
+    for n, (left, right) in enumerate(counts.tolist()):
+        first, second = pair(left, right)
+        got += decoder.feed(bytes([first]), PERIOD_S * n)
+        got += decoder.feed(bytes([second]), PERIOD_S * n + 0.009, lay_waiting=True)
+    got += decoder.feed(b"", PERIOD_S * len(counts))
+    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_busy_host_neither_loses_nor_doubles_a_pulse(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -25,7 +25,7 @@ def port(chip: Chip) -> Iterator[str]:
     chip.ask("still")
 
 
-def wait(is_so: Callable[[], bool], seconds: float = 10) -> None:
+def wait(is_so: Callable[[], bool], seconds: float = 30) -> None:
     until = time.monotonic() + seconds
     while not is_so():
         assert time.monotonic() < until, "it never came"

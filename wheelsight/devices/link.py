@@ -230,16 +230,17 @@ class WheelLink:
 
     def _step(self) -> None:
         assert self._serial is not None
-        data = self._serial.read(self._serial.in_waiting or 1)
+        waiting = self._serial.in_waiting
+        data = self._serial.read(waiting or 1)
         now_s = time.monotonic()
         if data:
             self._heard_s = now_s
-        self._receive(data, now_s)
+        self._receive(data, now_s, waiting > 0)
         self._commands.keep_alive(now_s)
         self._judge(now_s)
 
-    def _receive(self, data: bytes, now_s: float) -> None:
-        for message in self._decoder.feed(data, self._unix_s + now_s):
+    def _receive(self, data: bytes, now_s: float, lay_waiting: bool) -> None:
+        for message in self._decoder.feed(data, self._unix_s + now_s, lay_waiting):
             self._understood_s = now_s
             if isinstance(message, Counts):
                 restarts = self._tracker.restarts

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from wheelsight.devices.protocol import LineStatistics
 
 SILENCE_S = 0.005
+_LATEST_PARTNER_S = 1.0
 
 
 class Pulses(NamedTuple):
@@ -28,41 +29,46 @@ class Pulses(NamedTuple):
 
 
 class PaperDecoder:
-    """Pairs bytes by the silence between pairs; a byte whose partner does not come in time is dropped and counted.
+    """Pairs bytes by the silence between pairs.
 
-    Where the host was away and several pairs come at once, they are taken in twos. In `statistics`, `frames` are
-    pairs and `malformed` are bytes without a partner. A lost pair cannot be noticed: the format has no sequence.
+    A byte left over waits for the next run of bytes: where that is odd too, it holds the partner, held up on its way;
+    else the partner was lost, and the byte is dropped and counted. Where the host was away and several pairs come at
+    once, they are taken in twos. In `statistics`, `frames` are pairs and `malformed` are bytes without a partner. A
+    lost pair cannot be noticed: the format has no sequence.
+
+    Attributes:
+        statistics: what came.
+        torn: pairs whose second byte was held up.
     """
 
     def __init__(self) -> None:
         self.statistics = LineStatistics()
-        self._first: int | None = None
-        self._first_follows_silence = True
+        self.torn = 0
+        self._first = b""
         self._arrival_s = -float("inf")
 
-    def feed(self, data: bytes, arrival_s: float) -> list[Pulses]:
-        """The pairs that `data`, read at `arrival_s` seconds, completes. Raises nothing, whatever comes."""
-        statistics = self.statistics
-        statistics.bytes += len(data)
-        after_silence = arrival_s - self._arrival_s > SILENCE_S
+    def feed(self, run: bytes, arrival_s: float) -> list[Pulses]:
+        """The pairs that a run of bytes completes, with a silence before and behind it. Raises nothing.
+
+        Args:
+            run: at least one byte.
+            arrival_s: when the last of them was read, seconds.
+        """
+        is_torn = bool(self._first) and len(run) % 2 == 1 and arrival_s - self._arrival_s < _LATEST_PARTNER_S
+        self.torn += is_torn
+        self.statistics.malformed += bool(self._first) and not is_torn
+        self.statistics.bytes += len(run)
         self._arrival_s = arrival_s
-        if after_silence and self._first is not None:
-            statistics.malformed += 1
-            self._first = None
-        pairs = []
-        for byte in data:
-            if self._first is None:
-                self._first, self._first_follows_silence = byte, after_silence
-            else:
-                pairs.append(Pulses(arrival_s, _signed(byte), _signed(self._first), self._first_follows_silence))
-                self._first = None
-            after_silence = False
-        statistics.frames += len(pairs)
-        return pairs
+        if is_torn:
+            run = self._first + run
+        whole = len(run) // 2 * 2
+        self._first = run[whole:]
+        self.statistics.frames += whole // 2
+        return [Pulses(arrival_s, _signed(run[n + 1]), _signed(run[n]), n == 0) for n in range(0, whole, 2)]
 
     def forget(self) -> None:
         """Drop a byte that waits for its partner: what follows is another stream."""
-        self._first = None
+        self._first = b""
 
 
 def _signed(byte: int) -> int:

@@ -13,9 +13,9 @@ EVIDENCE_S = 0.5
 _FEWEST_A_SECOND, _MOST_A_SECOND = 30, 300
 _MOST_AT_ONCE = 2048  # a system's buffer holds so many, for a host that was away
 _MOST_PULSES = 110
-_SHARE_ALONE = 0.7
+_SHARE_ALONE = 0.6
 _SHARE_BELIEVABLE = 0.9
-_SHARE_OF_ORPHANS = 0.1
+_SHARE_TORN = 0.2
 _FEWEST_DOUBTED = 10
 _MOST_KEPT = 400
 _MOST_HELD_BYTES = 1024
@@ -45,11 +45,11 @@ class LineDecoder:
         self.format: Format | None = None
         self._frames = FrameDecoder()
         self._paper = PaperDecoder()
-        self._held: deque[tuple[bytes, float]] = deque()
+        self._held: list[tuple[bytes, float]] = []  # runs of bytes between silences, and when the last of each came
         self._heard_s = -float("inf")
         self._expects_frames = False
         self._evidence: deque[Pulses] = deque(maxlen=_MOST_KEPT)
-        self._orphans: deque[float] = deque(maxlen=_MOST_KEPT)
+        self._torn: deque[float] = deque(maxlen=_MOST_KEPT)
         self._credit, self._judged_s = 0.0, 0.0
 
     @property
@@ -57,18 +57,20 @@ class LineDecoder:
         """Of the format that was recognised; of frames as long as none was."""
         return self._paper.statistics if self.format is Format.PAPER else self._frames.statistics
 
-    def feed(self, data: bytes, arrival_s: float) -> Sequence[Message | Pulses]:
-        """What `data`, read at `arrival_s` seconds, completes: messages or pulses. Raises nothing, whatever comes.
+    def feed(self, data: bytes, arrival_s: float, lay_waiting: bool = False) -> Sequence[Message | Pulses]:
+        """What `data` completes: messages or pulses. Raises nothing, whatever comes.
 
-        To be called without data too when nothing came for `SILENCE_S`, so that a pair need not wait for the next.
+        Args:
+            data: empty where nothing came for `SILENCE_S`, so that a pair need not wait for the next.
+            arrival_s: when it was read, seconds.
+            lay_waiting: the host was late and found the data there, so that nothing is known of a silence before.
         """
         pulses: Sequence[Pulses] = ()
-        if self._held and self._is_whole(arrival_s):
+        if self._held and not lay_waiting and self._is_whole(arrival_s):
             pulses = self._judged(self._take_pairs(0))
         if not data:
             return pulses
-        self._held.append((data, arrival_s))
-        self._heard_s = arrival_s
+        self._hold(data, arrival_s, lay_waiting)
         messages = self._frames.feed(data)
         return [*pulses, *self._before_frames(data), *messages] if messages else pulses
 
@@ -91,7 +93,7 @@ class LineDecoder:
         """Whether what is held can be no frame's beginning any more."""
         if self._expects_frames:
             return False
-        return now_s - self._heard_s > SILENCE_S or sum(len(data) for data, _ in self._held) > _MOST_HELD_BYTES
+        return now_s - self._heard_s > SILENCE_S or sum(len(run) for run, _ in self._held) > _MOST_HELD_BYTES
 
     def _before_frames(self, data: bytes) -> list[Pulses]:
         """Change to frames, or stay with them; the pairs that came before the first of them, if they were pairs."""
@@ -106,18 +108,24 @@ class LineDecoder:
         self._forget_pairs()
         return pairs
 
+    def _hold(self, data: bytes, arrival_s: float, lay_waiting: bool) -> None:
+        if self._held and (lay_waiting or arrival_s - self._heard_s <= SILENCE_S):
+            data = self._held.pop()[0] + data
+        self._held.append((data, arrival_s))
+        self._heard_s = arrival_s
+
     def _take_pairs(self, but_last: int) -> list[Pulses]:
-        """Read all held bytes but the last few as pairs, and hold the rest."""
+        """Read the held bytes, but the last so many, as pairs."""
+        held, self._held = self._held, []
         pairs: list[Pulses] = []
-        count = sum(len(data) for data, _ in self._held) - but_last
-        orphans = self._paper.statistics.malformed
-        while self._held and count > 0:
-            data, arrival_s = self._held.popleft()
-            pairs += self._paper.feed(data[:count], arrival_s)
-            if self._paper.statistics.malformed > orphans:
-                orphans = self._paper.statistics.malformed
-                self._orphans.append(arrival_s)
-            count -= len(data)
+        count = sum(len(run) for run, _ in held) - but_last
+        for run, arrival_s in held:
+            if count > 0:
+                torn = self._paper.torn + self._paper.statistics.malformed
+                pairs += self._paper.feed(run[:count], arrival_s)
+                if self._paper.torn + self._paper.statistics.malformed > torn:
+                    self._torn.append(arrival_s)
+            count -= len(run)
         return pairs
 
     def _judged(self, pairs: list[Pulses]) -> Sequence[Pulses]:
@@ -145,7 +153,7 @@ class LineDecoder:
         pairs = len(self._evidence)
         alone = sum(pair.follows_silence for pair in self._evidence)
         regular = pairs >= _FEWEST_A_SECOND * span_s and alone >= _SHARE_ALONE * pairs
-        return self._is_believable() and regular and len(self._orphans) <= _SHARE_OF_ORPHANS * pairs
+        return self._is_believable() and regular and len(self._torn) <= _SHARE_TORN * pairs
 
     def _may_be_pairs(self, count: int) -> bool:
         """Whether `count` more may be pairs too, held up on their way perhaps, or by a busy host."""
@@ -161,10 +169,10 @@ class LineDecoder:
     def _drop_before(self, stamp_s: float) -> None:
         while self._evidence and self._evidence[0].arrival_s < stamp_s:
             self._evidence.popleft()
-        while self._orphans and self._orphans[0] < stamp_s:
-            self._orphans.popleft()
+        while self._torn and self._torn[0] < stamp_s:
+            self._torn.popleft()
 
     def _forget_pairs(self) -> None:
         self._evidence.clear()
-        self._orphans.clear()
+        self._torn.clear()
         self._paper.forget()
