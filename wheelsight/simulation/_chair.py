@@ -8,14 +8,16 @@ import numpy as np
 
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.simulation._ground import Tyres, UnevenFloor
+from wheelsight.simulation.drivers import COMMAND_PERIOD_S
 from wheelsight.simulation.encoders import is_during
 from wheelsight.simulation.robot import Robot, WheelFaults
 from wheelsight.simulation.wheelchair import LIFT_M, PREFIX, ROLLING, TIMESTEP_S, scene
 from wheelsight.simulation.world import World
 
 _GRAVITY_M_S2 = 9.81
-_SWAY_N, _SWAY_S = 10.0, 1.0
+_SWAY_N, _SWAY_S = 6.0, 1.0
 _LIFT_M_S = 0.02
+_RAMP_M_S2 = 1.5
 _LARGEST_SWIVEL_RAD = 0.5
 
 
@@ -97,10 +99,15 @@ class Chair:
         return bool(self._data.warning.number.any())
 
     def obey(self, v_m_s: float, yaw_rate_rad_s: float) -> None:
-        """Sets the motors' speeds, by the wheels as the owner believes them to be."""
+        """Sets the motors' speeds, by the wheels as the owner believes them to be; called every `COMMAND_PERIOD_S`.
+
+        The motors' controller ramps what would throw the rider out of the seat.
+        """
         across_m_s = yaw_rate_rad_s * self._nominal.track_width_m / 2
-        self._data.ctrl[0] = (v_m_s - across_m_s) / self._nominal.left_radius_m
-        self._data.ctrl[1] = (v_m_s + across_m_s) / self._nominal.right_radius_m
+        step_rad_s = _RAMP_M_S2 * COMMAND_PERIOD_S / self._nominal.left_radius_m
+        for i, rim_m_s in enumerate((v_m_s - across_m_s, v_m_s + across_m_s)):
+            change = rim_m_s / self._nominal.left_radius_m - self._data.ctrl[i]
+            self._data.ctrl[i] += min(max(change, -step_rad_s), step_rad_s)
 
     def step(self, stamp_s: float, steps: int) -> None:
         """Goes on by so many time steps with the floor, the rider and the faults of `stamp_s`."""

@@ -31,7 +31,9 @@ class Tyres:
     b is set to the wheel's speed, so that creep is in proportion to it and nothing creeps at rest.
     """
 
-    def __init__(self, model: mujoco.MjModel, radii_m: Sequence[float], patches: Sequence[Patch], *, creep: bool) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, radii_m: Sequence[float], patches: Sequence[Patch], *, creep: bool
+    ) -> None:
         self._model, self._patches, self._creeps = model, patches, creep
         self._pairs = [model.pair(name).id for name in ROLLING]
         self._geoms = [model.geom(PREFIX + name).id for name in ROLLING]

@@ -12,7 +12,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray
 
 _SPACING_M = 0.02
-_CORNER_RADIUS_M = 0.35
+_OFF_LEGS_M, _WIDEST_RADIUS_M = 0.1, 1.0
 _SHARPEST_ROUNDED_RAD = np.radians(135)
 _SEARCH_AHEAD_M = 0.5
 _EASED_M = 0.16
@@ -123,9 +123,11 @@ def _arc(before: FloatArray, corner: FloatArray, after: FloatArray) -> FloatArra
     reach = np.hypot(*into), np.hypot(*out)
     into, out = into / reach[0], out / reach[1]
     turn = float(np.arctan2(into[0] * out[1] - into[1] * out[0], into @ out))
-    tangent = min(_CORNER_RADIUS_M * abs(np.tan(turn / 2)), 0.5 * min(reach))
-    if tangent < 1e-6:
+    if abs(turn) < 1e-6:
         return corner[None]
+    # Its middle is (1 - cos(turn / 2)) of the radius off both legs.
+    radius = min(_OFF_LEGS_M / (1 - np.cos(turn / 2)), _WIDEST_RADIUS_M)
+    tangent = min(radius * abs(np.tan(turn / 2)), 0.5 * min(reach))
     radius = tangent / abs(np.tan(turn / 2))
     inward = np.sign(turn) * np.array([-into[1], into[0]])
     centre = corner - tangent * into + radius * inward

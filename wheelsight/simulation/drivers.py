@@ -1,7 +1,8 @@
 """Who drives: along a route with rounded corners, with a stop at each corner, or by speeds from a file.
 
-A driver sees the true pose, as a person with eyes does (or goes by the wheels alone), and asks for a forward speed and a yaw rate. That these change
-no faster than a person can bear is the drivers' own care; `ManualVelocities` is taken at its word.
+A driver sees the true pose, as a person with eyes does (or goes by the wheels alone), and asks for a forward speed and
+a yaw rate. That these change no faster than a rider can bear is the drivers' own care; `ManualVelocities` leaves it to
+the motors' controller, which ramps less gently.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray, se2, se3
-from wheelsight.recordings._text import Row, keep_growing, read_table
+from wheelsight.recordings._text import Row, read_table
 from wheelsight.simulation._paths import Path2d, laps_of, smooth_path
 
 MAX_SPEED_M_S = 1.2
@@ -198,8 +199,10 @@ def read_manual_velocities(path: Path) -> ManualVelocities:
     Raises:
         InputError: naming file, line and column.
     """
-    rows, _ = read_table(path, ("stamp_s", "v_m_s", "yaw_rate_rad_s"))
-    rows, _ = keep_growing(rows, [row.number for row in rows], path)
+    rows, warnings = read_table(path, ("stamp_s", "v_m_s", "yaw_rate_rad_s"))
+    if warnings:
+        raise ConfigError("the last line does not end", path=path, line=_lines_of(path), fix="end it with a new line")
+    _check_stamps(rows, path)
     v_m_s = [_limited(row, "v_m_s", MAX_SPEED_M_S) for row in rows]
     yaw_rates = [_limited(row, "yaw_rate_rad_s", MAX_YAW_RATE_RAD_S) for row in rows]
     if len(rows) < 2:
@@ -265,6 +268,18 @@ def _checked_speed(speed_m_s: float) -> float:
 def _check_limit(name: str, value: float, limit: float, path: Path | None = None, line: int | None = None) -> None:
     if not abs(value) <= limit:
         raise ConfigError(f"{name} is {value:g}", path=path, line=line, fix=f"-{limit} to {limit}")
+
+
+def _check_stamps(rows: list[Row], path: Path) -> None:
+    last_s = -math.inf
+    for row in rows:
+        if row.stamp_s < 0 or row.stamp_s <= last_s:
+            raise ConfigError(f"stamp_s is {row.stamp_s:g}", path=path, line=row.number, fix="stamps grow from 0 on")
+        last_s = row.stamp_s
+
+
+def _lines_of(path: Path) -> int:
+    return len(path.read_text(encoding="utf-8-sig").splitlines())
 
 
 def _limited(row: Row, column: str, limit: float) -> float:

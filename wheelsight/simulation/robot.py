@@ -14,6 +14,20 @@ from wheelsight.geometry import FloatArray
 TICK_PERIOD_S = 0.02
 NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M = 0.17, 0.52
 
+_POSSIBLE = {
+    "left_radius_m": (0.05, 0.5),
+    "right_radius_m": (0.05, 0.5),
+    "track_width_m": (0.2, 2.0),
+    "gear_ratio": (0.1, 1000.0),
+    "counts_per_turn": (1, 1_000_000),
+    "length_m": (0.9, 2.0),
+    "width_m": (0.5, 2.0),
+    "height_m": (0.6, 2.5),
+    "camera_height_m": (0.05, 3.0),
+    "camera_forward_m": (-1.0, 2.0),
+    "camera_pitch_rad": (-math.pi / 2, math.pi / 2),
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Robot:
@@ -47,16 +61,12 @@ class Robot:
     has_gyro: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("left_radius_m", "right_radius_m", "track_width_m", "gear_ratio", "counts_per_turn"):
+        for name, (least, most) in _POSSIBLE.items():
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ConfigError(f"{name} is {value}, not positive")
-        if max(self.left_radius_m, self.right_radius_m) > 0.5 or self.track_width_m > 2:
-            raise ConfigError(
-                f"wheels of {self.left_radius_m} and {self.right_radius_m} m, {self.track_width_m} m apart, "
-                "are no wheelchair's",
-                fix="radii up to 0.5 m, track up to 2 m",
-            )
+            if not least <= value <= most:
+                raise ConfigError(f"{name} is {value}, no wheelchair's", fix=f"{least:g} to {most:g}")
+        if self.counts_per_turn != int(self.counts_per_turn):
+            raise ConfigError(f"counts_per_turn is {self.counts_per_turn}", fix="give a whole number")
 
     @property
     def T_base_camera(self) -> FloatArray:

@@ -27,7 +27,7 @@ CASTOR_RADIUS_M = 0.08
 _CASTOR_TRAIL_M = 0.05
 _CASTOR_X_M, _CASTOR_Y_M = 0.45, 0.17
 _TAIL_M = 0.30
-_CLEARANCE_M = 0.03
+_CLEARANCE_M = 0.05
 _NO_SLIP_FRICTION = 3.0
 # Soft enough for creep to be set at any speed, see `_ground.Tyres`; and hard, for wheels that must not slip.
 _FRICTION_TO_NORMAL_IMPEDANCE = {True: 0.05, False: 10.0}
@@ -41,7 +41,7 @@ _MJCF = """
     <geom contype="0" conaffinity="0" mass="0" group="1"/>
     <default class="touch"><geom group="3" rgba="0.4 0.4 0.9 0.3"/></default>
     <default class="tyre"><geom type="cylinder" euler="1.5707963 0 0" rgba="0.1 0.1 0.1 1"/></default>
-    <default class="motor"><joint axis="0 1 0" armature="0.2" damping="0.05" frictionloss="0.7"/></default>
+    <default class="motor"><joint axis="0 1 0" armature="0.3" damping="0.05" frictionloss="0.7"/></default>
     <default class="swivel"><joint axis="0 0 1" damping="0.02" frictionloss="0.05"/></default>
     <default class="castor"><joint axis="0 1 0" damping="0.002" frictionloss="0.2"/></default>
   </default>
@@ -61,8 +61,8 @@ _MJCF = """
     </body>
   </worldbody>
   <actuator>
-    <velocity name="left_motor" joint="left_wheel" kv="400" forcerange="-45 45"/>
-    <velocity name="right_motor" joint="right_wheel" kv="400" forcerange="-45 45"/>
+    <velocity name="left_motor" joint="left_wheel" kv="100" forcerange="-45 45"/>
+    <velocity name="right_motor" joint="right_wheel" kv="100" forcerange="-45 45"/>
   </actuator>
 </mujoco>
 """
@@ -152,7 +152,9 @@ def _add_contacts(spec: mujoco.MjSpec, *, slip: bool) -> None:
     option = spec.option
     option.timestep = TIMESTEP_S
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # Implicit damping would change the wheels' acceleration after the contacts were solved for it, and make them slip.
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     option.impratio = _FRICTION_TO_NORMAL_IMPEDANCE[slip]
     option.noslip_iterations = 0 if slip else 20
     friction = FLOOR_FRICTION if slip else _NO_SLIP_FRICTION
