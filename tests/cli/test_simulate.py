@@ -1,0 +1,161 @@
+"""`simulate` from the command line: small drives, and every way to ask for one that cannot be."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import Result
+
+from wheelsight.recordings import open_recording
+from wheelsight.simulation import camera_names, world_names
+
+Command = Callable[..., Result]
+Refusal = Callable[..., str]
+SMALL = ("--size", "64x48", "--rate", 10, "--duration", 0.5)
+
+
+def test_a_drive_becomes_a_recording(wheelsight: Command, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = wheelsight("simulate", "square", *SMALL, "--gyro", "--out", out)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == ""
+    assert result.stderr == f"5 frames and 26 wheel readings are in {out}; plan: {out / 'plan.png'}\n"
+    told = json.loads(wheelsight("info", out, "--json").stdout)
+    assert (told["format"], told["frames"], told["wheel_readings"], told["body"]) == ("wheelsight", 5, 26, "base")
+    assert told["rate_hz"] == pytest.approx(10)
+    assert (told["skipped"], told["gaps"], told["warnings"]) == ([], [], [])
+    assert told["yaw_readings"] > 0
+    assert 0.2 < told["valid_depth_share"] < 1
+    assert told["ground_truth"]["duration_s"] == pytest.approx(0.5, abs=0.01)
+
+
+def test_options_reach_the_settings(wheelsight: Command, tmp_path: Path) -> None:
+    robot = ("--left-radius", 0.168, "--right-radius", 0.171, "--track", 0.53, "--no-slip")
+    faults = ("--dropout", "0.1:0.2", "--dropout", "0.3:0.4", "--unplug", "0.2:0.25", "--ice", "-1,2,0.5")
+    ways = ("--laps", 2, "--reverse", "--stop-and-turn", "--seed", 5, "--speed", 0.4, "--motion-blur")
+    more = (*ways, *robot, *faults, "--lift", "0.1:0.15", "--camera", "kinect-v2")
+    result = wheelsight("simulate", "square", *SMALL, *more, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    told = yaml.safe_load((tmp_path / "out" / "truth" / "settings.yaml").read_text())["settings"]
+    assert (told["camera"], told["laps"], told["seed"], told["speed_m_s"]) == ("kinect-v2", 2, 5, 0.4)
+    assert (told["is_reverse"], told["stops_to_turn"], told["has_slip"], told["has_motion_blur"]) == (1, 1, 0, 1)
+    robot_told = told["robot"]
+    assert [robot_told[key] for key in ("left_radius_m", "right_radius_m", "track_width_m")] == [0.168, 0.171, 0.53]
+    assert told["faults"] == {
+        "dropouts_s": [[0.1, 0.2], [0.3, 0.4]],
+        "unplugged_s": [[0.2, 0.25]],
+        "patches": [{"x_m": -1.0, "y_m": 2.0, "radius_m": 0.5, "friction": 0.05}],
+        "lifted_s": [[0.1, 0.15]],
+    }
+    wheels = open_recording(tmp_path / "out").wheels
+    assert not [tick for tick in wheels if 0.1 < tick.stamp_s < 0.2]
+
+
+def test_the_list_tells_all_worlds_and_cameras(wheelsight: Command) -> None:
+    result = wheelsight("simulate", "--list")
+    assert result.exit_code == 0
+    first_words = [line.split()[0] for line in result.stdout.splitlines() if line.strip()]
+    assert first_words == ["Worlds", *world_names(), "Cameras", *camera_names()]
+
+
+def test_help_shows_examples(wheelsight: Command) -> None:
+    text = wheelsight("simulate", "--help").stdout
+    assert "wheelsight simulate floor4 --out floor" in text
+    assert "--passers-by" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ((), "a WORLD is missing (wheelsight simulate floor4 --out DIR, or --list)"),
+        (("nowhere",), "there is no world nowhere (known: floor4, "),
+        (("square", "--camera", "eye"), "camera 'eye' is not known (choose from ideal, kinect-v1, kinect-v2)"),
+        (("square", "--size", "big"), "--size is 'big' (write it as 320x240, or full)"),
+        (("square", "--size", "1x1"), "--size is 1x1 (16 to 4096 pixels)"),
+        (("square", "--speed", 3), "--speed is 3 m/s (over 0, up to 1.2 m/s)"),
+        (("square", "--dropout", "5"), "--dropout is '5' (FROM:TO in seconds, such as 12:15.5)"),
+        (("square", "--lift", "5:4"), "--lift is '5:4' (FROM:TO in seconds, such as 12:15.5; the second after"),
+        (("square", "--ice", "1,2"), "--ice is '1,2' (X,Y,R in metres, such as 4,2.5,0.6)"),
+        (("square", "--ice", "1,2,0"), "--ice is '1,2,0' (the radius must be over 0)"),
+        (("square", "--unplug", "nan:3"), "--unplug is 'nan:3' ("),
+        (("square", "--left-radius", -0.1), "left_radius_m is -0.1, no wheelchair's ("),
+        (("square", "--track", 20), "track_width_m is 20.0, no wheelchair's ("),
+        (("square", "--drive", "absent.csv"), "absent.csv: is missing ("),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    refusal: Refusal, tmp_path: Path, arguments: tuple[object, ...], problem: str
+) -> None:
+    assert refusal("simulate", *arguments, "--out", tmp_path / "out").startswith(problem)
+
+
+def test_a_folder_is_needed_and_must_be_free(refusal: Refusal, tmp_path: Path) -> None:
+    assert refusal("simulate", "square").startswith("--out DIR is missing")
+    (tmp_path / "note.txt").write_text("mine")
+    assert "is not empty" in refusal("simulate", "square", "--out", tmp_path)
+
+
+def test_a_way_into_a_wall_is_refused_with_a_picture(refusal: Refusal, tmp_path: Path) -> None:
+    (tmp_path / "v.csv").write_text("stamp_s,v_m_s,yaw_rate_rad_s\n0,1,0\n60,0,0\n")
+    text = refusal("simulate", "square", "--drive", tmp_path / "v.csv", "--out", tmp_path / "out")
+    picture = tmp_path / "out-refused.png"
+    assert text.startswith(f"{tmp_path / 'v.csv'}: the way runs into ")
+    assert text.endswith(f" m (see {picture})")
+    assert picture.is_file()
+
+
+def test_the_folder_is_not_in_the_way_of_a_second_try(wheelsight: Command, refusal: Refusal, tmp_path: Path) -> None:
+    refusal("simulate", "square", "--camera", "eye", "--out", tmp_path / "out")
+    assert wheelsight("simulate", "square", *SMALL, "--out", tmp_path / "out").exit_code == 0
+    assert wheelsight("simulate", "square", *SMALL, "--force", "--out", tmp_path / "out").exit_code == 0
+
+
+def test_without_mujoco_the_extra_is_named(refusal: Refusal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules["wheelsight.simulation.simulate"], "find_spec", lambda name: None)
+    text = refusal("simulate", "square", "--out", tmp_path / "out")
+    assert text == 'the simulator needs MuJoCo (pip install "wheelsight[sim]")'
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_keeps_what_is_there(wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    advances = []
+
+    def advance(self: object, status: str = "") -> None:
+        advances.append(status)
+        if len(advances) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("wheelsight.cli._progress.FrameProgress.advance", advance)
+    result = wheelsight("simulate", "square", *SMALL, "--out", tmp_path / "out")
+    assert result.exit_code == 130
+    assert result.stderr == f"interrupted; {tmp_path / 'out'} holds the drive up to there\n"
+    assert open_recording(tmp_path / "out").frame_count == 3
+
+
+@pytest.mark.slow
+def test_a_real_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "wheelsight", "simulate", "square", "--size", "64x48", "--out", str(out)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        lines = out / "rgb.txt"
+        deadline = time.monotonic() + 120
+        while not (lines.is_file() and len(lines.read_text().splitlines()) > 4):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors == f"interrupted; {out} holds the drive up to there\n"
+    recording = open_recording(out)
+    assert recording.frame_count >= 3
+    assert recording.warnings == ()
+    assert sum(1 for _ in recording.events()) > recording.frame_count

@@ -1,0 +1,242 @@
+"""What `write_simulation` leaves on the disk: whole, shorter, or refused."""
+
+from __future__ import annotations
+
+import errno
+import filecmp
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+from wheelsight.areas import load_areas
+from wheelsight.calibration import load_calibration
+from wheelsight.errors import ConfigError, InputError, OutputError
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import se3
+from wheelsight.recordings import open_recording
+from wheelsight.recordings._growing_text import GrowingText
+from wheelsight.simulation import Patch, Robot, SimulationSettings, WheelFaults, simulate, write_simulation
+from wheelsight.trajectory import read_tum
+
+ROBOT = Robot(right_radius_m=0.172, camera_height_m=0.93, has_gyro=True)
+SETTINGS = SimulationSettings(world="floor4", size=(64, 48), rate_hz=10.0, duration_s=1.0, seed=2, robot=ROBOT)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulate(SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def folder(recording, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("simulated") / "floor"
+    write_simulation(recording, folder)
+    return folder
+
+
+def files_in(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def write_table(path: Path, rows: str) -> Path:
+    path.write_text(f"stamp_s,v_m_s,yaw_rate_rad_s\n{rows}")
+    return path
+
+
+def test_it_reads_back_as_it_was(recording, folder):
+    read = open_recording(folder)
+    assert (read.format, read.body, read.warnings) == ("wheelsight", "base", ())
+    for got, wanted in zip(read.events(), recording.events(), strict=True):
+        if isinstance(wanted, RgbdFrame):
+            assert (got.stamp_s, got.index) == (wanted.stamp_s, wanted.index)
+            np.testing.assert_array_equal(got.color, wanted.color)
+            np.testing.assert_allclose(got.depth_m, wanted.depth_m, atol=0.5001 / 5000)
+        else:
+            assert got == wanted
+    assert read.calibration.wheels == recording.calibration.wheels
+    np.testing.assert_allclose(read.ground_truth.T_world_body, recording.ground_truth.T_world_body, atol=1e-8)
+
+
+def test_truth_holds_for_the_robot_as_it_is(folder):
+    base, camera = read_tum(folder / "groundtruth_base.txt", "base"), read_tum(folder / "groundtruth.txt")
+    assert (base.body, camera.body) == ("base", "camera")
+    np.testing.assert_array_equal(base.stamps_s, camera.stamps_s)
+    np.testing.assert_allclose(camera.T_world_body, base.T_world_body @ ROBOT.T_base_camera, atol=1e-8)
+    true = load_calibration(folder / "truth" / "calibration.yaml")
+    assert true.wheels == ROBOT.wheels
+    np.testing.assert_allclose(se3.log(true.T_base_camera @ se3.invert(ROBOT.T_base_camera)), 0, atol=1e-12)
+
+
+def test_each_frame_has_its_area(recording, folder):
+    header, *rows = (folder / "labels.csv").read_text().splitlines()
+    assert header == "stamp_s,area"
+    areas, base = load_areas(folder / "areas.yaml"), read_tum(folder / "groundtruth_base.txt", "base")
+    frames = [event for event in recording.events() if isinstance(event, RgbdFrame)]
+    assert len(rows) == len(frames)
+    for row, frame in zip(rows, frames, strict=True):
+        stamp, area = row.split(",")
+        assert float(stamp) == frame.stamp_s
+        assert area == areas.name_at(*base.at(frame.stamp_s)[0, :2, 3])
+
+
+def test_all_that_is_needed_to_repeat_it_is_there(folder):
+    told = yaml.safe_load((folder / "truth" / "settings.yaml").read_text())
+    given = told["settings"]
+    robot, faults, size = Robot(**given.pop("robot")), WheelFaults(**given.pop("faults")), tuple(given.pop("size"))
+    assert robot == ROBOT
+    assert (faults.dropouts_s, faults.patches) == ([], [])
+    assert SimulationSettings(**given, size=size, robot=robot) == SETTINGS
+    assert {"wheelsight", "mujoco", "numpy"} <= set(told["versions"])
+    model = mujoco.MjModel.from_xml_path(str(folder / "truth" / "world.xml"))
+    assert model.ngeom > 100
+
+
+def test_the_same_seed_leaves_the_same_bytes(folder, tmp_path):
+    write_simulation(simulate(SETTINGS), tmp_path / "again")
+    names = files_in(folder)
+    assert names == files_in(tmp_path / "again")
+    assert {"plan.png", "truth/world.xml", "groundtruth.txt", "rgb/0.100000.png"} <= set(names)
+    _, differ, missing = filecmp.cmpfiles(folder, tmp_path / "again", names, shallow=False)
+    assert (differ, missing) == ([], [])
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_ctrl_c_leaves_a_shorter_recording(recording, tmp_path, frames):
+    def stop(frame: RgbdFrame) -> None:
+        if frame.index == frames - 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_simulation(recording, tmp_path / "cut", on_frame=stop)
+    check_shorter(tmp_path / "cut", recording, frames)
+
+
+@pytest.mark.parametrize(("full", "room"), [("depth.txt", 250), ("groundtruth.txt", 3000), ("labels.csv", 70)])
+def test_a_full_disk_leaves_a_shorter_recording(recording, tmp_path, monkeypatch, full, room):
+    write, written = GrowingText._write, 0
+
+    def write_while_there_is_room(self: GrowingText, data: memoryview) -> None:
+        nonlocal written
+        if self._path.name == full:
+            written += len(data)
+            if written > room:
+                write(self, data[: len(data) - (written - room)])
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(self, data)
+
+    monkeypatch.setattr(GrowingText, "_write", write_while_there_is_room)
+    with pytest.raises(OutputError, match=f"{full}: no space left on the disk"):
+        write_simulation(recording, tmp_path / "cut")
+    monkeypatch.undo()
+    check_shorter(tmp_path / "cut", recording, None)
+
+
+def check_shorter(folder: Path, whole, frames: int | None) -> None:
+    """A sound recording of the first `frames`, or where that is None of some, with their truth and labels."""
+    read = open_recording(folder)
+    if frames is None:
+        frames = read.frame_count
+        assert 0 < frames < whole.frame_count
+    events = list(read.events())
+    kept = [event for event in events if isinstance(event, RgbdFrame)]
+    assert len(kept) == read.frame_count == frames
+    for got, wanted in zip(events, whole.events(), strict=False):
+        assert type(got) is type(wanted)
+        assert got.stamp_s == wanted.stamp_s
+    assert read.ground_truth.stamps_s[-1] >= kept[-1].stamp_s
+    assert read.ground_truth.stamps_s[-1] < whole.ground_truth.stamps_s[-1]
+    assert len((folder / "labels.csv").read_text().splitlines()) >= frames + 1
+
+
+def test_a_used_folder_is_refused(recording, folder):
+    with pytest.raises(OutputError, match="--force"):
+        write_simulation(recording, folder)
+
+
+def test_velocities_are_kept_with_the_recording(tmp_path):
+    table = write_table(tmp_path / "v.csv", "0,0.5,0\n1,0.5,0.3\n2,0,0\n")
+    settings = replace(SETTINGS, velocities=table, duration_s=None, world="square")
+    recording = simulate(settings)
+    assert recording.ground_truth.duration_s == pytest.approx(2.0, abs=0.03)
+    write_simulation(recording, tmp_path / "out")
+    assert (tmp_path / "out" / "truth" / "velocities.csv").read_bytes() == table.read_bytes()
+    assert not (tmp_path / "out" / "areas.yaml").exists()
+
+
+def test_a_way_through_a_wall_is_refused_with_a_picture(tmp_path):
+    table = write_table(tmp_path / "v.csv", "0,1,0\n60,0,0\n")
+    picture = tmp_path / "refused.png"
+    with pytest.raises(ConfigError, match=r"v.csv: the way .*runs into .* at x = .* \(see .*refused.png\)"):
+        simulate(replace(SETTINGS, velocities=table, duration_s=None), refused=picture)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_velocities_that_cannot_be_read_are_named(tmp_path):
+    table = write_table(tmp_path / "v.csv", "0,fast,0\n60,0,0\n")
+    with pytest.raises(InputError, match=r"v.csv:2: v_m_s is 'fast', not a number"):
+        simulate(replace(SETTINGS, velocities=table))
+
+
+def test_a_route_can_be_driven_the_other_way_round():
+    ahead, back = (simulate(replace(SETTINGS, is_reverse=is_reverse, duration_s=4.0)) for is_reverse in (False, True))
+    start, end = (ahead.ground_truth.positions_m[i, :2] for i in (0, -1))
+    np.testing.assert_allclose(back.ground_truth.positions_m[0, :2], start, atol=1e-3)
+    assert (end - start) @ (back.ground_truth.positions_m[-1, :2] - start) < 0
+
+
+def test_stopping_to_turn_drives_the_square_on_its_lines():
+    settings = replace(SETTINGS, world="square", robot=Robot(), stops_to_turn=True, has_slip=False, duration_s=12.0)
+    xy = simulate(settings).ground_truth.positions_m[:, :2]
+    first, second, third = simulate(settings).world.route[:3]
+    off_m = np.minimum(*(_distance_m(xy, *leg) for leg in ((first, second), (second, third))))
+    assert off_m.max() < 0.02
+
+
+def _distance_m(xy, start, end):
+    along = (end - start) / np.linalg.norm(end - start)
+    return np.abs((xy - start) @ [-along[1], along[0]])
+
+
+def test_progress_tells_how_far_of_how_much():
+    told = []
+    simulate(replace(SETTINGS, duration_s=3.0), lambda done_s, of_s: told.append((done_s, of_s)))
+    assert told == [(0.0, 3.0), (1.0, 3.0), (2.0, 3.0), (3.0, 3.0)]
+
+
+def test_without_mujoco_the_way_to_it_is_told(monkeypatch):
+    monkeypatch.setattr(sys.modules["wheelsight.simulation.simulate"], "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r'the simulator needs MuJoCo \(pip install "wheelsight\[sim\]"\)'):
+        simulate(SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"laps": 0}, "--laps is 0"),
+        ({"seed": -1}, "--seed is -1"),
+        ({"passersby": -1}, "--passers-by is -1"),
+        ({"speed_m_s": 1.3}, r"--speed is 1.3 m/s \(over 0, up to 1.2 m/s\)"),
+        ({"speed_m_s": np.nan}, "--speed is nan"),
+        ({"rate_hz": 0.0}, "--rate is 0 Hz"),
+        ({"duration_s": -1.0}, "--duration is -1 s"),
+        ({"size": (8, 48)}, "--size is 8x48"),
+        ({"velocities": Path("v.csv"), "laps": 2}, "--drive has no route"),
+    ],
+)
+def test_settings_out_of_range_name_their_option(change, problem):
+    with pytest.raises(ConfigError, match=problem):
+        replace(SETTINGS, **change)
+
+
+def test_faults_are_told_in_the_settings():
+    faults = WheelFaults(dropouts_s=((1.0, 2.5),), patches=(Patch(1.0, 2.0, 0.5),))
+    plain = replace(SETTINGS, faults=faults).to_dict()
+    assert plain["faults"]["dropouts_s"] == [[1.0, 2.5]]
+    assert plain["faults"]["patches"] == [{"x_m": 1.0, "y_m": 2.0, "radius_m": 0.5, "friction": 0.05}]
+    assert yaml.safe_load(yaml.safe_dump(plain)) == plain
