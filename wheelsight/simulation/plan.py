@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import shapely
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -19,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.files import write_bytes
 from wheelsight.geometry import FloatArray
-from wheelsight.simulation.world import World
+from wheelsight.simulation.world import Surface, World
 from wheelsight.simulation.worlds.clearance import Footprint, footprints
 
 _WALL, _SILL, _GLASS, _DOOR, _PAPER = "#3d434d", "#8b929c", "#7fb7d9", "#a8642a", "#d9952b"
@@ -106,27 +108,42 @@ def _ticks(low_m: float, high_m: float) -> FloatArray:
 
 
 def _draw_things(axes: Axes, world: World, seen: Iterable[Footprint]) -> None:
+    layers: dict[int, list[tuple[FloatArray, _Pen]]] = {}
     for footprint in sorted(seen, key=lambda footprint: footprint.top_m):
-        rgb = np.array(world.surfaces[footprint.material].rgb)
-        kind = world.surfaces[footprint.material].kind
-        if footprint.name.startswith(("wall_", "sill_")):
-            is_wall = footprint.name.startswith("wall_")
-            colour = _WALL if is_wall else _SILL
-            _fill(axes, footprint, colour, colour, 0.4, 5 if is_wall else 4)
-        elif footprint.name.startswith("pane_"):
-            _fill(axes, footprint, _GLASS, _GLASS, 1.2, 4)
-        elif footprint.is_solid:
-            _fill(axes, footprint, tuple(0.75 * rgb + 0.25), tuple(0.45 * rgb), 0.6, 3)
-        elif footprint.top_m < _THIN_M:
-            _fill(axes, footprint, tuple(0.35 * rgb + 0.65), "none", 0.0, 1)
-        else:
-            colour = _DOOR if kind == "door" else _PAPER
-            _fill(axes, footprint, colour, colour, 2.0 if kind == "door" else 1.4, 6)
+        pen = _pen_for(footprint, world.surfaces[footprint.material])
+        layers.setdefault(pen.layer, []).append((shapely.get_coordinates(footprint.polygon), pen))
+    for layer, things in layers.items():
+        outlines, pens = zip(*things, strict=True)
+        collection = PolyCollection(list(outlines), zorder=layer, linewidths=[pen.width for pen in pens])
+        collection.set_facecolor([pen.face for pen in pens])
+        collection.set_edgecolor([pen.edge for pen in pens])
+        axes.add_collection(collection)
 
 
-def _fill(axes: Axes, footprint: Footprint, face: object, edge: object, width: float, order: int) -> None:
-    outline = shapely.get_coordinates(footprint.polygon)
-    axes.add_collection(PolyCollection([outline], facecolors=[face], edgecolors=[edge], linewidths=width, zorder=order))
+@dataclass(frozen=True, slots=True)
+class _Pen:
+    face: tuple[float, ...]
+    edge: tuple[float, ...]
+    width: float
+    layer: int
+
+
+def _pen_for(footprint: Footprint, surface: Surface) -> _Pen:
+    """How to draw a thing: walls, windows and what hangs on walls by what they are, the rest in its own colour."""
+    own = np.array(surface.rgb)
+    if footprint.name.startswith("wall_"):
+        return _Pen(to_rgba(_WALL), to_rgba(_WALL), 0.4, 5)
+    if footprint.name.startswith("sill_"):
+        return _Pen(to_rgba(_SILL), to_rgba(_SILL), 0.4, 4)
+    if footprint.name.startswith("pane_"):
+        return _Pen(to_rgba(_GLASS), to_rgba(_GLASS), 1.2, 4)
+    if footprint.is_solid:
+        return _Pen(to_rgba(tuple(0.75 * own + 0.25)), to_rgba(tuple(0.45 * own)), 0.6, 3)
+    if footprint.top_m < _THIN_M:
+        return _Pen(to_rgba(tuple(0.35 * own + 0.65)), to_rgba("none"), 0.0, 1)
+    if surface.kind == "door":
+        return _Pen(to_rgba(_DOOR), to_rgba(_DOOR), 2.0, 6)
+    return _Pen(to_rgba(_PAPER), to_rgba(_PAPER), 1.4, 6)
 
 
 def _crowd(seen: Iterable[Footprint], waypoints: FloatArray) -> shapely.Geometry:

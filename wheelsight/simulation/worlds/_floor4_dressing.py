@@ -27,12 +27,10 @@ def _corridor_1(building: Building) -> None:
     """Doors in even rhythm on both sides, notices between them."""
     building.doors("south", "door_oak", 1.2, 4.5, 11.0, 17.5, 24.0, 30.5)
     building.doors("core_south", "door_oak", 35 - 4.5, 35 - 14.5, 35 - 18.5, 35 - 28.0, 35 - 32.0)
+    building.hang("south", "notice_board", "notice_felt", 2.9, 1.6, 0.75, 1.95)
     building.hang("south", "notice_board", "notice_cork", 14.2, 2.4, 0.9, 2.1)
-    building.posters(
-        "south", (2.0, 3.8), (6.0, 8.0), (8.5, 10.2), (19.0, 21.0), (21.2, 23.2), (26.0, 28.0), (32.0, 34.0)
-    )
+    building.posters("south", (6.0, 8.0), (8.5, 10.2), (19.0, 21.0), (21.2, 23.2), (26.0, 28.0), (32.0, 34.0))
     building.posters("core_south", (0.6, 2.2), (4.2, 5.9), (8.0, 9.8), (14.0, 16.0), (17.4, 19.6), (27.0, 29.6))
-    building.lamps(*[(x, 1.4) for x in (6.0, 14.0, 22.0, 30.0)])
     bin_beside(building, "south", 19.0, 22.5)
     loose_chair(building, "chair_corridor_1", "core_south", 17.6, 19.4)
 
@@ -42,10 +40,10 @@ def _lifts(building: Building) -> None:
     building.doors("core_lifts", "door_lift", 0.95, 2.45, width_m=1.1, height_m=2.2)
     building.hang("core_lifts_west", "sign", "sign", 1.6, 0.5, 1.5, 2.2)
     building.posters("lifts_south", (0.8, 2.8), (3.4, 5.4))
-    building.posters("lifts_east", (0.6, 2.2), (4.0, 5.6))
-    bench(building, "bench_lifts", building.faces["lifts_east"].spot(3.4))
+    building.doors("lifts_east", "door_fire", 1.7)
+    building.posters("lifts_east", (2.6, 4.4), (4.6, 5.8))
+    bench(building, "bench_lifts", building.faces["lifts_east"].spot(3.6))
     plant(building, "plant_lifts", Spot(35.6, 5.3))
-    building.lamps((38.0, 3.0))
 
 
 def _corridor_3(building: Building) -> None:
@@ -55,7 +53,6 @@ def _corridor_3(building: Building) -> None:
     building.posters("east", (3.0, 4.5), (6.5, 8.0))
     for at in (2.0, 5.5, 9.0):
         building.hang("east", "radiator", "radiator", at, 1.4, 0.15, 0.75, 0.1, is_solid=True)
-    building.lamps((39.7, 8.5), (39.7, 14.5), along_x=False)
 
 
 def _stairs(building: Building) -> None:
@@ -67,7 +64,6 @@ def _stairs(building: Building) -> None:
     building.hang("stairs_north", "sign", "sign", 5.55, 0.4, 1.5, 2.1)
     building.posters("stairs_north", (0.2, 2.2))
     bin_beside(building, "stairs_east", 4.6, 5.6)
-    building.lamps((38.0, 20.0))
 
 
 def _hall(building: Building) -> None:
@@ -87,7 +83,6 @@ def _hall(building: Building) -> None:
     building.posters("hall_north", (3.1, 3.9), (6.1, 6.9))
     plant(building, "plant_hall", Spot(25.6, 16.6), 1.6)
     plant(building, "plant_hall", Spot(34.4, 16.6), 1.6)
-    building.lamps((27.5, 20.6), (32.5, 20.6))
 
 
 def _kitchen(building: Building) -> None:
@@ -103,10 +98,10 @@ def _kitchen(building: Building) -> None:
     table(building, "kitchen_table", Spot(24.0, 16.6), (0.8, 1.2))
     chair(building, "kitchen_chair", Spot(23.9, 15.65, building.rng.uniform(-0.3, 0.3)), "fabric_red")
     chair(building, "kitchen_chair", Spot(24.0, 17.6, math.pi + building.rng.uniform(-0.3, 0.3)), "fabric_red")
-    building.hang("core_kitchen", "notice_board", "notice_cork", 3.6, 1.8, 0.9, 2.1)
-    building.posters("core_kitchen", (0.6, 2.4), (4.6, 5.4))
+    building.doors("core_kitchen", "door_oak", 2.3)
+    building.hang("core_kitchen", "notice_board", "notice_cork", 3.9, 1.8, 0.9, 2.1)
+    building.posters("core_kitchen", (0.4, 1.7), (4.9, 5.7))
     bin_beside(building, "core_kitchen", 0.5, 1.6)
-    building.lamps((21.8, 18.3), along_x=False)
 
 
 def _corridor_7(building: Building) -> None:
@@ -121,20 +116,19 @@ def _corridor_7(building: Building) -> None:
     building.posters("core_north", (0.8, 2.2), (4.2, 5.6), (9.0, 10.4), (14.2, 15.8))
     building.hang("core_north", "notice_board", "notice_felt", 6.5, 1.2, 0.9, 2.1)
     bin_beside(building, "core_north", 9.4, 11.6)
-    building.lamps((5.5, 15.9), (13.5, 15.9))
 
 
 def _corridor_8(building: Building) -> None:
     """Windows over radiators, few doors."""
     building.doors("core_west", "door_oak", 1.8, 9.6)
     building.posters("core_west", (2.8, 4.6), (6.9, 8.6), (10.4, 11.6))
-    building.hang("west", "notice_board", "notice_cork", 1.3, 1.6, 0.9, 2.1)
+    building.hang("west", "notice_board", "notice_cork", 0.95, 1.6, 0.8, 2.0)
+    building.doors("west", "door_oak", 2.35)
     building.hang("west", "notice_board", "notice_felt", 15.9, 1.4, 0.9, 2.1)
     for y in (4.5, 7.5, 10.5, 13.5):
         building.hang("west", "radiator", "radiator", 17.2 - y, 1.4, 0.15, 0.75, 0.1, is_solid=True)
     building.posters("west", (4.7, 5.7), (7.7, 8.7), (10.7, 11.7))
     bin_beside(building, "west", 13.9, 14.3)
-    building.lamps((1.2, 5.5), (1.2, 12.0), along_x=False)
 
 
 def _rooms(building: Building) -> None:

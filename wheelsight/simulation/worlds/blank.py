@@ -64,7 +64,6 @@ def _dress_ends(building: Building) -> None:
         )
     building.cover("floor_west", "carpet_blue", ends["west"], (0.0, WIDTH_M))
     building.cover("floor_east", "tiles_dark", ends["east"], (0.0, WIDTH_M))
-    building.lamps((3.0, WIDTH_M / 2), (LENGTH_M - 3.0, WIDTH_M / 2))
     building.doors("south_west", "door_oak", 2.0, 5.6)
     building.posters("south_west", (0.2, 1.4), (2.8, 4.8), (6.4, 7.8))
     building.doors("north_west", "door_oak", 4.2)

@@ -37,6 +37,7 @@ def build_flat(seed: int) -> World:
     _kitchen(building)
     _hall(building)
     _bedroom(building)
+    _radiators(building)
     areas = [
         _area("living room", 0.0, 0.0, LIVING_EAST_M, LIVING_NORTH_M),
         _area("kitchen", LIVING_EAST_M, 0.0, EAST_M, KITCHEN_NORTH_M),
@@ -130,6 +131,12 @@ def _bedroom(building: Building) -> None:
     building.posters("bedroom_south_back", (2.4, 3.8), (4.0, 5.6))
     bin_beside(building, "west", 0.4, 1.2)
     building.lamps((3.2, 7.2))
+
+
+def _radiators(building: Building) -> None:
+    """Under the windows of living room and bedroom."""
+    for face, at in (("south", 4.4), ("west", NORTH_M - 2.4), ("west", NORTH_M - 6.0)):
+        building.hang(face, "radiator", "radiator", at, 1.4, 0.15, 0.75, 0.1, is_solid=True)
 
 
 def _area(name: str, x_min: float, y_min: float, x_max: float, y_max: float) -> Area:

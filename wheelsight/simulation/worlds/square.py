@@ -30,8 +30,6 @@ def build_square(seed: int) -> World:
 
 
 def _dress(building: Building) -> None:
-    middle = SIDE_M / 2
-    building.lamps(*[(x, y) for x in (middle - 2, middle + 2) for y in (middle - 2, middle + 2)])
     building.cover("carpet", "carpet_blue", (1.0, 3.0), (1.0, 3.0))
     building.doors("south", "door_oak", 1.6)
     building.posters("south", (2.4, 3.7), (3.7, 5.0), (6.9, 8.2))
