@@ -25,16 +25,18 @@ from wheelsight.simulation._texture_kernels import (
 _PAPER = (0.84, 0.83, 0.79)
 _INK = (0.06, 0.06, 0.08)
 _STEEL = (0.52, 0.53, 0.55)
-_SPINE_M = 0.045
+_SHELF_M = 0.34
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rectangle(s: float, t: float, left: float, right: float, low: float, high: float, ws: float, wt: float) -> Any:
     """Share of a footprint that lies in a rectangle."""
+    if abs(2 * s - left - right) >= right - left + ws or abs(2 * t - low - high) >= high - low + wt:
+        return 0.0
     return cover(s, left, right, ws) * cover(t, low, high, wt)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def pick_colour(key: int, seed: int, strength: float) -> Any:
     """A printer's colour: any hue, neither glaring nor black; a strength of 0 is grey."""
     hue, light = 6.2832 * hash_unit(key, 11, seed), 0.2 + 0.5 * hash_unit(key, 12, seed)
@@ -46,7 +48,7 @@ def pick_colour(key: int, seed: int, strength: float) -> Any:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def door(
     s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int
 ) -> Any:
@@ -72,7 +74,7 @@ def door(
     return mix(scaled(leaf, 1 - 0.8 * gap), accent, frame)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _handle_and_number(
     leaf: Any, x: float, s: float, up: float, hs: float, ws: float, wt: float, accent: Any, seed: int
 ) -> Any:
@@ -89,7 +91,7 @@ def _handle_and_number(
     return mix(leaf, mix(_PAPER, accent if hash_unit(3, 1, seed) < 0.5 else _INK, min(ink, 1.0)), plate)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def picture(s: float, t: float, w_m: float, ws: float, wt: float, strength: float, seed: int) -> Any:
     """A printed picture w_m wide: areas within areas, two colours and their mixtures."""
     a, b, c = pick_colour(1, seed, strength), pick_colour(2, seed, strength), pick_colour(3, seed, strength)
@@ -101,7 +103,7 @@ def picture(s: float, t: float, w_m: float, ws: float, wt: float, strength: floa
     return scaled(colour, max(0.75 + 0.5 * fine + 0.4 * cloud, 0.1))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def poster(
     s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int
 ) -> Any:
@@ -132,7 +134,7 @@ def poster(
     return mix(colour, accent, frame)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def notice_board(
     s: float,
     t: float,
@@ -159,7 +161,7 @@ def notice_board(
     return mix(scaled(colour, 1 - 0.4 * shadow), accent, frame)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _note(
     under: Any,
     s: float,
@@ -206,18 +208,20 @@ def _note(
     return mix(scaled(under, 1 - 0.5 * shadow), paper, sheet)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def books(
     s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
-    """Shelves as far apart as the scale, with spines of many widths, heights and colours, and the dark above them."""
-    up = t + ht
-    clear = scale_m - 0.025
-    row = math.floor(up / scale_m)
-    above = up - row * scale_m - 0.025
-    column = math.floor(s / _SPINE_M)
+    """Spines about as wide as the scale, of many heights and colours, in rows with boards between where it is tall."""
+    rows = max(math.floor(2 * ht / _SHELF_M + 0.5), 1)
+    pitch = 2 * ht / rows
+    thick = 0.025 if rows > 1 else 0.0
+    up, clear = t + ht, pitch - thick
+    row = math.floor(up / pitch)
+    above = up - row * pitch - thick
+    column = math.floor(s / scale_m)
     # A spine's right edge is moved within its slot; what is left of the slot belongs to the next book.
-    edge = (column + 0.35 + 0.65 * hash_unit(column, row, seed)) * _SPINE_M
+    edge = (column + 0.35 + 0.65 * hash_unit(column, row, seed)) * scale_m
     left = cover(s, edge - 1.0, edge, ws)
     back = scaled(rgb, 0.18)
     inside = back
@@ -226,12 +230,14 @@ def books(
     if left < 1:
         inside = mix(inside, _spine(column + 1, row, s, above, clear, back, ws, wt, contrast, seed), 1 - left)
     inside = scaled(inside, 1 - 0.6 * cover(s, edge - 0.002, edge + 0.002, ws))
-    board = stripes(up - 0.0125, scale_m, 0.025, wt)
-    side = 1 - cover(s, -hs + 0.025, hs - 0.025, ws)
+    if thick == 0:
+        return inside
+    board = stripes(up - 0.5 * thick, pitch, thick, wt)
+    side = 1 - cover(s, -hs + thick, hs - thick, ws)
     return mix(inside, rgb, max(board, side))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _spine(
     book: int,
     row: int,

@@ -13,13 +13,23 @@ from typing import Any
 from numba import njit
 
 _MASK = 0xFFFFFFFF
+_I, _J, _SEED = 0x27D4EB2F, 0x165667B1, 0x1E3779B1
+# What is left of noise then is less than a hundredth of it.
+_FADED = 0.1
 _SKIRTING_M = 0.08
+_SKIRTING = (0.24, 0.23, 0.22)
+_CARPET_SQUARE_M = 0.5
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def hash_unit(i: int, j: int, seed: int) -> Any:
     """A number in [0, 1) that two integers and a seed always give: MurmurHash3's finalizer (Appleby, 2011)."""
-    h = (i * 0x27D4EB2F + j * 0x165667B1 + seed * 0x1E3779B1) & _MASK
+    return _mixed(i * _I + j * _J + seed * _SEED)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mixed(h: int) -> Any:
+    h &= _MASK
     h ^= h >> 16
     h = (h * 0x85EBCA6B) & _MASK
     h ^= h >> 13
@@ -28,14 +38,14 @@ def hash_unit(i: int, j: int, seed: int) -> Any:
     return h / 4294967296.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def cover(x: float, low: float, high: float, w: float) -> Any:
     """Share of a footprint of width w around x that lies between two edges."""
     inside = min(high, x + 0.5 * w) - max(low, x - 0.5 * w)
     return min(max(inside / w, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def stripes(x: float, period: float, width: float, w: float) -> Any:
     """Share of a footprint around x that lies on stripes centred at multiples of a period."""
     a, b = (x + 0.5 * width - 0.5 * w) / period, (x + 0.5 * width + 0.5 * w) / period
@@ -45,22 +55,24 @@ def stripes(x: float, period: float, width: float, w: float) -> Any:
     return covered * period / w
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def noise(s: float, t: float, cell_s: float, cell_t: float, ws: float, wt: float, seed: int) -> Any:
     """Smooth noise in (-1, 1) with one random value a corner of a grid; faded out as cells grow smaller than pixels."""
-    fade_s, fade_t = 1 - 0.25 * (ws / cell_s) ** 2, 1 - 0.25 * (wt / cell_t) ** 2
-    if fade_s <= 0 or fade_t <= 0:
+    per_s, per_t = 1 / cell_s, 1 / cell_t
+    fade_s, fade_t = 1 - 0.25 * (ws * per_s) ** 2, 1 - 0.25 * (wt * per_t) ** 2
+    if min(fade_s, fade_t) < _FADED:
         return 0.0
-    a, b = s / cell_s, t / cell_t
+    a, b = s * per_s, t * per_t
     i, j = math.floor(a), math.floor(b)
     a, b = a - i, b - j
     a, b = a * a * (3 - 2 * a), b * b * (3 - 2 * b)
-    low = (1 - a) * hash_unit(i, j, seed) + a * hash_unit(i + 1, j, seed)
-    high = (1 - a) * hash_unit(i, j + 1, seed) + a * hash_unit(i + 1, j + 1, seed)
+    key = i * _I + j * _J + seed * _SEED
+    low = (1 - a) * _mixed(key) + a * _mixed(key + _I)
+    high = (1 - a) * _mixed(key + _J) + a * _mixed(key + _I + _J)
     return (2 * ((1 - b) * low + b * high) - 1) * fade_s * fade_s * fade_t * fade_t
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def cells(s: float, t: float, cell_s: float, cell_t: float, ws: float, wt: float, seed: int, share: float) -> Any:
     """Mean over a footprint of a grid of flat cells.
 
@@ -74,37 +86,38 @@ def cells(s: float, t: float, cell_s: float, cell_t: float, ws: float, wt: float
     i, j = math.floor((s - 0.5 * ws) / cell_s), math.floor((t - 0.5 * wt) / cell_t)
     a = min(max((s + 0.5 * ws - (i + 1) * cell_s) / ws, 0.0), 1.0)
     b = min(max((t + 0.5 * wt - (j + 1) * cell_t) / wt, 0.0), 1.0)
-    value = (1 - a) * (1 - b) * _cell(i, j, seed, share)
+    key = i * _I + j * _J + seed * _SEED
+    value = (1 - a) * (1 - b) * _cell(key, share)
     if a > 0:
-        value += a * (1 - b) * _cell(i + 1, j, seed, share)
+        value += a * (1 - b) * _cell(key + _I, share)
     if b > 0:
-        value += (1 - a) * b * _cell(i, j + 1, seed, share)
+        value += (1 - a) * b * _cell(key + _J, share)
         if a > 0:
-            value += a * b * _cell(i + 1, j + 1, seed, share)
+            value += a * b * _cell(key + _I + _J, share)
     return mean + (value - mean) * fade
 
 
-@njit(cache=True, nogil=True)
-def _cell(i: int, j: int, seed: int, share: float) -> Any:
-    value = hash_unit(i, j, seed)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cell(key: int, share: float) -> Any:
+    value = _mixed(key)
     if share > 0:
         return 1.0 if value < share else 0.0
     return value
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def mix(a: Any, b: Any, k: float) -> Any:
     """Colour a, of which a share k is replaced by colour b."""
     return (a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1]), a[2] + k * (b[2] - a[2]))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def scaled(a: Any, k: float) -> Any:
     """Colour a, k times as bright."""
     return (a[0] * k, a[1] * k, a[2] * k)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def print_lines(s: float, t: float, pitch: float, ws: float, wt: float, seed: int) -> Any:
     """Share of ink in lines of words whose letters are blocks of three by four strokes; `pitch` is between lines."""
     if wt > 2 * pitch:
@@ -117,7 +130,7 @@ def print_lines(s: float, t: float, pitch: float, ws: float, wt: float, seed: in
     return line * word * letter * strokes
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def plaster(s: float, t: float, ws: float, wt: float, rgb: Any, contrast: float, seed: int) -> Any:
     """Nearly uniform: stains a metre wide, the roller's traces, a fine grain."""
     shade = 0.05 * noise(s, t, 1.3, 1.1, ws, wt, seed) + 0.03 * noise(s, t, 0.31, 0.37, ws, wt, seed + 1)
@@ -125,37 +138,38 @@ def plaster(s: float, t: float, ws: float, wt: float, rgb: Any, contrast: float,
     return scaled(rgb, 1 + contrast * shade)
 
 
-@njit(cache=True, nogil=True)
-def skirting(colour: Any, accent: Any, height_m: float, wt: float) -> Any:
-    """A wall's colour with the board along its foot."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def skirting(colour: Any, height_m: float, wt: float) -> Any:
+    """A wall's colour with the darker board along its foot."""
     board = cover(height_m, -1.0, _SKIRTING_M, wt)
     groove = cover(height_m, _SKIRTING_M, _SKIRTING_M + 0.006, wt)
-    return scaled(mix(colour, accent, board), 1 - 0.5 * groove)
+    return scaled(mix(colour, _SKIRTING, board), 1 - 0.5 * groove)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def carpet(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
-    """Mottled loops of two yarns, wear a metre wide, laid in squares whose pile turns from one to the next."""
-    turn = cells(s, t, scale_m, scale_m, ws, wt, seed, 0.5) - 0.5
+    """Mottled loops of two yarns in squares whose pile turns from one to the next; figures of a large scale show."""
+    turn = cells(s, t, _CARPET_SQUARE_M, _CARPET_SQUARE_M, ws, wt, seed, 0.5) - 0.5
     wear = noise(s, t, 1.6, 1.6, ws, wt, seed + 1)
-    mottle = 0.5 * noise(s, t, 0.09, 0.09, ws, wt, seed + 2) + 0.6 * noise(s, t, 0.028, 0.028, ws, wt, seed + 3)
+    mottle = 0.5 * noise(s, t, 1.6 * scale_m, 1.6 * scale_m, ws, wt, seed + 2) + 0.6 * noise(
+        s, t, 0.028, 0.028, ws, wt, seed + 3
+    )
     yarn = cells(s, t, 0.009, 0.007, ws, wt, seed + 4, 0.0) - 0.5
     speck = cells(s, t, 0.02, 0.02, ws, wt, seed + 5, 0.06)
+    figure = cells(s, t, 0.2 * scale_m, 0.2 * scale_m, ws, wt, seed + 6, 0.22) if scale_m > 0.15 else 0.0
     shade = 1 + contrast * (0.16 * turn + 0.12 * wear + 0.25 * mottle + 0.5 * yarn)
-    seam = max(stripes(s, scale_m, 0.004, ws), stripes(t, scale_m, 0.004, wt))
-    return scaled(
-        mix(rgb, accent, min(0.7 * contrast * speck + 0.25 * contrast * (0.5 + mottle), 1.0)),
-        max(shade, 0.1) * (1 - 0.3 * seam),
-    )
+    seam = max(stripes(s, _CARPET_SQUARE_M, 0.004, ws), stripes(t, _CARPET_SQUARE_M, 0.004, wt))
+    share = min(contrast * (0.7 * speck + 0.25 * (0.5 + mottle) + 0.6 * figure), 1.0)
+    return scaled(mix(rgb, accent, share), max(shade, 0.1) * (1 - 0.3 * seam))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def tiles(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
-    """Square tiles of slightly different shade, veined and speckled, with joints 5 mm wide."""
+    """Square tiles of slightly different shade, veined and speckled, with joints of 5 mm or less."""
     shade = 0.28 * (cells(s, t, scale_m, scale_m, ws, wt, seed, 0.0) - 0.5)
     i, j = math.floor(s / scale_m), math.floor(t / scale_m)
     # Each tile is cut from another place of the stone.
@@ -164,24 +178,25 @@ def tiles(
     vein = max(0.0, 1 - 7 * abs(noise(a, b, 0.19, 0.11, ws, wt, seed + 5) + 0.2 * cloud)) if ws + wt < 0.05 else 0.1
     speck = cells(s, t, 0.008, 0.008, ws, wt, seed + 6, 0.0) - 0.5
     body = scaled(rgb, 1 + contrast * (shade + 0.12 * cloud - 0.3 * vein + 0.22 * speck))
-    joint = 1 - (1 - stripes(s, scale_m, 0.005, ws)) * (1 - stripes(t, scale_m, 0.005, wt))
+    gap = min(0.005, 0.06 * scale_m)
+    joint = 1 - (1 - stripes(s, scale_m, gap, ws)) * (1 - stripes(t, scale_m, gap, wt))
     return mix(body, accent, joint)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def wood(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
-    """Planks along s, as long as the scale and a seventh as wide, each with its own grain and shade."""
-    width = scale_m / 7
+    """Planks along s, as wide as the scale and seven times as long, each with its own grain and shade."""
+    width, length = scale_m, 7 * scale_m
     row = math.floor(t / width)
-    along = s + scale_m * hash_unit(row, 3, seed)
-    plank = cells(along, t, scale_m, width, ws, wt, seed + 1, 0.0) - 0.5
-    joint = 1 - (1 - stripes(t, width, 0.002, wt)) * (1 - stripes(along, scale_m, 0.002, ws))
+    along = s + length * hash_unit(row, 3, seed)
+    plank = cells(along, t, length, width, ws, wt, seed + 1, 0.0) - 0.5
+    joint = 1 - (1 - stripes(t, width, 0.002, wt)) * (1 - stripes(along, length, 0.002, ws))
     return scaled(grain(along + 3 * row, t, ws, wt, rgb, accent, contrast, seed + 2, 0.3 * plank), 1 - 0.65 * joint)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def grain(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int, shade: float
 ) -> Any:
@@ -193,7 +208,7 @@ def grain(
     return scaled(mix(rgb, accent, 0.45 * contrast * dark), 1 + contrast * (shade + 0.06 * ring))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def ceiling(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
@@ -206,7 +221,7 @@ def ceiling(
     return mix(scaled(body, 1 - 0.35 * (edge - bar)), accent, bar)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fabric(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:

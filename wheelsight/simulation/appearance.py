@@ -9,57 +9,21 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import get_args
 
 import numpy as np
 
 from wheelsight.errors import ConfigError
-from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.geometry import Float32Array
 from wheelsight.simulation import _paint_kernels as kernels
+from wheelsight.simulation.lighting import Lighting
 from wheelsight.simulation.view import Geoms, View
 from wheelsight.simulation.world import Surface, SurfaceKind
 
 _KINDS: tuple[str, ...] = get_args(SurfaceKind)
 # Textures of which a neighbouring geom of the same material shows the continuation; others begin anew on each geom.
 _CONTINUED = ("plain", "plaster", "carpet", "tiles", "ceiling")
-_CEILING_M = 2.6
-_PANEL_M = 0.6
-_PANELS_TO_NEXT_LAMP = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Lighting:
-    """How a building is lit.
-
-    Attributes:
-        tints: (3, 3) rows: light from all round, of lamps, of windows; columns: red, green, blue.
-        lamps: (5,) lamps stand in a square grid: its pitch, a lamp's half lengths in x and y, the ceiling's height,
-            all in metres, and the seed of their ages.
-        sun: (3,) unit vector towards the windows.
-    """
-
-    tints: FloatArray
-    lamps: FloatArray
-    sun: FloatArray
-
-    @classmethod
-    def of_seed(cls, seed: int, ceiling_m: float = _CEILING_M, panel_m: float = _PANEL_M) -> Lighting:
-        """Level, colour temperature, the windows' side and the lamps' ages, drawn by a seed."""
-        rng = np.random.default_rng([seed, zlib.crc32(b"light")])
-        level, warmth = rng.uniform(0.75, 1.25), rng.uniform(-1.0, 1.0)
-        # Lamps of about 3000 K to 5500 K seen by a camera balanced for 4000 K; skylight is bluer.
-        lamp = np.array([1 + 0.10 * warmth, 1.0, 1 - 0.14 * warmth])
-        sky = np.array([0.93, 1.0, 1.10])
-        round_about = 0.5 * (lamp + 1.0)
-        strengths = rng.uniform([0.38, 0.55, 0.05], [0.5, 0.75, 0.25])
-        azimuth = rng.uniform(0, 2 * np.pi)
-        sun = np.array([np.cos(azimuth), np.sin(azimuth), 0.25]) / np.hypot(1, 0.25)
-        tints = level * strengths[:, None] * np.array([round_about, lamp, sky])
-        half = 0.5 * panel_m - 0.03
-        lamps = np.array([_PANELS_TO_NEXT_LAMP * panel_m, half, half, ceiling_m, float(rng.integers(2**31))])
-        return cls(tints, lamps, sun)
 
 
 class Painter:
@@ -80,11 +44,11 @@ class Painter:
             _surface_of(name, material, surfaces) for name, material in zip(geoms.names, geoms.materials, strict=True)
         ]
         self._geoms = geoms
-        self.lighting = Lighting.of_seed(seed, *_ceiling_of(geoms, looks))
+        self.lighting = Lighting.of(geoms, looks, seed)
         self._origin = np.zeros((len(looks), 3))
         self._looks = np.zeros((len(looks), 2), np.int64)
-        self._colours = np.array([[look.rgb, look.accent_rgb] for look in looks], float).reshape(-1, 2, 3)
-        self._numbers = np.array([[look.scale_m, look.contrast, look.shine] for look in looks], float).reshape(-1, 3)
+        self._colours = np.array([[look.rgb, look.accent_rgb] for look in looks], float).reshape(-1, 6)
+        self._numbers = np.array([[look.scale_m, look.contrast, look.glow] for look in looks], float).reshape(-1, 3)
         for g, look in enumerate(looks):
             is_continued = look.kind in _CONTINUED
             key = geoms.materials[g] if is_continued else geoms.names[g] or str(g)
@@ -111,14 +75,17 @@ class Painter:
             geoms.kind,
             geoms.size_m,
             geoms.position_world,
-            np.ascontiguousarray(np.swapaxes(geoms.R_world_geom, 1, 2)),
+            geoms.R_world_geom,
             self._origin,
             self._looks,
             self._colours,
             self._numbers,
             self.lighting.tints,
-            self.lighting.lamps,
             self.lighting.sun,
+            self.lighting.grid,
+            self.lighting.flux,
+            self.lighting.clearance,
+            self.lighting.lattice,
             out,
         )
         if self._pool is None:
@@ -146,16 +113,8 @@ def _surface_of(geom: str, material: str, surfaces: Mapping[str, Surface]) -> Su
     shares = (*surface.rgb, *surface.accent_rgb, surface.contrast, surface.shine)
     if not all(0 <= share <= 1 for share in shares):
         raise ConfigError(f"surface {material!r}: reflectances, contrast and shine lie between 0 and 1")
+    if not 0 <= surface.glow < np.inf:
+        raise ConfigError(f"surface {material!r} glows by {surface.glow}", fix="0 or more")
     if not 0.01 <= surface.scale_m < np.inf:
         raise ConfigError(f"surface {material!r}: a scale of {surface.scale_m} m (at least 0.01)")
     return surface
-
-
-def _ceiling_of(geoms: Geoms, looks: list[Surface]) -> tuple[float, float]:
-    """Height of the lowest ceiling and the size of its panels, in metres; what is usual where there is none."""
-    found = [
-        (geoms.position_world[g, 2] - (geoms.size_m[g, 2] if geoms.kind[g] == 6 else 0.0), look.scale_m)
-        for g, look in enumerate(looks)
-        if look.kind == "ceiling"
-    ]
-    return min(found, default=(_CEILING_M, _PANEL_M))
