@@ -1,8 +1,8 @@
 """Where a wheeled robot is and what its place looks like: wheel encoders and a depth camera, joined.
 
-All in one: `run(open_recording(folder), Config(), out)`. Frame by frame: `Localizer(calibration).process(frame)`.
-Every step by hand: the sub-packages. The names below are loaded when first asked for, so `import wheelsight` costs
-next to nothing.
+All in one: `run(open_recording(folder), Config(), out)`; `simulate(SimulationSettings())` where there is no recording.
+Frame by frame: `Localizer(calibration).process(frame)`. Every step by hand: the sub-packages. The names below are
+loaded when first asked for, so `import wheelsight` costs next to nothing.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from wheelsight.odometry.wheels import WheelOdometry
     from wheelsight.pipeline import run
     from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
+    from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate, write_simulation
     from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 __all__ = [
@@ -41,6 +42,8 @@ __all__ = [
     "Reason",
     "Recording",
     "RgbdFrame",
+    "SimulatedRecording",
+    "SimulationSettings",
     "SkippedFrame",
     "Status",
     "Trajectory",
@@ -60,8 +63,10 @@ __all__ = [
     "run",
     "save_calibration",
     "save_config",
+    "simulate",
     "write_kitti",
     "write_recording",
+    "write_simulation",
     "write_tum",
 ]
 
@@ -78,6 +83,7 @@ _NAMES_OF = {
     "odometry.wheels": ("WheelOdometry",),
     "pipeline": ("run",),
     "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
+    "simulation": ("SimulatedRecording", "SimulationSettings", "simulate", "write_simulation"),
     "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -62,7 +61,7 @@ class Renderer:
             Passersby(world, drive, settings.passersby, settings.seed, settings.robot) if settings.passersby else None
         )
         self._products_s: dict[int, float] = {}
-        self._eyes = threading.local()
+        self._idle_eyes: deque[_Eye] = deque()
 
     @property
     def calibration(self) -> Calibration:
@@ -89,7 +88,21 @@ class Renderer:
 
     def frame(self, index: int) -> RgbdFrame:
         """One frame, the same whatever was rendered before. Safe to be called by several threads at a time."""
-        stamp_s, eye = self.stamp_s(index), self._eye()
+        try:
+            eye = self._idle_eyes.pop()
+        except IndexError:
+            eye = _Eye(self._world, self._passersby, self._settings.seed)
+        try:
+            return self._frame(index, eye)
+        finally:
+            self._idle_eyes.append(eye)
+
+    def frames(self) -> Generator[RgbdFrame]:
+        """All frames in order, two of them made at a time while the caller is busy with the one before."""
+        yield from in_order(self.frame, self.frame_count, _THREADS)
+
+    def _frame(self, index: int, eye: _Eye) -> RgbdFrame:
+        stamp_s = self.stamp_s(index)
         depth_rng, color_rng = np.random.default_rng([self._settings.seed, _STREAM, index]).spawn(2)
         exposure = self._exposure(index, eye)
         view = eye.look(self._camera.camera, self.row_poses(stamp_s), stamp_s)
@@ -97,18 +110,6 @@ class Renderer:
         twist = self._twist(stamp_s) if self._sensor.motion_blur else None
         color = self._sensor.expose(eye.painter.paint(view), view, exposure, color_rng, twist)
         return RgbdFrame(stamp_s, color, depth_m, index)
-
-    def frames(self) -> Generator[RgbdFrame]:
-        """All frames in order, two of them made at a time while the caller is busy with the one before."""
-        yield from in_order(self.frame, self.frame_count, _THREADS)
-
-    def _eye(self) -> _Eye:
-        """This thread's own."""
-        if not hasattr(self._eyes, "eye"):
-            self._eyes.eye = _Eye(self._world, self._passersby, self._settings.seed)
-        eye = self._eyes.eye
-        assert isinstance(eye, _Eye)
-        return eye
 
     def _exposure(self, index: int, eye: _Eye) -> Exposure:
         """What the camera's control sets for a frame, after what it metered in this one and the ones before.
@@ -141,7 +142,7 @@ class Renderer:
 
 
 class _Eye:
-    """A scene and its paint, for one thread alone: people in it are moved before each look."""
+    """A scene and its paint, for one frame at a time: people in it are moved before each look."""
 
     def __init__(self, world: World, passersby: Passersby | None, seed: int) -> None:
         self._scene = Scene(world, passersby, threads=1)
