@@ -9,63 +9,60 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def keeps_clear(xy_m: Any, is_free: Any, xy_robot_m: Any, R_world_robot: Any, outline_m: Any, distance_m: float) -> Any:
-    """(S, L) uint8: 1 for free places at least `distance_m` from the robot's outline, else 0.
+def keep_clear(
+    clear: Any, cell_m: float, corner_m: Any, xy_robot_m: Any, R_world_robot: Any, outline_m: Any, distance_m: float
+) -> None:
+    """Set cells of `clear` (R, C) to 0 whose centres are nearer than `distance_m` to the robot's outline.
 
-    `xy_m` (S, L, 2) are the places, `outline_m` (x_back, x_front, y_half) is a rectangle in the robot's frame, which
-    stands at `xy_robot_m` (2,), turned by R (2, 2).
+    Cell (row, column) is centred `cell_m` · (column, row) from `corner_m` (2,). `outline_m` (x_back, x_front, y_half)
+    is a rectangle in the robot's frame, which stands at `xy_robot_m` (2,), turned by R (2, 2).
     """
-    clear = np.zeros(is_free.shape, np.uint8)
-    for s in range(is_free.shape[0]):
-        for side in range(is_free.shape[1]):
-            if not is_free[s, side]:
-                continue
-            dx, dy = xy_m[s, side, 0] - xy_robot_m[0], xy_m[s, side, 1] - xy_robot_m[1]
+    reach_m = max(abs(outline_m[0]), abs(outline_m[1])) + outline_m[2] + distance_m
+    middle = (xy_robot_m - corner_m) / cell_m
+    reach = reach_m / cell_m + 1
+    for row in range(max(int(middle[1] - reach), 0), min(int(middle[1] + reach) + 2, clear.shape[0])):
+        for column in range(max(int(middle[0] - reach), 0), min(int(middle[0] + reach) + 2, clear.shape[1])):
+            dx = corner_m[0] + cell_m * column - xy_robot_m[0]
+            dy = corner_m[1] + cell_m * row - xy_robot_m[1]
             x = R_world_robot[0, 0] * dx + R_world_robot[1, 0] * dy
             y = abs(R_world_robot[0, 1] * dx + R_world_robot[1, 1] * dy)
             past_x = max(outline_m[0] - x, x - outline_m[1], 0.0)
             past_y = max(y - outline_m[2], 0.0)
-            clear[s, side] = past_x * past_x + past_y * past_y >= distance_m * distance_m
-    return clear
+            if past_x * past_x + past_y * past_y < distance_m * distance_m:
+                clear[row, column] = 0
 
 
 @njit(cache=True, nogil=True)
 def best_step(
     safe: Any,
-    xy_m: Any,
-    is_loop: bool,
-    s: int,
-    side: int,
-    reach_s: int,
-    reach_side: int,
-    heading: int,
+    along_m: Any,
+    left_m: Any,
+    lap_m: float,
+    steps: Any,
+    row: int,
+    column: int,
     stride_m: float,
-    favourite: int,
-    taken_m: Any,
-    apart_m: float,
+    favourite_m: float,
+    taken: Any,
+    apart: float,
 ) -> tuple[int, int]:
-    """The place (s, side) to step to, of those in reach that are `safe` (S, L).
+    """The cell (row, column) to step to, of those that are `safe` (R, C) and one of `steps` (K, 2) away.
 
-    Wanted is a step of `stride_m` metres in the direction `heading` along the route, towards the `favourite` side and
-    `apart_m` away from the places `taken_m` (K, 2) of others. (-1, -1) where no step is safe.
+    Wanted is `stride_m` along the route, negative for back, by `along_m` (R, C), which starts anew after `lap_m`; then
+    to be `favourite_m` left of the route by `left_m` (R, C), and `apart` cells from others' cells `taken` (N, 2).
+    (-1, -1) where no step is safe.
     """
     best, found = np.inf, (-1, -1)
-    for ds in range(-reach_s, reach_s + 1):
-        to_s = s + ds
-        if is_loop:
-            to_s %= safe.shape[0]
-        if to_s < 0 or to_s >= safe.shape[0]:
+    for k in range(len(steps)):
+        r, c = row + steps[k, 0], column + steps[k, 1]
+        if not (0 <= r < safe.shape[0] and 0 <= c < safe.shape[1]) or not safe[r, c]:
             continue
-        for to_side in range(max(side - reach_side, 0), min(side + reach_side, safe.shape[1] - 1) + 1):
-            if not safe[to_s, to_side]:
-                continue
-            x, y = xy_m[to_s, to_side]
-            way = np.sqrt((x - xy_m[s, side, 0]) ** 2 + (y - xy_m[s, side, 1]) ** 2)
-            ahead = way if ds * heading > 0 else -way if ds * heading < 0 else 0.0
-            cost = abs(stride_m - ahead) / stride_m + 0.02 * abs(to_side - favourite) + 0.05 * abs(to_side - side)
-            for k in range(len(taken_m)):
-                gap = np.sqrt((x - taken_m[k, 0]) ** 2 + (y - taken_m[k, 1]) ** 2)
-                cost += 3 * max(apart_m - gap, 0.0) / apart_m
-            if cost < best:
-                best, found = cost, (to_s, to_side)
+        way_m = along_m[r, c] - along_m[row, column]
+        way_m -= lap_m * np.round(way_m / lap_m)
+        cost = abs(stride_m - way_m) / abs(stride_m) + 0.3 * abs(left_m[r, c] - favourite_m)
+        for n in range(len(taken)):
+            gap = np.sqrt((r - taken[n, 0]) ** 2 + (c - taken[n, 1]) ** 2)
+            cost += 3 * max(apart - gap, 0.0) / apart
+        if cost < best:
+            best, found = cost, (r, c)
     return found
