@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -120,10 +121,10 @@ def test_counts_are_what_the_wheels_turned() -> None:
 
 
 def test_ice_makes_wheels_slip() -> None:
-    ice = WheelFaults(patches=(Patch(4.0, 0.0, 0.8, friction=0.03),))
+    ice = WheelFaults(patches=(Patch(2.0, 0.0, 0.8, friction=0.03),))
     errors_m = []
     for faults in (WheelFaults(), ice):
-        drive = simulate_drive(WORLD, ROBOT, StopAndTurn(SQUARE[:3], 1.0), faults=faults, seed=1)
+        drive = simulate_drive(WORLD, ROBOT, StopAndTurn(SQUARE[:3] / 2, 1.0), faults=faults, seed=1)
         path, truth = by_wheels(drive, ROBOT.wheels)
         errors_m.append(np.linalg.norm(path.positions_m[-1] - truth[-1, :3, 3]))
     assert errors_m[1] > 5 * errors_m[0]
@@ -171,6 +172,21 @@ def test_a_wheelchair_against_a_wall_is_stuck_and_says_where() -> None:
     assert drive.duration_s < 20
 
 
+def test_physics_that_runs_away_ends_the_drive_and_leaves_no_pose_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    step = Chair.step
+
+    def explode(self: Chair, stamp_s: float, steps: int) -> None:
+        step(self, stamp_s, steps)
+        if stamp_s > 1.0:
+            self._data.qvel[:] = 1e5
+
+    monkeypatch.setattr(Chair, "step", explode)
+    drive = simulate_drive(WORLD, ROBOT, straight(), time_limit_s=5.0)
+    assert not drive.is_complete
+    assert "unstable" in drive.reason
+    assert np.abs(drive.truth.positions_m).max() < 1.0
+
+
 def test_a_time_limit_ends_a_drive() -> None:
     told_s: list[float] = []
     drive = simulate_drive(WORLD, ROBOT, straight(60.0), time_limit_s=3.0, on_progress=told_s.append)
@@ -201,3 +217,19 @@ def test_truth_is_of_the_base_at_200_hz_and_starts_where_the_route_does() -> Non
     assert drive.truth.body == "base"
     assert drive.truth.stamps_s[0] == 0
     np.testing.assert_allclose(drive.truth.T_world_body[0], se3.from_plane(1, 2, np.pi / 2), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (lambda: WheelFaults(lifted_s=((3.0, 2.0),)), "lifted_s"),
+        (lambda: WheelFaults(dropouts_s=((-1.0, 2.0),)), "dropouts_s"),
+        (lambda: WheelFaults(unplugged_s=((math.nan, 2.0),)), "unplugged_s"),
+        (lambda: Patch(0.0, 0.0, -1.0), "radius -1"),
+        (lambda: Patch(math.nan, 0.0, 1.0), "nan"),
+        (lambda: Patch(0.0, 0.0, 1.0, friction=0.0), "friction is 0"),
+    ],
+)
+def test_faults_that_cannot_be_are_refused(fault: Callable[[], object], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        fault()

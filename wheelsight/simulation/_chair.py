@@ -19,6 +19,7 @@ _SWAY_N, _SWAY_S = 6.0, 1.0
 _LIFT_M_S = 0.02
 _RAMP_M_S2 = 1.5
 _LARGEST_SWIVEL_RAD = 0.5
+_FASTEST = 1e3
 
 
 class Chair:
@@ -95,8 +96,8 @@ class Chair:
 
     @property
     def is_broken(self) -> bool:
-        """Whether the physics has run away."""
-        return bool(self._data.warning.number.any())
+        """Whether numbers run away; seen before MuJoCo itself does, which then starts anew and writes a log file."""
+        return bool(self._data.warning.number.any() or not np.abs(self._data.qvel).max() < _FASTEST)
 
     def obey(self, v_m_s: float, yaw_rate_rad_s: float) -> None:
         """Sets the motors' speeds, by the wheels as the owner believes them to be; called every `COMMAND_PERIOD_S`.

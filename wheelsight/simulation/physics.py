@@ -50,12 +50,12 @@ def simulate_drive(
     Args:
         world: what there is to bump into, and where the drive starts unless the driver says so.
         robot: as it truly is.
-        driver: who sees the true pose and gives the commands.
+        driver: who gives the commands.
         faults: what goes wrong with the wheels, and when.
         slip: whether the wheels may slip.
         seed: of the floor, the rider, the castors' first directions, the encoders' phases and the gyroscope.
         time_limit_s: when a drive ends that has not arrived.
-        on_progress: told the simulated seconds about once a second.
+        on_progress: told the simulated seconds, once for each.
 
     Raises:
         ConfigError: a time limit that is none, or a world MuJoCo does not take.
@@ -79,6 +79,8 @@ def _drive(
     watch = _Watch()
     for tick in range(math.ceil(time_limit_s / TRUTH_PERIOD_S) + 1):
         stamp_s = tick * TRUTH_PERIOD_S
+        if chair.is_broken:
+            return f"the physics became unstable at {stamp_s:.1f} s"
         log.note(tick, stamp_s)
         if tick % _every(COMMAND_PERIOD_S) == 0:
             believed = log.T_world_believed()
@@ -143,7 +145,7 @@ class _Watch:
     def trouble(self, stamp_s: float, chair: Chair, command: Command) -> str:
         """What the matter is, or nothing."""
         T = chair.T_world_base
-        if chair.is_broken or T[2, 2] < 0.7:
+        if T[2, 2] < 0.7:
             return f"the wheelchair fell over at {stamp_s:.1f} s"
         x_m, y_m, yaw_rad = float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0])
         rests = abs(command.v_m_s) < 0.005 and abs(command.yaw_rate_rad_s) < 0.005

@@ -93,12 +93,20 @@ class Robot:
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """A round patch of floor with another friction: ice, wet tiles."""
+    """A round patch of floor with another friction: ice, wet tiles. Raises ConfigError for one that cannot be."""
 
     x_m: float
     y_m: float
     radius_m: float
     friction: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.x_m) and math.isfinite(self.y_m) and 0 < self.radius_m < math.inf):
+            raise ConfigError(
+                f"a patch of radius {self.radius_m} m at {self.x_m}, {self.y_m} is none", fix="give metres"
+            )
+        if not 0.001 <= self.friction <= 2:
+            raise ConfigError(f"a patch's friction is {self.friction}", fix="0.001 to 2; ice has about 0.05")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +118,18 @@ class WheelFaults:
         unplugged_s: (from, to) times in which an encoder's cable is out and its pulses are lost; both wheels.
         patches: of low friction.
         lifted_s: (from, to) times in which the left driven wheel hangs free.
+
+    Raises:
+        ConfigError: a time that ends before it begins.
     """
 
     dropouts_s: tuple[tuple[float, float], ...] = ()
     unplugged_s: tuple[tuple[float, float], ...] = ()
     patches: tuple[Patch, ...] = field(default=())
     lifted_s: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("dropouts_s", "unplugged_s", "lifted_s"):
+            for start_s, end_s in getattr(self, name):
+                if not 0 <= start_s < end_s:
+                    raise ConfigError(f"{name} has a time from {start_s} to {end_s} s", fix="from 0 on, growing")
