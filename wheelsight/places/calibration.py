@@ -114,13 +114,14 @@ def least_confidence(probabilities: FloatArray, labels: IntArray, wanted_accurac
 
 
 def held_out_folds(
-    labels: IntArray, folds: int, gap_frames: int, drives: IntArray | None = None
+    labels: IntArray, folds: int, block_frames: int, gap_frames: int, drives: IntArray | None = None
 ) -> list[tuple[BoolArray, BoolArray]]:
     """Which of N frames in order of time to train on (N,) and to try (N,), fold by fold.
 
     Neighbouring frames are alike, so that a forest tried on frames strewn among its own would seem better than it is.
-    With several drives, whole drives are held out. Else each area's frames are cut into `folds` runs, one of which is
-    held out, and up to `gap_frames` on both of its sides are left out of training. Frames with label -1 are in none.
+    With several drives, whole drives are held out. Else each area's frames are cut into blocks of about `block_frames`,
+    at least one a fold, which are dealt to the folds in turn; up to `gap_frames` on both sides of a block held out, at
+    most half as many as it has, are left out of training. Frames with label -1 are in none.
     """
     labelled = labels >= 0
     if drives is not None and len(np.unique(drives)) > 1:
@@ -131,9 +132,11 @@ def held_out_folds(
         tried, beside = np.zeros(len(labels), bool), np.zeros(len(labels), bool)
         for area in np.unique(labels[labelled]):
             frames = np.flatnonzero(labels == area)
-            run = np.array_split(frames, folds)[fold]
-            tried[run] = True
-            for side in (run - min(gap_frames, len(run) // 2), run + min(gap_frames, len(run) // 2)):
-                beside[side[(side >= 0) & (side < len(labels))]] = True
+            rounds = max(round(len(frames) / (folds * block_frames)), 1)
+            for block in np.array_split(frames, folds * rounds)[fold::folds]:
+                tried[block] = True
+                gap = min(gap_frames, len(block) // 2)
+                for side in (block - gap, block + gap):
+                    beside[side[(side >= 0) & (side < len(labels))]] = True
         split.append((labelled & ~tried & ~beside, tried))
     return [(trained, tried) for trained, tried in split if tried.any() and trained.any()]

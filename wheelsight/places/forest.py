@@ -26,7 +26,8 @@ class ForestSettings(BaseModel):
     min_leaf: PositiveInt = Field(1, description="frames that a leaf holds at least")
     seed: NonNegativeInt = Field(0, lt=2**32, description="one seed gives one forest")
     folds: int = Field(5, ge=2, le=20, description="blocks held out in turn to calibrate probabilities")
-    gap_frames: NonNegativeInt = Field(15, description="left out of training on both sides of a block held out")
+    block_frames: PositiveInt = Field(20, description="neighbours that are held out together, about")
+    gap_frames: NonNegativeInt = Field(5, description="left out of training on both sides of a block held out")
     wanted_accuracy: float = Field(
         0.95, gt=0, le=1, description="of answers on blocks held out; what is less sure is answered with unknown"
     )

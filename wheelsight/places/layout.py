@@ -24,8 +24,8 @@ class LayoutSettings(BaseModel):
 
     rows: int = Field(4, ge=1, le=16, description="of cells")
     columns: int = Field(6, ge=1, le=16, description="of cells")
-    profile: int = Field(24, ge=1, le=64, description="upright strips of the middle third whose depth is told")
-    bins: int = Field(20, ge=2, le=100, description="of the whole frame's histograms of grey and of depth")
+    profile: int = Field(16, ge=1, le=64, description="upright strips of the middle third whose depth is told")
+    bins: int = Field(40, ge=2, le=100, description="of the whole frame's histograms of grey and of depth")
     sides: int = Field(5, ge=2, le=15, description="bins a side of the whole frame's histogram of normals")
     samples_down: int = Field(120, ge=16, le=480, description="rows of the grid at which images are read")
     samples_across: int = Field(160, ge=16, le=640, description="columns of that grid")

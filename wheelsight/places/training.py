@@ -90,7 +90,7 @@ def train_places(
     described, wanted = np.asarray(features, np.float32), np.asarray(labels)
     _check_training(described, wanted, area_names, describer)
     numbers = None if drives is None else np.asarray(drives)
-    folds = held_out_folds(wanted, settings.folds, settings.gap_frames, numbers)
+    folds = held_out_folds(wanted, settings.folds, settings.block_frames, settings.gap_frames, numbers)
     tried, raw, fold_of = _try_out(described, wanted, len(area_names), settings, folds)
     scale, least, figures = _calibrate(raw, wanted[tried], fold_of, settings)
     shown = wanted >= 0

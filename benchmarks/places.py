@@ -1,0 +1,269 @@
+"""`python -m benchmarks.places [RECORDING …]`: how quick places are named, and how often rightly on real frames."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from sklearn.cluster import KMeans
+from sklearn.ensemble import RandomForestClassifier
+
+from benchmarks import machine
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray, IntArray
+from wheelsight.places import (
+    Describer,
+    ForestSettings,
+    HistogramDescriber,
+    HistogramSettings,
+    LayoutDescriber,
+    PlaceModel,
+    calibration_curve,
+    describe_all,
+    train_places,
+)
+from wheelsight.recordings import OpenOptions, open_recording
+from wheelsight.trajectory import Trajectory
+
+TRAINING_FRAMES = 1433  # as many as in the paper
+AREAS = 8
+FRAME_LIMIT_MS = 1.0
+LEAST_SPEEDUP = 5.0
+TRAINING_LIMIT_S = 5.0
+DESCRIBERS: tuple[Describer, ...] = (HistogramDescriber(), LayoutDescriber())
+_REPEATS = 40
+_TRAINING_REPEATS = 3
+# A turn by a radian changes a view about as much as a metre's way.
+_METRES_PER_RADIAN = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceTimes:
+    """Medians over repeats, of one 640×480 frame.
+
+    Attributes:
+        describer: which description.
+        describe_ms: the frame in numbers.
+        predict_ms: description, forest and calibration: `PlaceModel.predict`.
+        plain_ms: the same forest asked by scikit-learn's predict_proba about numpy.histogram's grey and depth
+            histograms of all pixels.
+        training_s: growing and calibrating on 1 433 frames.
+    """
+
+    describer: str
+    describe_ms: float
+    predict_ms: float
+    plain_ms: float
+    training_s: float
+
+    @property
+    def speedup(self) -> float:
+        """How many times quicker than the plain way."""
+        return self.plain_ms / self.predict_ms
+
+
+@dataclass(frozen=True, slots=True)
+class RealAccuracy:
+    """How a model did on a part of a recording that it was not trained on.
+
+    Attributes:
+        recording: its name.
+        split: which part it was trained on.
+        describer: which description.
+        areas: how many the training part visits.
+        unseen: share of test frames in areas the training part does not visit; left out of the figures below.
+        accuracy: share of test frames whose most probable area is the true one.
+        answered: share of test frames whose area is named at all.
+        answered_accuracy: share of those that are right.
+        calibration_error: of the probabilities.
+        held_out_accuracy: what the model expected of itself.
+    """
+
+    recording: str
+    split: str
+    describer: str
+    areas: int
+    unseen: float
+    accuracy: float
+    answered: float
+    answered_accuracy: float
+    calibration_error: float
+    held_out_accuracy: float
+
+
+def measure_places() -> list[PlaceTimes]:
+    """Time each description with a forest of the default settings; compiled kernels are warmed first."""
+    frames = [_made_frame(area, number) for number in range(4) for area in range(AREAS)]
+    return [_times(describer, frames) for describer in DESCRIBERS]
+
+
+def _times(describer: Describer, frames: Sequence[RgbdFrame]) -> PlaceTimes:
+    features, labels = _many(describe_all(frames, describer).features)
+    names = [f"area {i}" for i in range(AREAS)]
+    model = train_places(features, labels, names, describer)
+    frame, plain_ask = frames[0], _plain_way(frames[0], model)
+    return PlaceTimes(
+        describer.kind,
+        1e3 * _median_s(lambda: describer.describe(frame)),
+        1e3 * _median_s(lambda: model.predict(frame)),
+        1e3 * _median_s(plain_ask),
+        _median_s(lambda: train_places(features, labels, names, describer), _TRAINING_REPEATS),
+    )
+
+
+def _plain_way(frame: RgbdFrame, model: PlaceModel) -> Callable[[], object]:
+    """What anyone would write first: numpy.histogram of both images, and predict_proba of a forest of that size."""
+    settings, bins = model.settings, HistogramSettings().bins
+
+    def describe(color: ByteArray, depth_m: Float32Array) -> FloatArray:
+        grey = color @ np.array([0.299, 0.587, 0.114])
+        counts = np.histogram(grey, bins, (0, 256))[0], np.histogram(depth_m, bins, (0, 8))[0]
+        return np.concatenate(counts) / grey.size
+
+    rng = np.random.default_rng(0)
+    histograms = np.abs(describe(frame.color, frame.depth_m) + 0.002 * rng.standard_normal((TRAINING_FRAMES, 2 * bins)))
+    forest = RandomForestClassifier(settings.trees, criterion="entropy", max_depth=settings.max_depth, random_state=0)
+    forest.fit(histograms, np.arange(TRAINING_FRAMES) % AREAS)
+    return lambda: forest.predict_proba(describe(frame.color, frame.depth_m)[None])
+
+
+def _made_frame(area: int, number: int) -> RgbdFrame:
+    """A corridor's end at a distance that the area tells, under noise, with holes."""
+    rng = np.random.default_rng((area, number))
+    across, down = np.meshgrid(np.linspace(-1, 1, 640), np.linspace(-1, 1, 480))
+    depth_m = np.minimum(1 / np.maximum(np.maximum(abs(across), abs(down)), 0.1), 1.5 + 0.6 * area)
+    depth_m = np.where(rng.random(depth_m.shape) < 0.1, 0, depth_m + 0.02 * rng.standard_normal(depth_m.shape))
+    grey = 40 + 20 * area + 30 * across[..., None] + rng.normal(0, 12, (480, 640, 3))
+    return RgbdFrame(float(number), np.clip(grey, 0, 255).astype(np.uint8), depth_m.astype(np.float32), number)
+
+
+def _many(features: Float32Array) -> tuple[Float32Array, IntArray]:
+    """As many frames as the paper trains on: those described, in runs of one area, with noise of a tenth."""
+    rng = np.random.default_rng(0)
+    labels = np.arange(TRAINING_FRAMES) * AREAS // TRAINING_FRAMES
+    chosen = features[labels + AREAS * rng.integers(0, len(features) // AREAS, TRAINING_FRAMES)]
+    noise = 0.1 * features.std(axis=0) * rng.standard_normal(chosen.shape)
+    return (chosen + noise).astype(np.float32), labels
+
+
+def areas_by_clustering(truth: Trajectory, count: int, seed: int = 0) -> IntArray:
+    """Areas (N,) of a hand-held camera's poses: clusters of where it was and where it looked."""
+    looking = truth.T_world_body[:, :3, 2]
+    places = np.hstack([truth.positions_m, _METRES_PER_RADIAN * looking])
+    labels: IntArray = KMeans(count, n_init=10, random_state=seed).fit(places).labels_.astype(np.int64)
+    return labels
+
+
+def measure_real(
+    folder: Path, describers: Sequence[Describer] = DESCRIBERS, areas: int = 6, camera: str | None = None
+) -> list[RealAccuracy]:
+    """Train on the first 60 % of a recording and test on the rest; the same backwards.
+
+    Frames without a true pose are left out. `camera` names the calibration, where the recording does not tell.
+    """
+    recording = open_recording(folder, OpenOptions(camera=camera))
+    frames = [event for event in recording.events() if isinstance(event, RgbdFrame)]
+    if recording.ground_truth is None:
+        raise SystemExit(f"{folder}: without ground truth there are no areas to test")
+    poses = recording.ground_truth.at([frame.stamp_s for frame in frames], max_gap_s=0.1)
+    known = np.isfinite(poses).all(axis=(1, 2))
+    frames = [frame for frame, is_known in zip(frames, known, strict=True) if is_known]
+    stamps_s = np.array([frame.stamp_s for frame in frames])
+    labels = areas_by_clustering(Trajectory(stamps_s, poses[known]), areas)
+    cut = len(frames) * 6 // 10
+    first = np.arange(len(frames)) < cut
+    last = np.arange(len(frames)) >= len(frames) - cut
+    figures = []
+    for describer in describers:
+        features = describe_all(frames, describer).features
+        for split, shown in (("first 60 %", first), ("last 60 %", last)):
+            figures.append(_accuracy(recording.name, split, describer, features, labels, shown))
+    return figures
+
+
+def _accuracy(
+    recording: str, split: str, describer: Describer, features: Float32Array, labels: IntArray, shown: IntArray
+) -> RealAccuracy:
+    visited = np.unique(labels[shown])
+    index = np.full(labels.max() + 1, -1)
+    index[visited] = np.arange(len(visited))
+    names = [f"area {i}" for i in visited]
+    model = train_places(features[shown], index[labels[shown]], names, describer, ForestSettings())
+    tested = ~shown & (index[labels] >= 0)
+    probabilities, true = model.predict_features(features[tested]), index[labels[tested]]
+    is_right, answered = probabilities.argmax(axis=1) == true, probabilities.max(axis=1) >= model.least_confidence
+    return RealAccuracy(
+        recording,
+        split,
+        describer.kind,
+        len(visited),
+        float(1 - tested.sum() / (~shown).sum()),
+        float(is_right.mean()),
+        float(answered.mean()),
+        float(is_right[answered].mean()) if answered.any() else float("nan"),
+        calibration_curve(probabilities, true).error,
+        model.figures.accuracy,
+    )
+
+
+def place_table(times: Sequence[PlaceTimes], accuracies: Sequence[RealAccuracy] = ()) -> str:
+    """Markdown of what was measured."""
+    lines = ["| description | in numbers | named | numpy and scikit-learn | faster | training on 1,433 frames |"]
+    lines += ["|---|---|---|---|---|---|"]
+    lines += [
+        f"| {t.describer} | {t.describe_ms:.2f} ms | {t.predict_ms:.2f} ms | {t.plain_ms:.1f} ms "
+        f"| {t.speedup:.0f}× | {t.training_s:.1f} s |"
+        for t in times
+    ]
+    if accuracies:
+        lines += [
+            "",
+            "| recording | trained on | description | areas | accuracy | named | of these right | calibration |",
+        ]
+        lines += ["|---|---|---|---|---|---|---|---|"]
+    lines += [
+        f"| {a.recording} | {a.split} | {a.describer} | {a.areas} | {a.accuracy:.2f} | {a.answered:.2f} "
+        f"| {a.answered_accuracy:.2f} | {a.calibration_error:.2f} |"
+        for a in accuracies
+    ]
+    return "\n".join(lines)
+
+
+def _median_s(work: Callable[[], object], repeats: int = _REPEATS) -> float:
+    def once() -> float:
+        begin = time.perf_counter()
+        work()
+        return time.perf_counter() - begin
+
+    once()
+    return statistics.median(once() for _ in range(repeats))
+
+
+def is_met(times: PlaceTimes) -> bool:
+    """Whether all limits are."""
+    quick = times.predict_ms < FRAME_LIMIT_MS and times.training_s < TRAINING_LIMIT_S
+    return quick and times.speedup >= LEAST_SPEEDUP
+
+
+def main() -> int:
+    """Print times beside their limits, and the accuracy on each recording named; 0 if all limits are met, else 1."""
+    times = measure_places()
+    accuracies = [figure for folder in sys.argv[1:] for figure in measure_real(*_folder_and_camera(folder))]
+    print(", ".join(f"{name}: {value}" for name, value in machine.description().items()))
+    print(place_table(times, accuracies))
+    print(f"limits: {FRAME_LIMIT_MS:g} ms, {LEAST_SPEEDUP:g}×, {TRAINING_LIMIT_S:g} s")
+    return 0 if all(map(is_met, times)) else 1
+
+
+def _folder_and_camera(text: str) -> tuple[Path, Sequence[Describer], int, str | None]:
+    folder, _, camera = text.partition(":")
+    return Path(folder), DESCRIBERS, 6, camera or None
+
+
+if __name__ == "__main__":
+    sys.exit(main())
