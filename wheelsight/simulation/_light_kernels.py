@@ -114,7 +114,7 @@ def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> 
 
     `grid` is x and y of the tables' first cell, the sizes of a cell in flux and in clearance, flux's layers' distance;
     `flux` (Z, Y, X, 4) is the vector towards the lamps, as long as they are bright, and their sum whatever side they
-    are on; `clearance` (Y, X) the distance to what stands on the floor, metres.
+    are on; `clearance` (2, Y, X) the distance to what stands on the floor, and to what is tall too, metres.
     """
     a, b = (p[0] - grid[0]) / grid[2], (p[1] - grid[1]) / grid[2]
     c = p[2] / grid[4]
@@ -142,16 +142,17 @@ def _inside(index: float, count: int) -> Any:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _shade(p: Any, n: Any, grid: Any, clearance: Any) -> Any:
     """How open the surroundings are: little light gets to where walls, floor, ceiling and furniture meet."""
-    reach = 0.0 if n[2] > 0.5 else _CORNER_M
+    if abs(n[2]) > 0.5 and (n[2] < 0 or p[2] > 0.05):
+        return 1.0 if n[2] > 0 else 0.85
+    tall = 0 if n[2] > 0.5 else 1
+    reach = tall * _CORNER_M
     a, b = (p[0] + reach * n[0] - grid[0]) / grid[3], (p[1] + reach * n[1] - grid[1]) / grid[3]
-    a, b = _inside(a, clearance.shape[1]), _inside(b, clearance.shape[0])
+    a, b = _inside(a, clearance.shape[2]), _inside(b, clearance.shape[1])
     i, j = int(a), int(b)
     a, b = a - i, b - j
-    near = (1 - b) * ((1 - a) * clearance[j, i] + a * clearance[j, i + 1])
-    near += b * ((1 - a) * clearance[j + 1, i] + a * clearance[j + 1, i + 1])
-    if n[2] > 0.5:
-        return 1.0 if p[2] > 0.05 else 1 - 0.4 / (1 + (near / _SEAM_M) ** 2)
-    if n[2] < -0.5:
-        return 0.85
+    near = (1 - b) * ((1 - a) * clearance[tall, j, i] + a * clearance[tall, j, i + 1])
+    near += b * ((1 - a) * clearance[tall, j + 1, i] + a * clearance[tall, j + 1, i + 1])
+    if not tall:
+        return 1 - 0.4 / (1 + (near / _SEAM_M) ** 2)
     shade = 1 - 0.3 * max(0.0, 1 - near / _CORNER_M) - 0.3 / (1 + (max(p[2], 0.0) / _SEAM_M) ** 2)
     return shade - 0.2 / (1 + (max(grid[5] - p[2], 0.0) / _SEAM_M) ** 2)

@@ -40,7 +40,7 @@ def rectangle(s: float, t: float, left: float, right: float, low: float, high: f
 def pick_colour(key: int, seed: int, strength: float) -> Any:
     """A printer's colour: any hue, neither glaring nor black; a strength of 0 is grey."""
     hue, light = 6.2832 * hash_unit(key, 11, seed), 0.2 + 0.5 * hash_unit(key, 12, seed)
-    k = strength * (0.35 + 0.5 * hash_unit(key, 13, seed))
+    k = strength * (0.15 + 0.45 * hash_unit(key, 13, seed))
     return (
         light * (1 + k * math.cos(hue)),
         light * (1 + k * math.cos(hue - 2.0944)),
@@ -93,14 +93,25 @@ def _handle_and_number(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def picture(s: float, t: float, w_m: float, ws: float, wt: float, strength: float, seed: int) -> Any:
-    """A printed picture w_m wide: areas within areas, two colours and their mixtures."""
+    """A printed picture w_m wide: a town before hills, or areas within areas, in a few colours and their mixtures."""
     a, b, c = pick_colour(1, seed, strength), pick_colour(2, seed, strength), pick_colour(3, seed, strength)
-    coarse = cells(s, t, 0.31 * w_m, 0.23 * w_m, ws, wt, seed + 21, 0.0)
-    middle = cells(s, t, 0.11 * w_m, 0.13 * w_m, ws, wt, seed + 22, 0.35)
-    fine = cells(s, t, 0.045 * w_m, 0.036 * w_m, ws, wt, seed + 23, 0.0)
     cloud = noise(s, t, 0.4 * w_m, 0.3 * w_m, ws, wt, seed + 24)
-    colour = mix(mix(a, b, coarse), c, 0.6 * middle)
-    return scaled(colour, max(0.75 + 0.5 * fine + 0.4 * cloud, 0.1))
+    if hash_unit(4, 4, seed) < 0.5:
+        coarse = cells(s, t, 0.31 * w_m, 0.23 * w_m, ws, wt, seed + 21, 0.0)
+        middle = cells(s, t, 0.11 * w_m, 0.13 * w_m, ws, wt, seed + 22, 0.35)
+        fine = cells(s, t, 0.045 * w_m, 0.036 * w_m, ws, wt, seed + 23, 0.0)
+        return scaled(mix(mix(a, b, coarse), c, 0.6 * middle), max(0.85 + 0.3 * fine + 0.4 * cloud, 0.1))
+    # Posters count t from the top, notes from their middle: the town stands in rows, one behind another.
+    row_m, house_m = 0.3 * w_m, 0.09 * w_m
+    row, house = math.floor(t / row_m), math.floor(s / house_m)
+    roof = (0.15 + 0.6 * hash_unit(house, row, seed + 25)) * row_m
+    down = t - row * row_m
+    sky = scaled(mix(_PAPER, a, 0.5 + 0.4 * cloud), 1 - 0.3 * cover(down, roof - 0.25 * row_m, roof, row_m))
+    front = scaled(mix(b, c, hash_unit(house, row, seed + 26)), 0.6 + 0.7 * hash_unit(house, row, seed + 27))
+    window = stripes(s - 0.25 * house_m, 0.5 * house_m, 0.26 * house_m, ws) * stripes(t, 0.14 * row_m, 0.08 * row_m, wt)
+    lit = cells(s, t, 0.5 * house_m, 0.14 * row_m, ws, wt, seed + 28, 0.6)
+    front = mix(front, mix(_INK, _PAPER, lit), 0.8 * window)
+    return mix(sky, front, cover(down, roof, row_m, wt))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

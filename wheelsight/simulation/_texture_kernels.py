@@ -170,14 +170,14 @@ def tiles(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
     """Square tiles of slightly different shade, veined and speckled, with joints of 5 mm or less."""
-    shade = 0.28 * (cells(s, t, scale_m, scale_m, ws, wt, seed, 0.0) - 0.5)
+    shade = 0.4 * (cells(s, t, scale_m, scale_m, ws, wt, seed, 0.0) - 0.5)
     i, j = math.floor(s / scale_m), math.floor(t / scale_m)
     # Each tile is cut from another place of the stone.
     a, b = s + 17 * hash_unit(i, j, seed + 1), t + 17 * hash_unit(i, j, seed + 2)
     cloud = noise(a, b, 0.14, 0.14, ws, wt, seed + 3) + 0.5 * noise(a, b, 0.05, 0.05, ws, wt, seed + 4)
     vein = max(0.0, 1 - 7 * abs(noise(a, b, 0.19, 0.11, ws, wt, seed + 5) + 0.2 * cloud)) if ws + wt < 0.05 else 0.1
     speck = cells(s, t, 0.008, 0.008, ws, wt, seed + 6, 0.0) - 0.5
-    body = scaled(rgb, 1 + contrast * (shade + 0.12 * cloud - 0.3 * vein + 0.22 * speck))
+    body = scaled(rgb, 1 + contrast * (shade + 0.16 * cloud - 0.35 * vein + 0.3 * speck))
     gap = min(0.005, 0.06 * scale_m)
     joint = 1 - (1 - stripes(s, scale_m, gap, ws)) * (1 - stripes(t, scale_m, gap, wt))
     return mix(body, accent, joint)

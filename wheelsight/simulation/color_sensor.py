@@ -63,9 +63,9 @@ class ColorSensor:
     """
 
     fixed: Exposure | None = None
-    longest_s: float = 1 / 60
+    longest_s: float = 1 / 50
     highest_gain: float = 8.0
-    target: float = 0.2
+    target: float = 0.26
     inertia: float = 0.8
     electrons_per_s: float = 200_000.0
     full_well: float = 5900.0

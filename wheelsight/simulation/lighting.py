@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.simulation import _light_kernels as kernels
 from wheelsight.simulation.view import Geoms
 from wheelsight.simulation.world import Surface
@@ -24,6 +24,7 @@ _FLUX_CELL_M = 0.3
 _CLEARANCE_CELL_M = 0.1
 _LAYERS = 4
 _LARGEST_M = 200.0
+_ON_FLOOR_M, _LOWEST_M, _TALL_M = 0.3, 0.1, 1.8
 _PLANE, _BOX = 0, 6
 
 
@@ -37,7 +38,7 @@ class Lighting:
         grid: (6,) x and y of the tables' first cell, size of a cell in `flux` and in `clearance`, distance between
             the layers of `flux`, height of the ceiling, metres.
         flux: (Z, Y, X, 4) vector towards the lamps, as long as they are bright, and the sum of their brightness.
-        clearance: (Y, X) metres to what stands on the floor.
+        clearance: (2, Y, X) metres to what stands on the floor, and to what stands there and is tall.
         lattice: (5,) lamps in ceilings of panels: pitch, half lengths in x and y, glow, seed of their ages.
     """
 
@@ -155,20 +156,25 @@ def _flux(lamps: FloatArray, grid: FloatArray, high: FloatArray) -> Float32Array
 
 
 def _clearance(geoms: Geoms, grid: FloatArray, high: FloatArray) -> Float32Array:
-    """Distance (Y, X) on the floor to the nearest thing that stands on it, metres."""
+    """Distances (2, Y, X) on the floor to the nearest thing that stands on it, and to the nearest tall one, metres."""
     columns, rows = (np.ceil((high - grid[:2]) / grid[3]).astype(int) + 1).clip(2)
-    free = np.ones((rows, columns), np.uint8)
+    free = np.ones((2, rows, columns), np.uint8)
     for g in range(len(geoms.names)):
-        half, middle = _half_m(geoms, g), geoms.position_world[g]
-        if geoms.kind[g] == _PLANE or not (middle[2] - half[2] < 0.3 and middle[2] + half[2] > 0.1):
+        bottom, top = geoms.position_world[g, 2] + np.array([-1, 1]) * _half_m(geoms, g)[2]
+        if geoms.kind[g] == _PLANE or bottom > _ON_FLOOR_M or top < _LOWEST_M:
             continue
-        size = geoms.size_m[g]
-        if geoms.kind[g] == _BOX:
-            R = geoms.R_world_geom[g][:2, :2]
-            corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size[:2] @ R.T + middle[:2]
-            cv2.fillConvexPoly(free, np.round((corners - grid[:2]) / grid[3]).astype(np.int32), 0)
-        else:
-            centre = np.round((middle[:2] - grid[:2]) / grid[3]).astype(int).tolist()
-            cv2.circle(free, centre, round(size[0] / grid[3]), 0, -1)
-    distance = cv2.distanceTransform(free, cv2.DIST_L2, 5)
-    return np.asarray(distance * np.float32(grid[3]), np.float32)
+        for level in free if top > _TALL_M else free[:1]:
+            _stand(level, geoms, g, grid)
+    distances = [cv2.distanceTransform(level, cv2.DIST_L2, 5) * grid[3] for level in free]
+    return np.ascontiguousarray(distances, np.float32)
+
+
+def _stand(level: ByteArray, geoms: Geoms, g: int, grid: FloatArray) -> None:
+    """Mark on a map of the floor (Y, X) what a geom covers of it."""
+    middle, size = geoms.position_world[g, :2], geoms.size_m[g]
+    if geoms.kind[g] == _BOX:
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size[:2] @ geoms.R_world_geom[g][:2, :2].T + middle
+        cv2.fillConvexPoly(level, np.round((corners - grid[:2]) / grid[3]).astype(np.int32), 0)
+    else:
+        centre = np.round((middle - grid[:2]) / grid[3]).astype(int).tolist()
+        cv2.circle(level, centre, round(float(size[0] / grid[3])), 0, -1)
