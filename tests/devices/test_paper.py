@@ -148,6 +148,16 @@ def test_a_busy_host_neither_loses_nor_doubles_a_pulse(seed: int) -> None:
     assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
 
 
+def test_a_slow_controller_is_recognised_later(counts: np.ndarray) -> None:
+    """As a simulated one on a busy machine, at a seventh of its speed."""
+    decoder, got = LineDecoder(), []
+    for n, row in enumerate(counts[:40].tolist()):
+        got += decoder.feed(pair(*row), 0.15 * n)
+    got += decoder.feed(b"", 100.0)
+    assert decoder.format is Format.PAPER
+    assert [[pulses.left, pulses.right] for pulses in got] == counts[:40].tolist()
+
+
 def test_a_controller_held_up_for_seconds_is_still_known(counts: np.ndarray) -> None:
     """As a simulated one on a busy machine, which sends fewer pairs than the wall's clock asks for."""
     decoder, got = LineDecoder(), []

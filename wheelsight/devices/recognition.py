@@ -10,7 +10,9 @@ from wheelsight.devices.paper import SILENCE_S, PaperDecoder, Pulses
 from wheelsight.devices.protocol import FrameDecoder, LineStatistics, Message
 
 EVIDENCE_S = 0.5
-_FEWEST_A_SECOND, _MOST_A_SECOND = 30, 300
+_LONGEST_EVIDENCE_S = 3.0
+_FEWEST_PAIRS = 15
+_MOST_A_SECOND = 300
 _MOST_AT_ONCE = 2048  # a system's buffer holds so many, for a host that was away
 _MOST_PULSES = 110
 _SHARE_ALONE = 0.6
@@ -31,8 +33,8 @@ class Format(StrEnum):
 class LineDecoder:
     """Decodes either format, and changes over when the controller does.
 
-    One frame with a right checksum means framed. Half a second of bytes in pairs, each after a silence and
-    with no more pulses than make a controller send early, means paper; the pulses of that half second are handed on
+    One frame with a right checksum means framed. Half a second of bytes in pairs (three, where there are few), each
+    after a silence and with no more pulses than make a controller send early, means paper; those pulses are handed on
     with it, so none is lost. Everything else is noise, and framed stays framed.
 
     Bytes are read as pairs only after the silence behind them, since they might be the beginning of a frame: of what
@@ -144,15 +146,15 @@ class LineDecoder:
             self.format = Format.PAPER
             self._paper.statistics = LineStatistics(2 * len(found), len(found))
             self._credit, self._judged_s = _MOST_AT_ONCE, self._heard_s
-        self._drop_before(self._heard_s - EVIDENCE_S)
+        self._drop_before(self._heard_s - EVIDENCE_S, keep=_FEWEST_PAIRS)
+        self._drop_before(self._heard_s - _LONGEST_EVIDENCE_S)
         return found
 
     def _is_paired(self) -> bool:
         """Whether the evidence is pairs as a controller sends them."""
-        span_s = self._evidence[-1].arrival_s - self._evidence[0].arrival_s
         pairs = len(self._evidence)
         alone = sum(pair.follows_silence for pair in self._evidence)
-        regular = pairs >= _FEWEST_A_SECOND * span_s and alone >= _SHARE_ALONE * pairs
+        regular = pairs >= _FEWEST_PAIRS and alone >= _SHARE_ALONE * pairs
         return self._is_believable() and regular and len(self._torn) <= _SHARE_TORN * pairs
 
     def _may_be_pairs(self, count: int) -> bool:
@@ -166,10 +168,10 @@ class LineDecoder:
         believable = sum(max(abs(pair.left), abs(pair.right)) <= _MOST_PULSES for pair in self._evidence)
         return believable >= _SHARE_BELIEVABLE * len(self._evidence)
 
-    def _drop_before(self, stamp_s: float) -> None:
-        while self._evidence and self._evidence[0].arrival_s < stamp_s:
+    def _drop_before(self, stamp_s: float, keep: int = 0) -> None:
+        while len(self._evidence) > keep and self._evidence[0].arrival_s < stamp_s:
             self._evidence.popleft()
-        while self._torn and self._torn[0] < stamp_s:
+        while self._torn and self._torn[0] < min(stamp_s, self._evidence[0].arrival_s if self._evidence else stamp_s):
             self._torn.popleft()
 
     def _forget_pairs(self) -> None:
