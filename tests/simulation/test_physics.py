@@ -121,7 +121,7 @@ def test_counts_are_what_the_wheels_turned() -> None:
 
 
 def test_ice_makes_wheels_slip() -> None:
-    ice = WheelFaults(patches=(Patch(2.0, 0.0, 0.8, friction=0.03),))
+    ice = WheelFaults(patches=(Patch(2.0, 0.0, 0.8, friction=0.05),))
     errors_m = []
     for faults in (WheelFaults(), ice):
         drive = simulate_drive(WORLD, ROBOT, StopAndTurn(SQUARE[:3] / 2, 1.0), faults=faults, seed=1)
