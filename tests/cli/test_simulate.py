@@ -14,6 +14,7 @@ import pytest
 import yaml
 from typer.testing import Result
 
+from wheelsight.cli._simulation import size_of
 from wheelsight.recordings import open_recording
 from wheelsight.simulation import camera_names, world_names
 
@@ -66,6 +67,19 @@ def test_the_list_tells_all_worlds_and_cameras(wheelsight: Command) -> None:
     assert first_words == ["Worlds", *world_names(), "Cameras", *camera_names()]
 
 
+@pytest.mark.parametrize(
+    ("camera", "size", "expected"),
+    [
+        ("kinect-v1", "half", (320, 240)),
+        ("kinect-v2", "half", (256, 212)),
+        ("kinect-v2", "full", None),
+        ("ideal", "80X60", (80, 60)),
+    ],
+)
+def test_sizes_keep_the_shape_of_the_cameras_images(camera: str, size: str, expected: tuple[int, int] | None) -> None:
+    assert size_of(size, camera) == expected
+
+
 def test_help_shows_examples(wheelsight: Command) -> None:
     text = wheelsight("simulate", "--help").stdout
     assert "wheelsight simulate floor4 --out floor" in text
@@ -78,7 +92,7 @@ def test_help_shows_examples(wheelsight: Command) -> None:
         ((), "a WORLD is missing (wheelsight simulate floor4 --out DIR, or --list)"),
         (("nowhere",), "there is no world nowhere (known: floor4, "),
         (("square", "--camera", "eye"), "camera 'eye' is not known (choose from ideal, kinect-v1, kinect-v2)"),
-        (("square", "--size", "big"), "--size is 'big' (write it as 320x240, or full)"),
+        (("square", "--size", "big"), "--size is 'big' (write it as 320x240, half or full)"),
         (("square", "--size", "1x1"), "--size is 1x1 (16 to 4096 pixels)"),
         (("square", "--speed", 3), "--speed is 3 m/s (over 0, up to 1.2 m/s)"),
         (("square", "--dropout", "5"), "--dropout is '5' (FROM:TO in seconds, such as 12:15.5)"),

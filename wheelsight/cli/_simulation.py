@@ -26,7 +26,9 @@ Out = Annotated[
 ShowList = Annotated[bool, typer.Option("--list", help="Show all worlds and cameras, and exit.")]
 Laps = Annotated[int, typer.Option(help="How often the world's route is driven.")]
 Camera = Annotated[str, typer.Option(metavar="NAME", help="Which camera to carry; see --list.")]
-Size = Annotated[str, typer.Option(metavar="WxH|full", help="Size of the images in pixels; full is the camera's own.")]
+Size = Annotated[
+    str, typer.Option(metavar="WxH|half|full", help="Size of the images in pixels, or by the camera's own.")
+]
 Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Images a second.", show_default="the camera's own")]
 Seed = Annotated[int, typer.Option(help="Of everything random; the same seed makes the same bytes.")]
 Speed = Annotated[float, typer.Option(metavar="M/S", help="Speed on straights, up to 1.2 m/s.")]
@@ -94,16 +96,21 @@ def settings_from(
         lifted_s=times_of("--lift", times["--lift"]),
     )
     true_robot = Robot(**{name: value for name, value in robot.items() if value is not None})
-    return SimulationSettings(**given, size=size_of(size), robot=true_robot, faults=faults)
+    return SimulationSettings(**given, size=size_of(size, given["camera"]), robot=true_robot, faults=faults)
 
 
-def size_of(text: str) -> tuple[int, int] | None:
-    """Width and height of "320x240", None for "full". Raises ConfigError."""
+def size_of(text: str, camera: str) -> tuple[int, int] | None:
+    """Width and height of "320x240", None for "full", half of the camera's for "half". Raises ConfigError."""
+    from wheelsight.simulation import camera_model
+
     if text == "full":
         return None
+    if text == "half":
+        whole = camera_model(camera).camera
+        return whole.width // 2, whole.height // 2
     width, _, height = text.lower().replace("×", "x").partition("x")
     if not (width.isdecimal() and height.isdecimal()):
-        raise ConfigError(f"--size is {text!r}", fix="write it as 320x240, or full")
+        raise ConfigError(f"--size is {text!r}", fix="write it as 320x240, half or full")
     return int(width), int(height)
 
 

@@ -21,7 +21,7 @@ def simulate(
     out: options.Out = None,
     laps: options.Laps = 1,
     camera: options.Camera = "kinect-v1",
-    size: options.Size = "320x240",
+    size: options.Size = "half",
     rate: options.Rate = None,
     seed: options.Seed = 0,
     speed: options.Speed = 0.8,
