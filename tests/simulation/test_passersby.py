@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from odometry.plain_kernels import plain
 from small_rooms import looking, room
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray, PinholeCamera
+from wheelsight.simulation import _walk_kernels as kernels
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.passersby import Passersby
 from wheelsight.simulation.scene import Scene
@@ -146,3 +148,31 @@ def test_the_scene_shows_people_where_they_are() -> None:
     assert len(seen) >= 4
     np.testing.assert_allclose(seen, 0.85, atol=1e-6)
     Scene(world).move_to(1.0)
+
+
+def test_kernels_do_as_they_are_written(rng: np.random.Generator) -> None:
+    slow = plain(kernels)
+    clear, same = np.ones((60, 80), np.uint8), np.ones((60, 80), np.uint8)
+    c, s = np.cos(0.7), np.sin(0.7)
+    arguments = (
+        0.1,
+        np.array([-1.0, 0.5]),
+        np.array([2.0, 3.1]),
+        np.array([[c, -s], [s, c]]),
+        np.array([-0.3, 0.8, 0.3]),
+    )
+    kernels.keep_clear(clear, *arguments, 0.7)
+    slow.keep_clear(same, *arguments, 0.7)
+    np.testing.assert_array_equal(clear, same)
+    # The outline's area, 0.7 m round it, and round corners.
+    area = 1.1 * 0.6 + 0.7 * 2 * (1.1 + 0.6) + np.pi * 0.7**2
+    assert 0.01 * (clear == 0).sum() == pytest.approx(area, rel=0.03)
+    along, left = np.meshgrid(np.arange(80) * 0.1, np.arange(60) * 0.1 - 3)
+    steps = np.argwhere(np.ones((5, 5))) - 2
+    others = np.array([[22, 30]])
+    for _ in range(20):
+        row, column = rng.integers(0, (60, 80))
+        step = (clear, along, left, 8.0, steps, row, column, 0.2, 0.4, others, 8.0)
+        assert kernels.best_step(*step) == slow.best_step(*step)
+    assert kernels.best_step(np.ones_like(clear), along, left, 8.0, steps, 30, 79, 0.2, 0.0, others, 8.0) == (30, 79)
+    assert kernels.best_step(np.zeros_like(clear), along, left, 8.0, steps, 30, 40, 0.2, 0.0, others, 8.0) == (-1, -1)

@@ -5,10 +5,12 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from odometry.plain_kernels import plain
 from small_rooms import looking, room
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.simulation import _ray_kernels as kernels
 from wheelsight.simulation.scene import Scene
 from wheelsight.simulation.view import View
 
@@ -120,7 +122,7 @@ def test_rows_of_a_rolling_shutter_see_from_where_they_are() -> None:
     # Faces of one box pass at its corners, where a plane does not go on.
     error = np.abs(view.depth_m - depth_m) / np.maximum(depth_m, 1)
     assert np.quantile(error[flat & ~grazing], 0.999) < 2e-6
-    assert error[same & (hit == 2)].max() < 2e-3
+    assert error[same & (hit == 2)].max() < 5e-3, "at the outline, where the ball is seen edge on"
     assert np.median(error[same & (hit == 2)]) < 1e-5
     still, _ = closed_form(camera, rows_of(T_rows[60], camera))
     assert np.median(np.abs(still - depth_m)[flat]) > 5e-3, "or the test would not tell rows from a frame"
@@ -222,3 +224,52 @@ def test_meshes_are_refused() -> None:
     world = room('<geom name="odd" type="mesh" mesh="m"/>')
     with pytest.raises(ConfigError, match="geom odd is no primitive"):
         Scene(replace(world, mjcf=world.mjcf.replace("<asset>", f"<asset>{mesh}")))
+
+
+def chosen_by(scene: Scene, bounds: tuple[float, float, float, float], far_m: float = np.inf) -> list[str]:
+    """Names of the geoms that rays of `looking()` within bounds on the plane z = 1 are cast at."""
+    g, half = scene.geoms, np.array(scene.model.geom_aabb[:, 3:])
+    T = looking()
+    R, origin = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
+    arguments = (g.kind, g.size_m, g.position_world, half, g.R_world_geom, R, origin, np.array(bounds), far_m)
+    chosen = kernels.choose(*arguments)
+    np.testing.assert_array_equal(chosen, plain(kernels).choose(*arguments))
+    return [g.names[index] for index in chosen]
+
+
+def test_rays_are_cast_only_at_what_they_can_hit() -> None:
+    scene = Scene(
+        room(
+            '<geom name="floor" type="plane" size="20 20 1"/>'
+            '<geom name="wall" type="box" pos="4 0 1" size="0.1 2 2"/>'
+            '<geom name="picture" type="box" pos="3.89 0 1" size="0.01 0.5 0.5"/>'
+            '<geom name="hidden" type="box" pos="6 0 1" size="0.5 0.5 0.5"/>'
+            '<geom name="aside" type="sphere" pos="6 4 1" size="0.5"/>'
+            '<geom name="behind" type="sphere" pos="-3 0 1" size="0.5"/>'
+            '<geom name="cellar" type="sphere" pos="4 0 -3" size="0.5"/>'
+            '<geom name="around" type="box" pos="0 0 1" size="15 15 9"/>',
+        )
+    )
+    # Right up to the wall's corners nothing behind it counts; beyond them it does not fill the view.
+    assert chosen_by(scene, (-0.5, 0.5, -0.4, 0.2)) == ["floor", "wall", "picture", "around"]
+    assert chosen_by(scene, (-0.75, 0.5, -0.1, 0.1)) == ["floor", "wall", "picture", "hidden", "aside", "around"]
+    assert chosen_by(scene, (-0.5, 0.5, 0.6, 0.8)) == ["floor", "around"]
+    assert chosen_by(scene, (-0.1, 0.1, -0.1, 0.1), far_m=2.0) == ["floor", "around"]
+    everything = chosen_by(scene, (-np.inf, np.inf, -np.inf, np.inf))
+    assert everything == list(scene.geoms.names)
+
+
+def test_aiming_turns_each_row_by_its_own_pose() -> None:
+    rays = np.ascontiguousarray(CAMERA.rays())
+    T_rows = looking(pitch=0.2) @ se3.exp(np.linspace(-1, 1, 60)[:, None] * [0, 0, 0, 0.02, 0.1, 0])
+    tile, R = np.array([8, 20, 10, 31]), np.ascontiguousarray(T_rows[14, :3, :3])
+    for module in (kernels, plain(kernels)):
+        out = np.empty((12 * 21, 3))
+        bounds = module.aim(rays, T_rows, tile, R, out)
+        expected = np.einsum("rij,rcj->rci", T_rows[8:20, :3, :3], rays[8:20, 10:31])
+        np.testing.assert_allclose(out.reshape(12, 21, 3), expected, atol=1e-14)
+        in_tile = expected @ R
+        u, v = in_tile[..., 0] / in_tile[..., 2], in_tile[..., 1] / in_tile[..., 2]
+        np.testing.assert_allclose(bounds, (u.min(), u.max(), v.min(), v.max()), atol=1e-14)
+        turned = module.aim(rays, T_rows, tile, -R, out)
+        assert np.isinf(turned).all()

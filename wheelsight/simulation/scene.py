@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import ConfigError
-from wheelsight.geometry import FloatArray, Int32Array, PinholeCamera
+from wheelsight.geometry import BoolArray, FloatArray, Int32Array, IntArray, PinholeCamera
 from wheelsight.simulation import _ray_kernels as kernels
 from wheelsight.simulation.view import Geoms, View
 from wheelsight.simulation.world import Surface, World
@@ -21,26 +21,29 @@ if TYPE_CHECKING:
     from wheelsight.simulation.passersby import Passersby
 
 _KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
-_BANDS = 30
+_TILE_ROWS = 16
+_TILE_COLUMNS = 80
 _NO_LIMIT = 1e10
 # MuJoCo's bounding volumes are those of compilation; told that there are none, it tries every target.
 _NO_TREE = -1
-_SMALLEST_TARGETS = 8
-# A row's own z axis may be turned from the band's by as much as a shutter allows.
+_FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+_FEWEST_TARGETS = 8
+# A row's own z axis may be turned from the tile's by as much as a shutter allows.
 _FAR_MARGIN = 1.05
 
 
 class Scene:
     """A world without robot, and the people who walk in it, as rays see it.
 
-    Rows of a rolling shutter have poses of their own, and one call of MuJoCo's `mj_multiRay` has one origin. So rows
-    are cast in bands of a thirtieth of the image: every ray has its own row's direction, and what it hits from the
-    origin of the band's middle row is carried to its own along the surface's tangent plane. At 1.2 m/s and Kinect's
-    shutter the origins of a band differ by at most 0.5 mm: depth is exact on flat surfaces, and off by micrometres on
-    curved ones; an object's outline is off by those 0.5 mm at most.
+    Rows of a rolling shutter have poses of their own, and one call of MuJoCo's `mj_multiRay` has one origin. So rays
+    are cast in tiles of sixteen rows: every ray has its own row's direction, and what it hits from the origin of the
+    tile's middle row is carried to its own along the surface's tangent plane. At 1.2 m/s and Kinect's shutter the
+    origins of a tile of 640×480 differ by at most 0.5 mm (of 320×240, 1 mm): depth is exact on flat surfaces, and off
+    by micrometres on curved ones; an object's outline is where it is seen from half a millimetre aside.
 
-    The rays of a band are cast only at geoms whose boxes reach into its frustum, for which a small model takes their
-    place. Nothing a ray could hit is left out, and every band is cast the same way whichever thread does it.
+    A tile's rays are cast only at what they can hit, for which a small model takes the geoms' places: neither at what
+    lies outside the tile's frustum nor at what hides behind a wall that fills it. Nothing a ray could hit is left out,
+    and every tile is cast the same way whichever thread does it.
 
     Args:
         world: with a name and a material for every geom.
@@ -72,8 +75,7 @@ class Scene:
             position_world=np.array(self.data.geom_xpos),
             R_world_geom=np.array(self.data.geom_xmat).reshape(-1, 3, 3),
         )
-        self._is_visible = _visible(self.model)
-        self._half_m = np.array(self.model.geom_aabb[:, 3:])
+        self._half_m = np.where(_visible(self.model)[:, None], self.model.geom_aabb[:, 3:], -1.0)
 
     def move_to(self, stamp_s: float) -> None:
         """Put the people where they are at a time, in seconds; without people nothing moves."""
@@ -105,12 +107,15 @@ class Scene:
         center = self.geoms.position_world + np.einsum(
             "gij,gj->gi", self.geoms.R_world_geom, self.model.geom_aabb[:, :3]
         )
-        step = -(-h // _BANDS)
-        bands = [slice(top, min(top + step, h)) for top in range(0, h, step)]
+        tiles = [
+            np.array([top, min(top + _TILE_ROWS, h), left, min(left + _TILE_COLUMNS, w)])
+            for top in range(0, h, _TILE_ROWS)
+            for left in range(0, w, _TILE_COLUMNS)
+        ]
 
         def work(thread: int) -> None:
-            for band in bands[thread :: self._threads]:
-                self._cast_band(view, band, center, far_m, self._targets[thread])
+            for tile in tiles[thread :: self._threads]:
+                self._cast_tile(view, tile, center, far_m, self._targets[thread])
 
         if self._pool is None:
             work(0)
@@ -118,58 +123,48 @@ class Scene:
             list(self._pool.map(work, range(self._threads)))
         return view
 
-    def _cast_band(self, view: View, band: slice, center: FloatArray, far_m: float, targets: _Targets) -> None:
-        T = view.T_world_camera[band]
-        middle = T[len(T) // 2]
+    def _cast_tile(self, view: View, tile: IntArray, center: FloatArray, far_m: float, targets: _Targets) -> None:
+        geoms, T = self.geoms, view.T_world_camera
+        middle = T[(tile[0] + tile[1]) // 2]
         R, origin = np.ascontiguousarray(middle[:3, :3]), np.ascontiguousarray(middle[:3, 3])
-        rays = view.rays[band]
-        rays_world = np.empty_like(rays)
-        bounds = kernels.aim(rays, np.ascontiguousarray(T[:, :3, :3]), R, rays_world)
-        limit = far_m * _FAR_MARGIN
-        geoms = self.geoms
-        chosen = kernels.within(
-            geoms.kind, center, self._half_m, geoms.R_world_geom, self._is_visible, R, origin, bounds, limit
-        )
-        hit, distance, normal = targets.cast(geoms, chosen, self.model, origin, rays_world)
-        shift = origin - T[:, :3, 3]
-        out = view.depth_m[band], view.geom[band], view.normal_world[band]
-        kernels.gather(hit, distance, normal, rays_world, shift, far_m, chosen, *out)
+        rays = np.empty(((tile[1] - tile[0]) * (tile[3] - tile[2]), 3))
+        bounds = kernels.aim(view.rays, T, tile, R, rays)
+        boxes = geoms.kind, geoms.size_m, center, self._half_m, geoms.R_world_geom
+        chosen = kernels.choose(*boxes, R, origin, bounds, far_m * _FAR_MARGIN)
+        if len(chosen):
+            hits = targets.cast(geoms, chosen, origin, rays)
+            out = view.depth_m, view.geom, view.normal_world
+            kernels.gather(*hits, rays, T, tile, origin, far_m, chosen, *out)
 
 
 class _Targets:
-    """Small models whose geoms are overwritten with those a band's rays can hit.
+    """Small models whose geoms are overwritten with those a tile's rays can hit.
 
-    MuJoCo looks at every geom of a model for every ray, a nanosecond for each it can rule out; a floor has a thousand,
-    and a band of its image meets twenty.
+    MuJoCo looks at every geom of a model for every ray, half a nanosecond for each it rules out; a floor has hundreds,
+    and a tile of its image meets ten.
     """
 
     def __init__(self) -> None:
-        self._models: dict[int, tuple[Any, Any]] = {}
+        self._models: dict[int, tuple[Any, Any, tuple[Any, ...]]] = {}
 
     def cast(
-        self, geoms: Geoms, chosen: Int32Array, model: Any, origin: FloatArray, rays_world: FloatArray
+        self, geoms: Geoms, chosen: Int32Array, origin: FloatArray, rays: FloatArray
     ) -> tuple[Int32Array, FloatArray, FloatArray]:
-        """Which of `chosen` (K,) each ray (…, 3) hits first, or -1; how many ray lengths away; outward normals."""
+        """Which of `chosen` (K,) each ray (N, 3) hits first, or -1; how many ray lengths away; outward normals."""
         import mujoco
 
-        n = rays_world.shape[0] * rays_world.shape[1]
-        small, data = self._of_size(len(chosen))
-        k = len(chosen)
-        small.geom_type[:k], small.geom_size[:k] = geoms.kind[chosen], geoms.size_m[chosen]
-        small.geom_rbound[:k], small.geom_aabb[:k] = model.geom_rbound[chosen], model.geom_aabb[chosen]
-        small.geom_group[:k], small.geom_group[k:] = 0, 1
-        data.geom_xpos[:k] = geoms.position_world[chosen]
-        data.geom_xmat[:k] = geoms.R_world_geom[chosen].reshape(-1, 9)
-        hit, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty(3 * n)
-        groups = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-        rays = rays_world.reshape(-1)
-        mujoco.mj_multiRay(small, data, origin, rays, groups, True, -1, hit, distance, normal, n, _NO_LIMIT)
-        return hit, distance, normal.reshape(-1, 3)
+        n = len(rays)
+        model, data, places = self._of_size(len(chosen))
+        kernels.put(chosen, geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *places)
+        hit, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
+        out = hit, distance, normal.reshape(-1)
+        mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), _FIRST_GROUP, True, -1, *out, n, _NO_LIMIT)
+        return hit, distance, normal
 
-    def _of_size(self, count: int) -> tuple[Any, Any]:
+    def _of_size(self, count: int) -> tuple[Any, Any, tuple[Any, ...]]:
         import mujoco
 
-        size = _SMALLEST_TARGETS
+        size = _FEWEST_TARGETS
         while size < count:
             size *= 2
         if size not in self._models:
@@ -179,8 +174,8 @@ class _Targets:
             model = spec.compile()
             model.body_bvhadr[:] = _NO_TREE
             data = mujoco.MjData(model)
-            mujoco.mj_kinematics(model, data)
-            self._models[size] = model, data
+            places = model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat, model.geom_group
+            self._models[size] = model, data, places
         return self._models[size]
 
 
@@ -223,6 +218,6 @@ def _names(model: Any, surfaces: Mapping[str, Surface], world: str) -> tuple[tup
     return tuple(names), tuple(materials)
 
 
-def _visible(model: Any) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _visible(model: Any) -> BoolArray:
     """(G,) which geoms rays stop at: as in MuJoCo, those whose material is not fully transparent."""
     return np.asarray(model.mat_rgba[model.geom_matid, 3] > 0)
