@@ -15,7 +15,7 @@ from sklearn.ensemble import RandomForestClassifier
 
 from benchmarks import machine
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray, IntArray
+from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from wheelsight.places import (
     Describer,
     ForestSettings,
@@ -123,7 +123,8 @@ def _plain_way(frame: RgbdFrame, model: PlaceModel) -> Callable[[], object]:
     def describe(color: ByteArray, depth_m: Float32Array) -> FloatArray:
         grey = color @ np.array([0.299, 0.587, 0.114])
         counts = np.histogram(grey, bins, (0, 256))[0], np.histogram(depth_m, bins, (0, 8))[0]
-        return np.concatenate(counts) / grey.size
+        shares: FloatArray = np.concatenate(counts) / grey.size
+        return shares
 
     rng = np.random.default_rng(0)
     histograms = np.abs(describe(frame.color, frame.depth_m) + 0.002 * rng.standard_normal((TRAINING_FRAMES, 2 * bins)))
@@ -171,8 +172,8 @@ def measure_real(
     if recording.ground_truth is None:
         raise SystemExit(f"{folder}: without ground truth there are no areas to test")
     poses = recording.ground_truth.at([frame.stamp_s for frame in frames], max_gap_s=0.1)
-    known = np.isfinite(poses).all(axis=(1, 2))
-    frames = [frame for frame, is_known in zip(frames, known, strict=True) if is_known]
+    known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    frames = [frames[i] for i in known]
     stamps_s = np.array([frame.stamp_s for frame in frames])
     labels = areas_by_clustering(Trajectory(stamps_s, poses[known]), areas)
     cut = len(frames) * 6 // 10
@@ -187,7 +188,7 @@ def measure_real(
 
 
 def _accuracy(
-    recording: str, split: str, describer: Describer, features: Float32Array, labels: IntArray, shown: IntArray
+    recording: str, split: str, describer: Describer, features: Float32Array, labels: IntArray, shown: BoolArray
 ) -> RealAccuracy:
     visited = np.unique(labels[shown])
     index = np.full(labels.max() + 1, -1)

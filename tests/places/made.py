@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -38,13 +39,12 @@ def drive_through(
     return [frame_of(int(area), rng, index / 30, size) for index, area in enumerate(labels)], labels
 
 
-def trained(rng: np.random.Generator, settings: ForestSettings = QUICK) -> PlaceModel:
+@cache
+def trained() -> PlaceModel:
     """A model of the three areas."""
-    frames, labels = drive_through((0, 1, 2), 30, rng)
+    frames, labels = drive_through((0, 1, 2), 30, np.random.default_rng(11))
     described = describe_all(frames, SMALL_HISTOGRAMS)
-    return train_places(
-        described.features, labels, NAMES, SMALL_HISTOGRAMS, settings, frame_size=described.frame_size
-    )
+    return train_places(described.features, labels, NAMES, SMALL_HISTOGRAMS, QUICK, frame_size=described.frame_size)
 
 
 def overlapped(rng: np.random.Generator, frames: int, spread: float = 1.5) -> tuple[np.ndarray, np.ndarray]:

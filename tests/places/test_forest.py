@@ -88,7 +88,9 @@ def test_settings_reach_the_trees(rng):
 
 def test_one_seed_gives_one_forest(rng):
     features, labels = overlapped(rng, 300)
-    first, again, other = (grow_forest(features, labels, 3, ForestSettings(trees=4, seed=seed))[0] for seed in (1, 1, 2))
+    first, again, other = (
+        grow_forest(features, labels, 3, ForestSettings(trees=4, seed=seed))[0] for seed in (1, 1, 2)
+    )
     for field in fields(Forest):
         np.testing.assert_array_equal(getattr(first, field.name), getattr(again, field.name))
     assert not np.array_equal(first.threshold, other.threshold)

@@ -14,6 +14,8 @@ from wheelsight.geometry import Float32Array, FloatArray, Int32Array, IntArray
 from wheelsight.places import _kernels as kernels
 
 _NO_CHILD = -1
+# Under this, starting threads takes longer than growing trees.
+_WORTH_THREADS = 20_000
 
 
 class ForestSettings(BaseModel):
@@ -26,8 +28,8 @@ class ForestSettings(BaseModel):
     min_leaf: PositiveInt = Field(1, description="frames that a leaf holds at least")
     seed: NonNegativeInt = Field(0, lt=2**32, description="one seed gives one forest")
     folds: int = Field(5, ge=2, le=20, description="blocks held out in turn to calibrate probabilities")
-    block_frames: PositiveInt = Field(20, description="neighbours that are held out together, about")
-    gap_frames: NonNegativeInt = Field(5, description="left out of training on both sides of a block held out")
+    block_frames: PositiveInt = Field(10, description="neighbours that are held out together, about")
+    gap_frames: NonNegativeInt = Field(2, description="left out of training on both sides of a block held out")
     wanted_accuracy: float = Field(
         0.95, gt=0, le=1, description="of answers on blocks held out; what is less sure is answered with unknown"
     )
@@ -96,7 +98,7 @@ def grow_forest(
         max_features="sqrt",
         oob_score=out_of_bag,
         random_state=settings.seed,
-        n_jobs=-1,
+        n_jobs=-1 if settings.trees * len(features) > _WORTH_THREADS else 1,
     )
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Some inputs do not have OOB scores")
