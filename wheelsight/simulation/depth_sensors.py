@@ -106,21 +106,7 @@ class StructuredLight:
         chance = rng.integers(0, 256, (*cells, 3), np.uint8)
         noise = _correlated(rng, view.depth_m.shape, 0.5 * self.block_px / native_per_px)
         cosine, light = _light(view, infrared * (1 - shine))
-        usable = kernels.detectable(
-            view.depth_m,
-            view.geom,
-            cosine,
-            light,
-            shine,
-            chance,
-            native_per_px / self.block_px,
-            self.near_m,
-            self.far_m,
-            math.cos(math.radians(self.grazing_deg)),
-            self.least_light,
-            math.radians(self.lobe_deg),
-            self.blinding,
-        )
+        usable = _detectable(self, view, cosine, light, shine, chance, native_per_px / self.block_px)
         usable &= kernels.lit_by_projector(view.depth_m, view.geom, focal_baseline, self.shadow_px / native_per_px)
         return np.asarray(
             kernels.match_pattern(
@@ -187,21 +173,7 @@ class TimeOfFlight:
         noise = _correlated(rng, view.depth_m.shape, 0.0)
         scattered = infrared * (1 - shine)
         cosine, light = _light(view, scattered)
-        usable = kernels.detectable(
-            view.depth_m,
-            view.geom,
-            cosine,
-            light,
-            shine,
-            chance,
-            1.0,
-            self.near_m,
-            self.far_m,
-            math.cos(math.radians(self.grazing_deg)),
-            self.least_light,
-            math.radians(self.lobe_deg),
-            self.blinding,
-        )
+        usable = _detectable(self, view, cosine, light, shine, chance, 1.0)
         measured = kernels.time_light(
             view.depth_m,
             view.geom,
@@ -226,6 +198,32 @@ def _light(view: View, scattered: FloatArray) -> tuple[Any, Any]:
         view.depth_m, view.geom, view.normal_world, R_world_rows, view.rays, scattered
     )
     return cosine, light
+
+
+def _detectable(
+    sensor: StructuredLight | TimeOfFlight,
+    view: View,
+    cosine: Any,
+    light: Any,
+    shine: FloatArray,
+    chance: NDArray[np.uint8],
+    cells_per_px: float,
+) -> Any:
+    return kernels.detectable(
+        view.depth_m,
+        view.geom,
+        cosine,
+        light,
+        shine,
+        chance,
+        cells_per_px,
+        sensor.near_m,
+        sensor.far_m,
+        math.cos(math.radians(sensor.grazing_deg)),
+        sensor.least_light,
+        math.radians(sensor.lobe_deg),
+        sensor.blinding,
+    )
 
 
 def _correlated(rng: np.random.Generator, shape: tuple[int, ...], sigma_px: float) -> NDArray[np.float32]:
