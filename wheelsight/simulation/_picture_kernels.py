@@ -26,6 +26,8 @@ _PAPER = (0.84, 0.83, 0.79)
 _INK = (0.06, 0.06, 0.08)
 _STEEL = (0.52, 0.53, 0.55)
 _SHELF_M = 0.34
+# What spines, labels and gaps come to from afar.
+_MEAN_SPINE = (0.41, 0.40, 0.38)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -230,22 +232,43 @@ def books(
     up, clear = t + ht, pitch - thick
     row = math.floor(up / pitch)
     above = up - row * pitch - thick
-    column = math.floor(s / scale_m)
-    # A spine's right edge is moved within its slot; what is left of the slot belongs to the next book.
-    edge = (column + 0.35 + 0.65 * hash_unit(column, row, seed)) * scale_m
-    left = cover(s, edge - 1.0, edge, ws)
     back = scaled(rgb, 0.18)
-    inside = back
-    if left > 0:
-        inside = mix(inside, _spine(column, row, s, above, clear, back, ws, wt, contrast, seed), left)
-    if left < 1:
-        inside = mix(inside, _spine(column + 1, row, s, above, clear, back, ws, wt, contrast, seed), 1 - left)
-    inside = scaled(inside, 1 - 0.6 * cover(s, edge - 0.002, edge + 0.002, ws))
+    blurred = min(max(0.7 * ws / scale_m - 1, 0.0), 1.0)
+    inside = mix(back, _MEAN_SPINE, cover(above, 0.0, 0.77 * clear, max(wt, 0.3 * clear)))
+    if blurred < 1:
+        spines = _two_spines(s, row, above, clear, back, ws, wt, scale_m, contrast, seed)
+        inside = mix(spines, inside, blurred)
     if thick == 0:
         return inside
     board = stripes(up - 0.5 * thick, pitch, thick, wt)
     side = 1 - cover(s, -hs + thick, hs - thick, ws)
     return mix(inside, rgb, max(board, side))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _two_spines(
+    s: float,
+    row: int,
+    above: float,
+    clear: float,
+    back: Any,
+    ws: float,
+    wt: float,
+    scale_m: float,
+    contrast: float,
+    seed: int,
+) -> Any:
+    """The book at s, and the next where the footprint reaches over to it."""
+    column = math.floor(s / scale_m)
+    # A spine's right edge is moved within its slot; what is left of the slot belongs to the next book.
+    edge = (column + 0.35 + 0.65 * hash_unit(column, row, seed)) * scale_m
+    left = cover(s, edge - 1.0, edge, ws)
+    inside = back
+    if left > 0:
+        inside = mix(inside, _spine(column, row, s, above, clear, back, ws, wt, contrast, seed), left)
+    if left < 1:
+        inside = mix(inside, _spine(column + 1, row, s, above, clear, back, ws, wt, contrast, seed), 1 - left)
+    return scaled(inside, 1 - 0.6 * cover(s, edge - 0.002, edge + 0.002, ws))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -19,6 +19,7 @@ _FADED = 0.1
 _SKIRTING_M = 0.08
 _SKIRTING = (0.24, 0.23, 0.22)
 _CARPET_SQUARE_M = 0.5
+_VEIN_M = 0.025
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -175,7 +176,10 @@ def tiles(
     # Each tile is cut from another place of the stone.
     a, b = s + 17 * hash_unit(i, j, seed + 1), t + 17 * hash_unit(i, j, seed + 2)
     cloud = noise(a, b, 0.14, 0.14, ws, wt, seed + 3) + 0.5 * noise(a, b, 0.05, 0.05, ws, wt, seed + 4)
-    vein = max(0.0, 1 - 7 * abs(noise(a, b, 0.19, 0.11, ws, wt, seed + 5) + 0.2 * cloud)) if ws + wt < 0.05 else 0.1
+    sharp = min(max(2 - (ws + wt) / _VEIN_M, 0.0), 1.0)
+    vein = 0.1 * (1 - sharp)
+    if sharp > 0:
+        vein += sharp * max(0.0, 1 - 7 * abs(noise(a, b, 0.19, 0.11, ws, wt, seed + 5) + 0.2 * cloud))
     speck = cells(s, t, 0.008, 0.008, ws, wt, seed + 6, 0.0) - 0.5
     body = scaled(rgb, 1 + contrast * (shade + 0.16 * cloud - 0.35 * vein + 0.3 * speck))
     gap = min(0.005, 0.06 * scale_m)
