@@ -12,7 +12,7 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import BoolArray, FloatArray, PinholeCamera
 from wheelsight.recordings import AssociationReport
 from wheelsight.trajectory import Trajectory
@@ -56,9 +56,11 @@ class MemoryRecording:
     def association(self) -> AssociationReport:
         return AssociationReport(self.frame_count + 2, self.frame_count + 1, self.frame_count, 0.02)
 
-    def events(self) -> Iterator[Event]:
+    def events(self, *, images: bool = True) -> Iterator[Event]:
         try:
             for event in self.given:
+                if isinstance(event, RgbdFrame | SkippedFrame) and not images:
+                    continue
                 time.sleep(self.decoding_s)
                 if isinstance(event, BaseException):
                     raise event

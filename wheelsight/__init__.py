@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from wheelsight.localizer import Localizer
     from wheelsight.odometry.features import FeatureOdometry
     from wheelsight.odometry.wheels import WheelOdometry
-    from wheelsight.pipeline import run
+    from wheelsight.pipeline import run, run_each
     from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
     from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate, write_simulation
     from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
@@ -61,6 +61,7 @@ __all__ = [
     "read_kitti",
     "read_tum",
     "run",
+    "run_each",
     "save_calibration",
     "save_config",
     "simulate",
@@ -81,7 +82,7 @@ _NAMES_OF = {
     "localizer": ("Localizer",),
     "odometry.features": ("FeatureOdometry",),
     "odometry.wheels": ("WheelOdometry",),
-    "pipeline": ("run",),
+    "pipeline": ("run", "run_each"),
     "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
     "simulation": ("SimulatedRecording", "SimulationSettings", "simulate", "write_simulation"),
     "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),

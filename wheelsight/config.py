@@ -5,15 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PlainSerializer,
+    PositiveFloat,
+    ValidationError,
+)
 
 from wheelsight.errors import ConfigError
 from wheelsight.files import write_text
 from wheelsight.odometry.features import FeatureSettings
 from wheelsight.recordings import OpenOptions
+
+OdometryName = Literal["features", "wheels"]
 
 
 class _Settings(BaseModel):
@@ -61,10 +74,31 @@ class ReportSettings(_Settings):
     pictures: NonNegativeInt = Field(4, description="frames drawn with their matches")
 
 
+def _split(names: Any) -> Any:
+    """Names as a user writes them, "wheels,features", one by one."""
+    return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
+
+
+def _each_once(names: tuple[OdometryName, ...]) -> tuple[OdometryName, ...]:
+    known = ", ".join(get_args(OdometryName))
+    if not names:
+        raise ValueError(f"names none (known: {known})")
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"names {name} twice (known: {known})")
+    return names
+
+
+def _joined(names: tuple[OdometryName, ...]) -> str | list[str]:
+    return names[0] if len(names) == 1 else list(names)
+
+
 class Config(_Settings):
     """Every setting of a run; the defaults are what `wheelsight run` uses when nothing is said."""
 
-    odometry: Literal["features", "wheels"] = "features"
+    odometry: Annotated[
+        tuple[OdometryName, ...], BeforeValidator(_split), AfterValidator(_each_once), PlainSerializer(_joined)
+    ] = Field(("features",), description="one name or several, in the order in which they are reported")
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
     wheels: WheelSettings = WheelSettings()
@@ -74,6 +108,10 @@ class Config(_Settings):
     def to_dict(self) -> dict[str, Any]:
         """All settings as plain nested values, as YAML and JSON take them."""
         return self.model_dump(mode="json")
+
+    def alone(self, odometry: OdometryName) -> Config:
+        """The same settings for one odometry by itself."""
+        return self.model_copy(update={"odometry": (odometry,)})
 
 
 def load_config(
@@ -99,7 +137,7 @@ def load_config(
         return Config.model_validate(settings)
     except ValidationError as invalid:
         details = invalid.errors(include_url=False)[0]
-        location = [str(part) for part in details["loc"]]
+        location = [part for part in details["loc"] if isinstance(part, str)]  # a setting, not its place in a list
         name = ".".join(location)
         problem, fix = _explain(dict(details), (called or {}).get(name, name), location)
         if name in (overrides or {}):

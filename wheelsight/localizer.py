@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config, WheelSettings
-from wheelsight.errors import CalibrationError
+from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import se3
@@ -17,6 +17,8 @@ from wheelsight.odometry.wheels import WheelOdometry, YawRateMeter
 
 class Localizer:
     """Answers each frame or wheel reading with the pose of the body at its stamp, or with the reason why there is none.
+
+    It goes by one odometry.
 
     With `odometry: features` the frames are answered; the body is the robot's base where the calibration knows
     `T_base_camera`, else the camera; the world is where the body was at the first tracked frame. With `odometry:
@@ -29,13 +31,17 @@ class Localizer:
         note: what there is to say about the last event beyond its reason; often empty.
 
     Raises:
+        ConfigError: the configuration names several odometries.
         CalibrationError: the calibration lacks the cameras or wheels that the odometry needs.
     """
 
     def __init__(self, calibration: Calibration, config: Config | None = None) -> None:
         settings = config or Config()
+        if len(settings.odometry) > 1:
+            several = " and ".join(settings.odometry)
+            raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
         self._way: _ByFrames | _ByWheels
-        if settings.odometry == "wheels":
+        if settings.odometry == ("wheels",):
             self._way = _ByWheels(calibration, settings.wheels)
         else:
             self._way = _ByFrames(calibration, settings)

@@ -73,9 +73,12 @@ class ImageRecording:
         """How many wheel readings `events()` will yield."""
         return len(self.wheels)
 
-    def events(self) -> Iterator[Event]:
-        """Frames and readings in order of time, from the start at each call; decoded a few frames ahead."""
-        frames = (self._frame_or_reason(index) for index in range(len(self.frames)))
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """Frames (unless without `images`) and readings in order of time, from the start at each call.
+
+        Images are decoded a few frames ahead.
+        """
+        frames = (self._frame_or_reason(index) for index in range(len(self.frames) if images else 0))
         merged: Iterator[Event] = heapq.merge(self.yaw_rates, self.wheels, frames, key=_stamp_s)
         return read_ahead(merged, _FRAMES_READ_AHEAD)
 

@@ -53,8 +53,8 @@ class WheelRecording:
         """Nothing to pair."""
         return AssociationReport(0, 0, 0, 0.0)
 
-    def events(self) -> Iterator[Event]:
-        """Readings of gyroscope and wheels in order of time, from the start at each call."""
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """Readings of gyroscope and wheels in order of time, from the start at each call; there are no `images`."""
         sources: Sequence[Sequence[Event]] = (self.yaw_rates, self.wheels)
         yield from heapq.merge(*sources, key=lambda event: event.stamp_s)
 

@@ -79,8 +79,11 @@ class Recording(Protocol):
     def warnings(self) -> tuple[str, ...]:
         """What a user should know before trusting results, one sentence each."""
 
-    def events(self) -> Iterator[Event]:
-        """The events in order of time, from the start at each call; images are decoded as they are asked for."""
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """The events in order of time, from the start at each call; images are decoded as they are asked for.
+
+        Without `images` frames are left out, and none is decoded.
+        """
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,9 @@ from wheelsight.report.record import FrameRecord, RunRecord
 
 # Okabe and Ito's colours; these four also stand out from white and from near black.
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
-ORANGE, SKY = "#E69F00", "#56B4E9"
+ORANGE, SKY, PURPLE = "#E69F00", "#56B4E9", "#CC79A7"
+# Each odometry keeps its colour wherever several are drawn together.
+ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE}
 DASHED = {"color": GREY, "width": 1.5, "dash": "dash"}
 _AIR = 0.08  # of the longer side, around a path: enough for the words at its ends
 _LEAST_EXTENT_M = 0.01
@@ -59,12 +61,19 @@ def add_line(figure: go.Figure, x: FloatArray, y: FloatArray, **how: Any) -> Non
 
 
 def add_path(
-    figure: go.Figure, path: FloatArray, *, name: str, line: dict[str, Any], hover: str, row: int | None = None
+    figure: go.Figure,
+    path: FloatArray,
+    *,
+    name: str,
+    line: dict[str, Any],
+    hover: str,
+    row: int | None = None,
+    in_legend: bool = True,
 ) -> None:
     """A line through points (N, 2), broken at NaN; points without neighbours show as dots."""
     where = {} if row is None else {"row": row, "col": 1}
     text = {"name": name, "legendgroup": name, "hovertemplate": f"{name}: {hover}<extra></extra>"}
-    figure.add_scatter(x=path[:, 0], y=path[:, 1], mode="lines", line=line, **text, **where)
+    figure.add_scatter(x=path[:, 0], y=path[:, 1], mode="lines", line=line, showlegend=in_legend, **text, **where)
     lone = series.alone(path.sum(axis=1))
     if lone.any():
         x, y = path[lone].T
@@ -98,11 +107,16 @@ def horizontal(figure: go.Figure, y: float, text: str) -> None:
 def time_axis(figure: go.Figure, record: RunRecord) -> None:
     """The same time axis for every figure of a run, so that they can be compared by eye."""
     end_s = max(seconds_since_start(record, [frame.stamp_s for frame in record.frames]), default=0.0)
+    time_axis_until(figure, end_s, f"seconds since the first {record.unit}")
+
+
+def time_axis_until(figure: go.Figure, end_s: float, title: str) -> None:
+    """A time axis from 0 to `end_s` under all panels, its title below the lowest."""
     margin_s = 0.01 * end_s if end_s > 0 else 0.5
     figure.update_xaxes(range=[-margin_s, end_s + margin_s], hoverformat=".2f")
     figure.update_layout(margin_l=88)
     lowest = min(figure.select_xaxes(), key=lambda axis: 0 if axis.showticklabels is not False else 1)
-    lowest.title.text = f"seconds since the first {record.unit}"
+    lowest.title.text = title
 
 
 def seconds_since_start(record: RunRecord, stamps_s: Sequence[float] | FloatArray) -> FloatArray:

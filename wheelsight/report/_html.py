@@ -68,7 +68,12 @@ def table(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> s
 
 def folded(title: str, text: str) -> str:
     """Preformatted text, folded away until asked for."""
-    return f"<details>\n<summary>{escape(title)}</summary>\n<pre>{escape(text)}</pre>\n</details>"
+    return fold(title, f"<pre>{escape(text)}</pre>")
+
+
+def fold(title: str, part: str) -> str:
+    """A part of HTML, folded away until asked for."""
+    return f"<details>\n<summary>{escape(title)}</summary>\n{part}\n</details>"
 
 
 def _class(kind: str) -> str:

@@ -1,10 +1,14 @@
-"""The page's sections: each a question a reader has, and the figures that answer it."""
+"""The page's sections: each a question a reader has, and the figures that answer it.
+
+Those that take `of` stand on a page of several odometries too, then under that odometry's name and in its colour.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from wheelsight.evaluation import Statistics
+from wheelsight.report import _drawing as drawing
 from wheelsight.report import _html as html
 from wheelsight.report import _words as words
 from wheelsight.report import figures
@@ -55,10 +59,11 @@ def errors(record: RunRecord) -> str:
     )
     alt = f"ATE over time: {words.length(ate.rmse)} RMSE, {words.length(ate.max)} at most."
     plot = html.plot("errors", figures.error_figure(record), "Error over time", sentence, alt)
-    return html.section("errors", title, "", plot, _error_table(record))
+    return html.section("errors", title, "", plot, error_table(record))
 
 
-def _error_table(record: RunRecord) -> str:
+def error_table(record: RunRecord) -> str:
+    """Every error of a record that was evaluated, as numbers."""
     assert record.evaluation is not None
     evaluation = record.evaluation
     kinds = {
@@ -86,7 +91,7 @@ def _cells(s: Statistics) -> list[str]:
     return [*(words.number(value, 4) for value in (s.rmse, s.mean, s.median, s.max, s.std)), f"{s.count:,}"]
 
 
-def certainty(record: RunRecord) -> str:
+def certainty(record: RunRecord, of: str = "") -> str:
     """How sure dead reckoning was of itself."""
     covariances = record.estimate.covariances
     if record.unit != "reading" or covariances is None or not len(record.estimate):
@@ -98,17 +103,18 @@ def certainty(record: RunRecord) -> str:
         "way, since dead reckoning never sees a place again. Errors of calibration are not in it."
     )
     alt = f"Standard deviations of position and yaw over time: {end}."
-    plot = html.plot("certainty", figures.certainty_figure(record), "Uncertainty over time", sentence, alt)
-    return html.section("certainty", "How sure it was", "", plot)
+    figure = figures.certainty_figure(record, drawing.ODOMETRY_COLOURS.get(of))
+    plot = html.plot(_key("certainty", of), figure, "Uncertainty over time", sentence, alt)
+    return html.section(_key("certainty", of), _title("How sure it was", of), "", plot)
 
 
-def tracking(record: RunRecord, summary: Summary) -> str:
+def tracking(record: RunRecord, summary: Summary, of: str = "") -> str:
     """Whether the camera was followed, frame by frame."""
     if not record.frames:
         return ""
     lost = f", {words.count(summary.lost_episodes, 'lost episode')}" if record.unit == "frame" else ""
     status = html.plot(
-        "status",
+        _key("status", of),
         figures.status_figure(record),
         "Status over time",
         "A pose is known only while tracking; failing is a frame or few without one, lost is when only seeing a "
@@ -118,16 +124,16 @@ def tracking(record: RunRecord, summary: Summary) -> str:
         f"Status over time: {words.percent(summary.pose_share)} of {record.unit}s have a pose{lost}.",
     )
     if record.unit == "reading":
-        return html.section("tracking", "Was every reading used?", "", status)
-    return html.section("tracking", "Was it ever lost?", "", status, _matches(record))
+        return html.section(_key("tracking", of), _title("Was every reading used?", of), "", status)
+    return html.section(_key("tracking", of), _title("Was it ever lost?", of), "", status, _matches(record, of))
 
 
-def _matches(record: RunRecord) -> str:
+def _matches(record: RunRecord, of: str) -> str:
     if not any(frame.matches for frame in record.frames):
         return html.paragraph("No frame had any matches.", "missing")
     inliers = np.median([frame.inliers for frame in record.frames if not frame.is_skipped])
     return html.plot(
-        "matches",
+        _key("matches", of),
         figures.matches_figure(record),
         "Matches over time",
         "How many points were found again in the reference frame, and how many of them agree on one motion (inliers): "
@@ -136,37 +142,39 @@ def _matches(record: RunRecord) -> str:
     )
 
 
-def timing(record: RunRecord, summary: Summary) -> str:
+def timing(record: RunRecord, summary: Summary, of: str = "") -> str:
     """Whether it keeps up with the camera; a wheel reading is too quick to ask."""
     if not summary.median_s >= 0 or record.unit == "reading":
         return ""
     median, p95, longest = (words.duration(s) for s in (summary.median_s, summary.p95_s, summary.longest_s))
+    colour = drawing.ODOMETRY_COLOURS.get(of, drawing.BLUE)
     numbers = f"Median {median}, 95 % under {p95}, longest {longest}"
     over = html.plot(
-        "time",
-        figures.time_figure(record),
+        _key("time", of),
+        figures.time_figure(record, colour),
         "Time a frame",
         f"{numbers}; reading images is not included. Triangles at the upper edge are frames that took longer still; "
         "the first may have compiled kernels, once after installation.",
         f"Time a frame over the run. {numbers}.",
     )
     spread = html.plot(
-        "time-histogram",
-        figures.time_histogram_figure(record),
+        _key("time-histogram", of),
+        figures.time_histogram_figure(record, colour),
         "Spread",
         "How many frames took how long: a narrow hill is a steady pace.",
         f"Histogram of the time a frame. {numbers}.",
     )
-    return html.section("timing", "Was it quick enough?", "", over, html.group("pair", [spread, *_stages(record)]))
+    pair = html.group("pair", [spread, *_stages(record, of, colour)])
+    return html.section(_key("timing", of), _title("Was it quick enough?", of), "", over, pair)
 
 
-def _stages(record: RunRecord) -> list[str]:
+def _stages(record: RunRecord, of: str, colour: str) -> list[str]:
     if not record.stage_seconds:
         return []
     stages = ", ".join(f"{name} {words.duration(seconds)}" for name, seconds in record.stage_seconds.items())
     plot = html.plot(
-        "stages",
-        figures.stage_figure(record),
+        _key("stages", of),
+        figures.stage_figure(record, colour),
         "Stages",
         "Where the time of a usual frame goes.",
         f"Median time of each stage: {stages}.",
@@ -174,7 +182,7 @@ def _stages(record: RunRecord) -> list[str]:
     return [plot]
 
 
-def pictures(record: RunRecord) -> str:
+def pictures(record: RunRecord, of: str = "") -> str:
     """A few frames with their matches."""
     if not record.pictures:
         return ""
@@ -187,7 +195,7 @@ def pictures(record: RunRecord) -> str:
         intro += f" {len(chosen)} of {len(record.pictures)} pictures are shown."
     start_s = record.frames[0].stamp_s if record.frames else record.pictures[0].stamp_s
     shown = [_picture(record.pictures[i], start_s) for i in chosen]
-    return html.section("pictures", "What it saw", intro, html.group("pictures", shown))
+    return html.section(_key("pictures", of), _title("What it saw", of), intro, html.group("pictures", shown))
 
 
 def _picture(picture: MatchPicture, start_s: float) -> str:
@@ -199,3 +207,11 @@ def _picture(picture: MatchPicture, start_s: float) -> str:
     if matches:
         caption += f" ({words.percent(inliers / matches)})"
     return html.picture(data_uri(picture), caption + ".", f"Two frames side by side with their matches: {caption}.")
+
+
+def _key(key: str, of: str) -> str:
+    return f"{of}-{key}" if of else key
+
+
+def _title(title: str, of: str) -> str:
+    return f"{of.capitalize()}: {title[0].lower()}{title[1:]}" if of else title

@@ -48,15 +48,15 @@ def keep_peaks(values: FloatArray, limit: int = DRAWN_POINTS) -> IntArray:
 
 
 def keep_shape(path: FloatArray, limit: int = DRAWN_POINTS) -> IntArray:
-    """Indices of at most about `limit` points of a path (N, D), evenly spread; ends of gaps stay where they are."""
-    n = len(path)
+    """Indices of at most about `limit` points of a path (N, D): the extremes of each stretch, and the ends of gaps."""
+    n, coordinates = path.shape
     if n <= limit:
         return np.arange(n)
     gap = np.flatnonzero(np.isnan(path).any(axis=1))
-    spread = np.linspace(0, n - 1, limit).round().astype(int)
     if len(gap) > limit:
         gap = gap[:: len(gap) // limit + 1]
-    return np.unique(np.concatenate([spread, gap, (gap - 1).clip(0), (gap + 1).clip(0, n - 1)]))
+    extremes = [keep_peaks(column, limit // coordinates) for column in path.T]
+    return np.unique(np.concatenate([*extremes, gap, (gap - 1).clip(0), (gap + 1).clip(0, n - 1)]))
 
 
 def alone(values: FloatArray) -> BoolArray:

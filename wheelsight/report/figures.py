@@ -5,6 +5,8 @@ Backgrounds are transparent, and time runs in seconds since the first frame. Wha
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -42,9 +44,9 @@ def trajectory_figure(record: RunRecord, view: str = "xy") -> go.Figure:
     height = 520 if record.is_planar else 380
     figure = drawing.style(go.Figure(), height, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
     hover = f"{view[0]} %{{x:.3f}}, {view[1]} %{{y:.3f}} m"
-    paths = {"estimate": (_estimated_path_m(record), {"color": BLUE, "width": 2})}
+    paths = {"estimate": (estimated_path_m(record), {"color": BLUE, "width": 2})}
     if record.evaluation is not None and record.ground_truth is not None:
-        paths = {"ground truth": (_truth_path_m(record), {"color": GREY, "width": 4}), **paths}
+        paths = {"ground truth": (truth_path_m(record), {"color": GREY, "width": 4}), **paths}
     drawn = np.empty((0, 2))
     for name, (positions_m, line) in paths.items():
         path = positions_m[:, VIEWS[view]]
@@ -80,14 +82,14 @@ def error_figure(record: RunRecord) -> go.Figure:
     return figure
 
 
-def certainty_figure(record: RunRecord) -> go.Figure:
+def certainty_figure(record: RunRecord, colour: str | None = None) -> go.Figure:
     """Over time: one standard deviation of position and yaw, of an estimate in the plane that has covariances."""
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.11)
     drawing.style(figure, 360, hovermode="x unified", showlegend=False)
     x = drawing.seconds_since_start(record, record.estimate.stamps_s)
     panels = zip(("σ of position, m", "σ of yaw, °"), standard_deviations(record.estimate), strict=True)
     for row, (name, sigmas) in enumerate(panels, start=1):
-        line = {"color": VERMILLION if row == 1 else BLUE, "width": 1.5}
+        line = {"color": colour or (VERMILLION if row == 1 else BLUE), "width": 1.5}
         drawing.add_line(figure, x, sigmas, name=name, line=line, hover="%{y:.4f}", row=row)
         drawing.panel_title(figure, name, y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
     figure.update_yaxes(rangemode="tozero")
@@ -107,32 +109,53 @@ def standard_deviations(estimate: Trajectory) -> tuple[FloatArray, FloatArray]:
 
 def status_figure(record: RunRecord) -> go.Figure:
     """What the answer to each frame was, as one lane a status over time; a skipped frame shows as such unless lost."""
-    labels = [
-        SKIPPED if frame.is_skipped and frame.status != Status.LOST else str(frame.status) for frame in record.frames
-    ]
+    labels = status_labels(record)
     starts_s, ends_s = drawing.frame_spans_s(record)
-    least_s = _LEAST_WIDTH * float(ends_s[-1]) if labels else 0.0
     lanes = [lane for lane in STATUS_COLOURS if lane in labels or lane == Status.TRACKING]
     figure = drawing.style(go.Figure(), 84 + 26 * len(lanes), hovermode="closest", showlegend=False)
     for lane in lanes:
-        spans = [(starts_s[i], ends_s[j - 1], j - i) for i, j, label in series.runs(labels) if label == lane]
-        x = [value for a, b, _ in spans for value in (a, max(b, a + least_s), None)]
-        text = [t for a, b, n in spans for t in (f"{a:.2f} to {b:.2f} s, {words.count(n, record.unit)}",) * 2 + ("",)]
-        line = {"color": STATUS_COLOURS[lane], "width": 16}
-        figure.add_scatter(
-            x=x,
-            y=[lane] * len(x),
-            mode="lines",
-            name=lane,
-            line=line,
-            text=text,
-            hovertemplate=f"{lane}: %{{text}}<extra></extra>",
-        )
+        add_band(figure, record, lane, labels, starts_s, ends_s, y=lane, line={"color": STATUS_COLOURS[lane]})
     order = {"categoryorder": "array", "categoryarray": lanes[::-1], "range": [-0.6, len(lanes) - 0.4]}
     figure.update_yaxes(showgrid=False, **order)
     figure.update_layout(margin_t=12)
     drawing.time_axis(figure, record)
     return figure
+
+
+def status_labels(record: RunRecord) -> list[str]:
+    """The status of each frame, or that it was skipped, unless it was lost anyway."""
+    return [
+        SKIPPED if frame.is_skipped and frame.status != Status.LOST else str(frame.status) for frame in record.frames
+    ]
+
+
+def add_band(
+    figure: go.Figure,
+    record: RunRecord,
+    label: str,
+    labels: list[str],
+    starts_s: FloatArray,
+    ends_s: FloatArray,
+    *,
+    y: str,
+    line: dict[str, Any],
+    **how: Any,
+) -> None:
+    """The spans in which frames bear `label`, as one band at the height `y`; the shortest are widened to be seen."""
+    least_s = _LEAST_WIDTH * float(ends_s[-1]) if labels else 0.0
+    spans = [(starts_s[i], ends_s[j - 1], j - i) for i, j, found in series.runs(labels) if found == label]
+    x = [value for a, b, _ in spans for value in (a, max(b, a + least_s), None)]
+    text = [t for a, b, n in spans for t in (f"{a:.2f} to {b:.2f} s, {words.count(n, record.unit)}",) * 2 + ("",)]
+    figure.add_scatter(
+        x=x,
+        y=[y] * len(x),
+        mode="lines",
+        name=label,
+        line={"width": 16, **line},
+        text=text,
+        hovertemplate=f"{label}: %{{text}}<extra></extra>",
+        **how,
+    )
 
 
 def matches_figure(record: RunRecord) -> go.Figure:
@@ -149,14 +172,14 @@ def matches_figure(record: RunRecord) -> go.Figure:
     return figure
 
 
-def time_figure(record: RunRecord) -> go.Figure:
+def time_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     """How long each frame took, ms; frames far slower than the rest are marked at the upper edge."""
     figure = drawing.style(go.Figure(), 270, hovermode="closest", showlegend=False)
     frames = drawing.used_frames(record)
     x = drawing.seconds_since_start(record, [frame.stamp_s for frame in frames])
     ms = np.array([1e3 * frame.seconds for frame in frames], float)
     top = _time_ceiling_ms(ms)
-    above, line = ms > top, {"color": BLUE, "width": 1.5}
+    above, line = ms > top, {"color": colour, "width": 1.5}
     drawing.add_line(figure, x, np.where(above, top, ms), name="time a frame", line=line, hover="%{y:.1f} ms")
     if above.any():
         marker = {"symbol": "triangle-up", "size": 9, "color": VERMILLION}
@@ -178,7 +201,7 @@ def time_figure(record: RunRecord) -> go.Figure:
     return figure
 
 
-def time_histogram_figure(record: RunRecord) -> go.Figure:
+def time_histogram_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     """How the times of frames spread, ms, with the median and the 95th percentile."""
     figure = drawing.style(go.Figure(), 270, hovermode="closest", showlegend=False, bargap=0.08)
     ms = np.array([1e3 * frame.seconds for frame in drawing.used_frames(record)], float)
@@ -188,7 +211,7 @@ def time_histogram_figure(record: RunRecord) -> go.Figure:
     figure.add_bar(
         x=(edges[:-1] + edges[1:]) / 2,
         y=counts,
-        marker_color=BLUE,
+        marker_color=colour,
         name="frames",
         hovertemplate="%{y} frames at %{x:.1f} ms<extra></extra>",
     )
@@ -211,7 +234,7 @@ def time_histogram_figure(record: RunRecord) -> go.Figure:
     return figure
 
 
-def stage_figure(record: RunRecord) -> go.Figure:
+def stage_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     """The median time of each stage of a frame, ms, in the order they run."""
     names = list(record.stage_seconds)
     ms = np.array([1e3 * seconds for seconds in record.stage_seconds.values()], float)
@@ -220,7 +243,7 @@ def stage_figure(record: RunRecord) -> go.Figure:
         x=ms,
         y=names,
         orientation="h",
-        marker_color=BLUE,
+        marker_color=colour,
         text=[words.number(value) for value in ms],
         textposition="outside",
         cliponaxis=False,
@@ -252,13 +275,13 @@ def _error_lines(evaluation: Evaluation, unit: str) -> list[tuple[str, str, Floa
     ]
 
 
-def _estimated_path_m(record: RunRecord) -> FloatArray:
+def estimated_path_m(record: RunRecord) -> FloatArray:
     """The estimate's positions (N, 3), laid upon the truth if it was evaluated, with rows of NaN at gaps."""
     path = record.estimate if record.evaluation is None else record.evaluation.ate.aligned
     return series.with_gaps(path.stamps_s, path.positions_m, series.poseless_stamps_s(record))[1]
 
 
-def _truth_path_m(record: RunRecord) -> FloatArray:
+def truth_path_m(record: RunRecord) -> FloatArray:
     """True positions (N, 3) while the run lasted, with rows of NaN where the truth has holes."""
     assert record.ground_truth is not None
     stamps_s = [frame.stamp_s for frame in record.frames]

@@ -121,11 +121,12 @@ def _sections(record: RunRecord, summary: Summary) -> list[str]:
         sections.tracking(record, summary),
         sections.timing(record, summary),
         sections.pictures(record),
-        _settings(record),
+        settings(record),
     ]
 
 
-def _settings(record: RunRecord) -> str:
+def settings(record: RunRecord) -> str:
+    """The resolved configuration, folded away."""
     plain = json.loads(json.dumps(record.config, default=str))
     text = yaml.safe_dump(plain, sort_keys=False, allow_unicode=True) if plain else "none recorded"
     return html.section("settings", "Settings", "", html.folded("Show the settings of this run", text))

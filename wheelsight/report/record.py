@@ -74,6 +74,7 @@ class RunRecord:
         peak_memory_mb: of the whole process, or None where the system does not tell.
         finished_at: when the run ended, with its time zone.
         unit: what `frames` holds, "frame" or "reading".
+        odometry: its name.
     """
 
     recording: str
@@ -91,6 +92,7 @@ class RunRecord:
     peak_memory_mb: float | None = None
     finished_at: datetime = field(default_factory=lambda: datetime.now(UTC))
     unit: Literal["frame", "reading"] = "frame"
+    odometry: str = "features"
 
     @property
     def is_planar(self) -> bool:

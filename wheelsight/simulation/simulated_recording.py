@@ -94,10 +94,11 @@ class SimulatedRecording:
             return ()
         return (f"The drive ended early: {self.drive.reason}.",)
 
-    def events(self) -> Generator[Event]:
-        """Readings and frames in order of time, from the start at each call; frames are rendered a few ahead."""
+    def events(self, *, images: bool = True) -> Generator[Event]:
+        """Readings and frames (unless without `images`) in order of time; frames are rendered a few ahead."""
         frames = self.renderer.frames()
-        sources: tuple[Iterable[Event], ...] = (self.drive.yaw_rates, self.drive.ticks, frames)
+        readings = (self.drive.yaw_rates, self.drive.ticks)
+        sources: tuple[Iterable[Event], ...] = (*readings, frames) if images else readings
         try:
             yield from heapq.merge(*sources, key=lambda event: event.stamp_s)
         finally:

@@ -1,0 +1,80 @@
+"""What `wheelsight run` prints at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from wheelsight.report import RunRecord
+
+_ON_THE_PAGE_ONLY = ("ATE, max", "of its way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
+
+
+def print_summary(records: Sequence[RunRecord], out: Path) -> None:
+    """Figures of the only odometry, or a table of several with one row each; warnings; where the report is."""
+    from wheelsight.cli._console import console, facts_table, print_warning
+    from wheelsight.cli.evaluate import evaluation_table
+
+    stdout = console()
+    first = records[0]
+    if len(records) > 1:
+        stdout.print(_joint_table(records))
+    else:
+        stdout.print(facts_table(f"{first.recording}: T_{first.estimate.world}_{first.estimate.body}", _facts(first)))
+    if len(records) == 1 and first.evaluation is not None:
+        stdout.print(evaluation_table(first.evaluation))
+    for warning in dict.fromkeys(warning for record in records for warning in record.warnings):
+        print_warning(warning)
+    stdout.print(f"report: {out / 'report.html'}")
+
+
+def _joint_table(records: Sequence[RunRecord]) -> Table:
+    """One row an odometry; below, why one was not evaluated."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from wheelsight.report import comparison_rows
+
+    head, rows = comparison_rows(records)
+    missing = [f"{r.odometry} not evaluated: {r.evaluation_problem}" for r in records if r.evaluation is None]
+    table = Table(
+        title=records[0].recording,
+        box=SIMPLE_HEAD,
+        title_justify="left",
+        caption="\n".join(missing) or None,
+        caption_justify="left",
+        caption_style="",
+    )
+    shown = [index for index, name in enumerate(head) if name not in _ON_THE_PAGE_ONLY]
+    for index in shown:
+        table.add_column(head[index], justify="right" if index else "left")
+    for row in rows:
+        table.add_row(*(row[index] for index in shown))
+    return table
+
+
+def _facts(record: RunRecord) -> Iterator[tuple[str, str]]:
+    from wheelsight.cli._console import percent
+    from wheelsight.report import summarise
+
+    summary = summarise(record)
+    digits = ".1f" if summary.unit == "frame" else ".4f"
+    yield f"{summary.unit}s", f"{summary.posed} of {summary.frames} with a pose ({percent(summary.pose_share)})"
+    for why, count in summary.skips:
+        yield "skipped", f"{count} × {why}"
+    for why, count in summary.failures:
+        yield "no pose", f"{count} × {why}"
+    if summary.lost_episodes:
+        times = "once" if summary.lost_episodes == 1 else f"{summary.lost_episodes} times"
+        yield "lost", f"{times}, for {summary.lost_s:.2f} s in all"
+    yield "way", f"{summary.length_m:.2f} m in {summary.duration_s:.2f} s"
+    yield (
+        f"time a {summary.unit}",
+        f"median {1e3 * summary.median_s:{digits}} ms, 95 % within {1e3 * summary.p95_s:{digits}} ms",
+    )
+    if record.evaluation is None:
+        yield "not evaluated", record.evaluation_problem or ""

@@ -1,0 +1,111 @@
+"""All figures of a run with the unit in each name, as metrics.json holds them."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from wheelsight import __version__
+from wheelsight.pipeline.track import Passage
+from wheelsight.recordings import Recording
+from wheelsight.report import RunRecord
+
+
+def metrics_of(record: RunRecord, passage: Passage, recording: Recording) -> dict[str, Any]:
+    """The figures of one odometry, and of the pass it was part of."""
+    return {
+        "recording": _recording(recording),
+        "frame": f"T_{record.estimate.world}_{record.estimate.body}",
+        "interrupted": passage.interruption is not None,
+        **_of_odometry(record, passage, recording),
+        "peak_memory_mb": record.peak_memory_mb,
+        "warnings": list(record.warnings),
+        "versions": _versions(),
+    }
+
+
+def joint_metrics(records: Sequence[RunRecord], passage: Passage, recording: Recording) -> dict[str, Any]:
+    """The figures of every odometry of one pass: what they share once, the rest below each one's name."""
+    of_each = {
+        record.odometry: {
+            "frame": f"T_{record.estimate.world}_{record.estimate.body}",
+            **_of_odometry(record, passage, recording),
+            "warnings": [warning for warning in record.warnings if warning not in recording.warnings],
+        }
+        for record in records
+    }
+    return {
+        "recording": _recording(recording),
+        "interrupted": passage.interruption is not None,
+        "elapsed_s": passage.elapsed_s,
+        "odometry": of_each,
+        "peak_memory_mb": max((r.peak_memory_mb for r in records if r.peak_memory_mb is not None), default=None),
+        "warnings": list(recording.warnings),
+        "versions": _versions(),
+    }
+
+
+def _recording(recording: Recording) -> dict[str, str]:
+    return {"name": recording.name, "format": recording.format, "path": str(recording.path)}
+
+
+def _of_odometry(record: RunRecord, passage: Passage, recording: Recording) -> dict[str, Any]:
+    return {
+        "frames" if record.unit == "frame" else "wheel_readings": _frame_counts(record, recording),
+        "timing": _timing(record, passage),
+        "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
+        "evaluation": None if record.evaluation is None else record.evaluation.to_dict(),
+        "evaluation_problem": record.evaluation_problem,
+    }
+
+
+def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
+    frames = record.frames
+    statuses = [str(frame.status) for frame in frames]
+    reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
+    return {
+        "listed": recording.frame_count if record.unit == "frame" else recording.wheel_count,
+        "processed": len(frames),
+        "with_pose": len(record.estimate),
+        "with_pose_share": len(record.estimate) / len(frames) if frames else 0.0,
+        "skipped": sum(frame.is_skipped for frame in frames),
+        "dropped_color_images": record.association.dropped_color,
+        "dropped_depth_images": record.association.dropped_depth,
+        "status": {status: statuses.count(status) for status in sorted(set(statuses))},
+        "reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
+    }
+
+
+def _timing(record: RunRecord, passage: Passage) -> dict[str, Any]:
+    """Times a frame or reading, image decoding not included; the first, which may compile kernels, stands apart.
+
+    `elapsed_s` and the throughput are of the whole pass, which all its odometries share.
+    """
+    used_ms = [1e3 * frame.seconds for frame in record.frames if not frame.is_skipped]
+    later_ms = used_ms[1:]
+    return {
+        "frame_median_ms": float(np.median(later_ms)) if later_ms else None,
+        "frame_p95_ms": float(np.percentile(later_ms, 95)) if later_ms else None,
+        "frame_max_ms": max(later_ms, default=None),
+        "first_frame_ms": used_ms[0] if used_ms else None,
+        "stages_median_ms": {stage: 1e3 * seconds for stage, seconds in record.stage_seconds.items()},
+        "elapsed_s": passage.elapsed_s,
+        "throughput_frames_per_s": len(record.frames) / passage.elapsed_s if passage.elapsed_s else None,
+    }
+
+
+def _versions() -> dict[str, str]:
+    import cv2
+    import numba
+
+    return {
+        "wheelsight": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "opencv": cv2.__version__,
+        "platform": platform.platform(),
+    }

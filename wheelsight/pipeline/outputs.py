@@ -1,0 +1,77 @@
+"""The files that a run leaves."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from wheelsight.config import Config, OdometryName, save_config
+from wheelsight.files import make_output_folder, output_error, write_text
+from wheelsight.pipeline.metrics import joint_metrics, metrics_of
+from wheelsight.pipeline.track import Passage
+from wheelsight.recordings import Recording
+from wheelsight.report import RunRecord, write_comparison, write_report
+from wheelsight.trajectory import write_tum
+
+_OF_ONE = ("trajectory.txt", "status.csv", "metrics.json")
+
+
+def write_results(
+    records: Sequence[RunRecord], passage: Passage, recording: Recording, config: Config, folder: Path
+) -> None:
+    """Everything about a run: of one odometry into `folder`, of several each into a folder of its name and all joined.
+
+    What an earlier run of other odometries left there under these names goes. Raises OutputError.
+    """
+    if (folder / "config.yaml").exists():  # a run's folder, not just any
+        _forget_others(records, folder)
+    save_config(config, folder / "config.yaml")
+    if len(records) == 1:
+        _write_one(records[0], passage, recording, folder)
+        write_report(records[0], folder / "report.html")
+        return
+    for record in records:
+        _write_one(record, passage, recording, make_output_folder(folder / record.odometry, force=True))
+    _write_json(joint_metrics(records, passage, recording), folder / "metrics.json")
+    write_comparison(records, folder / "report.html")
+
+
+def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
+    """Remove the results of odometries that this run does not have, lest they be taken for its own."""
+    kept = {folder} if len(records) == 1 else {folder / record.odometry for record in records}
+    for place in {folder, *(folder / name for name in get_args(OdometryName))} - kept:
+        try:
+            for name in _OF_ONE:
+                (place / name).unlink(missing_ok=True)
+            if place.is_dir() and place != folder and not any(place.iterdir()):
+                place.rmdir()
+        except OSError as error:
+            raise output_error(error, place) from error
+
+
+def _write_one(record: RunRecord, passage: Passage, recording: Recording, folder: Path) -> None:
+    write_tum(record.estimate, folder / "trajectory.txt")
+    write_text(folder / "status.csv", _status_csv(record))
+    _write_json(metrics_of(record, passage, recording), folder / "metrics.json")
+
+
+def _write_json(figures: dict[str, Any], path: Path) -> None:
+    write_text(path, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+
+
+def _status_csv(record: RunRecord) -> str:
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "note"])
+    for frame in record.frames:
+        counts = (frame.matches, frame.inliers, f"{1e3 * frame.seconds:.3f}")
+        # as in trajectory.txt, so that rows can be joined
+        stamp = np.format_float_positional(frame.stamp_s, min_digits=6)
+        rows.writerow([stamp, frame.status, frame.reason or "", *counts, frame.note])
+    return text.getvalue()

@@ -1,0 +1,92 @@
+"""What a track comes to once it is over: its trajectory, compared with the truth."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from wheelsight.config import Config
+from wheelsight.errors import CalibrationError, EvaluationError
+from wheelsight.evaluation import Evaluation, evaluate
+from wheelsight.pipeline.track import UNITS, Passage, Track
+from wheelsight.recordings import Recording, express_for
+from wheelsight.report import RunRecord
+from wheelsight.trajectory import Trajectory
+
+
+def record_of(track: Track, passage: Passage, recording: Recording, config: Config) -> RunRecord:
+    """The record of one odometry of a pass that is over."""
+    estimate = _trajectory(track)
+    truth, problem = _truth(recording, track.localizer.body)
+    evaluation = None
+    if truth is not None:
+        evaluation, problem = _compare(estimate, truth, config, track)
+    return RunRecord(
+        recording=recording.name,
+        format=recording.format,
+        frames=tuple(track.frames),
+        estimate=estimate,
+        ground_truth=truth,
+        evaluation=evaluation,
+        association=recording.association,
+        warnings=(*recording.warnings, *_interruption(track, passage)),
+        evaluation_problem=problem,
+        pictures=tuple(track.photographer.pictures),
+        stage_seconds={stage: float(np.median(spent)) for stage, spent in track.stage_seconds.items()},
+        config=config.to_dict(),
+        peak_memory_mb=_peak_memory_mb(),
+        unit=UNITS[track.odometry],
+        odometry=track.odometry,
+    )
+
+
+def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
+    """A warning where the pass did not reach the end."""
+    if passage.interruption is None:
+        return ()
+    why = "by the user" if isinstance(passage.interruption, KeyboardInterrupt) else f"by {passage.interruption}"
+    return (f"Interrupted {why} after {len(track.frames)} of {track.listed} {UNITS[track.odometry]}s.",)
+
+
+def _trajectory(track: Track) -> Trajectory:
+    poses = track.poses
+    covariances = [estimate.covariance for estimate in poses]
+    return Trajectory(
+        np.array([estimate.stamp_s for estimate in poses], float),
+        np.array([estimate.T_world_body for estimate in poses], float).reshape(-1, 4, 4),
+        None if not poses or any(c is None for c in covariances) else np.array(covariances, float),
+        body=track.localizer.body,
+        world=track.localizer.world,
+    )
+
+
+def _truth(recording: Recording, body: str) -> tuple[Trajectory | None, str | None]:
+    """The ground truth of the body that was followed, or why there is none."""
+    if recording.ground_truth is None:
+        return None, "the recording has no ground truth"
+    try:
+        return express_for(body, recording.ground_truth, recording.calibration), None
+    except CalibrationError as error:
+        return None, f"ground truth: {error}"
+
+
+def _compare(
+    estimate: Trajectory, truth: Trajectory, config: Config, track: Track
+) -> tuple[Evaluation | None, str | None]:
+    """The evaluation, or why there is none."""
+    stamps_s = [frame.stamp_s for frame in track.frames]
+    try:
+        return evaluate(estimate, truth, frame_stamps_s=stamps_s, **config.evaluation.model_dump()), None
+    except EvaluationError as error:
+        return None, str(error)
+
+
+def _peak_memory_mb() -> float | None:
+    """Of this process so far; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024)

@@ -1,0 +1,95 @@
+"""A run in a few verbs: check, follow, judge, write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from wheelsight.config import Config
+from wheelsight.errors import ConfigError
+from wheelsight.files import make_output_folder
+from wheelsight.localizer import Localizer
+from wheelsight.pipeline.outputs import write_results
+from wheelsight.pipeline.records import record_of
+from wheelsight.pipeline.track import UNITS, follow
+from wheelsight.recordings import Recording
+from wheelsight.report import FrameRecord, RunRecord
+
+
+def run(
+    recording: Recording,
+    config: Config,
+    out: Path,
+    *,
+    force: bool = False,
+    on_frame: Callable[[FrameRecord], None] | None = None,
+) -> RunRecord:
+    """Track a whole recording and leave trajectory, status, metrics, configuration and report in the folder `out`.
+
+    Ctrl-C, or a recording that breaks off, loses nothing: what was tracked until then is written and marked
+    as interrupted, and then the exception goes on its way.
+
+    Args:
+        recording: from `open_recording`.
+        config: all settings; of one odometry.
+        out: folder for the results; made if need be.
+        force: write into a folder that holds something already.
+        on_frame: called after each frame, for a progress bar.
+
+    Raises:
+        ConfigError: the configuration names several odometries, or the recording has no images, or no wheel readings,
+            that the odometry asked for needs.
+        CalibrationError: the calibration lacks its cameras, or its wheels.
+        OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
+        RecordingError: the recording cannot be read on.
+    """
+    if len(config.odometry) > 1:
+        raise ConfigError(f"run goes by one odometry, not by {' and '.join(config.odometry)}", fix="use run_each")
+
+    def on_event(answers: Mapping[str, FrameRecord]) -> None:
+        for frame in answers.values():
+            if on_frame is not None:
+                on_frame(frame)
+
+    (record,) = run_each(recording, config, out, force=force, on_event=on_event)
+    return record
+
+
+def run_each(
+    recording: Recording,
+    config: Config,
+    out: Path,
+    *,
+    force: bool = False,
+    on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
+) -> tuple[RunRecord, ...]:
+    """Run every odometry that `config` names over one pass of the recording, each alone, and report them together.
+
+    One odometry leaves what `run` does. Of several, each has its trajectory, status and metrics in a folder of its
+    name, and `out` holds metrics, configuration and one report of all.
+
+    Args:
+        on_event: called after each event that was answered, with each odometry's answer by its name.
+        recording, config, out, force: as in `run`.
+
+    Raises:
+        As `run`, for any of the odometries.
+    """
+    _check(recording, config)
+    folder = make_output_folder(out, force)
+    passage = follow(recording, config, on_event)
+    records = tuple(record_of(track, passage, recording, config) for track in passage.tracks)
+    write_results(records, passage, recording, config, folder)
+    if passage.interruption is not None:
+        raise passage.interruption
+    return records
+
+
+def _check(recording: Recording, config: Config) -> None:
+    """Refuse what cannot end well, before anything is written."""
+    for odometry in config.odometry:
+        if UNITS[odometry] == "reading" and not recording.wheel_count:
+            raise ConfigError(f"{recording.path}: the recording has no wheel readings", fix="--odometry features")
+        if UNITS[odometry] == "frame" and recording.wheel_count and not recording.frame_count:
+            raise ConfigError(f"{recording.path}: the recording has no images", fix="--odometry wheels")
+        Localizer(recording.calibration, config.alone(odometry))

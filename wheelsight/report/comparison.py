@@ -1,0 +1,220 @@
+"""One page about several odometries of one recording: where they agree, where they part, and what each cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+
+from wheelsight._version import __version__
+from wheelsight.files import write_text
+from wheelsight.report import _html as html
+from wheelsight.report import _sections as sections
+from wheelsight.report import _words as words
+from wheelsight.report import comparison_figures as figures
+from wheelsight.report.overlay import Overlay, overlay_of
+from wheelsight.report.page import fill_template, settings
+from wheelsight.report.record import RunRecord
+from wheelsight.report.summary import Summary, summarise
+from wheelsight.report.verdict import Tone, Verdict, judge, notes
+
+_MOST_OF_THE_TIME = 0.95
+_HEAD = (
+    "Odometry",
+    "ATE, RMSE",
+    "ATE, max",
+    "of its way",
+    "RPE a second",
+    "RPE a metre",
+    "turn a metre",
+    "with a pose",
+    "time covered",
+    "median time",
+    "95 % within",
+)
+Judged = tuple[RunRecord, Summary, Verdict]
+
+
+def write_comparison(records: Sequence[RunRecord], path: Path) -> None:
+    """Write the page about `records`, each of another odometry, to `path`, atomically. Raises OutputError."""
+    # A folder's name may hold bytes that are no text; they must not cost the page.
+    write_text(path, render_comparison(records).encode("utf-8", "replace").decode("utf-8"))
+
+
+def render_comparison(records: Sequence[RunRecord]) -> str:
+    """The page about several odometries as HTML that refers to nothing outside itself."""
+    judged = []
+    for record in records:
+        summary = summarise(record)
+        judged.append((record, summary, judge(record, summary)))
+    paths = overlay_of(records)
+    return fill_template(
+        kicker="wheelsight run report",
+        title=escape(records[0].recording),
+        facts=" · ".join(escape(fact) for fact in _facts(records)),
+        tone=_tone(judged),
+        phrase=escape(_phrase(records)),
+        sentences="<br>\n".join(
+            escape(f"{record.odometry.capitalize()}: {' '.join(verdict.sentences)}") for record, _, verdict in judged
+        ),
+        tiles="\n".join(html.tile(*tile) for tile in _tiles(judged)),
+        notes=_notes(judged, paths),
+        sections="\n".join(part for part in _sections(judged, paths) if part),
+        footer=escape("Lengths are in metres, stamps in seconds. This page needs no network."),
+    )
+
+
+def comparison_rows(records: Sequence[RunRecord]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Column names, and one row an odometry in words: errors, coverage, time. For the page and for the terminal."""
+    return _HEAD, [_row(record, summarise(record)) for record in records]
+
+
+def _row(record: RunRecord, summary: Summary) -> tuple[str, ...]:
+    cost = (words.duration(summary.median_s), words.duration(summary.p95_s))
+    share = words.percent(summary.pose_share)
+    evaluation = record.evaluation
+    if evaluation is None:
+        return (record.odometry, *["–"] * 6, share, "–", *cost)
+    ate, second, metre = evaluation.ate.translation, evaluation.rpe_per_second, evaluation.rpe_per_metre
+    return (
+        record.odometry,
+        words.length(ate.rmse),
+        words.length(ate.max),
+        words.percent(ate.rmse / summary.length_m) if summary.length_m > 0 else "–",
+        "–" if second is None else words.length(second.translation.rmse),
+        "–" if metre is None else words.length(metre.translation.rmse),
+        "–" if metre is None else words.angle(metre.rotation.in_degrees().rmse),
+        share,
+        words.percent(evaluation.truth_time_covered),
+        *cost,
+    )
+
+
+def _facts(records: Sequence[RunRecord]) -> list[str]:
+    when = records[0].finished_at.strftime("%Y-%m-%d %H:%M %Z").strip()
+    frames = ", ".join(f"{r.odometry} T_{r.estimate.world}_{r.estimate.body}" for r in records)
+    return [f"format {records[0].format}", frames, when, f"wheelsight {__version__}"]
+
+
+def _tone(judged: Sequence[Judged]) -> Tone:
+    tones = {verdict.tone for _, _, verdict in judged}
+    return tones.pop() if len(tones) == 1 else "fair"
+
+
+def _phrase(records: Sequence[RunRecord]) -> str:
+    """Which came nearest to the truth, of those that can be asked: who is silent half the time errs less."""
+    evaluated = [(record.evaluation, record) for record in records if record.evaluation is not None]
+    if not evaluated:
+        return "Side by side, without a truth to judge them by"
+    whole = [(found, record) for found, record in evaluated if found.truth_time_covered >= _MOST_OF_THE_TIME]
+    if not whole:
+        return "Followed throughout by none"
+    found, record = min(whole, key=lambda pair: pair[0].ate.translation.rmse)
+    name, error = record.odometry.capitalize(), words.length(found.ate.translation.rmse)
+    if len(whole) == 1:
+        return f"Followed throughout by {record.odometry} alone, {error} off (RMSE)"
+    return f"{name} came nearest to the truth, {error} off (RMSE)"
+
+
+def _tiles(judged: Sequence[Judged]) -> Iterable[tuple[str, str, str]]:
+    for record, summary, _ in judged:
+        if record.evaluation is None:
+            yield f"ATE, {record.odometry}", words.UNKNOWN, "not evaluated"
+            continue
+        rmse = record.evaluation.ate.translation.rmse
+        share = f"{words.percent(rmse / summary.length_m)} of its way" if summary.length_m > 0 else ""
+        yield f"ATE, {record.odometry}", words.length(rmse), share
+    for record, summary, _ in judged:
+        posed = f"{summary.posed:,} of {words.count(summary.frames, summary.unit)}"
+        yield f"With a pose, {record.odometry}", words.percent(summary.pose_share), posed
+    for record, summary, _ in judged:
+        yield f"Time a {summary.unit}, {record.odometry}", words.duration(summary.median_s), "median"
+    yield "Duration", words.duration(max(summary.duration_s for _, summary, _ in judged)), "one pass for all"
+    memory_mb = max((r.peak_memory_mb for r, _, _ in judged if r.peak_memory_mb is not None), default=None)
+    if memory_mb is not None:
+        yield "Peak memory", f"{memory_mb:,.0f} MB", ""
+
+
+def _notes(judged: Sequence[Judged], paths: Overlay) -> str:
+    """What holds for all once, and what holds for one under its name."""
+    of_each = {record.odometry: notes(record, summary) for record, summary, _ in judged}
+    shared = [note for note in next(iter(of_each.values())) if all(note in found for found in of_each.values())]
+    own = [f"{name.capitalize()}: {note}" for name, found in of_each.items() for note in found if note not in shared]
+    out = [
+        f"{name.capitalize()}: not drawn with the others: {why.rstrip('.')}." for name, why in paths.left_out.items()
+    ]
+    found = [*shared, *own, *out]
+    intro = "" if found else "Nothing: everything listed was used, and every answer has a pose."
+    body = html.bullets(found, "notes") if found else ""
+    return html.section("notes", "What to know before trusting it", intro, body)
+
+
+def _sections(judged: Sequence[Judged], paths: Overlay) -> Iterable[str]:
+    records = [record for record, _, _ in judged]
+    yield _path(records, paths)
+    yield _errors(records)
+    yield _bands(judged)
+    for record, summary, _ in judged:
+        of = record.odometry
+        yield sections.certainty(record, of)
+        if record.unit == "frame":
+            yield sections.tracking(record, summary, of)
+        yield sections.timing(record, summary, of)
+        yield sections.pictures(record, of)
+    yield settings(records[0])
+
+
+def _path(records: Sequence[RunRecord], paths: Overlay) -> str:
+    title = "Where each went"
+    if not paths.paths_m:
+        return html.section("path", title, "", html.paragraph("No pose was found, so there is no path.", "missing"))
+    if paths.by == "truth":
+        intro = (
+            "Each path by itself is laid upon the ground truth by one rigid motion, as ATE does it: what is left is "
+            "the error of its shape, and not where it drifts to from a common start."
+        )
+    else:
+        intro = (
+            "Without a ground truth to lay them upon, the paths begin at one point in one direction: where they "
+            "part, at least one of them is wrong."
+        )
+    names = ", ".join(paths.paths_m)
+    sentence = "Seen from above. Lines break where no pose is known; squares are where each one ends."
+    plot = html.plot("overlay", figures.overlay_figure(paths), "x–y", sentence, f"Paths of {names} seen from above.")
+    return html.section("path", title, intro, plot)
+
+
+def _errors(records: Sequence[RunRecord]) -> str:
+    title = "How far off each was, and what it cost"
+    caption = (
+        "One row an odometry. RPE is RMSE, “turn a metre” its rotation; the time is of one frame or reading, reading "
+        "images not included. Errors speak only of the time covered."
+    )
+    table = html.table(caption, *comparison_rows(records))
+    evaluated = [record for record in records if record.evaluation is not None]
+    if not evaluated:
+        why = records[0].evaluation_problem or "the recording has no ground truth"
+        return html.section("errors", title, "", html.paragraph(f"Not evaluated: {why.rstrip('.')}.", "missing"), table)
+    sentence = (
+        "ATE is the distance to the true position once the path is laid upon the truth; RPE is the error of the motion "
+        "over one second, which tells when it went wrong."
+    )
+    alt = "Errors over time of " + ", ".join(record.odometry for record in evaluated) + "."
+    plot = html.plot("errors", figures.errors_figure(records), "Error over time", sentence, alt)
+    all_errors = (html.fold(f"All errors of {r.odometry}", sections.error_table(r)) for r in evaluated)
+    return html.section("errors", title, "", table, plot, *all_errors)
+
+
+def _bands(judged: Sequence[Judged]) -> str:
+    if not any(record.frames for record, _, _ in judged):
+        return ""
+    shares = ", ".join(f"{record.odometry} {words.percent(summary.pose_share)}" for record, summary, _ in judged)
+    sentence = "In an odometry's own colour its pose is known; other colours say why it is not."
+    plot = html.plot(
+        "bands",
+        figures.bands_figure([r for r, _, _ in judged]),
+        "Status over time",
+        sentence,
+        f"With a pose: {shares}.",
+    )
+    return html.section("bands", "When each was followed", "", plot)
