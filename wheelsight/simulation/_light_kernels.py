@@ -52,24 +52,13 @@ def turned(R: Any, v: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def light_row(
-    v: int,
-    depth_m: Any,
-    geom: Any,
-    normal_world: Any,
-    T_world_camera: Any,
-    rays: Any,
-    tints: Any,
-    sun: Any,
-    grid: Any,
-    flux: Any,
-    clearance: Any,
-    out: Any,
-) -> None:
-    """Irradiance over π into row v of `out` (H, W, 3).
+def light_row(v: int, view: Any, light: Any, out: Any) -> None:
+    """Irradiance over π into row v of `out` (H, W, 3); `view` and `light` as for `paint_rows`.
 
     Light changes slowly: along a flat face it is computed for each fourth pixel, and between them interpolated.
     """
+    depth_m, geom, normal_world, T_world_camera, rays = view
+    tints, sun, grid, flux, clearance = light
     width = depth_m.shape[1]
     R = nine(T_world_camera[v])
     last = -1

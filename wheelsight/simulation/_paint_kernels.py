@@ -118,42 +118,21 @@ def albedo_at(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def paint_rows(
-    first: int,
-    last: int,
-    depth_m: Any,
-    geom: Any,
-    normal_world: Any,
-    T_world_camera: Any,
-    rays: Any,
-    shape: Any,
-    size_m: Any,
-    position_world: Any,
-    R_world_geom: Any,
-    origin: Any,
-    looks: Any,
-    colours: Any,
-    numbers: Any,
-    tints: Any,
-    sun: Any,
-    grid: Any,
-    flux: Any,
-    clearance: Any,
-    lattice: Any,
-    out: Any,
-) -> None:
+def paint_rows(first: int, last: int, view: Any, geoms: Any, light: Any, lattice: Any, out: Any) -> None:
     """Radiance `out` (H, W, 3) of the rows from first up to last.
 
-    For each geom, `shape` is MuJoCo's type, `origin` (G, 3) where its texture's origin lies in its own frame, `looks`
-    (G, 2) the texture's number and its seed, `colours` (G, 6) main and accent, `numbers` (G, 3) scale in metres,
-    contrast and glow. The rest is `Lighting`'s.
+    `view` is `View`'s arrays in their order. `geoms` is of each geom MuJoCo's type and size, middle and orientation,
+    where its texture's origin lies in its own frame (G, 3), its texture's number and seed (G, 2), main and accent
+    colour (G, 6), and scale in metres, contrast and glow (G, 3). `light` and `lattice` are `Lighting`'s.
     """
+    depth_m, geom, normal_world, T_world_camera, rays = view
+    looks, numbers = geoms[5], geoms[7]
     height, width = depth_m.shape
     for v in range(first, last):
         R_world_camera = nine(T_world_camera[v])
         x0, y0, z0 = T_world_camera[v, 0, 3], T_world_camera[v, 1, 3], T_world_camera[v, 2, 3]
         below = v + 1 if v + 1 < height else v - 1
-        light_row(v, depth_m, geom, normal_world, T_world_camera, rays, tints, sun, grid, flux, clearance, out)
+        light_row(v, view, light, out)
         for u in range(width):
             g, z = geom[v, u], float(depth_m[v, u])
             if g < 0 or z <= 0:
@@ -167,9 +146,7 @@ def paint_rows(
             p = (x0 + z * ray[0], y0 + z * ray[1], z0 + z * ray[2])
             step_u = pixel_step(n, ray, turned(R_world_camera, right), z)
             step_v = pixel_step(n, ray, turned(R_world_camera, down), z)
-            r, e, b = albedo_on_geom(
-                g, p, n, step_u, step_v, shape, size_m, position_world, R_world_geom, origin, looks, colours, numbers
-            )
+            r, e, b = albedo_on_geom(g, p, n, step_u, step_v, geoms)
             glow = numbers[g, 2]
             if looks[g, 0] == CEILING and n[2] < -0.9:
                 glow += lamp_at(p[0], p[1], abs(step_u[0]) + abs(step_v[0]), abs(step_u[1]) + abs(step_v[1]), lattice)
@@ -178,26 +155,13 @@ def paint_rows(
             out[v, u, 2] *= b
             if glow > 0:
                 for c in range(3):
-                    out[v, u, c] += glow * tints[1, c]
+                    out[v, u, c] += glow * light[0][1, c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def albedo_on_geom(
-    g: int,
-    p: Any,
-    n: Any,
-    step_u: Any,
-    step_v: Any,
-    shape: Any,
-    size_m: Any,
-    position_world: Any,
-    R_world_geom: Any,
-    origin: Any,
-    looks: Any,
-    colours: Any,
-    numbers: Any,
-) -> Any:
+def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, geoms: Any) -> Any:
     """Reflectances at a point p of a geom, with normal n in the world, over a pixel whose edges there are two steps."""
+    shape, size_m, position_world, R_world_geom, origin, looks, colours, numbers = geoms
     kind = int(looks[g, 0])
     rgb, accent = (colours[g, 0], colours[g, 1], colours[g, 2]), (colours[g, 3], colours[g, 4], colours[g, 5])
     if kind == PLAIN:

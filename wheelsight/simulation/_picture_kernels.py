@@ -205,20 +205,31 @@ def _note(
     if shadow + sheet <= 0:
         return under
     key = int(hash_unit(i, j, seed + 5) * 65536)
-    paper = _PAPER if hash_unit(i, j, seed + 6) < 0.55 else mix(_PAPER, pick_colour(key, seed, 1.0), 0.75 * contrast)
+    paper = _sheet(a, b, half_w, half_h, ws, wt, contrast, seed, key)
+    return mix(scaled(under, 1 - 0.5 * shadow), paper, sheet)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sheet(
+    a: float, b: float, half_w: float, half_h: float, ws: float, wt: float, contrast: float, seed: int, key: int
+) -> Any:
+    """A note's colour at a, b from its middle: paper, headline or picture, lines of print, a pin."""
+    paper = _PAPER if hash_unit(key, 6, seed) < 0.55 else mix(_PAPER, pick_colour(key, seed, 1.0), 0.75 * contrast)
     margin = 0.14 * half_w
-    if hash_unit(i, j, seed + 7) < 0.3:
+    has_picture = hash_unit(key, 7, seed) < 0.3
+    if has_picture:
         inside = rectangle(a, b, -half_w + margin, half_w - margin, -0.2 * half_h, half_h - margin, ws, wt)
         paper = mix(paper, picture(a, b, 2 * half_w, ws, wt, contrast, seed + key), inside)
-    pitch = half_h * (0.12 + 0.25 * hash_unit(i, j, seed + 8))
-    high = -0.3 * half_h if hash_unit(i, j, seed + 7) < 0.3 else 0.5 * half_h
+    else:
+        title = rectangle(a, b, -half_w + margin, 0.6 * half_w, 0.62 * half_h, 0.85 * half_h, ws, wt)
+        paper = mix(paper, _INK, 0.8 * title)
+    high = -0.3 * half_h if has_picture else 0.5 * half_h
     ink = rectangle(a, b, -half_w + margin, half_w - margin, -half_h + margin, high, ws, wt)
-    ink *= print_lines(a + half_w, b, pitch, ws, wt, seed + key)
-    title = rectangle(a, b, -half_w + margin, 0.6 * half_w, 0.62 * half_h, 0.85 * half_h, ws, wt)
+    if ink > 0:
+        pitch = half_h * (0.12 + 0.25 * hash_unit(key, 8, seed))
+        paper = mix(paper, _INK, 0.9 * ink * print_lines(a + half_w, b, pitch, ws, wt, seed + key))
     pin = rectangle(a, b, -0.008, 0.008, half_h - 0.022, half_h - 0.006, ws, wt)
-    paper = mix(paper, _INK, min(0.9 * ink + (0.8 * title if high > 0 else 0.0), 1.0))
-    paper = mix(paper, pick_colour(key + 1, seed, 1.4), pin)
-    return mix(scaled(under, 1 - 0.5 * shadow), paper, sheet)
+    return mix(paper, pick_colour(key + 1, seed, 1.4), pin)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

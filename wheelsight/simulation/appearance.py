@@ -45,16 +45,17 @@ class Painter:
         ]
         self._geoms = geoms
         self.lighting = Lighting.of(geoms, looks, seed)
-        self._origin = np.zeros((len(looks), 3))
-        self._looks = np.zeros((len(looks), 2), np.int64)
-        self._colours = np.array([[look.rgb, look.accent_rgb] for look in looks], float).reshape(-1, 6)
-        self._numbers = np.array([[look.scale_m, look.contrast, look.glow] for look in looks], float).reshape(-1, 3)
+        origin = np.zeros((len(looks), 3))
+        painted = np.zeros((len(looks), 2), np.int64)
+        colours = np.array([[look.rgb, look.accent_rgb] for look in looks], float).reshape(-1, 6)
+        numbers = np.array([[look.scale_m, look.contrast, look.glow] for look in looks], float).reshape(-1, 3)
         for g, look in enumerate(looks):
             is_continued = look.kind in _CONTINUED
             key = geoms.materials[g] if is_continued else geoms.names[g] or str(g)
-            self._looks[g] = _KINDS.index(look.kind), zlib.crc32(key.encode(), seed & 0xFFFFFFFF) >> 1
+            painted[g] = _KINDS.index(look.kind), zlib.crc32(key.encode(), seed & 0xFFFFFFFF) >> 1
             if is_continued:
-                self._origin[g] = geoms.R_world_geom[g].T @ geoms.position_world[g]
+                origin[g] = geoms.R_world_geom[g].T @ geoms.position_world[g]
+        self._painted = origin, painted, colours, numbers
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._threads = threads
 
@@ -66,26 +67,12 @@ class Painter:
         geoms = geoms or self._geoms
         out = np.empty((*view.depth_m.shape, 3), np.float32)
         height = len(out)
+        light = self.lighting
         arguments = (
-            view.depth_m,
-            view.geom,
-            view.normal_world,
-            view.T_world_camera,
-            view.rays,
-            geoms.kind,
-            geoms.size_m,
-            geoms.position_world,
-            geoms.R_world_geom,
-            self._origin,
-            self._looks,
-            self._colours,
-            self._numbers,
-            self.lighting.tints,
-            self.lighting.sun,
-            self.lighting.grid,
-            self.lighting.flux,
-            self.lighting.clearance,
-            self.lighting.lattice,
+            (view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays),
+            (geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *self._painted),
+            (light.tints, light.sun, light.grid, light.flux, light.clearance),
+            light.lattice,
             out,
         )
         if self._pool is None:
