@@ -6,7 +6,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,7 @@ _REPEATS = 40
 _TRAINING_REPEATS = 3
 # A turn by a radian changes a view about as much as a metre's way.
 _METRES_PER_RADIAN = 1.0
+_DIMMED = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +77,10 @@ class RealAccuracy:
         split: which part it was trained on.
         describer: which description.
         areas: how many the training part visits.
+        tested_areas: how many of these the test part visits too; where it is one, accuracy says little.
         unseen: share of test frames in areas the training part does not visit; left out of the figures below.
         accuracy: share of test frames whose most probable area is the true one.
+        dimmed_accuracy: the same with the test frames' colours at 0.6 of their brightness.
         answered: share of test frames whose area is named at all.
         answered_accuracy: share of those that are right.
         calibration_error: of the probabilities.
@@ -88,8 +91,10 @@ class RealAccuracy:
     split: str
     describer: str
     areas: int
+    tested_areas: int
     unseen: float
     accuracy: float
+    dimmed_accuracy: float
     answered: float
     answered_accuracy: float
     calibration_error: float
@@ -182,29 +187,41 @@ def measure_real(
     figures = []
     for describer in describers:
         features = describe_all(frames, describer).features
+        dimmed = describe_all(map(_dimmed, frames), describer).features
         for split, shown in (("first 60 %", first), ("last 60 %", last)):
-            figures.append(_accuracy(recording.name, split, describer, features, labels, shown))
+            figures.append(_accuracy(recording.name, split, describer, (features, dimmed), labels, shown))
     return figures
 
 
+def _dimmed(frame: RgbdFrame) -> RgbdFrame:
+    return replace(frame, color=(_DIMMED * frame.color).astype(np.uint8))
+
+
 def _accuracy(
-    recording: str, split: str, describer: Describer, features: Float32Array, labels: IntArray, shown: BoolArray
+    recording: str,
+    split: str,
+    describer: Describer,
+    features: tuple[Float32Array, Float32Array],
+    labels: IntArray,
+    shown: BoolArray,
 ) -> RealAccuracy:
     visited = np.unique(labels[shown])
     index = np.full(labels.max() + 1, -1)
     index[visited] = np.arange(len(visited))
     names = [f"area {i}" for i in visited]
-    model = train_places(features[shown], index[labels[shown]], names, describer, ForestSettings())
+    model = train_places(features[0][shown], index[labels[shown]], names, describer, ForestSettings())
     tested = ~shown & (index[labels] >= 0)
-    probabilities, true = model.predict_features(features[tested]), index[labels[tested]]
+    (probabilities, of_dimmed), true = (model.predict_features(f[tested]) for f in features), index[labels[tested]]
     is_right, answered = probabilities.argmax(axis=1) == true, probabilities.max(axis=1) >= model.least_confidence
     return RealAccuracy(
         recording,
         split,
         describer.kind,
         len(visited),
+        len(np.unique(true)),
         float(1 - tested.sum() / (~shown).sum()),
         float(is_right.mean()),
+        float((of_dimmed.argmax(axis=1) == true).mean()),
         float(answered.mean()),
         float(is_right[answered].mean()) if answered.any() else float("nan"),
         calibration_curve(probabilities, true).error,
@@ -224,12 +241,12 @@ def place_table(times: Sequence[PlaceTimes], accuracies: Sequence[RealAccuracy] 
     if accuracies:
         lines += [
             "",
-            "| recording | trained on | description | areas | accuracy | named | of these right | calibration |",
+            "| recording | trained on | description | areas | tested | unseen | accuracy | dimmed | named | right | calibration |",
         ]
-        lines += ["|---|---|---|---|---|---|---|---|"]
+        lines += ["|---|---|---|---|---|---|---|---|---|---|---|"]
     lines += [
-        f"| {a.recording} | {a.split} | {a.describer} | {a.areas} | {a.accuracy:.2f} | {a.answered:.2f} "
-        f"| {a.answered_accuracy:.2f} | {a.calibration_error:.2f} |"
+        f"| {a.recording} | {a.split} | {a.describer} | {a.areas} | {a.tested_areas} | {a.unseen:.2f} | {a.accuracy:.2f} "
+        f"| {a.dimmed_accuracy:.2f} | {a.answered:.2f} | {a.answered_accuracy:.2f} | {a.calibration_error:.2f} |"
         for a in accuracies
     ]
     return "\n".join(lines)

@@ -20,7 +20,9 @@ def box(name: str, left: float, bottom: float, right: float, top: float, **told:
 
 def floor() -> AreaMap:
     """Two rooms that share a wall, a third 0.3 m away, a fourth far off."""
-    return AreaMap((box("a", 0, 0, 2, 2), box("b", 2, 0, 4, 2), box("c", 4.3, 0, 6, 2), box("d", 10, 0, 12, 2, y_m=1.0)))
+    return AreaMap(
+        (box("a", 0, 0, 2, 2), box("b", 2, 0, 4, 2), box("c", 4.3, 0, 6, 2), box("d", 10, 0, 12, 2, y_m=1.0))
+    )
 
 
 def document(**entry: object) -> str:

@@ -38,10 +38,10 @@ def test_limits_can_be_missed():
 
 
 def test_the_table_holds_what_was_measured():
-    accuracy = places.RealAccuracy("kitchen", "first 60 %", "layout", 4, 0.1, 0.91, 0.5, 0.99, 0.07, 0.9)
+    accuracy = places.RealAccuracy("kitchen", "first 60 %", "layout", 4, 3, 0.1, 0.91, 0.88, 0.5, 0.99, 0.07, 0.9)
     table = places.place_table([TIMES], [accuracy])
     assert "| histograms | 0.30 ms | 0.40 ms | 8.0 ms | 20× | 2.0 s |" in table
-    assert "| kitchen | first 60 % | layout | 4 | 0.91 | 0.50 | 0.99 | 0.07 |" in table
+    assert "| kitchen | first 60 % | layout | 4 | 3 | 0.10 | 0.91 | 0.88 | 0.50 | 0.99 | 0.07 |" in table
 
 
 @pytest.mark.slow
