@@ -150,8 +150,20 @@ def test_ctrl_c_keeps_what_is_there(wheelsight: Command, tmp_path: Path, monkeyp
     monkeypatch.setattr("wheelsight.cli._progress.FrameProgress.advance", advance)
     result = wheelsight("simulate", "square", *SMALL, "--out", tmp_path / "out")
     assert result.exit_code == 130
-    assert result.stderr == f"interrupted; {tmp_path / 'out'} holds the drive up to there\n"
+    assert result.stderr == f"interrupted; {tmp_path / 'out'} holds the drive up to there, 3 frames\n"
     assert open_recording(tmp_path / "out").frame_count == 3
+
+
+def test_ctrl_c_before_the_first_frame_promises_nothing(
+    wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(self: object, index: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("wheelsight.simulation.renderer.Renderer.frame", interrupt)
+    result = wheelsight("simulate", "square", *SMALL, "--out", tmp_path / "out")
+    assert result.exit_code == 130
+    assert result.stderr == "interrupted\n"
 
 
 @pytest.mark.slow
@@ -168,8 +180,8 @@ def test_a_real_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert errors == f"interrupted; {out} holds the drive up to there\n"
     recording = open_recording(out)
+    assert errors == f"interrupted; {out} holds the drive up to there, {recording.frame_count} frames\n"
     assert recording.frame_count >= 3
     assert recording.warnings == ()
     assert sum(1 for _ in recording.events()) > recording.frame_count

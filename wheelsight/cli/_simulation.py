@@ -132,6 +132,13 @@ def patches_of(option: str, texts: list[str] | None) -> tuple[tuple[float, float
     return tuple((x_m, y_m, radius_m) for x_m, y_m, radius_m in patches)
 
 
+def frames_listed(folder: Path) -> int:
+    """How many frames a recording that broke off holds."""
+    path = folder / "depth.txt"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    return sum(not line.startswith("#") for line in lines)
+
+
 def _numbers(option: str, text: str, between: str, count: int, form: str) -> tuple[float, ...]:
     try:
         numbers = tuple(float(word) for word in text.split(between))

@@ -92,7 +92,8 @@ def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
     try:
         writer = _render(recording, out)
     except KeyboardInterrupt as interruption:
-        print_note(f"interrupted; {out} holds the drive up to there")
+        frames = options.frames_listed(out)
+        print_note(f"interrupted; {out} holds the drive up to there, {frames} frames" if frames else "interrupted")
         raise typer.Exit(INTERRUPTED) from interruption
     print_note(f"{writer.frames} frames and {writer.readings} wheel readings are in {out}; plan: {out / 'plan.png'}")
 
