@@ -138,7 +138,7 @@ def poster(
     column = (0.5 + 0.4 * hash_unit(3, 2, seed)) * width
     ink = rectangle(u, v, margin, column, split, height - margin, ws, wt)
     if ink > 0:
-        ink *= print_lines(u, v, max(0.012, 0.035 * width), ws, wt, seed + 4)
+        ink *= print_lines(u, v, max(0.012, 0.055 * width), ws, wt, seed + 4)
         colour = mix(colour, ink_colour, 0.9 * ink)
     chart = rectangle(u, v, column + 0.04 * width, width - margin, split, height - margin, ws, wt)
     if chart > 0:

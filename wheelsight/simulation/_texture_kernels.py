@@ -20,6 +20,7 @@ _SKIRTING_M = 0.08
 _SKIRTING = (0.24, 0.23, 0.22)
 _CARPET_SQUARE_M = 0.5
 _VEIN_M = 0.025
+_CHIPPED_FROM_M = 0.25
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -170,7 +171,7 @@ def carpet(
 def tiles(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
-    """Square tiles of slightly different shade, veined and speckled, with joints of 5 mm or less."""
+    """Square tiles of slightly different shade, veined and speckled; large ones of terrazzo, with chips of stone."""
     shade = 0.4 * (cells(s, t, scale_m, scale_m, ws, wt, seed, 0.0) - 0.5)
     i, j = math.floor(s / scale_m), math.floor(t / scale_m)
     # Each tile is cut from another place of the stone.
@@ -181,7 +182,11 @@ def tiles(
     if sharp > 0:
         vein += sharp * max(0.0, 1 - 7 * abs(noise(a, b, 0.19, 0.11, ws, wt, seed + 5) + 0.2 * cloud))
     speck = cells(s, t, 0.008, 0.008, ws, wt, seed + 6, 0.0) - 0.5
-    body = scaled(rgb, 1 + contrast * (shade + 0.16 * cloud - 0.35 * vein + 0.3 * speck))
+    chips = 0.0
+    if scale_m > _CHIPPED_FROM_M:
+        chips += cells(a, b, 0.024, 0.019, ws, wt, seed + 7, 0.05)
+        chips -= 0.8 * cells(a, b, 0.021, 0.027, ws, wt, seed + 8, 0.06)
+    body = scaled(rgb, max(1 + contrast * (shade + 0.16 * cloud - 0.35 * vein + 0.3 * speck + 0.9 * chips), 0.1))
     gap = min(0.005, 0.06 * scale_m)
     joint = 1 - (1 - stripes(s, scale_m, gap, ws)) * (1 - stripes(t, scale_m, gap, wt))
     return mix(body, accent, joint)
