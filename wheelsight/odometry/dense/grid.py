@@ -1,0 +1,167 @@
+"""Frames on the grid of an ideal camera: lens, rolling shutter and the gap between the cameras taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.odometry.dense import _grid_kernels as kernels
+from wheelsight.odometry.dense.settings import DenseSettings
+
+
+# Where depth is unknown but colour shares its grid, a point's direction is known well enough.
+_TYPICAL_DEPTH_M = 2.0
+
+
+class Rows:
+    """Shares the rows of an image among threads; the outcome does not depend on how many."""
+
+    def __init__(self, threads: int) -> None:
+        self._threads = threads
+        self._pool = ThreadPoolExecutor(threads, "wheelsight-dense") if threads > 1 else None
+
+    def share(self, height: int, work: Callable[[int, int], None]) -> None:
+        """Call `work(begin, end)` until all rows below `height` are done."""
+        if self._pool is None or height < 16 * self._threads:
+            work(0, height)
+            return
+        borders = [height * part // self._threads for part in range(self._threads + 1)]
+        parts = [self._pool.submit(work, *borders[part : part + 2]) for part in range(1, self._threads)]
+        work(borders[0], borders[1])
+        for part in parts:
+            part.result()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """One scale of a frame.
+
+    Attributes:
+        intrinsics: fx, fy, cx, cy of the ideal camera at this scale.
+        depth_m: (h, w) float32, 0 where unknown.
+        grey: (h, w) float32 from 0 to 255, -1 where unknown.
+    """
+
+    intrinsics: FloatArray
+    depth_m: Float32Array
+    grey: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridFrame:
+    """A frame on the ideal grid, as if all rows were read at its stamp: `levels` from the finest to the coarsest.
+
+    Attributes:
+        stamp_s: of the frame.
+        levels: the pyramid.
+        twist: (6,) the velocity (v, ω) a second in the camera's own frame by which rows were straightened.
+    """
+
+    stamp_s: float
+    levels: tuple[Level, ...]
+    twist: FloatArray
+
+
+class Gridder:
+    """Brings frames of one camera onto the ideal grid."""
+
+    def __init__(self, calibration: Calibration, settings: DenseSettings, rows: Rows) -> None:
+        self._color, self._depth = calibration.cameras
+        self._calibration, self._settings, self._rows = calibration, settings, rows
+        self._halvings = 0
+        while self._depth.width >> self._halvings > settings.finest_width_px:
+            self._halvings += 1
+        self.intrinsics = _scaled(
+            np.array([self._depth.fx, self._depth.fy, self._depth.cx, self._depth.cy]), self._halvings
+        )
+        self.shape = (self._depth.height >> self._halvings, self._depth.width >> self._halvings)
+        self._source_px = self._lens()
+        height = self.shape[0]
+        late_share = (np.arange(height) + 0.5) / height - 0.5
+        self.late_s: FloatArray = late_share * calibration.rolling_shutter_s
+
+    def on_grid(self, frame: RgbdFrame, twist: FloatArray) -> GridFrame:
+        """The frame's pyramid, straightened for a camera moving at `twist` (6,)."""
+        grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
+        depth_m = self._halved(frame.depth_m, self._halvings)
+        finest_depth_m = self._straightened(depth_m, twist)
+        finest_grey = self._grey(grey, finest_depth_m, twist)
+        levels = [Level(self.intrinsics, finest_depth_m, finest_grey)]
+        for _ in range(self._settings.levels - 1):
+            last = levels[-1]
+            halved = self._halved(last.depth_m, 1), self._halved_grey(last.grey)
+            levels.append(Level(_scaled(last.intrinsics, 1), *halved))
+        return GridFrame(frame.stamp_s, tuple(levels), twist)
+
+    @property
+    def _is_straight(self) -> bool:
+        return not self._depth.has_distortion and not self._calibration.rolling_shutter_s
+
+    def _lens(self) -> Float32Array:
+        """(h, w, 2) where each pixel of the ideal grid lies in the halved depth image."""
+        height, width = self.shape
+        fx, fy, cx, cy = self.intrinsics
+        u, v = np.meshgrid(np.arange(width), np.arange(height))
+        rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(self.shape)], axis=-1)
+        ideal = self._depth
+        x, y = rays[..., 0], rays[..., 1]
+        k1, k2, p1, p2, k3 = ideal.distortion
+        q = x * x + y * y
+        radial = 1 + q * (k1 + q * (k2 + q * k3))
+        u_px = fx * (x * radial + 2 * p1 * x * y + p2 * (q + 2 * x * x)) + cx
+        v_px = fy * (y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y) + cy
+        return np.stack([u_px, v_px], axis=-1).astype(np.float32)
+
+    def _halved(self, depth_m: Float32Array, times: int) -> Float32Array:
+        for _ in range(times):
+            half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
+            jump, whole = self._settings.depth_jump, depth_m
+            self._rows.share(len(half), lambda a, b: kernels.halve_depth(whole, jump, a, b, half))  # noqa: B023
+            depth_m = half
+        return depth_m
+
+    def _halved_grey(self, grey: Float32Array) -> Float32Array:
+        half = np.empty((grey.shape[0] // 2, grey.shape[1] // 2), np.float32)
+        self._rows.share(len(half), lambda a, b: kernels.halve_grey(grey, a, b, half))
+        return half
+
+    def _straightened(self, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
+        if self._is_straight:
+            return depth_m
+        straight = np.empty(self.shape, np.float32)
+        moving = self.late_s if twist.any() else np.zeros_like(self.late_s)
+        given = (depth_m, self._source_px, self.intrinsics, twist, moving, self._settings.depth_jump)
+        self._rows.share(len(straight), lambda a, b: kernels.straighten_depth(*given, a, b, straight))
+        return straight
+
+    def _grey(self, grey: np.ndarray, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
+        """Grey on the ideal grid; where colour is not registered, seen at each pixel's 3D point."""
+        factor = 1 << self._halvings
+        size = (grey.shape[1] // factor, grey.shape[0] // factor)
+        small = (cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if factor > 1 else grey).astype(np.float32)
+        if self._calibration.is_registered and self._is_straight:
+            return small
+        color = self._color
+        lens = _scaled(np.array([color.fx, color.fy, color.cx, color.cy]), self._halvings)
+        T = self._calibration.T_color_depth
+        T_color_camera = np.eye(4) if T is None else np.array(T)
+        shutter_s = self._calibration.rolling_shutter_s * bool(twist.any())
+        late = np.array([0.5 * shutter_s, size[1], _TYPICAL_DEPTH_M * self._calibration.is_registered])
+        given = (small, depth_m, self.intrinsics, T_color_camera, np.array([*lens, *color.distortion]), twist, late)
+        out = np.empty(self.shape, np.float32)
+        self._rows.share(len(out), lambda a, b: kernels.sample_grey(*given, (a, b), out))
+        return out
+
+
+def _scaled(intrinsics: FloatArray, halvings: int) -> FloatArray:
+    """fx, fy, cx, cy of images halved so often, pixel centres at integers."""
+    factor = 2.0**halvings
+    fx, fy, cx, cy = intrinsics
+    return np.array([fx / factor, fy / factor, (cx + 0.5) / factor - 0.5, (cy + 0.5) / factor - 0.5])

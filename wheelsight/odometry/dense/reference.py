@@ -1,0 +1,72 @@
+"""What a frame is aligned with: an earlier frame, or the view that a map predicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.odometry.dense import _grid_kernels as kernels
+from wheelsight.odometry.dense.grid import GridFrame, Level, Rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedView:
+    """What a model looks like from a pose, on the ideal grid at the finest level.
+
+    Attributes:
+        depth_m: (h, w) float32, 0 where the model has nothing.
+        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
+        grey: (h, w) float32, -1 where unknown.
+    """
+
+    depth_m: Float32Array
+    normal: Float32Array
+    grey: Float32Array
+
+
+class ReferenceModel(Protocol):
+    """Predicts what the camera sees from a pose: a surfel map, for instance."""
+
+    def predict(self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
+        """The view (h, w) = `shape` of a camera with `intrinsics` (4,) fx, fy, cx, cy at a pose (4, 4)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceLevel:
+    """One scale of a reference: a level with normals (h, w, 3) and gradients (h, w) of grey a pixel."""
+
+    level: Level
+    normal: Float32Array
+    along_u: Float32Array
+    along_v: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """What frames are aligned with, from the finest level to the coarsest, and where it was seen from."""
+
+    T_world_reference: FloatArray
+    levels: tuple[ReferenceLevel, ...]
+
+
+class ReferenceMaker:
+    """Makes references of frames and of predicted views."""
+
+    def __init__(self, normal_radius_px: int, depth_jump: float, rows: Rows) -> None:
+        self._radius_px, self._jump, self._rows = normal_radius_px, depth_jump, rows
+
+    def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
+        """A frame with its pose as reference."""
+        return Reference(T_world_camera, tuple(self._level(level) for level in frame.levels))
+
+    def _level(self, level: Level, normal: Float32Array | None = None) -> ReferenceLevel:
+        if normal is None:
+            normal = np.empty((*level.depth_m.shape, 3), np.float32)
+            given = (level.depth_m, level.intrinsics, self._radius_px, self._jump)
+            self._rows.share(len(normal), lambda a, b: kernels.normals(*given, a, b, normal))
+        along_u, along_v = np.empty_like(level.grey), np.empty_like(level.grey)
+        self._rows.share(len(normal), lambda a, b: kernels.gradients(level.grey, a, b, along_u, along_v))
+        return ReferenceLevel(level, normal, along_u, along_v)

@@ -1,0 +1,38 @@
+"""DenseSettings: what can be set about dense odometry, with the reasons for the defaults."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+
+class DenseSettings(BaseModel):
+    """Settings of dense odometry; unknown names are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    reference: Literal["keyframes", "previous"] = Field(
+        "keyframes", description="what a frame is aligned with where no map predicts the view"
+    )
+    finest_width_px: PositiveInt = Field(400, description="images wider than this are halved until they are not")
+    levels: int = Field(3, ge=1, le=5, description="of the pyramid, each half as wide")
+    iterations: tuple[PositiveInt, ...] = Field((4, 6, 8), description="at most, from the finest level to the coarsest")
+    color_weight: NonNegativeFloat = Field(1.0, description="of grey values against depth; 0 aligns depth alone")
+    gate: PositiveFloat = Field(0.06, description="metres, and a metre of depth, beyond which points are no pair")
+    huber: PositiveFloat = Field(1.5, description="standard deviations beyond which a residual counts linearly")
+    depth_jump: PositiveFloat = Field(0.03, description="share of a depth that tells two surfaces apart")
+    normal_radius_px: int = Field(2, ge=1, le=6, description="half width of the window a normal is fitted to")
+    keyframe_overlap: float = Field(0.75, gt=0, lt=1, description="of a keyframe; with less in sight a new one is made")
+    min_overlap: float = Field(0.25, gt=0, lt=1, description="share of a frame's points that must find a partner")
+    max_residual: PositiveFloat = Field(3.0, description="mean residual in standard deviations beyond which none fits")
+    degenerate_sigma_m: PositiveFloat = Field(
+        0.01, description="a direction less certain than this after one frame is left to the prior"
+    )
+    correlation: PositiveFloat = Field(
+        30.0, description="how many neighbouring residuals err as one; variances are that much larger"
+    )
+    max_speed_m_s: PositiveFloat = Field(5.0, description="a faster motion is implausible")
+    max_turn_rad_s: PositiveFloat = Field(8.0, description="a faster turn is implausible")
+    lost_after: PositiveInt = Field(10, description="failed frames in a row, after which the state is lost")
+    threads: PositiveInt = Field(2, description="that share a frame's rows")
