@@ -42,7 +42,7 @@ _TRAINING_REPEATS = 3
 _METRES_PER_RADIAN = 1.0
 _DIMMED = 0.6
 _SECOND, _APART = 30, 5  # frames
-_HEADS = ("recording", "trained on", "description", "areas", "tested", "unseen", "accuracy", "dimmed")
+_HEADS: tuple[str, ...] = ("recording", "trained on", "description", "areas", "tested", "unseen", "accuracy", "dimmed")
 _HEADS += ("named", "right", "calibration")
 
 
