@@ -15,7 +15,6 @@ from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.odometry.dense import _grid_kernels as kernels
 from wheelsight.odometry.dense.settings import DenseSettings
 
-
 # Where depth is unknown but colour shares its grid, a point's direction is known well enough.
 _TYPICAL_DEPTH_M = 2.0
 
