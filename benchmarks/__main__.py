@@ -1,4 +1,4 @@
-"""`python -m benchmarks`: measure all contenders on all recordings, judge, print, and keep."""
+"""`python -m benchmarks`: measure contenders on all recordings, and the parts; judge, print, and keep."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from benchmarks import contenders, machine
+from benchmarks import contenders, machine, parts
+from benchmarks.parts import Judged, Part
 from benchmarks.run import Result, run
 from benchmarks.sequences import Sequence, default_data_folder, find_sequences
-from benchmarks.startup import measure_startup
-from benchmarks.table import document, problems_of, results_sheets, startup_sheet, targets_sheet
+from benchmarks.table import document, problems_of, results_sheets, targets_sheet
 from benchmarks.targets import judge
 from wheelsight.errors import WheelsightError
 from wheelsight.files import write_text
@@ -36,9 +36,11 @@ def _benchmark(arguments: argparse.Namespace) -> int:
     about = machine.description()
     if machine.is_busy():
         _CONSOLE.print(f"The machine is busy ({about['Load']}): times will be too long.", style="yellow")
-    results = _measure_all(arguments.chosen, find_sequences(arguments.data), arguments.frames)
-    startup = measure_startup()
-    sheets = (targets_sheet(judge(results, startup)), *results_sheets(results), startup_sheet(startup))
+    sequences = find_sequences(arguments.data) if arguments.chosen else []
+    results = _measure_all(arguments.chosen, sequences, arguments.frames)
+    measured = _measure_parts(arguments.parts)
+    targets = [*judge(results), *(target for _, judged in measured for target in judged)]
+    sheets = (targets_sheet(targets), *results_sheets(results), *(sheet for sheet, _ in measured))
     for sheet in sheets:
         _CONSOLE.print(sheet.to_rich())
     problems = problems_of(results)
@@ -60,17 +62,33 @@ def _measure_all(chosen: Many[contenders.Contender], sequences: Many[Sequence], 
     return results
 
 
+def _measure_parts(chosen: Many[Part]) -> list[Judged]:
+    measured = []
+    for part in chosen:
+        _CONSOLE.print(f"{part.name} …", style="dim")
+        measured.append(part.measure())
+    return measured
+
+
 def _parse(words: Many[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--data", type=Path, default=default_data_folder(), help="folder with rgbd/RECORDING in it")
     parser.add_argument("--frames", type=int, help="only the first so many frames of each recording")
-    parser.add_argument("--only", action="append", metavar="NAME", help="contenders whose name holds NAME; repeatable")
+    parser.add_argument(
+        "--only",
+        action="append",
+        metavar="NAME",
+        help=f"contenders whose name holds NAME, or one of {', '.join(p.name for p in parts.ALL)}; repeatable",
+    )
     parser.add_argument("--out", type=Path, help="keep the tables in this file, e.g. BENCHMARKS.md")
     arguments = parser.parse_args(words)
-    wanted = [name.lower() for name in arguments.only or [""]]
-    arguments.chosen = [c for c in contenders.ALL if any(name in c.name.lower() for name in wanted)]
-    if not arguments.chosen:
-        parser.error(f"--only: no such contender; there are {', '.join(c.name for c in contenders.ALL)}")
+    wanted = {name.lower() for name in arguments.only or ["", *(part.name for part in parts.ALL)]}
+    arguments.parts = [part for part in parts.ALL if part.name in wanted]
+    others = wanted - {part.name for part in parts.ALL}  # `wheels` would else be wheelsight's contenders too
+    arguments.chosen = [c for c in contenders.ALL if any(name in c.name.lower() for name in others)]
+    if not arguments.chosen and not arguments.parts:
+        there = ", ".join([*(contender.name for contender in contenders.ALL), *(part.name for part in parts.ALL)])
+        parser.error(f"--only: no such contender or part; there are {there}")
     if arguments.frames is not None and arguments.frames < 1:
         parser.error("--frames: must be at least 1")
     if arguments.out is not None and not arguments.out.parent.is_dir():

@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
 from benchmarks.contenders import Contender
+from benchmarks.firmware import FirmwareFigures
+from benchmarks.link import LinkFigures
 from benchmarks.measure import THREADS
 from benchmarks.run import Result
 from benchmarks.startup import Startup
-from benchmarks.targets import Target
+from benchmarks.targets import CRC_RATE, Target
+from benchmarks.wheels import WheelTimes
 
 _NONE = "—"
 
@@ -43,11 +47,8 @@ class Sheet:
 
 def targets_sheet(targets: Sequence[Target]) -> Sheet:
     """What was to be reached, and whether it was."""
-    rows = tuple(
-        (t.what, _figure(t.limit, t.decimals, t.unit), _figure(t.measured, t.decimals, t.unit), t.verdict)
-        for t in targets
-    )
-    return Sheet("Targets", ("target", "at most", "measured", "verdict"), rows)
+    rows = tuple((t.what, _limit(t), _figure(t.measured, t.decimals, t.unit), t.verdict) for t in targets)
+    return Sheet("Targets", ("target", "must reach", "measured", "verdict"), rows)
 
 
 def results_sheets(results: Sequence[Result]) -> list[Sheet]:
@@ -74,6 +75,48 @@ def startup_sheet(startup: Startup) -> Sheet:
     return Sheet("Start-up, medians of fresh processes", ("program", "s"), rows)
 
 
+def wheels_sheet(times: WheelTimes) -> Sheet:
+    """How quick dead reckoning is."""
+    rows = (
+        (f"{times.samples:,} samples with covariance", _figure(times.log_ms, 1, "ms")),
+        ("the same with a gyroscope", _figure(times.log_with_gyro_ms, 1, "ms")),
+        ("one reading of a stream, to its Estimate", _figure(times.update_us, 1, "µs")),
+    )
+    return Sheet("Wheel odometry, medians on one core", ("what", "time"), rows)
+
+
+def link_sheet(figures: LinkFigures) -> Sheet:
+    """How quick the serial link is, and what becomes of damage."""
+    latency_ms, noise, damaged = figures.latency_ms, figures.noise, figures.damaged
+    rows = (
+        ("decode, framed", _figure(figures.decode_mb_s, 1, "MB/s")),
+        ("decode, format recognised on the way", _figure(figures.recognised_mb_s, 1, "MB/s")),
+        ("last byte to pose on the pipe, median", _figure(float(np.median(latency_ms)), 2, "ms")),
+        ("last byte to pose, 99th percentile", _figure(float(np.percentile(latency_ms, 99)), 2, "ms")),
+        (f"last byte to pose, the latest of {len(latency_ms):,}", _figure(float(latency_ms.max()), 2, "ms")),
+        (f"messages in {noise.decoder.statistics.bytes:,} random bytes", str(noise.wrong)),
+        (f"wrong counts of {damaged.damaged:,} damaged frames", str(damaged.wrong)),
+        ("the same, expected of 16 bits of CRC", f"{damaged.damaged / CRC_RATE:.1f}"),
+        (f"missed of {damaged.undamaged:,} frames after a sound one", str(damaged.missed)),
+    )
+    return Sheet("The serial link, on one core and a pseudo-terminal", ("what", "measured"), rows)
+
+
+def firmware_sheet(figures: FirmwareFigures) -> Sheet:
+    """What the wheel controller takes, and how fast wheels it counts."""
+    why_not = f"not measured: {' and '.join(figures.missing)} {'is' if len(figures.missing) == 1 else 'are'} missing"
+
+    def told(figure: int | None, unit: str) -> str:
+        return why_not if figure is None else f"{figure:,} {unit}"
+
+    rows = (
+        ("flash, of 8,192 bytes", told(figures.flash_bytes, "bytes")),
+        ("memory without the stack, of 1,024 bytes", told(figures.ram_bytes, "bytes")),
+        ("the fastest both wheels turn before a count is lost", told(figures.pulses_per_s, "pulses/s")),
+    )
+    return Sheet("The wheel controller's program, on a simulated ATmega8", ("what", "measured"), rows)
+
+
 def problems_of(results: Sequence[Result]) -> list[str]:
     """A line for each contender that could not be measured."""
     return [f"{r.contender.name} failed on {r.sequence}: {r.problem}" for r in results if r.problem is not None]
@@ -88,15 +131,16 @@ def document(
 ) -> str:
     """The whole of BENCHMARKS.md."""
     about = "\n".join(f"- {name}: {value}" for name, value in machine.items())
+    about += f"\n- Threads: {THREADS} for every contender" if contenders else ""
     settings = "\n".join(f"- {contender.name}: {contender.settings}." for contender in contenders)
     return "\n".join(
         (
             "# Benchmarks\n",
             f"Written by `{command}`; how it measures: [docs/benchmarks.md](docs/benchmarks.md).\n",
-            f"{about}\n- Threads: {THREADS} for every contender\n",
+            f"{about}\n",
             *(sheet.to_markdown() for sheet in sheets),
             *(f"{problem}\n" for problem in problems),
-            f"## Contenders\n\n{settings}\n",
+            *([f"## Contenders\n\n{settings}\n"] if contenders else []),
         )
     )
 
@@ -116,6 +160,12 @@ def _cells(result: Result) -> tuple[str, ...]:
         _figure(figures.peak_memory_mb, 0),
         "yes" if figures.differing_poses == 0 else f"{figures.differing_poses} differ",
     )
+
+
+def _limit(target: Target) -> str:
+    if target.limit is None:
+        return _NONE
+    return f"at {'least' if target.is_least else 'most'} {_figure(target.limit, target.decimals, target.unit)}"
 
 
 def _figure(value: float | None, decimals: int, unit: str = "") -> str:

@@ -14,7 +14,7 @@ from benchmarks.run import Figures, Result
 from benchmarks.sequences import Accuracy
 from benchmarks.startup import Startup
 from benchmarks.table import document, problems_of, results_sheets, targets_sheet
-from benchmarks.targets import Target, judge
+from benchmarks.targets import Target, judge, judge_startup
 
 STARTUP = Startup(bare_s=0.02, import_s=0.1, help_s=0.7)
 
@@ -34,7 +34,7 @@ RESULTS = [
 
 
 def verdicts(results: list[Result]) -> dict[str, str]:
-    return {target.what: target.verdict for target in judge(results, STARTUP)}
+    return {target.what: target.verdict for target in (*judge(results), *judge_startup(STARTUP))}
 
 
 def test_targets_are_met_or_missed_by_how_much() -> None:
@@ -67,9 +67,17 @@ def test_a_limit_reached_exactly_is_met() -> None:
     assert Target("time", 12.0, None, "ms").is_met is None
 
 
+def test_a_limit_from_below_reads_right() -> None:
+    quick, slow = (Target("decode", 5.0, rate, "MB/s", 1, is_least=True) for rate in (7.0, 4.0))
+    assert quick.verdict == "met"
+    assert slow.verdict == "missed by 1.0 MB/s (20 %)"
+    assert targets_sheet([slow]).rows == (("decode", "at least 5.0 MB/s", "4.0 MB/s", "missed by 1.0 MB/s (20 %)"),)
+    assert targets_sheet([Target("time", 12.0, 1.0, "ms")]).rows[0][1] == "at most 12.0 ms"
+
+
 def test_the_document_holds_every_figure_and_no_path_of_this_machine() -> None:
     results = [*RESULTS, Result(wheelsight_features.PREVIOUS, "floor", problem="MemoryError: a | b")]
-    sheets = [targets_sheet(judge(results, STARTUP)), *results_sheets(results)]
+    sheets = [targets_sheet(judge(results)), *results_sheets(results)]
     text = document(sheets, machine.description(), "python -m benchmarks", contenders.ALL, problems_of(results))
     assert "| OpenCV Odometry RGB_DEPTH | 0.0600 | — | — | 90.0 | 50.0 | 100.0 | 50.0 | 480 | yes |" in text
     assert "wheelsight features (previous) failed on floor: MemoryError: a | b" in text
@@ -80,7 +88,7 @@ def test_the_document_holds_every_figure_and_no_path_of_this_machine() -> None:
 
 
 def test_every_row_is_as_wide_as_its_header() -> None:
-    for sheet in (targets_sheet(judge(RESULTS, STARTUP)), *results_sheets(RESULTS)):
+    for sheet in (targets_sheet(judge(RESULTS)), *results_sheets(RESULTS)):
         assert {len(row) for row in sheet.rows} == {len(sheet.header)}
         console = Console(width=200, record=True, quiet=True)
         console.print(sheet.to_rich())
@@ -101,7 +109,13 @@ def test_the_command_measures_prints_and_keeps(
 
 @pytest.mark.parametrize(
     "words",
-    [["--only", "nobody"], ["--frames", "0"], ["--out", "no/such/folder/BENCHMARKS.md"], ["--data", "no/such/folder"]],
+    [
+        ["--only", "nobody"],
+        ["--only", "opencv", "--data", "no/such/folder"],
+        ["--frames", "0"],
+        ["--out", "no/such/folder/BENCHMARKS.md"],
+        ["--data", "no/such/folder"],
+    ],
 )
 def test_bad_arguments_are_refused_in_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     try:
@@ -109,4 +123,14 @@ def test_bad_arguments_are_refused_in_one_line(words: list[str], capsys: pytest.
     except SystemExit as stopped:
         code = int(stopped.code or 0)
     assert code == 2
-    assert words[0] in capsys.readouterr().err
+    assert words[-2] in capsys.readouterr().err
+
+
+def test_a_part_alone_needs_no_recordings(tmp_path: Path) -> None:
+    out = tmp_path / "BENCHMARKS.md"
+    assert main(["--data", str(tmp_path), "--only", "start-up", "--out", str(out)]) == 0
+    text = out.read_text()
+    assert "| `wheelsight --help` | at most 0.500 s |" in text
+    assert "## Start-up" in text
+    assert "Contenders" not in text
+    assert "The serial link" not in text

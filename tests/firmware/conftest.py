@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from simulated_chip import Chip
 
-FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
-SIMAVR_HEADER = Path("/usr/include/simavr/sim_avr.h")
+from firmware.simulation.simulated_chip import Chip, build, missing_tools
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -23,23 +19,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def need_tools() -> None:
-    missing = [tool for tool in ("make", "cc", "avr-gcc", "avr-size") if shutil.which(tool) is None]
-    if not SIMAVR_HEADER.is_file():
-        missing.append("libsimavr")
+    missing = missing_tools()
     if not missing:
         return
     message = f"missing: {', '.join(missing)}; on Debian: apt-get install gcc gcc-avr avr-libc libsimavr-dev"
     if os.environ.get("WHEELSIGHT_REQUIRE_FIRMWARE") == "1":
         pytest.fail(message)
     pytest.skip(message)
-
-
-def build(part: str, folder: Path, *settings: str) -> str:
-    """What make says when it builds a part of firmware/ in a folder."""
-    command = ["make", "-C", str(FIRMWARE / part), f"BUILD={folder}", *settings]
-    made = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert made.returncode == 0, made.stdout + made.stderr
-    return made.stdout
 
 
 @pytest.fixture(scope="session")

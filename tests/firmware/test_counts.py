@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_chip import FASTEST_PULSES_PER_S, Chip
 
+from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip, highest_exact_rate, is_exact_at
 from wheelsight.devices.protocol import Command, drive_body
 
 
@@ -43,25 +43,12 @@ def test_both_wheels_at_full_speed_with_direction_changes(chip: Chip, rng: np.ra
     assert chip.lost_frames == 0
 
 
-def is_exact_at(built: Path, rate: float) -> bool:
-    """Whether no pulse is lost in a second of both wheels at this rate, in opposite directions and then reversed."""
-    with Chip(built / "chip", built / "controller.elf") as chip:
-        chip.run(0.05)
-        for direction in (1, -2):
-            chip.turn("left", round(direction * 2 * rate), rate)
-            chip.turn("right", round(-direction * 2 * rate), 1.00137 * rate)
-        for _ in range(75):
-            chip.command(Command.DRIVE, drive_body(1, -1))
-            chip.run(0.02)
-        chip.rest()
-        return last(chip) == chip.pulses()
-
-
 def test_the_highest_rate_before_the_first_lost_count(
     built: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    assert is_exact_at(built, FASTEST_PULSES_PER_S)
-    exact = next(rate for rate in range(8000, 60_000, 500) if not is_exact_at(built, rate + 500))
+    chip, program = built / "chip", built / "controller.elf"
+    assert is_exact_at(chip, program, FASTEST_PULSES_PER_S)
+    exact = highest_exact_rate(chip, program)
     record_property("highest_pulses_per_s", exact)
     print(f"both wheels are exact up to {exact} pulses/s")  # noqa: T201
     assert exact > 2 * FASTEST_PULSES_PER_S

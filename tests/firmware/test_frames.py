@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from simulated_chip import CHIP_HZ, WATCHDOG_RESET, Chip
 
+from firmware.simulation.simulated_chip import CHIP_HZ, WATCHDOG_RESET, Chip
 from wheelsight.devices.protocol import Ack, Command, Counts, drive_body
 
 UBRRL, UCSRA, UCSRC = 0x29, 0x2B, 0x40

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 import pytest
-from simulated_chip import FASTEST_PULSES_PER_S, Chip
 
+from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip
 from wheelsight.devices.link import LinkStatus, WheelLink
 from wheelsight.devices.recognition import Format
 from wheelsight.events import WheelTicks

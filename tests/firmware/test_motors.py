@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 import pytest
-from simulated_chip import FASTEST_PULSES_PER_S, WATCHDOG_RESET, Chip, Reading
 
+from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, WATCHDOG_RESET, Chip, Reading
 from wheelsight.devices.protocol import Command, drive_body
 
 DUTIES = (0, 1, -1, 2, 250, -250, 500, -500, 730, -999, 999, 1000, -1000)

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from simulated_chip import FASTEST_PULSES_PER_S, Chip
 
+from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip
 from wheelsight.devices.protocol import Command, drive_body, encode_frame
 
 

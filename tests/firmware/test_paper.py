@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from simulated_chip import CHIP_HZ, FASTEST_PULSES_PER_S, Chip
 
+from firmware.simulation.simulated_chip import CHIP_HZ, FASTEST_PULSES_PER_S, Chip
 from wheelsight.devices.protocol import Ack, Command, Counts, FrameDecoder, drive_body
 
 

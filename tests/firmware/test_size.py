@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-from simulated_chip import FASTEST_PULSES_PER_S, Chip
 
+from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip
 from wheelsight.devices.protocol import Command, drive_body
 
 FLASH, RAM = 8192, 1024

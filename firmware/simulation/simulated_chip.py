@@ -1,19 +1,40 @@
-"""The controller's program on a simulated ATmega8, steered from a test: see firmware/simulation/main.c."""
+"""The controller's program on a simulated ATmega8, for tests and benchmarks: building it, and steering it (main.c)."""
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
-from wheelsight.devices.protocol import Ack, Command, Counts, FrameDecoder, Message, Version, encode_command
+from wheelsight.devices.protocol import Ack, Command, Counts, FrameDecoder, Message, Version, drive_body, encode_command
 
+FIRMWARE = Path(__file__).resolve().parents[1]
 CHIP_HZ = 14_745_600
 FASTEST_PULSES_PER_S = 7833  # a motor of Trinh et al.: 4700 rpm, 100 pulses a turn
 WATCHDOG_RESET = 1 << 3  # of the flags told with the version
 
 Sent = list[tuple[int, int]]
+
+
+class BuildError(Exception):
+    """The compiler refused; the message is what make said."""
+
+
+def missing_tools() -> list[str]:
+    """What is not installed of what building and running need; on Debian: gcc-avr, avr-libc, libsimavr-dev, gcc."""
+    missing = [tool for tool in ("make", "cc", "avr-gcc", "avr-size") if shutil.which(tool) is None]
+    return missing if Path("/usr/include/simavr/sim_avr.h").is_file() else [*missing, "libsimavr"]
+
+
+def build(part: str, folder: Path, *settings: str) -> str:
+    """What make says when it builds a part of firmware/, `atmega8` or `simulation`, in a folder. Raises BuildError."""
+    command = ["make", "-C", str(FIRMWARE / part), f"BUILD={folder}", *settings]
+    made = subprocess.run(command, capture_output=True, text=True, check=False)
+    if made.returncode != 0:
+        raise BuildError(made.stdout + made.stderr)
+    return made.stdout
 
 
 class Reading(NamedTuple):
@@ -58,6 +79,7 @@ class Chip:
         return words
 
     def run(self, seconds: float) -> None:
+        """Let the chip's time pass."""
         self.ask(f"run {seconds:.9f}")
 
     def rest(self) -> None:
@@ -66,6 +88,7 @@ class Chip:
         self.run(0.05)
 
     def turn(self, wheel: str, quarters: int, pulses_per_s: float) -> None:
+        """Turn a wheel, `left` or `right`, by quarters of a pulse, after what it was told before."""
         self.ask(f"turn {wheel} {quarters} {pulses_per_s!r}")
 
     def pulses(self) -> tuple[int, int]:
@@ -74,6 +97,7 @@ class Chip:
         return -(-left // 4), -(-right // 4)
 
     def send(self, data: bytes) -> None:
+        """Put bytes on the line to the chip, at its pace."""
         self.ask(f"send {data.hex()}")
 
     def command(self, command: int, body: bytes = b"") -> int:
@@ -87,15 +111,19 @@ class Chip:
         return [(int(cycle), int(byte, 16)) for cycle, byte in (word.split(":") for word in self.ask("take"))]
 
     def messages(self) -> list[Message]:
+        """What the chip has sent since last asked."""
         return self._decoder.feed(bytes(byte for _, byte in self.sent()))
 
     def counts(self) -> list[Counts]:
+        """Of the messages, the counts."""
         return [message for message in self.messages() if isinstance(message, Counts)]
 
     def acks(self) -> list[Ack]:
+        """Of the messages, the answers."""
         return [message for message in self.messages() if isinstance(message, Ack)]
 
     def version(self) -> Version:
+        """Ask for the version."""
         self.command(Command.GET_VERSION)
         self.run(0.01)
         (version,) = (message for message in self.messages() if isinstance(message, Version))
@@ -103,6 +131,7 @@ class Chip:
 
     @property
     def lost_frames(self) -> int:
+        """Frames that did not come, or damaged."""
         return self._decoder.statistics.lost + self._decoder.statistics.malformed + self._decoder.statistics.crc_errors
 
     def pwm(self, seconds: float = 0.01) -> tuple[Reading, Reading]:
@@ -124,3 +153,28 @@ class Chip:
         """Both outputs in permille of the command: -1000 at 0 V, 0 at half scale, 1000 at full scale."""
         left, right = self.pwm()
         return 2000 * left.duty - 1000, 2000 * right.duty - 1000
+
+
+def is_exact_at(simulator: Path, program: Path, pulses_per_s: float) -> bool:
+    """Whether no pulse is lost in a second of both wheels at this rate, in opposite directions and then reversed.
+
+    The host commands all the while.
+    """
+    with Chip(simulator, program) as chip:
+        chip.run(0.05)
+        for direction in (1, -2):
+            chip.turn("left", round(direction * 2 * pulses_per_s), pulses_per_s)
+            chip.turn("right", round(-direction * 2 * pulses_per_s), 1.00137 * pulses_per_s)
+        for _ in range(75):
+            chip.command(Command.DRIVE, drive_body(1, -1))
+            chip.run(0.02)
+        chip.rest()
+        return chip.counts()[-1][2:] == chip.pulses()
+
+
+def highest_exact_rate(simulator: Path, program: Path, step: int = 500) -> int:
+    """The highest rate in pulses a second, in steps, up to which no pulse is lost; from the paper's fastest on."""
+    rate = FASTEST_PULSES_PER_S // step * step
+    while is_exact_at(simulator, program, rate + step):
+        rate += step
+    return rate
