@@ -7,6 +7,7 @@
     │   ├── TrajectoryError      a trajectory's text or values
     │   ├── AreaError            polygons of areas, their coordinates, or labels that fit none
     │   ├── PlaceError           a model of places that is none, is hostile, or does not fit these areas or frames
+    │   ├── MapError             a map's file that is none, or a frame or pose that cannot go into a map
     │   ├── ConfigError          a setting that is unknown, impossible or in conflict
     │   ├── OutputError          an output that cannot be written, or would be overwritten
     │   └── DeviceError          a port or pipe that is missing, denied, in use, or does not answer
@@ -69,6 +70,10 @@ class AreaError(InputError):
 
 class PlaceError(InputError):
     """A model of places cannot be trained, read, or used with what it is given."""
+
+
+class MapError(InputError):
+    """A map cannot be read, written as asked, or take the frame or pose it is given."""
 
 
 class ConfigError(InputError):
