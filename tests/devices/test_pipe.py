@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from wheelsight.devices import TelemetryPipe
-from wheelsight.errors import OutputError
+from wheelsight.errors import DeviceError, OutputError
 
 
 class Reader:
@@ -53,6 +53,21 @@ def test_lines_reach_a_reader(pipe: TelemetryPipe) -> None:
     assert reader.read() == numbered(0, 10)
     assert (pipe.sent, pipe.dropped, pipe.has_reader) == (10, 0, True)
     reader.leave()
+
+
+def test_two_programs_on_one_pipe(pipe: TelemetryPipe) -> None:
+    with pytest.raises(DeviceError, match=r"another program writes into this pipe \(end that one first\)"):
+        TelemetryPipe(pipe.path)
+    reader = Reader(pipe.path)
+    pipe.send("1")
+    assert reader.read() == b"1\n"
+    reader.leave()
+    pipe.close()
+    with TelemetryPipe(pipe.path):
+        assert pipe.path.is_fifo()
+        pipe.close()  # again; the pipe is another's now
+        assert pipe.path.is_fifo()
+    assert list(pipe.path.parent.iterdir()) == []
 
 
 def test_without_a_reader_nothing_is_kept(pipe: TelemetryPipe) -> None:

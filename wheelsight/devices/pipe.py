@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
 from collections import deque
@@ -9,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from wheelsight.errors import OutputError
+from wheelsight.errors import DeviceError, OutputError
 from wheelsight.files import output_error
 
 LONGEST_LINE = 4096  # PIPE_BUF of Linux: so many bytes go into a pipe whole or not at all
@@ -24,13 +25,14 @@ class TelemetryPipe:
     Readers come and go, one at a time (two would share the lines out between them). What nobody reads is not kept:
     a reader begins with what is sent after it came. A reader that is too slow gets whole lines with gaps: beyond the
     system's own buffer (64 KB) and 256 lines more, the oldest waiting are dropped. A pipe left over from a program
-    that died is used again.
+    that died is used again; of one that lives it is told by a lock on an empty file beside it, `.NAME.lock`.
 
     Attributes:
         path: of the pipe.
         sent, dropped: lines that went into the pipe, and lines dropped since a reader was slow.
 
     Raises:
+        DeviceError: another program writes into this pipe.
         OutputError: something that is no pipe lies at the path (it is left alone), or a pipe cannot be made there.
     """
 
@@ -39,7 +41,13 @@ class TelemetryPipe:
         self.sent = self.dropped = 0
         self._waiting: deque[bytes] = deque()
         self._writer: int | None = None
-        self._identity = _make(self.path)
+        self._lock_path = self.path.with_name(f".{self.path.name}.lock")
+        self._lock: int | None = _locked(self._lock_path, self.path)
+        try:
+            self._identity = _make(self.path)
+        except OutputError:
+            self._unlock()
+            raise
 
     @property
     def has_reader(self) -> bool:
@@ -67,8 +75,9 @@ class TelemetryPipe:
         """Remove the pipe, unless something else lies in its place by now; may be called twice."""
         self._let_go()
         with suppress(OSError):
-            if _identity(self.path.stat()) == self._identity:
+            if self._lock is not None and _identity(self.path.stat()) == self._identity:
                 self.path.unlink()
+        self._unlock()
 
     def __enter__(self) -> TelemetryPipe:
         return self
@@ -106,6 +115,32 @@ class TelemetryPipe:
         if self._writer is not None:
             os.close(self._writer)
             self._writer = None
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            with suppress(OSError):
+                self._lock_path.unlink()
+            os.close(self._lock)
+            self._lock = None
+
+
+def _locked(lock_path: Path, path: Path) -> int:
+    """The open file that says that this program writes into the pipe at `path`."""
+    while True:
+        try:
+            lock = os.open(lock_path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            raise output_error(error, path) from error
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if lock_path.stat().st_ino == os.fstat(lock).st_ino:
+                return lock
+        except BlockingIOError as error:
+            os.close(lock)
+            raise DeviceError("another program writes into this pipe", path=path, fix="end that one first") from error
+        except FileNotFoundError:
+            pass
+        os.close(lock)  # its owner removed it just then: there is a new one, or none
 
 
 def _make(path: Path) -> _Identity:

@@ -97,17 +97,7 @@ def fit_wheels(
         CalibrationError: a drive that leaves a parameter undetermined, too short a one, a reference of another body,
             of another time or of another drive.
     """
-    if reference.body != "base":
-        raise CalibrationError(
-            f"the reference is of the {reference.body}, but wheels move the base", fix="give T_base_camera to join them"
-        )
-    segments = cut(drive, reference, wheels, segment_m, LARGEST_DELAY_S + abs(wheels.delay_s))
-    if len(segments) < _FEWEST_SEGMENTS:
-        raise CalibrationError(
-            f"the drive holds {len(segments)} pieces of {segment_m:g} m or a radian with readings and reference, "
-            f"{_FEWEST_SEGMENTS} are needed",
-            fix="drive further, turning both ways, or choose a larger part of the recording",
-        )
+    segments = _segments(wheels, drive, reference, segment_m)
     problem = _Problem(drive, segments, wheels, with_delay)
     on_step("searching the delay")
     start = problem.coarse()
@@ -120,9 +110,30 @@ def fit_wheels(
     refuse_if_unobservable(sigmas, fitted, segments)
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
     slips = ((residuals / scales) ** 2).sum(axis=1) > _SLIP_CHI2
-    difference = np.array([-1, 1]) @ covariance[:2, :2] @ np.array([-1, 1])
-    ratio_sigma = float(fitted.right_radius_m / fitted.left_radius_m * np.sqrt(difference))
+    ratio_sigma = _ratio_sigma(fitted, covariance)
     return WheelFit(wheels, fitted, sigmas, ratio_sigma, problem.mount(values), segments, residuals, weights, slips)
+
+
+def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: float) -> Segments:
+    """What the wheels have to explain, if there is enough of it."""
+    if reference.body != "base":
+        raise CalibrationError(
+            f"the reference is of the {reference.body}, but wheels move the base", fix="give T_base_camera to join them"
+        )
+    segments = cut(drive, reference, wheels, segment_m, LARGEST_DELAY_S + abs(wheels.delay_s))
+    if len(segments) < _FEWEST_SEGMENTS:
+        raise CalibrationError(
+            f"the drive holds {len(segments)} pieces of {segment_m:g} m or a radian with readings and reference, "
+            f"{_FEWEST_SEGMENTS} are needed",
+            fix="drive further, turning both ways, or choose a larger part of the recording",
+        )
+    return segments
+
+
+def _ratio_sigma(fitted: Wheels, covariance: FloatArray) -> float:
+    """Standard deviation of right radius over left, from the covariance (P, P) of what was sought."""
+    difference = np.array([-1, 1]) @ covariance[:2, :2] @ np.array([-1, 1])
+    return float(fitted.right_radius_m / fitted.left_radius_m * np.sqrt(difference))
 
 
 class _Problem:

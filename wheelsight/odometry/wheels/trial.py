@@ -85,14 +85,8 @@ def try_calibration(
     drive = drive_of(recording, nominal)
     common = reference.between(*(drive.stamps_s[[0, -1]] - nominal.delay_s))
     split_s = float(common.stamps_s[0] + train_share * common.duration_s) if len(common) else reference.stamps_s[0]
-    fit = fit_wheels(
-        nominal,
-        drive,
-        reference.between(-np.inf, split_s) if len(common) else reference,
-        segment_m=segment_m,
-        with_delay=with_delay,
-        on_step=on_step,
-    )
+    seen = reference.between(-np.inf, split_s) if len(common) else reference
+    fit = fit_wheels(nominal, drive, seen, segment_m=segment_m, with_delay=with_delay, on_step=on_step)
     held_out = _at_axle(common.between(split_s, np.inf), fit.mount)
     on_step("trying on the rest")
     before, after = (_attempt(drive, wheels, held_out) for wheels in (nominal, fit.wheels))
