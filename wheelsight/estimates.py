@@ -16,6 +16,9 @@ class Reason(StrEnum):
     TOO_FEW_MATCHES = "too few matches"
     TOO_FEW_INLIERS = "too few inliers"
     DEGENERATE = "matches do not determine the motion"
+    TOO_LITTLE_DEPTH = "too little depth"
+    TOO_LITTLE_OVERLAP = "too little overlap with what is known"
+    POOR_FIT = "surfaces do not fit what is known"
     IMPLAUSIBLE_MOTION = "implausible motion"
     CLOCK_BACKWARDS = "clock ran backwards"
     GAP = "gap between readings"
@@ -45,6 +48,7 @@ class MotionEstimate:
         reason: None on success.
         matches: how many point pairs were proposed.
         inliers: how many of them agree with the motion.
+        degenerate: (K, 6) unit vectors of (v, ω · 2 m) that the images do not show, along which the prior stands; or None.
     """
 
     T_reference_current: FloatArray | None
@@ -52,6 +56,7 @@ class MotionEstimate:
     reason: Reason | None = None
     matches: int = 0
     inliers: int = 0
+    degenerate: FloatArray | None = None
 
     @classmethod
     def failed(cls, reason: Reason, matches: int = 0, inliers: int = 0) -> MotionEstimate:

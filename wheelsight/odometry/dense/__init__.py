@@ -1,3 +1,8 @@
 """Dense odometry: every pixel of depth and grey, aligned with an earlier frame or with what a map predicts."""
 
-__all__: list[str] = []
+from wheelsight.odometry.dense.grid import GridFrame
+from wheelsight.odometry.dense.odometry import DenseOdometry
+from wheelsight.odometry.dense.reference import PredictedView, ReferenceModel
+from wheelsight.odometry.dense.settings import DenseSettings
+
+__all__ = ["DenseOdometry", "DenseSettings", "GridFrame", "PredictedView", "ReferenceModel"]

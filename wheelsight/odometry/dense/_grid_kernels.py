@@ -176,7 +176,7 @@ def normals(depth_m: Any, grid: Any, radius: int, jump: float, begin: int, end: 
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _flow(x: float, y: float, z: float, twist: Any) -> Any:
+def _flow(x: Any, y: Any, z: Any, twist: Any) -> Any:
     """How fast a point at (x, y, 1)·z moves over the image as the camera moves on, negated: (2,) a second, at f = 1.
 
     Of a camera with velocity (v, ω), a fixed point moves by -(v + ω × p); this is the image of +(v + ω × p).
@@ -188,12 +188,12 @@ def _flow(x: float, y: float, z: float, twist: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _late(late_s: Any, row: float) -> float:
+def _late(late_s: Any, row: Any) -> Any:
     return late_s[min(max(int(row + 0.5), 0), len(late_s) - 1)]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _depth_between(depth_m: Any, u: float, v: float, jump: float) -> Any:
+def _depth_between(depth_m: Any, u: Any, v: Any, jump: float) -> Any:
     """Depth between four pixels where they are one surface, else that of the nearest pixel; 0 outside."""
     height, width = depth_m.shape
     column, row = int(u + 0.5), int(v + 0.5)
@@ -213,7 +213,7 @@ def _depth_between(depth_m: Any, u: float, v: float, jump: float) -> Any:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _seen_at(x: float, y: float, z: float, T: Any, color: Any) -> Any:
+def _seen_at(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
     """The colour camera's pixel (2,) of a point of the depth camera; far outside where it is behind."""
     a = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
     b = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
@@ -231,7 +231,7 @@ def _seen_at(x: float, y: float, z: float, T: Any, color: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _between(image: Any, u: float, v: float) -> Any:
+def _between(image: Any, u: Any, v: Any) -> Any:
     """Bilinear value between pixels; -1 outside the image or where a neighbour is unknown."""
     height, width = image.shape
     if not (0 <= u < width - 1 and 0 <= v < height - 1):

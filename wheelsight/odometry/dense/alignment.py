@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.calibration import DepthNoise
+from wheelsight.calibration import Calibration
 from wheelsight.geometry import Float32Array, FloatArray, se3, so3
 from wheelsight.odometry.dense import _alignment_kernels as kernels
 from wheelsight.odometry.dense.grid import GridFrame, Rows
@@ -61,7 +61,8 @@ class Step:
 class Aligner:
     """Aligns frames with references."""
 
-    def __init__(self, noise: DepthNoise, settings: DenseSettings, rows: Rows, late_s: FloatArray) -> None:
+    def __init__(self, calibration: Calibration, settings: DenseSettings, rows: Rows, late_s: FloatArray) -> None:
+        noise = calibration.depth_noise
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
         self._settings, self._rows, self._late_s = settings, rows, late_s
 
@@ -108,7 +109,7 @@ class Aligner:
                 self._rescale(scales, total)
                 if np.abs(change).max() < _SMALL_STEP * (1 << number):
                     break
-        return self._answer(frame, T, total)
+        return self._answer(frame, T, total, scales[1])
 
     def _rows_of(self, frame: GridFrame, number: int, T: FloatArray, step: Step | None) -> Float32Array:
         """T_reference_frame (h, 3, 4) of each row of a level, whose points the frame's own twist may have misplaced."""
@@ -147,11 +148,11 @@ class Aligner:
                 scales[3] = np.clip((n * xy - x * y) / spread, *_GAIN_RANGE)
             scales[4] = (y - scales[3] * x) / n
 
-    def _answer(self, frame: GridFrame, T: FloatArray, total: FloatArray) -> DenseAlignment:
+    def _answer(self, frame: GridFrame, T: FloatArray, total: FloatArray, scale: float) -> DenseAlignment:
         H, _ = _normal_equations(total)
         T = se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
         planes = int(total[kernels.PLANE_COUNT])
-        residual = total[kernels.PLANE_COUNT + 1] / planes / _MEAN_ABS if planes else np.inf
+        residual = scale * total[kernels.PLANE_COUNT + 1] / planes / _MEAN_ABS if planes else np.inf
         points = int(np.count_nonzero(frame.levels[0].depth_m))
         return DenseAlignment(T, H, int(total[kernels.PAIRS]), planes, points, float(residual))
 

@@ -89,15 +89,13 @@ class Gridder:
     def on_grid(self, frame: RgbdFrame, twist: FloatArray) -> GridFrame:
         """The frame's pyramid, straightened for a camera moving at `twist` (6,)."""
         grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-        depth_m = self._halved(frame.depth_m, self._halvings)
+        depth_m = frame.depth_m
+        for _ in range(self._halvings):
+            depth_m = _halved_depth(depth_m, self._settings.depth_jump, self._rows)
         finest_depth_m = self._straightened(depth_m, twist)
         finest_grey = self._grey(grey, finest_depth_m, twist)
-        levels = [Level(self.intrinsics, finest_depth_m, finest_grey)]
-        for _ in range(self._settings.levels - 1):
-            last = levels[-1]
-            halved = self._halved(last.depth_m, 1), self._halved_grey(last.grey)
-            levels.append(Level(_scaled(last.intrinsics, 1), *halved))
-        return GridFrame(frame.stamp_s, tuple(levels), twist)
+        levels = coarser(Level(self.intrinsics, finest_depth_m, finest_grey), self._settings, self._rows)
+        return GridFrame(frame.stamp_s, levels, twist)
 
     @property
     def _is_straight(self) -> bool:
@@ -117,19 +115,6 @@ class Gridder:
         u_px = fx * (x * radial + 2 * p1 * x * y + p2 * (q + 2 * x * x)) + cx
         v_px = fy * (y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y) + cy
         return np.stack([u_px, v_px], axis=-1).astype(np.float32)
-
-    def _halved(self, depth_m: Float32Array, times: int) -> Float32Array:
-        for _ in range(times):
-            half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
-            jump, whole = self._settings.depth_jump, depth_m
-            self._rows.share(len(half), lambda a, b: kernels.halve_depth(whole, jump, a, b, half))  # noqa: B023
-            depth_m = half
-        return depth_m
-
-    def _halved_grey(self, grey: Float32Array) -> Float32Array:
-        half = np.empty((grey.shape[0] // 2, grey.shape[1] // 2), np.float32)
-        self._rows.share(len(half), lambda a, b: kernels.halve_grey(grey, a, b, half))
-        return half
 
     def _straightened(self, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
         if self._is_straight:
@@ -157,6 +142,28 @@ class Gridder:
         out = np.empty(self.shape, np.float32)
         self._rows.share(len(out), lambda a, b: kernels.sample_grey(*given, (a, b), out))
         return out
+
+
+def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, ...]:
+    """A level and those made of it by halving, to the coarsest."""
+    levels = [finest]
+    for _ in range(settings.levels - 1):
+        last = levels[-1]
+        depth_m = _halved_depth(last.depth_m, settings.depth_jump, rows)
+        levels.append(Level(_scaled(last.intrinsics, 1), depth_m, _halved_grey(last.grey, rows)))
+    return tuple(levels)
+
+
+def _halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array:
+    half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
+    rows.share(len(half), lambda begin, end: kernels.halve_depth(depth_m, jump, begin, end, half))
+    return half
+
+
+def _halved_grey(grey: Float32Array, rows: Rows) -> Float32Array:
+    half = np.empty((grey.shape[0] // 2, grey.shape[1] // 2), np.float32)
+    rows.share(len(half), lambda begin, end: kernels.halve_grey(grey, begin, end, half))
+    return half
 
 
 def _scaled(intrinsics: FloatArray, halvings: int) -> FloatArray:

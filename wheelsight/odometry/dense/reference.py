@@ -9,7 +9,8 @@ import numpy as np
 
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.odometry.dense import _grid_kernels as kernels
-from wheelsight.odometry.dense.grid import GridFrame, Level, Rows
+from wheelsight.odometry.dense.grid import GridFrame, Level, Rows, coarser
+from wheelsight.odometry.dense.settings import DenseSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,17 +56,24 @@ class Reference:
 class ReferenceMaker:
     """Makes references of frames and of predicted views."""
 
-    def __init__(self, normal_radius_px: int, depth_jump: float, rows: Rows) -> None:
-        self._radius_px, self._jump, self._rows = normal_radius_px, depth_jump, rows
+    def __init__(self, settings: DenseSettings, rows: Rows) -> None:
+        self._settings, self._rows = settings, rows
 
     def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
         return Reference(T_world_camera, tuple(self._level(level) for level in frame.levels))
 
+    def of_view(self, view: PredictedView, T_world_camera: FloatArray, intrinsics: FloatArray) -> Reference:
+        """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
+        finest = Level(intrinsics, view.depth_m, view.grey)
+        levels = coarser(finest, self._settings, self._rows)
+        fitted = (self._level(level) for level in levels[1:])
+        return Reference(T_world_camera, (self._level(finest, view.normal), *fitted))
+
     def _level(self, level: Level, normal: Float32Array | None = None) -> ReferenceLevel:
         if normal is None:
             normal = np.empty((*level.depth_m.shape, 3), np.float32)
-            given = (level.depth_m, level.intrinsics, self._radius_px, self._jump)
+            given = (level.depth_m, level.intrinsics, self._settings.normal_radius_px, self._settings.depth_jump)
             self._rows.share(len(normal), lambda a, b: kernels.normals(*given, a, b, normal))
         along_u, along_v = np.empty_like(level.grey), np.empty_like(level.grey)
         self._rows.share(len(normal), lambda a, b: kernels.gradients(level.grey, a, b, along_u, along_v))

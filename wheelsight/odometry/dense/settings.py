@@ -18,7 +18,7 @@ class DenseSettings(BaseModel):
     finest_width_px: PositiveInt = Field(400, description="images wider than this are halved until they are not")
     levels: int = Field(3, ge=1, le=5, description="of the pyramid, each half as wide")
     iterations: tuple[PositiveInt, ...] = Field((4, 6, 8), description="at most, from the finest level to the coarsest")
-    color_weight: NonNegativeFloat = Field(1.0, description="of grey values against depth; 0 aligns depth alone")
+    color_weight: NonNegativeFloat = Field(0.5, description="of grey values against depth; 0 aligns depth alone")
     gate: PositiveFloat = Field(0.06, description="metres, and a metre of depth, beyond which points are no pair")
     huber: PositiveFloat = Field(1.5, description="standard deviations beyond which a residual counts linearly")
     depth_jump: PositiveFloat = Field(0.03, description="share of a depth that tells two surfaces apart")
@@ -32,6 +32,11 @@ class DenseSettings(BaseModel):
     correlation: PositiveFloat = Field(
         30.0, description="how many neighbouring residuals err as one; variances are that much larger"
     )
+    prior_sigma_m_s: PositiveFloat = Field(
+        0.5, description="how far off the expected speed may be, a second; what unseen directions are worth"
+    )
+    min_depth_share: float = Field(0.05, gt=0, lt=1, description="of a frame's pixels that must have depth")
+    kept_keyframes: PositiveInt = Field(60, description="held in memory; those used longest ago go first")
     max_speed_m_s: PositiveFloat = Field(5.0, description="a faster motion is implausible")
     max_turn_rad_s: PositiveFloat = Field(8.0, description="a faster turn is implausible")
     lost_after: PositiveInt = Field(10, description="failed frames in a row, after which the state is lost")

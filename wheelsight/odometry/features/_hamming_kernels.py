@@ -75,21 +75,16 @@ def nearest_within(
         u, v = expected_px[i, 0], expected_px[i, 1]
         if not (np.isfinite(u) and np.isfinite(v)):
             continue
-        best, second_best, best_j = _FAR, _FAR, -1
         left, right = max(0, int((u - radius_px) // cell_px)), min(columns - 1, int((u + radius_px) // cell_px))
         top, bottom = max(0, int((v - radius_px) // cell_px)), min(rows - 1, int((v + radius_px) // cell_px))
         if left > right:
             continue
+        best, second_best, best_j = _FAR, _FAR, -1
         for row in range(top, bottom + 1):
-            for place in range(starts[row * columns + left], starts[row * columns + right + 1]):
-                j = order[place]
-                if (px[j, 0] - u) ** 2 + (px[j, 1] - v) ** 2 > radius_px**2:
-                    continue
-                d = hamming(expected[i], descriptors[j])
-                if d < best:
-                    best, second_best, best_j = d, best, j
-                elif d < second_best:
-                    second_best = d
+            places = order[starts[row * columns + left] : starts[row * columns + right + 1]]
+            best, second_best, best_j = _best_of(
+                u, v, expected[i], px, descriptors, places, radius_px, best, second_best, best_j
+            )
         # Ambiguous in its own neighbourhood: a repeated texture, better left out.
         if best_j < 0 or best > max_hamming or best > 0.9 * second_best + 1:
             continue
@@ -98,3 +93,28 @@ def nearest_within(
                 found[owner[best_j]] = -1
             owner[best_j], owned_at[best_j], found[i] = i, best, best_j
     return found
+
+
+@njit(cache=True, nogil=True)
+def _best_of(
+    u: float,
+    v: float,
+    expected: Any,
+    px: Any,
+    descriptors: Any,
+    places: Any,
+    radius_px: float,
+    best: int,
+    second_best: int,
+    best_j: int,
+) -> Any:
+    """The best two distances and the best index so far, after a look at the keypoints `places` near (u, v)."""
+    for j in places:
+        if (px[j, 0] - u) ** 2 + (px[j, 1] - v) ** 2 > radius_px**2:
+            continue
+        d = hamming(expected, descriptors[j])
+        if d < best:
+            best, second_best, best_j = d, best, j
+        elif d < second_best:
+            second_best = d
+    return best, second_best, best_j

@@ -10,10 +10,10 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features, twist_between
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
-from wheelsight.odometry.features.stopwatch import Stopwatch
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
 
 # Of a fresh start: nothing is uncertain about where the world begins, but no covariance may be singular.

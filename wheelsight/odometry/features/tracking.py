@@ -9,13 +9,13 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.alignment import Alignment, PointPairs, find_motion, refine_motion
 from wheelsight.odometry.features.extraction import Features, straighten, twist_between
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.matching import Matches, match_all, match_near
 from wheelsight.odometry.features.settings import FeatureSettings
-from wheelsight.odometry.features.stopwatch import Stopwatch
 
 # Over a longer gap the mean velocity says little about the velocity at the frame.
 _LONGEST_STEP_S = 0.2

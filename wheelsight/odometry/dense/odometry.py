@@ -1,0 +1,268 @@
+"""DenseOdometry: the camera's pose by every pixel, frame by frame, or an honest word that it is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.odometry.dense.alignment import Aligner, Step
+from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
+from wheelsight.odometry.dense.observability import Prior, judge
+from wheelsight.odometry.dense.reference import Reference, ReferenceMaker, ReferenceModel
+from wheelsight.odometry.dense.settings import DenseSettings
+
+# Over a longer gap the mean velocity says little about the velocity at the frame.
+_LONGEST_STEP_S = 0.2
+_START_VARIANCE = 1e-12
+# A turn by a radian hides as much of a view as this many metres of way.
+_TYPICAL_DEPTH_M = 1.5
+# Rows placed more wrongly than this are worth preparing a frame twice.
+_STRAIGHT_ENOUGH_PX = 0.3
+
+
+@dataclass(eq=False)
+class _Keyframe:
+    """A reference with the covariance (6, 6) of its pose."""
+
+    reference: Reference
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tracked:
+    """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame."""
+
+    frame: GridFrame
+    T_world_camera: FloatArray
+    covariance: FloatArray
+    twist: FloatArray = field(default_factory=lambda: np.zeros(6))
+    overlap: float = 1.0
+
+
+class DenseOdometry:
+    """Aligns each frame with a keyframe, with the previous frame, or with what a map predicts.
+
+    The first frame with depth starts the world. A turn is found first, by grey values alone; then depth and grey are
+    aligned from coarse to fine. Directions of motion that the view does not show are left to the prior and named.
+    A frame that fails is counted; after `lost_after` in a row the state is LOST, until a keyframe is recognised.
+
+    Attributes:
+        last_motion: of the last frame against its reference.
+        last_frame: the last frame tracked, on the ideal grid, straightened; None where the last one failed.
+        stage_seconds: time the last frame spent in "prepare", "predict", "align" and "keyframe".
+    """
+
+    def __init__(
+        self, calibration: Calibration, settings: DenseSettings | None = None, model: ReferenceModel | None = None
+    ) -> None:
+        self._settings = settings or DenseSettings()
+        rows = Rows(self._settings.threads)
+        self._gridder = Gridder(calibration, self._settings, rows)
+        self._maker = ReferenceMaker(self._settings, rows)
+        self._aligner = Aligner(calibration, self._settings, rows, self._gridder.late_s)
+        self._model = model
+        self._keyframes: list[_Keyframe] = []
+        self._watch = Stopwatch()
+        self._first: RgbdFrame | None = None
+        self._last: _Tracked | None = None
+        self._failures = 0
+        self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
+        self.last_frame: GridFrame | None = None
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """Seconds the last frame spent in each stage."""
+        return self._watch.seconds
+
+    @property
+    def intrinsics(self) -> FloatArray:
+        """fx, fy, cx, cy (4,) of the ideal camera on whose grid frames and predictions are."""
+        return self._gridder.intrinsics
+
+    def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
+        """The camera's pose at a frame, T_world_camera, or why there is none.
+
+        Args:
+            frame: newer than the one before.
+            T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
+                for instance; else constant velocity is expected.
+        """
+        self._watch.restart()
+        self.last_frame = None
+        last = self._last
+        T_last_frame, twist = np.eye(4), np.zeros(6)
+        with self._watch.stage("prepare"):
+            if last is not None:
+                T_last_frame, twist = _expected(last, frame.stamp_s, T_previous_current_prior)
+            grid = self._gridder.on_grid(frame, twist)
+        depth_m = grid.levels[0].depth_m
+        if np.count_nonzero(depth_m) < self._settings.min_depth_share * depth_m.size:
+            return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
+        if last is None:
+            return self._start(frame, grid)
+        T_prior = last.T_world_camera @ T_last_frame
+        found = self._locate(grid, last, T_prior)
+        if isinstance(found, _Tracked) and self._first is not None:
+            found = self._begin_again(found, T_prior)
+        return self._succeed(frame, found) if isinstance(found, _Tracked) else self._fail(frame.stamp_s, found)
+
+    def miss(self, stamp_s: float) -> Estimate:
+        """Count a frame that came to nothing before it reached odometry, as a failed one."""
+        self._watch.restart()
+        self.last_frame = None
+        return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
+
+    def _start(self, frame: RgbdFrame, grid: GridFrame) -> Estimate:
+        start = _Tracked(grid, np.eye(4), _START_VARIANCE * np.eye(6))
+        self._keyframes = [self._keyframe(start)]
+        self._first = frame
+        self.last_motion = MotionEstimate(np.eye(4), start.covariance)
+        return self._accept(start)
+
+    def _begin_again(self, found: _Tracked, prior: FloatArray) -> _Tracked | MotionEstimate:
+        """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
+        first, self._first = self._first, None
+        if first is None or not self._gridder.late_s.any():
+            return found
+        grid = self._gridder.on_grid(first, found.twist)
+        self._last = _Tracked(grid, np.eye(4), _START_VARIANCE * np.eye(6), found.twist)
+        self._keyframes = [self._keyframe(self._last)]
+        return self._align(found.frame, self._keyframes[0], self._last, found.T_world_camera, prior)
+
+    def _locate(self, grid: GridFrame, last: _Tracked, T_prior: FloatArray) -> _Tracked | MotionEstimate:
+        """Align with the first reference that fits, beginning at the expected pose T_world_camera (4, 4)."""
+        failure: MotionEstimate | None = None
+        for place, reference in enumerate(self._references(T_prior)):
+            guess = T_prior if place == 0 or not self._is_lost else reference.reference.T_world_reference
+            found = self._align(grid, reference, last, guess, T_prior)
+            if isinstance(found, _Tracked):
+                return found
+            failure = failure or found
+        assert failure is not None
+        return failure
+
+    @property
+    def _is_lost(self) -> bool:
+        return self._failures >= self._settings.lost_after
+
+    def _references(self, T_world_camera: FloatArray) -> Iterator[_Keyframe]:
+        """What the model predicts, or the newest keyframe; while frames fail, the nearest; once lost, others in turn."""
+        newest = self._keyframes[-1]
+        if self._model is not None:
+            with self._watch.stage("predict"):
+                view = self._model.predict(T_world_camera, self.intrinsics, self._gridder.shape)
+                predicted = self._maker.of_view(view, T_world_camera, self.intrinsics)
+            yield _Keyframe(predicted, newest.covariance)
+        yield newest
+        if self._failures:
+            yield min(self._keyframes, key=lambda keyframe: _distance_m(keyframe, T_world_camera))
+        if self._is_lost:
+            yield self._keyframes[-1 - self._failures % len(self._keyframes)]
+
+    def _align(
+        self, grid: GridFrame, keyframe: _Keyframe, last: _Tracked, guess: FloatArray, T_prior: FloatArray
+    ) -> _Tracked | MotionEstimate:
+        reference = keyframe.reference
+        T_reference_world = se3.invert(reference.T_world_reference)
+        seconds = grid.stamp_s - last.frame.stamp_s
+        step = Step(T_reference_world @ last.T_world_camera, seconds) if seconds <= _LONGEST_STEP_S else None
+        with self._watch.stage("align"):
+            turned = self._aligner.turn(grid, reference, T_reference_world @ guess)
+            found = self._aligner.align(grid, reference, turned, step)
+        prior = Prior(T_reference_world @ T_prior, self._settings.prior_sigma_m_s * max(seconds, 1e-3))
+        judged = judge(found, prior, self._settings)
+        T_world_camera = reference.T_world_reference @ judged.T_reference_frame
+        reason = judged.reason or self._implausible(last, T_world_camera, seconds)
+        if reason is not None:
+            return MotionEstimate.failed(reason, found.pairs, found.planes)
+        counts = (None, found.pairs, found.planes, judged.degenerate)
+        self.last_motion = MotionEstimate(judged.T_reference_frame, judged.covariance, *counts)
+        Ad = se3.adjoint(reference.T_world_reference)
+        covariance = keyframe.covariance + Ad @ judged.covariance @ Ad.T
+        twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
+        return _Tracked(grid, T_world_camera, covariance, twist, found.planes / max(found.points, 1))
+
+    def _implausible(self, last: _Tracked, T_world_camera: FloatArray, seconds: float) -> Reason | None:
+        T = se3.invert(last.T_world_camera) @ T_world_camera
+        fast = np.linalg.norm(T[:3, 3]) > self._settings.max_speed_m_s * seconds
+        turning = so3.angle(T[:3, :3]) > self._settings.max_turn_rad_s * seconds
+        return Reason.IMPLAUSIBLE_MOTION if fast or turning else None
+
+    def _succeed(self, frame: RgbdFrame, found: _Tracked) -> Estimate:
+        with self._watch.stage("keyframe"):
+            if self._settings.reference == "previous":
+                self._keyframes = [self._keyframe(self._straightened(frame, found))]
+            elif found.overlap < self._settings.keyframe_overlap:
+                found = self._change_keyframe(frame, found)
+        return self._accept(found)
+
+    def _change_keyframe(self, frame: RgbdFrame, found: _Tracked) -> _Tracked:
+        """Go back to an older keyframe that is nearer and shows the same, which ends the drift; else keep a new one."""
+        nearest = min(self._keyframes, key=lambda keyframe: _distance_m(keyframe, found.T_world_camera))
+        if nearest is not self._keyframes[-1] and self._last is not None:
+            motion = self.last_motion
+            seen = self._align(found.frame, nearest, self._last, found.T_world_camera, found.T_world_camera)
+            if isinstance(seen, _Tracked) and seen.overlap > self._settings.keyframe_overlap:
+                self._keyframes.remove(nearest)
+                self._keyframes.append(nearest)
+                return seen
+            self.last_motion = motion
+        straight = self._straightened(frame, found)
+        self._keyframes.append(self._keyframe(straight))
+        del self._keyframes[: -self._settings.kept_keyframes]
+        return straight
+
+    def _straightened(self, frame: RgbdFrame, found: _Tracked) -> _Tracked:
+        """The same frame, its rows straightened by the speed that was found rather than the one expected."""
+        wrong = np.abs(found.twist - found.frame.twist)[3:].max() * np.abs(self._gridder.late_s).max()
+        if wrong * self.intrinsics[0] < _STRAIGHT_ENOUGH_PX:
+            return found
+        return replace(found, frame=self._gridder.on_grid(frame, found.twist))
+
+    def _keyframe(self, tracked: _Tracked) -> _Keyframe:
+        return _Keyframe(self._maker.of_frame(tracked.frame, tracked.T_world_camera), tracked.covariance)
+
+    def _accept(self, found: _Tracked) -> Estimate:
+        self._last, self._failures, self.last_frame = found, 0, found.frame
+        return Estimate(
+            found.frame.stamp_s,
+            Status.TRACKING,
+            found.T_world_camera,
+            found.covariance,
+            matches=self.last_motion.matches,
+            inliers=self.last_motion.inliers,
+        )
+
+    def _fail(self, stamp_s: float, failure: MotionEstimate) -> Estimate:
+        self._failures += 1
+        self.last_motion = failure
+        status = Status.LOST if self._is_lost else Status.FAILING
+        if self._last is None:
+            status = Status.INITIALIZING
+        else:
+            self._last = replace(self._last, twist=np.zeros(6))
+        return Estimate(stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers)
+
+
+def _expected(last: _Tracked, stamp_s: float, prior: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """T_last_frame (4, 4) by the prior, or else by constant velocity; and the velocity (6,) it means."""
+    seconds = stamp_s - last.frame.stamp_s
+    if prior is None:
+        twist = last.twist if 0 < seconds <= _LONGEST_STEP_S else np.zeros(6)
+        return se3.from_parts(so3.exp(twist[3:] * seconds), twist[:3] * seconds), twist
+    if not 0 < seconds <= _LONGEST_STEP_S:
+        return prior, np.zeros(6)
+    return prior, np.concatenate([prior[:3, 3], so3.log(prior[:3, :3])]) / seconds
+
+
+def _distance_m(keyframe: _Keyframe, T_world_camera: FloatArray) -> float:
+    """How far two views are apart; a turn by a radian counts as 1.5 m."""
+    T = se3.invert(keyframe.reference.T_world_reference) @ T_world_camera
+    return float(np.linalg.norm(T[:3, 3]) + _TYPICAL_DEPTH_M * so3.angle(T[:3, :3]))
