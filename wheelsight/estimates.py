@@ -48,7 +48,7 @@ class MotionEstimate:
         reason: None on success.
         matches: how many point pairs were proposed.
         inliers: how many of them agree with the motion.
-        degenerate: (K, 6) unit vectors of (v, ω · 2 m) that the images do not show, along which the prior stands; or None.
+        degenerate: (K, 6) unit vectors of (v, ω · 2 m) that the images do not show; there the prior stands. Or None.
     """
 
     T_reference_current: FloatArray | None

@@ -153,7 +153,7 @@ class DenseOdometry:
         return self._failures >= self._settings.lost_after
 
     def _references(self, T_world_camera: FloatArray) -> Iterator[_Keyframe]:
-        """What the model predicts, or the newest keyframe; while frames fail, the nearest; once lost, others in turn."""
+        """What the model predicts, else the newest keyframe; while frames fail, the nearest; once lost, others too."""
         newest = self._keyframes[-1]
         if self._model is not None:
             with self._watch.stage("predict"):
