@@ -98,3 +98,35 @@ def test_what_is_no_settings_file_is_refused(tmp_path: Path, content: bytes, exp
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     assert refusal(tmp_path / "no.yaml") == f"{tmp_path / 'no.yaml'}: cannot be read: No such file or directory"
+
+
+@pytest.mark.parametrize("names", ["wheels,features", "wheels, features", ["wheels", "features"]])
+def test_several_odometries_are_a_list_or_words_with_commas(tmp_path: Path, names: str | list[str]) -> None:
+    config = load_config(write(tmp_path, f"odometry: {names}\n"))
+    assert config == load_config(overrides={"odometry": names})
+    assert config.odometry == ("wheels", "features")
+    assert config.to_dict()["odometry"] == ["wheels", "features"]
+    save_config(config, tmp_path / "out.yaml")
+    assert load_config(tmp_path / "out.yaml") == config
+
+
+def test_one_odometry_stays_one_word() -> None:
+    config = load_config(overrides={"odometry": ["wheels"]})
+    assert config.to_dict()["odometry"] == "wheels"
+    assert load_config(overrides={"odometry": "wheels,features"}).alone("wheels") == config
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "expected"),
+    [
+        ("odometry: wheels,wheels\n", 1, "odometry is 'wheels,wheels', which names wheels twice (known: features, "),
+        ("report: {}\nodometry: [wheels, sonar]\n", 2, "odometry is 'sonar' (known: 'features' or "),
+        ("odometry: []\n", 1, "odometry is [], which names none (known: features, "),
+        ("odometry: wheels,\n", 1, "odometry is '' (known: 'features' or "),
+    ],
+)
+def test_unknown_and_doubled_odometries_are_refused_with_the_list(
+    tmp_path: Path, text: str, line: int, expected: str
+) -> None:
+    path = write(tmp_path, text)
+    assert refusal(path).startswith(f"{path}:{line}: {expected}")

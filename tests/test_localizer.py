@@ -6,7 +6,7 @@ from stand_ins import CAMERA, TrueOdometry, frame
 
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
-from wheelsight.errors import CalibrationError
+from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Reason, Status
 from wheelsight.events import SkippedFrame, WheelTicks, YawRate
 from wheelsight.geometry import se3
@@ -154,3 +154,10 @@ def test_the_gyroscope_turns_the_robot_where_it_is_wanted(gyro: bool) -> None:
 def test_what_the_odometry_needs_the_calibration_must_have() -> None:
     with pytest.raises(CalibrationError, match=r"has no wheels .*--calibration"):
         Localizer(Calibration.registered_camera(CAMERA), load_config(overrides={"odometry": "wheels"}))
+
+
+def test_a_localizer_goes_by_one_odometry() -> None:
+    both = load_config(overrides={"odometry": "wheels,features"})
+    with pytest.raises(ConfigError, match=r"not by wheels and features .*alone"):
+        Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both)
+    assert Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both.alone("wheels")).world == "odom"

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from wheelsight.report import RunRecord
 
-_ON_THE_PAGE_ONLY = ("ATE, max", "of its way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
+_ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
 
 
 def print_summary(records: Sequence[RunRecord], out: Path) -> None:

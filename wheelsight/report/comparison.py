@@ -23,7 +23,7 @@ _HEAD = (
     "Odometry",
     "ATE, RMSE",
     "ATE, max",
-    "of its way",
+    "of the way",
     "RPE a second",
     "RPE a metre",
     "turn a metre",
@@ -73,14 +73,14 @@ def _row(record: RunRecord, summary: Summary) -> tuple[str, ...]:
     cost = (words.duration(summary.median_s), words.duration(summary.p95_s))
     share = words.percent(summary.pose_share)
     evaluation = record.evaluation
-    if evaluation is None:
+    if evaluation is None or record.ground_truth is None:
         return (record.odometry, *["–"] * 6, share, "–", *cost)
     ate, second, metre = evaluation.ate.translation, evaluation.rpe_per_second, evaluation.rpe_per_metre
     return (
         record.odometry,
         words.length(ate.rmse),
         words.length(ate.max),
-        words.percent(ate.rmse / summary.length_m) if summary.length_m > 0 else "–",
+        words.percent(_share_of_the_way(record)),
         "–" if second is None else words.length(second.translation.rmse),
         "–" if metre is None else words.length(metre.translation.rmse),
         "–" if metre is None else words.angle(metre.rotation.in_degrees().rmse),
@@ -88,6 +88,14 @@ def _row(record: RunRecord, summary: Summary) -> tuple[str, ...]:
         words.percent(evaluation.truth_time_covered),
         *cost,
     )
+
+
+def _share_of_the_way(record: RunRecord) -> float:
+    """ATE over the true way while the odometry had a pose: the estimate's own grows with its noise."""
+    assert record.evaluation is not None
+    assert record.ground_truth is not None
+    way_m = record.ground_truth.between(*record.estimate.stamps_s[[0, -1]].tolist()).length_m
+    return record.evaluation.ate.translation.rmse / way_m if way_m > 0 else float("nan")
 
 
 def _facts(records: Sequence[RunRecord]) -> list[str]:
@@ -117,13 +125,12 @@ def _phrase(records: Sequence[RunRecord]) -> str:
 
 
 def _tiles(judged: Sequence[Judged]) -> Iterable[tuple[str, str, str]]:
-    for record, summary, _ in judged:
+    for record, _, _ in judged:
         if record.evaluation is None:
             yield f"ATE, {record.odometry}", words.UNKNOWN, "not evaluated"
             continue
         rmse = record.evaluation.ate.translation.rmse
-        share = f"{words.percent(rmse / summary.length_m)} of its way" if summary.length_m > 0 else ""
-        yield f"ATE, {record.odometry}", words.length(rmse), share
+        yield f"ATE, {record.odometry}", words.length(rmse), f"{words.percent(_share_of_the_way(record))} of the way"
     for record, summary, _ in judged:
         posed = f"{summary.posed:,} of {words.count(summary.frames, summary.unit)}"
         yield f"With a pose, {record.odometry}", words.percent(summary.pose_share), posed

@@ -118,7 +118,7 @@ def _mark(figure: go.Figure, point: FloatArray, name: str, symbol: str, colour: 
         name=name,
         text=[name],
         marker={"symbol": symbol, "size": 13 if is_start else 10, "color": colour, "line": {"width": 3 * is_start}},
-        textposition="top center",
+        textposition="bottom center",
         showlegend=False,
         hovertemplate=f"{name}<extra></extra>",
     )

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from room_drive import make_room_drive
+from typer.testing import Result
+
+from wheelsight.recordings import open_recording
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A sound recording of wheels and images."""
+    make_room_drive(tmp_path / "drive", frames=4)
+    return tmp_path / "drive"
+
+
+def test_several_are_summed_up_in_one_row_each(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = wheelsight("run", drive, "--odometry", "wheels,features", "--out", out)
+    assert result.exit_code == 0, result.output
+    rows = [line.split() for line in result.stdout.splitlines()]
+    first_words = [row[0] for row in rows if row]
+    assert first_words.count("wheels") == first_words.count("features") == 1
+    assert result.stdout.splitlines()[-1] == f"report: {out / 'report.html'}"
+    assert (out / "report.html").is_file()
+    assert (out / "features" / "trajectory.txt").is_file()
+
+
+def test_a_terminal_sees_all_events_pass_by(
+    wheelsight: Command, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "140")
+    result = wheelsight("run", drive, "--odometry", "wheels,features", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    source = open_recording(drive)
+    events = source.wheel_count + source.frame_count
+    assert f"{events}/{events}" in result.stderr
+    assert "events/s" in result.stderr
+    assert "wheels tracking, features tracking" in result.stderr
+
+
+def test_why_one_was_not_evaluated_stands_below(wheelsight: Command, tmp_path: Path) -> None:
+    make_room_drive(tmp_path / "drive", frames=4, mounted=False)
+    result = wheelsight("run", tmp_path / "drive", "--odometry", "wheels,features", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "wheels not evaluated: ground truth: a trajectory of 'camera' cannot be told for 'base'" in result.stdout
+
+
+def test_unknown_and_doubled_names_are_one_line(refusal: Callable[..., str], drive: Path, tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "out")
+    assert refusal("run", drive, "--odometry", "wheels,sonar", *out).startswith("--odometry is 'sonar' (known: ")
+    assert "names wheels twice (known: " in refusal("run", drive, "--odometry", "wheels,wheels", *out)

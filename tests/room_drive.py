@@ -1,0 +1,43 @@
+"""A robot that drives an arc through the synthetic room: wheels, images and truth in one recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from drives import simulate
+from synthetic import CAMERA, render_room
+
+from wheelsight.calibration import Calibration, Wheels
+from wheelsight.events import RgbdFrame, WheelTicks
+from wheelsight.geometry import se3
+from wheelsight.recordings import RecordingWriter
+from wheelsight.trajectory import Trajectory
+
+WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
+T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])
+_T_WORLD_START = se3.exp([-1.4, -0.3, 0, 0, 0, 0.1])
+_STEPS_A_FRAME = 4
+
+
+def make_room_drive(folder: Path, frames: int = 12, *, with_truth: bool = True, mounted: bool = True) -> Trajectory:
+    """Write the recording, 50 readings and 12.5 frames a second, and return the true T_world_base at its readings.
+
+    It stands for a second, drives for `frames` frames, and stands for another second.
+    Not `mounted`, its calibration does not tell where the camera is on the base, and the truth is the camera's.
+    """
+    drive = simulate(WHEELS, [(frames * _STEPS_A_FRAME / 50, 0.4, 0.3)])
+    truth = drive.truth.moved(_T_WORLD_START)
+    mount = T_BASE_CAMERA if mounted else None
+    calibration = Calibration.registered_camera(CAMERA, wheels=WHEELS, T_base_camera=mount, source="room")
+    with RecordingWriter(folder, calibration) as writer:
+        for index, (stamp_s, T_world_base) in enumerate(truth):
+            writer.add(WheelTicks(stamp_s, int(drive.left[index]), int(drive.right[index])))
+            if index % _STEPS_A_FRAME == 0:
+                color, depth_m = render_room(T_world_base @ T_BASE_CAMERA)
+                writer.add(RgbdFrame(stamp_s + 0.001, color, depth_m, index // _STEPS_A_FRAME))
+        if with_truth and mounted:
+            writer.add_ground_truth(truth)
+        elif with_truth:
+            writer.add_ground_truth(Trajectory(truth.stamps_s, truth.T_world_body @ T_BASE_CAMERA))
+    return truth
