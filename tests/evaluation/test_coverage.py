@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wheelsight.association import associate
 from wheelsight.errors import EvaluationError
-from wheelsight.evaluation import frame_coverage, time_coverage
+from wheelsight.evaluation import frame_coverage, pairing_warning, time_coverage
 from wheelsight.trajectory import Trajectory
 
 
@@ -41,3 +42,14 @@ def test_truth_that_covers_nothing_is_refused() -> None:
     for truth in (standing(), standing(3.0)):
         with pytest.raises(EvaluationError, match="covers no time"):
             time_coverage(standing(0.0, 0.1), truth)
+
+
+def test_few_pairs_are_told_with_the_setting_that_pairs_the_rest() -> None:
+    estimate, truth = standing(*np.arange(0, 60, 0.1)), standing(*np.arange(10.04, 50, 0.2))
+    warning = pairing_warning(estimate, truth, 3, 0.02)
+    assert warning is not None
+    assert warning.startswith("Only 3 of 200 poses have one of the ground truth within 0.02 s")
+    assert "evaluation.max_gap_s to 0.06" in warning
+    assert len(associate(estimate.stamps_s, truth.stamps_s, 0.06)) == 200
+    assert pairing_warning(estimate, truth, 100, 0.02) is None
+    assert pairing_warning(standing(), truth, 0, 0.02) is None

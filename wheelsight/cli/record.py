@@ -51,7 +51,6 @@ def record(
         RecordingWriter(out, known, force) as writer,
     ):
         while not is_over():
-            ticks = link.read(_LONGEST_WAIT_S)
-            if ticks is not None:
+            if (ticks := link.read(_LONGEST_WAIT_S)) is not None:
                 writer.add(ticks)
     print_note(f"{writer.readings} wheel readings are in {out}")

@@ -1,7 +1,7 @@
 """How good an estimated trajectory is: ATE and RPE as the TUM benchmark defines them, coverage, sequence statistics."""
 
 from wheelsight.evaluation.ate import AbsoluteError, ate
-from wheelsight.evaluation.coverage import frame_coverage, time_coverage
+from wheelsight.evaluation.coverage import frame_coverage, pairing_warning, time_coverage
 from wheelsight.evaluation.evaluate import Evaluation, evaluate
 from wheelsight.evaluation.rpe import RelativeError, rpe
 from wheelsight.evaluation.sequence import SequenceStatistics, sequence_statistics
@@ -16,6 +16,7 @@ __all__ = [
     "ate",
     "evaluate",
     "frame_coverage",
+    "pairing_warning",
     "rpe",
     "sequence_statistics",
     "time_coverage",

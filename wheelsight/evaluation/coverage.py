@@ -41,6 +41,24 @@ def time_coverage(estimate: Trajectory, truth: Trajectory, max_step_s: float = 0
     return float(step_s[in_both].sum() / step_s[in_truth].sum())
 
 
+def pairing_warning(estimate: Trajectory, truth: Trajectory, pairs: int, max_gap_s: float) -> str | None:
+    """A sentence where `pairs` are less than half of what both have in the time they share, else None.
+
+    So it goes where two streams run at rates of their own: most poses of either then lie between two of the other.
+    """
+    if min(len(estimate), len(truth)) < 2:
+        return None
+    start_s, end_s = max(estimate.stamps_s[0], truth.stamps_s[0]), min(estimate.stamps_s[-1], truth.stamps_s[-1])
+    there = min(len(trajectory.between(start_s, end_s)) for trajectory in (estimate, truth))
+    if 2 * pairs >= there:
+        return None
+    step_s = min(float(np.median(np.diff(trajectory.stamps_s))) for trajectory in (estimate, truth))
+    return (
+        f"Only {pairs} of {there} poses have one of the ground truth within {max_gap_s:g} s, and errors are of these: "
+        f"set evaluation.max_gap_s to {0.6 * step_s:.2g} to compare all that lie between."
+    )
+
+
 def _covers(trajectory: Trajectory, stamps_s: FloatArray, max_step_s: float) -> BoolArray:
     """Whether each of stamps (N,), none of them a pose's, lies in a step that is not too long."""
     if len(trajectory) < 2:

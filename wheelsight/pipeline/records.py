@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
-from wheelsight.evaluation import Evaluation, evaluate
+from wheelsight.evaluation import Evaluation, evaluate, pairing_warning
 from wheelsight.pipeline.track import UNITS, Passage, Track
 from wheelsight.recordings import Recording, express_for
 from wheelsight.report import RunRecord
@@ -22,6 +22,9 @@ def record_of(track: Track, passage: Passage, recording: Recording, config: Conf
     evaluation = None
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
+    few = None
+    if truth is not None and evaluation is not None:
+        few = pairing_warning(estimate, truth, evaluation.pairs, evaluation.max_gap_s)
     return RunRecord(
         recording=recording.name,
         format=recording.format,
@@ -30,7 +33,7 @@ def record_of(track: Track, passage: Passage, recording: Recording, config: Conf
         ground_truth=truth,
         evaluation=evaluation,
         association=recording.association,
-        warnings=(*recording.warnings, *_interruption(track, passage)),
+        warnings=(*recording.warnings, *_interruption(track, passage), *filter(None, [few])),
         evaluation_problem=problem,
         pictures=tuple(track.photographer.pictures),
         stage_seconds={stage: float(np.median(spent)) for stage, spent in track.stage_seconds.items()},
