@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from browser import open_page
 from html_page import Page, Plot
-from run_example import empty_run, example_picture, example_run
+from run_example import empty_run, example_picture, example_run, wheel_run
 
-from wheelsight.report import RunRecord, write_report
+from wheelsight.report import RunRecord, write_comparison, write_report
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -33,6 +33,18 @@ def test_every_figure_is_drawn_and_the_console_stays_silent(name: str, chromium:
     for key, plot in page.plots.items():
         assert plot.svg_sizes_px, f"{key} was not drawn"
         assert min(min(size) for size in plot.svg_sizes_px) > 50, key
+        assert len(plot.drawn) == _visible_traces(expected.plots[key]), key
+        assert all(plot.drawn), f"{key} has a trace without a mark"
+
+
+@pytest.mark.parametrize("with_truth", [True, False])
+def test_every_figure_of_a_comparison_is_drawn(with_truth: bool, chromium: str, tmp_path: Path) -> None:
+    records = [replace(wheel_run(with_truth=with_truth), odometry="wheels"), example_run(300, with_truth=with_truth)]
+    write_comparison(records, tmp_path / "report.html")
+    expected = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    dom, console = open_page(chromium, tmp_path / "report.html")
+    assert console == []
+    for key, plot in Page(dom).plots.items():
         assert len(plot.drawn) == _visible_traces(expected.plots[key]), key
         assert all(plot.drawn), f"{key} has a trace without a mark"
 

@@ -148,7 +148,7 @@ def _notes(judged: Sequence[Judged], paths: Overlay) -> str:
     shared = [note for note in next(iter(of_each.values())) if all(note in found for found in of_each.values())]
     own = [f"{name.capitalize()}: {note}" for name, found in of_each.items() for note in found if note not in shared]
     out = [
-        f"{name.capitalize()}: not drawn with the others: {why.rstrip('.')}." for name, why in paths.left_out.items()
+        f"{name.capitalize()}: not drawn with the others ({why.rstrip('.')})." for name, why in paths.left_out.items()
     ]
     found = [*shared, *own, *out]
     intro = "" if found else "Nothing: everything listed was used, and every answer has a pose."
