@@ -1,0 +1,178 @@
+"""Surfels in blocks of space: growing flat arrays, of which those in view are found without touching the others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from wheelsight.geometry import Float32Array, FloatArray, Int32Array
+from wheelsight.mapping import _block_kernels as kernels
+from wheelsight.mapping._block_kernels import ALIVE, CELLS, CONFIDENCE, PAGE, PAGES
+
+_FIRST_PAGES = 256
+_BINS = 512
+# Dropping goes over the whole map; a tenth at once makes it rare.
+_DROPPED_AT_ONCE = 0.1
+_SWEPT_SURFELS = 1 << 15
+
+
+class Blocks:
+    """Surfels by the cell of space they lie in.
+
+    Slots come in pages, and each cell owns a chain of them, so that a cell's surfels lie together in memory. Dead
+    surfels stay until `sweep` comes by, which does a bounded number of cells a call.
+
+    Attributes:
+        geometry: (slots, 8) float32: position (3), radius, normal (3), confidence; not positive where dead.
+        look: (slots, 4) float32: red, green, blue, grey from 0 to 255, -1 where unknown.
+        seen_s: (slots, 2) first and last time seen.
+        variance: (slots,) float32 of the position along the normal, in m².
+        dropped: how many were given up for want of room.
+    """
+
+    def __init__(self, block_m: float, max_surfels: int) -> None:
+        self.block_m, self.dropped = block_m, 0
+        self._max_pages = -(-max_surfels // PAGE)
+        self._counters = np.zeros(4, np.int64)
+        self._cursor = 0
+        self.geometry: Float32Array = np.zeros((0, 8), np.float32)
+        self.look: Float32Array = np.zeros((0, 4), np.float32)
+        self.seen_s: FloatArray = np.zeros((0, 2))
+        self.variance: Float32Array = np.zeros(0, np.float32)
+        self.page_next: Int32Array = np.zeros(0, np.int32)
+        self.page_fill: Int32Array = np.zeros(0, np.int32)
+        self.page_cell: Int32Array = np.zeros(0, np.int32)
+        self._free: Int32Array = np.zeros(0, np.int32)
+        self.cell_xyz: Int32Array = np.zeros((0, 3), np.int32)
+        self._cell_pages: Int32Array = np.zeros((0, 2), np.int32)
+        self.cell_seen_s: FloatArray = np.zeros(0)
+        self._table: Int32Array = np.full(0, -1, np.int32)
+        self._grow_pages()
+        self._grow_cells()
+
+    @property
+    def alive(self) -> int:
+        """How many surfels there are."""
+        return int(self._counters[ALIVE])
+
+    @property
+    def memory_bytes(self) -> int:
+        """Of all arrays."""
+        return sum(array.nbytes for array in vars(self).values() if isinstance(array, np.ndarray))
+
+    def count_deaths(self, count: int) -> None:
+        """Note that so many surfels' confidence was set to 0."""
+        self._counters[ALIVE] -= count
+
+    def slots(self) -> np.ndarray:
+        """(n,) slots of all surfels alive, cell by cell in the order in which cells were first seen."""
+        chains = []
+        for cell in range(self._counters[CELLS]):
+            page = self._cell_pages[cell, 0]
+            while page >= 0:
+                chains.append(np.arange(page * PAGE, page * PAGE + self.page_fill[page]))
+                page = self.page_next[page]
+        slots = np.concatenate(chains) if chains else np.zeros(0, np.int64)
+        return slots[self.geometry[slots, CONFIDENCE] > 0]
+
+    def pages_in_view(
+        self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int], far_m: float, since_s: float
+    ) -> Int32Array:
+        """Pages of surfels that a camera may see, leaving out cells of which nothing was seen since `since_s`."""
+        out = np.empty(self._counters[PAGES], np.int32)
+        view = (T_world_camera, intrinsics, shape[1], shape[0], far_m, since_s, self.block_m)
+        cells = (self.cell_xyz, self._cell_pages, self.cell_seen_s, self.page_next, self._table)
+        return out[: kernels.pages_in_view(*view, *cells, out)]
+
+    def append(
+        self, new: tuple[Float32Array, Float32Array, FloatArray, Float32Array], now_s: float, rules: FloatArray
+    ) -> int:
+        """Add surfels (their geometry, look, seen_s, variance), in order; how many found room.
+
+        Where there is none left, the least useful tenth of the map goes first.
+        """
+        done, has_dropped = 0, False
+        while True:
+            done = kernels.append(*new, done, self.block_m, *self._surfels, *self._chains, *self._cells)
+            if done == len(new[0]):
+                return done
+            if self._grow():
+                continue
+            if has_dropped:
+                self.dropped += len(new[0]) - done
+                return done
+            self._drop_least_useful(now_s, rules)
+            has_dropped = True
+
+    def sweep(self, now_s: float, rules: FloatArray) -> int:
+        """Compact the next cells, and let unstable surfels there go whose time has come; how many did.
+
+        `rules`: confidence of the stable, seconds after which others go, active window in seconds.
+        """
+        cells = int(self._counters[CELLS])
+        if self._cursor >= cells:
+            self._cursor = 0
+        died, self._cursor = self._compact(self._cursor, cells, _SWEPT_SURFELS, now_s, rules, np.zeros(0, np.int64))
+        return died
+
+    def _drop_least_useful(self, now_s: float, rules: FloatArray) -> None:
+        """Let a tenth of all surfels go, those of least use first."""
+        bins = np.zeros(_BINS, np.int64)
+        kernels.count_usefulness(
+            self.geometry, self.seen_s, self.page_fill, int(self._counters[PAGES]), now_s, rules[2], bins
+        )
+        before = np.concatenate([[0], np.cumsum(bins)[:-1]])
+        quota = np.clip(np.ceil(_DROPPED_AT_ONCE * self.alive).astype(np.int64) - before, 0, bins)
+        everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
+        self.dropped += self._compact(0, *everything, now_s, rules, quota)[0]
+
+    def _compact(
+        self, begin: int, end: int, budget: int, now_s: float, rules: FloatArray, quota: np.ndarray
+    ) -> tuple[int, int]:
+        chains = (self.page_next, self.page_fill, self._free, self._cell_pages, self.cell_seen_s, self._counters)
+        died, then = kernels.compact(begin, end, budget, now_s, rules, quota, *self._surfels, *chains)
+        return int(died), int(then)
+
+    def _grow(self) -> bool:
+        """Make room for more pages or cells, whichever is wanting; False where the bound forbids it."""
+        cells = int(self._counters[CELLS])
+        if cells == len(self.cell_xyz) or 2 * cells >= len(self._table):
+            self._grow_cells()
+            return True
+        if len(self.page_next) >= self._max_pages:
+            return False
+        self._grow_pages()
+        return True
+
+    def _grow_pages(self) -> None:
+        pages = min(max(2 * len(self.page_next), _FIRST_PAGES), self._max_pages)
+        for name in ("geometry", "look", "seen_s", "variance"):
+            setattr(self, name, _grown(getattr(self, name), pages * PAGE))
+        for name in ("page_next", "page_fill", "page_cell", "_free"):
+            setattr(self, name, _grown(getattr(self, name), pages))
+
+    def _grow_cells(self) -> None:
+        cells = max(2 * len(self.cell_xyz), 1024)
+        for name in ("cell_xyz", "_cell_pages", "cell_seen_s"):
+            setattr(self, name, _grown(getattr(self, name), cells))
+        self._table = np.full(4 * cells, -1, np.int32)
+        kernels.rebuild_table(self._table, self.cell_xyz, int(self._counters[CELLS]))
+
+    @property
+    def _surfels(self) -> tuple[Any, ...]:
+        return self.geometry, self.look, self.seen_s, self.variance
+
+    @property
+    def _chains(self) -> tuple[Any, ...]:
+        return self.page_next, self.page_fill, self.page_cell, self._free
+
+    @property
+    def _cells(self) -> tuple[Any, ...]:
+        return self.cell_xyz, self._cell_pages, self.cell_seen_s, self._table, self._counters
+
+
+def _grown(array: np.ndarray, length: int) -> np.ndarray:
+    grown = np.zeros((length, *array.shape[1:]), array.dtype)
+    grown[: len(array)] = array
+    return grown

@@ -1,0 +1,25 @@
+"""SurfelSettings: what can be set about the surfel map, with the reasons for the defaults."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+
+class SurfelSettings(BaseModel):
+    """Settings of the surfel map; unknown names are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    stable_confidence: PositiveFloat = Field(8.0, description="about how many frames make a surfel stable")
+    unstable_s: PositiveFloat = Field(3.0, description="a surfel not stable so long after it was first seen goes")
+    active_s: PositiveFloat = Field(60.0, description="surfels not seen for longer are kept, but not tracked against")
+    far_m: PositiveFloat = Field(6.0, description="depths beyond are not fused, surfels beyond not predicted")
+    gate_sigmas: PositiveFloat = Field(3.0, description="distance along the normal at which readings still agree")
+    gate_m: NonNegativeFloat = Field(0.01, description="added to it: poses err too")
+    max_angle_deg: float = Field(40.0, gt=0, lt=90, description="between normals that agree")
+    max_slant_deg: float = Field(78.0, gt=0, lt=90, description="surfaces seen at a sharper angle are not fused")
+    free_m: PositiveFloat = Field(0.05, description="a surfel so far in front of what is measured, and 4 σ, is gone")
+    drift_m: NonNegativeFloat = Field(0.1, description="added to it for surfels outside the active window")
+    max_surfels: PositiveInt = Field(3_000_000, ge=1024, description="bound on memory, about 70 bytes a surfel")
+    block_m: PositiveFloat = Field(0.5, description="edge of the blocks by which surfels in view are found")
+    threads: PositiveInt = Field(2, description="that share a frame's rows")

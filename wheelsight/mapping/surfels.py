@@ -1,0 +1,391 @@
+"""SurfelMap: a model of what was seen, of small disks that frames are averaged into and that views are predicted from.
+
+Keller et al. 2013 for the surfels; Whelan et al. 2015 and 2016 for the window in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from wheelsight.calibration import DepthNoise
+from wheelsight.errors import MapError
+from wheelsight.geometry import Float32Array, FloatArray, Int32Array, se3
+from wheelsight.mapping import _fusion_kernels as fusion
+from wheelsight.mapping import _view_kernels as view
+from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
+from wheelsight.mapping.blocks import Blocks
+from wheelsight.mapping.settings import SurfelSettings
+from wheelsight.odometry.dense.grid import Rows
+from wheelsight.odometry.dense.reference import PredictedView
+
+_NONE_LARGER_PX = 4096
+# Of the weight over the distance from the image's centre, which is 1 at its farthest corner (Keller et al. 2013).
+_RADIAL_SIGMA = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class FusedFrame:
+    """What fusing one frame did.
+
+    Attributes:
+        matched: surfels that pixels were averaged into.
+        added: new surfels.
+        removed: that were in free space, never became stable, or left their block.
+        merged: duplicates that became one with another.
+        dropped: given up for want of room, and new ones that found none.
+    """
+
+    matched: int
+    added: int
+    removed: int
+    merged: int
+    dropped: int
+
+
+@dataclass(frozen=True, slots=True)
+class MapStatus:
+    """How a map stands.
+
+    Attributes:
+        surfels: all; stable: those sure to be there; active: those seen within the window of time.
+        dropped: how many were given up so far for want of room.
+        memory_bytes: of all arrays.
+    """
+
+    surfels: int
+    stable: int
+    active: int
+    dropped: int
+    memory_bytes: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surfels:
+    """Surfels as flat arrays, copied out of a map.
+
+    Attributes:
+        position: (n, 3) float32 in metres, in the world frame.
+        normal: (n, 3) float32, of length 1, towards where they were seen from.
+        radius_m: (n,) float32.
+        color: (n, 3) float32 red, green, blue from 0 to 255; -1 where unknown.
+        grey: (n,) float32 from 0 to 255; -1 where unknown.
+        confidence: (n,) float32, about how many frames saw it.
+        variance_m2: (n,) float32 of the position along the normal.
+        first_s, last_s: (n,) when first and last seen.
+    """
+
+    position: Float32Array
+    normal: Float32Array
+    radius_m: Float32Array
+    color: Float32Array
+    grey: Float32Array
+    confidence: Float32Array
+    variance_m2: Float32Array
+    first_s: FloatArray
+    last_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColoredView(PredictedView):
+    """A predicted view with `color` (h, w, 3) float32 from 0 to 255, -1 where unknown."""
+
+    color: Float32Array
+
+
+class SurfelMap:
+    """Surfels in one world frame; frames with poses go in, views come out. A `ReferenceModel` to track against.
+
+    Results do not depend on `settings.threads`, to the last bit. Not to be used by two threads at once.
+    """
+
+    def __init__(self, settings: SurfelSettings | None = None) -> None:
+        self.settings = settings or SurfelSettings()
+        self.stamp_s = -np.inf
+        self._blocks = Blocks(self.settings.block_m, self.settings.max_surfels)
+        self._rows = Rows(self.settings.threads)
+        self._scratch: dict[str, np.ndarray] = {}
+        self._weight_of: tuple[float, ...] = ()
+
+    def __len__(self) -> int:
+        return self._blocks.alive
+
+    @property
+    def dropped(self) -> int:
+        """How many surfels were given up so far for want of room."""
+        return self._blocks.dropped
+
+    @property
+    def memory_bytes(self) -> int:
+        """Of all arrays."""
+        return self._blocks.memory_bytes + sum(array.nbytes for array in self._scratch.values())
+
+    def status(self) -> MapStatus:
+        """How the map stands; goes over all surfels."""
+        slots = self._blocks.slots()
+        stable = self._blocks.geometry[slots, CONFIDENCE] >= self.settings.stable_confidence
+        active = self._blocks.seen_s[slots, 1] >= self._active_since_s
+        counts = (len(slots), int(np.count_nonzero(stable)), int(np.count_nonzero(active)))
+        return MapStatus(*counts, self.dropped, self.memory_bytes)
+
+    def surfels(self, which: Literal["all", "stable"] = "all") -> Surfels:
+        """Copies of all surfels, or of the stable ones, block by block."""
+        blocks, slots = self._blocks, self._blocks.slots()
+        if which == "stable":
+            slots = slots[blocks.geometry[slots, CONFIDENCE] >= self.settings.stable_confidence]
+        geometry, look, seen_s = blocks.geometry[slots], blocks.look[slots], blocks.seen_s[slots]
+        return Surfels(
+            geometry[:, :3].copy(),
+            geometry[:, 4:7].copy(),
+            geometry[:, RADIUS].copy(),
+            look[:, :3].copy(),
+            look[:, 3].copy(),
+            geometry[:, CONFIDENCE].copy(),
+            blocks.variance[slots],
+            seen_s[:, 0].copy(),
+            seen_s[:, 1].copy(),
+        )
+
+    def add(self, surfels: Surfels, stamp_s: float) -> int:
+        """Put surfels in as they are, at a map's time; how many found room."""
+        self.stamp_s = max(self.stamp_s, stamp_s)
+        radius, confidence = surfels.radius_m[:, None], surfels.confidence[:, None]
+        geometry = np.hstack([surfels.position, radius, surfels.normal, confidence]).astype(np.float32)
+        look = np.hstack([surfels.color, surfels.grey[:, None]]).astype(np.float32)
+        seen_s = np.stack([surfels.first_s, surfels.last_s], axis=-1)
+        return self._blocks.append((geometry, look, seen_s, surfels.variance_m2), self.stamp_s, self._rules)
+
+    def fuse(
+        self,
+        depth_m: Float32Array,
+        normal: Float32Array,
+        grey: Float32Array,
+        color: Float32Array | np.ndarray | None,
+        intrinsics: FloatArray,
+        T_world_camera: FloatArray,
+        stamp_s: float,
+        noise: DepthNoise | None = None,
+    ) -> FusedFrame:
+        """Average a frame on the grid of an ideal camera into the map.
+
+        Args:
+            depth_m: (h, w), 0 where unknown.
+            normal: (h, w, 3) in the camera frame, towards the camera; 0 where unknown. Such pixels are not fused.
+            grey: (h, w) from 0 to 255, -1 where unknown.
+            color: (h, w, 3) likewise, or None.
+            intrinsics: (4,) fx, fy, cx, cy.
+            T_world_camera: (4, 4) of this frame: one whose tracking failed has none, and cannot be fused.
+            stamp_s: not before that of the last frame.
+            noise: of depth; by default Kinect v1's.
+
+        Raises:
+            MapError: shapes that differ, a pose that is no rigid motion, or a stamp before the last.
+        """
+        frame, pose = _checked_frame(depth_m, normal, grey, color), _checked_pose(T_world_camera, intrinsics)
+        if not np.isfinite(stamp_s) or stamp_s < self.stamp_s:
+            raise MapError(f"stamp_s is {stamp_s}, after {self.stamp_s}", fix="fuse frames in order of time")
+        self.stamp_s, noise = float(stamp_s), noise or DepthNoise()
+        sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
+        dropped = self._blocks.dropped
+        readings = self._readings(frame.depth_m, frame.normal, pose, sensor)
+        matched, removed, merged, is_new = self._average(frame, pose, readings, sensor)
+        added = self._add_new(frame, readings, is_new)
+        removed += self._blocks.sweep(self.stamp_s, self._rules)
+        return FusedFrame(matched, added, removed, merged, self._blocks.dropped - dropped)
+
+    def predict(self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
+        """What the active part of the map looks like: stable surfels, and unstable ones where there is no stable one.
+
+        Args: as of `ReferenceModel.predict`. Raises MapError for a pose that is no rigid motion.
+        """
+        pose = _checked_pose(T_world_camera, intrinsics)
+        return PredictedView(*self._show(pose, shape, self.settings.far_m, 0.0, self._active_since_s, False)[:3])
+
+    def render(
+        self,
+        T_world_camera: FloatArray,
+        intrinsics: FloatArray,
+        shape: tuple[int, int],
+        which: Literal["all", "active", "stable"] = "all",
+        far_m: float | None = None,
+    ) -> ColoredView:
+        """A view in colour: of all surfels, of those active, or of all stable ones, as far as `far_m`."""
+        least = self.settings.stable_confidence if which == "stable" else 0.0
+        far_m = self.settings.far_m if far_m is None else far_m
+        since_s = self._active_since_s if which == "active" else -np.inf
+        return ColoredView(*self._show(_checked_pose(T_world_camera, intrinsics), shape, far_m, least, since_s, True))
+
+    @property
+    def _active_since_s(self) -> float:
+        return self.stamp_s - self.settings.active_s
+
+    @property
+    def _rules(self) -> FloatArray:
+        return np.array([self.settings.stable_confidence, self.settings.unstable_s, self.settings.active_s])
+
+    @property
+    def _kernel_settings(self) -> Float32Array:
+        """In the order of the fusion kernels' constants."""
+        s = self.settings
+        turn, slant = np.cos(np.radians([s.max_angle_deg, s.max_slant_deg]))
+        gates = [s.stable_confidence, s.gate_sigmas, s.gate_m, turn, slant]
+        return np.array([*gates, s.free_m, s.drift_m, s.far_m], np.float32)
+
+    def _readings(
+        self, depth_m: Float32Array, normal: Float32Array, pose: _Pose, sensor: Float32Array
+    ) -> tuple[Float32Array, Float32Array]:
+        """What each pixel says of the world (h, w, 8), and the radius (h, w) a surfel there would have."""
+        shape = depth_m.shape
+        reading = self._room("reading", (*shape, fusion.READING), np.float32)
+        radius = self._room("radius", shape, np.float32)
+        weight = self._weight(pose.grid, (shape[0], shape[1]))
+        given = (depth_m, normal, weight, pose.T32, *_rays(pose.grid, shape), pose.pitch, sensor, self._kernel_settings)
+        self._rows.share(shape[0], lambda a, b: fusion.read(a, b, *given, reading, radius))
+        return reading, radius
+
+    def _weight(self, grid: FloatArray, shape: tuple[int, int]) -> Float32Array:
+        """How much readings (h, w) count by their distance from the image's centre: Keller et al. 2013, 4.2."""
+        key = (*grid, *shape)
+        if self._weight_of != key:
+            self._weight_of = key
+            u, v = np.arange(shape[1]) - grid[2], np.arange(shape[0]) - grid[3]
+            farthest2 = max(np.abs(u[[0, -1]])) ** 2 + max(np.abs(v[[0, -1]])) ** 2
+            share2 = (u[None] ** 2 + v[:, None] ** 2) / max(farthest2, 1.0)
+            self._scratch["weight"] = np.exp(-share2 / (2 * _RADIAL_SIGMA**2)).astype(np.float32)
+        return self._scratch["weight"]
+
+    def _average(
+        self, frame: _Frame, pose: _Pose, readings: tuple[Float32Array, Float32Array], sensor: Float32Array
+    ) -> tuple[int, int, int, np.ndarray]:
+        """Match, average and merge; how many were matched, removed and merged, and which pixels (h, w) are new."""
+        blocks, share, settings = self._blocks, self._rows.share, self._kernel_settings
+        (height, width), reading = frame.depth_m.shape, readings[0]
+        pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self.settings.far_m + 1, -np.inf)
+        pixel, rank, died = self._candidates(frame, pose, pages, reading, sensor)
+        best, chosen = (
+            self._room("best", reading.shape[:2], np.float32),
+            self._room("chosen", reading.shape[:2], np.int32),
+        )
+        share(height, lambda a, b: fusion.choose(a, b, width, pixel, rank, best, chosen))
+        is_new = self._room("is_new", reading.shape[:2], np.bool_)
+        seen = (chosen, frame.depth_m, reading, pose.pitch, settings, is_new)
+        share(height, lambda a, b: fusion.find_new(a, b, pages, blocks.geometry, *seen))
+        counts, merged = np.zeros((height, 2), np.int64), np.zeros(height, np.int64)
+        surfels = (blocks.geometry, blocks.look, blocks.seen_s, blocks.variance)
+        cells = (blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
+        given = (*surfels, *cells, chosen, *readings, frame.color, frame.grey, self.stamp_s, counts)
+        share(height, lambda a, b: fusion.update(a, b, pages, *given))
+        pairs = (blocks.geometry, blocks.seen_s, blocks.variance, pixel, rank, chosen, settings, merged)
+        share(height, lambda a, b: fusion.merge(a, b, width, pages, *pairs))
+        removed, merges = int(died.sum() + counts[:, 1].sum()), int(merged.sum())
+        blocks.count_deaths(removed + merges)
+        return int(counts[:, 0].sum()), removed, merges, is_new
+
+    def _candidates(
+        self, frame: _Frame, pose: _Pose, pages: Int32Array, reading: Float32Array, sensor: Float32Array
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of all surfels in view (entries,) the pixel and how well they fit; of the pages, how many died."""
+        blocks, entries = self._blocks, len(pages) * PAGE
+        pixel, rank = self._room("pixel", (entries,), np.int32), self._room("rank", (entries,), np.float32)
+        died = self._room("died", (len(pages),), np.int32)
+        surfels = (pages, blocks.page_fill, blocks.geometry, blocks.seen_s, blocks.variance)
+        about = (frame.depth_m, reading, pose.T32, pose.grid32, sensor, self._kernel_settings)
+        times = (self.stamp_s - self.settings.unstable_s, self._active_since_s)
+        given = (*surfels, *about, *times, pixel, rank, died)
+        self._rows.share(len(pages), lambda a, b: fusion.find_candidates(a, b, *given))
+        return pixel, rank, died
+
+    def _add_new(self, frame: _Frame, readings: tuple[Float32Array, Float32Array], is_new: np.ndarray) -> int:
+        n = int(np.count_nonzero(is_new))
+        new = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2)), np.empty(n, np.float32)
+        fusion.make_new(is_new, *readings, frame.color, frame.grey, self.stamp_s, *new)
+        return self._blocks.append(new, self.stamp_s, self._rules)
+
+    def _show(
+        self, pose: _Pose, shape: tuple[int, int], far_m: float, least: float, since_s: float, with_color: bool
+    ) -> tuple[Float32Array, ...]:
+        """Depth, normal, grey, and colour where it is asked for."""
+        blocks, (height, width) = self._blocks, shape
+        pages = blocks.pages_in_view(pose.T, pose.grid, shape, far_m, since_s)
+        entries = len(pages) * PAGE
+        disk = self._room("disk", (entries, view.DISK), np.float32)
+        bound = self._room("bound", (entries, 4), np.int16)
+        count = self._room("count", (len(pages),), np.int32)
+        limits = tuple(np.float32(limit) for limit in (far_m, self.settings.stable_confidence, least))
+        surfels = (pages, blocks.page_fill, blocks.geometry, blocks.look, blocks.seen_s)
+        given = (*surfels, pose.T32, pose.grid32, width, height, *limits, since_s, disk, bound, count)
+        self._rows.share(len(pages), lambda a, b: view.project_disks(a, b, *given))
+        sums = self._room("sums", (*shape, view.SUMS), np.float32)
+        color = np.empty((*shape, 3) if with_color else (0, 0, 3), np.float32)
+        rays = _rays(pose.grid, shape)
+        self._rows.share(height, lambda a, b: view.blend(a, b, *rays, disk, bound, count, sums, color))
+        out = np.empty(shape, np.float32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
+        self._rows.share(height, lambda a, b: view.divide(a, b, sums, *out, color))
+        return *out, color
+
+    def _room(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
+        """An array to write in, kept from frame to frame: fresh memory costs more than the work in it."""
+        size = int(np.prod(shape))
+        kept = self._scratch.get(name)
+        if kept is None or len(kept) < size:
+            kept = self._scratch[name] = np.empty(size + size // 2, dtype)
+        return kept[:size].reshape(shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    depth_m: Float32Array
+    normal: Float32Array
+    color: Float32Array
+    grey: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pose:
+    """T_world_camera (4, 4) and fx, fy, cx, cy (4,)."""
+
+    T: FloatArray
+    grid: FloatArray
+
+    @property
+    def T32(self) -> Float32Array:
+        return self.T.astype(np.float32)
+
+    @property
+    def grid32(self) -> Float32Array:
+        return self.grid.astype(np.float32)
+
+    @property
+    def pitch(self) -> np.float32:
+        """Size of a pixel at one metre."""
+        return np.float32(1 / min(self.grid[:2]))
+
+
+def _rays(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Float32Array]:
+    fx, fy, cx, cy = grid
+    x, y = (np.arange(shape[1]) - cx) / fx, (np.arange(shape[0]) - cy) / fy
+    return x.astype(np.float32), y.astype(np.float32)
+
+
+def _checked_frame(depth_m: Float32Array, normal: Float32Array, grey: Float32Array, color: np.ndarray | None) -> _Frame:
+    if depth_m.ndim != 2 or not 0 < max(depth_m.shape) <= _NONE_LARGER_PX:
+        raise MapError(f"depth_m is of shape {depth_m.shape}, not (h, w)")
+    images = {"normal": normal, "grey": grey} | ({} if color is None else {"color": color})
+    for name, image in images.items():
+        expected = depth_m.shape if name == "grey" else (*depth_m.shape, 3)
+        if image.shape != expected:
+            raise MapError(f"{name} is of shape {image.shape}, not {expected} as depth_m asks")
+    if color is None:
+        color = np.broadcast_to(np.float32(-1), (*depth_m.shape, 3))
+    return _Frame(*(np.ascontiguousarray(image, np.float32) for image in (depth_m, normal, color, grey)))
+
+
+def _checked_pose(T_world_camera: FloatArray, intrinsics: FloatArray) -> _Pose:
+    T, grid = np.ascontiguousarray(T_world_camera, float), np.ascontiguousarray(intrinsics, float)
+    if T.shape != (4, 4) or not np.isfinite(T).all() or not se3.is_valid(T, tolerance=1e-4):
+        raise MapError("T_world_camera is not a rigid motion", fix="fuse and predict only where the pose is known")
+    if grid.shape != (4,) or not np.isfinite(grid).all() or min(grid[:2]) <= 0:
+        raise MapError("intrinsics are not fx, fy, cx, cy with positive focal lengths")
+    return _Pose(T, grid)
