@@ -21,14 +21,14 @@ CELLS, FREE, PAGES, ALIVE = 0, 1, 2, 3
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _hash(x: int, y: int, z: int, size: int) -> int:
+def _hash(x: Any, y: Any, z: Any, size: Any) -> Any:
     h = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
     h ^= (h >> 15) & 0x1FFFF
     return (h * 0x9E3779B1) >> 7 & (size - 1)
 
 
 @njit(cache=True, nogil=True)
-def find_cell(table: Any, cell_xyz: Any, x: int, y: int, z: int) -> int:
+def find_cell(table: Any, cell_xyz: Any, x: Any, y: Any, z: Any) -> Any:
     """The cell at a place, or -(1 + where in the table it belongs)."""
     k = _hash(x, y, z, len(table))
     while table[k] >= 0:
@@ -53,8 +53,8 @@ def append(
     new_look: Any,
     new_seen_s: Any,
     new_variance: Any,
-    begin: int,
-    block_m: float,
+    begin: Any,
+    block_m: Any,
     geometry: Any,
     look: Any,
     seen_s: Any,
@@ -68,7 +68,7 @@ def append(
     cell_seen_s: Any,
     table: Any,
     counters: Any,
-) -> int:
+) -> Any:
     """Put new surfels, from number `begin` on, into their cells; the number of the first that found no room."""
     for i in range(begin, len(new)):
         x = int(np.floor(new[i, 0] / block_m))
@@ -98,7 +98,7 @@ def append(
 
 
 @njit(cache=True, nogil=True)
-def _new_page(cell: int, page_next: Any, page_fill: Any, page_cell: Any, free: Any, pages: Any, counters: Any) -> int:
+def _new_page(cell: Any, page_next: Any, page_fill: Any, page_cell: Any, free: Any, pages: Any, counters: Any) -> Any:
     """A page at the end of a cell's chain; -1 where there is none left."""
     if counters[FREE] > 0:
         counters[FREE] -= 1
@@ -121,18 +121,18 @@ def _new_page(cell: int, page_next: Any, page_fill: Any, page_cell: Any, free: A
 def pages_in_view(
     T: Any,
     grid: Any,
-    width: int,
-    height: int,
-    far_m: float,
-    since_s: float,
-    block_m: float,
+    width: Any,
+    height: Any,
+    far_m: Any,
+    since_s: Any,
+    block_m: Any,
     cell_xyz: Any,
     cell_pages: Any,
     cell_seen_s: Any,
     page_next: Any,
     table: Any,
     out: Any,
-) -> int:
+) -> Any:
     """Write the pages of all cells that may be seen into `out`; how many.
 
     Args:
@@ -161,7 +161,7 @@ def pages_in_view(
 
 
 @njit(cache=True, nogil=True)
-def _frustum_box(T: Any, grid: Any, width: int, height: int, far_m: float) -> Any:
+def _frustum_box(T: Any, grid: Any, width: Any, height: Any, far_m: Any) -> Any:
     """Lowest and highest coordinates (3,) of the camera's centre and the four far corners of its view."""
     low, high = T[:3, 3].copy(), T[:3, 3].copy()
     for u in (-0.5, width - 0.5):
@@ -175,8 +175,8 @@ def _frustum_box(T: Any, grid: Any, width: int, height: int, far_m: float) -> An
 
 @njit(cache=True, nogil=True)
 def _may_be_seen(
-    T: Any, grid: Any, width: int, height: int, far_m: float, reach: float, block_m: float, x: int, y: int, z: int
-) -> bool:
+    T: Any, grid: Any, width: Any, height: Any, far_m: Any, reach: Any, block_m: Any, x: Any, y: Any, z: Any
+) -> Any:
     """Whether the ball of radius `reach` about a cell's middle meets the frustum's planes."""
     a, b, c = (x + 0.5) * block_m - T[0, 3], (y + 0.5) * block_m - T[1, 3], (z + 0.5) * block_m - T[2, 3]
     depth = T[0, 2] * a + T[1, 2] * b + T[2, 2] * c
@@ -194,13 +194,13 @@ def _may_be_seen(
 
 
 @njit(cache=True, nogil=True)
-def usefulness(confidence: float, age_s: float, active_s: float) -> float:
+def usefulness(confidence: Any, age_s: Any, active_s: Any) -> Any:
     """Surfels seen often and lately are of use."""
     return confidence / (1.0 + age_s / active_s)
 
 
 @njit(cache=True, nogil=True)
-def usefulness_bin(confidence: float, age_s: float, active_s: float, bins: int) -> int:
+def usefulness_bin(confidence: Any, age_s: Any, active_s: Any, bins: Any) -> Any:
     """The bin, from the least useful up, on a logarithmic scale from 1e-4 to 1e3."""
     share = (np.log10(max(usefulness(confidence, age_s, active_s), 1e-4)) + 4.0) / 7.0
     return min(int(share * bins), bins - 1)
@@ -208,7 +208,7 @@ def usefulness_bin(confidence: float, age_s: float, active_s: float, bins: int) 
 
 @njit(cache=True, nogil=True)
 def count_usefulness(
-    geometry: Any, seen_s: Any, page_fill: Any, pages: int, now_s: float, active_s: float, out: Any
+    geometry: Any, seen_s: Any, page_fill: Any, pages: Any, now_s: Any, active_s: Any, out: Any
 ) -> None:
     """Histogram of all surfels alive over `out`'s bins."""
     for page in range(pages):
@@ -219,10 +219,10 @@ def count_usefulness(
 
 @njit(cache=True, nogil=True)
 def compact(
-    begin: int,
-    end: int,
-    budget: int,
-    now_s: float,
+    begin: Any,
+    end: Any,
+    budget: Any,
+    now_s: Any,
     rules: Any,
     quota: Any,
     geometry: Any,
@@ -284,7 +284,7 @@ def compact(
 
 @njit(cache=True, nogil=True)
 def _trim(
-    cell: int, last: int, fill: int, page_next: Any, page_fill: Any, free: Any, pages: Any, counters: Any
+    cell: Any, last: Any, fill: Any, page_next: Any, page_fill: Any, free: Any, pages: Any, counters: Any
 ) -> None:
     """End a cell's chain at page `last`, which keeps `fill` surfels, and free what follows."""
     page = pages[cell, 0]

@@ -40,15 +40,15 @@ READING, _VARIANCE, _WEIGHT = 8, 3, 7
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def read(
-    begin: int,
-    end: int,
+    begin: Any,
+    end: Any,
     depth_m: Any,
     normal: Any,
     weight: Any,
     T: Any,
     ray_x: Any,
     ray_y: Any,
-    pitch: float,
+    pitch: Any,
     noise: Any,
     settings: Any,
     reading: Any,
@@ -85,8 +85,8 @@ def read(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def find_candidates(
-    begin: int,
-    end: int,
+    begin: Any,
+    end: Any,
     pages: Any,
     page_fill: Any,
     geometry: Any,
@@ -98,8 +98,8 @@ def find_candidates(
     grid: Any,
     noise: Any,
     settings: Any,
-    dead_before_s: float,
-    since_s: float,
+    dead_before_s: Any,
+    since_s: Any,
     pixel: Any,
     rank: Any,
     died: Any,
@@ -166,7 +166,7 @@ def _agrees(s: Any, m: Any, variance: Any, settings: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _is_free(depth_m: Any, r: int, c: int, beyond_m: float) -> bool:
+def _is_free(depth_m: Any, r: Any, c: Any, beyond_m: Any) -> Any:
     """Whether all that is seen about a pixel lies beyond."""
     for i in range(max(r - 1, 0), min(r + 2, depth_m.shape[0])):
         for j in range(max(c - 1, 0), min(c + 2, depth_m.shape[1])):
@@ -176,7 +176,7 @@ def _is_free(depth_m: Any, r: int, c: int, beyond_m: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def choose(begin: int, end: int, width: int, pixel: Any, rank: Any, best: Any, chosen: Any) -> None:
+def choose(begin: Any, end: Any, width: Any, pixel: Any, rank: Any, best: Any, chosen: Any) -> None:
     """The best candidate's entry for each pixel of rows `begin` to `end`, -1 where there is none: (h, w)."""
     best[begin:end] = np.inf
     chosen[begin:end] = -1
@@ -190,14 +190,14 @@ def choose(begin: int, end: int, width: int, pixel: Any, rank: Any, best: Any, c
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def find_new(
-    begin: int,
-    end: int,
+    begin: Any,
+    end: Any,
     pages: Any,
     geometry: Any,
     chosen: Any,
     depth_m: Any,
     reading: Any,
-    pitch: float,
+    pitch: Any,
     settings: Any,
     is_new: Any,
 ) -> None:
@@ -229,8 +229,8 @@ def _covers(s: Any, m: Any, size_m: Any, settings: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update(
-    begin: int,
-    end: int,
+    begin: Any,
+    end: Any,
     pages: Any,
     geometry: Any,
     look: Any,
@@ -239,13 +239,13 @@ def update(
     page_cell: Any,
     cell_xyz: Any,
     cell_seen_s: Any,
-    block_m: float,
+    block_m: Any,
     chosen: Any,
     reading: Any,
     radius: Any,
     color: Any,
     grey: Any,
-    stamp_s: float,
+    stamp_s: Any,
     counts: Any,
 ) -> None:
     """Average what the pixels of rows `begin` to `end` saw into their surfels; `counts` (h, 2) matched and died.
@@ -295,7 +295,7 @@ def paint(look: Any, color: Any, grey: Any, share: Any) -> None:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _has_left(s: Any, xyz: Any, block_m: float) -> bool:
+def _has_left(s: Any, xyz: Any, block_m: Any) -> Any:
     """Whether a surfel strayed too far from its block to be found there."""
     stray = 0.0
     for k in range(3):
@@ -305,9 +305,9 @@ def _has_left(s: Any, xyz: Any, block_m: float) -> bool:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def merge(
-    begin: int,
-    end: int,
-    width: int,
+    begin: Any,
+    end: Any,
+    width: Any,
     pages: Any,
     geometry: Any,
     seen_s: Any,
@@ -358,7 +358,7 @@ def make_new(
     radius: Any,
     color: Any,
     grey: Any,
-    stamp_s: float,
+    stamp_s: Any,
     geometry: Any,
     look: Any,
     seen_s: Any,

@@ -32,8 +32,8 @@ SUMS, _DEPTH, _NORMAL, _SUM_GREY, _PAINTED, _RANK = 8, 1, 2, 5, 6, 7
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def project_disks(
-    begin: int,
-    end: int,
+    begin: Any,
+    end: Any,
     pages: Any,
     page_fill: Any,
     geometry: Any,
@@ -41,12 +41,12 @@ def project_disks(
     seen_s: Any,
     T: Any,
     grid: Any,
-    width: int,
-    height: int,
+    width: Any,
+    height: Any,
     far_m: Any,
     stable: Any,
     least: Any,
-    since_s: float,
+    since_s: Any,
     disk: Any,
     bound: Any,
     count: Any,
@@ -98,8 +98,8 @@ def project_disks(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def blend(
-    begin: int,
-    end: int,
+    begin: Any,
+    end: Any,
     ray_x: Any,
     ray_y: Any,
     disk: Any,
@@ -153,7 +153,7 @@ def _set_form(e: Any, x: Any, y: Any, nx: Any, ny: Any, plane: Any, z: Any, radi
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _add(total: Any, e: Any, z: Any, weight: Any, colors: Any, with_color: bool, r: int, c: int) -> None:
+def _add(total: Any, e: Any, z: Any, weight: Any, colors: Any, with_color: Any, r: Any, c: Any) -> None:
     """Add a disk that a pixel sees at depth z to what it saw before."""
     rank, reach = z + e[_ADDEND], _BLEND * z + _BLEND_M
     if rank > total[_RANK] + reach:
@@ -178,7 +178,7 @@ def _add(total: Any, e: Any, z: Any, weight: Any, colors: Any, with_color: bool,
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def divide(begin: int, end: int, sums: Any, depth_m: Any, normal: Any, grey: Any, colors: Any) -> None:
+def divide(begin: Any, end: Any, sums: Any, depth_m: Any, normal: Any, grey: Any, colors: Any) -> None:
     """The means of rows `begin` to `end`: depth, normal, grey, and colour in place; 0, 0, -1, -1 where nothing is."""
     with_color = colors.shape[:2] == grey.shape
     for r in range(begin, end):

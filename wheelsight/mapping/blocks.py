@@ -74,7 +74,8 @@ class Blocks:
                 chains.append(np.arange(page * PAGE, page * PAGE + self.page_fill[page]))
                 page = self.page_next[page]
         slots = np.concatenate(chains) if chains else np.zeros(0, np.int64)
-        return slots[self.geometry[slots, CONFIDENCE] > 0]
+        alive: np.ndarray = slots[self.geometry[slots, CONFIDENCE] > 0]
+        return alive
 
     def pages_in_view(
         self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int], far_m: float, since_s: float
@@ -83,7 +84,8 @@ class Blocks:
         out = np.empty(self._counters[PAGES], np.int32)
         view = (T_world_camera, intrinsics, shape[1], shape[0], far_m, since_s, self.block_m)
         cells = (self.cell_xyz, self._cell_pages, self.cell_seen_s, self.page_next, self._table)
-        return out[: kernels.pages_in_view(*view, *cells, out)]
+        count: int = kernels.pages_in_view(*view, *cells, out)
+        return out[:count]
 
     def append(
         self, new: tuple[Float32Array, Float32Array, FloatArray, Float32Array], now_s: float, rules: FloatArray
@@ -94,7 +96,7 @@ class Blocks:
         """
         done, has_dropped = 0, False
         while True:
-            done = kernels.append(*new, done, self.block_m, *self._surfels, *self._chains, *self._cells)
+            done = int(kernels.append(*new, done, self.block_m, *self._surfels, *self._chains, *self._cells))
             if done == len(new[0]):
                 return done
             if self._grow():
@@ -160,15 +162,15 @@ class Blocks:
         kernels.rebuild_table(self._table, self.cell_xyz, int(self._counters[CELLS]))
 
     @property
-    def _surfels(self) -> tuple[Any, ...]:
+    def _surfels(self) -> tuple[Any, Any, Any, Any]:
         return self.geometry, self.look, self.seen_s, self.variance
 
     @property
-    def _chains(self) -> tuple[Any, ...]:
+    def _chains(self) -> tuple[Any, Any, Any, Any]:
         return self.page_next, self.page_fill, self.page_cell, self._free
 
     @property
-    def _cells(self) -> tuple[Any, ...]:
+    def _cells(self) -> tuple[Any, Any, Any, Any, Any]:
         return self.cell_xyz, self._cell_pages, self.cell_seen_s, self._table, self._counters
 
 

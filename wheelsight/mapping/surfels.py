@@ -157,6 +157,10 @@ class SurfelMap:
         seen_s = np.stack([surfels.first_s, surfels.last_s], axis=-1)
         return self._blocks.append((geometry, look, seen_s, surfels.variance_m2), self.stamp_s, self._rules)
 
+    def restore_dropped(self, dropped: int) -> None:
+        """Count so many surfels as given up before: for a map read from a file."""
+        self._blocks.dropped = dropped
+
     def fuse(
         self,
         depth_m: Float32Array,

@@ -1,0 +1,188 @@
+"""Maps for other programs: points and triangle meshes as PLY, which Open3D, MeshLab and CloudCompare open.
+
+Triangles are by scikit-image's marching cubes (extra `mesh`): it is small, kept, and of a licence that lets a robot
+ship it. Open3D's and MeshLab's Poisson reconstructions close holes with surfaces that nobody saw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.errors import MapError
+from wheelsight.files import atomic_write
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray, Int32Array
+from wheelsight.mapping.surfels import SurfelMap, Surfels
+
+_REACH_VOXELS = 3
+_CHUNK_VOXELS = 128
+_GREY = 128
+_PLY_TYPES = {"<f4": "float", "u1": "uchar", "<i4": "int"}
+_POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("nx", "<f4"), ("ny", "<f4"), ("nz", "<f4")]
+_COLOR = [("red", "u1"), ("green", "u1"), ("blue", "u1")]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Triangles.
+
+    Attributes:
+        vertices: (v, 3) float32 in metres, in the world frame.
+        normals: (v, 3) float32 of length 1.
+        colors: (v, 3) uint8 red, green, blue.
+        triangles: (t, 3) int32 of vertices, counter-clockwise as seen from where the surface was seen from.
+    """
+
+    vertices: Float32Array
+    normals: Float32Array
+    colors: ByteArray
+    triangles: Int32Array
+
+
+def write_ply(surfel_map: SurfelMap, path: Path, stable_only: bool = True) -> int:
+    """Write surfels as points with normals, colours, confidence and radius, atomically; how many.
+
+    Raises:
+        MapError: there are none to write.
+        OutputError: the file cannot be written.
+    """
+    surfels = surfel_map.surfels("stable" if stable_only else "all")
+    _refuse_empty(surfels, path)
+    table = np.empty(len(surfels.grey), [*_POINT, *_COLOR, ("confidence", "<f4"), ("radius", "<f4")])
+    _fill(table, surfels.position, surfels.normal, _colors_of(surfels))
+    table["confidence"], table["radius"] = surfels.confidence, surfels.radius_m
+    with atomic_write(path, "wb") as stream:
+        stream.write(_ply_header(table) + b"end_header\n")
+        stream.write(table.tobytes())
+    return len(table)
+
+
+def write_mesh_ply(mesh: Mesh, path: Path) -> None:
+    """Write a triangle mesh with normals and colours, atomically. Raises OutputError."""
+    table = np.empty(len(mesh.vertices), [*_POINT, *_COLOR])
+    _fill(table, mesh.vertices, mesh.normals, mesh.colors)
+    faces = np.empty(len(mesh.triangles), [("count", "u1"), ("vertices", "<i4", 3)])
+    faces["count"], faces["vertices"] = 3, mesh.triangles
+    more = f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    with atomic_write(path, "wb") as stream:
+        stream.write(_ply_header(table) + more.encode())
+        stream.write(table.tobytes())
+        stream.write(faces.tobytes())
+
+
+def mesh_of(surfel_map: SurfelMap, voxel_m: float = 0.02) -> Mesh:
+    """The surface of a map's stable surfels, open where nothing was seen.
+
+    Chunk by chunk, so that memory depends on a chunk and not on how large the map is. What is finer than two voxels,
+    such as both sides of a thin board, is lost.
+
+    Raises:
+        MapError: scikit-image is missing, `voxel_m` is not positive, or there are no stable surfels.
+    """
+    if not voxel_m > 0 or not np.isfinite(voxel_m):
+        raise MapError(f"voxel_m is {voxel_m}, not a positive length")
+    surfels = surfel_map.surfels("stable")
+    _refuse_empty(surfels, None)
+    pieces = [piece for chunk in _chunks(surfels, voxel_m) if (piece := _triangles(surfels, *chunk, voxel_m))]
+    if not pieces:
+        raise MapError(f"surfels too sparse for voxels of {voxel_m} m", fix="use larger ones")
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    vertices = np.concatenate([piece[0] for piece in pieces])
+    triangles = np.concatenate([piece[1] + offset for piece, offset in zip(pieces, offsets, strict=False)])
+    return _dressed(*_welded(vertices, triangles, voxel_m), surfels)
+
+
+def _chunks(surfels: Surfels, voxel_m: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Lowest voxel (3,) of each chunk that holds surfels, and which surfels matter there."""
+    voxel = np.floor(surfels.position / voxel_m).astype(np.int64)
+    low, high = (voxel - _REACH_VOXELS) // _CHUNK_VOXELS, (voxel + _REACH_VOXELS + 1) // _CHUNK_VOXELS
+    for chunk in np.unique(np.concatenate([low, high]), axis=0):
+        inside = np.flatnonzero(((low <= chunk) & (chunk <= high)).all(axis=1))
+        if len(inside):
+            yield chunk * _CHUNK_VOXELS, inside
+
+
+def _triangles(
+    surfels: Surfels, first: np.ndarray, inside: np.ndarray, voxel_m: float
+) -> tuple[FloatArray, np.ndarray] | None:
+    """Vertices (v, 3) in the world and triangles (t, 3) of one chunk; None where it has none.
+
+    Chunks share their outermost voxels, whose values are the same in both, so that surfaces meet.
+    """
+    from wheelsight.mapping import _mesh_kernels as kernels
+
+    measure = _need_marching_cubes()
+    size = (_CHUNK_VOXELS + 1,) * 3
+    distance, weight, origin = np.zeros(size), np.zeros(size), first * voxel_m
+    chosen = (surfels.position[inside], surfels.normal[inside], surfels.confidence[inside])
+    kernels.add_distances(*chosen, origin, voxel_m, _REACH_VOXELS, distance, weight)
+    known = weight > 0
+    distance[known] /= weight[known]
+    if not known.any() or distance[known].min() >= 0 or distance[known].max() <= 0:
+        return None
+    try:
+        vertices, triangles, _, _ = measure(distance, 0.0, mask=known, allow_degenerate=False)
+    except (RuntimeError, ValueError):  # scikit-image's way to say that no voxel's cube has a surface in it
+        return None
+    return vertices * voxel_m + origin, triangles
+
+
+def _welded(vertices: FloatArray, triangles: np.ndarray, voxel_m: float) -> tuple[FloatArray, Int32Array]:
+    """One vertex where chunks gave two."""
+    _, kept, number = np.unique(
+        np.round(vertices / (1e-4 * voxel_m)).astype(np.int64), axis=0, return_index=True, return_inverse=True
+    )
+    joined = number.reshape(-1)[triangles].astype(np.int32)
+    a, b, c = joined.T
+    return vertices[kept], joined[(a != b) & (b != c) & (c != a)]
+
+
+def _dressed(vertices: FloatArray, triangles: Int32Array, surfels: Surfels) -> Mesh:
+    """Normals and colours of the nearest surfel; triangles wound as its normal points."""
+    from scipy.spatial import KDTree
+
+    _, nearest = KDTree(surfels.position).query(vertices, workers=-1)
+    normals = surfels.normal[nearest]
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    towards = np.einsum("ij,ij->i", np.cross(b - a, c - a), normals[triangles].sum(axis=1))
+    wound = np.where((towards < 0)[:, None], triangles[:, ::-1], triangles)
+    return Mesh(vertices.astype(np.float32), normals, _colors_of(surfels)[nearest], wound)
+
+
+def _need_marching_cubes() -> Callable[..., tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]]:
+    try:
+        from skimage.measure import marching_cubes
+    except ImportError as error:
+        raise MapError("scikit-image is missing", fix="pip install 'wheelsight[mesh]'") from error
+    return marching_cubes
+
+
+def _refuse_empty(surfels: Surfels, path: Path | None) -> None:
+    if len(surfels.grey) == 0:
+        raise MapError("the map has no stable surfels to write", path=path, fix="fuse more frames")
+
+
+def _colors_of(surfels: Surfels) -> ByteArray:
+    """(n, 3): colour; grey where colour is unknown; mid-grey where both are."""
+    grey = np.where(surfels.grey < 0, _GREY, surfels.grey)[:, None]
+    color = np.where(surfels.color[:, :1] < 0, grey, surfels.color)
+    return np.asarray(np.clip(np.rint(color), 0, 255), np.uint8)
+
+
+def _fill(table: np.ndarray, position: np.ndarray, normal: np.ndarray, colors: np.ndarray) -> None:
+    for k in range(3):
+        table["xyz"[k]], table[f"n{'xyz'[k]}"] = position[:, k], normal[:, k]
+        table[_COLOR[k][0]] = colors[:, k]
+
+
+def _ply_header(table: np.ndarray) -> bytes:
+    """Up to and without the end of the header."""
+    lines = ["ply", "format binary_little_endian 1.0", "comment wheelsight: metres, world frame"]
+    lines.append(f"element vertex {len(table)}")
+    for name in table.dtype.names or ():
+        kind = table.dtype[name].str.replace("|", "")
+        lines.append(f"property {_PLY_TYPES[kind]} {name}")
+    return ("\n".join(lines) + "\n").encode()

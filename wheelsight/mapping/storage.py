@@ -1,0 +1,158 @@
+"""Maps in files: one line that names the format, one line of JSON that says what follows, and then plain arrays.
+
+The arrays are those of `Surfels`, one after the other in the order of the header's `fields`, row by row, with numbers
+in little-endian order: whoever can read JSON and raw numbers can read a map.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from wheelsight.errors import MapError
+from wheelsight.files import atomic_write
+from wheelsight.mapping.settings import SurfelSettings
+from wheelsight.mapping.surfels import SurfelMap, Surfels
+
+FORMAT = "wheelsight-map-1"
+_LONGEST_HEADER = 1 << 16
+_NO_MAP = "give a file that `save_map` wrote"
+_DAMAGED = "it is damaged or cut short: use another copy"
+# Name, type and number of columns; 0 for a flat array.
+_FIELDS = (
+    ("position", "<f4", 3),
+    ("normal", "<f4", 3),
+    ("radius_m", "<f4", 0),
+    ("color", "<f4", 3),
+    ("grey", "<f4", 0),
+    ("confidence", "<f4", 0),
+    ("variance_m2", "<f4", 0),
+    ("first_s", "<f8", 0),
+    ("last_s", "<f8", 0),
+)
+assert tuple(name for name, _, _ in _FIELDS) == tuple(field.name for field in fields(Surfels))
+
+
+def save_map(surfel_map: SurfelMap, path: Path) -> None:
+    """Write a whole map, atomically. Raises OutputError."""
+    surfels = surfel_map.surfels()
+    # Sorted, so that equal maps are equal files, however their surfels came to be where they lie in memory.
+    order = np.lexsort(surfels.position.T)
+    arrays = [np.ascontiguousarray(getattr(surfels, name)[order], dtype) for name, dtype, _ in _FIELDS]
+    header = {
+        "surfels": len(surfels.grey),
+        "fields": [[name, dtype, columns] for name, dtype, columns in _FIELDS],
+        "stamp_s": surfel_map.stamp_s if math.isfinite(surfel_map.stamp_s) else None,
+        "dropped": surfel_map.dropped,
+        "crc32": _crc(arrays),
+        "settings": surfel_map.settings.model_dump(),
+    }
+    with atomic_write(path, "wb") as stream:
+        stream.write(f"{FORMAT}\n{json.dumps(header)}\n".encode())
+        for array in arrays:
+            stream.write(array.data)
+
+
+def load_map(path: Path) -> SurfelMap:
+    """Read a whole map.
+
+    Raises:
+        MapError: naming the file: it cannot be read, is no map, of another version, cut short, damaged, or holds
+            numbers that no surfel has.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise MapError(f"cannot be read: {error.strerror}", path=path, fix=_NO_MAP) from error
+    try:
+        header, body = _split(data)
+        surfels = _surfels(header, body)
+        return _map_of(header, surfels)
+    except MapError as error:
+        raise MapError(error.problem, path=path, fix=error.fix) from error
+    except ValidationError as error:
+        raise MapError(f"settings: {error.errors()[0]['msg']}", path=path, fix=_DAMAGED) from error
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise MapError(f"its header is not one: {type(error).__name__}", path=path, fix=_DAMAGED) from error
+
+
+def _split(data: bytes) -> tuple[dict[str, Any], memoryview]:
+    name, _, rest = data[:_LONGEST_HEADER].partition(b"\n")
+    if name != FORMAT.encode():
+        if name.startswith(FORMAT.rpartition("-")[0].encode()):
+            raise MapError(f"is of version {name[:40].decode('ascii', 'replace')!r}, not {FORMAT!r}", fix=_NO_MAP)
+        raise MapError("is no map", fix=_NO_MAP)
+    text, newline, _ = rest.partition(b"\n")
+    if not newline:
+        raise MapError("ends in its header", fix=_DAMAGED)
+    header = json.loads(text)
+    if not isinstance(header, dict):
+        raise MapError("its header is no object", fix=_DAMAGED)
+    return header, memoryview(data)[len(name) + len(text) + 2 :]
+
+
+def _surfels(header: dict[str, Any], body: memoryview) -> Surfels:
+    n = header["surfels"]
+    if type(n) is not int or n < 0 or header["fields"] != [list(field) for field in _FIELDS]:
+        raise MapError(f"its fields are not those of {FORMAT}", fix=_DAMAGED)
+    expected = n * sum(np.dtype(dtype).itemsize * max(columns, 1) for _, dtype, columns in _FIELDS)
+    if len(body) != expected:
+        raise MapError(f"holds {len(body)} bytes of surfels, not {expected}", fix=_DAMAGED)
+    if zlib.crc32(body) != header["crc32"]:
+        raise MapError("its checksum is wrong", fix=_DAMAGED)
+    arrays, begin = [], 0
+    for _, dtype, columns in _FIELDS:
+        flat = np.frombuffer(body, dtype, n * max(columns, 1), begin)
+        begin += flat.nbytes
+        arrays.append(flat.reshape(n, columns).copy() if columns else flat.copy())
+    surfels = Surfels(*arrays)
+    _refuse_impossible(surfels)
+    return surfels
+
+
+def _refuse_impossible(surfels: Surfels) -> None:
+    for name, _, _ in _FIELDS:
+        if not np.isfinite(getattr(surfels, name)).all():
+            raise MapError(f"{name} holds numbers that are not finite", fix=_DAMAGED)
+    if len(surfels.grey) == 0:
+        return
+    for name in ("radius_m", "confidence", "variance_m2"):
+        if getattr(surfels, name).min() <= 0:
+            raise MapError(f"{name} holds numbers that are not positive", fix=_DAMAGED)
+    if np.abs(np.linalg.norm(surfels.normal, axis=1) - 1).max() > 1e-3:
+        raise MapError("normal holds vectors that are not of length 1", fix=_DAMAGED)
+    if np.abs(surfels.position).max() > _FARTHEST_M:
+        raise MapError(f"position holds points beyond {_FARTHEST_M:g} m", fix=_DAMAGED)
+
+
+# Beyond, float32 no longer tells millimetres apart.
+_FARTHEST_M = 16_000.0
+
+
+def _map_of(header: dict[str, Any], surfels: Surfels) -> SurfelMap:
+    settings = SurfelSettings.model_validate(header["settings"])
+    stamp_s, dropped, n = header["stamp_s"], header["dropped"], len(surfels.grey)
+    if type(dropped) is not int or dropped < 0:
+        raise MapError(f"dropped is {dropped!r}, not a count", fix=_DAMAGED)
+    stamp_s = -math.inf if stamp_s is None else float(stamp_s)
+    if math.isnan(stamp_s) or (n and (surfels.last_s.max() > stamp_s or (surfels.first_s > surfels.last_s).any())):
+        raise MapError("its surfels were seen after it ends, or before they were first seen", fix=_DAMAGED)
+    surfel_map = SurfelMap(settings)
+    if surfel_map.add(surfels, stamp_s) != n:
+        raise MapError(f"{n} surfels find no room in a map of {settings.max_surfels}", fix=_DAMAGED)
+    surfel_map.restore_dropped(dropped)
+    return surfel_map
+
+
+def _crc(arrays: list[np.ndarray]) -> int:
+    crc = 0
+    for array in arrays:
+        crc = zlib.crc32(array.data, crc)
+    return crc
