@@ -22,7 +22,7 @@ QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 ifeq ($(RECORDING),)
 # A square of 4 m at 320×240 by a wheelchair whose wheels are not quite what its owner measured, as wheels never are.
 demo: $(VENV)/.installed-sim
-	$(BIN)/wheelsight simulate square --right-radius 0.171 --track 0.525 --out "$(OUT)/drive" --force
+	$(BIN)/wheelsight simulate square --rate 15 --right-radius 0.171 --track 0.525 --out "$(OUT)/drive" --force
 	$(BIN)/wheelsight run "$(OUT)/drive" --odometry wheels,features --out "$(OUT)/results" --force
 else
 demo: $(VENV)/.installed-core
