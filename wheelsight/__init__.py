@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from wheelsight.odometry.wheels import WheelOdometry
     from wheelsight.pipeline import run, run_each
     from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
-    from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate, write_simulation
+    from wheelsight.simulation import SimulatedRecording, SimulationSettings, write_simulation
+    from wheelsight.simulation.simulate import simulate
     from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 __all__ = [
