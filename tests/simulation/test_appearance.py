@@ -14,7 +14,7 @@ from simulation.boxes import SURFACES, albedo_painter, boxes, corridor, heading,
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
-from wheelsight.simulation import _light_kernels, _paint_kernels, _picture_kernels, _texture_kernels
+from wheelsight.simulation import _light_kernels, _paint_kernels, _picture_kernels, _texture_kernels, _wall_kernels
 from wheelsight.simulation.appearance import Painter
 from wheelsight.simulation.color_sensor import ColorSensor
 from wheelsight.simulation.scene import Scene
@@ -38,9 +38,9 @@ def keypoints(geoms: Geoms, view: View, surfaces: Mapping[str, Surface] = SURFAC
 
 
 def plain_kernels() -> SimpleNamespace:
-    """The painter's kernels of all four modules as plain Python."""
+    """The painter's kernels of all five modules as plain Python."""
     everything = ModuleType("everything")
-    for module in (_texture_kernels, _light_kernels, _picture_kernels, _paint_kernels):
+    for module in (_texture_kernels, _light_kernels, _picture_kernels, _wall_kernels, _paint_kernels):
         vars(everything).update({k: v for k, v in vars(module).items() if not k.startswith("__")})
     return plain(everything)
 

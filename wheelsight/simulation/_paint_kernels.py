@@ -15,10 +15,10 @@ from wheelsight.simulation._texture_kernels import (
     fabric,
     plaster,
     scaled,
-    skirting,
     tiles,
     wood,
 )
+from wheelsight.simulation._wall_kernels import used_wall
 
 PLAIN, PLASTER, CARPET, TILES, WOOD, CEILING, DOOR, POSTER, NOTICE_BOARD, FABRIC, BOOKS = range(11)
 _CURVED = 3
@@ -178,7 +178,8 @@ def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, geoms: Any)
     hs, ht = size_m[g, 1 if face == 0 else 0], size_m[g, 1 if face == 2 else 2]
     colour = albedo_at(kind, s, t, hs, ht, ws, wt, rgb, accent, numbers[g, 0], numbers[g, 1], int(looks[g, 1]))
     if kind == PLASTER and abs(n[2]) < 0.3:
-        colour = skirting(colour, p[2], abs(step_u[2]) + abs(step_v[2]))
+        height_w = max(abs(step_u[2]) + abs(step_v[2]), _LEAST_FOOTPRINT_M)
+        colour = used_wall(colour, s, p[2], 2 * ht if face != _CURVED else 0.0, ws, height_w, int(looks[g, 1]))
     return colour
 
 

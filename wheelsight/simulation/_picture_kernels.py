@@ -11,6 +11,7 @@ from typing import Any
 from numba import njit
 
 from wheelsight.simulation._texture_kernels import (
+    blot,
     cells,
     cover,
     grain,
@@ -54,7 +55,7 @@ def pick_colour(key: int, seed: int, strength: float) -> Any:
 def door(
     s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int
 ) -> Any:
-    """Frame, leaf with grain, two panels or a slit of glass, handle, kick plate and a number beside eye height."""
+    """Frame, leaf with grain, two panels or a slit of glass, handle, kick plate, dents, and a number at eye height."""
     side = 1.0 if hash_unit(1, 1, seed) < 0.5 else -1.0
     up, x = t + ht, s * side
     leaf = grain(t, s, wt, ws, rgb, scaled(rgb, 0.45), contrast, seed, 0.0)
@@ -69,7 +70,8 @@ def door(
             outer = rectangle(s, up, -hs + 0.2, hs - 0.2, low, high, ws, wt)
             inner = rectangle(s, up, -hs + 0.215, hs - 0.215, low + 0.015, high - 0.015, ws, wt)
             leaf = scaled(leaf, 1 - 0.4 * (outer - inner) + 0.05 * inner)
-    leaf = mix(leaf, _STEEL, rectangle(s, up, -hs + 0.08, hs - 0.08, 0.01, 0.2, ws, wt))
+    knocked = blot(s, up, 0.19, ws, wt, seed + 7, 0.5, 0.011)
+    leaf = scaled(mix(leaf, _STEEL, rectangle(s, up, -hs + 0.08, hs - 0.08, 0.01, 0.2, ws, wt)), 1 - 0.5 * knocked)
     leaf = _handle_and_number(leaf, x, s, up, hs, ws, wt, accent, seed)
     frame = 1 - rectangle(s, up, -hs + 0.06, hs - 0.06, -1.0, 2 * ht - 0.06, ws, wt)
     gap = 1 - rectangle(s, up, -hs + 0.068, hs - 0.068, 0.006, 2 * ht - 0.068, ws, wt)

@@ -16,8 +16,7 @@ _MASK = 0xFFFFFFFF
 _I, _J, _SEED = 0x27D4EB2F, 0x165667B1, 0x1E3779B1
 # What is left of noise then is less than a hundredth of it.
 _FADED = 0.1
-_SKIRTING_M = 0.08
-_SKIRTING = (0.24, 0.23, 0.22)
+_LINT = (0.66, 0.64, 0.60)
 _CARPET_SQUARE_M = 0.5
 _VEIN_M = 0.025
 _CHIPPED_FROM_M = 0.25
@@ -134,37 +133,60 @@ def print_lines(s: float, t: float, pitch: float, ws: float, wt: float, seed: in
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def plaster(s: float, t: float, ws: float, wt: float, rgb: Any, contrast: float, seed: int) -> Any:
-    """Nearly uniform: stains a metre wide, the roller's traces, a fine grain."""
-    shade = 0.05 * noise(s, t, 1.3, 1.1, ws, wt, seed) + 0.03 * noise(s, t, 0.31, 0.37, ws, wt, seed + 1)
-    shade += 0.03 * noise(s, t, 0.012, 0.012, ws, wt, seed + 2) + 0.03 * noise(s, t, 0.004, 0.004, ws, wt, seed + 3)
-    return scaled(rgb, 1 + contrast * shade)
+    """Nearly uniform: stains a metre wide, the roller's traces, a fine grain, and spots where something was once."""
+    shade = 0.05 * noise(s, t, 1.3, 1.1, ws, wt, seed) + 0.05 * noise(s, t, 0.31, 0.37, ws, wt, seed + 1)
+    shade += 0.10 * noise(s, t, 0.019, 0.023, ws, wt, seed + 2) + 0.06 * noise(s, t, 0.006, 0.006, ws, wt, seed + 3)
+    spot = blot(s, t, 0.21, ws, wt, seed + 4, 0.45, 0.012)
+    return scaled(rgb, max(1 + contrast * (shade - 0.9 * spot), 0.1))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def skirting(colour: Any, height_m: float, wt: float) -> Any:
-    """A wall's colour with the darker board along its foot."""
-    board = cover(height_m, -1.0, _SKIRTING_M, wt)
-    groove = cover(height_m, _SKIRTING_M, _SKIRTING_M + 0.006, wt)
-    return scaled(mix(colour, _SKIRTING, board), 1 - 0.5 * groove)
+def blot(s: float, t: float, cell: float, ws: float, wt: float, seed: int, share: float, largest_m: float) -> Any:
+    """How strongly, 0 to 1, a footprint lies on one of the small spots that a `share` of square cells has.
+
+    A spot is up to twice `largest_m` across, somewhere in its cell, longer or higher, and of some strength.
+    """
+    if ws > cell or wt > cell:
+        return share * (largest_m / cell) ** 2
+    i, j = math.floor(s / cell), math.floor(t / cell)
+    if hash_unit(i, j, seed) > share:
+        return 0.0
+    half_s = largest_m * (0.3 + 0.7 * hash_unit(i, j, seed + 101))
+    half_t = largest_m * (0.3 + 0.7 * hash_unit(i, j, seed + 102))
+    a = s - (i + 0.5) * cell - (2 * hash_unit(i, j, seed + 103) - 1) * (0.5 * cell - half_s)
+    b = t - (j + 0.5) * cell - (2 * hash_unit(i, j, seed + 104) - 1) * (0.5 * cell - half_t)
+    strength = 0.2 + 0.8 * hash_unit(i, j, seed + 105)
+    return strength * cover(a, -half_s, half_s, ws) * cover(b, -half_t, half_t, wt)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def carpet(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
-    """Mottled loops of two yarns in squares whose pile turns from one to the next; figures of a large scale show."""
-    turn = cells(s, t, _CARPET_SQUARE_M, _CARPET_SQUARE_M, ws, wt, seed, 0.5) - 0.5
-    wear = noise(s, t, 1.6, 1.6, ws, wt, seed + 1)
+    """Mottled loops of two yarns in squares laid by quarter turns, with lint and stains; large scales have figures."""
+    # Walls stand at round coordinates; a seam along one would lie where rounding decides.
+    s, t = s + 0.137, t + 0.071
+    i, j = math.floor(s / _CARPET_SQUARE_M), math.floor(t / _CARPET_SQUARE_M)
+    pile = cells(s, t, _CARPET_SQUARE_M, _CARPET_SQUARE_M, ws, wt, seed, 0.5) - 0.5
+    along, across, w_along, w_across = s, t, ws, wt
+    if (i + j) % 2:
+        along, across, w_along, w_across = t, s, wt, ws
+    # Light yarns come up in streaks along the way a square was woven, and darker ones between them.
+    light = cells(along, across, 0.11, 0.022, w_along, w_across, seed + 5, 0.16)
+    dark = cells(along, across, 0.08, 0.027, w_along, w_across, seed + 8, 0.13)
+    wear = noise(s, t, 1.6, 1.6, ws, wt, seed + 1) + 0.7 * noise(s, t, 0.23, 0.23, ws, wt, seed + 9)
     mottle = 0.5 * noise(s, t, 1.6 * scale_m, 1.6 * scale_m, ws, wt, seed + 2) + 0.6 * noise(
         s, t, 0.028, 0.028, ws, wt, seed + 3
     )
     yarn = cells(s, t, 0.009, 0.007, ws, wt, seed + 4, 0.0) - 0.5
-    speck = cells(s, t, 0.02, 0.02, ws, wt, seed + 5, 0.06)
     figure = cells(s, t, 0.2 * scale_m, 0.2 * scale_m, ws, wt, seed + 6, 0.22) if scale_m > 0.15 else 0.0
-    shade = 1 + contrast * (0.16 * turn + 0.12 * wear + 0.25 * mottle + 0.5 * yarn)
+    shade = 1 + contrast * (0.16 * pile + 0.16 * wear + 0.25 * mottle + 0.5 * yarn - 0.55 * dark)
     seam = max(stripes(s, _CARPET_SQUARE_M, 0.004, ws), stripes(t, _CARPET_SQUARE_M, 0.004, wt))
-    share = min(contrast * (0.7 * speck + 0.25 * (0.5 + mottle) + 0.6 * figure), 1.0)
-    return scaled(mix(rgb, accent, share), max(shade, 0.1) * (1 - 0.3 * seam))
+    share = min(max(contrast * (0.95 * light + 0.25 * (0.5 + mottle) + 0.6 * figure), 0.0), 1.0)
+    body = scaled(mix(rgb, accent, share), max(shade, 0.1) * (1 - 0.3 * seam))
+    stain = blot(s, t, 0.43, ws, wt, seed + 10, 0.35, 0.05)
+    lint = blot(s, t, 0.17, ws, wt, seed + 11, 0.3, 0.012)
+    return mix(scaled(body, 1 - 0.6 * contrast * stain), _LINT, 0.8 * contrast * lint)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
