@@ -8,7 +8,7 @@ import typer
 import typer.core
 
 from wheelsight import __version__
-from wheelsight.cli import calibrate, evaluate, info, record, run, simulate, wheels
+from wheelsight.cli import calibrate, evaluate, info, places, record, run, simulate, wheels
 from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error
 from wheelsight.errors import WheelsightError
 
@@ -47,6 +47,7 @@ app.command("record")(record.record)
 app.command("simulate")(simulate.simulate)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(wheels.app, name="wheels")
+app.add_typer(places.app, name="places")
 
 
 def _print_version(wanted: bool) -> None:

@@ -81,6 +81,11 @@ class CalibrationCurve:
         """Expected calibration error: mean distance of confidence and accuracy, by frames."""
         return float(np.average(np.abs(self.confidence - self.accuracy), weights=self.count))
 
+    @property
+    def is_overconfident(self) -> bool:
+        """Whether answers are right less often than they say, over all frames."""
+        return bool(np.average(self.confidence - self.accuracy, weights=self.count) > 0)
+
 
 def calibration_curve(probabilities: ArrayLike, labels: ArrayLike, bins: int = 10) -> CalibrationCurve:
     """The curve of N ≥ 1 frames with probabilities (N, A) and true areas (N,), in `bins` bins of equal width."""

@@ -51,6 +51,7 @@ class HeldOutFigures:
         answered: share of frames whose area is named.
         answered_accuracy: share of these that are right; NaN where there are none.
         out_of_bag_accuracy: each frame asked of the trees grown without it; flattered by neighbouring frames.
+        area_accuracy: (A) as `accuracy`, of the frames of each area; NaN where none was held out.
     """
 
     accuracy: float
@@ -61,6 +62,7 @@ class HeldOutFigures:
     answered: float
     answered_accuracy: float
     out_of_bag_accuracy: float
+    area_accuracy: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)

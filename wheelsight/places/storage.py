@@ -111,7 +111,7 @@ def _to_document(model: PlaceModel) -> dict[str, Any]:
         "settings": model.settings.model_dump(mode="json"),
         "scale": asdict(model.scale),
         "least_confidence": model.least_confidence,
-        "figures": asdict(model.figures),
+        "figures": asdict(model.figures) | {"area_accuracy": list(model.figures.area_accuracy)},
         "forest": {name: getattr(model.forest, name) for name in _ARRAYS} | {"size": model.forest.size},
     }
 
@@ -132,11 +132,17 @@ def _from_document(document: Any) -> PlaceModel:
         float(document["least_confidence"]),
         np.array(document["area_shares"], float),
         ForestSettings.model_validate(document["settings"]),
-        HeldOutFigures(**{f.name: float(document["figures"][f.name]) for f in fields(HeldOutFigures)}),
+        _figures_from(document["figures"]),
         None if size is None else (int(size[0]), int(size[1]), int(size[2]), int(size[3])),
     )
     _check_agreement(model)
     return model
+
+
+def _figures_from(told: dict[str, Any]) -> HeldOutFigures:
+    area_accuracy = tuple(float(value) for value in told["area_accuracy"])
+    singles = {f.name: float(told[f.name]) for f in fields(HeldOutFigures) if f.name != "area_accuracy"}
+    return HeldOutFigures(**singles, area_accuracy=area_accuracy)
 
 
 def _check_agreement(model: PlaceModel) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -127,7 +128,7 @@ def _try_out(
 
 def _calibrate(
     raw: FloatArray, labels: IntArray, fold_of: IntArray, settings: ForestSettings
-) -> tuple[ProbabilityScale, float, dict[str, float]]:
+) -> tuple[ProbabilityScale, float, dict[str, Any]]:
     """Scale and least confidence of all blocks held out, and figures in which no block is scaled by itself."""
     scale = fit_scale(raw, labels)
     honest = np.empty_like(raw)
@@ -146,10 +147,15 @@ def _calibrate(
             "calibration_error": calibration_curve(honest, labels).error,
             "raw_log_loss": log_loss(raw, labels),
             "raw_calibration_error": calibration_curve(raw, labels).error,
+            "area_accuracy": tuple(_share(is_right[labels == area]) for area in range(raw.shape[1])),
             "answered": float(answered.mean()),
-            "answered_accuracy": float(is_right[answered].mean()) if answered.any() else float("nan"),
+            "answered_accuracy": _share(is_right[answered]),
         },
     )
+
+
+def _share(is_right: BoolArray) -> float:
+    return float(is_right.mean()) if len(is_right) else float("nan")
 
 
 def _check_training(features: Float32Array, labels: IntArray, names: Sequence[str], describer: Describer) -> None:
