@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-PAGE = 128
+# Small, for few surfels are all that some cells hold, and a page is theirs alone. The other kernels of this folder are
+# compiled with it, and numba's cache looks at their own files only: who changes it saves those anew.
+PAGE = 32
 # Columns of a surfel's geometry.
 RADIUS, CONFIDENCE = 3, 7
 # How far a surfel may stray from the cell it was made in.
@@ -22,7 +24,7 @@ CELLS, FREE, PAGES, ALIVE = 0, 1, 2, 3
 
 @njit(cache=True, nogil=True, inline="always")
 def _hash(x: Any, y: Any, z: Any, size: Any) -> Any:
-    h = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
+    h = (int(x) * 73856093) ^ (int(y) * 19349663) ^ (int(z) * 83492791)
     h ^= (h >> 15) & 0x1FFFF
     return (h * 0x9E3779B1) >> 7 & (size - 1)
 

@@ -10,7 +10,7 @@ from wheelsight.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight.mapping import _block_kernels as kernels
 from wheelsight.mapping._block_kernels import ALIVE, CELLS, CONFIDENCE, PAGE, PAGES
 
-_FIRST_PAGES = 256
+_FIRST_PAGES = 1024
 _BINS = 512
 # Dropping goes over the whole map; a tenth at once makes it rare.
 _DROPPED_AT_ONCE = 0.1

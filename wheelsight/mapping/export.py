@@ -124,7 +124,7 @@ def _triangles(
     if not known.any() or distance[known].min() >= 0 or distance[known].max() <= 0:
         return None
     try:
-        vertices, triangles, _, _ = measure(distance, 0.0, mask=known, allow_degenerate=False)
+        vertices, triangles, _, _ = measure(distance, 0.0, mask=known, gradient_direction="ascent")
     except (RuntimeError, ValueError):  # scikit-image's way to say that no voxel's cube has a surface in it
         return None
     return vertices * voxel_m + origin, triangles
@@ -141,15 +141,11 @@ def _welded(vertices: FloatArray, triangles: np.ndarray, voxel_m: float) -> tupl
 
 
 def _dressed(vertices: FloatArray, triangles: Int32Array, surfels: Surfels) -> Mesh:
-    """Normals and colours of the nearest surfel; triangles wound as its normal points."""
+    """With normals and colours of the nearest surfels."""
     from scipy.spatial import KDTree
 
     _, nearest = KDTree(surfels.position).query(vertices, workers=-1)
-    normals = surfels.normal[nearest]
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    towards = np.einsum("ij,ij->i", np.cross(b - a, c - a), normals[triangles].sum(axis=1))
-    wound = np.where((towards < 0)[:, None], triangles[:, ::-1], triangles)
-    return Mesh(vertices.astype(np.float32), normals, _colors_of(surfels)[nearest], wound)
+    return Mesh(vertices.astype(np.float32), surfels.normal[nearest], _colors_of(surfels)[nearest], triangles)
 
 
 def _need_marching_cubes() -> Callable[..., tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]]:

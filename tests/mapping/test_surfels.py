@@ -1,0 +1,255 @@
+"""Fusion: what averaging gains, and which surfels come, stay and go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mapping.scenes import FRAME_S, GRID, NOISE, SHAPE, Wall, fuse, look_at, made_map, pose, rays, see
+from scipy.spatial import KDTree
+
+from wheelsight.errors import MapError
+from wheelsight.mapping import SurfelMap
+
+FRAMES = 20
+FIELDS = ("position", "normal", "radius_m", "color", "grey", "confidence", "variance_m2", "first_s", "last_s")
+
+
+def swaying(frames: int) -> list[np.ndarray]:
+    """Poses of a camera that sways by 10 cm and turns by 5 degrees before the wall."""
+    phase = np.linspace(0, 2 * np.pi, frames)
+    return [pose(0.1 * np.sin(p), 0.05 * np.cos(p), 0.05 * np.sin(2 * p), 0.09 * np.sin(p)) for p in phase]
+
+
+@pytest.mark.parametrize("wall", [Wall(2.0), Wall(2.0, slope=0.8), Wall(3.5, slope=-0.3)])
+def test_averaging_a_still_view_is_worth_the_root_of_the_number_of_frames(wall, rng):
+    surfel_map = made_map()
+    look_at(surfel_map, [wall], [pose()] * FRAMES, rng)
+    surfels = surfel_map.surfels("stable")
+    assert len(surfels.grey) > 0.5 * SHAPE[0] * SHAPE[1]
+    inner = surfels.confidence > 0.9 * FRAMES
+    error = wall.distance(surfels.position)[inner]
+    # Of a plane whose every depth errs by σ(z) along its ray.
+    expected = NOISE.sigma_m(surfels.position[inner, 2]) * abs(wall.normal[2]) / np.sqrt(FRAMES)
+    rays_there = surfels.position[inner] / surfels.position[inner, 2:]
+    expected = expected * np.abs(rays_there @ wall.normal) / abs(wall.normal[2])
+    assert np.sqrt(np.mean((error / expected) ** 2)) == pytest.approx(1.0, abs=0.1)
+    assert np.sqrt(np.mean(error**2 / surfels.variance_m2[inner])) == pytest.approx(1.0, abs=0.15)
+    assert np.median(surfels.normal @ wall.normal) > 0.9999
+
+
+def test_a_moving_camera_averages_into_the_same_surfels(rng):
+    surfel_map, wall = made_map(), Wall(2.0, slope=0.3)
+    look_at(surfel_map, [wall], swaying(60), rng)
+    surfels = surfel_map.surfels("stable")
+    assert np.sqrt(np.mean(wall.distance(surfels.position) ** 2)) < 0.5 * NOISE.sigma_m(2.0)
+    assert len(surfel_map) < 3 * SHAPE[0] * SHAPE[1]
+
+
+def test_confidence_counts_frames_by_how_central_they_saw_a_surfel():
+    surfel_map = made_map()
+    look_at(surfel_map, [Wall(2.0)], [pose()] * 5)
+    surfels = surfel_map.surfels()
+    u = GRID[0] * surfels.position[:, 0] / surfels.position[:, 2]
+    v = GRID[1] * surfels.position[:, 1] / surfels.position[:, 2]
+    farthest2 = max(GRID[2], SHAPE[1] - 1 - GRID[2]) ** 2 + max(GRID[3], SHAPE[0] - 1 - GRID[3]) ** 2
+    weight = np.exp(-(u**2 + v**2) / farthest2 / (2 * 0.6**2))
+    np.testing.assert_allclose(surfels.confidence, 5 * weight, rtol=1e-3)
+    assert len(surfels.grey) == SHAPE[0] * SHAPE[1]
+
+
+@pytest.mark.parametrize("slope", [0.0, 1.0])
+def test_a_surfel_is_as_large_as_its_pixel_on_the_surface(slope):
+    surfel_map, wall = made_map(), Wall(1.5, slope=slope)
+    look_at(surfel_map, [wall], [pose()])
+    surfels = surfel_map.surfels()
+    towards = -surfels.position / np.linalg.norm(surfels.position, axis=1, keepdims=True)
+    cosine = np.maximum(towards @ wall.normal, 0.35)
+    np.testing.assert_allclose(surfels.radius_m, surfels.position[:, 2] / GRID[0] / cosine, rtol=1e-4)
+
+
+def test_from_nearer_surfels_become_finer_and_more():
+    surfel_map = made_map()
+    look_at(surfel_map, [Wall(2.0)], [pose()] * 10)
+    before = surfel_map.surfels()
+    look_at(surfel_map, [Wall(2.0)], [pose(z=1.0)] * 30, start_s=1.0)
+    after = surfel_map.surfels()
+    middle, middle_before = (np.abs(s.position[:, :2]).max(axis=1) < 0.3 for s in (after, before))
+    assert np.count_nonzero(middle) > 1.3 * np.count_nonzero(middle_before)
+    assert np.median(after.radius_m[middle]) < 0.75 * np.median(before.radius_m)
+
+
+def test_color_and_grey_are_means_of_what_was_seen():
+    surfel_map, view = made_map(), see([Wall(2.0)], pose())
+    for k, level in enumerate((100.0, 110.0, 120.0)):
+        dull = replace(view, grey=np.full_like(view.grey, level), color=np.full_like(view.color, 2 * level))
+        fuse(surfel_map, dull, pose(), k * FRAME_S)
+    surfels = surfel_map.surfels()
+    np.testing.assert_allclose(surfels.grey, 110.0, atol=0.1)
+    np.testing.assert_allclose(surfels.color, 220.0, atol=0.1)
+
+
+def test_without_color_only_grey_is_known():
+    surfel_map, view = made_map(), see([Wall(2.0)], pose())
+    surfel_map.fuse(view.depth_m, view.normal, view.grey, None, GRID, pose(), 0.0, NOISE)
+    surfels = surfel_map.surfels()
+    assert (surfels.color == -1).all()
+    assert (surfels.grey >= 0).all()
+
+
+def test_pixels_that_tell_too_little_are_not_fused():
+    surfel_map, view = made_map(far_m=4.0), see([Wall(2.0)], pose())
+    depth_m, normal = view.depth_m.copy(), view.normal.copy()
+    depth_m[:20] = 0.0
+    depth_m[20:40] = np.nan
+    depth_m[40:60] = 4.1
+    normal[60:80] = 0.0
+    normal[80:100] = [0.0, 0.0, 1.0]
+    fused = fuse(surfel_map, replace(view, depth_m=depth_m, normal=normal), pose(), 0.0)
+    assert fused.added == len(surfel_map) == 20 * SHAPE[1]
+
+
+def test_what_went_away_is_removed_and_what_is_behind_stays():
+    surfel_map, wall, box = made_map(), Wall(2.5), Wall(1.5, low=-0.2, high=0.2)
+    look_at(surfel_map, [wall, box], [pose()] * 15)
+    assert np.count_nonzero(surfel_map.surfels("stable").position[:, 2] < 2) > 500
+    fused = look_at(surfel_map, [wall], [pose()] * 15, start_s=1.0)
+    assert sum(frame.removed for frame in fused) > 500
+    left = surfel_map.surfels()
+    # At the box's silhouette, pixels beside it belong to the wall: what is only half in free space may stay.
+    assert np.count_nonzero(left.position[:, 2] < 2) == 0
+    assert np.count_nonzero(left.position[:, 2] > 2) > 0.99 * SHAPE[0] * SHAPE[1]
+
+
+def test_missing_depth_removes_nothing():
+    surfel_map, view = made_map(), see([Wall(2.0)], pose())
+    look_at(surfel_map, [Wall(2.0)], [pose()] * 12)
+    before = surfel_map.surfels()
+    for k in range(20):
+        fuse(surfel_map, replace(view, depth_m=np.zeros(SHAPE, np.float32)), pose(), 1.0 + k * FRAME_S)
+    np.testing.assert_array_equal(before.confidence, surfel_map.surfels().confidence)
+
+
+def test_what_stands_behind_a_nearer_thing_is_not_removed():
+    surfel_map = made_map()
+    look_at(surfel_map, [Wall(2.5)], [pose()] * 12)
+    before = len(surfel_map)
+    look_at(surfel_map, [Wall(1.0)], [pose()] * 12, start_s=1.0)
+    assert np.count_nonzero(surfel_map.surfels().position[:, 2] > 2) == before
+
+
+@pytest.mark.parametrize("looks_on", [True, False], ids=["in view", "out of view"])
+def test_surfels_that_never_became_stable_go_after_their_time(looks_on):
+    surfel_map = made_map(unstable_s=1.0)
+    look_at(surfel_map, [Wall(2.0)], [pose()] * 3)
+    assert len(surfel_map) > 0
+    T = pose() if looks_on else pose(yaw=np.pi)
+    nothing = see([], T)
+    fuse(surfel_map, nothing, T, 0.9)
+    assert len(surfel_map) > 0
+    fuse(surfel_map, nothing, T, 2.0)
+    assert len(surfel_map) == 0
+
+
+def test_old_surfels_are_kept_but_not_predicted_and_wake_when_seen_again():
+    surfel_map, wall = made_map(active_s=5.0), Wall(2.0)
+    look_at(surfel_map, [wall], [pose()] * 40)  # so that corners, which count for a quarter, are stable too
+    before = surfel_map.status()
+    away = pose(yaw=np.pi)
+    fuse(surfel_map, see([], away), away, 20.0)
+    assert surfel_map.status().active == 0
+    assert not surfel_map.predict(pose(), GRID, SHAPE).depth_m.any()
+    assert np.count_nonzero(surfel_map.render(pose(), GRID, SHAPE).depth_m) > 0.98 * SHAPE[0] * SHAPE[1]
+    fuse(surfel_map, see([wall], pose()), pose(), 20.1)
+    again = surfel_map.status()
+    assert again.active > 0.99 * again.surfels
+    assert again.surfels <= before.surfels
+    assert surfel_map.surfels().first_s.max() < 1.5
+    assert surfel_map.predict(pose(), GRID, SHAPE).depth_m.all()
+
+
+def test_duplicates_become_one_when_seen_again():
+    surfel_map = made_map()
+    look_at(surfel_map, [Wall(2.0)], [pose()] * 12)
+    once = surfel_map.surfels()
+    beside = replace(once, position=once.position + np.float32([0.001, 0.001, 0.002]))
+    surfel_map.add(beside, surfel_map.stamp_s)
+    assert len(surfel_map) == 2 * len(once.grey)
+    fused = look_at(surfel_map, [Wall(2.0)], [pose()] * 3, start_s=1.0)
+    assert sum(frame.merged for frame in fused) > 0.9 * len(once.grey)
+    assert len(surfel_map) < 1.1 * len(once.grey)
+
+
+def test_two_surfaces_close_together_do_not_become_one():
+    surfel_map = made_map()
+    boards = [Wall(2.0, high=0.0), Wall(2.06, low=0.0)]
+    look_at(surfel_map, boards, swaying(40))
+    z = surfel_map.surfels("stable").position[:, 2]
+    assert np.count_nonzero(np.abs(z - 2.0) < 1e-3) > 3000
+    assert np.count_nonzero(np.abs(z - 2.06) < 1e-3) > 3000
+    assert np.count_nonzero((z > 2.005) & (z < 2.055)) == 0
+
+
+def contents(surfel_map: SurfelMap) -> list[np.ndarray]:
+    return [getattr(surfel_map.surfels(), name) for name in FIELDS]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_no_bit_depends_on_the_number_of_threads_or_on_the_run(threads):
+    made = []
+    for count in (2, threads):
+        surfel_map = made_map(threads=count)
+        walls = [Wall(2.5, slope=0.2), Wall(1.5, low=-0.2, high=0.2)]
+        look_at(surfel_map, walls, swaying(12), np.random.default_rng(5))
+        view = surfel_map.render(pose(0.05, yaw=0.1), GRID, SHAPE)
+        made.append([*contents(surfel_map), view.depth_m, view.normal, view.grey, view.color])
+    for first, second in zip(*made, strict=True):
+        np.testing.assert_array_equal(first, second)
+
+
+def test_the_count_of_surfels_is_that_of_those_there(rng):
+    surfel_map = made_map(unstable_s=0.2)
+    for k, T in enumerate(swaying(25)):
+        fuse(surfel_map, see([Wall(2.0 + 0.05 * (k % 3))], T, rng), T, k * FRAME_S)
+        assert len(surfel_map) == len(surfel_map.surfels().grey)
+
+
+@pytest.mark.parametrize(
+    ("changed", "word"),
+    [
+        ({"T_world_camera": np.full((4, 4), np.nan)}, "T_world_camera"),
+        ({"T_world_camera": 2 * np.eye(4)}, "T_world_camera"),
+        ({"T_world_camera": np.eye(3)}, "T_world_camera"),
+        ({"intrinsics": np.array([0.0, 1, 1, 1])}, "intrinsics"),
+        ({"intrinsics": np.array([np.nan, 1, 1, 1])}, "intrinsics"),
+        ({"stamp_s": 0.5}, "stamp_s"),
+        ({"stamp_s": np.nan}, "stamp_s"),
+        ({"normal": np.zeros((*SHAPE, 2), np.float32)}, "normal"),
+        ({"grey": np.zeros((3, 3), np.float32)}, "grey"),
+        ({"color": np.zeros(SHAPE, np.float32)}, "color"),
+        ({"depth_m": np.zeros(7, np.float32)}, "depth_m"),
+    ],
+)
+def test_what_cannot_be_fused_is_refused_and_leaves_the_map_as_it_was(changed, word):
+    surfel_map, view = made_map(), see([Wall(2.0)], pose())
+    fuse(surfel_map, view, pose(), 1.0)
+    before = contents(surfel_map)
+    images = {"depth_m": view.depth_m, "normal": view.normal, "grey": view.grey, "color": view.color}
+    given = {**images, "intrinsics": GRID, "T_world_camera": pose(), "stamp_s": 2.0} | changed
+    with pytest.raises(MapError, match=word) as raised:
+        surfel_map.fuse(**given)
+    assert "\n" not in str(raised.value)
+    for first, second in zip(before, contents(surfel_map), strict=True):
+        np.testing.assert_array_equal(first, second)
+    assert surfel_map.stamp_s == 1.0
+
+
+def test_points_lie_where_pixels_saw_them():
+    surfel_map, T = made_map(), pose(0.3, -0.2, 0.1, 0.4)
+    view = see([Wall(2.0, slope=0.2)], T)
+    fuse(surfel_map, view, T, 0.0)
+    expected = (rays() * view.depth_m[..., None]).reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
+    distance, nearest = KDTree(surfel_map.surfels().position).query(expected)
+    assert distance.max() < 1e-5
+    assert len(np.unique(nearest)) == len(expected) == len(surfel_map)
