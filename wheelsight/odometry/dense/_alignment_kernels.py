@@ -1,4 +1,8 @@
-"""Compiled inner loops of dense alignment: residuals, weights and normal equations, a row of partial sums each."""
+"""Compiled inner loops of dense alignment: residuals, weights and normal equations, a row of partial sums each.
+
+A row is gone over in short loops, each of which the compiler can do for many pixels at once; only the look-up in the
+reference goes pixel by pixel.
+"""
 
 from __future__ import annotations
 
@@ -14,177 +18,240 @@ PLANE_COUNT, GREY_COUNT, PAIRS = 27, 30, 33
 FIT_N, FIT_X, FIT_Y, FIT_XX, FIT_XY = 34, 35, 36, 37, 38
 SUMS = 39
 
+# Channels of a reference's pixel: the plane n·q = d and its depth, NaN where unknown; grey and its gradient a pixel.
+NX, NY, NZ, OFFSET, DEPTH, GREY, ALONG_U, ALONG_V = range(8)
+CHANNELS = 8
 
-@njit(cache=True, nogil=True)
+# Rows of the buffer in which residuals of one kind are collected.
+_PX, _PY, _PZ, _GX, _GY, _GZ, _ERROR, _ROOT, _J3, _J4, _J5 = range(11)
+# Rows of the buffer for a row's moved points.
+_MX, _MY, _MZ, _MU, _MV = range(5)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def accumulate(
     depth_m: Any,
     grey: Any,
-    reference_depth_m: Any,
-    reference_normal: Any,
-    reference_grey: Any,
-    along_u: Any,
-    along_v: Any,
+    reference: Any,
     grid: Any,
     T_rows: Any,
     noise: Any,
     how: Any,
+    stride: int,
     begin: int,
     end: int,
     sums: Any,
 ) -> None:
-    """Normal equations of point-to-plane and photometric residuals over rows `begin` to `end` of a frame.
+    """Normal equations of point-to-plane and photometric residuals over every `stride`th row of a frame.
 
     A point p of the frame goes to p' = T p in the reference frame and to the pixel there on which it falls. Its
-    residuals are n·(p' - q), where q and n are the reference's point and normal at that pixel, and
-    gain·I_reference + offset - I, both divided by their standard deviations. The tangent is (v, ω), from the left:
-    ∂p'/∂ξ = [I, -[p']×] (Steinbrücker et al. 2011; Newcombe et al. 2011; Whelan et al. 2015, eqs. 3 to 7).
+    residuals are n·p' - d of the reference's plane at that pixel, and gain·I_reference + offset - I, both divided by
+    their standard deviations. The tangent is (v, ω), from the left: ∂p'/∂ξ = [I, -[p']×] (Steinbrücker et al. 2011;
+    Newcombe et al. 2011; Whelan et al. 2015, eqs. 3 to 7).
 
     Args:
-        depth_m, grey: (h, w) of the frame.
-        reference_depth_m, reference_normal, reference_grey: (h, w), (h, w, 3), (h, w) of the reference.
-        along_u, along_v: (h, w) gradients of the reference's grey a pixel.
+        depth_m, grey: (h, w) of the frame; depth 0 and grey -1 where unknown.
+        reference: (h, w, CHANNELS).
         grid: fx, fy, cx, cy of both.
         T_rows: (h, 3, 4) T_reference_frame of each row, which differ where a rolling shutter's speed is refined.
         noise: depth's constant and quadratic σ, near and far limit in metres.
         how: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset, Huber's limit, weight
-            of grey (0: depth alone).
-        sums: (h, SUMS) of float64, written row by row, so that the total does not depend on who did which row.
+            of grey (0: depth alone), σ of the colour camera's place in pixels.
+        begin, end: of the rows' numbers; number k is row k · stride.
+        sums: (h // stride, SUMS) of float64, written row by row, so that the total does not depend on who did which.
     """
     width = depth_m.shape[1]
-    # Weighted Jacobians and errors of a row, so that the products are taken over many residuals at once.
-    planes = np.empty((7, width), np.float32)
-    greys = np.empty((7, width), np.float32)
-    for r in range(begin, end):
-        row = sums[r]
+    moved = np.empty((5, width), np.float32)
+    planes, greys = np.empty((11, width), np.float32), np.empty((11, width), np.float32)
+    x = ((np.arange(width) - grid[2]) / grid[0]).astype(np.float32)
+    for k in range(begin, end):
+        r, row = k * stride, sums[k]
         row[:] = 0.0
-        y, T = np.float32((r - grid[3]) / grid[1]), T_rows[r]
-        plane_count = grey_count = 0
-        for c in range(width):
-            z = depth_m[r, c]
-            if not noise[2] <= z <= noise[3]:
-                continue
-            x = np.float32((c - grid[2]) / grid[0])
-            p = _moved(T, x, y, z)
-            if p[2] < noise[2]:
-                continue
-            u, v = grid[0] * p[0] / p[2] + grid[2], grid[1] * p[1] / p[2] + grid[3]
-            if not (1 <= u < width - 2 and 1 <= v < depth_m.shape[0] - 2):
-                continue
-            row[PAIRS] += 1
-            column, line = int(u + np.float32(0.5)), int(v + np.float32(0.5))
-            qz = reference_depth_m[line, column]
-            if qz <= 0 or abs(qz - p[2]) > how[0] * (1 + p[2]):
-                continue
-            n = reference_normal[line, column]
-            if n[2] != 0:
-                qx, qy = (column - grid[2]) / grid[0] * qz, (line - grid[3]) / grid[1] * qz
-                error = n[0] * (p[0] - qx) + n[1] * (p[1] - qy) + n[2] * (p[2] - qz)
-                sigma = how[1] * _plane_sigma(noise, z, qz, n, p)
-                _put(planes, plane_count, p, n[0], n[1], n[2], error, sigma, how[5], row, PLANE_COUNT)
-                plane_count += 1
-            if how[6] > 0 and grey[r, c] >= 0:
-                there, du, dv = _look(reference_grey, along_u, along_v, u, v)
-                if there >= 0:
-                    gx, gy = how[3] * du * grid[0] / p[2], how[3] * dv * grid[1] / p[2]
-                    gz = -(gx * p[0] + gy * p[1]) / p[2]
-                    error = how[3] * there + how[4] - grey[r, c]
-                    weight = _put(greys, grey_count, p, gx, gy, gz, error, how[2] / how[6], how[5], row, GREY_COUNT)
-                    grey_count += 1
-                    _fit(row, weight, there, grey[r, c])
+        _move(depth_m[r], x, np.float32((r - grid[3]) / grid[1]), T_rows[r], grid, moved)
+        plane_count, grey_count = _look_up(depth_m[r], grey[r], reference, grid, noise, how, moved, planes, greys, row)
+        _weigh(planes, plane_count, how[5], row, PLANE_COUNT)
+        _weigh(greys, grey_count, how[5], row, GREY_COUNT)
         _add(planes, plane_count, row)
         _add(greys, grey_count, row)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _moved(T: Any, x: Any, y: Any, z: Any) -> Any:
-    """T p of the point p = (x, y, 1)·z."""
-    return (
-        np.float32(z * (T[0, 0] * x + T[0, 1] * y + T[0, 2]) + T[0, 3]),
-        np.float32(z * (T[1, 0] * x + T[1, 1] * y + T[1, 2]) + T[1, 3]),
-        np.float32(z * (T[2, 0] * x + T[2, 1] * y + T[2, 2]) + T[2, 3]),
-    )
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _move(depth_m: Any, x: Any, y: Any, T: Any, grid: Any, moved: Any) -> None:
+    """Points T p of a row of p = (x, y, 1)·z, and the pixels they fall on."""
+    for axis in range(3):
+        a, b, t = T[axis, 0], T[axis, 1] * y + T[axis, 2], T[axis, 3]
+        out = moved[axis]
+        for c in range(len(x)):
+            out[c] = depth_m[c] * (a * x[c] + b) + t
+    depth_there, across, down = moved[_MZ], moved[_MX], moved[_MY]
+    u, v = moved[_MU], moved[_MV]
+    fx, fy, cx, cy = grid[0], grid[1], grid[2], grid[3]
+    for c in range(len(x)):
+        u[c] = fx * across[c] / depth_there[c] + cx
+    for c in range(len(x)):
+        v[c] = fy * down[c] / depth_there[c] + cy
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _plane_sigma(noise: Any, z: Any, qz: Any, n: Any, p: Any) -> Any:
-    """Standard deviation of a plane residual, whose two depths err along the ray; bounded where planes are grazed."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_up(
+    depth_m: Any,
+    grey: Any,
+    reference: Any,
+    grid: Any,
+    noise: Any,
+    how: Any,
+    moved: Any,
+    planes: Any,
+    greys: Any,
+    row: Any,
+) -> Any:
+    """Collect the residuals of a row: points, gradients g = ∂error/∂p', errors, and 1 / σ. How many of each kind."""
+    height, width = reference.shape[0], reference.shape[1]
+    one, half = np.float32(1), np.float32(0.5)
+    near, far, gate, gain = noise[2], noise[3], how[0], how[3]
+    last_u, last_v = np.float32(width - 2), np.float32(height - 2)
+    pairs = plane_count = grey_count = 0
+    for c in range(len(depth_m)):
+        z, pz, u, v = depth_m[c], moved[_MZ, c], moved[_MU, c], moved[_MV, c]
+        if not (near <= z <= far and pz >= near and one <= u < last_u and one <= v < last_v):
+            continue
+        pairs += 1
+        line, column = int(v + half), int(u + half)
+        qz = reference[line, column, DEPTH]
+        if not abs(qz - pz) <= gate * (one + pz):
+            continue
+        px, py = moved[_MX, c], moved[_MY, c]
+        nx, ny, nz = reference[line, column, NX], reference[line, column, NY], reference[line, column, NZ]
+        along = nx * px + ny * py + nz * pz
+        error = along - reference[line, column, OFFSET]
+        if not np.isnan(error):
+            root = _plane_root(noise, how[1], z, qz, along * along / (px * px + py * py + pz * pz))
+            _put(planes, plane_count, px, py, pz, nx, ny, nz, error, root)
+            plane_count += 1
+        if how[6] > 0:
+            there, du, dv = _between(reference, u, v)
+            if grey[c] >= 0 and not np.isnan(there + du + dv):
+                gx, gy = gain * du * grid[0] / pz, gain * dv * grid[1] / pz
+                slide = how[7] * how[7] * (du * du + dv * dv)
+                root = how[6] / np.sqrt(how[2] * how[2] + slide)
+                gz = -(gx * px + gy * py) / pz
+                _put(greys, grey_count, px, py, pz, gx, gy, gz, gain * there + how[4] - grey[c], root)
+                greys[_J3, grey_count], greys[_J4, grey_count] = there, grey[c]
+                grey_count += 1
+    row[PAIRS] = pairs
+    _fit(greys, grey_count, how[5], row)
+    return plane_count, grey_count
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _plane_root(noise: Any, scale: Any, z: Any, qz: Any, cosine2: Any) -> Any:
+    """1 / σ of a plane residual, whose two depths err along the ray; bounded where planes are grazed."""
     here, there = noise[0] + noise[1] * z * z, noise[0] + noise[1] * qz * qz
-    along = n[0] * p[0] + n[1] * p[1] + n[2] * p[2]
-    cosine2 = max(along * along / (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]), np.float32(0.04))
-    return np.sqrt((here * here + there * there) * cosine2)
+    return np.float32(1) / (scale * np.sqrt((here * here + there * there) * max(cosine2, np.float32(0.04))))
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _look(image: Any, along_u: Any, along_v: Any, u: Any, v: Any) -> Any:
-    """Grey and its gradient between pixels; grey is -1 where a neighbour is unknown."""
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _between(reference: Any, u: Any, v: Any) -> Any:
+    """Grey and its gradient between four pixels; NaN where one is unknown."""
     c, r = int(u), int(v)
-    a, b, d, e = image[r, c], image[r, c + 1], image[r + 1, c], image[r + 1, c + 1]
-    if a < 0 or b < 0 or d < 0 or e < 0:
-        return np.float32(-1), np.float32(0), np.float32(0)
-    s, t = np.float32(u - c), np.float32(v - r)
-    one = np.float32(1)
+    s, t, one = u - np.float32(c), v - np.float32(r), np.float32(1)
     wa, wb, wd, we = (one - s) * (one - t), s * (one - t), (one - s) * t, s * t
     return (
-        wa * a + wb * b + wd * d + we * e,
-        wa * along_u[r, c] + wb * along_u[r, c + 1] + wd * along_u[r + 1, c] + we * along_u[r + 1, c + 1],
-        wa * along_v[r, c] + wb * along_v[r, c + 1] + wd * along_v[r + 1, c] + we * along_v[r + 1, c + 1],
+        wa * reference[r, c, GREY]
+        + wb * reference[r, c + 1, GREY]
+        + wd * reference[r + 1, c, GREY]
+        + we * reference[r + 1, c + 1, GREY],
+        wa * reference[r, c, ALONG_U]
+        + wb * reference[r, c + 1, ALONG_U]
+        + wd * reference[r + 1, c, ALONG_U]
+        + we * reference[r + 1, c + 1, ALONG_U],
+        wa * reference[r, c, ALONG_V]
+        + wb * reference[r, c + 1, ALONG_V]
+        + wd * reference[r + 1, c, ALONG_V]
+        + we * reference[r + 1, c + 1, ALONG_V],
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _put(
-    buffer: Any, k: int, p: Any, gx: Any, gy: Any, gz: Any, error: Any, sigma: Any, limit: Any, row: Any, place: int
-) -> Any:
-    """Write J and error, with Huber's weight, as column k; count and sum up in the row. The weight."""
-    scaled = abs(error) / sigma
-    weight = np.float32(1.0) if scaled <= limit else np.float32(limit / scaled)
-    root = np.float32(np.sqrt(weight) / sigma)
-    buffer[0, k], buffer[1, k], buffer[2, k] = root * gx, root * gy, root * gz
-    buffer[3, k] = root * (p[1] * gz - p[2] * gy)
-    buffer[4, k] = root * (p[2] * gx - p[0] * gz)
-    buffer[5, k] = root * (p[0] * gy - p[1] * gx)
-    buffer[6, k] = root * error
-    row[place] += 1
-    row[place + 1] += scaled
-    row[place + 2] += weight * scaled * scaled
-    return weight
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _put(to: Any, k: int, px: Any, py: Any, pz: Any, gx: Any, gy: Any, gz: Any, error: Any, root: Any) -> None:
+    to[_PX, k], to[_PY, k], to[_PZ, k] = px, py, pz
+    to[_GX, k], to[_GY, k], to[_GZ, k] = gx, gy, gz
+    to[_ERROR, k], to[_ROOT, k] = error, root
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _fit(row: Any, weight: Any, there: Any, here: Any) -> None:
-    """What the regression of grey here on grey there needs."""
-    row[FIT_N] += weight
-    row[FIT_X] += weight * there
-    row[FIT_Y] += weight * here
-    row[FIT_XX] += weight * there * there
-    row[FIT_XY] += weight * there * here
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def _fit(greys: Any, count: int, limit: Any, row: Any) -> None:
+    """What the regression of grey here on grey there needs, of the two greys left in the buffer."""
+    n = x = y = xx = xy = np.float32(0)
+    for k in range(count):
+        weight = limit / max(abs(greys[_ERROR, k]) * greys[_ROOT, k], limit)
+        there, here = greys[_J3, k], greys[_J4, k]
+        n += weight
+        x += weight * there
+        y += weight * here
+        xx += weight * there * there
+        xy += weight * there * here
+    row[FIT_N], row[FIT_X], row[FIT_Y], row[FIT_XX], row[FIT_XY] = n, x, y, xx, xy
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def _weigh(buffer: Any, count: int, limit: Any, row: Any, place: int) -> None:
+    """Turn collected residuals into weighted Jacobians (g, p × g) and errors by Huber's weights; sum up in the row."""
+    px, py, pz, gx, gy, gz = buffer[_PX], buffer[_PY], buffer[_PZ], buffer[_GX], buffer[_GY], buffer[_GZ]
+    error, root = buffer[_ERROR], buffer[_ROOT]
+    total = squares = np.float32(0)
+    for k in range(count):
+        scaled = abs(error[k]) * root[k]
+        weight = limit / max(scaled, limit)
+        total += scaled
+        squares += weight * scaled * scaled
+        root[k] *= np.sqrt(weight)
+    for k in range(count):
+        gx[k] *= root[k]
+    for k in range(count):
+        gy[k] *= root[k]
+    for k in range(count):
+        gz[k] *= root[k]
+    for k in range(count):
+        error[k] *= root[k]
+    a, b, d = buffer[_J3], buffer[_J4], buffer[_J5]
+    for k in range(count):
+        a[k] = py[k] * gz[k] - pz[k] * gy[k]
+    for k in range(count):
+        b[k] = pz[k] * gx[k] - px[k] * gz[k]
+    for k in range(count):
+        d[k] = px[k] * gy[k] - py[k] * gx[k]
+    row[place], row[place + 1], row[place + 2] = count, total, squares
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _add(buffer: Any, count: int, row: Any) -> None:
-    """Add the products of a buffer's first `count` columns to a row's sums."""
+    """Add the products of a buffer's Jacobians and errors to a row's sums."""
     k = 0
     for i in range(6):
+        of_i = buffer[_GX + i if i < 3 else _J3 + i - 3]
         for j in range(i, 6):
-            total = np.float32(0.0)
+            of_j = buffer[_GX + j if j < 3 else _J3 + j - 3]
+            total = np.float32(0)
             for n in range(count):
-                total += buffer[i, n] * buffer[j, n]
+                total += of_i[n] * of_j[n]
             row[k] += total
             k += 1
-    for i in range(6):
-        total = np.float32(0.0)
+        total = np.float32(0)
         for n in range(count):
-            total += buffer[i, n] * buffer[6, n]
+            total += of_i[n] * buffer[_ERROR, n]
         row[21 + i] += total
 
 
-@njit(cache=True, nogil=True)
-def accumulate_turn(
-    grey: Any, reference_grey: Any, along_u: Any, along_v: Any, grid: Any, R: Any, limit: float, sums: Any
-) -> None:
+@njit(cache=True, nogil=True, error_model="numpy")
+def accumulate_turn(grey: Any, reference: Any, grid: Any, R: Any, limit: float, sums: Any) -> None:
     """Normal equations of a pure rotation R_reference_frame (3, 3) by grey values alone (Whelan et al. 2015, IV.B).
 
     Args:
+        grey: (h, w) of the frame, -1 where unknown.
+        reference: (h, w, CHANNELS).
+        grid: fx, fy, cx, cy of both.
+        R: (3, 3).
         limit: Huber's limit in grey levels.
         sums: (11,) H's upper triangle (6), b (3), count, sum of absolute errors.
     """
@@ -192,9 +259,6 @@ def accumulate_turn(
     sums[:] = 0.0
     for r in range(height):
         for c in range(width):
-            here = grey[r, c]
-            if here < 0:
-                continue
             x, y = (c - grid[2]) / grid[0], (r - grid[3]) / grid[1]
             px = R[0, 0] * x + R[0, 1] * y + R[0, 2]
             py = R[1, 0] * x + R[1, 1] * y + R[1, 2]
@@ -205,22 +269,28 @@ def accumulate_turn(
             if not (1 <= u < width - 2 and 1 <= v < height - 2):
                 continue
             column, line = int(u + 0.5), int(v + 0.5)
-            there = reference_grey[line, column]
-            if there < 0:
+            error = reference[line, column, GREY] - grey[r, c]
+            gx = reference[line, column, ALONG_U] * grid[0] / pz
+            gy = reference[line, column, ALONG_V] * grid[1] / pz
+            if grey[r, c] < 0 or np.isnan(error + gx + gy):
                 continue
-            error = there - here
-            weight = 1.0 if abs(error) <= limit else limit / abs(error)
-            gx, gy = along_u[line, column] * grid[0] / pz, along_v[line, column] * grid[1] / pz
-            gz = -(gx * px + gy * py) / pz
-            a, b, d = py * gz - pz * gy, pz * gx - px * gz, px * gy - py * gx
-            sums[0] += weight * a * a
-            sums[1] += weight * a * b
-            sums[2] += weight * a * d
-            sums[3] += weight * b * b
-            sums[4] += weight * b * d
-            sums[5] += weight * d * d
-            sums[6] += weight * a * error
-            sums[7] += weight * b * error
-            sums[8] += weight * d * error
-            sums[9] += 1
-            sums[10] += abs(error)
+            _add_turn(px, py, pz, gx, gy, error, limit, sums)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _add_turn(px: Any, py: Any, pz: Any, gx: Any, gy: Any, error: Any, limit: float, sums: Any) -> None:
+    """One pixel's share in the normal equations: J = p × g."""
+    weight = 1.0 if abs(error) <= limit else limit / abs(error)
+    gz = -(gx * px + gy * py) / pz
+    a, b, d = py * gz - pz * gy, pz * gx - px * gz, px * gy - py * gx
+    sums[0] += weight * a * a
+    sums[1] += weight * a * b
+    sums[2] += weight * a * d
+    sums[3] += weight * b * b
+    sums[4] += weight * b * d
+    sums[5] += weight * d * d
+    sums[6] += weight * a * error
+    sums[7] += weight * b * error
+    sums[8] += weight * d * error
+    sums[9] += 1
+    sums[10] += abs(error)

@@ -15,8 +15,9 @@ from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.odometry.dense import _grid_kernels as kernels
 from wheelsight.odometry.dense.settings import DenseSettings
 
-# Where depth is unknown but colour shares its grid, a point's direction is known well enough.
-_TYPICAL_DEPTH_M = 2.0
+# Images lower than this are done sooner by one thread than handed to several.
+_FEWEST_ROWS = 100
+_NO_IMAGE = np.empty((0, 0), np.float32)
 
 
 class Rows:
@@ -28,7 +29,7 @@ class Rows:
 
     def share(self, height: int, work: Callable[[int, int], None]) -> None:
         """Call `work(begin, end)` until all rows below `height` are done."""
-        if self._pool is None or height < 16 * self._threads:
+        if self._pool is None or height < _FEWEST_ROWS:
             work(0, height)
             return
         borders = [height * part // self._threads for part in range(self._threads + 1)]
@@ -74,13 +75,13 @@ class Gridder:
     def __init__(self, calibration: Calibration, settings: DenseSettings, rows: Rows) -> None:
         self._color, self._depth = calibration.cameras
         self._calibration, self._settings, self._rows = calibration, settings, rows
-        self._halvings = 0
-        while self._depth.width >> self._halvings > settings.finest_width_px:
-            self._halvings += 1
+        self.halvings = 0
+        while self._depth.width >> self.halvings > settings.finest_width_px:
+            self.halvings += 1
         self.intrinsics = _scaled(
-            np.array([self._depth.fx, self._depth.fy, self._depth.cx, self._depth.cy]), self._halvings
+            np.array([self._depth.fx, self._depth.fy, self._depth.cx, self._depth.cy]), self.halvings
         )
-        self.shape = (self._depth.height >> self._halvings, self._depth.width >> self._halvings)
+        self.shape = (self._depth.height >> self.halvings, self._depth.width >> self.halvings)
         self._source_px = self._lens()
         height = self.shape[0]
         late_share = (np.arange(height) + 0.5) / height - 0.5
@@ -88,13 +89,14 @@ class Gridder:
 
     def on_grid(self, frame: RgbdFrame, twist: FloatArray) -> GridFrame:
         """The frame's pyramid, straightened for a camera moving at `twist` (6,)."""
-        grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-        depth_m = frame.depth_m
-        for _ in range(self._halvings):
+        depth_m, grey = frame.depth_m, self._small_grey(frame)
+        for _ in range(self.halvings):
             depth_m = _halved_depth(depth_m, self._settings.depth_jump, self._rows)
-        finest_depth_m = self._straightened(depth_m, twist)
-        finest_grey = self._grey(grey, finest_depth_m, twist)
-        levels = coarser(Level(self.intrinsics, finest_depth_m, finest_grey), self._settings, self._rows)
+        if not self._is_straight:
+            depth_m, grey = self._straightened(depth_m, grey, twist)
+        if not self._calibration.is_registered:
+            grey = self._looked_up(grey, depth_m, twist)
+        levels = coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
         return GridFrame(frame.stamp_s, levels, twist)
 
     @property
@@ -116,32 +118,38 @@ class Gridder:
         v_px = fy * (y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y) + cy
         return np.stack([u_px, v_px], axis=-1).astype(np.float32)
 
-    def _straightened(self, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
-        if self._is_straight:
-            return depth_m
-        straight = np.empty(self.shape, np.float32)
-        moving = self.late_s if twist.any() else np.zeros_like(self.late_s)
-        given = (depth_m, self._source_px, self.intrinsics, twist, moving, self._settings.depth_jump)
-        self._rows.share(len(straight), lambda a, b: kernels.straighten_depth(*given, a, b, straight))
-        return straight
+    def _small_grey(self, frame: RgbdFrame) -> Float32Array:
+        """Grey (H, W) as measured, halved."""
+        grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
+        size = (grey.shape[1] >> self.halvings, grey.shape[0] >> self.halvings)
+        return (cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if self.halvings else grey).astype(np.float32)
 
-    def _grey(self, grey: np.ndarray, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
-        """Grey on the ideal grid; where colour is not registered, seen at each pixel's 3D point."""
-        factor = 1 << self._halvings
-        size = (grey.shape[1] // factor, grey.shape[0] // factor)
-        small = (cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if factor > 1 else grey).astype(np.float32)
-        if self._calibration.is_registered and self._is_straight:
-            return small
+    def _straightened(
+        self, depth_m: Float32Array, grey: Float32Array, twist: FloatArray
+    ) -> tuple[Float32Array, Float32Array]:
+        """Depth without lens and shutter, and grey too where it shares depth's grid."""
+        registered = self._calibration.is_registered
+        out = np.empty((1 + registered, *self.shape), np.float32)
+        images = (depth_m, grey if registered else _NO_IMAGE)
+        how = (np.float32(self._shutter_s(twist)), np.float32(self._settings.depth_jump))
+        given = (*images, self._source_px, self.intrinsics.astype(np.float32), twist.astype(np.float32), *how)
+        self._rows.share(self.shape[0], lambda begin, end: kernels.straighten(*given, (begin, end), out))
+        return out[0], out[1] if registered else grey
+
+    def _looked_up(self, grey: Float32Array, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
+        """What a colour camera of its own saw at the 3D point of each pixel."""
         color = self._color
-        lens = _scaled(np.array([color.fx, color.fy, color.cx, color.cy]), self._halvings)
-        T = self._calibration.T_color_depth
-        T_color_camera = np.eye(4) if T is None else np.array(T)
-        shutter_s = self._calibration.rolling_shutter_s * bool(twist.any())
-        late = np.array([0.5 * shutter_s, size[1], _TYPICAL_DEPTH_M * self._calibration.is_registered])
-        given = (small, depth_m, self.intrinsics, T_color_camera, np.array([*lens, *color.distortion]), twist, late)
+        lens = _scaled(np.array([color.fx, color.fy, color.cx, color.cy]), self.halvings)
+        images = (grey, depth_m, self.intrinsics.astype(np.float32))
+        T_color_camera = np.asarray(self._calibration.T_color_depth, np.float32)
+        cameras = (T_color_camera, np.array([*lens, *color.distortion], np.float32))
+        given = (*images, *cameras, twist.astype(np.float32), np.float32(self._shutter_s(twist)))
         out = np.empty(self.shape, np.float32)
-        self._rows.share(len(out), lambda a, b: kernels.sample_grey(*given, (a, b), out))
+        self._rows.share(len(out), lambda begin, end: kernels.sample_grey(*given, (begin, end), out))
         return out
+
+    def _shutter_s(self, twist: FloatArray) -> float:
+        return self._calibration.rolling_shutter_s if twist.any() else 0.0
 
 
 def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, ...]:

@@ -66,7 +66,7 @@ class DenseOdometry:
         rows = Rows(self._settings.threads)
         self._gridder = Gridder(calibration, self._settings, rows)
         self._maker = ReferenceMaker(self._settings, rows)
-        self._aligner = Aligner(calibration, self._settings, rows, self._gridder.late_s)
+        self._aligner = Aligner(calibration, self._settings, rows, self._gridder.late_s, self._gridder.halvings)
         self._model = model
         self._keyframes: list[_Keyframe] = []
         self._watch = Stopwatch()

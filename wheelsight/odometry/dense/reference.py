@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from wheelsight.geometry import Float32Array, FloatArray
-from wheelsight.odometry.dense import _grid_kernels as kernels
+from wheelsight.odometry.dense import _reference_kernels as kernels
+from wheelsight.odometry.dense._alignment_kernels import CHANNELS
 from wheelsight.odometry.dense.grid import GridFrame, Level, Rows, coarser
 from wheelsight.odometry.dense.settings import DenseSettings
 
@@ -37,12 +38,16 @@ class ReferenceModel(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceLevel:
-    """One scale of a reference: a level with normals (h, w, 3) and gradients (h, w) of grey a pixel."""
+    """One scale of a reference.
 
-    level: Level
+    Attributes:
+        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
+        pixels: (h, w, 8) float32: the plane n·q = d through each pixel's point q as n and d, depth, grey, and grey's
+            gradient along u and v a pixel; NaN where unknown. Side by side, since a look-up needs them together.
+    """
+
     normal: Float32Array
-    along_u: Float32Array
-    along_v: Float32Array
+    pixels: Float32Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,9 +77,16 @@ class ReferenceMaker:
 
     def _level(self, level: Level, normal: Float32Array | None = None) -> ReferenceLevel:
         if normal is None:
-            normal = np.empty((*level.depth_m.shape, 3), np.float32)
-            given = (level.depth_m, level.intrinsics, self._settings.normal_radius_px, self._settings.depth_jump)
-            self._rows.share(len(normal), lambda a, b: kernels.normals(*given, a, b, normal))
-        along_u, along_v = np.empty_like(level.grey), np.empty_like(level.grey)
-        self._rows.share(len(normal), lambda a, b: kernels.gradients(level.grey, a, b, along_u, along_v))
-        return ReferenceLevel(level, normal, along_u, along_v)
+            normal = self.normals(level)
+        pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
+        given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32))
+        self._rows.share(len(pixels), lambda begin, end: kernels.pack(*given, begin, end, pixels))
+        return ReferenceLevel(normal, pixels)
+
+    def normals(self, level: Level) -> Float32Array:
+        """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown."""
+        normal = np.empty((*level.depth_m.shape, 3), np.float32)
+        grid = level.intrinsics.astype(np.float32)
+        given = (level.depth_m, grid, self._settings.normal_radius_px, np.float32(self._settings.depth_jump))
+        self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
+        return normal
