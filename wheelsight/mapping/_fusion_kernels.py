@@ -140,14 +140,13 @@ def find_candidates(
             seen_z = depth_m[r, c]
             if not seen_z > 0:
                 continue
-            is_active = seen_s[slot, 1] >= since_s
             if _agrees(s, reading[r, c], variance[slot], settings):
                 du, dv = u - np.float32(c) - _HALF, v - np.float32(r) - _HALF
                 off = du * du + dv * dv + (_ZERO if s[CONFIDENCE] >= settings[STABLE] else _UNSTABLE)
-                rank[entry] = off if is_active else off + _INACTIVE
+                rank[entry] = off if seen_s[slot, 1] >= since_s else off + _INACTIVE
                 pixel[entry] = r * width + c
             elif z < seen_z - settings[FREE_M]:
-                margin = settings[FREE_M] + (_ZERO if is_active else settings[DRIFT_M])
+                margin = settings[FREE_M] + (_ZERO if seen_s[slot, 1] >= since_s else settings[DRIFT_M])
                 margin += _FREE_SIGMAS * (noise[_CONSTANT] + noise[_QUADRATIC] * seen_z * seen_z)
                 if _is_free(depth_m, r, c, z + margin):
                     s[CONFIDENCE] *= _HALF

@@ -6,6 +6,7 @@ ship it. Open3D's and MeshLab's Poisson reconstructions close holes with surface
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 
 from wheelsight.errors import MapError
 from wheelsight.files import atomic_write
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray, Int32Array
+from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array
 from wheelsight.mapping.surfels import SurfelMap, Surfels
 
 _REACH_VOXELS = 3
@@ -124,10 +125,18 @@ def _triangles(
     if not known.any() or distance[known].min() >= 0 or distance[known].max() <= 0:
         return None
     try:
-        vertices, triangles, _, _ = measure(distance, 0.0, mask=known, gradient_direction="ascent")
+        vertices, triangles, _, _ = measure(distance, 0.0, mask=_whole_cubes(known), gradient_direction="descent")
     except (RuntimeError, ValueError):  # scikit-image's way to say that no voxel's cube has a surface in it
         return None
     return vertices * voxel_m + origin, triangles
+
+
+def _whole_cubes(known: BoolArray) -> BoolArray:
+    """Which cubes of eight voxels are known whole, each marked at its highest corner, as scikit-image asks for it."""
+    whole = np.zeros_like(known)
+    corners = [(slice(0, -1), slice(1, None))] * 3
+    whole[1:, 1:, 1:] = np.logical_and.reduce([known[corner] for corner in itertools.product(*corners)])
+    return whole
 
 
 def _welded(vertices: FloatArray, triangles: np.ndarray, voxel_m: float) -> tuple[FloatArray, Int32Array]:

@@ -221,6 +221,12 @@ class SurfelMap:
         since_s = self._active_since_s if which == "active" else -np.inf
         return ColoredView(*self._show(_checked_pose(T_world_camera, intrinsics), shape, far_m, least, since_s, True))
 
+    def in_view(self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> int:
+        """How many surfels may be in view, of the blocks that are: what a frame's time depends on."""
+        pose = _checked_pose(T_world_camera, intrinsics)
+        pages = self._blocks.pages_in_view(pose.T, pose.grid, shape, self.settings.far_m, -np.inf)
+        return int(self._blocks.page_fill[pages].sum())
+
     @property
     def _active_since_s(self) -> float:
         return self.stamp_s - self.settings.active_s
