@@ -10,6 +10,8 @@ from numba import njit
 
 from wheelsight.simulation._texture_kernels import hash_unit
 
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
+_COMPILED_IN = 0x0A88544E
 _LONGEST_SMEAR_PX = 60.0
 
 

@@ -9,6 +9,8 @@ from numba import njit
 
 from wheelsight.simulation._texture_kernels import cover, hash_unit, stripes
 
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
+_COMPILED_IN = 0x0A88544E
 _SPILL = 0.25
 _SEAM_M = 0.10
 _CORNER_M = 0.3

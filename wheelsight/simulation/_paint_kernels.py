@@ -20,6 +20,8 @@ from wheelsight.simulation._texture_kernels import (
 )
 from wheelsight.simulation._wall_kernels import used_wall
 
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
+_COMPILED_IN = 0x4A68EB8E
 PLAIN, PLASTER, CARPET, TILES, WOOD, CEILING, DOOR, POSTER, NOTICE_BOARD, FABRIC, BOOKS = range(11)
 _CURVED = 3
 _FLAT_THING_M = 0.12

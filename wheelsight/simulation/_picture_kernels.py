@@ -23,6 +23,8 @@ from wheelsight.simulation._texture_kernels import (
     stripes,
 )
 
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
+_COMPILED_IN = 0x0A88544E
 _PAPER = (0.84, 0.83, 0.79)
 _INK = (0.06, 0.06, 0.08)
 _STEEL = (0.52, 0.53, 0.55)

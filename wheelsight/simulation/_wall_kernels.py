@@ -12,6 +12,8 @@ from numba import njit
 
 from wheelsight.simulation._texture_kernels import blot, cover, hash_unit, mix, noise, print_lines, scaled, stripes
 
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
+_COMPILED_IN = 0x0A88544E
 _SKIRTING_M = 0.08
 _SKIRTING = (0.24, 0.23, 0.22)
 _BARE = (0.62, 0.58, 0.50)

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
+from wheelsight.calibration import Calibration, Wheels
 from wheelsight.events import Event
+from wheelsight.geometry import FloatArray
 from wheelsight.recordings import AssociationReport
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.renderer import Renderer
@@ -58,12 +59,15 @@ class SimulatedRecording:
     @property
     def calibration(self) -> Calibration:
         """What the robot's owner measured: the nominal wheels and camera mount, none of the errors injected."""
-        return calibration_of(Robot(has_gyro=self.settings.robot.has_gyro), self.renderer.calibration, "nominal")
+        robot = self.settings.robot
+        wheels, T_base_camera = robot.nominal, Robot().T_base_camera
+        return calibration_of(wheels, T_base_camera, self.renderer.calibration, "nominal")
 
     @property
     def true_calibration(self) -> Calibration:
         """What the robot truly is."""
-        return calibration_of(self.settings.robot, self.renderer.calibration, "true")
+        robot = self.settings.robot
+        return calibration_of(robot.wheels, robot.T_base_camera, self.renderer.calibration, "true")
 
     @property
     def frame_count(self) -> int:
@@ -110,7 +114,7 @@ class SimulatedRecording:
         return self.world.areas.name_at(float(T_world_base[0, 3]), float(T_world_base[1, 3]))
 
 
-def calibration_of(robot: Robot, camera: Calibration, kind: str) -> Calibration:
+def calibration_of(wheels: Wheels, T_base_camera: FloatArray, camera: Calibration, kind: str) -> Calibration:
     """Cameras, mount and wheels in one; `camera` is the calibration of the camera alone, `kind` a word for reports."""
     source = f"{camera.source}, {kind} wheelchair, simulated"
-    return replace(camera, T_base_camera=robot.T_base_camera, wheels=robot.wheels, source=source)
+    return replace(camera, T_base_camera=T_base_camera, wheels=wheels, source=source)
