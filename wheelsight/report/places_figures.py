@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
 import numpy as np
 import plotly.graph_objects as go
 
@@ -10,40 +14,37 @@ from wheelsight.report import _drawing as drawing
 from wheelsight.report._drawing import BLUE, GREY, VERMILLION
 
 _CELL_PX, _LEAST_PX = 52, 320
-_INK_FROM = 0.5  # share of a row from which its cell is dark enough for white figures
-_BLUES = [[0, "rgba(0,114,178,0.04)"], [1, "rgba(0,114,178,1)"]]
+# Never so strong that the page's ink, dark or light, could not be read upon it.
+_BLUES = [[0, "rgba(0,114,178,0.04)"], [1, "rgba(0,114,178,0.6)"]]
 
 
 def confusion_figure(trial: PlaceTrial) -> go.Figure:
     """True areas in rows, most probable areas in columns; colour is the share of the row, figures are frames."""
-    counts = trial.confusion
-    columns = list(trial.area_names)
-    if counts[:, -1].any():
-        columns.append("no depth")
-    else:
-        counts = counts[:, :-1]
+    counts, names = trial.confusion, trial.area_names
+    columns = (*names, "no depth") if counts[:, -1].any() else names
+    counts = counts[:, : len(columns)]
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    height = max(_LEAST_PX, _CELL_PX * len(counts) + 100)
-    figure = drawing.style(go.Figure(), height, margin={"l": 96, "r": 14, "t": 34, "b": 56})
-    x, y = [f" {name}" for name in columns], [f" {name}" for name in trial.area_names]
-    hover = "true%{y}, taken for%{x}: %{customdata} frames, %{z:.1%} of the area<extra></extra>"
-    figure.add_heatmap(
-        z=shares, x=x, y=y, customdata=counts, colorscale=_BLUES, zmin=0, zmax=1, showscale=False, xgap=2, ygap=2,
-        hovertemplate=hover,
-    )  # fmt: skip
-    for row, column in zip(*np.nonzero(counts), strict=True):
-        is_dark = shares[row, column] >= _INK_FROM
-        figure.add_annotation(
-            x=x[column],
-            y=y[row],
-            text=f"<b>{counts[row, column]}</b>" if is_dark else str(counts[row, column]),
-            showarrow=False,
-            font={"size": 13, **({"color": "#ffffff"} if is_dark else {})},
-        )
-    figure.update_xaxes(title_text="most probable area", type="category", showgrid=False, constrain="domain")
-    figure.update_yaxes(
-        title_text="true area", type="category", autorange="reversed", showgrid=False, title_standoff=10
+    figure = drawing.style(
+        go.Figure(), max(_LEAST_PX, _CELL_PX * len(counts) + 100), margin={"r": 14, "t": 14, "b": 56}
     )
+    pairs = [[f"in {true}, taken for {best}" for best in columns] for true in names]
+    figure.add_heatmap(
+        z=shares,
+        text=[[f"{count:,}" if count else "" for count in row] for row in counts.tolist()],
+        customdata=pairs,
+        texttemplate="%{text}",
+        textfont={"size": 14},
+        colorscale=_BLUES,
+        zmin=0,
+        zmax=1,
+        showscale=False,
+        xgap=2,
+        ygap=2,
+        hovertemplate="%{customdata}: %{z:.1%} of its frames<extra></extra>",
+    )
+    figure.update_xaxes(title_text="most probable area", **_names_at_ticks(columns))
+    figure.update_yaxes(title_text="true area", autorange="reversed", **_names_at_ticks(names))
+    figure.update_layout(margin_l=_room_for(names))
     return figure
 
 
@@ -103,7 +104,18 @@ def time_figure(trial: PlaceTrial) -> go.Figure:
             showlegend=bool(which.any()),
         )
     areas = len(trial.area_names)
-    ticks = {"tickmode": "array", "tickvals": list(range(areas)), "ticktext": list(trial.area_names)}
-    figure.update_yaxes(range=[areas - 0.4, -0.6], **ticks)
+    figure.update_yaxes(range=[areas - 0.4, -0.6], **_names_at_ticks(trial.area_names))
     drawing.time_axis_until(figure, float(seconds[-1]), "seconds since the first frame")
+    figure.update_layout(margin_l=_room_for(trial.area_names))
     return figure
+
+
+def _names_at_ticks(names: Sequence[str]) -> dict[str, Any]:
+    """Places 0, 1, … of an axis by their names: given as text, names such as 1 would be taken for places."""
+    ticks = {"tickmode": "array", "tickvals": list(range(len(names))), "ticktext": [escape(name) for name in names]}
+    return {**ticks, "showgrid": False}
+
+
+def _room_for(names: Sequence[str]) -> int:
+    """Left margin in px that the longest name needs, and the axis' title beside it."""
+    return 62 + 7 * min(max(map(len, names)), 24)
