@@ -33,6 +33,7 @@ class SurfelTimes:
         threads: that shared a frame's rows.
         in_view, surfels: of the map that was predicted from and fused into.
         predict_ms, fuse_ms: medians. predict_least_ms, fuse_least_ms: the shortest: what an idle machine would take.
+        predict_cpu_ms, fuse_cpu_ms: least processor time, of all threads together; other programs hardly change it.
         first_ms, last_ms: a frame, predicted and fused, in the first and the last quarter of a drive down a corridor.
         frames: of that drive. grown: surfels it left.
         was_busy: whether other programs ran: medians are then too long.
@@ -45,6 +46,8 @@ class SurfelTimes:
     predict_least_ms: float
     fuse_ms: float
     fuse_least_ms: float
+    predict_cpu_ms: float
+    fuse_cpu_ms: float
     first_ms: float
     last_ms: float
     frames: int
@@ -59,19 +62,21 @@ def measure_surfels(threads: int = 2, frames: int = 400) -> SurfelTimes:
     T, (depth_m, normal, grey) = _pose(0.0), _corridor(0.0)
     stamp_s = dense.stamp_s
     dense.predict(T, _GRID, _SHAPE)
-    predicting, fusing = [], []
+    predicting, fusing, cpu = [], [], []
     in_view = dense.in_view(T, _GRID, _SHAPE)
     for _ in range(_REPEATS):
         stamp_s += _FRAME_S
-        begin = time.perf_counter()
+        begin, cpu_begin = time.perf_counter(), time.process_time()
         dense.predict(T, _GRID, _SHAPE)
-        between = time.perf_counter()
+        between, cpu_between = time.perf_counter(), time.process_time()
         dense.fuse(depth_m, normal, grey, None, _GRID, T, stamp_s, _NOISE)
         predicting.append(1e3 * (between - begin))
         fusing.append(1e3 * (time.perf_counter() - between))
+        cpu.append((1e3 * (cpu_between - cpu_begin), 1e3 * (time.process_time() - cpu_between)))
     medians = (statistics.median(predicting), min(predicting), statistics.median(fusing), min(fusing))
+    cpu_ms = np.min(cpu, axis=0).tolist()
     first_ms, last_ms, grown = _drive(threads, frames)
-    return SurfelTimes(threads, in_view, len(dense), *medians, first_ms, last_ms, frames, grown, was_busy)
+    return SurfelTimes(threads, in_view, len(dense), *medians, *cpu_ms, first_ms, last_ms, frames, grown, was_busy)
 
 
 def _drive(threads: int, frames: int) -> tuple[float, float, int]:
