@@ -74,9 +74,11 @@ def measure_surfels(threads: int = 2, frames: int = 400) -> SurfelTimes:
         fusing.append(1e3 * (time.perf_counter() - between))
         cpu.append((1e3 * (cpu_between - cpu_begin), 1e3 * (time.process_time() - cpu_between)))
     medians = (statistics.median(predicting), min(predicting), statistics.median(fusing), min(fusing))
-    cpu_ms = np.min(cpu, axis=0).tolist()
+    predict_cpu_ms, fuse_cpu_ms = np.min(cpu, axis=0).tolist()
     first_ms, last_ms, grown = _drive(threads, frames)
-    return SurfelTimes(threads, in_view, len(dense), *medians, *cpu_ms, first_ms, last_ms, frames, grown, was_busy)
+    return SurfelTimes(
+        threads, in_view, len(dense), *medians, predict_cpu_ms, fuse_cpu_ms, first_ms, last_ms, frames, grown, was_busy
+    )
 
 
 def _drive(threads: int, frames: int) -> tuple[float, float, int]:
