@@ -32,7 +32,7 @@ class SurfelTimes:
     Attributes:
         threads: that shared a frame's rows.
         in_view, surfels: of the map that was predicted from and fused into.
-        predict_ms, fuse_ms: medians. predict_least_ms, fuse_least_ms: the shortest: what an idle machine would take.
+        predict_ms, fuse_ms: medians. predict_least_ms, fuse_least_ms: the shortest.
         predict_cpu_ms, fuse_cpu_ms: least processor time, of all threads together; other programs hardly change it.
         first_ms, last_ms: a frame, predicted and fused, in the first and the last quarter of a drive down a corridor.
         frames: of that drive. grown: surfels it left.
