@@ -1,0 +1,199 @@
+"""AreaFilter: a hidden Markov filter over the areas' adjacency, and over what the forest's answers are worth.
+
+Hidden are three things: how good the forest is just now (a level), in which area the robot is, and which area the
+frames look like. Frames taken close together look alike and are wrong together, so the look keeps while the robot has
+hardly moved, and is drawn anew, from the confusions of a forest of that level, about once every `look_m`. A run of
+wrong answers thereby counts once, however many frames it has. On the last levels looks are drawn without regard to the
+area, and keep for longer or shorter ways: a forest that fails, for a while.
+
+Against all this stands the supposition that the forest is worth nothing and never was: looks drawn without regard to
+the area from the first frame on. The answers are the evidence between the two (`worth`). A forest that always answers
+the same, or has areas mixed up, keeps its looks long; only looks that change where areas do, speak for the forest.
+
+Forward filtering is exact (Rabiner 1989, section III.A); `likelihoods` of `update` are what one frame says of the
+area given all frames before it, which is what a filter of the position may take as a measurement without counting
+anything twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.areas import AreaMap
+from wheelsight.errors import ConfigError
+from wheelsight.geometry import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class AreaFilterSettings:
+    """What is believed of areas and forests before the first frame.
+
+    Attributes:
+        accuracies: of a forest that does not fail, one level each.
+        failing_looks_m: ways after which the look of a forest that fails changes, one level each.
+        worth: probability before the first frame that the forest is worth anything.
+        look_m: way after which a frame's look, right or wrong, says something new.
+        look_per_rad_m: a turn of one radian counts as so much way.
+        area_m: mean way through an area.
+        level_m: mean way until the level of a forest that does not fail may change.
+        failure_m: mean way until it fails.
+        recovery_m: mean way until it does no longer.
+        blip: share of single frames whose answer means nothing.
+        neighbour_share: of the wrong looks, those that are of a neighbouring area.
+
+    Raises:
+        ConfigError: a probability outside 0 to 1, or a way that is not positive.
+    """
+
+    accuracies: tuple[float, ...] = (0.95, 0.8, 0.6)
+    failing_looks_m: tuple[float, ...] = (0.1, 1.0, 5.0, 25.0)
+    worth: float = 0.5
+    look_m: float = 1.0
+    look_per_rad_m: float = 0.5
+    area_m: float = 10.0
+    level_m: float = 200.0
+    failure_m: float = 500.0
+    recovery_m: float = 500.0
+    blip: float = 0.05
+    neighbour_share: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("blip", "neighbour_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}", fix="a probability, 0 to 1")
+        if not 0 < self.worth < 1:
+            raise ConfigError(f"worth is {self.worth}", fix="a probability between 0 and 1")
+        for name in ("look_m", "area_m", "level_m", "failure_m", "recovery_m"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ConfigError(f"{name} is {getattr(self, name)}", fix="metres, above 0")
+        if not 0 <= self.look_per_rad_m < np.inf:
+            raise ConfigError(f"look_per_rad_m is {self.look_per_rad_m}", fix="metres, 0 or more")
+        if not self.failing_looks_m or not all(0 < way_m < np.inf for way_m in self.failing_looks_m):
+            raise ConfigError(f"failing_looks_m are {self.failing_looks_m}", fix="at least one, metres above 0")
+        if not self.accuracies or not all(0 < accuracy < 1 for accuracy in self.accuracies):
+            raise ConfigError(f"accuracies are {self.accuracies}", fix="at least one, each between 0 and 1")
+
+
+class AreaFilter:
+    """The belief over level, place and look; places are the A areas and, last, the floor outside them.
+
+    Args:
+        areas: in the order of the forest's probabilities.
+        settings: see there.
+        places: (A + 1,) probabilities of the places at the start, or None: all areas alike.
+    """
+
+    def __init__(
+        self, areas: AreaMap, settings: AreaFilterSettings | None = None, places: FloatArray | None = None
+    ) -> None:
+        self.settings = settings or AreaFilterSettings()
+        self._looks = _looks_of(areas, self.settings)
+        self._moves = _moves_of(areas)
+        start = np.append(np.full(len(areas), 1 / len(areas)), 0.0) if places is None else np.asarray(places, float)
+        n_right, n_failing = len(self.settings.accuracies), len(self.settings.failing_looks_m)
+        levels = np.append(np.full(n_right, 1 / n_right), np.zeros(n_failing))
+        self._n_right = n_right
+        self._look_m = np.append(np.full(n_right, self.settings.look_m), self.settings.failing_looks_m)
+        self._rate_per_m, self._jumps = _level_jumps(self.settings)
+        self._belief = levels[:, None, None] * start[None, :, None] * self._looks
+        self._worthless = np.full((n_failing, len(areas)), 1 / (n_failing * len(areas)))
+        self._log_odds = np.log(self.settings.worth / (1 - self.settings.worth))
+
+    @property
+    def belief(self) -> FloatArray:
+        """(L, A + 1, A) of level, place and look, if the forest is worth something; last the levels that fail."""
+        return np.array(self._belief)
+
+    @property
+    def places(self) -> FloatArray:
+        """(A + 1,) probabilities of the areas, and of being outside them."""
+        return np.asarray(self._belief.sum(axis=(0, 2)))
+
+    @property
+    def trust(self) -> float:
+        """Probability that the forest is worth something and does not fail just now."""
+        return self.worth * float(self._belief[: self._n_right].sum())
+
+    @property
+    def worth(self) -> float:
+        """Probability that the forest is worth something, by all its answers so far."""
+        return float(1 / (1 + np.exp(-np.clip(self._log_odds, -700, 700))))
+
+    def predict(self, way_m: float, turn_rad: float = 0.0) -> None:
+        """After so much way and turn, in absolute values, the place, the level and the look may have changed."""
+        settings = self.settings
+        belief = self._belief
+        left = 1 - np.exp(-way_m / settings.area_m)
+        belief = (1 - left) * belief + left * np.einsum("pq,lpc->lqc", self._moves, belief)
+        changed = 1 - np.exp(-way_m * self._rate_per_m)
+        belief = (1 - changed) * belief + changed * np.tensordot(self._jumps, belief, axes=(0, 0))
+        kept = np.exp(-(way_m + settings.look_per_rad_m * turn_rad) / self._look_m)[:, None, None]
+        self._belief = kept * belief + (1 - kept) * self._looks * belief.sum(axis=2, keepdims=True)
+        kept, looks = kept[self._n_right :, 0], self._looks[self._n_right :, 0]
+        self._worthless = kept * self._worthless + (1 - kept) * looks * self._worthless.sum(axis=1, keepdims=True)
+
+    def agree_with(self, places: FloatArray) -> None:
+        """Take the probabilities (A + 1,) of the places from who knows better; level and look keep theirs in each."""
+        known = self._belief.sum(axis=(0, 2))
+        fallback = self._belief.sum(axis=1).sum(axis=1)[:, None, None] * self._looks
+        share = np.divide(self._belief, known[None, :, None], out=fallback, where=known[None, :, None] > 1e-300)
+        self._belief = share * np.asarray(places, float)[None, :, None]
+        self._belief /= self._belief.sum()
+
+    def update(self, evidence: FloatArray) -> FloatArray:
+        """Take in a frame.
+
+        Args:
+            evidence: (A,) what the frame says for each look, p(area | frame) / p(area), up to a factor.
+
+        Returns:
+            (A + 1,) the frame's likelihood in each place, given all frames before; of mean 1 over the places.
+        """
+        evidence = evidence / max(evidence.mean(), 1e-300)
+        evidence = (1 - self.settings.blip) * evidence + self.settings.blip
+        before = self._belief.sum(axis=(0, 2))
+        after = self._belief * evidence
+        likelihoods = np.divide(after.sum(axis=(0, 2)), before, out=np.ones(len(before)), where=before > 1e-300)
+        total = float(after.sum())
+        self._belief = after / total
+        worthless = self._worthless * evidence
+        self._worthless = worthless / worthless.sum()
+        self._log_odds += np.log(total / worthless.sum())
+        return np.asarray(likelihoods / total)
+
+
+def _level_jumps(settings: AreaFilterSettings) -> tuple[float, FloatArray]:
+    """How often a metre a level may change, and then (L, L) to which, from row to column; it may stay."""
+    n, k = len(settings.accuracies), len(settings.failing_looks_m)
+    rates = np.zeros((n + k, n + k))
+    rates[:n, :n] = 1 / (settings.level_m * n)
+    rates[:n, n:] = 1 / (settings.failure_m * k)
+    rates[n:, :n] = 1 / (settings.recovery_m * n)
+    np.fill_diagonal(rates, 0.0)
+    fastest = float(rates.sum(axis=1).max())
+    return fastest, np.eye(n + k) + (rates - np.diag(rates.sum(axis=1))) / fastest
+
+
+def _looks_of(areas: AreaMap, settings: AreaFilterSettings) -> FloatArray:
+    """(L, A + 1, A) probability of each look, by level and place; outside the areas any look is as likely."""
+    n = len(areas)
+    own = np.eye(n)
+    near = areas.adjacency().astype(float) - own
+    far = 1 - own
+    near = np.where(near.sum(axis=1, keepdims=True) > 0, near, far)
+    near, far = (wrong / np.maximum(wrong.sum(axis=1, keepdims=True), 1) for wrong in (near, far))
+    wrong = settings.neighbour_share * near + (1 - settings.neighbour_share) * far
+    looks = np.full((len(settings.accuracies) + len(settings.failing_looks_m), n + 1, n), 1 / n)
+    for level, accuracy in enumerate(settings.accuracies):
+        looks[level, :n] = accuracy * own + (1 - accuracy) * wrong if n > 1 else 1.0
+    return looks
+
+
+def _moves_of(areas: AreaMap) -> FloatArray:
+    """(A + 1, A + 1) where one gets on leaving each place: a neighbour, or outside; from outside anywhere."""
+    n = len(areas)
+    moves = np.ones((n + 1, n + 1)) - np.eye(n + 1)
+    moves[:n, :n] = areas.adjacency().astype(float) - np.eye(n)
+    return np.asarray(moves / moves.sum(axis=1, keepdims=True))
