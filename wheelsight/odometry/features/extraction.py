@@ -60,6 +60,10 @@ class Features:
         return np.column_stack([self.xy * self.depth_m[:, None], self.depth_m])
 
 
+# A surface seen at a slant differs from pixel to pixel by its slope times the pixel's angle.
+_JUMP_FOCAL_PX = 525.0
+
+
 class FeatureExtractor:
     """Detects, spreads, describes and lifts keypoints to 3D.
 
@@ -92,7 +96,7 @@ class FeatureExtractor:
             calibration.is_registered,
             calibration.depth_noise.near_m,
             calibration.depth_noise.far_m,
-            self._settings.depth_jump,
+            self._settings.depth_jump * max(1.0, _JUMP_FOCAL_PX / self._calibration.cameras[1].fx),
         )
         sigma_px = np.hypot(keypoint_sigma_px(level), calibration.color_sigma_px)
         sigma_m = calibration.depth_noise.sigma_m(depth_m)

@@ -24,7 +24,9 @@ class FeatureSettings(BaseModel):
     pyramid_levels: int = Field(8, ge=1, le=12, description="image scales, each 1.2 times smaller")
     cell_px: int = Field(64, ge=8, description="cells in which keypoints compete when they are spread")
     depth_jump: PositiveFloat = Field(
-        0.03, description="share of the depth by which readings around a keypoint may differ; more is an edge"
+        0.03,
+        description="share of the depth by which readings around a keypoint may differ, at 525 px focal length and "
+        "more, in proportion, at less; beyond that is an edge",
     )
 
     max_hamming: int = Field(64, ge=1, le=256, description="bits by which descriptors of one point may differ")
