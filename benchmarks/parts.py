@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from benchmarks.firmware import measure_firmware
 from benchmarks.link import measure_link
+from benchmarks.places import judge_places, measure_places, places_sheet
+from benchmarks.simulation import judge_simulation, measure_simulation, simulation_sheet
 from benchmarks.startup import measure_startup
 from benchmarks.table import Sheet, firmware_sheet, link_sheet, startup_sheet, wheels_sheet
 from benchmarks.targets import Target, judge_firmware, judge_link, judge_startup, judge_wheels
@@ -48,4 +50,21 @@ def _firmware() -> Judged:
     return firmware_sheet(figures), judge_firmware(figures)
 
 
-ALL = (Part("wheels", _wheels), Part("link", _link), Part("firmware", _firmware), Part("start-up", _startup))
+def _simulation() -> Judged:
+    figures = measure_simulation()
+    return simulation_sheet(figures), judge_simulation(figures)
+
+
+def _places() -> Judged:
+    times = measure_places()
+    return places_sheet(times), judge_places(times)
+
+
+ALL = (
+    Part("wheels", _wheels),
+    Part("link", _link),
+    Part("firmware", _firmware),
+    Part("simulator", _simulation),
+    Part("places", _places),
+    Part("start-up", _startup),
+)

@@ -9,6 +9,8 @@ from benchmarks import firmware
 from benchmarks.bad_lines import Outcome, decode_damaged, decode_noise
 from benchmarks.firmware import FirmwareFigures, measure_firmware
 from benchmarks.link import LinkFigures, measure_latency_ms
+from benchmarks.places import PlaceTimes, judge_places, places_sheet
+from benchmarks.simulation import SimulationFigures, judge_simulation, simulation_sheet
 from benchmarks.table import firmware_sheet, link_sheet, wheels_sheet
 from benchmarks.targets import judge_firmware, judge_link, judge_wheels
 from benchmarks.wheels import WheelTimes, measure_wheels
@@ -60,3 +62,12 @@ def test_every_row_is_as_wide_as_its_header() -> None:
     link = figures(decode_noise(1000), decode_damaged(100))
     for sheet in (link_sheet(link), wheels_sheet(WheelTimes(10, 1.0, 1.0, 1.0)), firmware_sheet(FirmwareFigures())):
         assert {len(row) for row in sheet.rows} == {len(sheet.header)}
+
+
+def test_simulator_and_places_are_judged_by_their_limits() -> None:
+    simulated = SimulationFigures(19.0, 6.5, 300.0, 310.0)
+    assert [target.is_met for target in judge_simulation(simulated)] == [False, True, True]
+    assert all(len(row) == 2 for row in simulation_sheet(simulated).rows)
+    times = [PlaceTimes("layout", 0.5, 1.1, 11.0, 4.0)]
+    assert [target.is_met for target in judge_places(times)] == [False, True, True]
+    assert [len(row) for row in places_sheet(times).rows] == [len(places_sheet(times).header)]
