@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from wheelsight.areas import AreaMap, save_areas
 from wheelsight.errors import AreaError, PlaceError
 from wheelsight.events import SkippedFrame, WheelTicks
 from wheelsight.places import (
+    ForestSettings,
     check_every_area,
     describe_drive,
     frames_of,
@@ -129,6 +131,18 @@ def test_a_model_learns_from_all_drives_and_holds_out_each(tmp_path: Path) -> No
     assert model.area_shares.tolist() == pytest.approx([1 / 3] * 3)
     assert len(model.figures.area_accuracy) == 3
     assert np.mean(model.figures.area_accuracy) == pytest.approx(model.figures.accuracy)
+
+
+def test_a_single_drive_is_held_out_by_seconds_whatever_its_rate(tmp_path: Path) -> None:
+    recording = open_recording(write_drive(tmp_path / "drive"))
+    drive = describe_drive(recording, label_source(recording), NAMES, SMALL_HISTOGRAMS)
+    settings = train_on_drives([drive], NAMES, SMALL_HISTOGRAMS, ForestSettings(trees=4, folds=2)).settings
+    assert (settings.block_frames, settings.gap_frames) == (10, 2)  # of 10 Hz
+    slow = replace(drive, frames=replace(drive.frames, stamps_s=4 * drive.frames.stamps_s))
+    settings = train_on_drives([slow], NAMES, SMALL_HISTOGRAMS, ForestSettings(trees=4, folds=2)).settings
+    assert (settings.block_frames, settings.gap_frames) == (2, 1)
+    told = ForestSettings(trees=4, folds=2, block_frames=7)
+    assert train_on_drives([slow], NAMES, SMALL_HISTOGRAMS, told).settings.block_frames == 7
 
 
 def test_drives_of_different_images_do_not_go_together(tmp_path: Path, rng: np.random.Generator) -> None:

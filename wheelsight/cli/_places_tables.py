@@ -25,7 +25,9 @@ from wheelsight.report.places_tables import (
 
 def training_tables(model: PlaceModel, drives: Sequence[LabelledDrive]) -> Iterator[Table]:
     """A model's areas and figures."""
-    held_out = "whole drives held out in turn" if len(drives) > 1 else "blocks of the drive held out in turn"
+    held_out = "whole drives held out in turn"
+    if len(drives) == 1:
+        held_out = "seconds of the drive held out in turn, where whole drives would tell more"
     forest = f"{model.forest.tree_count} trees of at most {model.settings.max_depth} splits, {model.describer.kind}"
     yield _table(f"{forest}; {held_out}", TRAINING_HEAD, training_rows(model, drives))
     yield facts_table("", training_facts(model))

@@ -11,7 +11,7 @@ import numpy as np
 from wheelsight.areas import AreaMap, load_areas
 from wheelsight.errors import AreaError, PlaceError
 from wheelsight.events import RgbdFrame, SkippedFrame
-from wheelsight.geometry import IntArray
+from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.places.describer import Describer
 from wheelsight.places.forest import ForestSettings
 from wheelsight.places.labels import LabelFile, labels_on_the_way, natural_order, read_labels
@@ -22,6 +22,7 @@ from wheelsight.trajectory import Trajectory
 
 AREAS_FILE = "areas.yaml"
 LABELS_FILE = "labels.csv"
+_BLOCK_S, _GAP_S = 1.0, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +173,14 @@ def describe_drive(
 def train_on_drives(
     drives: Sequence[LabelledDrive], names: Sequence[str], describer: Describer, settings: ForestSettings
 ) -> PlaceModel:
-    """A model of all drives together. Raises PlaceError as `train_places`, and for images of different sizes."""
+    """A model of all drives together.
+
+    Of a single drive, blocks of one second are held out, and a fifth of a second beside them left out, unless
+    `settings` say otherwise: what lies between them is about as new as the same place on another day.
+
+    Raises:
+        PlaceError: as `train_places`, and for images of different sizes.
+    """
     size = drives[0].frames.frame_size
     for drive in drives:
         if drive.frames.frame_size != size:
@@ -183,10 +191,16 @@ def train_on_drives(
         np.concatenate([drive.labels for drive in drives]),
         names,
         describer,
-        settings,
+        _with_blocks(settings, drives[0].frames.stamps_s),
         frame_size=size,
         drives=np.repeat(np.arange(len(drives)), [len(drive.labels) for drive in drives]),
     )
+
+
+def _with_blocks(settings: ForestSettings, stamps_s: FloatArray) -> ForestSettings:
+    period_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else _BLOCK_S
+    told = {"block_frames": max(round(_BLOCK_S / period_s), 2), "gap_frames": max(round(_GAP_S / period_s), 1)}
+    return settings.model_copy(update={k: v for k, v in told.items() if k not in settings.model_fields_set})
 
 
 def check_every_area(labels: Sequence[IntArray], names: Sequence[str], path: Path | None) -> None:
