@@ -16,6 +16,9 @@ from numba import njit
 
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, STRAY_M
 
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
+_COMPILED_IN = 0x61C70905
+
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Order in which surfels are preferred to each other where several fit a pixel; added to a distance in pixels².
 _UNSTABLE, _INACTIVE = np.float32(1.0), np.float32(2.0)
