@@ -17,6 +17,8 @@ from wheelsight.odometry.dense.settings import DenseSettings
 _UPPER = np.triu_indices(6)
 _SMALL_STEP = 1e-4
 _GREY_SIGMA = 8.0
+# A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
+_COLOR_ERROR_LEFT = 0.25
 _TURN_STEPS, _TURN_LIMIT, _TURN_SHARE = 6, 20.0, 0.3
 
 
@@ -98,7 +100,7 @@ class Aligner:
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
         for number in reversed(range(len(frame.levels))):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
-            how[steps.COLOR_SIGMA] = self._color_sigma_px / (1 << number)
+            how[steps.COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
             place = self._placer(frame, number, step)
             sums = np.empty((len(frame.levels[number].depth_m), kernels.SUMS))
             for _ in range(settings.iterations[min(number, len(settings.iterations) - 1)]):

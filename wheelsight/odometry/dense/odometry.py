@@ -143,6 +143,8 @@ class DenseOdometry:
             guess = T_prior if place == 0 or not self._is_lost else reference.reference.T_world_reference
             found = self._align(grid, reference, last, guess, T_prior)
             if isinstance(found, _Tracked):
+                if reference not in self._keyframes and self._model is None:
+                    self._keyframes.append(reference)
                 return found
             failure = failure or found
         assert failure is not None
@@ -161,6 +163,8 @@ class DenseOdometry:
                 predicted = self._maker.of_view(view, T_world_camera, self.intrinsics)
             yield _Keyframe(predicted, newest.covariance)
         yield newest
+        if self._failures == 0 and self._last is not None and self._model is None:
+            yield self._keyframe(self._last)
         if self._failures:
             yield min(self._keyframes, key=lambda keyframe: _distance_m(keyframe, T_world_camera))
         if self._is_lost:
