@@ -19,7 +19,7 @@ from wheelsight.trajectory import Trajectory
 def truth(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> Trajectory:
     motions = se3.exp(0.1 * rng.standard_normal((10, 6)))
     TrueOdometry.truth = Trajectory(np.arange(10.0), motions)
-    monkeypatch.setattr("wheelsight.localizer.FeatureOdometry", TrueOdometry)
+    monkeypatch.setattr("wheelsight.localizer.by_frames.FeatureOdometry", TrueOdometry)
     return TrueOdometry.truth
 
 

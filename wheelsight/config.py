@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, Self, get_args, get_origin
 
+import numpy as np
 import yaml
 from pydantic import (
     AfterValidator,
@@ -19,14 +20,19 @@ from pydantic import (
     PlainSerializer,
     PositiveFloat,
     ValidationError,
+    model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from wheelsight.errors import ConfigError
 from wheelsight.files import write_text
+from wheelsight.fusion import AxisWeights, OdometryTerm, Weights
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.features import FeatureSettings
 from wheelsight.recordings import OpenOptions
 
 OdometryName = Literal["features", "wheels"]
+TrackName = Literal["features", "wheels", "rectified"]
 
 
 class _Settings(BaseModel):
@@ -57,6 +63,95 @@ class WheelSettings(_Settings):
         "arc", description="of a step: exact, by Ligocki's eq. 1, or by Trinh's eq. 3"
     )
     gyro: bool = Field(True, description="join the yaw rates of a gyroscope, where the recording has them")
+
+
+def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
+    """Numbers as a user writes them, "1.5,2,90"."""
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(names):
+        raise ValueError(f"should be {len(names)} numbers: {','.join(names)}")
+    return numbers
+
+
+class StartSettings(_Settings):
+    """Where the base stands in the world at the first wheel reading."""
+
+    x_m: float
+    y_m: float
+    yaw_deg: float
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, given: Any) -> Any:
+        names = tuple(cls.model_fields)
+        return (
+            dict(zip(names, _numbers(given, ("X", "Y", "YAW_DEG")), strict=True)) if isinstance(given, str) else given
+        )
+
+    @property
+    def T_world_base(self) -> FloatArray:
+        """(4, 4), in the plane."""
+        return se3.from_plane(self.x_m, self.y_m, np.radians(self.yaw_deg))
+
+
+class WeightSettings(_Settings):
+    """Eq. 5's weights, alpha of the last coordinate, beta of odometry, gamma of the area."""
+
+    told: tuple[float, float, float] = Field(description="where the area tells the coordinate; sum to 1")
+    untold: tuple[float, float] = Field(description="alpha and beta where it does not; sum to 1")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, given: Any) -> Any:
+        """Of text, what gamma leaves is shared alike in both cases."""
+        if not isinstance(given, str):
+            return given
+        alpha, beta, gamma = _numbers(given, ("ALPHA", "BETA", "GAMMA"))
+        left = alpha + beta
+        untold = (alpha / left, beta / left) if left > 0 else (0.0, 1.0)
+        return {"told": (alpha, beta, gamma), "untold": untold}
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        try:
+            self.as_weights()
+        except ConfigError as error:
+            raise ValueError(f"is wrong: {error}") from error
+        return self
+
+    def as_weights(self) -> Weights:
+        """The same, as rectifiers take them."""
+        return Weights(AxisWeights(*self.told), AxisWeights(*self.untold))
+
+
+class PlaceSettings(_Settings):
+    """Areas that rectify the wheels. Without a model nothing does, and all else is None; with one, defaults are set."""
+
+    model: str | None = Field(None, description="model that names areas, from wheelsight places train")
+    areas: str | None = Field(None, description="areas.yaml; of None, the one in the recording's folder")
+    rectify: Literal["probabilistic", "paper"] | None = Field(
+        None, description="by a filter with covariance, which is the default, or by Trinh's eq. 5"
+    )
+    start: StartSettings | None = Field(None, description="of None, from the recording's ground truth")
+    odometry_term: OdometryTerm | None = Field(
+        None, description="what eq. 5 takes for odometry: its own coordinate, or the last one and the way since"
+    )
+    weights: WeightSettings | None = Field(None, description="of eq. 5")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _resolve(cls, given: Any) -> Any:
+        """Defaults are those of a run with a model; without one, a setting that was given stays seen as such."""
+        if not isinstance(given, dict) or given.get("model") is None:
+            return given
+        defaults: dict[str, Any] = {"rectify": "probabilistic"}
+        if given.get("rectify") == "paper":
+            told, untold = (weights.as_array().tolist() for weights in (Weights().told, Weights().untold))
+            defaults = {"odometry_term": "increment", "weights": {"told": told, "untold": untold[:2]}}
+        return defaults | {name: value for name, value in given.items() if value is not None}
 
 
 class EvaluationSettings(_Settings):
@@ -102,16 +197,46 @@ class Config(_Settings):
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
     wheels: WheelSettings = WheelSettings()
+    places: PlaceSettings = PlaceSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
+
+    @model_validator(mode="after")
+    def _refuse_conflicts(self) -> Self:
+        places = self.places
+        if places.model is None:
+            given = [name for name, value in places if value is not None]
+            if given:
+                raise _conflict(f"places.{given[0]}", "is given without a model of places", "add --places MODEL")
+        elif "wheels" not in self.odometry:
+            raise _conflict("places.model", "rectifies wheels, and there are none", "add --odometry wheels")
+        elif places.rectify != "paper":
+            for name in ("odometry_term", "weights"):
+                if getattr(places, name) is not None:
+                    raise _conflict(f"places.{name}", "is of the paper's eq. 5 alone", "add --rectify paper")
+        return self
+
+    @property
+    def tracks(self) -> tuple[TrackName, ...]:
+        """What a run follows and reports: every odometry, and the wheels once more where places rectify them."""
+        return (*self.odometry, *(() if self.places.model is None else ("rectified",)))
 
     def to_dict(self) -> dict[str, Any]:
         """All settings as plain nested values, as YAML and JSON take them."""
         return self.model_dump(mode="json")
 
-    def alone(self, odometry: OdometryName) -> Config:
-        """The same settings for one odometry by itself."""
-        return self.model_copy(update={"odometry": (odometry,)})
+    def alone(self, track: TrackName) -> Config:
+        """The same settings for one of `tracks` by itself."""
+        if track == "rectified":
+            return self.model_copy(update={"odometry": ("wheels",)})
+        return self.model_copy(update={"odometry": (track,), "places": PlaceSettings()})
+
+
+def _conflict(setting: str, problem: str, fix: str) -> PydanticCustomError:
+    """Of settings each of which is sound; raised where they meet."""
+    return PydanticCustomError(
+        "conflict", "{setting} {problem} ({fix})", {"setting": setting, "problem": problem, "fix": fix}
+    )
 
 
 def load_config(
@@ -138,9 +263,14 @@ def load_config(
     except ValidationError as invalid:
         details = invalid.errors(include_url=False)[0]
         location = [part for part in details["loc"] if isinstance(part, str)]  # a setting, not its place in a list
+        if details["type"] == "conflict":
+            location = details["ctx"]["setting"].split(".")
         name = ".".join(location)
-        problem, fix = _explain(dict(details), (called or {}).get(name, name), location)
-        if name in (overrides or {}):
+        option = next((option for option in overrides or {} if f"{name}.".startswith(f"{option}.")), None)
+        if option is not None:
+            name = (called or {}).get(option, option) + name.removeprefix(option).replace(".", " ")
+        problem, fix = _explain(dict(details), name, location)
+        if option is not None:
             raise ConfigError(problem, fix=fix) from None
         raise ConfigError(problem, path=path, line=_line_of(text, location), fix=fix) from None
 
@@ -179,11 +309,15 @@ def _with(settings: Mapping[str, Any], name: list[str], value: Any) -> dict[str,
 
 def _explain(details: dict[str, Any], name: str, location: list[str]) -> tuple[str, str | None]:
     """What is wrong with a setting, and what would be right."""
+    if details["type"] == "conflict":
+        return f"{name} {details['ctx']['problem']}", details["ctx"]["fix"]
     if details["type"] == "extra_forbidden":
         known = _known_settings(location[:-1])
         near = get_close_matches(location[-1], known, n=1)
         fix = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
         return f"unknown setting {name}", fix
+    if details["type"] == "missing":
+        return f"{name} is missing", None
     if details["type"] == "literal_error":
         return f"{name} is {details['input']!r}", f"known: {details['ctx']['expected']}"
     message = details["msg"].removeprefix("Value error, ").removeprefix("Input ")
@@ -193,8 +327,13 @@ def _explain(details: dict[str, Any], name: str, location: list[str]) -> tuple[s
 def _known_settings(location: list[str]) -> list[str]:
     model: Any = Config
     for part in location:
-        model = model.model_fields[part].annotation
+        annotation = model.model_fields[part].annotation
+        model = next((kind for kind in get_args(annotation) if _is_settings(kind)), annotation)
     return sorted(model.model_fields)
+
+
+def _is_settings(kind: Any) -> bool:
+    return get_origin(kind) is None and isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
 def _line_of(text: str, location: list[str]) -> int | None:

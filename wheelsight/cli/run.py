@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
+from wheelsight.cli import _run_options as options
 from wheelsight.cli._console import INTERRUPTED
 from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RecordingPath, settings_from
 from wheelsight.cli._summary import print_summary
@@ -19,53 +20,32 @@ if TYPE_CHECKING:
     from wheelsight.report import FrameRecord, RunRecord
 
 
-Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; made if need be.", show_default=False)]
-Odometry = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME[,NAME]",
-        help="How motion is estimated: features, wheels, or both, each alone.",
-        show_default="features",
-    ),
-]
-SettingsFile = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Settings in YAML; options given here win over it.", show_default=False),
-]
-Reference = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="What a frame is aligned with: previous or keyframes.", show_default="keyframes"),
-]
-Integration = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="How wheels are integrated: arc, midpoint or euler.", show_default="arc"),
-]
-Gyro = Annotated[
-    bool | None, typer.Option("--gyro/--no-gyro", help="Join a gyroscope with the wheels.", show_default="--gyro")
-]
-Seed = Annotated[int | None, typer.Option(help="Seed of all random choices.", show_default="0")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite results in DIR.")]
-
-
 def run(
     recording: RecordingPath,
-    out: Out,
-    odometry: Odometry = None,
+    out: options.Out,
+    odometry: options.Odometry = None,
     camera: Camera = None,
     calibration: CalibrationFile = None,
-    config: SettingsFile = None,
+    config: options.SettingsFile = None,
     depth_factor: DepthFactor = None,
     max_gap: MaxGap = None,
-    reference: Reference = None,
-    integration: Integration = None,
-    gyro: Gyro = None,
-    seed: Seed = None,
-    force: Force = False,
+    reference: options.Reference = None,
+    integration: options.Integration = None,
+    gyro: options.Gyro = None,
+    places: options.Model = None,
+    rectify: options.Rectify = None,
+    areas: options.Areas = None,
+    start: options.Start = None,
+    odometry_term: options.OdometryTerm = None,
+    weights: options.Weights = None,
+    seed: options.Seed = None,
+    force: options.Force = False,
 ) -> None:
     """Find where the robot or its camera went: trajectory, status of each frame, metrics and a report go to DIR.
 
     DIR gets trajectory.txt (TUM), status.csv, metrics.json, the resolved config.yaml and report.html.
-    With several odometries each has a folder of its name, and report.html and metrics.json join them.
+    With several odometries each has a folder of its name, and report.html and metrics.json join them; so have, with
+    --places, the wheels alone and the wheels that areas have rectified.
 
     Ctrl-C stops early and keeps what was found until then.
 
@@ -78,11 +58,16 @@ def run(
     wheelsight run my_recording --odometry wheels --calibration my_wheels.yaml --out results
 
     wheelsight run my_recording --odometry wheels,features --out results
+
+    wheelsight run my_recording --odometry wheels --places floor.places --out results
     """
     of_recording = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
     of_features = {"--max-gap": max_gap, "--reference": reference, "--seed": seed}
     of_wheels = {"--integration": integration, "--gyro": gyro}
-    settings = settings_from({"--odometry": odometry, **of_recording, **of_features, **of_wheels}, config)
+    of_places = {"--places": places, "--areas": areas, "--rectify": rectify, "--start": start}
+    of_paper = {"--odometry-term": odometry_term, "--weights": weights}
+    given = {"--odometry": odometry, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
+    settings = settings_from(given, config)
     print_summary(_track(recording, settings, out, force), out)
 
 
@@ -98,7 +83,7 @@ def _track(folder: Path, settings: Config, out: Path, force: bool) -> Sequence[R
 
     def show(answers: Mapping[str, FrameRecord]) -> None:
         statuses.update({odometry: str(answer.status) for odometry, answer in answers.items()})
-        several = len(settings.odometry) > 1
+        several = len(settings.tracks) > 1
         progress.advance(", ".join(f"{of} {now}" if several else now for of, now in statuses.items()))
 
     try:
@@ -111,9 +96,9 @@ def _track(folder: Path, settings: Config, out: Path, force: bool) -> Sequence[R
 
 def _expected(source: Recording, settings: Config, at_first: str) -> tuple[int, str, str]:
     """How many events will be answered, what to say until the first is, and what they are called."""
-    if settings.odometry == ("wheels",):
+    if settings.tracks == ("wheels",):
         return source.wheel_count, at_first, "readings"
-    if "wheels" not in settings.odometry:
+    if "wheels" not in settings.tracks:
         return source.frame_count, at_first, "frames"
     return source.wheel_count + source.frame_count, at_first, "events"
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from wheelsight import __version__
+from wheelsight.estimates import Status
 from wheelsight.pipeline.track import Passage
 from wheelsight.recordings import Recording
-from wheelsight.report import RunRecord
+from wheelsight.report import RectificationRecord, RunRecord
 
 
 def metrics_of(record: RunRecord, passage: Passage, recording: Recording) -> dict[str, Any]:
@@ -59,18 +61,44 @@ def _of_odometry(record: RunRecord, passage: Passage, recording: Recording) -> d
         "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
         "evaluation": None if record.evaluation is None else record.evaluation.to_dict(),
         "evaluation_problem": record.evaluation_problem,
+        **({} if record.rectification is None else {"rectification": _rectification(record.rectification)}),
     }
+
+
+def _rectification(found: RectificationRecord) -> dict[str, Any]:
+    """What areas did to the wheels: counts, shares of frames, and errors in the world, nothing aligned."""
+    errors, belief = found.errors, found.belief
+    measured = sum(look.probabilities is not None for look in found.looks)
+    return {
+        "way": found.way,
+        "start": found.start,
+        "areas": list(found.areas.names),
+        "frames_without_measurement": len(found.looks) - measured,
+        "frames_with_an_area_named": sum(look.named >= 0 for look in found.looks),
+        "model_accuracy": _finite(found.accuracy(found.forest)),
+        "belief_accuracy": None if belief is None else _finite(found.accuracy(belief)),
+        "lowest_trust": _finite(np.nanmin(found.trust)) if np.isfinite(found.trust).any() else None,
+        "world_error_m": None
+        if errors is None
+        else {"wheels": asdict(errors.wheels), "rectified": asdict(errors.rectified)},
+        "share_of_mean_error_left": None if errors is None else _finite(errors.left),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
     frames = record.frames
     statuses = [str(frame.status) for frame in frames]
+    posed = statuses.count(Status.TRACKING)
     reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
     return {
         "listed": recording.frame_count if record.unit == "frame" else recording.wheel_count,
         "processed": len(frames),
-        "with_pose": len(record.estimate),
-        "with_pose_share": len(record.estimate) / len(frames) if frames else 0.0,
+        "with_pose": posed,
+        "with_pose_share": posed / len(frames) if frames else 0.0,
         "skipped": sum(frame.is_skipped for frame in frames),
         "dropped_color_images": record.association.dropped_color,
         "dropped_depth_images": record.association.dropped_depth,

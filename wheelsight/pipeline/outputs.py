@@ -11,15 +11,16 @@ from typing import Any, get_args
 
 import numpy as np
 
-from wheelsight.config import Config, OdometryName, save_config
+from wheelsight.config import Config, TrackName, save_config
 from wheelsight.files import make_output_folder, output_error, write_text
 from wheelsight.pipeline.metrics import joint_metrics, metrics_of
+from wheelsight.pipeline.places import looks_csv
 from wheelsight.pipeline.track import Passage
 from wheelsight.recordings import Recording
 from wheelsight.report import RunRecord, write_comparison, write_report
 from wheelsight.trajectory import write_tum
 
-_OF_ONE = ("trajectory.txt", "status.csv", "metrics.json")
+_OF_ONE = ("trajectory.txt", "status.csv", "metrics.json", "areas.csv")
 
 
 def write_results(
@@ -45,7 +46,7 @@ def write_results(
 def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
     """Remove the results of odometries that this run does not have, lest they be taken for its own."""
     kept = {folder} if len(records) == 1 else {folder / record.odometry for record in records}
-    for place in {folder, *(folder / name for name in get_args(OdometryName))} - kept:
+    for place in {folder, *(folder / name for name in get_args(TrackName))} - kept:
         try:
             for name in _OF_ONE:
                 (place / name).unlink(missing_ok=True)
@@ -58,6 +59,8 @@ def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
 def _write_one(record: RunRecord, passage: Passage, recording: Recording, folder: Path) -> None:
     write_tum(record.estimate, folder / "trajectory.txt")
     write_text(folder / "status.csv", _status_csv(record))
+    if record.rectification is not None:
+        write_text(folder / "areas.csv", looks_csv(record.rectification))
     _write_json(metrics_of(record, passage, recording), folder / "metrics.json")
 
 

@@ -3,20 +3,41 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate, pairing_warning
+from wheelsight.pipeline.places import PlacesOfRun, rectification_of
 from wheelsight.pipeline.track import UNITS, Passage, Track
 from wheelsight.recordings import Recording, express_for
 from wheelsight.report import RunRecord
 from wheelsight.trajectory import Trajectory
 
 
-def record_of(track: Track, passage: Passage, recording: Recording, config: Config) -> RunRecord:
-    """The record of one odometry of a pass that is over."""
+def records_of(
+    passage: Passage, recording: Recording, config: Config, places: PlacesOfRun | None
+) -> tuple[RunRecord, ...]:
+    """The record of each track of a pass that is over."""
+    records = {track.odometry: _record_of(track, passage, recording, config) for track in passage.tracks}
+    if places is not None:
+        records["rectified"] = _with_rectification(records["rectified"], records["wheels"], passage, config, places)
+    return tuple(records.values())
+
+
+def _with_rectification(
+    record: RunRecord, wheels: RunRecord, passage: Passage, config: Config, places: PlacesOfRun
+) -> RunRecord:
+    (track,) = (track for track in passage.tracks if track.odometry == "rectified")
+    way = config.places.rectify or ""
+    looks = tuple(sorted(track.looks, key=lambda look: look.stamp_s))
+    found = rectification_of(places, way, looks, wheels.estimate, record.estimate, record.ground_truth)
+    return replace(record, rectification=found, warnings=(places.start, *record.warnings))
+
+
+def _record_of(track: Track, passage: Passage, recording: Recording, config: Config) -> RunRecord:
     estimate = _trajectory(track)
     truth, problem = _truth(recording, track.localizer.body)
     evaluation = None
@@ -53,7 +74,10 @@ def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
 
 
 def _trajectory(track: Track) -> Trajectory:
-    poses = track.poses
+    at = {
+        estimate.stamp_s: estimate for estimate in track.poses
+    }  # a frame may have a reading's stamp: the later counts
+    poses = [at[stamp_s] for stamp_s in sorted(at)]  # readings are told of late where wheels have a delay
     covariances = [estimate.covariance for estimate in poses]
     return Trajectory(
         np.array([estimate.stamp_s for estimate in poses], float),

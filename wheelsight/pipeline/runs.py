@@ -10,7 +10,8 @@ from wheelsight.errors import ConfigError
 from wheelsight.files import make_output_folder
 from wheelsight.localizer import Localizer
 from wheelsight.pipeline.outputs import write_results
-from wheelsight.pipeline.records import record_of
+from wheelsight.pipeline.places import PlacesOfRun, places_of
+from wheelsight.pipeline.records import records_of
 from wheelsight.pipeline.track import UNITS, follow
 from wheelsight.recordings import Recording
 from wheelsight.report import FrameRecord, RunRecord
@@ -31,20 +32,20 @@ def run(
 
     Args:
         recording: from `open_recording`.
-        config: all settings; of one odometry.
+        config: all settings; of one odometry, without places.
         out: folder for the results; made if need be.
         force: write into a folder that holds something already.
         on_frame: called after each frame, for a progress bar.
 
     Raises:
-        ConfigError: the configuration names several odometries, or the recording has no images, or no wheel readings,
-            that the odometry asked for needs.
+        ConfigError: the configuration names several odometries or places, or the recording has no images, or no wheel
+            readings, that the odometry asked for needs.
         CalibrationError: the calibration lacks its cameras, or its wheels.
         OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
         RecordingError: the recording cannot be read on.
     """
-    if len(config.odometry) > 1:
-        raise ConfigError(f"run goes by one odometry, not by {' and '.join(config.odometry)}", fix="use run_each")
+    if len(config.tracks) > 1:
+        raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")
 
     def on_event(answers: Mapping[str, FrameRecord]) -> None:
         for frame in answers.values():
@@ -66,30 +67,32 @@ def run_each(
     """Run every odometry that `config` names over one pass of the recording, each alone, and report them together.
 
     One odometry leaves what `run` does. Of several, each has its trajectory, status and metrics in a folder of its
-    name, and `out` holds metrics, configuration and one report of all.
+    name, and `out` holds metrics, configuration and one report of all. Wheels that places rectify are followed twice,
+    alone and as "rectified".
 
     Args:
         on_event: called after each event that was answered, with each odometry's answer by its name.
         recording, config, out, force: as in `run`.
 
     Raises:
-        As `run`, for any of the odometries.
+        As `run`, for any of the odometries; and AreaError or PlaceError, for places.
     """
-    _check(recording, config)
+    places = _check(recording, config)
     folder = make_output_folder(out, force)
-    passage = follow(recording, config, on_event)
-    records = tuple(record_of(track, passage, recording, config) for track in passage.tracks)
+    passage = follow(recording, config, on_event, None if places is None else places.places)
+    records = records_of(passage, recording, config, places)
     write_results(records, passage, recording, config, folder)
     if passage.interruption is not None:
         raise passage.interruption
     return records
 
 
-def _check(recording: Recording, config: Config) -> None:
-    """Refuse what cannot end well, before anything is written."""
+def _check(recording: Recording, config: Config) -> PlacesOfRun | None:
+    """Refuse what cannot end well, before anything is written; places, if they are asked for."""
     for odometry in config.odometry:
         if UNITS[odometry] == "reading" and not recording.wheel_count:
             raise ConfigError(f"{recording.path}: the recording has no wheel readings", fix="--odometry features")
         if UNITS[odometry] == "frame" and recording.wheel_count and not recording.frame_count:
             raise ConfigError(f"{recording.path}: the recording has no images", fix="--odometry wheels")
         Localizer(recording.calibration, config.alone(odometry))
+    return places_of(recording, config)

@@ -7,16 +7,18 @@ from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from wheelsight.config import Config, OdometryName
+from wheelsight.config import Config, TrackName
 from wheelsight.errors import WheelsightError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
+from wheelsight.fusion import RectifiedEstimate
 from wheelsight.geometry import ByteArray
-from wheelsight.localizer import Localizer
+from wheelsight.localizer import Localizer, Places
 from wheelsight.recordings import Recording
-from wheelsight.report import FrameRecord, MatchPicture
+from wheelsight.report import FrameRecord, Look, MatchPicture
 
-UNITS: dict[OdometryName, Literal["frame", "reading"]] = {"features": "frame", "wheels": "reading"}
+# What a track's record lists; of the rectified one frames, though it tells a pose at each reading too.
+UNITS: dict[TrackName, Literal["frame", "reading"]] = {"features": "frame", "wheels": "reading", "rectified": "frame"}
 
 
 class Photographer:
@@ -45,32 +47,35 @@ class Photographer:
 
 @dataclass
 class Track:
-    """One odometry's way through a recording: what it answered so far.
+    """One odometry's way through a recording, or that of places with wheels: what it answered so far.
 
     Attributes:
         odometry: its name.
         listed: how many frames or readings of the recording it is to answer.
         localizer: what answers.
         photographer: what takes pictures.
-        frames: a record of each answer.
+        frames: a record of each answer to what the track's unit is.
         poses: the answers that have a pose of their own.
         stage_seconds: how long each stage of each frame took.
+        looks: what each frame said of the area, where places were asked.
     """
 
-    odometry: OdometryName
+    odometry: TrackName
     listed: int
     localizer: Localizer
     photographer: Photographer
     frames: list[FrameRecord] = field(default_factory=list)
     poses: list[Estimate] = field(default_factory=list)
     stage_seconds: dict[str, list[float]] = field(default_factory=dict)
+    looks: list[Look] = field(default_factory=list)
 
     @classmethod
-    def begin(cls, odometry: OdometryName, recording: Recording, config: Config) -> Track:
+    def begin(cls, odometry: TrackName, recording: Recording, config: Config, places: Places | None) -> Track:
         """At the start. Raises CalibrationError."""
         listed = recording.wheel_count if UNITS[odometry] == "reading" else recording.frame_count
         photographer = Photographer(config.report.pictures, recording.frame_count)
-        return cls(odometry, listed, Localizer(recording.calibration, config.alone(odometry)), photographer)
+        localizer = Localizer(recording.calibration, config.alone(odometry), places)
+        return cls(odometry, listed, localizer, photographer)
 
     @property
     def needs_images(self) -> bool:
@@ -93,8 +98,24 @@ class Track:
                 self.stage_seconds.setdefault(stage, []).append(spent)
         outcome = (estimate.status, estimate.reason, estimate.matches, estimate.inliers)
         index = event.index if isinstance(event, RgbdFrame | SkippedFrame) else len(self.frames)
-        self.frames.append(FrameRecord(index, estimate.stamp_s, *outcome, seconds, localizer.note))
-        return self.frames[-1]
+        answer = FrameRecord(index, estimate.stamp_s, *outcome, seconds, localizer.note)
+        is_frame = isinstance(event, RgbdFrame | SkippedFrame)
+        if is_frame or UNITS[self.odometry] == "reading":
+            self.frames.append(answer)
+        if is_frame and self.odometry == "rectified":
+            self.looks.append(_look(localizer, estimate))
+        return answer
+
+
+def _look(localizer: Localizer, estimate: Estimate) -> Look:
+    match, note = localizer.last_place, localizer.note
+    belief, trust = None, float("nan")
+    if isinstance(estimate, RectifiedEstimate):
+        belief, trust = estimate.area_probabilities, estimate.trust
+    if match is None or note:  # what a model says of a frame without depth is nothing
+        return Look(estimate.stamp_s, belief=belief, trust=trust, note=note)
+    named = -1 if match.area_index is None else match.area_index
+    return Look(estimate.stamp_s, match.probabilities, named, belief, trust)
 
 
 @dataclass
@@ -107,10 +128,13 @@ class Passage:
 
 
 def follow(
-    recording: Recording, config: Config, on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None
+    recording: Recording,
+    config: Config,
+    on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
+    places: Places | None = None,
 ) -> Passage:
-    """Hand each event to every odometry named, in their order; without one that looks, no image is decoded."""
-    passage = Passage(tuple(Track.begin(odometry, recording, config) for odometry in config.odometry))
+    """Hand each event to every track, in their order; without one that looks, no image is decoded."""
+    passage = Passage(tuple(Track.begin(track, recording, config, places) for track in config.tracks))
     started = time.perf_counter()
     events = recording.events(images=any(track.needs_images for track in passage.tracks))
     try:

@@ -16,14 +16,18 @@ from wheelsight.report.overlay import Overlay, overlay_of
 from wheelsight.report.page import write_report
 from wheelsight.report.pictures import draw_matches
 from wheelsight.report.record import FrameRecord, MatchPicture, RunRecord
+from wheelsight.report.rectification import Look, RectificationRecord, WorldErrors
 from wheelsight.report.summary import Summary, summarise
 
 __all__ = [
     "FrameRecord",
+    "Look",
     "MatchPicture",
     "Overlay",
+    "RectificationRecord",
     "RunRecord",
     "Summary",
+    "WorldErrors",
     "bands_figure",
     "certainty_figure",
     "comparison_rows",

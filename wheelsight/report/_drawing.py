@@ -16,7 +16,7 @@ from wheelsight.report.record import FrameRecord, RunRecord
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
 ORANGE, SKY, PURPLE = "#E69F00", "#56B4E9", "#CC79A7"
 # Each odometry keeps its colour wherever several are drawn together.
-ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE}
+ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE, "rectified": GREEN}
 DASHED = {"color": GREY, "width": 1.5, "dash": "dash"}
 _AIR = 0.08  # of the longer side, around a path: enough for the words at its ends
 _LEAST_EXTENT_M = 0.01

@@ -68,7 +68,7 @@ def error_table(record: RunRecord) -> str:
     evaluation = record.evaluation
     kinds = {
         "ATE": evaluation.ate,
-        f"RPE a {record.unit}": evaluation.rpe_per_frame,
+        f"RPE a {'pose' if record.rectification is not None else record.unit}": evaluation.rpe_per_frame,
         "RPE a second": evaluation.rpe_per_second,
         "RPE a metre": evaluation.rpe_per_metre,
     }
@@ -94,13 +94,16 @@ def _cells(s: Statistics) -> list[str]:
 def certainty(record: RunRecord, of: str = "") -> str:
     """How sure dead reckoning was of itself."""
     covariances = record.estimate.covariances
-    if record.unit != "reading" or covariances is None or not len(record.estimate):
+    if not record.is_planar or covariances is None or not len(record.estimate):
         return ""
     position_m, yaw_deg = figures.standard_deviations(record.estimate)
     end = f"{words.length(position_m[-1])} and {words.angle(yaw_deg[-1])} at the end"
     sentence = (
         "One standard deviation of the position, along its worst direction, and of the yaw, which grows with the "
         "way, since dead reckoning never sees a place again. Errors of calibration are not in it."
+        if record.rectification is None
+        else "One standard deviation of the position, along its worst direction, and of the yaw: what grows with the "
+        "way, a change of area takes back."
     )
     alt = f"Standard deviations of position and yaw over time: {end}."
     figure = figures.certainty_figure(record, drawing.ODOMETRY_COLOURS.get(of))
@@ -129,6 +132,8 @@ def tracking(record: RunRecord, summary: Summary, of: str = "") -> str:
 
 
 def _matches(record: RunRecord, of: str) -> str:
+    if record.rectification is not None:
+        return ""
     if not any(frame.matches for frame in record.frames):
         return html.paragraph("No frame had any matches.", "missing")
     inliers = np.median([frame.inliers for frame in record.frames if not frame.is_skipped])

@@ -9,6 +9,7 @@ from pathlib import Path
 from wheelsight._version import __version__
 from wheelsight.files import write_text
 from wheelsight.report import _html as html
+from wheelsight.report import _rectification as rectification
 from wheelsight.report import _sections as sections
 from wheelsight.report import _words as words
 from wheelsight.report import comparison_figures as figures
@@ -110,7 +111,10 @@ def _tone(judged: Sequence[Judged]) -> Tone:
 
 
 def _phrase(records: Sequence[RunRecord]) -> str:
-    """Which came nearest to the truth, of those that can be asked: who is silent half the time errs less."""
+    """What areas did, or which came nearest to the truth, of those that can be asked: who is silent errs less."""
+    of_areas = [rectification.phrase(r.rectification) for r in records if r.rectification is not None]
+    if of_areas and of_areas[0] is not None:
+        return of_areas[0]
     evaluated = [(record.evaluation, record) for record in records if record.evaluation is not None]
     if not evaluated:
         return "Side by side, without a truth to judge them by"
@@ -125,6 +129,8 @@ def _phrase(records: Sequence[RunRecord]) -> str:
 
 
 def _tiles(judged: Sequence[Judged]) -> Iterable[tuple[str, str, str]]:
+    for record, _, _ in judged:
+        yield from rectification.tiles(record)
     for record, _, _ in judged:
         if record.evaluation is None:
             yield f"ATE, {record.odometry}", words.UNKNOWN, "not evaluated"
@@ -144,7 +150,7 @@ def _tiles(judged: Sequence[Judged]) -> Iterable[tuple[str, str, str]]:
 
 def _notes(judged: Sequence[Judged], paths: Overlay) -> str:
     """What holds for all once, and what holds for one under its name."""
-    of_each = {record.odometry: notes(record, summary) for record, summary, _ in judged}
+    of_each = {r.odometry: [*notes(r, summary), *rectification.notes(r)] for r, summary, _ in judged}
     shared = [note for note in next(iter(of_each.values())) if all(note in found for found in of_each.values())]
     own = [f"{name.capitalize()}: {note}" for name, found in of_each.items() for note in found if note not in shared]
     out = [
@@ -158,6 +164,7 @@ def _notes(judged: Sequence[Judged], paths: Overlay) -> str:
 
 def _sections(judged: Sequence[Judged], paths: Overlay) -> Iterable[str]:
     records = [record for record, _, _ in judged]
+    yield rectification.section(records)
     yield _path(records, paths)
     yield _errors(records)
     yield _bands(judged)

@@ -10,6 +10,7 @@ from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import Evaluation
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray
 from wheelsight.recordings import AssociationReport
+from wheelsight.report.rectification import RectificationRecord
 from wheelsight.trajectory import Trajectory
 
 
@@ -74,7 +75,9 @@ class RunRecord:
         peak_memory_mb: of the whole process, or None where the system does not tell.
         finished_at: when the run ended, with its time zone.
         unit: what `frames` holds, "frame" or "reading".
-        odometry: its name.
+        odometry: its name, or "rectified" of wheels that areas correct: then `frames` are of frames alone, while the
+            trajectory has a pose at each wheel reading too.
+        rectification: what areas did to the wheels, or None.
     """
 
     recording: str
@@ -93,8 +96,9 @@ class RunRecord:
     finished_at: datetime = field(default_factory=lambda: datetime.now(UTC))
     unit: Literal["frame", "reading"] = "frame"
     odometry: str = "features"
+    rectification: RectificationRecord | None = None
 
     @property
     def is_planar(self) -> bool:
         """Whether the estimate keeps to one plane, as wheels do."""
-        return self.unit == "reading"
+        return self.unit == "reading" or self.rectification is not None

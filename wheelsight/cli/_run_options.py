@@ -1,0 +1,62 @@
+"""The options of `wheelsight run` alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; made if need be.", show_default=False)]
+Odometry = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME[,NAME]",
+        help="How motion is estimated: features, wheels, or both, each alone.",
+        show_default="features",
+    ),
+]
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Settings in YAML; options given here win over it.", show_default=False),
+]
+Reference = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="What a frame is aligned with: previous or keyframes.", show_default="keyframes"),
+]
+Integration = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="How wheels are integrated: arc, midpoint or euler.", show_default="arc"),
+]
+Gyro = Annotated[
+    bool | None, typer.Option("--gyro/--no-gyro", help="Join a gyroscope with the wheels.", show_default="--gyro")
+]
+Model = Annotated[
+    str | None,
+    typer.Option("--places", metavar="MODEL", help="Rectify wheels by the areas that frames show.", show_default=False),
+]
+Rectify = Annotated[
+    str | None,
+    typer.Option(
+        metavar="WAY", help="probabilistic: a filter with covariance; paper: eq. 5.", show_default="probabilistic"
+    ),
+]
+Areas = Annotated[
+    str | None,
+    typer.Option(metavar="FILE", help="areas.yaml of the model.", show_default="that in the recording's folder"),
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,YAW_DEG", help="Where the base stands in the areas' world.", show_default="by ground truth"
+    ),
+]
+OdometryTerm = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Odometry in eq. 5: increment or absolute.", show_default="increment"),
+]
+Weights = Annotated[
+    str | None, typer.Option(metavar="A,B,G", help="alpha, beta, gamma of eq. 5.", show_default="0,0.9,0.1")
+]
+Seed = Annotated[int | None, typer.Option(help="Seed of all random choices.", show_default="0")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite results in DIR.")]

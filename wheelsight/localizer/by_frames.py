@@ -1,0 +1,63 @@
+"""ByFrames: frames answered by feature odometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from wheelsight.calibration import Calibration
+from wheelsight.config import Config
+from wheelsight.estimates import Estimate
+from wheelsight.events import Event, RgbdFrame, SkippedFrame
+from wheelsight.geometry import se3
+from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
+
+
+class ByFrames:
+    """Frames answered by feature odometry, told of the base where it is known."""
+
+    world, answers = "world", (RgbdFrame, SkippedFrame)
+
+    def __init__(self, calibration: Calibration, settings: Config) -> None:
+        self.body = "camera" if calibration.T_base_camera is None else "base"
+        self.odometry = FeatureOdometry(calibration, settings.features)
+        self._T_base_camera = calibration.T_base_camera
+        self._newest_s = -math.inf
+
+    @property
+    def last_matches(self) -> MatchedPixels | None:
+        """What the last frame was aligned by, if it was a frame that could be."""
+        return self.odometry.last_matches
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """How long each stage of the last frame took."""
+        return self.odometry.stage_seconds
+
+    def process(self, event: Event) -> tuple[Estimate | None, str]:
+        """The estimate at a frame, None at any other event, and what was wrong with a frame that cannot be used."""
+        if isinstance(event, SkippedFrame):
+            return self._refuse(event.stamp_s, event.reason)
+        if not isinstance(event, RgbdFrame):
+            return None, ""
+        if event.stamp_s <= self._newest_s:
+            return self._refuse(event.stamp_s, f"its stamp does not come after {self._newest_s:.6f} s")
+        self._newest_s = event.stamp_s
+        return self._of_body(self.odometry.process(event)), ""
+
+    def _refuse(self, stamp_s: float, why: str) -> tuple[Estimate, str]:
+        return self._of_body(self.odometry.miss(stamp_s)), why
+
+    def _of_body(self, estimate: Estimate) -> Estimate:
+        """The camera's estimate as the base's: both worlds start at identity, so T_base_camera changes both sides."""
+        if self._T_base_camera is None:
+            return estimate
+        if estimate.T_world_body is None:
+            return replace(estimate, body="base")
+        T_base_camera = self._T_base_camera
+        covariance = estimate.covariance
+        if covariance is not None:
+            Ad = se3.adjoint(T_base_camera)
+            covariance = Ad @ covariance @ Ad.T
+        T_world_base = T_base_camera @ estimate.T_world_body @ se3.invert(T_base_camera)
+        return replace(estimate, T_world_body=T_world_base, covariance=covariance, body="base")

@@ -1,0 +1,191 @@
+"""ByPlaces: wheels lead from frame to frame, and the area that each frame shows corrects them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from wheelsight.areas import AreaMap, load_areas
+from wheelsight.calibration import Calibration
+from wheelsight.config import Config, PlaceSettings
+from wheelsight.errors import ConfigError
+from wheelsight.estimates import Estimate, Reason, Status
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.fusion import AreaRectifier, PaperRectifier
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.localizer.by_wheels import ByWheels
+from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.places import PlaceMatch, PlaceModel, Unknown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """What wheels are rectified by.
+
+    Attributes:
+        model: names the area of a frame.
+        areas: that it was trained on, in the world frame.
+        T_world_base: (4, 4) where the base is, in the plane, at the first reading from `begin_s` on.
+        begin_s: readings and frames before it have no pose yet.
+    """
+
+    model: PlaceModel
+    areas: AreaMap
+    T_world_base: FloatArray
+    begin_s: float = -np.inf
+
+
+def load_places(
+    settings: PlaceSettings,
+    areas: Path | None = None,
+    T_world_base: FloatArray | None = None,
+    begin_s: float = -np.inf,
+) -> Places:
+    """Read model and areas; what the settings say wins over what is given beside them.
+
+    Raises:
+        ConfigError: no model, no areas, or no start.
+        AreaError, PlaceError: a file that is none, or a model of other areas.
+    """
+    if settings.model is None:
+        raise ConfigError("no model of places is given", fix="places: {model: FILE}, from wheelsight places train")
+    path = areas if settings.areas is None else Path(settings.areas)
+    if path is None:
+        raise ConfigError("no areas are given", fix="places: {areas: FILE}, the areas.yaml of the model")
+    if settings.start is not None:
+        T_world_base, begin_s = settings.start.T_world_base, -np.inf
+    if T_world_base is None:
+        raise ConfigError("where the robot starts in the world is not known", fix="give --start X,Y,YAW_DEG")
+    area_map = load_areas(path)
+    return Places(PlaceModel.load(Path(settings.model), areas=area_map), area_map, T_world_base, begin_s)
+
+
+class ByPlaces:
+    """Wheel readings answered by the rectified pose, frames by the pose that they have just corrected.
+
+    Attributes:
+        last_place: what the model said of the last frame, or None where that could not be asked.
+    """
+
+    body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
+    last_matches = None
+
+    def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
+        self._wheels = ByWheels(calibration, settings.wheels)
+        self.odometry = self._wheels.odometry
+        self.last_place: PlaceMatch | None = None
+        self._model, self._begin_s = places.model, places.begin_s
+        self._rectifier: _Rectifier = (_ByPaper if settings.places.rectify == "paper" else _ByProbability)(
+            places, settings.places
+        )
+        assert calibration.wheels is not None  # ByWheels has refused it
+        self._max_gap_s = calibration.wheels.max_gap_s
+        self._reading_s = self._frame_s = -np.inf
+        self._stopwatch = Stopwatch()
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """How long naming the area of the last frame took, and rectifying by it."""
+        return self._stopwatch.seconds
+
+    def process(self, event: Event) -> tuple[Estimate | None, str]:
+        """The estimate at a reading or frame, None at any other event, and why a frame corrected nothing."""
+        if isinstance(event, RgbdFrame | SkippedFrame):
+            self._stopwatch.restart()
+            self.last_place = None
+            why_not = self._why_not(event)
+            if why_not is not None:
+                return why_not
+            return self._frame(event)
+        reading, note = self._wheels.process(event)
+        return (None if reading is None else self._reading(reading)), note
+
+    def _reading(self, wheels: Estimate) -> Estimate:
+        if wheels.stamp_s < self._begin_s:
+            return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body)
+        self._rectifier.go_on(wheels)
+        if wheels.reason is not Reason.CLOCK_BACKWARDS:
+            self._reading_s = wheels.stamp_s
+        rectified = self._rectifier.estimate(wheels.stamp_s)
+        return replace(rectified, status=wheels.status, reason=wheels.reason)
+
+    def _why_not(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str] | None:
+        """The answer to a frame at which wheels do not tell where the robot is."""
+        if self._reading_s == -np.inf:
+            return Estimate(frame.stamp_s, Status.INITIALIZING, body=self.body), "no wheel reading yet"
+        if frame.stamp_s > self._reading_s + self._max_gap_s:
+            note = f"the last wheel reading is {frame.stamp_s - self._reading_s:.3f} s old"
+            return replace(self._rectifier.estimate(frame.stamp_s), status=Status.FAILING, reason=Reason.GAP), note
+        return None
+
+    def _frame(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str]:
+        if frame.stamp_s <= self._frame_s:
+            late = f"no measurement: its stamp does not come after {self._frame_s:.6f} s"
+            return Estimate(frame.stamp_s, Status.FAILING, reason=Reason.FRAME_UNUSABLE, body=self.body), late
+        self._frame_s = frame.stamp_s
+        if isinstance(frame, SkippedFrame):
+            return self._moved_on(self._rectifier.estimate(frame.stamp_s)), f"no measurement: {frame.reason}"
+        with self._stopwatch.stage("name the area"):
+            self.last_place = match = self._model.predict(frame)
+        with self._stopwatch.stage("rectify"):
+            rectified = self._rectifier.correct(frame.stamp_s, match)
+        return self._moved_on(rectified), f"no measurement: {match.reason}" if match.reason is Unknown.NO_DEPTH else ""
+
+    def _moved_on(self, estimate: Estimate) -> Estimate:
+        """The estimate, which stands at the last reading, by the wheels' speed at the stamp of its frame."""
+        assert estimate.T_world_body is not None  # rectifiers always tell one
+        speed, yaw_rate = self.odometry.twist
+        dt_s = max(estimate.stamp_s - self._reading_s, 0.0)
+        T_reading_frame = se3.exp([speed * dt_s, 0, 0, 0, 0, yaw_rate * dt_s])
+        return replace(estimate, T_world_body=estimate.T_world_body @ T_reading_frame)
+
+
+class _Rectifier(Protocol):
+    """Either way of rectifying, as ByPlaces takes it."""
+
+    def go_on(self, wheels: Estimate) -> None:
+        """To the next estimate of the wheels; the first is the start."""
+
+    def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
+        """The pose at a frame."""
+
+    def estimate(self, stamp_s: float) -> Estimate:
+        """The pose between frames."""
+
+
+class _ByProbability:
+    def __init__(self, places: Places, settings: PlaceSettings) -> None:
+        self._inner = AreaRectifier(places.areas, places.T_world_base, area_shares=places.model.area_shares)
+
+    def go_on(self, wheels: Estimate) -> None:
+        self._inner.predict_to(wheels)
+
+    def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
+        return self._inner.update(stamp_s, None if match.reason is Unknown.NO_DEPTH else match.probabilities)
+
+    def estimate(self, stamp_s: float) -> Estimate:
+        return self._inner.estimate(stamp_s)
+
+
+class _ByPaper:
+    def __init__(self, places: Places, settings: PlaceSettings) -> None:
+        assert settings.weights is not None  # resolved with the model
+        assert settings.odometry_term is not None
+        weights = settings.weights.as_weights()
+        self._inner = PaperRectifier(places.areas, places.T_world_base, weights, settings.odometry_term)
+        self._T_odom_base: FloatArray | None = None
+
+    def go_on(self, wheels: Estimate) -> None:
+        assert wheels.T_world_body is not None  # wheels always tell one
+        if self._T_odom_base is not None:
+            self._inner.predict(se3.invert(self._T_odom_base) @ wheels.T_world_body)
+        self._T_odom_base = wheels.T_world_body
+
+    def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
+        return self._inner.update(stamp_s, match.area_index)
+
+    def estimate(self, stamp_s: float) -> Estimate:
+        return self._inner.estimate(stamp_s)

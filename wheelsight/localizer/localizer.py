@@ -1,0 +1,92 @@
+"""Localizer: where the robot is, event by event. The whole step on one screen."""
+
+from __future__ import annotations
+
+from wheelsight.calibration import Calibration
+from wheelsight.config import Config
+from wheelsight.errors import ConfigError
+from wheelsight.estimates import Estimate
+from wheelsight.events import Event
+from wheelsight.localizer.by_frames import ByFrames
+from wheelsight.localizer.by_places import ByPlaces, Places, load_places
+from wheelsight.localizer.by_wheels import ByWheels
+from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
+from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.places import PlaceMatch
+
+
+class Localizer:
+    """Answers each frame or wheel reading with the pose of the body at its stamp, or with the reason why there is none.
+
+    It goes by one odometry, and by places where the configuration names a model of them.
+
+    With `odometry: features` the frames are answered; the body is the robot's base where the calibration knows
+    `T_base_camera`, else the camera; the world is where the body was at the first tracked frame. With `odometry:
+    wheels` the wheel readings are answered; the body is the base, its frame `odom`, which begins at the first reading.
+    With `places` beside wheels, both are answered: wheels lead from frame to frame, each frame corrects them by the
+    area it shows; the world is that of the areas.
+
+    Args:
+        calibration: of the sensors.
+        config: all settings; `config.alone(name)` picks one of several odometries.
+        places: model, areas and start, where they are not all in `config.places`.
+
+    Attributes:
+        body: "base" or "camera".
+        world: "world" or "odom".
+        answers: the types of the events that are answered.
+        note: what there is to say about the last event beyond its reason; often empty.
+
+    Raises:
+        ConfigError: the configuration names several odometries, or a model of places without areas or start.
+        CalibrationError: the calibration lacks the cameras or wheels that the odometry needs.
+        AreaError, PlaceError: areas or model cannot be read, or do not belong together.
+    """
+
+    def __init__(self, calibration: Calibration, config: Config | None = None, places: Places | None = None) -> None:
+        settings = config or Config()
+        if len(settings.odometry) > 1:
+            several = " and ".join(settings.odometry)
+            raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
+        self._way: ByFrames | ByWheels | ByPlaces
+        if settings.places.model is not None:
+            self._way = ByPlaces(calibration, settings, places or load_places(settings.places))
+        elif settings.odometry == ("wheels",):
+            self._way = ByWheels(calibration, settings.wheels)
+        else:
+            self._way = ByFrames(calibration, settings)
+        self.body, self.world, self.answers = self._way.body, self._way.world, self._way.answers
+        self.note = ""
+
+    @property
+    def odometry(self) -> FeatureOdometry | WheelOdometry:
+        """What estimates the motion."""
+        return self._way.odometry
+
+    @property
+    def last_matches(self) -> MatchedPixels | None:
+        """What the last frame was aligned by, if it was a frame that could be."""
+        return self._way.last_matches
+
+    @property
+    def last_place(self) -> PlaceMatch | None:
+        """What places said of the last frame, where they were asked."""
+        return self._way.last_place if isinstance(self._way, ByPlaces) else None
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """How long each stage of the last frame took; none of a wheel reading."""
+        return self._way.stage_seconds
+
+    def process(self, event: Event) -> Estimate | None:
+        """The estimate at an event that is answered, None at any other.
+
+        A frame that could not be read, or that is not newer than the one before, counts as one that failed:
+        it gives no pose, its reason is `FRAME_UNUSABLE`, and `note` says what was wrong with it. Beside wheels, which
+        know the pose all the same, an unreadable frame or one without depth is no measurement: `note` says so.
+
+        Raises:
+            PlaceError: a frame of another size than the model of places was trained on.
+        """
+        estimate, self.note = self._way.process(event)
+        return estimate

@@ -1,0 +1,165 @@
+"""What a run with places needs beforehand, and what it comes to: model, areas and start; errors in the world."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.config import Config
+from wheelsight.errors import CalibrationError, ConfigError, PlaceError
+from wheelsight.events import WheelSpeeds, WheelTicks
+from wheelsight.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.localizer import Places, load_places
+from wheelsight.places import PlaceModel, labels_on_the_way
+from wheelsight.recordings import Recording, express_for
+from wheelsight.report import Look, RectificationRecord, WorldErrors
+from wheelsight.trajectory import Trajectory
+
+_MAX_GAP_S = 0.5  # true poses further apart tell nothing of the time between them
+_AREAS = "areas.yaml"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacesOfRun:
+    """What rectifies the wheels of a run, and in a sentence how the start is known."""
+
+    places: Places
+    start: str
+
+
+def places_of(recording: Recording, config: Config) -> PlacesOfRun | None:
+    """Model, areas and start of a run whose configuration names a model; None of any other.
+
+    Raises:
+        ConfigError: the recording has no images, no areas are found, or no start is known.
+        AreaError, PlaceError: a file that is none, a model of other areas or of images of another size.
+    """
+    settings = config.places
+    if settings.model is None:
+        return None
+    if not recording.frame_count:
+        raise ConfigError(f"{recording.path}: the recording has no images that could show places", fix="no --places")
+    areas = Path(settings.areas) if settings.areas is not None else recording.path / _AREAS
+    if settings.areas is None and not areas.exists():
+        raise ConfigError(f"{recording.path}: the recording has no {_AREAS}", fix="give --areas FILE")
+    if settings.start is not None:
+        places = load_places(settings, areas)
+        sentence = "The start is the one that was given"
+    else:
+        T_world_base, begin_s = _true_start(recording)
+        places = load_places(settings, areas, T_world_base, begin_s)
+        sentence = "The start was taken from the ground truth, which a robot on its own does not have"
+    _check_size(places.model, recording)
+    x_m, y_m = places.T_world_base[:2, 3]
+    yaw_deg = np.degrees(np.arctan2(places.T_world_base[1, 0], places.T_world_base[0, 0]))
+    return PlacesOfRun(places, f"{sentence}: x {x_m:.2f} m, y {y_m:.2f} m, yaw {yaw_deg:.1f}°.")
+
+
+def rectification_of(
+    run: PlacesOfRun,
+    way: str,
+    looks: tuple[Look, ...],
+    wheels: Trajectory,
+    rectified: Trajectory,
+    truth: Trajectory | None,
+) -> RectificationRecord:
+    """What areas did to the wheels on a run that is over.
+
+    Args:
+        run: from `places_of`.
+        way: "probabilistic" or "paper".
+        looks: one for each frame.
+        wheels: T_odom_base of the wheels alone.
+        rectified: T_world_base.
+        truth: T_world_base, or None.
+    """
+    in_world = _from_start(wheels, run.places)
+    stamps_s = np.array([look.stamp_s for look in looks], float)
+    areas = run.places.areas
+    record = RectificationRecord(way, areas, looks, in_world, run.start)
+    if truth is None or not len(truth) or not len(stamps_s):
+        return record
+    true_areas = labels_on_the_way(areas, truth, stamps_s, _MAX_GAP_S)
+    errors = _world_errors(in_world, rectified, truth, stamps_s)
+    return RectificationRecord(way, areas, looks, in_world, run.start, true_areas, errors)
+
+
+def looks_csv(record: RectificationRecord) -> str:
+    """Looks as text: stamp_s, area (empty: unknown), what the model and the filter hold probable, trust, note.
+
+    `wheelsight.places.read_labels` reads its first two columns.
+    """
+    names = record.areas.names
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["stamp_s", "area", *(f"p({n})" for n in names), *(f"belief({n})" for n in names), "trust", "note"])
+    empty = ("",) * len(names)
+    for look in record.looks:
+        told = [empty if p is None else [f"{x:.4f}" for x in p] for p in (look.probabilities, look.belief)]
+        trust = f"{look.trust:.4f}" if np.isfinite(look.trust) else ""
+        stamp = np.format_float_positional(look.stamp_s, min_digits=6)
+        rows.writerow([stamp, names[look.named] if look.named >= 0 else "", *told[0], *told[1], trust, look.note])
+    return text.getvalue()
+
+
+def _true_start(recording: Recording) -> tuple[FloatArray, float]:
+    """Where the base truly is, in the plane, and when: at the first reading, or where the truth begins later."""
+    fix = "give --start X,Y,YAW_DEG"
+    if recording.ground_truth is None or not len(recording.ground_truth):
+        raise ConfigError(f"{recording.path}: where the robot starts is not known: no ground truth", fix=fix)
+    try:
+        truth = express_for("base", recording.ground_truth, recording.calibration)
+    except CalibrationError as error:
+        raise ConfigError(f"{recording.path}: where the robot starts is not known: {error.problem}", fix=fix) from error
+    delay_s = recording.calibration.wheels.delay_s if recording.calibration.wheels is not None else 0.0
+    stamps_s = (e.stamp_s - delay_s for e in recording.events(images=False) if isinstance(e, WheelTicks | WheelSpeeds))
+    begin_s = max(next(stamps_s, -np.inf), float(truth.stamps_s[0]))
+    T = truth.at([begin_s], _MAX_GAP_S)[0]
+    if not np.isfinite(T).all():
+        problem = f"{recording.path}: where the robot starts is not known: no ground truth at {begin_s:.3f} s"
+        raise ConfigError(problem, fix=fix)
+    return se3.from_plane(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])), begin_s
+
+
+def _check_size(model: PlaceModel, recording: Recording) -> None:
+    color = recording.calibration.color
+    if model.frame_size is None or color is None:
+        return
+    depth = recording.calibration.depth or color
+
+    def words(first: PinholeCamera | tuple[int, int], second: PinholeCamera | tuple[int, int]) -> str:
+        (h, w), (dh, dw) = (c if isinstance(c, tuple) else (c.height, c.width) for c in (first, second))
+        return f"{w}x{h} with depth {dw}x{dh}"
+
+    wanted = words(model.frame_size[:2], model.frame_size[2:])
+    if words(color, depth) != wanted:
+        problem = f"{recording.path}: images are {words(color, depth)}; the model was trained on {wanted}"
+        raise PlaceError(problem, fix="use one camera at one resolution, or train a model for this one")
+
+
+def _from_start(wheels: Trajectory, places: Places) -> Trajectory:
+    """The wheels alone, led on from the start that the rectified path has."""
+    later = wheels.between(places.begin_s, np.inf)
+    if not len(later):
+        return Trajectory(later.stamps_s, later.T_world_body, None, "base", "world")
+    moved = later.moved(places.T_world_base @ se3.invert(later.T_world_body[0]))
+    return Trajectory(moved.stamps_s, moved.T_world_body, moved.covariances, "base", "world")
+
+
+def _world_errors(
+    wheels: Trajectory, rectified: Trajectory, truth: Trajectory, stamps_s: FloatArray
+) -> WorldErrors | None:
+    paths = [_xy_at(path, stamps_s) for path in (truth, wheels, rectified)]
+    known = np.isfinite(np.concatenate(paths, axis=1)).all(axis=1)
+    if not known.any():
+        return None
+    true_xy, *others = (xy[known] for xy in paths)
+    return WorldErrors(stamps_s[known], *(np.hypot(*(xy - true_xy).T) for xy in others))
+
+
+def _xy_at(path: Trajectory, stamps_s: FloatArray) -> FloatArray:
+    return path.at(stamps_s, _MAX_GAP_S)[:, :2, 3] if len(path) else np.full((len(stamps_s), 2), np.nan)
