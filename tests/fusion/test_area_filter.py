@@ -13,7 +13,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.fusion import AreaFilter, AreaFilterSettings
 
 ROW = AreaMap((box("a", 0, 0, 4, 2, "y"), box("b", 4, 0, 8, 2, "xy"), box("c", 8, 0, 12, 2, "y")))
-SETTINGS = AreaFilterSettings((0.8,), (3.0,), blip=0.1, failure_m=20.0, recovery_m=30.0)
+SETTINGS = AreaFilterSettings((0.8,), (3.0,), 0.5, blip=0.1, failure_m=20.0, recovery_m=30.0)
 
 
 def brute_force(steps, evidences):
@@ -142,7 +142,7 @@ def test_a_single_area_says_nothing():
     areas = AreaFilter(AreaMap((box("all", 0, 0, 4, 4, "xy"),)))
     areas.predict(1.0)
     np.testing.assert_allclose(areas.update(np.array([1.0]))[0], 1)
-    assert areas.worth == pytest.approx(0.5)
+    assert areas.worth == pytest.approx(areas.settings.worth)
 
 
 IMPOSSIBLE = (

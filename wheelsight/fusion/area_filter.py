@@ -49,13 +49,13 @@ class AreaFilterSettings:
 
     accuracies: tuple[float, ...] = (0.95, 0.8, 0.6)
     failing_looks_m: tuple[float, ...] = (0.1, 1.0, 5.0, 25.0)
-    worth: float = 0.5
+    worth: float = 0.9
     look_m: float = 1.0
     look_per_rad_m: float = 0.5
     area_m: float = 10.0
     level_m: float = 200.0
-    failure_m: float = 500.0
-    recovery_m: float = 500.0
+    failure_m: float = 1000.0
+    recovery_m: float = 30.0
     blip: float = 0.05
     neighbour_share: float = 0.5
 
