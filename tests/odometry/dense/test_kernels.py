@@ -1,0 +1,200 @@
+"""Residuals, Jacobians and sums of the kernels against numeric derivatives and plain Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from odometry.plain_kernels import plain
+from odometry.dense.scenes import Plane, bench, frame_of
+
+from wheelsight.geometry import PinholeCamera, se3, so3
+from wheelsight.odometry.dense import _alignment_kernels as kernels
+from wheelsight.odometry.dense import _grid_kernels, _reference_kernels
+from wheelsight.odometry.dense import _step_kernels as steps
+
+TINY = PinholeCamera(24, 20, 22.0, 21.0, 11.3, 9.8)
+GRID = np.array([TINY.fx, TINY.fy, TINY.cx, TINY.cy], np.float32)
+NOISE = np.array([0.001, 0.0014, 0.3, 10.0], np.float32)
+UPPER = np.triu_indices(6)
+
+
+@pytest.fixture
+def pair(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Depth and grey of a frame, and a reference's pixels: one plane with a slope of grey, so that both are smooth."""
+    rows, columns = np.mgrid[: TINY.height, : TINY.width]
+    x, y = (columns - TINY.cx) / TINY.fx, (rows - TINY.cy) / TINY.fy
+    normal, offset = np.array([0.1, -0.2, -1.0]) / np.linalg.norm([0.1, -0.2, -1.0]), -1.5
+    depth_m = (offset / (normal[0] * x + normal[1] * y + normal[2])).astype(np.float32)
+    there = (100 + 3.0 * columns - 2.0 * rows).astype(np.float32)
+    pixels = np.empty((*depth_m.shape, kernels.CHANNELS), np.float32)
+    normals = np.broadcast_to(normal, (*depth_m.shape, 3)).astype(np.float32)
+    _reference_kernels.pack(depth_m, normals, there, GRID, 0, TINY.height, pixels)
+    here = there + rng.normal(0, 3, there.shape)
+    return (depth_m + 0.01).astype(np.float32), here.astype(np.float32), pixels
+
+
+def sums_of(pair: tuple, T: np.ndarray, weight: float, huber: float = 1e6, module: object = kernels) -> np.ndarray:
+    """The total of all rows."""
+    depth_m, grey, pixels = pair
+    T_rows = np.ascontiguousarray(np.broadcast_to(T[:3], (TINY.height, 3, 4)), np.float32)
+    how = np.array([0.5, 1.0, 5.0, 1.1, 2.0, huber, weight, 0.0], np.float32)
+    sums = np.zeros((TINY.height, kernels.SUMS))
+    module.accumulate(depth_m, grey, pixels, GRID, T_rows, NOISE, how, 1, 0, TINY.height, sums)
+    return sums.sum(axis=0)
+
+
+@pytest.mark.parametrize("kind", ["plane", "grey"])
+@pytest.mark.parametrize("pixel", [(4, 5), (10, 12), (15, 17)])
+def test_jacobian_is_the_numeric_one(pair: tuple, kind: str, pixel: tuple[int, int]) -> None:
+    depth_m, grey, pixels = (a.copy() for a in pair)
+    alone = np.zeros_like(depth_m)
+    alone[pixel] = depth_m[pixel]
+    grey[pixel] = 60.0  # darker than the reference, so that the error keeps its sign
+    if kind == "grey":
+        pixels[..., kernels.OFFSET] = np.nan
+    weight, count = (0.0, kernels.PLANE_COUNT) if kind == "plane" else (1.0, kernels.GREY_COUNT)
+    T = se3.exp([0.004, -0.003, 0.02, 0.003, -0.002, 0.004])
+
+    def of(T: np.ndarray) -> np.ndarray:
+        total = sums_of((alone, grey, pixels), T, weight)
+        assert total[count] == 1
+        return total
+
+    total = of(T)
+    sign = np.sign(pixels[10, 10, kernels.NZ] * (depth_m[pixel] + 0.02 - pixels[(*pixel, kernels.DEPTH)]))
+    sign = sign if kind == "plane" else 1.0
+    jacobian = sign * total[21:27] / total[count + 1]
+    steps_ = 1e-3 * np.eye(6)
+    numeric = [(of(se3.exp(d) @ T)[count + 1] - of(se3.exp(-d) @ T)[count + 1]) / 2e-3 * sign for d in steps_]
+    np.testing.assert_allclose(jacobian, numeric, atol=0.02 * np.abs(jacobian).max())
+    H = np.zeros((6, 6))
+    H[UPPER] = total[:21]
+    np.testing.assert_allclose(H[UPPER], np.outer(jacobian, jacobian)[UPPER], rtol=1e-3, atol=1e-3 * H.max())
+
+
+def test_compiled_is_plain_python(pair: tuple) -> None:
+    T = se3.exp([0.01, -0.02, 0.02, 0.01, -0.02, 0.01])
+    compiled = sums_of(pair, T, 0.5, huber=1.5)
+    assert compiled[kernels.PLANE_COUNT] > 300
+    assert compiled[kernels.GREY_COUNT] > 300
+    np.testing.assert_allclose(compiled, sums_of(pair, T, 0.5, huber=1.5, module=plain(kernels)), rtol=1e-4, atol=1e-2)
+
+
+def test_huber_takes_weight_from_large_errors_only(pair: tuple) -> None:
+    gentle, strict = (sums_of(pair, np.eye(4), 1.0, huber=limit) for limit in (1e6, 0.5))
+    assert strict[kernels.GREY_COUNT] == gentle[kernels.GREY_COUNT]
+    assert strict[kernels.GREY_COUNT + 2] < gentle[kernels.GREY_COUNT + 2]
+
+
+def test_unknown_pixels_take_no_part(pair: tuple) -> None:
+    depth_m, grey, pixels = (a.copy() for a in pair)
+    depth_m[:, :12], grey[10:] = 0.0, -1.0
+    pixels[:5] = np.nan
+    total = sums_of((depth_m, grey, pixels), np.eye(4), 1.0)
+    assert np.isfinite(total).all()
+    assert 0 < total[kernels.GREY_COUNT] < total[kernels.PLANE_COUNT] < total[kernels.PAIRS]
+
+
+@pytest.mark.parametrize("pixel", [(4, 5), (10, 12), (15, 17)])
+def test_jacobian_of_a_turn_is_the_numeric_one(pair: tuple, pixel: tuple[int, int]) -> None:
+    R, grey, sums = so3.exp([0.004, -0.003, 0.002]), np.full((TINY.height, TINY.width), -1.0, np.float32), np.empty(11)
+    grey[pixel] = 60.0
+    kernels.accumulate_turn(grey, pair[2], GRID.astype(float), R, 1e9, sums)
+    assert sums[9] == 1
+
+    def seen(R: np.ndarray) -> float:
+        """The reference's grey, whose slopes are 3 and -2 a pixel, where the pixel's ray falls."""
+        ray = R @ [(pixel[1] - TINY.cx) / TINY.fx, (pixel[0] - TINY.cy) / TINY.fy, 1.0]
+        return 3 * TINY.fx * ray[0] / ray[2] - 2 * TINY.fy * ray[1] / ray[2]
+
+    numeric = [(seen(so3.exp(d) @ R) - seen(so3.exp(-d) @ R)) / 2e-5 for d in 1e-5 * np.eye(3)]
+    np.testing.assert_allclose(sums[6:9] / sums[10], numeric, rtol=1e-4, atol=1e-2)
+    np.testing.assert_allclose(sums[:6], np.outer(numeric, numeric)[np.triu_indices(3)], rtol=1e-3, atol=0.1)
+
+
+def test_solve_is_numpys(rng: np.random.Generator) -> None:
+    J, total = rng.standard_normal((40, 6)), np.zeros(kernels.SUMS)
+    H, b = J.T @ J, rng.standard_normal(6)
+    total[:21], total[21:27] = H[UPPER], b
+    np.testing.assert_allclose(steps.solve(total), -np.linalg.solve(H, b), rtol=1e-6)
+
+
+def test_solve_stays_finite_where_nothing_is_seen() -> None:
+    total = np.zeros(kernels.SUMS)
+    assert not steps.solve(total).any()
+    total[0] = 4.0
+    total[21] = 2.0
+    np.testing.assert_allclose(steps.solve(total), [-0.5, 0, 0, 0, 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e-7, 1e-3, 0.8])
+def test_move_is_the_exponential(rng: np.random.Generator, size: float) -> None:
+    change, T = size * rng.standard_normal(6), se3.exp(rng.standard_normal(6))
+    moved = T.copy()
+    steps.move(change, moved)
+    np.testing.assert_allclose(moved, se3.exp(change) @ T, atol=1e-12)
+
+
+def test_rows_are_placed_by_what_the_straightening_twist_missed(rng: np.random.Generator) -> None:
+    T_reference_previous, T = se3.exp(0.1 * rng.standard_normal(6)), se3.exp(0.1 * rng.standard_normal(6))
+    twist, late_s, seconds = rng.standard_normal(6), np.linspace(-0.01, 0.01, 5), 0.05
+    T_rows = np.empty((5, 3, 4), np.float32)
+    steps.place_rows(T, se3.invert(T_reference_previous), seconds, twist, late_s, T_rows)
+    step = se3.invert(T_reference_previous) @ T
+    wrong = np.concatenate([step[:3, 3], so3.log(step[:3, :3])]) / seconds - twist
+    for late, T_row in zip(late_s, T_rows, strict=True):
+        np.testing.assert_allclose(T_row, (T @ se3.exp(late * wrong))[:3], atol=2e-3)
+
+
+def test_normals_of_a_plane_are_its_own() -> None:
+    normal = np.array([0.3, -0.2, -0.93]) / np.linalg.norm([0.3, -0.2, -0.93])
+    parts = bench()
+    grid = parts.grid(frame_of([Plane(tuple(normal), -2.0)], np.eye(4), 0.0))
+    found = parts.maker.normals(grid.levels[0])
+    known = found[..., 2] != 0
+    assert known[5:-5, 5:-5].all()
+    np.testing.assert_allclose(found[known], np.broadcast_to(normal, found.shape)[known], atol=2e-3)
+
+
+def test_normals_do_not_reach_over_an_edge() -> None:
+    depth_m = np.full((20, 20), 1.0, np.float32)
+    depth_m[:, 10:] = 2.0
+    out = np.empty((20, 20, 3), np.float32)
+    _reference_kernels.normals(depth_m, GRID, 2, np.float32(0.03), 0, 20, out)
+    np.testing.assert_allclose(out[5, 9], [0, 0, -1], atol=1e-6)
+    np.testing.assert_allclose(out[5, 10], [0, 0, -1], atol=1e-6)
+
+
+def test_halving_keeps_the_nearer_surface_and_leaves_out_holes() -> None:
+    depth_m = np.array([[1.0, 1.02, 0, 0], [3.0, 0, 0, 2.0]], np.float32)
+    half = np.empty((1, 2), np.float32)
+    _grid_kernels.halve_depth(depth_m, 0.03, 0, 1, half)
+    np.testing.assert_allclose(half, [[1.01, 2.0]], rtol=1e-6)
+
+
+def test_halving_nothing_gives_nothing() -> None:
+    half = np.empty((2, 2), np.float32)
+    _grid_kernels.halve_depth(np.zeros((4, 4), np.float32), 0.03, 0, 2, half)
+    assert not half.any()
+    _grid_kernels.halve_grey(np.array([[1, 2, 3, 4], [3, 4, 5, -1]], np.float32), 0, 1, half)
+    np.testing.assert_allclose(half[0], [2.5, -1])
+
+
+@pytest.mark.parametrize("name", ["halve_depth", "straighten"])
+def test_grid_kernels_are_plain_python(rng: np.random.Generator, name: str) -> None:
+    depth_m = rng.uniform(0.9, 1.1, (20, 24)).astype(np.float32)
+    depth_m[rng.random((20, 24)) < 0.2] = 0
+    outs = []
+    for module in (_grid_kernels, plain(_grid_kernels)):
+        if name == "halve_depth":
+            out = np.zeros((10, 12), np.float32)
+            module.halve_depth(depth_m, 0.03, 0, 10, out)
+        else:
+            out = np.zeros((2, 20, 24), np.float32)
+            v, u = np.mgrid[:20, :24].astype(np.float32)
+            source_px = np.stack([u + 0.3, v - 0.2], axis=-1)
+            twist = np.array([0.2, -0.1, 0.3, 0.5, -1.0, 0.4], np.float32)
+            how = (np.float32(0.03), np.float32(0.1), (0, 20))
+            module.straighten(depth_m, 100 * depth_m, source_px, GRID, twist, *how, out)
+        outs.append(out)
+    np.testing.assert_allclose(outs[0], outs[1], rtol=1e-4)
