@@ -130,3 +130,84 @@ def test_unknown_and_doubled_odometries_are_refused_with_the_list(
 ) -> None:
     path = write(tmp_path, text)
     assert refusal(path).startswith(f"{path}:{line}: {expected}")
+
+
+WITH_PLACES = {"odometry": "wheels", "places.model": "three.places"}
+
+
+def test_places_join_the_wheels_as_a_track_of_their_own() -> None:
+    config = load_config(overrides={**WITH_PLACES, "odometry": "wheels,features"})
+    assert config.tracks == ("wheels", "features", "rectified")
+    assert config.alone("wheels") == load_config(overrides={"odometry": "wheels"})
+    assert config.alone("features") == Config()
+    assert config.alone("rectified") == load_config(overrides=WITH_PLACES)
+    assert Config().tracks == ("features",)
+
+
+def test_what_is_written_of_places_is_what_was_used(tmp_path: Path) -> None:
+    start = {"places.start": "1.5,-2,90"}
+    for extra, expected in (
+        ({}, ("probabilistic", None, None)),
+        ({"places.rectify": "paper"}, ("paper", "increment", {"told": [0, 0.9, 0.1], "untold": [0, 1]})),
+    ):
+        config = load_config(overrides={**WITH_PLACES, **start, **extra})
+        save_config(config, tmp_path / "out.yaml")
+        assert load_config(tmp_path / "out.yaml") == config
+        written = config.to_dict()["places"]
+        assert (written["rectify"], written["odometry_term"], written["weights"]) == expected
+        assert written["start"] == {"x_m": 1.5, "y_m": -2, "yaw_deg": 90}
+
+
+def test_weights_share_out_what_gamma_leaves_where_areas_tell_nothing() -> None:
+    config = load_config(overrides={**WITH_PLACES, "places.rectify": "paper", "places.weights": "0.2,0.6,0.2"})
+    assert config.places.weights is not None
+    assert config.places.weights.untold == pytest.approx((0.25, 0.75))
+    only_areas = load_config(overrides={**WITH_PLACES, "places.rectify": "paper", "places.weights": "0,0,1"})
+    assert only_areas.places.weights is not None
+    assert only_areas.places.weights.untold == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "expected"),
+    [
+        (
+            "odometry: features\nplaces: {model: m}\n",
+            2,
+            "places.model rectifies wheels, and there are none (add --odom",
+        ),
+        ("places:\n  rectify: paper\n", 2, "places.rectify is given without a model of places (add --places MODEL)"),
+        ("places: {start: '1,2,3'}\n", 1, "places.start is given without a model of places"),
+        ("odometry: wheels\nplaces: {model: m, weights: '0,1,0'}\n", 2, "places.weights is of the paper's eq. 5 alone"),
+        (
+            "odometry: wheels\nplaces: {model: m, start: '1,2'}\n",
+            2,
+            "places.start is '1,2', which should be 3 numbers: X",
+        ),
+        ("odometry: wheels\nplaces: {model: m, start: {x_m: 1, y_m: 2}}\n", 2, "places.start.yaw_deg is missing"),
+        ("odometry: wheels\nplaces: {model: m, start: {x: 1}}\n", 2, "places.start.x_m is missing"),
+        ("odometry: wheels\nplaces:\n  model: m\n  rectify: magic\n", 4, "places.rectify is 'magic' (known: 'probab"),
+        (
+            "odometry: wheels\nplaces: {model: m, rectify: paper, weights: '0,1,1'}\n",
+            2,
+            "places.weights is '0,1,1', which",
+        ),
+    ],
+)
+def test_settings_of_places_that_cannot_be_are_refused_in_one_line(
+    tmp_path: Path, text: str, line: int, expected: str
+) -> None:
+    path = write(tmp_path, text)
+    assert refusal(path).startswith(f"{path}:{line}: {expected}")
+
+
+def test_a_wrong_option_of_places_is_called_by_its_name() -> None:
+    called = {"places.start": "--start", "places.rectify": "--rectify"}
+    with pytest.raises(ConfigError, match=r"^--start yaw_deg is nan, which should be a finite number"):
+        load_config(overrides={**WITH_PLACES, "places.start": "1,2,nan"}, called=called)
+    with pytest.raises(ConfigError, match=r"^--rectify is given without a model of places .add --places MODEL.$"):
+        load_config(overrides={"odometry": "wheels", "places.rectify": "paper"}, called=called)
+
+
+def test_an_unknown_setting_within_one_that_may_be_missing_lists_the_known(tmp_path: Path) -> None:
+    given = "odometry: wheels\nplaces: {model: m, start: {x_m: 1, y_m: 2, yaw_deg: 3, yaw_rad: 3}}\n"
+    assert "unknown setting places.start.yaw_rad (did you mean yaw_deg?)" in refusal(write(tmp_path, given))

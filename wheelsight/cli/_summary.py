@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from wheelsight.report import RunRecord
+    from wheelsight.report import RectificationRecord, RunRecord
 
 _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
 
@@ -23,6 +23,9 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
     first = records[0]
     if len(records) > 1:
         stdout.print(_joint_table(records))
+        for record in records:
+            if record.rectification is not None and record.rectification.errors is not None:
+                stdout.print(_world_table(record.rectification))
     else:
         stdout.print(facts_table(f"{first.recording}: T_{first.estimate.world}_{first.estimate.body}", _facts(first)))
     if len(records) == 1 and first.evaluation is not None:
@@ -54,6 +57,21 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
         table.add_column(head[index], justify="right" if index else "left")
     for row in rows:
         table.add_row(*(row[index] for index in shown))
+    return table
+
+
+def _world_table(found: RectificationRecord) -> Table:
+    """What areas leave of the wheels' error."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from wheelsight.report import ERROR_HEAD, error_rows
+
+    table = Table(title="distance from the truth, nothing aligned", box=SIMPLE_HEAD, title_justify="left")
+    for index, name in enumerate(ERROR_HEAD):
+        table.add_column(name, justify="right" if index else "left")
+    for row in error_rows(found):
+        table.add_row(*row)
     return table
 
 

@@ -1,5 +1,6 @@
 """The report of a run: what it learned (RunRecord), its figures, and the page that shows them."""
 
+from wheelsight.report._rectification import ERROR_HEAD, error_rows
 from wheelsight.report.comparison import comparison_rows, write_comparison
 from wheelsight.report.comparison_figures import bands_figure, errors_figure, overlay_figure
 from wheelsight.report.figures import (
@@ -17,9 +18,11 @@ from wheelsight.report.page import write_report
 from wheelsight.report.pictures import draw_matches
 from wheelsight.report.record import FrameRecord, MatchPicture, RunRecord
 from wheelsight.report.rectification import Look, RectificationRecord, WorldErrors
+from wheelsight.report.rectification_figures import area_map_figure, area_time_figure, world_error_figure
 from wheelsight.report.summary import Summary, summarise
 
 __all__ = [
+    "ERROR_HEAD",
     "FrameRecord",
     "Look",
     "MatchPicture",
@@ -28,11 +31,14 @@ __all__ = [
     "RunRecord",
     "Summary",
     "WorldErrors",
+    "area_map_figure",
+    "area_time_figure",
     "bands_figure",
     "certainty_figure",
     "comparison_rows",
     "draw_matches",
     "error_figure",
+    "error_rows",
     "errors_figure",
     "matches_figure",
     "overlay_figure",
@@ -43,6 +49,7 @@ __all__ = [
     "time_figure",
     "time_histogram_figure",
     "trajectory_figure",
+    "world_error_figure",
     "write_comparison",
     "write_report",
 ]

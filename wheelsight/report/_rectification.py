@@ -62,7 +62,7 @@ def notes(record: RunRecord) -> list[str]:
 
 
 def error_rows(found: RectificationRecord) -> list[tuple[str, ...]]:
-    """One row for the wheels alone and one for the rectified path, as `ERROR_HEAD` names the columns."""
+    """One row for the wheels alone, one for the rectified path, as `ERROR_HEAD` names columns; none without truth."""
     errors = found.errors
     if errors is None:
         return []
