@@ -130,6 +130,8 @@ def test_the_page_tells_what_areas_did() -> None:
     assert page.tiles["In the world, mean error"][0] == "50.0 cm"
     assert "3 frames told nothing of the area: the frame has no depth (3)." in page.text
     assert "The model was not trusted in" in page.text
+    assert "The start is the one that was given" in page.text
+    assert "the camera was never lost" not in page.text
 
 
 def test_areas_that_do_harm_are_not_praised() -> None:

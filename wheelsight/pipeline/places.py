@@ -25,10 +25,11 @@ _AREAS = "areas.yaml"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacesOfRun:
-    """What rectifies the wheels of a run, and in a sentence how the start is known."""
+    """What rectifies the wheels of a run, in a sentence how the start is known, and whether only by the truth."""
 
     places: Places
     start: str
+    is_start_true: bool
 
 
 def places_of(recording: Recording, config: Config) -> PlacesOfRun | None:
@@ -54,9 +55,10 @@ def places_of(recording: Recording, config: Config) -> PlacesOfRun | None:
         places = load_places(settings, areas, T_world_base, begin_s)
         sentence = "The start was taken from the ground truth, which a robot on its own does not have"
     _check_size(places.model, recording)
-    x_m, y_m = places.T_world_base[:2, 3]
-    yaw_deg = np.degrees(np.arctan2(places.T_world_base[1, 0], places.T_world_base[0, 0]))
-    return PlacesOfRun(places, f"{sentence}: x {x_m:.2f} m, y {y_m:.2f} m, yaw {yaw_deg:.1f}°.")
+    x_m, y_m = places.T_world_base[:2, 3].round(2) + 0.0  # no minus before a zero
+    yaw_deg = np.degrees(np.arctan2(places.T_world_base[1, 0], places.T_world_base[0, 0])).round(1) + 0.0
+    told = f"{sentence}: x {x_m:.2f} m, y {y_m:.2f} m, yaw {yaw_deg:.1f}°."
+    return PlacesOfRun(places, told, settings.start is None)
 
 
 def rectification_of(

@@ -34,7 +34,8 @@ def _with_rectification(
     way = config.places.rectify or ""
     looks = tuple(sorted(track.looks, key=lambda look: look.stamp_s))
     found = rectification_of(places, way, looks, wheels.estimate, record.estimate, record.ground_truth)
-    return replace(record, rectification=found, warnings=(places.start, *record.warnings))
+    warnings = (places.start, *record.warnings) if places.is_start_true else record.warnings
+    return replace(record, rectification=found, warnings=warnings)
 
 
 def _record_of(track: Track, passage: Passage, recording: Recording, config: Config) -> RunRecord:

@@ -85,7 +85,7 @@ def section(records: Sequence[RunRecord]) -> str:
     found = record.rectification
     intro = (
         f"Wheels lead from frame to frame; the area that each frame shows corrects them, by {_WAYS[found.way]}. Here "
-        "nothing is laid upon anything: all paths are where they say they are in the world of the areas."
+        f"nothing is laid upon anything: all paths are where they say they are in the world of the areas. {found.start}"
     )
     return html.section(
         "areas", "What areas did to the wheels", intro, _map(record), _errors(record, found), _time(record)

@@ -132,8 +132,6 @@ def tracking(record: RunRecord, summary: Summary, of: str = "") -> str:
 
 
 def _matches(record: RunRecord, of: str) -> str:
-    if record.rectification is not None:
-        return ""
     if not any(frame.matches for frame in record.frames):
         return html.paragraph("No frame had any matches.", "missing")
     inliers = np.median([frame.inliers for frame in record.frames if not frame.is_skipped])

@@ -171,7 +171,7 @@ def _sections(judged: Sequence[Judged], paths: Overlay) -> Iterable[str]:
     for record, summary, _ in judged:
         of = record.odometry
         yield sections.certainty(record, of)
-        if record.unit == "frame":
+        if record.unit == "frame" and record.rectification is None:
             yield sections.tracking(record, summary, of)
         yield sections.timing(record, summary, of)
         yield sections.pictures(record, of)

@@ -27,7 +27,8 @@ class Verdict:
 def judge(record: RunRecord, summary: Summary) -> Verdict:
     """What `record` shows, in words. Only tracking is judged; how much error is too much is the reader's to say."""
     phrase, tone = _tracking_phrase(summary)
-    sentences = (_tracking_sentence(summary), _accuracy_sentence(record, summary), _speed_sentence(summary))
+    tracked = _tracking_sentence(summary, by_camera=summary.unit == "frame" and record.rectification is None)
+    sentences = (tracked, _accuracy_sentence(record, summary), _speed_sentence(summary))
     return Verdict(phrase, tuple(filter(None, sentences)), tone)
 
 
@@ -63,12 +64,12 @@ def _tracking_phrase(summary: Summary) -> tuple[str, Tone]:
     return "Without a pose most of the time", "poor"
 
 
-def _tracking_sentence(summary: Summary) -> str:
+def _tracking_sentence(summary: Summary, by_camera: bool) -> str:
     if not summary.frames:
         return f"The recording holds no {summary.unit}s."
     share = words.percent(summary.pose_share)
     text = f"{summary.posed:,} of {words.count(summary.frames, summary.unit)} ({share}) have a pose"
-    if summary.unit == "reading":
+    if not by_camera:
         return text + "."
     if not summary.lost_episodes:
         return text + ("; the camera was never lost." if summary.posed else ".")
