@@ -113,7 +113,9 @@ def _free_place(polygon: FloatArray, crowd: Any) -> tuple[float, float]:
 def _lines(axes: Axes, truth: FloatArray, wheels: FloatArray, track: FloatArray, colour: str) -> None:
     axes.plot(*wheels.T, color=WHEELS, linewidth=1.4, zorder=4, solid_joinstyle="round")
     axes.plot(*truth.T, color=INK, linewidth=2.6, zorder=5, solid_joinstyle="round")
-    axes.plot(*track.T, color=colour, linewidth=1.3, zorder=6, solid_joinstyle="round")
+    # A dot a frame: between some of them eq. 5 leaps, and a line alone would look like a way.
+    axes.plot(*track.T, color=colour, linewidth=0.9, alpha=0.6, zorder=6, solid_joinstyle="round")
+    axes.plot(*track.T, ".", color=colour, markersize=4.5, markeredgewidth=0, zorder=7)
     axes.plot(*truth[0], "o", color=PAPER, markeredgecolor=INK, markeredgewidth=1.6, markersize=7, zorder=8)
 
 

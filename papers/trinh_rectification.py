@@ -35,7 +35,7 @@ EXAMPLES = """examples:
 
 PAPER_WITHOUT_M = 26.4
 PAPER_WITH_M = (10.4, 10.0, 9.4, 9.1, 9.1, 8.9)
-DRAWN_TERM = "increment"
+DRAWN_TERM = "absolute"  # eq. 5 to the letter
 HEAD = ("method", "trees", "mean distance", "of the wheels'", "true RMS", "areas right", "calibration error", "paper")
 
 # Tyres of a wheelchair pumped unevenly, and wheels that touch the ground a little wider apart than the data sheet says.

@@ -112,8 +112,7 @@ def test_both_ways_rectify_and_the_probabilistic_one_by_far_the_most(trial: Any)
     probabilistic = trial.errors["probabilistic, layout, 16"]
     assert alone > 15
     assert paper.mean_m < 0.6 * alone
-    assert probabilistic.mean_m < 0.15 * alone
-    assert probabilistic.mean_m < 0.5 * paper.mean_m
+    assert probabilistic.mean_m < 0.08 * alone
     assert probabilistic.accuracy > paper.accuracy
     assert all(errors.rms_m >= errors.mean_m for errors in trial.errors.values())
 
@@ -253,8 +252,9 @@ def test_one_command_makes_drives_table_and_figure(
         "drives", "rectification.png", "results.json", "table.md",
     }  # fmt: skip
     errors = json.loads((tmp_path / "o" / "results.json").read_text())["sets"][0]["errors"]
-    alone = errors["wheels"]["mean_m"]
-    assert alone > 4
-    assert errors["probabilistic, layout, 32"]["mean_m"] < 0.6 * alone
-    assert errors["probabilistic, layout, 32"]["accuracy"] > 0.6
-    assert errors["probabilistic, layout, 32"]["accuracy"] > errors["eq. 5, increment, 2"]["accuracy"]
+    alone, paper = errors["wheels"]["mean_m"], errors["eq. 5, increment, 2"]
+    best = errors["probabilistic, layout, 32"]
+    assert alone > 10
+    assert paper["mean_m"] < 0.7 * alone
+    assert best["mean_m"] < 0.08 * alone
+    assert best["accuracy"] > 0.9 > paper["accuracy"]
