@@ -27,7 +27,9 @@ class Plane:
     is_painted: bool = False
 
 
-def render(planes: Sequence[Plane], T_world_camera: FloatArray, camera: PinholeCamera = SMALL) -> tuple[np.ndarray, Float32Array]:
+def render(
+    planes: Sequence[Plane], T_world_camera: FloatArray, camera: PinholeCamera = SMALL
+) -> tuple[np.ndarray, Float32Array]:
     """Colour (H, W, 3) uint8 and depth (H, W) of the nearest planes before a camera at (4, 4), exactly."""
     rays = camera.rays().reshape(-1, 3)
     rays_world, origin = rays @ T_world_camera[:3, :3].T, T_world_camera[:3, 3]
@@ -84,7 +86,7 @@ def bench(calibration: Calibration | None = None, **settings: object) -> Bench:
     rows = Rows(chosen.threads)
     gridder = Gridder(calibration, chosen, rows)
     aligner = Aligner(calibration, chosen, rows, gridder.late_s, gridder.halvings)
-    return Bench(gridder, ReferenceMaker(chosen, rows), aligner)
+    return Bench(gridder, ReferenceMaker(calibration.depth_noise, chosen, rows), aligner)
 
 
 def dense(calibration: Calibration | None = None, **settings: object) -> DenseOdometry:

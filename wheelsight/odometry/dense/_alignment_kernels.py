@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-# Columns of the partial sums of a row: 21 of H's upper triangle, 6 of b, then these.
+# Columns of the partial sums of a row: of planes 21 of H's upper triangle and 6 of b, the same of grey, then these.
+GREY_SUMS = 27
 # Of each kind of residual: how many, the sum of |error| / σ, and of its weighted squares.
-PLANE_COUNT, GREY_COUNT, PAIRS = 27, 30, 33
+PLANE_COUNT, GREY_COUNT, PAIRS = 54, 57, 60
 # Sums for the regression of exposure.
-FIT_N, FIT_X, FIT_Y, FIT_XX, FIT_XY = 34, 35, 36, 37, 38
-SUMS = 39
+FIT_N, FIT_X, FIT_Y, FIT_XX, FIT_XY = 61, 62, 63, 64, 65
+SUMS = 66
 
 # Channels of a reference's pixel: the plane n·q = d and its depth, NaN where unknown; grey and its gradient a pixel.
 NX, NY, NZ, OFFSET, DEPTH, GREY, ALONG_U, ALONG_V = range(8)
@@ -56,7 +57,8 @@ def accumulate(
         T_rows: (h, 3, 4) T_reference_frame of each row, which differ where a rolling shutter's speed is refined.
         noise: depth's constant and quadratic σ, near and far limit in metres.
         how: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset, Huber's limit, weight
-            of grey (0: depth alone), σ of the colour camera's place in pixels.
+            of grey (0: depth alone), σ of the colour camera's place in pixels, and the slope of grey a pixel below
+            which it may be the image's noise and tells nothing.
         begin, end: of the rows' numbers; number k is row k · stride.
         sums: (h // stride, SUMS) of float64, written row by row, so that the total does not depend on who did which.
     """
@@ -71,8 +73,8 @@ def accumulate(
         plane_count, grey_count = _look_up(depth_m[r], grey[r], reference, grid, noise, how, moved, planes, greys, row)
         _weigh(planes, plane_count, how[5], row, PLANE_COUNT)
         _weigh(greys, grey_count, how[5], row, GREY_COUNT)
-        _add(planes, plane_count, row)
-        _add(greys, grey_count, row)
+        _add(planes, plane_count, row[:GREY_SUMS])
+        _add(greys, grey_count, row[GREY_SUMS:])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -130,7 +132,7 @@ def _look_up(
             plane_count += 1
         if how[6] > 0:
             there, du, dv = _between(reference, u, v)
-            if grey[c] >= 0 and not np.isnan(there + du + dv):
+            if grey[c] >= 0 and du * du + dv * dv >= how[8] * how[8] and not np.isnan(there):
                 gx, gy = gain * du * grid[0] / pz, gain * dv * grid[1] / pz
                 slide = how[7] * how[7] * (du * du + dv * dv)
                 root = how[6] / np.sqrt(how[2] * how[2] + slide)

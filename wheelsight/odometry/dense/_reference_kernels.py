@@ -10,6 +10,11 @@ from numba import njit
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, NY, NZ, OFFSET
 
 _NAN = np.float32(np.nan)
+_FEWEST = 6
+# Standard deviations of depth that a fitted window may be bent by.
+_BENT = np.float32(2.0)
+# Squared cosine to the ray below which neighbours are too far apart in depth for a normal.
+_GRAZED = np.float32(0.04)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -40,45 +45,61 @@ def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, begin: int, end: int, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def normals(depth_m: Any, grid: Any, radius: int, jump: float, begin: int, end: int, out: Any) -> None:
+def normals(depth_m: Any, grid: Any, radius: int, jump: Any, noise: Any, begin: int, end: int, out: Any) -> None:
     """Unit normals (h, w, 3) towards the camera by least squares of inverse depth over a window; 0 where none.
 
     On a plane inverse depth is linear in the pixel, 1/z = a·u + b·v + c, so the normal follows from its slopes
-    (Badino et al., ICRA 2011, fit the same model). The window is (2·radius + 1)², on one surface only.
+    (Badino et al., ICRA 2011, fit the same model). The window is (2·radius + 1)², on one surface only. Where the
+    surface is bent by more than the sensor's noise, at creases, a fitted plane would be no plane of the scene.
+
+    Args:
+        jump: share of a depth by which neighbours on one surface may differ.
+        noise: depth's constant and quadratic σ in metres.
     """
     height, width = depth_m.shape
+    one = np.float32(1)
     for r in range(begin, end):
+        y = np.float32((r - grid[3]) / grid[1])
         for c in range(width):
-            out[r, c, 0] = out[r, c, 1] = out[r, c, 2] = np.float32(0.0)
+            out[r, c, 0] = out[r, c, 1] = out[r, c, 2] = np.float32(0)
             z = depth_m[r, c]
             if z <= 0 or r < radius or c < radius or r >= height - radius or c >= width - radius:
                 continue
-            suu = svv = suv = su = sv = s = sud = svd = sd = np.float32(0.0)
-            limit = np.float32(jump) * z
-            for i in range(-radius, radius + 1):
-                for j in range(-radius, radius + 1):
-                    near = depth_m[r + i, c + j]
-                    if near > 0 and abs(near - z) < limit:
-                        d = np.float32(1.0) / near - np.float32(1.0) / z
-                        suu += j * j
-                        svv += i * i
-                        suv += i * j
-                        su += j
-                        sv += i
-                        s += np.float32(1.0)
-                        sud += j * d
-                        svd += i * d
-                        sd += d
-            if s < 6:
+            a, b, rest = _slopes(depth_m, r, c, radius, jump * z)
+            sigma = _BENT * (noise[0] / (z * z) + noise[1])
+            if not rest <= sigma * sigma:
                 continue
-            suu, svv, suv = suu - su * su / s, svv - sv * sv / s, suv - su * sv / s
-            sud, svd = sud - su * sd / s, svd - sv * sd / s
-            det = suu * svv - suv * suv
-            if det < np.float32(1.0):
-                continue
-            a, b = (svv * sud - suv * svd) / det, (suu * svd - suv * sud) / det
-            x, y = (c - grid[2]) / grid[0], (r - grid[3]) / grid[1]
+            x = np.float32((c - grid[2]) / grid[0])
             nx, ny = grid[0] * a, grid[1] * b
-            nz = (np.float32(1.0) / z) - nx * x - ny * y
-            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            nz = one / z - nx * x - ny * y
+            square = nx * nx + ny * ny + nz * nz
+            # n·(x, y, 1) is 1 / z in these units.
+            if one < _GRAZED * square * z * z * (x * x + y * y + one):
+                continue
+            length = np.sqrt(square)
             out[r, c, 0], out[r, c, 1], out[r, c, 2] = -nx / length, -ny / length, -nz / length
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _slopes(depth_m: Any, r: int, c: int, radius: int, limit: Any) -> Any:
+    """Slopes of inverse depth along u and v about a pixel, and what of its variance they leave; NaN for too few."""
+    zero, one = np.float32(0), np.float32(1)
+    z = depth_m[r, c]
+    here = one / z
+    suu = svv = suv = su = sv = s = sud = svd = sd = sdd = zero
+    for i in range(-radius, radius + 1):
+        v = np.float32(i)
+        for j in range(-radius, radius + 1):
+            near, u = depth_m[r + i, c + j], np.float32(j)
+            if near > 0 and abs(near - z) < limit:
+                d = one / near - here
+                suu, svv, suv = suu + u * u, svv + v * v, suv + u * v
+                su, sv, s = su + u, sv + v, s + one
+                sud, svd, sd, sdd = sud + u * d, svd + v * d, sd + d, sdd + d * d
+    suu, svv, suv = suu - su * su / s, svv - sv * sv / s, suv - su * sv / s
+    sud, svd, sdd = sud - su * sd / s, svd - sv * sd / s, sdd - sd * sd / s
+    det = suu * svv - suv * suv
+    if s < _FEWEST or det < one:
+        return zero, zero, _NAN
+    a, b = (svv * sud - suv * svd) / det, (suu * svd - suv * sud) / det
+    return a, b, (sdd - a * sud - b * svd) / s

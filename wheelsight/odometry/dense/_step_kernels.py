@@ -14,12 +14,13 @@ from wheelsight.odometry.dense._alignment_kernels import (
     FIT_XY,
     FIT_Y,
     GREY_COUNT,
+    GREY_SUMS,
     PLANE_COUNT,
     SUMS,
 )
 
 # Entries of `how`; see `accumulate`.
-GATE, PLANE_SCALE, GREY_SIGMA, GAIN, OFFSET, HUBER, GREY_WEIGHT, COLOR_SIGMA = range(8)
+GATE, PLANE_SCALE, GREY_SIGMA, GAIN, OFFSET, HUBER, GREY_WEIGHT, COLOR_SIGMA, LEAST_SLOPE = range(9)
 
 # Mean absolute value of a standard normal variable.
 MEAN_ABS = 0.7978845608028654
@@ -55,10 +56,10 @@ def solve(total: Any) -> Any:
     H, k, trace = np.empty((6, 6)), 0, 0.0
     for i in range(6):
         for j in range(i, 6):
-            H[i, j] = H[j, i] = total[k]
+            H[i, j] = H[j, i] = total[k] + total[GREY_SUMS + k]
             k += 1
         trace += H[i, i]
-    x = -total[21:27].copy()
+    x = -total[21:27] - total[GREY_SUMS + 21 : GREY_SUMS + 27]
     for i in range(6):
         H[i, i] += 1e-9 * trace + 1e-12
     for i in range(6):

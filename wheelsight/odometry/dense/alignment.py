@@ -19,7 +19,7 @@ _SMALL_STEP = 1e-4
 _GREY_SIGMA = 8.0
 # A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
 _COLOR_ERROR_LEFT = 0.25
-_TURN_STEPS, _TURN_LIMIT, _TURN_SHARE = 6, 20.0, 0.3
+_TURN_STEPS, _TURN_LIMIT, _TURN_SHARE, _SMALL_TURN = 8, 20.0, 0.3, 5e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,25 +68,26 @@ class Aligner:
         self._color_sigma_px = calibration.color_sigma_px / (1 << halvings)
 
     def turn(self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
-        """T_reference_frame with its rotation bettered by grey values alone, at the coarsest level."""
-        level, seen = frame.levels[-1], reference.levels[-1]
-        R, sums = T_reference_frame[:3, :3].copy(), np.empty(11)
-        best = np.inf
-        kept = R
-        for _ in range(_TURN_STEPS):
-            kernels.accumulate_turn(level.grey, seen.pixels, level.intrinsics, R, _TURN_LIMIT, sums)
-            if sums[9] < _TURN_SHARE * level.grey.size:
-                break
-            error = sums[10] / sums[9]
-            if error > best:
-                break
-            best, kept = error, R
-            H = np.array([[sums[0], sums[1], sums[2]], [sums[1], sums[3], sums[4]], [sums[2], sums[4], sums[5]]])
-            step = -np.linalg.solve(H + 1e-6 * np.trace(H) * np.eye(3) + 1e-9 * np.eye(3), sums[6:9])
-            R = so3.exp(step) @ R
+        """T_reference_frame with its rotation bettered by grey values alone, at the two coarsest levels."""
         T = T_reference_frame.copy()
-        T[:3, :3] = kept
+        for level, seen in zip(frame.levels[:-3:-1], reference.levels[:-3:-1], strict=True):
+            T[:3, :3] = self._turned(level, seen.pixels, T[:3, :3].copy())
         return T
+
+    def _turned(self, level: Level, pixels: Float32Array, R: FloatArray) -> FloatArray:
+        """The rotation of least error on the way of Gauss–Newton from R (3, 3)."""
+        best, kept, sums = np.inf, R, np.empty(11)
+        for _ in range(_TURN_STEPS):
+            kernels.accumulate_turn(level.grey, pixels, level.intrinsics, R, _TURN_LIMIT, sums)
+            if sums[9] < _TURN_SHARE * level.grey.size or sums[10] / sums[9] > best:
+                break
+            best, kept = sums[10] / sums[9], R
+            H = np.array([[sums[0], sums[1], sums[2]], [sums[1], sums[3], sums[4]], [sums[2], sums[4], sums[5]]])
+            change = -np.linalg.solve(H + (1e-6 * np.trace(H) + 1e-9) * np.eye(3), sums[6:9])
+            if np.abs(change).max() < _SMALL_TURN:
+                break
+            R = so3.exp(change) @ R
+        return kept
 
     def align(
         self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray, step: Step | None = None
@@ -96,9 +97,11 @@ class Aligner:
         With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way.
         """
         settings = self._settings
-        how = np.array([0.0, 1.0, _GREY_SIGMA, 1.0, 0.0, settings.huber, settings.color_weight, 0.0])
+        how = np.array(
+            [0, 1, _GREY_SIGMA, 1, 0, settings.huber, settings.color_weight, 0, settings.min_gradient], float
+        )
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
-        for number in reversed(range(len(frame.levels))):
+        for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
             place = self._placer(frame, number, step)
@@ -107,7 +110,38 @@ class Aligner:
                 self._sum_up(frame.levels[number], reference.levels[number].pixels, place(T), how, sums)
                 if steps.advance(sums, T, how, total) < _SMALL_STEP * (1 << number):
                     break
-        return _answer(frame, T, total, how[steps.PLANE_SCALE])
+        return self._answer(frame, reference, T, total, how)
+
+    def _answer(
+        self, frame: GridFrame, reference: Reference, T: FloatArray, total: FloatArray, how: FloatArray
+    ) -> DenseAlignment:
+        planes = int(total[kernels.PLANE_COUNT])
+        mean_abs = total[kernels.PLANE_COUNT + 1] / planes if planes else np.inf
+        points = int(np.count_nonzero(frame.levels[0].depth_m))
+        information = _symmetric(total[kernels.GREY_SUMS :]) + self._of_planes(frame, reference, T, planes, how)
+        residual = float(how[steps.PLANE_SCALE] * mean_abs / steps.MEAN_ABS)
+        T = se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
+        return DenseAlignment(T, information, int(total[kernels.PAIRS]), planes, points, residual)
+
+    def _of_planes(
+        self, frame: GridFrame, reference: Reference, T: FloatArray, planes: int, how: FloatArray
+    ) -> FloatArray:
+        """What `planes` planes tell (6, 6), by the coarsest level's normals.
+
+        Noise makes the normals of a wall point every way, and so the wall seems to tell what it does not. It is
+        negligible where normals are fitted to large windows of averaged depth.
+        """
+        level, seen, sums = (
+            frame.levels[-1],
+            reference.levels[-1],
+            np.empty((len(frame.levels[-1].depth_m), kernels.SUMS)),
+        )
+        alone = how.copy()
+        alone[steps.GREY_WEIGHT] = 0
+        T_rows = np.ascontiguousarray(np.broadcast_to(T[:3], (len(sums), 3, 4)), np.float32)
+        self._sum_up(level, seen.pixels, T_rows, alone, sums)
+        total = sums.sum(axis=0)
+        return _symmetric(total) * planes / max(total[kernels.PLANE_COUNT], 1)
 
     def _placer(self, frame: GridFrame, number: int, step: Step | None):
         """Gives T_reference_frame (h, 3, 4) of each row of a level, for T_reference_frame (4, 4) of the middle one."""
@@ -134,12 +168,7 @@ class Aligner:
         self._rows.share(len(sums), lambda begin, end: kernels.accumulate(*given, begin, end, sums))
 
 
-def _answer(frame: GridFrame, T: FloatArray, total: FloatArray, scale: float) -> DenseAlignment:
+def _symmetric(sums: FloatArray) -> FloatArray:
     H = np.zeros((6, 6))
-    H[_UPPER] = total[:21]
-    H += np.triu(H, 1).T
-    planes = int(total[kernels.PLANE_COUNT])
-    residual = scale * total[kernels.PLANE_COUNT + 1] / planes / steps.MEAN_ABS if planes else np.inf
-    points = int(np.count_nonzero(frame.levels[0].depth_m))
-    T = se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
-    return DenseAlignment(T, H, int(total[kernels.PAIRS]), planes, points, float(residual))
+    H[_UPPER] = sums[:21]
+    return H + np.triu(H, 1).T

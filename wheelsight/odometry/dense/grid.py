@@ -60,7 +60,7 @@ class GridFrame:
 
     Attributes:
         stamp_s: of the frame.
-        levels: the pyramid.
+        levels: the pyramid; the last is for turns only.
         twist: (6,) the velocity (v, ω) a second in the camera's own frame by which rows were straightened.
     """
 
@@ -153,11 +153,12 @@ class Gridder:
 
 
 def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, ...]:
-    """A level and those made of it by halving, to the coarsest."""
+    """A level and those made of it by halving: `settings.levels`, and a coarser one for turns."""
     levels = [finest]
-    for _ in range(settings.levels - 1):
+    for number in range(settings.levels):
         last = levels[-1]
-        depth_m = _halved_depth(last.depth_m, settings.depth_jump, rows)
+        # The same slope is twice the step from pixel to pixel.
+        depth_m = _halved_depth(last.depth_m, settings.depth_jump * (1 << number), rows)
         levels.append(Level(_scaled(last.intrinsics, 1), depth_m, _halved_grey(last.grey, rows)))
     return tuple(levels)
 

@@ -65,7 +65,7 @@ class DenseOdometry:
         self._settings = settings or DenseSettings()
         rows = Rows(self._settings.threads)
         self._gridder = Gridder(calibration, self._settings, rows)
-        self._maker = ReferenceMaker(self._settings, rows)
+        self._maker = ReferenceMaker(calibration.depth_noise, self._settings, rows)
         self._aligner = Aligner(calibration, self._settings, rows, self._gridder.late_s, self._gridder.halvings)
         self._model = model
         self._keyframes: list[_Keyframe] = []

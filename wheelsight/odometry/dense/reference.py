@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from wheelsight.calibration import DepthNoise
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.odometry.dense import _reference_kernels as kernels
 from wheelsight.odometry.dense._alignment_kernels import CHANNELS
@@ -61,32 +62,34 @@ class Reference:
 class ReferenceMaker:
     """Makes references of frames and of predicted views."""
 
-    def __init__(self, settings: DenseSettings, rows: Rows) -> None:
+    def __init__(self, noise: DepthNoise, settings: DenseSettings, rows: Rows) -> None:
+        self._noise = np.array([noise.constant_m, noise.quadratic_per_m], np.float32)
         self._settings, self._rows = settings, rows
 
     def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
-        return Reference(T_world_camera, tuple(self._level(level) for level in frame.levels))
+        return Reference(T_world_camera, tuple(self._level(level, n) for n, level in enumerate(frame.levels)))
 
     def of_view(self, view: PredictedView, T_world_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
         finest = Level(intrinsics, view.depth_m, view.grey)
         levels = coarser(finest, self._settings, self._rows)
-        fitted = (self._level(level) for level in levels[1:])
-        return Reference(T_world_camera, (self._level(finest, view.normal), *fitted))
+        fitted = (self._level(level, n) for n, level in enumerate(levels[1:], start=1))
+        return Reference(T_world_camera, (self._level(finest, 0, view.normal), *fitted))
 
-    def _level(self, level: Level, normal: Float32Array | None = None) -> ReferenceLevel:
+    def _level(self, level: Level, number: int, normal: Float32Array | None = None) -> ReferenceLevel:
         if normal is None:
-            normal = self.normals(level)
+            normal = self.normals(level, number)
         pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
         given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32))
         self._rows.share(len(pixels), lambda begin, end: kernels.pack(*given, begin, end, pixels))
         return ReferenceLevel(normal, pixels)
 
-    def normals(self, level: Level) -> Float32Array:
-        """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown."""
+    def normals(self, level: Level, number: int = 0) -> Float32Array:
+        """Unit normals (h, w, 3) float32 of the surfaces of level `number`, towards the camera; 0 where unknown."""
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
         grid = level.intrinsics.astype(np.float32)
-        given = (level.depth_m, grid, self._settings.normal_radius_px, np.float32(self._settings.depth_jump))
+        jump = np.float32(self._settings.depth_jump * (1 << number))
+        given = (level.depth_m, grid, self._settings.normal_radius_px, jump, self._noise)
         self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
         return normal

@@ -1,0 +1,147 @@
+"""Motions that are known, found again: by depth and grey, by depth alone, through lenses, shutters and gaps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from odometry.dense.scenes import apart, bench, dense, rolled
+from odometry.views import room_frame, run
+from synthetic import CAMERA, render_room, wobbling_trajectory
+
+from wheelsight.calibration import Calibration
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import PinholeCamera, se3, so3
+from wheelsight.odometry.dense.alignment import Step
+
+TRUTH = wobbling_trajectory(30)
+T_WORLD_FIRST = np.array(TRUTH.T_world_body[0])
+MOTIONS = {
+    "forward": [0.0, 0.0, 0.05, 0.0, 0.0, 0.0],
+    "sideways": [0.06, -0.02, 0.0, 0.0, 0.0, 0.0],
+    "turn": [0.0, 0.0, 0.0, 0.01, 0.06, -0.03],
+    "all": [0.03, -0.02, 0.04, -0.02, 0.04, 0.03],
+}
+
+
+def room_pair(motion: list[float], **how: object) -> tuple[np.ndarray, RgbdFrame, RgbdFrame]:
+    """T_first_second and both frames."""
+    T = se3.exp(motion)
+    return T, room_frame(T_WORLD_FIRST, 0.0, **how), room_frame(T_WORLD_FIRST @ T, 0.03, **how)
+
+
+@pytest.mark.parametrize("color_weight", [0.5, 0.0])
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_motion_is_found(motion: list[float], color_weight: float) -> None:
+    T, first, second = room_pair(motion)
+    metres, radians = apart(T, bench(color_weight=color_weight).align(first, second).T_reference_frame)
+    assert metres < 1e-3
+    assert radians < 5e-4
+
+
+def test_motion_is_found_in_noise() -> None:
+    T, first, second = room_pair(MOTIONS["all"], depth_noise=True)
+    found = bench().align(first, second)
+    assert apart(T, found.T_reference_frame)[0] < 2e-3
+    assert found.residual == pytest.approx(1.0, abs=0.25)
+
+
+def test_turn_alone_brings_a_quick_turn_near() -> None:
+    T, first, second = room_pair([0, 0, 0, 0.02, 0.05, -0.02])
+    parts = bench()
+    turned = parts.aligner.turn(parts.grid(second), parts.reference(first), np.eye(4))
+    assert so3.angle(T[:3, :3]) > 0.05
+    assert apart(T, turned)[1] < 0.01
+    np.testing.assert_array_equal(turned[:3, 3], 0)
+
+
+def test_exposure_is_taken_out() -> None:
+    T, first, second = room_pair(MOTIONS["all"])
+    darker = replace(second, color=(0.6 * second.color + 10).astype(np.uint8))
+    assert apart(T, bench().align(first, darker).T_reference_frame)[0] < 1.5e-3
+
+
+def test_lens_is_taken_out(rng: np.random.Generator) -> None:
+    lens = replace(CAMERA, distortion=(0.1, -0.2, 0.002, -0.001, 0.05))
+    T = se3.exp(MOTIONS["all"])
+    frames = [RgbdFrame(0.03 * k, *render_room(T_WORLD_FIRST @ (T if k else np.eye(4)), lens)) for k in range(2)]
+    straight = bench(Calibration.registered_camera(lens)).align(*frames)
+    assert apart(T, straight.T_reference_frame)[0] < 2e-3
+    crooked = bench(Calibration.registered_camera(CAMERA)).align(*frames)
+    assert apart(T, crooked.T_reference_frame)[0] > 2 * apart(T, straight.T_reference_frame)[0]
+
+
+SHUTTER_S, TWIST = 0.03, np.array([0.3, -0.2, 0.4, 0.4, 1.2, -0.5])
+
+
+def rolling_frame(T_world_middle: np.ndarray, stamp_s: float) -> RgbdFrame:
+    """Every row taken from where the camera was at the row's time; bands of rows share a rendering."""
+    bands = 24
+    rows = []
+    for band in range(bands):
+        share = (band + 0.5) / bands - 0.5
+        frame = room_frame(T_world_middle @ se3.exp(share * SHUTTER_S * TWIST), stamp_s)
+        rows += [frame] * (CAMERA.height // bands)
+    return rolled(rows, stamp_s)
+
+
+@pytest.fixture(scope="module")
+def rolling_pair() -> tuple[np.ndarray, RgbdFrame, RgbdFrame]:
+    T = se3.exp(TWIST / 30)
+    return T, rolling_frame(T_WORLD_FIRST, 0.0), rolling_frame(T_WORLD_FIRST @ T, 1 / 30)
+
+
+def shuttered() -> Calibration:
+    return Calibration.registered_camera(CAMERA, rolling_shutter_s=SHUTTER_S)
+
+
+def test_known_speed_straightens_a_rolling_shutter(rolling_pair: tuple) -> None:
+    _, bent, _ = rolling_pair
+    exact = room_frame(T_WORLD_FIRST, 0.0).depth_m
+    straight = bench(shuttered()).grid(bent, TWIST).levels[0].depth_m
+    known = straight > 0
+    assert known.mean() > 0.95
+    off, off_before = (np.mean(np.abs(image - exact)[known] > 0.01) for image in (straight, bent.depth_m))
+    assert off < 0.25 * off_before
+
+
+def test_speed_is_refined_on_the_way(rolling_pair: tuple) -> None:
+    T, first, second = rolling_pair
+    parts = bench(shuttered())
+    reference = parts.maker.of_frame(parts.grid(first, TWIST), np.eye(4))
+    slow = parts.grid(second, 0.5 * TWIST)
+    refined = parts.aligner.align(slow, reference, np.eye(4), Step(np.eye(4), 1 / 30))
+    left = parts.aligner.align(slow, reference, np.eye(4))
+    assert apart(T, refined.T_reference_frame)[1] < 2e-3
+    assert apart(T, refined.T_reference_frame)[1] < 0.7 * apart(T, left.T_reference_frame)[1]
+
+
+def test_unregistered_colour_lies_where_it_belongs() -> None:
+    color, depth = (
+        PinholeCamera(400, 300, 330.0, 331.0, 198.0, 151.0),
+        PinholeCamera(320, 240, 250.0, 249.0, 163.0, 117.0),
+    )
+    T_color_depth = se3.exp(np.array([-0.08, 0.03, 0.02, 0.05, -0.12, 0.08]))
+    T = se3.exp(MOTIONS["all"])
+
+    def frame(T_world_depth: np.ndarray) -> RgbdFrame:
+        image, _ = render_room(T_world_depth @ se3.invert(T_color_depth), color)
+        return RgbdFrame(0.0, image, render_room(T_world_depth, depth)[1])
+
+    parts = bench(Calibration(color, depth, T_color_depth))
+    first = frame(T_WORLD_FIRST)
+    grey = parts.grid(first).levels[0].grey
+    direct = render_room(T_WORLD_FIRST, depth)[0].mean(axis=2)
+    assert np.corrcoef(grey[grey >= 0], direct[grey >= 0])[0, 1] > 0.9
+    assert apart(T, parts.align(first, frame(T_WORLD_FIRST @ T)).T_reference_frame)[0] < 1.5e-3
+
+
+@pytest.mark.parametrize("reference", ["keyframes", "previous"])
+def test_a_way_through_the_room(reference: str) -> None:
+    frames = [room_frame(T, stamp_s, depth_noise=True) for stamp_s, T in TRUTH]
+    answers = run(dense(reference=reference), frames)
+    worst = max(
+        apart(se3.invert(T_WORLD_FIRST) @ T, a.T_world_body)[0] for (_, T), a in zip(TRUTH, answers, strict=True)
+    )
+    assert worst < 5e-3

@@ -1,0 +1,103 @@
+"""Directions that a view does not show are named and left to the prior; those it shows are not touched."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from odometry.dense.scenes import Plane, apart, bench, dense, frame_of
+
+from wheelsight.estimates import Reason, Status
+from wheelsight.geometry import se3
+from wheelsight.odometry.dense import DenseSettings
+from wheelsight.odometry.dense.alignment import DenseAlignment
+from wheelsight.odometry.dense.observability import Prior, judge
+
+WALL = [Plane((0.0, 0.0, -1.0), -1.6)]
+PAINTED_WALL = [Plane((0.0, 0.0, -1.0), -1.6, is_painted=True)]
+CORRIDOR = [Plane((1.0, 0.0, 0.0), -1.0), Plane((-1.0, 0.0, 0.0), -1.0), Plane((0.0, -1.0, 0.0), -0.6)]
+# Sideways, upwards and forwards at once, and a turn about all axes.
+MOTION = se3.exp([0.02, -0.015, 0.03, 0.005, -0.008, 0.01])
+WRONG = se3.exp([0.01, 0.008, 0.0, 0.0, 0.0, 0.012])
+
+
+def tracked(planes: list[Plane], T_prior: np.ndarray | None, **settings: object):
+    """Odometry after two noisy frames, MOTION apart, and its last estimate."""
+    odometry = dense(**settings)
+    odometry.process(frame_of(planes, np.eye(4), 0.0, noise_seed=1))
+    estimate = odometry.process(frame_of(planes, MOTION, 1 / 30, noise_seed=2), T_prior)
+    return odometry, estimate
+
+
+def span(directions: np.ndarray, axes: list[int]) -> float:
+    """Smallest share of the axes' unit vectors that lies in the span of `directions`."""
+    return min(float(np.linalg.norm(directions[:, axis])) for axis in axes)
+
+
+def test_one_plain_wall_shows_three_directions() -> None:
+    odometry, estimate = tracked(WALL, MOTION @ WRONG)
+    degenerate = odometry.last_motion.degenerate
+    assert estimate.status is Status.TRACKING
+    assert len(degenerate) == 3
+    assert span(degenerate, [0, 1, 5]) > 0.95  # sideways, up and down, and roll about the wall's normal
+    error = se3.log(estimate.T_world_body @ se3.invert(MOTION @ WRONG))
+    assert np.abs(error[[0, 1, 5]]).max() < 2e-3  # the prior stands
+    exact = se3.log(estimate.T_world_body @ se3.invert(MOTION))
+    assert np.abs(exact[[2, 3, 4]]).max() < 2e-3  # what is seen is found
+
+
+def test_unseen_directions_have_the_priors_variance() -> None:
+    settings = DenseSettings()
+    odometry, _ = tracked(WALL, MOTION)
+    sigma = np.sqrt(np.diag(odometry.last_motion.covariance))
+    assert sigma[[0, 1]] == pytest.approx(settings.prior_sigma_m_s / 30, rel=0.1)
+    assert sigma[2] < 0.1 * sigma[0]
+
+
+def test_paint_shows_what_the_wall_does_not() -> None:
+    odometry, estimate = tracked(PAINTED_WALL, MOTION @ WRONG)
+    assert len(odometry.last_motion.degenerate) == 0
+    assert apart(MOTION, estimate.T_world_body)[0] < 2e-3
+
+
+def test_paint_shows_nothing_to_depth_alone() -> None:
+    odometry, _ = tracked(PAINTED_WALL, MOTION, color_weight=0.0)
+    assert len(odometry.last_motion.degenerate) == 3
+
+
+def test_a_plain_corridor_hides_the_way_along_it() -> None:
+    odometry, estimate = tracked(CORRIDOR, MOTION)
+    degenerate = odometry.last_motion.degenerate
+    assert len(degenerate) == 1
+    assert abs(degenerate[0, 2]) > 0.95
+    assert apart(MOTION, estimate.T_world_body)[0] < 5e-3
+
+
+def test_judge_keeps_an_alignment_that_shows_all() -> None:
+    T = se3.exp([0.1, 0.2, 0.3, 0.1, 0.2, 0.3])
+    found = DenseAlignment(T, 1e9 * np.eye(6), 1000, 900, 1000, 1.0)
+    judged = judge(found, Prior(np.eye(4), 0.01), DenseSettings())
+    np.testing.assert_array_equal(judged.T_reference_frame, T)
+    assert judged.reason is None
+    assert len(judged.degenerate) == 0
+
+
+@pytest.mark.parametrize(
+    ("planes", "residual", "strength", "reason"),
+    [
+        (100, 1.0, 1e9, Reason.TOO_LITTLE_OVERLAP),
+        (900, 9.0, 1e9, Reason.POOR_FIT),
+        (900, 1.0, 0.0, Reason.DEGENERATE),
+        (0, np.inf, 0.0, Reason.TOO_LITTLE_OVERLAP),
+    ],
+)
+def test_judge_says_why_not(planes: int, residual: float, strength: float, reason: Reason) -> None:
+    found = DenseAlignment(np.eye(4), strength * np.eye(6), 1000, planes, 1000, residual)
+    assert judge(found, Prior(np.eye(4), 0.01), DenseSettings()).reason is reason
+
+
+def test_information_counts_independent_residuals_only() -> None:
+    parts = bench()
+    first, second = (frame_of(PAINTED_WALL, T, 0.0, noise_seed=seed) for seed, T in ((1, np.eye(4)), (2, MOTION)))
+    found = parts.align(first, second)
+    one, thirty = (judge(found, Prior(MOTION, 0.1), DenseSettings(correlation=c)) for c in (1.0, 30.0))
+    np.testing.assert_allclose(thirty.covariance, 30 * one.covariance, rtol=1e-9)

@@ -1,0 +1,164 @@
+"""What goes wrong on the way: a reason and no pose, and tracking again as soon as there is something to see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from odometry.dense.scenes import apart, dense
+from odometry.views import covered_frame, from_start, nees, room_frame, run
+from synthetic import wobbling_trajectory
+
+from wheelsight.estimates import Reason, Status
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import se3, so3
+from wheelsight.odometry.dense import DenseOdometry
+
+TRUTH = wobbling_trajectory(24)
+IN_WORLD = from_start(np.array(TRUTH.T_world_body))
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[RgbdFrame]:
+    return [room_frame(T, stamp_s, depth_noise=True) for stamp_s, T in TRUTH]
+
+
+def dark(frame: RgbdFrame) -> RgbdFrame:
+    return RgbdFrame(frame.stamp_s, np.zeros_like(frame.color), frame.depth_m)
+
+
+def without_depth(frame: RgbdFrame) -> RgbdFrame:
+    return RgbdFrame(frame.stamp_s, frame.color, np.zeros_like(frame.depth_m))
+
+
+def test_covered_camera_is_no_pose_and_then_tracked_again(frames: list[RgbdFrame]) -> None:
+    seen = [*frames[:5], *(covered_frame(f.stamp_s) for f in frames[5:9]), *frames[9:14]]
+    answers = run(dense(), seen)
+    for answer in answers[5:9]:
+        assert (answer.T_world_body, answer.covariance) == (None, None)
+        assert (answer.status, answer.reason) == (Status.FAILING, Reason.TOO_LITTLE_DEPTH)
+    for answer, T in zip(answers[9:], IN_WORLD[9:14], strict=True):
+        assert answer.status is Status.TRACKING
+        assert apart(T, answer.T_world_body)[0] < 5e-3
+
+
+def test_before_the_first_depth_there_is_no_world(frames: list[RgbdFrame]) -> None:
+    answers = run(dense(), [without_depth(frames[0]), *frames[1:3]])
+    assert [a.status for a in answers] == [Status.INITIALIZING, Status.TRACKING, Status.TRACKING]
+    np.testing.assert_array_equal(answers[1].T_world_body, np.eye(4))
+
+
+def test_depth_carries_on_in_the_dark(frames: list[RgbdFrame]) -> None:
+    answers = run(dense(), [*frames[:5], *(dark(f) for f in frames[5:9]), *frames[9:12]])
+    assert all(a.status is Status.TRACKING for a in answers)
+    assert max(apart(T, a.T_world_body)[0] for T, a in zip(IN_WORLD, answers, strict=False)) < 5e-3
+
+
+def test_a_view_of_something_else_is_no_pose(frames: list[RgbdFrame]) -> None:
+    turned = TRUTH.T_world_body[4] @ se3.from_parts(so3.exp([0, np.pi, 0]), [0, 0, 0])
+    answers = run(dense(), [*frames[:4], room_frame(turned, frames[4].stamp_s), *frames[5:8]])
+    assert answers[4].T_world_body is None
+    assert answers[4].reason in {Reason.TOO_LITTLE_OVERLAP, Reason.POOR_FIT, Reason.IMPLAUSIBLE_MOTION}
+    assert answers[-1].status is Status.TRACKING
+    assert apart(IN_WORLD[7], answers[-1].T_world_body)[0] < 5e-3
+
+
+def test_lost_after_as_many_failures_as_set_and_found_at_a_keyframe(frames: list[RgbdFrame]) -> None:
+    subject = dense(lost_after=3)
+    answers = run(subject, [*frames[:4], *(covered_frame(f.stamp_s) for f in frames[4:8])])
+    assert [a.status for a in answers[4:]] == [Status.FAILING, Status.FAILING, Status.LOST, Status.LOST]
+    back = room_frame(np.array(TRUTH.T_world_body[1]), frames[9].stamp_s)
+    found = subject.process(back)
+    assert found.status is Status.TRACKING
+    assert apart(IN_WORLD[1], found.T_world_body)[0] < 5e-3
+
+
+def test_a_missed_frame_is_counted_as_failed(frames: list[RgbdFrame]) -> None:
+    subject = dense()
+    run(subject, frames[:3])
+    missed = subject.miss(frames[3].stamp_s)
+    assert (missed.status, missed.reason, missed.T_world_body) == (Status.FAILING, Reason.FRAME_UNUSABLE, None)
+    assert subject.process(frames[4]).status is Status.TRACKING
+
+
+def test_exposure_in_steps(frames: list[RgbdFrame]) -> None:
+    stepped = [
+        RgbdFrame(f.stamp_s, (f.color * (0.55 if k // 4 % 2 else 1.0)).astype(np.uint8), f.depth_m)
+        for k, f in enumerate(frames)
+    ]
+    answers = run(dense(), stepped)
+    assert all(a.status is Status.TRACKING for a in answers)
+    assert max(apart(T, a.T_world_body)[0] for T, a in zip(IN_WORLD, answers, strict=True)) < 5e-3
+
+
+def test_five_frames_a_second() -> None:
+    truth = wobbling_trajectory(12, rate_hz=5.0)
+    answers = run(dense(), [room_frame(T, stamp_s, depth_noise=True) for stamp_s, T in truth])
+    world = from_start(np.array(truth.T_world_body))
+    assert all(a.status is Status.TRACKING for a in answers)
+    assert max(apart(T, a.T_world_body)[0] for T, a in zip(world, answers, strict=True)) < 0.01
+
+
+def test_turning_by_90_degrees_a_second() -> None:
+    start = np.array(TRUTH.T_world_body[0])
+    yaws = np.deg2rad(90) / 30 * np.arange(16)
+    world = np.array([se3.from_parts(so3.exp([0, yaw, 0]), [0, 0, 0]) for yaw in yaws])
+    answers = run(dense(), [room_frame(start @ T, k / 30, depth_noise=True) for k, T in enumerate(world)])
+    assert all(a.status is Status.TRACKING for a in answers)
+    errors = np.array([apart(T, a.T_world_body) for T, a in zip(world, answers, strict=True)])
+    assert errors[:, 0].max() < 0.01
+    assert errors[:, 1].max() < 5e-3
+
+
+def test_two_threads_and_two_runs_answer_alike(frames: list[RgbdFrame]) -> None:
+    answers = [run(dense(threads=threads), frames) for threads in (1, 2, 2)]
+    for a, b, c in zip(*answers, strict=True):
+        np.testing.assert_array_equal(a.T_world_body, b.T_world_body)
+        np.testing.assert_array_equal(b.T_world_body, c.T_world_body)
+        np.testing.assert_array_equal(b.covariance, c.covariance)
+
+
+def test_a_prior_saves_a_jump(frames: list[RgbdFrame]) -> None:
+    jump = se3.exp([0.35, 0.0, 0.1, 0.0, 0.35, 0.0])
+    T = np.array(TRUTH.T_world_body[3]) @ jump
+    with_prior = dense(max_speed_m_s=20.0, max_turn_rad_s=20.0)
+    run(with_prior, frames[:4])
+    found = with_prior.process(room_frame(T, frames[4].stamp_s), jump @ se3.exp([0.01, 0.0, -0.01, 0.0, 0.01, 0.0]))
+    assert apart(IN_WORLD[3] @ jump, found.T_world_body)[0] < 5e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_covariance_is_no_smaller_than_the_error(seed: int) -> None:
+    """White noise is the least that the variances are made for; they may be too large there, never too small."""
+    truth = wobbling_trajectory(16, start_s=10.0 * seed)
+    answers = run(dense(), [room_frame(T, s, seed=seed, depth_noise=True) for s, T in truth])
+    ratios = [nees(a, T) for a, T in zip(answers[1:], from_start(np.array(truth.T_world_body))[1:], strict=True)]
+    assert 0.02 < np.mean(ratios) < 12
+
+
+class Remembered:
+    """A model that predicts the room as it is."""
+
+    def __init__(self, T_room_world: np.ndarray) -> None:
+        self.T_room_world, self.calls = T_room_world, 0
+
+    def predict(self, T_world_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]):
+        from wheelsight.geometry import PinholeCamera
+        from wheelsight.odometry.dense import PredictedView
+
+        self.calls += 1
+        camera = PinholeCamera(shape[1], shape[0], *intrinsics.tolist())
+        frame = room_frame(self.T_room_world @ T_world_camera, 0.0, camera)
+        grey = (frame.color @ [0.299, 0.587, 0.114]).astype(np.float32)
+        return PredictedView(frame.depth_m, np.zeros((*shape, 3), np.float32), grey)
+
+
+def test_a_model_is_tracked_against(frames: list[RgbdFrame]) -> None:
+    from odometry.dense.scenes import SMALL
+
+    from wheelsight.calibration import Calibration
+
+    model = Remembered(np.array(TRUTH.T_world_body[0]))
+    subject = DenseOdometry(Calibration.registered_camera(SMALL), model=model)
+    answers = run(subject, frames)
+    assert model.calls >= len(frames) - 1
+    assert max(apart(T, a.T_world_body)[0] for T, a in zip(IN_WORLD, answers, strict=True)) < 4e-3
