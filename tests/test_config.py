@@ -53,13 +53,13 @@ def test_an_unknown_setting_is_refused_with_its_line_and_its_neighbour(tmp_path:
 
 def test_an_unknown_section_is_refused_listing_the_known(tmp_path: Path) -> None:
     path = write(tmp_path, "loop_closing: {}\n")
-    assert refusal(path).startswith(f"{path}:1: unknown setting loop_closing (known: evaluation, features,")
+    assert refusal(path).startswith(f"{path}:1: unknown setting loop_closing (known: dense, evaluation, features,")
 
 
 @pytest.mark.parametrize(
     ("text", "line", "expected"),
     [
-        ("odometry: sonar\n", 1, "odometry is 'sonar' (known: 'features' or 'wheels')"),
+        ("odometry: sonar\n", 1, "odometry is 'sonar' (known: 'features', 'dense' or 'wheels')"),
         ("report:\n  pictures: many\n", 2, "report.pictures is 'many', which should be a valid integer"),
         ("report:\n  pictures: -1\n", 2, "report.pictures is -1, which should be greater than or equal to 0"),
         ("recording: {max_gap_s: -1}\n", 1, "recording.max_gap_s is -1, which should be greater than or equal to 0"),
@@ -74,7 +74,7 @@ def test_an_impossible_value_is_refused_in_one_line(tmp_path: Path, text: str, l
 
 def test_an_impossible_option_does_not_blame_the_file(tmp_path: Path) -> None:
     path = write(tmp_path, "report: {pictures: 2}\n")
-    assert refusal(path, {"odometry": "sonar"}) == "odometry is 'sonar' (known: 'features' or 'wheels')"
+    assert refusal(path, {"odometry": "sonar"}) == "odometry is 'sonar' (known: 'features', 'dense' or 'wheels')"
 
 
 def test_an_impossible_option_is_called_what_the_user_knows_it_as() -> None:
@@ -120,9 +120,9 @@ def test_one_odometry_stays_one_word() -> None:
     ("text", "line", "expected"),
     [
         ("odometry: wheels,wheels\n", 1, "odometry is 'wheels,wheels', which names wheels twice (known: features, "),
-        ("report: {}\nodometry: [wheels, sonar]\n", 2, "odometry is 'sonar' (known: 'features' or "),
+        ("report: {}\nodometry: [wheels, sonar]\n", 2, "odometry is 'sonar' (known: 'features', 'den"),
         ("odometry: []\n", 1, "odometry is [], which names none (known: features, "),
-        ("odometry: wheels,\n", 1, "odometry is '' (known: 'features' or "),
+        ("odometry: wheels,\n", 1, "odometry is '' (known: 'features', 'den"),
     ],
 )
 def test_unknown_and_doubled_odometries_are_refused_with_the_list(

@@ -28,11 +28,12 @@ from wheelsight.errors import ConfigError
 from wheelsight.files import write_text
 from wheelsight.fusion import AxisWeights, OdometryTerm, Weights
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.features import FeatureSettings
 from wheelsight.recordings import OpenOptions
 
-OdometryName = Literal["features", "wheels"]
-TrackName = Literal["features", "wheels", "rectified"]
+OdometryName = Literal["features", "dense", "wheels"]
+TrackName = Literal["features", "dense", "wheels", "rectified"]
 
 
 class _Settings(BaseModel):
@@ -196,6 +197,7 @@ class Config(_Settings):
     ] = Field(("features",), description="one name or several, in the order in which they are reported")
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
+    dense: DenseSettings = DenseSettings()
     wheels: WheelSettings = WheelSettings()
     places: PlaceSettings = PlaceSettings()
     evaluation: EvaluationSettings = EvaluationSettings()

@@ -161,3 +161,23 @@ def test_a_localizer_goes_by_one_odometry() -> None:
     with pytest.raises(ConfigError, match=r"not by wheels and features .*alone"):
         Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both)
     assert Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both.alone("wheels")).world == "odom"
+
+
+def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.MonkeyPatch, truth: Trajectory) -> None:
+    made: list[object] = []
+
+    class Dense(TrueOdometry):
+        def __init__(self, calibration: Calibration, settings: object) -> None:
+            super().__init__(calibration, settings)
+            made.append(settings)
+
+    monkeypatch.setattr("wheelsight.localizer.by_frames.DenseOdometry", Dense)
+    config = load_config(overrides={"odometry": "dense", "dense.levels": 2})
+    subject = Localizer(Calibration.registered_camera(CAMERA), config)
+    assert made == [config.dense]
+    subject.process(frame(2, 2.0))
+    estimate = subject.process(frame(3, 3.0))
+    assert estimate is not None
+    np.testing.assert_allclose(estimate.T_world_body, truth.T_world_body[3])
+    assert subject.last_matches is None
+    assert (subject.body, subject.world) == ("camera", "world")

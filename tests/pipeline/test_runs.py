@@ -202,3 +202,15 @@ def test_the_room_is_followed(tmp_path: Path) -> None:
     assert len(record.estimate) == 20
     assert len(record.pictures) == Config().report.pictures
     assert record.stage_seconds
+
+
+@pytest.mark.usefixtures("real_odometry")
+def test_dense_odometry_follows_the_room_too(tmp_path: Path) -> None:
+    make_tum_recording(tmp_path / "room", frames=8)
+    record = run(open_recording(tmp_path / "room"), load_config(overrides={"odometry": "dense"}), tmp_path / "out")
+    assert record.odometry == "dense"
+    assert record.evaluation is not None
+    assert record.evaluation.ate.translation.rmse < 0.01
+    assert len(record.estimate) == 8
+    assert record.stage_seconds
+    assert record.pictures == ()

@@ -12,7 +12,7 @@ Odometry = Annotated[
     str | None,
     typer.Option(
         metavar="NAME[,NAME]",
-        help="How motion is estimated: features, wheels, or both, each alone.",
+        help="How motion is estimated: features, dense, wheels, or several, each alone.",
         show_default="features",
     ),
 ]

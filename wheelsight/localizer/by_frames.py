@@ -1,4 +1,4 @@
-"""ByFrames: frames answered by feature odometry."""
+"""ByFrames: frames answered by feature odometry, or by dense odometry."""
 
 from __future__ import annotations
 
@@ -10,24 +10,29 @@ from wheelsight.config import Config
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.geometry import se3
+from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 
 
 class ByFrames:
-    """Frames answered by feature odometry, told of the base where it is known."""
+    """Frames answered by the odometry that the settings name, told of the base where it is known."""
 
     world, answers = "world", (RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
         self.body = "camera" if calibration.T_base_camera is None else "base"
-        self.odometry = FeatureOdometry(calibration, settings.features)
+        self.odometry: FeatureOdometry | DenseOdometry
+        if settings.odometry == ("dense",):
+            self.odometry = DenseOdometry(calibration, settings.dense)
+        else:
+            self.odometry = FeatureOdometry(calibration, settings.features)
         self._T_base_camera = calibration.T_base_camera
         self._newest_s = -math.inf
 
     @property
     def last_matches(self) -> MatchedPixels | None:
-        """What the last frame was aligned by, if it was a frame that could be."""
-        return self.odometry.last_matches
+        """What the last frame was aligned by, if it was a frame that could be; dense odometry matches no pixels."""
+        return None if isinstance(self.odometry, DenseOdometry) else self.odometry.last_matches
 
     @property
     def stage_seconds(self) -> dict[str, float]:

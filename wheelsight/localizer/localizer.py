@@ -10,6 +10,7 @@ from wheelsight.events import Event
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_places import ByPlaces, Places, load_places
 from wheelsight.localizer.by_wheels import ByWheels
+from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.places import PlaceMatch
@@ -20,7 +21,7 @@ class Localizer:
 
     It goes by one odometry, and by places where the configuration names a model of them.
 
-    With `odometry: features` the frames are answered; the body is the robot's base where the calibration knows
+    With `odometry: features` or `dense` frames are answered; the body is the robot's base where the calibration knows
     `T_base_camera`, else the camera; the world is where the body was at the first tracked frame. With `odometry:
     wheels` the wheel readings are answered; the body is the base, its frame `odom`, which begins at the first reading.
     With `places` beside wheels, both are answered: wheels lead from frame to frame, each frame corrects them by the
@@ -59,7 +60,7 @@ class Localizer:
         self.note = ""
 
     @property
-    def odometry(self) -> FeatureOdometry | WheelOdometry:
+    def odometry(self) -> FeatureOdometry | DenseOdometry | WheelOdometry:
         """What estimates the motion."""
         return self._way.odometry
 

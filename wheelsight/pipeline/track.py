@@ -18,7 +18,12 @@ from wheelsight.recordings import Recording
 from wheelsight.report import FrameRecord, Look, MatchPicture
 
 # What a track's record lists; of the rectified one frames, though it tells a pose at each reading too.
-UNITS: dict[TrackName, Literal["frame", "reading"]] = {"features": "frame", "wheels": "reading", "rectified": "frame"}
+UNITS: dict[TrackName, Literal["frame", "reading"]] = {
+    "features": "frame",
+    "dense": "frame",
+    "wheels": "reading",
+    "rectified": "frame",
+}
 
 
 class Photographer:

@@ -15,8 +15,9 @@ from wheelsight.report.record import FrameRecord, RunRecord
 # Okabe and Ito's colours; these four also stand out from white and from near black.
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
 ORANGE, SKY, PURPLE = "#E69F00", "#56B4E9", "#CC79A7"
+OLIVE = "#8F8300"  # Okabe and Ito's yellow, dark enough to be a line on white
 # Each odometry keeps its colour wherever several are drawn together.
-ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE, "rectified": GREEN}
+ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE, "dense": OLIVE, "rectified": GREEN}
 DASHED = {"color": GREY, "width": 1.5, "dash": "dash"}
 _AIR = 0.08  # of the longer side, around a path: enough for the words at its ends
 _LEAST_EXTENT_M = 0.01

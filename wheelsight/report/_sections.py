@@ -139,8 +139,11 @@ def _matches(record: RunRecord, of: str) -> str:
         _key("matches", of),
         figures.matches_figure(record),
         "Matches over time",
-        "How many points were found again in the reference frame, and how many of them agree on one motion (inliers): "
-        "with few, the pose hangs by a thread.",
+        "How many of a frame's points fall into what it is aligned with, and how many of them find a surface near them "
+        "there (inliers): with few, the pose hangs by a thread."
+        if record.odometry == "dense"
+        else "How many points were found again in the reference frame, and how many of them agree on one motion "
+        "(inliers): with few, the pose hangs by a thread.",
         f"Matches and inliers a frame over time; median {inliers:.0f} inliers.",
     )
 
