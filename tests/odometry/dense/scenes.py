@@ -11,7 +11,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
 from wheelsight.odometry.dense import DenseOdometry, DenseSettings, GridFrame
-from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment, Step
+from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment
 from wheelsight.odometry.dense.grid import Gridder, Rows
 from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
 

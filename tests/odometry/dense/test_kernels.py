@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from odometry.plain_kernels import plain
 from odometry.dense.scenes import Plane, bench, frame_of
+from odometry.plain_kernels import plain
 
 from wheelsight.geometry import PinholeCamera, se3, so3
 from wheelsight.odometry.dense import _alignment_kernels as kernels

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,9 +142,9 @@ class Aligner:
         T_rows = np.ascontiguousarray(np.broadcast_to(T[:3], (len(sums), 3, 4)), np.float32)
         self._sum_up(level, seen.pixels, T_rows, alone, sums)
         total = sums.sum(axis=0)
-        return _symmetric(total) * planes / max(total[kernels.PLANE_COUNT], 1)
+        return _symmetric(total) * float(planes / max(total[kernels.PLANE_COUNT], 1))
 
-    def _placer(self, frame: GridFrame, number: int, step: Step | None):
+    def _placer(self, frame: GridFrame, number: int, step: Step | None) -> Callable[[FloatArray], Float32Array]:
         """Gives T_reference_frame (h, 3, 4) of each row of a level, for T_reference_frame (4, 4) of the middle one."""
         height = len(frame.levels[number].depth_m)
         T_rows = np.empty((height, 3, 4), np.float32)
