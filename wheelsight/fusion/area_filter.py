@@ -54,8 +54,8 @@ class AreaFilterSettings:
     look_per_rad_m: float = 0.5
     area_m: float = 10.0
     level_m: float = 200.0
-    failure_m: float = 1000.0
-    recovery_m: float = 30.0
+    failure_m: float = 2000.0
+    recovery_m: float = 15.0
     blip: float = 0.05
     neighbour_share: float = 0.5
 
@@ -169,7 +169,9 @@ def _level_jumps(settings: AreaFilterSettings) -> tuple[float, FloatArray]:
     n, k = len(settings.accuracies), len(settings.failing_looks_m)
     rates = np.zeros((n + k, n + k))
     rates[:n, :n] = 1 / (settings.level_m * n)
-    rates[:n, n:] = 1 / (settings.failure_m * k)
+    # A forest worth something rarely gets stuck: the longer a failure's look keeps, the rarer such failures are.
+    rare = 1 / np.maximum(np.array(settings.failing_looks_m) / settings.look_m, 1)
+    rates[:n, n:] = rare / rare.sum() / settings.failure_m
     rates[n:, :n] = 1 / (settings.recovery_m * n)
     np.fill_diagonal(rates, 0.0)
     fastest = float(rates.sum(axis=1).max())
