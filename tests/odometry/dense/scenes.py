@@ -50,11 +50,13 @@ def render(
 def frame_of(
     planes: Sequence[Plane], T_world_camera: FloatArray, stamp_s: float, noise_seed: int | None = None
 ) -> RgbdFrame:
-    """A frame of planes, its depth with a Kinect's noise where there is a seed for it."""
+    """A frame of planes, with a Kinect's noise in depth and 2 grey levels in colour where there is a seed for it."""
     color, depth_m = render(planes, T_world_camera)
     if noise_seed is not None:
-        noise = np.random.default_rng(noise_seed).standard_normal(depth_m.shape)
+        rng = np.random.default_rng(noise_seed)
+        noise = rng.standard_normal(depth_m.shape)
         depth_m = (depth_m + 1.425e-3 * depth_m**2 * noise * (depth_m > 0)).astype(np.float32)
+        color = (color + rng.normal(0, 2, depth_m.shape)[..., None]).clip(0, 255).astype(np.uint8)
     return RgbdFrame(stamp_s, color, depth_m)
 
 

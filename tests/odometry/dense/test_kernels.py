@@ -205,7 +205,7 @@ def test_a_crease_has_no_normal() -> None:
     planes = [Plane((1.0, 0.0, -1.0), -2.0), Plane((-1.0, 0.0, -1.0), -2.0)]  # meet at x = 0, 2 m away
     parts = bench()
     grid = parts.grid(frame_of(planes, np.eye(4), 0.0)).levels[2]
-    found, middle = parts.maker.normals(grid, 2)[30], round(grid.intrinsics[2])
+    found, middle = parts.maker.normals(grid, 0.12)[30], round(grid.intrinsics[2])
     assert not found[middle].any()
     assert found[middle - 8, 2] != 0
     assert found[middle + 8, 2] != 0

@@ -116,33 +116,30 @@ class Aligner:
     def _answer(
         self, frame: GridFrame, reference: Reference, T: FloatArray, total: FloatArray, how: FloatArray
     ) -> DenseAlignment:
-        planes = int(total[kernels.PLANE_COUNT])
+        planes, pairs = int(total[kernels.PLANE_COUNT]), int(total[kernels.PAIRS])
         mean_abs = total[kernels.PLANE_COUNT + 1] / planes if planes else np.inf
         points = int(np.count_nonzero(frame.levels[0].depth_m))
-        information = _symmetric(total[kernels.GREY_SUMS :]) + self._of_planes(frame, reference, T, planes, how)
+        information = self._information(frame, reference, T, pairs, how)
         residual = float(how[steps.PLANE_SCALE] * mean_abs / steps.MEAN_ABS)
         T = se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
-        return DenseAlignment(T, information, int(total[kernels.PAIRS]), planes, points, residual)
+        return DenseAlignment(T, information, pairs, planes, points, residual)
 
-    def _of_planes(
-        self, frame: GridFrame, reference: Reference, T: FloatArray, planes: int, how: FloatArray
+    def _information(
+        self, frame: GridFrame, reference: Reference, T: FloatArray, pairs: int, how: FloatArray
     ) -> FloatArray:
-        """What `planes` planes tell (6, 6), by the coarsest level's normals.
+        """What so many pairs tell (6, 6), by the normals and gradients of the coarsest level.
 
-        Noise makes the normals of a wall point every way, and so the wall seems to tell what it does not. It is
-        negligible where normals are fitted to large windows of averaged depth.
+        Noise makes the normals of a wall point every way, and its grey has slopes that are not there, so that a plain
+        wall seems to tell what it does not. Both are negligible where many pixels have been averaged.
         """
-        level, seen, sums = (
-            frame.levels[-1],
-            reference.levels[-1],
-            np.empty((len(frame.levels[-1].depth_m), kernels.SUMS)),
-        )
-        alone = how.copy()
-        alone[steps.GREY_WEIGHT] = 0
+        level = frame.levels[self._settings.levels - 1]
+        sums, cautious = np.empty((len(level.depth_m), kernels.SUMS)), how.copy()
+        cautious[steps.LEAST_SLOPE] = self._settings.min_gradient
         T_rows = np.ascontiguousarray(np.broadcast_to(T[:3], (len(sums), 3, 4)), np.float32)
-        self._sum_up(level, seen.pixels, T_rows, alone, sums)
+        self._sum_up(level, reference.steep.pixels, T_rows, cautious, sums)
         total = sums.sum(axis=0)
-        return _symmetric(total) * float(planes / max(total[kernels.PLANE_COUNT], 1))
+        told = _symmetric(total) + _symmetric(total[kernels.GREY_SUMS :])
+        return told * float(pairs / max(total[kernels.PAIRS], 1))
 
     def _placer(self, frame: GridFrame, number: int, step: Step | None) -> Callable[[FloatArray], Float32Array]:
         """Gives T_reference_frame (h, 3, 4) of each row of a level, for T_reference_frame (4, 4) of the middle one."""

@@ -53,10 +53,18 @@ class ReferenceLevel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What frames are aligned with, from the finest level to the coarsest, and where it was seen from."""
+    """What frames are aligned with, and where it was seen from.
+
+    Attributes:
+        T_world_reference: (4, 4).
+        levels: from the finest to the coarsest, as a `GridFrame` has them.
+        steep: the coarsest level for alignment once more, with normals of steep surfaces too; blurred at edges, but
+            whole, which is what it takes to tell what a view shows.
+    """
 
     T_world_reference: FloatArray
     levels: tuple[ReferenceLevel, ...]
+    steep: ReferenceLevel
 
 
 class ReferenceMaker:
@@ -68,28 +76,36 @@ class ReferenceMaker:
 
     def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
-        return Reference(T_world_camera, tuple(self._level(level, n) for n, level in enumerate(frame.levels)))
+        levels = tuple(self._level(level) for level in frame.levels)
+        return Reference(T_world_camera, levels, self._steep(frame.levels))
 
     def of_view(self, view: PredictedView, T_world_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
         finest = Level(intrinsics, view.depth_m, view.grey)
         levels = coarser(finest, self._settings, self._rows)
-        fitted = (self._level(level, n) for n, level in enumerate(levels[1:], start=1))
-        return Reference(T_world_camera, (self._level(finest, 0, view.normal), *fitted))
+        fitted = (self._level(level) for level in levels[1:])
+        return Reference(T_world_camera, (self._level(finest, view.normal), *fitted), self._steep(levels))
 
-    def _level(self, level: Level, number: int, normal: Float32Array | None = None) -> ReferenceLevel:
+    def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
+        """The same slope is a larger step from pixel to pixel where pixels are larger."""
+        number = self._settings.levels - 1
+        return self._level(levels[number], self.normals(levels[number], self._settings.depth_jump * (1 << number)))
+
+    def _level(self, level: Level, normal: Float32Array | None = None) -> ReferenceLevel:
         if normal is None:
-            normal = self.normals(level, number)
+            normal = self.normals(level)
         pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
         given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32))
         self._rows.share(len(pixels), lambda begin, end: kernels.pack(*given, begin, end, pixels))
         return ReferenceLevel(normal, pixels)
 
-    def normals(self, level: Level, number: int = 0) -> Float32Array:
-        """Unit normals (h, w, 3) float32 of the surfaces of level `number`, towards the camera; 0 where unknown."""
+    def normals(self, level: Level, jump: float | None = None) -> Float32Array:
+        """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown.
+
+        `jump` is the share of a depth by which neighbours on one surface may differ, if not the settings'.
+        """
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
-        grid = level.intrinsics.astype(np.float32)
-        jump = np.float32(self._settings.depth_jump * (1 << number))
-        given = (level.depth_m, grid, self._settings.normal_radius_px, jump, self._noise)
+        limits = (self._settings.normal_radius_px, np.float32(jump or self._settings.depth_jump), self._noise)
+        given = (level.depth_m, level.intrinsics.astype(np.float32), *limits)
         self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
         return normal

@@ -20,7 +20,7 @@ class DenseSettings(BaseModel):
     iterations: tuple[PositiveInt, ...] = Field((4, 6, 8), description="at most, from the finest level to the coarsest")
     color_weight: NonNegativeFloat = Field(0.5, description="of grey values against depth; 0 aligns depth alone")
     min_gradient: NonNegativeFloat = Field(
-        2.0, description="grey levels a pixel; flatter places may be nothing but the image's noise and are left out"
+        2.0, description="grey levels a pixel, at the coarsest level; a flatter place may show nothing but noise"
     )
     gate: PositiveFloat = Field(0.06, description="metres, and a metre of depth, beyond which points are no pair")
     huber: PositiveFloat = Field(1.5, description="standard deviations beyond which a residual counts linearly")
