@@ -47,7 +47,7 @@ def drive_of(recording: Recording, wheels: Wheels) -> Drive:
     """
     # Readers of files have the readings at hand; to ask them for all events would decode every image.
     kept = getattr(recording, "wheels", None)
-    given = recording.events() if kept is None else kept
+    given = recording.events(images=False) if kept is None else kept
     readings = [event for event in given if isinstance(event, WheelTicks | WheelSpeeds)]
     stamps_s = [reading.stamp_s for reading in readings]
     if len(readings) < 2:
