@@ -161,7 +161,7 @@ def test_normals_do_not_reach_over_an_edge() -> None:
     depth_m = np.full((20, 20), 1.0, np.float32)
     depth_m[:, 10:] = 2.0
     out = np.empty((20, 20, 3), np.float32)
-    _reference_kernels.normals(depth_m, GRID, 2, np.float32(0.03), NOISE, 0, 20, out)
+    _reference_kernels.normals(depth_m, GRID, 2, np.float32(0.03), 2 * NOISE[:2], 0, 20, out)
     np.testing.assert_allclose(out[5, 9], [0, 0, -1], atol=1e-6)
     np.testing.assert_allclose(out[5, 10], [0, 0, -1], atol=1e-6)
 
@@ -205,7 +205,7 @@ def test_a_crease_has_no_normal() -> None:
     planes = [Plane((1.0, 0.0, -1.0), -2.0), Plane((-1.0, 0.0, -1.0), -2.0)]  # meet at x = 0, 2 m away
     parts = bench()
     grid = parts.grid(frame_of(planes, np.eye(4), 0.0)).levels[2]
-    found, middle = parts.maker.normals(grid, 0.12)[30], round(grid.intrinsics[2])
+    found, middle = parts.maker.normals(grid, 0.12, 2 * NOISE[:2])[30], round(grid.intrinsics[2])
     assert not found[middle].any()
     assert found[middle - 8, 2] != 0
     assert found[middle + 8, 2] != 0

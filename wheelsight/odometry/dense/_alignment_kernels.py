@@ -110,7 +110,7 @@ def _look_up(
     """Collect the residuals of a row: points, gradients g = ∂error/∂p', errors, and 1 / σ. How many of each kind."""
     height, width = reference.shape[0], reference.shape[1]
     one, half = np.float32(1), np.float32(0.5)
-    near, far, gate, gain = noise[2], noise[3], how[0], how[3]
+    near, far, gate = noise[2], noise[3], how[0]
     last_u, last_v = np.float32(width - 2), np.float32(height - 2)
     pairs = plane_count = grey_count = 0
     for c in range(len(depth_m)):
@@ -130,19 +130,27 @@ def _look_up(
             root = _plane_root(noise, how[1], z, qz, along * along / (px * px + py * py + pz * pz))
             _put(planes, plane_count, px, py, pz, nx, ny, nz, error, root)
             plane_count += 1
-        if how[6] > 0:
-            there, du, dv = _between(reference, u, v)
-            if grey[c] >= 0 and du * du + dv * dv >= how[8] * how[8] and not np.isnan(there):
-                gx, gy = gain * du * grid[0] / pz, gain * dv * grid[1] / pz
-                slide = how[7] * how[7] * (du * du + dv * dv)
-                root = how[6] / np.sqrt(how[2] * how[2] + slide)
-                gz = -(gx * px + gy * py) / pz
-                _put(greys, grey_count, px, py, pz, gx, gy, gz, gain * there + how[4] - grey[c], root)
-                greys[_J3, grey_count], greys[_J4, grey_count] = there, grey[c]
-                grey_count += 1
+        if how[6] > 0 and grey[c] >= 0:
+            grey_count += _put_grey(greys, grey_count, px, py, pz, u, v, grey[c], reference, grid, how)
     row[PAIRS] = pairs
     _fit(greys, grey_count, how[5], row)
     return plane_count, grey_count
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _put_grey(
+    to: Any, k: int, px: Any, py: Any, pz: Any, u: Any, v: Any, here: Any, reference: Any, grid: Any, how: Any
+) -> int:
+    """Collect the photometric residual of a pixel as number k; 0 where there is none, else 1."""
+    there, du, dv = _between(reference, u, v)
+    slope2 = du * du + dv * dv
+    if not slope2 >= how[8] * how[8] or np.isnan(there):
+        return 0
+    gx, gy = how[3] * du * grid[0] / pz, how[3] * dv * grid[1] / pz
+    root = how[6] / np.sqrt(how[2] * how[2] + how[7] * how[7] * slope2)
+    _put(to, k, px, py, pz, gx, gy, -(gx * px + gy * py) / pz, how[3] * there + how[4] - here, root)
+    to[_J3, k], to[_J4, k] = there, here
+    return 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

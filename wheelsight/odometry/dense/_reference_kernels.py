@@ -11,8 +11,6 @@ from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH
 
 _NAN = np.float32(np.nan)
 _FEWEST = 6
-# Standard deviations of depth that a fitted window may be bent by.
-_BENT = np.float32(2.0)
 # Squared cosine to the ray below which neighbours are too far apart in depth for a normal.
 _GRAZED = np.float32(0.04)
 
@@ -45,16 +43,15 @@ def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, begin: int, end: int, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def normals(depth_m: Any, grid: Any, radius: int, jump: Any, noise: Any, begin: int, end: int, out: Any) -> None:
+def normals(depth_m: Any, grid: Any, radius: int, jump: Any, bend: Any, begin: int, end: int, out: Any) -> None:
     """Unit normals (h, w, 3) towards the camera by least squares of inverse depth over a window; 0 where none.
 
     On a plane inverse depth is linear in the pixel, 1/z = a·u + b·v + c, so the normal follows from its slopes
-    (Badino et al., ICRA 2011, fit the same model). The window is (2·radius + 1)², on one surface only. Where the
-    surface is bent by more than the sensor's noise, at creases, a fitted plane would be no plane of the scene.
+    (Badino et al., ICRA 2011, fit the same model). The window is (2·radius + 1)², on one surface only.
 
     Args:
         jump: share of a depth by which neighbours on one surface may differ.
-        noise: depth's constant and quadratic σ in metres.
+        bend: (2,) what a surface may be off its plane, RMS: metres, and metres a square metre of depth.
     """
     height, width = depth_m.shape
     one = np.float32(1)
@@ -66,7 +63,7 @@ def normals(depth_m: Any, grid: Any, radius: int, jump: Any, noise: Any, begin: 
             if z <= 0 or r < radius or c < radius or r >= height - radius or c >= width - radius:
                 continue
             a, b, rest = _slopes(depth_m, r, c, radius, jump * z)
-            sigma = _BENT * (noise[0] / (z * z) + noise[1])
+            sigma = bend[0] / (z * z) + bend[1]
             if not rest <= sigma * sigma:
                 continue
             x = np.float32((c - grid[2]) / grid[0])

@@ -20,6 +20,7 @@ _SMALL_STEP = 1e-4
 _GREY_SIGMA = 8.0
 # A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
 _COLOR_ERROR_LEFT = 0.25
+_GREY_PAIRS = kernels.PAIRS - kernels.GREY_SUMS
 _TURN_STEPS, _TURN_LIMIT, _TURN_SHARE, _SMALL_TURN = 8, 20.0, 0.3, 5e-4
 
 
@@ -127,19 +128,26 @@ class Aligner:
     def _information(
         self, frame: GridFrame, reference: Reference, T: FloatArray, pairs: int, how: FloatArray
     ) -> FloatArray:
-        """What so many pairs tell (6, 6), by the normals and gradients of the coarsest level.
+        """What so many pairs tell (6, 6), by normals of the coarsest level and slopes of grey of the second.
 
         Noise makes the normals of a wall point every way, and its grey has slopes that are not there, so that a plain
         wall seems to tell what it does not. Both are negligible where many pixels have been averaged.
         """
-        level = frame.levels[self._settings.levels - 1]
-        sums, cautious = np.empty((len(level.depth_m), kernels.SUMS)), how.copy()
+        cautious = how.copy()
         cautious[steps.LEAST_SLOPE] = self._settings.min_gradient
+        coarsest = self._settings.levels - 1
+        of_planes = self._total(frame.levels[coarsest], reference.steep.pixels, T, cautious)
+        second = min(1, coarsest)
+        of_grey = self._total(frame.levels[second], reference.levels[second].pixels, T, cautious)[kernels.GREY_SUMS :]
+        shares = [pairs / max(count, 1.0) for count in (of_planes[kernels.PAIRS], of_grey[_GREY_PAIRS])]
+        return _symmetric(of_planes) * float(shares[0]) + _symmetric(of_grey) * float(shares[1])
+
+    def _total(self, level: Level, pixels: Float32Array, T: FloatArray, how: FloatArray) -> FloatArray:
+        """Sums over a level at a motion (4, 4) of all rows."""
+        sums = np.empty((len(level.depth_m), kernels.SUMS))
         T_rows = np.ascontiguousarray(np.broadcast_to(T[:3], (len(sums), 3, 4)), np.float32)
-        self._sum_up(level, reference.steep.pixels, T_rows, cautious, sums)
-        total = sums.sum(axis=0)
-        told = _symmetric(total) + _symmetric(total[kernels.GREY_SUMS :])
-        return told * float(pairs / max(total[kernels.PAIRS], 1))
+        self._sum_up(level, pixels, T_rows, how, sums)
+        return np.asarray(sums.sum(axis=0))
 
     def _placer(self, frame: GridFrame, number: int, step: Step | None) -> Callable[[FloatArray], Float32Array]:
         """Gives T_reference_frame (h, 3, 4) of each row of a level, for T_reference_frame (4, 4) of the middle one."""

@@ -14,6 +14,10 @@ from wheelsight.odometry.dense._alignment_kernels import CHANNELS
 from wheelsight.odometry.dense.grid import GridFrame, Level, Rows, coarser
 from wheelsight.odometry.dense.settings import DenseSettings
 
+_ANY_BEND = np.full(2, np.inf, np.float32)
+# At creases, bent by more than so many standard deviations of depth, a fitted plane is no plane of the scene.
+_BENT = 2.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedView:
@@ -58,8 +62,8 @@ class Reference:
     Attributes:
         T_world_reference: (4, 4).
         levels: from the finest to the coarsest, as a `GridFrame` has them.
-        steep: the coarsest level for alignment once more, with normals of steep surfaces too; blurred at edges, but
-            whole, which is what it takes to tell what a view shows.
+        steep: the coarsest level for alignment once more, with normals of steep surfaces but none at creases: what
+            a view shows is told by all of its planes, and by nothing that is none.
     """
 
     T_world_reference: FloatArray
@@ -71,7 +75,7 @@ class ReferenceMaker:
     """Makes references of frames and of predicted views."""
 
     def __init__(self, noise: DepthNoise, settings: DenseSettings, rows: Rows) -> None:
-        self._noise = np.array([noise.constant_m, noise.quadratic_per_m], np.float32)
+        self._bend = _BENT * np.array([noise.constant_m, noise.quadratic_per_m], np.float32)
         self._settings, self._rows = settings, rows
 
     def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
@@ -87,9 +91,10 @@ class ReferenceMaker:
         return Reference(T_world_camera, (self._level(finest, view.normal), *fitted), self._steep(levels))
 
     def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
-        """The same slope is a larger step from pixel to pixel where pixels are larger."""
         number = self._settings.levels - 1
-        return self._level(levels[number], self.normals(levels[number], self._settings.depth_jump * (1 << number)))
+        # The same slope is a larger step from pixel to pixel where pixels are larger.
+        jump = self._settings.depth_jump * (1 << number)
+        return self._level(levels[number], self.normals(levels[number], jump, self._bend))
 
     def _level(self, level: Level, normal: Float32Array | None = None) -> ReferenceLevel:
         if normal is None:
@@ -99,13 +104,16 @@ class ReferenceMaker:
         self._rows.share(len(pixels), lambda begin, end: kernels.pack(*given, begin, end, pixels))
         return ReferenceLevel(normal, pixels)
 
-    def normals(self, level: Level, jump: float | None = None) -> Float32Array:
+    def normals(self, level: Level, jump: float | None = None, bend: Float32Array = _ANY_BEND) -> Float32Array:
         """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown.
 
-        `jump` is the share of a depth by which neighbours on one surface may differ, if not the settings'.
+        Args:
+            level: of a frame or view.
+            jump: share of a depth by which neighbours on one surface may differ, if not the settings'.
+            bend: (2,) by how much a surface may be off its plane: metres, and metres a square metre of depth.
         """
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
-        limits = (self._settings.normal_radius_px, np.float32(jump or self._settings.depth_jump), self._noise)
+        limits = (self._settings.normal_radius_px, np.float32(jump or self._settings.depth_jump), bend)
         given = (level.depth_m, level.intrinsics.astype(np.float32), *limits)
         self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
         return normal

@@ -20,7 +20,7 @@ class DenseSettings(BaseModel):
     iterations: tuple[PositiveInt, ...] = Field((4, 6, 8), description="at most, from the finest level to the coarsest")
     color_weight: NonNegativeFloat = Field(0.5, description="of grey values against depth; 0 aligns depth alone")
     min_gradient: NonNegativeFloat = Field(
-        2.0, description="grey levels a pixel, at the coarsest level; a flatter place may show nothing but noise"
+        3.0, description="grey levels a pixel, at the second level; a flatter place may show nothing but noise"
     )
     gate: PositiveFloat = Field(0.06, description="metres, and a metre of depth, beyond which points are no pair")
     huber: PositiveFloat = Field(1.5, description="standard deviations beyond which a residual counts linearly")
@@ -33,7 +33,7 @@ class DenseSettings(BaseModel):
         0.01, description="a direction less certain than this after one frame is left to the prior"
     )
     correlation: PositiveFloat = Field(
-        30.0, description="how many neighbouring residuals err as one; variances are that much larger"
+        20.0, description="how many neighbouring residuals err as one; variances are that much larger"
     )
     prior_sigma_m_s: PositiveFloat = Field(
         0.5, description="how far off the expected speed may be, a second; what unseen directions are worth"
