@@ -107,9 +107,10 @@ class Aligner:
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
             place = self._placer(frame, number, step)
-            sums = np.empty((len(frame.levels[number].depth_m), kernels.SUMS))
+            stride = settings.row_stride if number == 0 else 1
+            sums = np.empty((len(frame.levels[number].depth_m) // stride, kernels.SUMS))
             for _ in range(settings.iterations[min(number, len(settings.iterations) - 1)]):
-                self._sum_up(frame.levels[number], reference.levels[number].pixels, place(T), how, sums)
+                self._sum_up(frame.levels[number], reference.levels[number].pixels, place(T), how, sums, stride)
                 if steps.advance(sums, T, how, total) < _SMALL_STEP * (1 << number):
                     break
         return self._answer(frame, reference, T, total, how)
@@ -117,8 +118,9 @@ class Aligner:
     def _answer(
         self, frame: GridFrame, reference: Reference, T: FloatArray, total: FloatArray, how: FloatArray
     ) -> DenseAlignment:
-        planes, pairs = int(total[kernels.PLANE_COUNT]), int(total[kernels.PAIRS])
-        mean_abs = total[kernels.PLANE_COUNT + 1] / planes if planes else np.inf
+        counted, stride = total[kernels.PLANE_COUNT], self._settings.row_stride
+        planes, pairs = int(counted) * stride, int(total[kernels.PAIRS]) * stride
+        mean_abs = total[kernels.PLANE_COUNT + 1] / counted if counted else np.inf
         points = int(np.count_nonzero(frame.levels[0].depth_m))
         information = self._information(frame, reference, T, pairs, how)
         residual = float(how[steps.PLANE_SCALE] * mean_abs / steps.MEAN_ABS)
@@ -167,10 +169,16 @@ class Aligner:
         return place
 
     def _sum_up(
-        self, level: Level, pixels: Float32Array, T_rows: Float32Array, how: FloatArray, sums: FloatArray
+        self,
+        level: Level,
+        pixels: Float32Array,
+        T_rows: Float32Array,
+        how: FloatArray,
+        sums: FloatArray,
+        stride: int = 1,
     ) -> None:
         grid, how32 = level.intrinsics.astype(np.float32), how.astype(np.float32)
-        given = (level.depth_m, level.grey, pixels, grid, T_rows, self._noise, how32, 1)
+        given = (level.depth_m, level.grey, pixels, grid, T_rows, self._noise, how32, stride)
         self._rows.share(len(sums), lambda begin, end: kernels.accumulate(*given, begin, end, sums))
 
 

@@ -18,6 +18,7 @@ class DenseSettings(BaseModel):
     finest_width_px: PositiveInt = Field(400, description="images wider than this are halved until they are not")
     levels: int = Field(3, ge=1, le=5, description="of the pyramid, each half as wide")
     iterations: tuple[PositiveInt, ...] = Field((4, 6, 8), description="at most, from the finest level to the coarsest")
+    row_stride: PositiveInt = Field(2, description="of the finest level's rows only every so many are aligned")
     color_weight: NonNegativeFloat = Field(0.5, description="of grey values against depth; 0 aligns depth alone")
     min_gradient: NonNegativeFloat = Field(
         3.0, description="grey levels a pixel, at the second level; a flatter place may show nothing but noise"
