@@ -121,13 +121,12 @@ def sample_grey(
             if z <= 0:
                 continue
             x, y = np.float32((c - grid[2]) / grid[0]) * z, ray_y * z
-            u, v = _seen_at(x, y, z, T_color_camera, color)
             if pace != 0:
-                late = pace * (v - middle)
+                late = pace * (_row_seen(x, y, z, T_color_camera, color) - middle)
                 x -= late * (twist[0] + twist[4] * z - twist[5] * y)
                 y -= late * (twist[1] + twist[5] * x - twist[3] * z)
                 z -= late * (twist[2] + twist[3] * y - twist[4] * x)
-                u, v = _seen_at(x, y, z, T_color_camera, color)
+            u, v = _seen_at(x, y, z, T_color_camera, color)
             out[r, c] = _between(image, u, v)
 
 
@@ -175,6 +174,14 @@ def _depth_between(depth_m: Any, u: Any, v: Any, jump: float) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _row_seen(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
+    """The colour camera's row of a point, lens left aside: near enough to know when it was read."""
+    b = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+    d = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    return color[1] * b / max(d, _NEAREST_M) + color[3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _seen_at(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
     """The colour camera's pixel (2,) of a point of the depth camera; far outside where it is behind."""
     a = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
@@ -183,6 +190,8 @@ def _seen_at(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
     if d <= _NEAREST_M:
         return np.float32(-1), np.float32(-1)
     a, b, two = a / d, b / d, np.float32(2)
+    if color[4] == 0 and color[5] == 0 and color[6] == 0 and color[7] == 0 and color[8] == 0:
+        return color[0] * a + color[2], color[1] * b + color[3]
     q = a * a + b * b
     radial = np.float32(1) + q * (color[4] + q * (color[5] + q * color[8]))
     a, b = (
