@@ -147,6 +147,7 @@ def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
     out = tmp_path / "out"
     code = (
         "import os, signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored where tests run in the background
         "from wheelsight import localizer\n"
         "process, seen = localizer.Localizer.process, []\n"
         "def counted(self, event):\n"

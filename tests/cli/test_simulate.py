@@ -170,7 +170,9 @@ def test_ctrl_c_before_the_first_frame_promises_nothing(
 def test_a_real_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "wheelsight", "simulate", "square", "--size", "64x48", "--out", str(out)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    # Whoever runs tests in the background has SIGINT ignored, and so would the command.
+    listening = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listening) as process:
         lines = out / "rgb.txt"
         deadline = time.monotonic() + 120
         while not (lines.is_file() and len(lines.read_text().splitlines()) > 4):
