@@ -9,6 +9,9 @@ from numba import njit
 
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, NY, NZ, OFFSET
 
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
+_COMPILED_IN = 0x567BB853
+
 _NAN = np.float32(np.nan)
 _FEWEST = 6
 # Squared cosine to the ray below which neighbours are too far apart in depth for a normal.

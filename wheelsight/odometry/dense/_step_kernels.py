@@ -19,6 +19,9 @@ from wheelsight.odometry.dense._alignment_kernels import (
     SUMS,
 )
 
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
+_COMPILED_IN = 0x567BB853
+
 # Entries of `how`; see `accumulate`.
 GATE, PLANE_SCALE, GREY_SIGMA, GAIN, OFFSET, HUBER, GREY_WEIGHT, COLOR_SIGMA, LEAST_SLOPE = range(9)
 
