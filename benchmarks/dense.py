@@ -129,7 +129,7 @@ def judge_dense(figures: Sequence[DenseFigures]) -> list[Target]:
                 Target(f"{what}, {share:g} of {peer.contender}", share * peer.median_ms, ours.median_ms, "ms")
             )
         if ours.ate_m is not None and ours.threads == THREADS[0]:
-            targets.append(Target(f"{ours.recording}: dense tracking, ATE", ATE_LIMIT_M, ours.ate_m, "m"))
+            targets.append(Target(f"{ours.recording}: dense tracking, ATE", ATE_LIMIT_M, ours.ate_m, "m", decimals=4))
     return targets
 
 
