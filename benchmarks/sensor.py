@@ -20,6 +20,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, IntArray, se3
+from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
 from wheelsight.odometry.features.alignment import GATE, PointPairs, find_motion, refine_motion
 from wheelsight.odometry.features.extraction import (
@@ -28,7 +29,6 @@ from wheelsight.odometry.features.extraction import (
     Features,
     keypoint_sigma_px,
     straighten,
-    twist_between,
 )
 from wheelsight.odometry.features.matching import match_all
 from wheelsight.recordings import Recording, open_recording

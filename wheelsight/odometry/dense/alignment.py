@@ -9,6 +9,7 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.geometry import Float32Array, FloatArray, se3, so3
+from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import _alignment_kernels as kernels
 from wheelsight.odometry.dense import _step_kernels as steps
 from wheelsight.odometry.dense.grid import GridFrame, Level, Rows
@@ -54,8 +55,7 @@ class Step:
 
     def twist_to(self, T_reference_frame: FloatArray) -> FloatArray:
         """Mean velocity (6,), (v, ω) a second in the camera's own frame, since then."""
-        T = se3.invert(self.T_reference_previous) @ T_reference_frame
-        return np.asarray(np.concatenate([T[:3, 3], so3.log(T[:3, :3])]) / self.seconds)
+        return twist_between(self.T_reference_previous, T_reference_frame, self.seconds)
 
 
 class Aligner:

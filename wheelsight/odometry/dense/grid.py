@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
 from wheelsight.odometry.dense import _grid_kernels as kernels
 from wheelsight.odometry.dense.settings import DenseSettings
 
@@ -105,18 +105,9 @@ class Gridder:
 
     def _lens(self) -> Float32Array:
         """(h, w, 2) where each pixel of the ideal grid lies in the halved depth image."""
-        height, width = self.shape
-        fx, fy, cx, cy = self.intrinsics
-        u, v = np.meshgrid(np.arange(width), np.arange(height))
-        rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(self.shape)], axis=-1)
-        ideal = self._depth
-        x, y = rays[..., 0], rays[..., 1]
-        k1, k2, p1, p2, k3 = ideal.distortion
-        q = x * x + y * y
-        radial = 1 + q * (k1 + q * (k2 + q * k3))
-        u_px = fx * (x * radial + 2 * p1 * x * y + p2 * (q + 2 * x * x)) + cx
-        v_px = fy * (y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y) + cy
-        return np.stack([u_px, v_px], axis=-1).astype(np.float32)
+        ideal = PinholeCamera(self.shape[1], self.shape[0], *self.intrinsics.tolist())
+        lens = replace(ideal, distortion=self._depth.distortion)
+        return lens.denormalise(ideal.rays()[..., :2]).astype(np.float32)
 
     def _small_grey(self, frame: RgbdFrame) -> Float32Array:
         """Grey (H, W) as measured, halved."""

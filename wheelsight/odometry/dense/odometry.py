@@ -12,14 +12,13 @@ from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
 from wheelsight.odometry.dense.observability import Prior, judge
 from wheelsight.odometry.dense.reference import Reference, ReferenceMaker, ReferenceModel
 from wheelsight.odometry.dense.settings import DenseSettings
 
-# Over a longer gap the mean velocity says little about the velocity at the frame.
-_LONGEST_STEP_S = 0.2
 _START_VARIANCE = 1e-12
 # A turn by a radian hides as much of a view as this many metres of way.
 _TYPICAL_DEPTH_M = 1.5
@@ -176,7 +175,7 @@ class DenseOdometry:
         reference = keyframe.reference
         T_reference_world = se3.invert(reference.T_world_reference)
         seconds = grid.stamp_s - last.frame.stamp_s
-        step = Step(T_reference_world @ last.T_world_camera, seconds) if seconds <= _LONGEST_STEP_S else None
+        step = Step(T_reference_world @ last.T_world_camera, seconds) if seconds <= LONGEST_STEP_S else None
         with self._watch.stage("align"):
             turned = self._aligner.turn(grid, reference, T_reference_world @ guess)
             found = self._aligner.align(grid, reference, turned, step)
@@ -259,11 +258,11 @@ def _expected(last: _Tracked, stamp_s: float, prior: FloatArray | None) -> tuple
     """T_last_frame (4, 4) by the prior, or else by constant velocity; and the velocity (6,) it means."""
     seconds = stamp_s - last.frame.stamp_s
     if prior is None:
-        twist = last.twist if 0 < seconds <= _LONGEST_STEP_S else np.zeros(6)
+        twist = last.twist if 0 < seconds <= LONGEST_STEP_S else np.zeros(6)
         return se3.from_parts(so3.exp(twist[3:] * seconds), twist[:3] * seconds), twist
-    if not 0 < seconds <= _LONGEST_STEP_S:
+    if not 0 < seconds <= LONGEST_STEP_S:
         return prior, np.zeros(6)
-    return prior, np.concatenate([prior[:3, 3], so3.log(prior[:3, :3])]) / seconds
+    return prior, twist_between(np.eye(4), prior, seconds)
 
 
 def _distance_m(keyframe: _Keyframe, T_world_camera: FloatArray) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3, so3
+from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.geometry._types import UInt64Array
 from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.settings import FeatureSettings
@@ -176,9 +176,3 @@ def straighten(raw: Features, twist: FloatArray, rolling_shutter_s: float, heigh
     p = np.column_stack([raw.xy * depth_m[:, None], depth_m])
     moved = p + late_s[:, None] * (twist[:3] + np.cross(twist[3:], p))
     return replace(raw, xy=moved[:, :2] / moved[:, 2:], depth_m=np.where(raw.has_depth, moved[:, 2], 0.0))
-
-
-def twist_between(T_world_before: FloatArray, T_world_now: FloatArray, seconds: float) -> FloatArray:
-    """Mean velocity (6,) of a camera between two poses, (v, ω) a second in its own frame."""
-    T_before_now = se3.invert(T_world_before) @ T_world_now
-    return np.concatenate([T_before_now[:3, 3], so3.log(T_before_now[:3, :3])]) / seconds

@@ -11,7 +11,8 @@ from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
-from wheelsight.odometry.features.extraction import FeatureExtractor, Features, twist_between
+from wheelsight.odometry._velocity import twist_between
+from wheelsight.odometry.features.extraction import FeatureExtractor, Features
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of

@@ -10,15 +10,14 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.alignment import Alignment, PointPairs, find_motion, refine_motion
-from wheelsight.odometry.features.extraction import Features, straighten, twist_between
+from wheelsight.odometry.features.extraction import Features, straighten
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.matching import Matches, match_all, match_near
 from wheelsight.odometry.features.settings import FeatureSettings
 
-# Over a longer gap the mean velocity says little about the velocity at the frame.
-_LONGEST_STEP_S = 0.2
 # A prior motion is a hint, not a measurement: search this many times wider around it.
 _PRIOR_RADII = 3.0
 # With fewer of the points found, the prior is wrong or much has left the image, and all keypoints are searched.
@@ -42,7 +41,7 @@ class Fix:
 
 def velocity_of(before: View, now: View, seconds: float) -> FloatArray:
     """Mean velocity (6,), (v, ω) in the colour camera's own frame a second, between two views; 0 over a long gap."""
-    if not 0 < seconds <= _LONGEST_STEP_S:
+    if not 0 < seconds <= LONGEST_STEP_S:
         return np.zeros(6)
     return twist_between(before.T_world_color, now.T_world_color, seconds)
 

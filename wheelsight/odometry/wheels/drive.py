@@ -45,10 +45,7 @@ def drive_of(recording: Recording, wheels: Wheels) -> Drive:
     Raises:
         CalibrationError: it has fewer than two.
     """
-    # Readers of files have the readings at hand; to ask them for all events would decode every image.
-    kept = getattr(recording, "wheels", None)
-    given = recording.events(images=False) if kept is None else kept
-    readings = [event for event in given if isinstance(event, WheelTicks | WheelSpeeds)]
+    readings = [event for event in recording.events(images=False) if isinstance(event, WheelTicks | WheelSpeeds)]
     stamps_s = [reading.stamp_s for reading in readings]
     if len(readings) < 2:
         raise CalibrationError(f"{recording.name} has {len(readings)} wheel readings", fix="give a recording of wheels")
