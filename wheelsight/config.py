@@ -28,6 +28,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.files import write_text
 from wheelsight.fusion import AxisWeights, OdometryTerm, Weights
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.mapping import SurfelSettings
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.features import FeatureSettings
 from wheelsight.recordings import OpenOptions
@@ -198,6 +199,8 @@ class Config(_Settings):
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
+    map: Literal["surfels"] | None = Field(None, description="what dense odometry builds on the way and tracks against")
+    surfels: SurfelSettings = SurfelSettings()
     wheels: WheelSettings = WheelSettings()
     places: PlaceSettings = PlaceSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
@@ -206,6 +209,8 @@ class Config(_Settings):
     @model_validator(mode="after")
     def _refuse_conflicts(self) -> Self:
         places = self.places
+        if self.map is not None and "dense" not in self.odometry:
+            raise _conflict("map", "is built by dense odometry", "add --odometry dense")
         if places.model is None:
             given = [name for name, value in places if value is not None]
             if given:
@@ -230,8 +235,9 @@ class Config(_Settings):
     def alone(self, track: TrackName) -> Config:
         """The same settings for one of `tracks` by itself."""
         if track == "rectified":
-            return self.model_copy(update={"odometry": ("wheels",)})
-        return self.model_copy(update={"odometry": (track,), "places": PlaceSettings()})
+            return self.model_copy(update={"odometry": ("wheels",), "map": None})
+        kept = {"map": self.map if track == "dense" else None}
+        return self.model_copy(update={"odometry": (track,), "places": PlaceSettings(), **kept})
 
 
 def _conflict(setting: str, problem: str, fix: str) -> PydanticCustomError:

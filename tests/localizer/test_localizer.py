@@ -167,7 +167,7 @@ def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.Monkey
     made: list[object] = []
 
     class Dense(TrueOdometry):
-        def __init__(self, calibration: Calibration, settings: object) -> None:
+        def __init__(self, calibration: Calibration, settings: object, T_world_first: object = None) -> None:
             super().__init__(calibration, settings)
             made.append(settings)
 

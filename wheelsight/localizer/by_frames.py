@@ -10,6 +10,7 @@ from wheelsight.config import Config
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.geometry import se3
+from wheelsight.mapping import SurfelMapper
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 
@@ -21,12 +22,17 @@ class ByFrames:
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
         self.body = "camera" if calibration.T_base_camera is None else "base"
+        T_base_camera = calibration.T_base_camera
         self.odometry: FeatureOdometry | DenseOdometry
-        if settings.odometry == ("dense",):
-            self.odometry = DenseOdometry(calibration, settings.dense)
+        self.mapper: SurfelMapper | None = None
+        if settings.map == "surfels":
+            self.mapper = SurfelMapper(calibration, settings.dense, settings.surfels)
+            self.odometry = self.mapper.odometry
+        elif settings.odometry == ("dense",):
+            self.odometry = DenseOdometry(calibration, settings.dense, T_world_first=T_base_camera)
         else:
-            self.odometry = FeatureOdometry(calibration, settings.features)
-        self._T_base_camera = calibration.T_base_camera
+            self.odometry = FeatureOdometry(calibration, settings.features, T_world_first=T_base_camera)
+        self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
         self._newest_s = -math.inf
 
     @property
@@ -48,21 +54,15 @@ class ByFrames:
         if event.stamp_s <= self._newest_s:
             return self._refuse(event.stamp_s, f"its stamp does not come after {self._newest_s:.6f} s")
         self._newest_s = event.stamp_s
-        return self._of_body(self.odometry.process(event)), ""
+        return self._of_body((self.mapper or self.odometry).process(event)), ""
 
     def _refuse(self, stamp_s: float, why: str) -> tuple[Estimate, str]:
-        return self._of_body(self.odometry.miss(stamp_s)), why
+        return self._of_body((self.mapper or self.odometry).miss(stamp_s)), why
 
     def _of_body(self, estimate: Estimate) -> Estimate:
-        """The camera's estimate as the base's: both worlds start at identity, so T_base_camera changes both sides."""
-        if self._T_base_camera is None:
+        """The camera's estimate as the base's; the covariance, of a perturbation in the world, is that of both."""
+        if self._T_camera_base is None:
             return estimate
         if estimate.T_world_body is None:
             return replace(estimate, body="base")
-        T_base_camera = self._T_base_camera
-        covariance = estimate.covariance
-        if covariance is not None:
-            Ad = se3.adjoint(T_base_camera)
-            covariance = Ad @ covariance @ Ad.T
-        T_world_base = T_base_camera @ estimate.T_world_body @ se3.invert(T_base_camera)
-        return replace(estimate, T_world_body=T_world_base, covariance=covariance, body="base")
+        return replace(estimate, T_world_body=estimate.T_world_body @ self._T_camera_base, body="base")

@@ -10,7 +10,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.geometry import Float32Array, FloatArray, se3, so3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.alignment import Aligner, Step
@@ -35,6 +35,23 @@ class _Keyframe:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """What a frame adds to a map, on the ideal grid at the finest level.
+
+    Attributes:
+        depth_m: (h, w) float32, 0 where unknown.
+        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
+        grey: (h, w) float32, -1 where unknown.
+        color: (h, w, 3) float32 red, green, blue from 0 to 255, -1 where unknown; or None.
+    """
+
+    depth_m: Float32Array
+    normal: Float32Array
+    grey: Float32Array
+    color: Float32Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Tracked:
     """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame."""
 
@@ -52,14 +69,24 @@ class DenseOdometry:
     aligned from coarse to fine. Directions of motion that the view does not show are left to the prior and named.
     A frame that fails is counted; after `lost_after` in a row the state is LOST, until a keyframe is recognised.
 
+    Args:
+        calibration: of the cameras.
+        settings: or the defaults.
+        model: what predicts the view to align with, if anything does.
+        T_world_first: (4, 4) where the camera is at the first frame with depth; by default at the world's origin.
+
     Attributes:
         last_motion: of the last frame against its reference.
         last_frame: the last frame tracked, on the ideal grid, straightened; None where the last one failed.
-        stage_seconds: time the last frame spent in "prepare", "predict", "align" and "keyframe".
+        watch: stops the time of the last frame's "prepare", "predict", "align" and "keyframe".
     """
 
     def __init__(
-        self, calibration: Calibration, settings: DenseSettings | None = None, model: ReferenceModel | None = None
+        self,
+        calibration: Calibration,
+        settings: DenseSettings | None = None,
+        model: ReferenceModel | None = None,
+        T_world_first: FloatArray | None = None,
     ) -> None:
         self._settings = settings or DenseSettings()
         rows = Rows(self._settings.threads)
@@ -67,8 +94,9 @@ class DenseOdometry:
         self._maker = ReferenceMaker(calibration.depth_noise, self._settings, rows)
         self._aligner = Aligner(calibration, self._settings, rows, self._gridder.late_s, self._gridder.halvings)
         self._model = model
+        self._T_world_first = np.eye(4) if T_world_first is None else np.asarray(T_world_first, float)
         self._keyframes: list[_Keyframe] = []
-        self._watch = Stopwatch()
+        self.watch = Stopwatch()
         self._first: RgbdFrame | None = None
         self._last: _Tracked | None = None
         self._failures = 0
@@ -78,12 +106,18 @@ class DenseOdometry:
     @property
     def stage_seconds(self) -> dict[str, float]:
         """Seconds the last frame spent in each stage."""
-        return self._watch.seconds
+        return self.watch.seconds
 
     @property
     def intrinsics(self) -> FloatArray:
         """fx, fy, cx, cy (4,) of the ideal camera on whose grid frames and predictions are."""
         return self._gridder.intrinsics
+
+    def last_surface(self, frame: RgbdFrame) -> Surface:
+        """What `frame`, which was the last one tracked, adds to a map."""
+        assert self.last_frame is not None, "the last frame has no pose"
+        finest = self.last_frame.levels[0]
+        return Surface(finest.depth_m, self._maker.normals(finest), finest.grey)
 
     def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
         """The camera's pose at a frame, T_world_camera, or why there is none.
@@ -93,11 +127,11 @@ class DenseOdometry:
             T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
                 for instance; else constant velocity is expected.
         """
-        self._watch.restart()
+        self.watch.restart()
         self.last_frame = None
         last = self._last
         T_last_frame, twist = np.eye(4), np.zeros(6)
-        with self._watch.stage("prepare"):
+        with self.watch.stage("prepare"):
             if last is not None:
                 T_last_frame, twist = _expected(last, frame.stamp_s, T_previous_current_prior)
             grid = self._gridder.on_grid(frame, twist)
@@ -114,12 +148,12 @@ class DenseOdometry:
 
     def miss(self, stamp_s: float) -> Estimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
-        self._watch.restart()
+        self.watch.restart()
         self.last_frame = None
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
     def _start(self, frame: RgbdFrame, grid: GridFrame) -> Estimate:
-        start = _Tracked(grid, np.eye(4), _START_VARIANCE * np.eye(6))
+        start = _Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6))
         self._keyframes = [self._keyframe(start)]
         self._first = frame
         self.last_motion = MotionEstimate(np.eye(4), start.covariance)
@@ -131,7 +165,7 @@ class DenseOdometry:
         if first is None or not self._gridder.late_s.any():
             return found
         grid = self._gridder.on_grid(first, found.twist)
-        self._last = _Tracked(grid, np.eye(4), _START_VARIANCE * np.eye(6), found.twist)
+        self._last = _Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6), found.twist)
         self._keyframes = [self._keyframe(self._last)]
         return self._align(found.frame, self._keyframes[0], self._last, found.T_world_camera, prior)
 
@@ -157,7 +191,7 @@ class DenseOdometry:
         """What the model predicts, else the newest keyframe; while frames fail, the nearest; once lost, others too."""
         newest = self._keyframes[-1]
         if self._model is not None:
-            with self._watch.stage("predict"):
+            with self.watch.stage("predict"):
                 view = self._model.predict(T_world_camera, self.intrinsics, self._gridder.shape)
                 predicted = self._maker.of_view(view, T_world_camera, self.intrinsics)
             yield _Keyframe(predicted, newest.covariance)
@@ -176,7 +210,7 @@ class DenseOdometry:
         T_reference_world = se3.invert(reference.T_world_reference)
         seconds = grid.stamp_s - last.frame.stamp_s
         step = Step(T_reference_world @ last.T_world_camera, seconds) if seconds <= LONGEST_STEP_S else None
-        with self._watch.stage("align"):
+        with self.watch.stage("align"):
             turned = self._aligner.turn(grid, reference, T_reference_world @ guess)
             found = self._aligner.align(grid, reference, turned, step)
         prior = Prior(T_reference_world @ T_prior, self._settings.prior_sigma_m_s * max(seconds, 1e-3))
@@ -199,7 +233,7 @@ class DenseOdometry:
         return Reason.IMPLAUSIBLE_MOTION if fast or turning else None
 
     def _succeed(self, frame: RgbdFrame, found: _Tracked) -> Estimate:
-        with self._watch.stage("keyframe"):
+        with self.watch.stage("keyframe"):
             if self._settings.reference == "previous":
                 self._keyframes = [self._keyframe(self._straightened(frame, found))]
             elif found.overlap < self._settings.keyframe_overlap:

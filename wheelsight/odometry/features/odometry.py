@@ -44,13 +44,23 @@ class FeatureOdometry:
     and, unless `reference` is "previous", with the landmarks of near keyframes. A frame that fails is counted;
     after `lost_after` in a row the state is LOST, and goes on being so until the last keyframes are recognised.
 
+    Args:
+        calibration: of the cameras.
+        settings: or the defaults.
+        T_world_first: (4, 4) where the camera is at the first frame tracked; by default at the world's origin.
+
     Attributes:
         last_motion: of the last frame against its reference keyframe (or the previous frame).
         last_matches: the pixels matched in the last frame, None where none were.
         stage_seconds: time the last frame spent in "extract", "match", "align" and "map".
     """
 
-    def __init__(self, calibration: Calibration, settings: FeatureSettings | None = None) -> None:
+    def __init__(
+        self,
+        calibration: Calibration,
+        settings: FeatureSettings | None = None,
+        T_world_first: FloatArray | None = None,
+    ) -> None:
         self._settings = settings or FeatureSettings()
         self._extractor = FeatureExtractor(calibration, self._settings)
         self._map = LandmarkMap(self._settings.kept_keyframes)
@@ -59,6 +69,8 @@ class FeatureOdometry:
         self._map_tracker = MapTracker(calibration, self._settings)
         T = calibration.T_color_depth
         self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
+        T_world_camera = np.eye(4) if T_world_first is None else np.asarray(T_world_first, float)
+        self._T_world_first: FloatArray = T_world_camera @ se3.invert(self._T_color_camera)
         self._last: View | None = None
         self._first_raw: Features | None = None
         self._velocity: FloatArray = np.zeros(6)
@@ -103,8 +115,7 @@ class FeatureOdometry:
 
     def _start(self, features: Features) -> Estimate:
         self._map = LandmarkMap(self._settings.kept_keyframes)
-        T_world_color = se3.invert(self._T_color_camera)
-        view = View(features, T_world_color, _START_VARIANCE * np.eye(6), np.full(len(features), -1))
+        view = View(features, self._T_world_first, _START_VARIANCE * np.eye(6), np.full(len(features), -1))
         self._last, self._failures = self._map.add_keyframe(view), 0
         self.last_motion = MotionEstimate(np.eye(4), view.covariance)
         return self._answer(self._last)

@@ -1,0 +1,61 @@
+"""SurfelMapper: dense odometry against the surfel map that it builds on the way."""
+
+from __future__ import annotations
+
+from wheelsight.calibration import Calibration
+from wheelsight.estimates import Estimate, MotionEstimate, Status
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import FloatArray
+from wheelsight.mapping.settings import SurfelSettings
+from wheelsight.mapping.surfels import FusedFrame, SurfelMap
+from wheelsight.odometry.dense import DenseOdometry, DenseSettings
+
+
+class SurfelMapper:
+    """Aligns each frame with what the map predicts, then averages it into the map; a frame that fails never gets there.
+
+    The camera that a robot's base carries starts at `T_base_camera`, so that the map's world is where the base was,
+    z up; a camera alone starts at identity.
+
+    Attributes:
+        map: what was seen so far.
+        odometry: what finds the poses.
+        last_fused: what fusing the last frame did; None where it was not fused.
+    """
+
+    def __init__(
+        self, calibration: Calibration, dense: DenseSettings | None = None, surfels: SurfelSettings | None = None
+    ) -> None:
+        self.map = SurfelMap(surfels)
+        self.odometry = DenseOdometry(calibration, dense, self.map, calibration.T_base_camera)
+        self._noise = calibration.depth_noise
+        self.last_fused: FusedFrame | None = None
+
+    @property
+    def last_motion(self) -> MotionEstimate:
+        """Of the last frame against its reference."""
+        return self.odometry.last_motion
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """Seconds the last frame spent in each stage."""
+        return self.odometry.stage_seconds
+
+    def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
+        """The camera's pose at a frame, as `DenseOdometry.process` answers; where there is one, the map has learned."""
+        estimate = self.odometry.process(frame, T_previous_current_prior)
+        self.last_fused = None
+        if estimate.status is Status.TRACKING and estimate.T_world_body is not None:
+            self._fuse(frame, estimate.T_world_body)
+        return estimate
+
+    def miss(self, stamp_s: float) -> Estimate:
+        """Count a frame that came to nothing before it reached odometry, as a failed one."""
+        self.last_fused = None
+        return self.odometry.miss(stamp_s)
+
+    def _fuse(self, frame: RgbdFrame, T_world_camera: FloatArray) -> None:
+        with self.odometry.watch.stage("fuse"):
+            surface = self.odometry.last_surface(frame)
+            where = (self.odometry.intrinsics, T_world_camera, frame.stamp_s, self._noise)
+            self.last_fused = self.map.fuse(surface.depth_m, surface.normal, surface.grey, surface.color, *where)
