@@ -23,17 +23,25 @@ class Reason(StrEnum):
     CLOCK_BACKWARDS = "clock ran backwards"
     GAP = "gap between readings"
     COUNTER_AMBIGUOUS = "counters may have rolled over unseen"
+    INVALID = "numbers that are no measurement"
+    TOO_LATE = "older than the window of fusion"
+    CLOCKS_APART = "clocks of the sensors are apart"
+    UNKNOWN_REFERENCE = "reference is not remembered"
+    CONTRADICTION = "camera and wheels contradict each other"
+    OUTLIER = "too far from what is expected"
 
 
 class Status(StrEnum):
     """What the estimate at a frame can be used for.
 
-    initializing: no pose yet. tracking: pose known. failing: this frame gave no pose, the next may.
-    lost: so many frames failed in a row that only recognising a known place helps.
+    initializing: no pose yet. tracking: pose known. coasting: pose by wheels alone, ever less certain.
+    failing: this frame gave no pose, the next may.
+    lost: so many frames failed in a row, or all sensors were silent so long, that only recognising a known place helps.
     """
 
     INITIALIZING = "initializing"
     TRACKING = "tracking"
+    COASTING = "coasting"
     FAILING = "failing"
     LOST = "lost"
 
