@@ -157,6 +157,31 @@ def test_normals_of_a_plane_are_its_own() -> None:
     np.testing.assert_allclose(found[known], np.broadcast_to(normal, found.shape)[known], atol=2e-3)
 
 
+def test_normals_have_the_slopes_that_least_squares_finds(rng: np.random.Generator) -> None:
+    shape, jump = (10, 150), np.float32(0.03)  # wider than what is fitted at once
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    depth_m = 1.2 + 0.002 * columns - 0.004 * rows + 0.3 * (columns > 60) + rng.normal(0, 0.004, shape)
+    depth_m = np.where(rng.random(shape) < 0.3, 0, depth_m).astype(np.float32)
+    grid, out = np.array([90.0, 91.0, 74.0, 5.0], np.float32), np.full((*shape, 3), np.nan, np.float32)
+    for begin, end in ((0, 4), (4, 10)):
+        _reference_kernels.normals(depth_m, grid, 2, jump, np.full(2, np.inf, np.float32), begin, end, out)
+    assert not out[:2].any()
+    assert not out[:, :2].any()
+    expected = np.zeros((*shape, 3))
+    for r, c in np.argwhere(depth_m[2:-2, 2:-2] > 0) + 2:
+        window = slice(r - 2, r + 3), slice(c - 2, c + 3)
+        known = (depth_m[window] > 0) & (np.abs(depth_m[window] - depth_m[r, c]) < jump * depth_m[r, c])
+        if known.sum() >= 6:
+            places = np.stack([columns[window][known], rows[window][known], np.ones(known.sum())], axis=1)
+            slopes = np.linalg.lstsq(places, 1 / depth_m[window][known].astype(float), rcond=None)[0][:2] * grid[:2]
+            ray = (np.array([c, r]) - grid[2:]) / grid[:2]
+            normal = -np.array([*slopes, 1 / depth_m[r, c] - slopes @ ray])
+            cosine = np.abs(normal @ [*ray, 1]) / np.linalg.norm(normal) / np.hypot(1, np.linalg.norm(ray))
+            expected[r, c] = normal / np.linalg.norm(normal) if cosine > 0.2 else 0
+    assert np.count_nonzero(expected[..., 2]) > 600
+    np.testing.assert_allclose(out, expected, atol=2e-5)
+
+
 def test_normals_do_not_reach_over_an_edge() -> None:
     depth_m = np.full((20, 20), 1.0, np.float32)
     depth_m[:, 10:] = 2.0

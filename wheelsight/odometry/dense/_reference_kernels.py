@@ -13,9 +13,14 @@ from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH
 _COMPILED_IN = 0x567BB853
 
 _NAN = np.float32(np.nan)
-_FEWEST = 6
+_FEWEST = np.float32(6)
 # Squared cosine to the ray below which neighbours are too far apart in depth for a normal.
 _GRAZED = np.float32(0.04)
+# Normals of so many pixels side by side are fitted at once: no branches, and sums that stay close at hand.
+_STRETCH = 128
+# Sums over a window, of u, v beside its middle and d, by how much inverse depth is more than there.
+_S, _SU, _SV, _SUU, _SVV, _SUV, _SD, _SUD, _SVD, _SDD = range(10)
+_SUMS = 10
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -57,49 +62,62 @@ def normals(depth_m: Any, grid: Any, radius: int, jump: Any, bend: Any, begin: i
         bend: (2,) what a surface may be off its plane, RMS: metres, and metres a square metre of depth.
     """
     height, width = depth_m.shape
-    one = np.float32(1)
-    for r in range(begin, end):
-        y = np.float32((r - grid[3]) / grid[1])
-        for c in range(width):
-            out[r, c, 0] = out[r, c, 1] = out[r, c, 2] = np.float32(0)
-            z = depth_m[r, c]
-            if z <= 0 or r < radius or c < radius or r >= height - radius or c >= width - radius:
-                continue
-            a, b, rest = _slopes(depth_m, r, c, radius, jump * z)
-            sigma = bend[0] / (z * z) + bend[1]
-            if not rest <= sigma * sigma:
-                continue
-            x = np.float32((c - grid[2]) / grid[0])
-            nx, ny = grid[0] * a, grid[1] * b
-            nz = one / z - nx * x - ny * y
-            square = nx * nx + ny * ny + nz * nz
-            # n·(x, y, 1) is 1 / z in these units.
-            if one < _GRAZED * square * z * z * (x * x + y * y + one):
-                continue
-            length = np.sqrt(square)
-            out[r, c, 0], out[r, c, 1], out[r, c, 2] = -nx / length, -ny / length, -nz / length
+    out[begin:end] = 0
+    sums, found = np.empty((_SUMS, _STRETCH), np.float32), np.empty((3, _STRETCH), np.float32)
+    for r in range(max(begin, radius), min(end, height - radius)):
+        for first in range(radius, width - radius, _STRETCH):
+            n = min(_STRETCH, width - radius - first)
+            here = depth_m[r, first : first + n]
+            sums[:] = 0
+            for i in range(-radius, radius + 1):
+                for j in range(-radius, radius + 1):
+                    _sum_up(here, depth_m[r + i, first + j : first + j + n], jump, i, j, sums)
+            _solve(here, sums, grid, bend, r, first, found)
+            for c in range(n):
+                for k in range(3):
+                    out[r, first + c, k] = found[k, c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _slopes(depth_m: Any, r: int, c: int, radius: int, limit: Any) -> Any:
-    """Slopes of inverse depth along u and v about a pixel, and what of its variance they leave; NaN for too few."""
-    zero, one = np.float32(0), np.float32(1)
-    z = depth_m[r, c]
-    here = one / z
-    suu = svv = suv = su = sv = s = sud = svd = sd = sdd = zero
-    for i in range(-radius, radius + 1):
-        v = np.float32(i)
-        for j in range(-radius, radius + 1):
-            near, u = depth_m[r + i, c + j], np.float32(j)
-            if near > 0 and abs(near - z) < limit:
-                d = one / near - here
-                suu, svv, suv = suu + u * u, svv + v * v, suv + u * v
-                su, sv, s = su + u, sv + v, s + one
-                sud, svd, sd, sdd = sud + u * d, svd + v * d, sd + d, sdd + d * d
-    suu, svv, suv = suu - su * su / s, svv - sv * sv / s, suv - su * sv / s
-    sud, svd, sdd = sud - su * sd / s, svd - sv * sd / s, sdd - sd * sd / s
-    det = suu * svv - suv * suv
-    if s < _FEWEST or det < one:
-        return zero, zero, _NAN
-    a, b = (svv * sud - suv * svd) / det, (suu * svd - suv * sud) / det
-    return a, b, (sdd - a * sud - b * svd) / s
+def _sum_up(here: Any, there: Any, jump: Any, i: int, j: int, sums: Any) -> None:
+    """Add to the windows' sums what their pixels i rows and j columns from the middle, `there`, tell of its surface."""
+    zero, one, u, v = np.float32(0), np.float32(1), np.float32(j), np.float32(i)
+    for c in range(len(here)):
+        z, near = here[c], there[c]
+        is_like = (near > 0) & (abs(near - z) < jump * z)
+        known = one if is_like else zero
+        d = (z - near) / (z * near) if is_like else zero
+        sums[_S, c] += known
+        sums[_SU, c] += u * known
+        sums[_SV, c] += v * known
+        sums[_SUU, c] += u * u * known
+        sums[_SVV, c] += v * v * known
+        sums[_SUV, c] += u * v * known
+        sums[_SD, c] += d
+        sums[_SUD, c] += u * d
+        sums[_SVD, c] += v * d
+        sums[_SDD, c] += d * d
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _solve(here: Any, sums: Any, grid: Any, bend: Any, r: int, first: int, found: Any) -> None:
+    """Normals (3, n) of the pixels `here`, from column `first` of row r on, by the sums over their windows."""
+    zero, one, y = np.float32(0), np.float32(1), np.float32((r - grid[3]) / grid[1])
+    for c in range(len(here)):
+        z, s, su, sv, sd = here[c], sums[_S, c], sums[_SU, c], sums[_SV, c], sums[_SD, c]
+        suu, svv, suv = sums[_SUU, c] - su * su / s, sums[_SVV, c] - sv * sv / s, sums[_SUV, c] - su * sv / s
+        sud, svd, sdd = sums[_SUD, c] - su * sd / s, sums[_SVD, c] - sv * sd / s, sums[_SDD, c] - sd * sd / s
+        det = suu * svv - suv * suv
+        a, b = (svv * sud - suv * svd) / det, (suu * svd - suv * sud) / det
+        sigma = bend[0] / (z * z) + bend[1]
+        is_flat = (s >= _FEWEST) & (det >= one) & ((sdd - a * sud - b * svd) / s <= sigma * sigma)
+        x = np.float32((first + c - grid[2]) / grid[0])
+        nx, ny = grid[0] * a, grid[1] * b
+        nz = one / z - nx * x - ny * y
+        square = nx * nx + ny * ny + nz * nz
+        # n·(x, y, 1) is 1 / z in these units.
+        is_seen = is_flat & (one >= _GRAZED * square * z * z * (x * x + y * y + one))
+        scale = -one / np.sqrt(square)
+        found[0, c] = scale * nx if is_seen else zero
+        found[1, c] = scale * ny if is_seen else zero
+        found[2, c] = scale * nz if is_seen else zero
