@@ -103,6 +103,23 @@ def test_a_map_without_stable_surfels_has_nothing_to_write(tmp_path):
         mesh_of(surfel_map)
     assert not list(tmp_path.iterdir())
     assert write_ply(surfel_map, tmp_path / "points.ply", stable_only=False) == len(surfel_map)
+    pytest.importorskip("skimage", reason="scikit-image is not installed (extra mesh)")
+    assert len(mesh_of(surfel_map, 0.05, stable_only=False).triangles) > 0
+
+
+def test_an_empty_map_has_nothing_to_write_at_all(tmp_path):
+    with pytest.raises(MapError, match="the map has no surfels"):
+        write_ply(made_map(), tmp_path / "points.ply", stable_only=False)
+
+
+def test_meshing_tells_how_far_it_is(monkeypatch):
+    pytest.importorskip("skimage", reason="scikit-image is not installed (extra mesh)")
+    monkeypatch.setattr(export, "_CHUNK_VOXELS", 16)
+    told: list[tuple[int, int]] = []
+    mesh_of(wall_map(), 0.03, on_chunk=lambda done, total: told.append((done, total)))
+    assert [done for done, _ in told] == sorted({done for done, _ in told})
+    assert len({total for _, total in told}) == 1
+    assert 1 < len(told) <= told[0][1]
 
 
 def test_without_scikit_image_the_fix_is_said(monkeypatch):

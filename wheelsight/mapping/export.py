@@ -18,6 +18,8 @@ from wheelsight.files import atomic_write
 from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array
 from wheelsight.mapping.surfels import SurfelMap, Surfels
 
+_MarchingCubes = Callable[..., tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]]
+
 _REACH_VOXELS = 3
 _CHUNK_VOXELS = 128
 _GREY = 128
@@ -51,9 +53,9 @@ def write_ply(surfel_map: SurfelMap, path: Path, stable_only: bool = True) -> in
         OutputError: the file cannot be written.
     """
     surfels = surfel_map.surfels("stable" if stable_only else "all")
-    _refuse_empty(surfels, path)
+    _refuse_empty(surfels, stable_only)
     table = np.empty(len(surfels.grey), [*_POINT, *_COLOR, ("confidence", "<f4"), ("radius", "<f4")])
-    _fill(table, surfels.position, surfels.normal, _colors_of(surfels))
+    _fill(table, surfels.position, surfels.normal, colors_of(surfels))
     table["confidence"], table["radius"] = surfels.confidence, surfels.radius_m
     with atomic_write(path, "wb") as stream:
         stream.write(_ply_header(table) + b"end_header\n")
@@ -74,20 +76,37 @@ def write_mesh_ply(mesh: Mesh, path: Path) -> None:
         stream.write(faces.tobytes())
 
 
-def mesh_of(surfel_map: SurfelMap, voxel_m: float = 0.02) -> Mesh:
-    """The surface of a map's stable surfels, open where nothing was seen.
+def mesh_of(
+    surfel_map: SurfelMap,
+    voxel_m: float = 0.02,
+    stable_only: bool = True,
+    on_chunk: Callable[[int, int], None] | None = None,
+) -> Mesh:
+    """The surface of a map's stable surfels, or of all, open where nothing was seen.
 
     Chunk by chunk, so that memory depends on a chunk and not on how large the map is. What is finer than two voxels,
     such as both sides of a thin board, is lost.
 
+    Args:
+        surfel_map: what to mesh.
+        voxel_m: how fine, in metres.
+        stable_only: leave out surfels that were not seen often enough to be sure.
+        on_chunk: called after each chunk with how many are done, and of how many, for a progress bar.
+
     Raises:
-        MapError: scikit-image is missing, `voxel_m` is not positive, or there are no stable surfels.
+        MapError: scikit-image is missing, `voxel_m` is not positive, or there are no such surfels.
     """
+    measure = _need_marching_cubes()
     if not voxel_m > 0 or not np.isfinite(voxel_m):
         raise MapError(f"voxel_m is {voxel_m}, not a positive length")
-    surfels = surfel_map.surfels("stable")
-    _refuse_empty(surfels, None)
-    pieces = [piece for chunk in _chunks(surfels, voxel_m) if (piece := _triangles(surfels, *chunk, voxel_m))]
+    surfels = surfel_map.surfels("stable" if stable_only else "all")
+    _refuse_empty(surfels, stable_only)
+    pieces = []
+    for done, total, first, inside in _chunks(surfels, voxel_m):
+        piece = _triangles(surfels, first, inside, voxel_m, measure)
+        pieces += [] if piece is None else [piece]
+        if on_chunk is not None:
+            on_chunk(done, total)
     if not pieces:
         raise MapError(f"surfels too sparse for voxels of {voxel_m} m", fix="use larger ones")
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
@@ -96,18 +115,19 @@ def mesh_of(surfel_map: SurfelMap, voxel_m: float = 0.02) -> Mesh:
     return _dressed(*_welded(vertices, triangles, voxel_m), surfels)
 
 
-def _chunks(surfels: Surfels, voxel_m: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Lowest voxel (3,) of each chunk that holds surfels, and which surfels matter there."""
+def _chunks(surfels: Surfels, voxel_m: float) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
+    """Number, how many in all, lowest voxel (3,) of each chunk that holds surfels, and which surfels matter there."""
     voxel = np.floor(surfels.position / voxel_m).astype(np.int64)
     low, high = (voxel - _REACH_VOXELS) // _CHUNK_VOXELS, (voxel + _REACH_VOXELS + 1) // _CHUNK_VOXELS
-    for chunk in np.unique(np.concatenate([low, high]), axis=0):
+    chunks = np.unique(np.concatenate([low, high]), axis=0)
+    for number, chunk in enumerate(chunks, start=1):
         inside = np.flatnonzero(((low <= chunk) & (chunk <= high)).all(axis=1))
         if len(inside):
-            yield chunk * _CHUNK_VOXELS, inside
+            yield number, len(chunks), chunk * _CHUNK_VOXELS, inside
 
 
 def _triangles(
-    surfels: Surfels, first: np.ndarray, inside: np.ndarray, voxel_m: float
+    surfels: Surfels, first: np.ndarray, inside: np.ndarray, voxel_m: float, measure: _MarchingCubes
 ) -> tuple[FloatArray, np.ndarray] | None:
     """Vertices (v, 3) in the world and triangles (t, 3) of one chunk; None where it has none.
 
@@ -115,7 +135,6 @@ def _triangles(
     """
     from wheelsight.mapping import _mesh_kernels as kernels
 
-    measure = _need_marching_cubes()
     size = (_CHUNK_VOXELS + 1,) * 3
     distance, weight, origin = np.zeros(size), np.zeros(size), first * voxel_m
     chosen = (surfels.position[inside], surfels.normal[inside], surfels.confidence[inside])
@@ -154,10 +173,10 @@ def _dressed(vertices: FloatArray, triangles: Int32Array, surfels: Surfels) -> M
     from scipy.spatial import KDTree
 
     _, nearest = KDTree(surfels.position).query(vertices, workers=-1)
-    return Mesh(vertices.astype(np.float32), surfels.normal[nearest], _colors_of(surfels)[nearest], triangles)
+    return Mesh(vertices.astype(np.float32), surfels.normal[nearest], colors_of(surfels)[nearest], triangles)
 
 
-def _need_marching_cubes() -> Callable[..., tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]]:
+def _need_marching_cubes() -> _MarchingCubes:
     try:
         from skimage.measure import marching_cubes
     except ImportError as error:
@@ -165,13 +184,14 @@ def _need_marching_cubes() -> Callable[..., tuple[FloatArray, np.ndarray, np.nda
     return marching_cubes
 
 
-def _refuse_empty(surfels: Surfels, path: Path | None) -> None:
+def _refuse_empty(surfels: Surfels, stable_only: bool) -> None:
     if len(surfels.grey) == 0:
-        raise MapError("the map has no stable surfels to write", path=path, fix="fuse more frames")
+        which, fix = ("stable surfels", "fuse more frames, or take all surfels") if stable_only else ("surfels", None)
+        raise MapError(f"the map has no {which} to write", fix=fix)
 
 
-def _colors_of(surfels: Surfels) -> ByteArray:
-    """(n, 3): colour; grey where colour is unknown; mid-grey where both are."""
+def colors_of(surfels: Surfels) -> ByteArray:
+    """Red, green, blue (n, 3) of surfels; grey where colour is unknown; mid-grey where both are."""
     grey = np.where(surfels.grey < 0, _GREY, surfels.grey)[:, None]
     color = np.where(surfels.color[:, :1] < 0, grey, surfels.color)
     return np.asarray(np.clip(np.rint(color), 0, 255), np.uint8)

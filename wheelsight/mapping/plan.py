@@ -1,0 +1,109 @@
+"""A map as a plan: seen from straight above and to scale, with the ceiling cut away."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from wheelsight.mapping.export import colors_of
+from wheelsight.mapping.surfels import Surfels
+
+_LONGER_SIDE_PX = 1100
+_FINEST_M = 0.004
+_AIR_M = 0.25
+# Of the surfels, on each side: strays must not make a plan of a room as large as a town's.
+_STRAY_SHARE = 0.0005
+_CEILING = -0.3
+_LARGEST_PX = 4
+# What stands upright is drawn darker by so much, which makes walls lines.
+_SHADE = 0.55
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A map seen from above.
+
+    Attributes:
+        image: (h, w, 3) uint8 red, green, blue; white where nothing is known.
+        is_known: (h, w).
+        m_per_px: how wide a pixel is.
+        R_plan_world: (3, 3): x to the right of the page, y up the page, z towards the reader.
+        corner_m: (2,) x and y in the plan of the middle of the image's first pixel.
+    """
+
+    image: ByteArray
+    is_known: BoolArray
+    m_per_px: float
+    R_plan_world: FloatArray
+    corner_m: FloatArray
+
+    def project(self, p_world: FloatArray) -> FloatArray:
+        """Pixels (n, 2), u to the right and v down, of points (n, 3) in the world."""
+        p_plan = p_world @ self.R_plan_world.T
+        return np.stack([p_plan[:, 0] - self.corner_m[0], self.corner_m[1] - p_plan[:, 1]], axis=-1) / self.m_per_px
+
+
+def plan_of(surfels: Surfels, up: FloatArray, below_m: float, shown: FloatArray, right: FloatArray) -> Plan | None:
+    """The plan of a map; None without surfels.
+
+    Args:
+        surfels: of the map.
+        up: (3,) of length 1, in the world.
+        below_m: height along `up` above which nothing is drawn. Ceilings, which face down, never are.
+        shown: (n, 3) points in the world that the plan must hold too: a path.
+        right: (3,) what points to the right on the page, as far as it is level.
+    """
+    position, normal = surfels.position.astype(float), surfels.normal.astype(float)
+    kept = (normal @ up > _CEILING) & (position @ up < below_m)
+    if not kept.any():
+        return None
+    R_plan_world = _levelled(up, right)
+    p_plan = position[kept] @ R_plan_world.T
+    low, high = _extent(p_plan[:, :2], shown @ R_plan_world.T)
+    m_per_px = max(float((high - low).max()) / _LONGER_SIDE_PX, _FINEST_M)
+    width, height = (int(n) for n in np.ceil((high - low) / m_per_px).astype(int) + 1)
+    plan = Plan(*_blank(height, width), m_per_px, R_plan_world, np.array([low[0], high[1]]))
+    facing = np.clip(normal[kept] @ up, 0, 1)[:, None]
+    shade = colors_of(surfels)[kept] * (1 - _SHADE + _SHADE * facing)
+    px = np.rint(plan.project(position[kept])).astype(np.int64)
+    reach_px = np.clip(np.rint(surfels.radius_m[kept] / m_per_px), 1, _LARGEST_PX).astype(np.int64)
+    highest = _highest(px, reach_px, p_plan[:, 2], (height, width))
+    plan.is_known[:] = highest >= 0
+    plan.image[plan.is_known] = np.rint(shade[highest[plan.is_known]])
+    return plan
+
+
+def _blank(height: int, width: int) -> tuple[ByteArray, BoolArray]:
+    return np.full((height, width, 3), 255, np.uint8), np.zeros((height, width), bool)
+
+
+def _levelled(up: FloatArray, right: FloatArray) -> FloatArray:
+    """R_plan_world (3, 3)."""
+    level = right - (right @ up) * up
+    if np.linalg.norm(level) < 1e-3 * np.linalg.norm(right):
+        level = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    level /= np.linalg.norm(level)
+    return np.stack([level, np.cross(up, level), up])
+
+
+def _extent(xy_m: FloatArray, shown_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    low, high = np.quantile(xy_m, [_STRAY_SHARE, 1 - _STRAY_SHARE], axis=0)
+    if len(shown_m):
+        low, high = np.minimum(low, shown_m[:, :2].min(axis=0)), np.maximum(high, shown_m[:, :2].max(axis=0))
+    return low - _AIR_M, high + _AIR_M
+
+
+def _highest(px: IntArray, reach_px: IntArray, height_m: FloatArray, shape: tuple[int, int]) -> IntArray:
+    """(h, w) which surfel is the highest at a pixel, -1 where there is none; each is a disk of `reach_px` (n,)."""
+    order = np.argsort(height_m, kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    top = np.full(shape[0] * shape[1], -1, np.int64)
+    for dv, du in np.ndindex(2 * _LARGEST_PX - 1, 2 * _LARGEST_PX - 1):
+        v, u = px[:, 1] + dv - _LARGEST_PX + 1, px[:, 0] + du - _LARGEST_PX + 1
+        near = (dv - _LARGEST_PX + 1) ** 2 + (du - _LARGEST_PX + 1) ** 2 < reach_px**2
+        near &= (v >= 0) & (v < shape[0]) & (u >= 0) & (u < shape[1])
+        np.maximum.at(top, v[near] * shape[1] + u[near], rank[near])
+    return np.where(top < 0, -1, order[top]).reshape(shape)
