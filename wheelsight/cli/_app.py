@@ -8,7 +8,7 @@ import typer
 import typer.core
 
 from wheelsight import __version__
-from wheelsight.cli import calibrate, evaluate, info, places, record, run, simulate, wheels
+from wheelsight.cli import calibrate, evaluate, export, info, places, record, run, simulate, wheels
 from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error
 from wheelsight.errors import WheelsightError
 
@@ -43,6 +43,7 @@ app = typer.Typer(
 app.command("info")(info.info)
 app.command("run")(run.run)
 app.command("evaluate")(evaluate.evaluate)
+app.command("export")(export.export)
 app.command("record")(record.record)
 app.command("simulate")(simulate.simulate)
 app.add_typer(calibrate.app, name="calibrate")

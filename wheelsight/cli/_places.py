@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wheelsight.cli._places_inputs import check_out, open_listed, show_progress, source_of
+from wheelsight.cli._outputs import check_out
+from wheelsight.cli._places_inputs import open_listed, show_progress, source_of
 
 
 def label(

@@ -12,18 +12,6 @@ if TYPE_CHECKING:
     from wheelsight.recordings import Recording
 
 
-def check_out(out: Path, force: bool) -> None:
-    """Raises OutputError, before any work, where `out` cannot or must not be written."""
-    from wheelsight.errors import OutputError
-    from wheelsight.files import make_output_folder
-
-    if out.is_dir():
-        raise OutputError("is a folder, not a file", path=out, fix="choose another --out")
-    if out.exists() and not force:
-        raise OutputError("is there already", path=out, fix="choose another --out, or add --force to overwrite")
-    make_output_folder(out.parent, force=True)
-
-
 def open_listed(folder: Path) -> Recording:
     """A recording, its warnings told on stderr."""
     from wheelsight.cli._console import print_warning

@@ -16,6 +16,15 @@ Odometry = Annotated[
         show_default="features",
     ),
 ]
+Map = Annotated[
+    str | None,
+    typer.Option(
+        "--map",
+        metavar="NAME",
+        help="What dense odometry builds and tracks against: surfels.",
+        show_default="keyframes alone",
+    ),
+]
 SettingsFile = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Settings in YAML; options given here win over it.", show_default=False),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +23,7 @@ def run(
     recording: RecordingPath,
     out: options.Out,
     odometry: options.Odometry = None,
+    map_: options.Map = None,
     camera: Camera = None,
     calibration: CalibrationFile = None,
     config: options.SettingsFile = None,
@@ -46,6 +46,7 @@ def run(
     DIR gets trajectory.txt (TUM), status.csv, metrics.json, the resolved config.yaml and report.html.
     With several odometries each has a folder of its name, and report.html and metrics.json join them; so have, with
     --places, the wheels alone and the wheels that areas have rectified.
+    With --map surfels also map.surfels, of which wheelsight export makes points or a mesh.
 
     Ctrl-C stops early and keeps what was found until then.
 
@@ -59,6 +60,8 @@ def run(
 
     wheelsight run my_recording --odometry wheels,features --out results
 
+    wheelsight run my_recording --odometry dense --map surfels --out results
+
     wheelsight run my_recording --odometry wheels --places floor.places --out results
     """
     of_recording = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
@@ -66,7 +69,7 @@ def run(
     of_wheels = {"--integration": integration, "--gyro": gyro}
     of_places = {"--places": places, "--areas": areas, "--rectify": rectify, "--start": start}
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}
-    given = {"--odometry": odometry, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
+    given = {"--odometry": odometry, "--map": map_, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     settings = settings_from(given, config)
     print_summary(_track(recording, settings, out, force), out)
 
@@ -75,19 +78,17 @@ def _track(folder: Path, settings: Config, out: Path, force: bool) -> Sequence[R
     from wheelsight import pipeline
     from wheelsight.cli._console import print_note
     from wheelsight.cli._progress import FrameProgress
+    from wheelsight.cli._run_status import RunStatus
     from wheelsight.recordings import open_recording
 
     source = open_recording(folder, settings.recording.open_options())
-    at_first = "" if _kernels_are_compiled() else "compiling kernels, once after installation"
-    statuses: dict[str, str] = {}
+    status = RunStatus(settings)
 
     def show(answers: Mapping[str, FrameRecord]) -> None:
-        statuses.update({odometry: str(answer.status) for odometry, answer in answers.items()})
-        several = len(settings.tracks) > 1
-        progress.advance(", ".join(f"{of} {now}" if several else now for of, now in statuses.items()))
+        progress.advance(status.after(answers))
 
     try:
-        with FrameProgress("tracking", *_expected(source, settings, at_first)) as progress:
+        with FrameProgress("tracking", *_expected(source, settings, status.text)) as progress:
             return pipeline.run_each(source, settings, out, force=force, on_event=show)
     except KeyboardInterrupt as interruption:
         print_note(f"interrupted; what was found until then is in {out}")
@@ -101,11 +102,3 @@ def _expected(source: Recording, settings: Config, at_first: str) -> tuple[int, 
     if "wheels" not in settings.tracks:
         return source.frame_count, at_first, "frames"
     return source.wheel_count + source.frame_count, at_first, "events"
-
-
-def _kernels_are_compiled() -> bool:
-    """Whether odometry's compiled kernels are in numba's cache, beside their sources or where NUMBA_CACHE_DIR says."""
-    from wheelsight import odometry
-
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(odometry.__file__).parent)
-    return any(folder.rglob("*kernels*.nbi"))

@@ -10,6 +10,7 @@ from wheelsight.events import Event
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_places import ByPlaces, Places, load_places
 from wheelsight.localizer.by_wheels import ByWheels
+from wheelsight.mapping import FusedFrame, SurfelMap
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.odometry.wheels import WheelOdometry
@@ -24,6 +25,7 @@ class Localizer:
     With `odometry: features` or `dense` frames are answered; the body is the robot's base where the calibration knows
     `T_base_camera`, else the camera; the world is where the body was at the first tracked frame. With `odometry:
     wheels` the wheel readings are answered; the body is the base, its frame `odom`, which begins at the first reading.
+    With `map: surfels` dense odometry builds a map on the way and tracks against it.
     With `places` beside wheels, both are answered: wheels lead from frame to frame, each frame corrects them by the
     area it shows; the world is that of the areas.
 
@@ -73,6 +75,18 @@ class Localizer:
     def last_place(self) -> PlaceMatch | None:
         """What places said of the last frame, where they were asked."""
         return self._way.last_place if isinstance(self._way, ByPlaces) else None
+
+    @property
+    def map(self) -> SurfelMap | None:
+        """What was built on the way, in the world of the poses; None where the configuration asks for no map."""
+        mapper = self._way.mapper if isinstance(self._way, ByFrames) else None
+        return None if mapper is None else mapper.map
+
+    @property
+    def last_fused(self) -> FusedFrame | None:
+        """What the last frame did to the map; None where it did not get there."""
+        mapper = self._way.mapper if isinstance(self._way, ByFrames) else None
+        return None if mapper is None else mapper.last_fused
 
     @property
     def stage_seconds(self) -> dict[str, float]:

@@ -13,7 +13,7 @@ from wheelsight import __version__
 from wheelsight.estimates import Status
 from wheelsight.pipeline.track import Passage
 from wheelsight.recordings import Recording
-from wheelsight.report import RectificationRecord, RunRecord
+from wheelsight.report import MapRecord, RectificationRecord, RunRecord
 
 
 def metrics_of(record: RunRecord, passage: Passage, recording: Recording) -> dict[str, Any]:
@@ -61,6 +61,7 @@ def _of_odometry(record: RunRecord, passage: Passage, recording: Recording) -> d
         "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
         "evaluation": None if record.evaluation is None else record.evaluation.to_dict(),
         "evaluation_problem": record.evaluation_problem,
+        **({} if record.map is None else {"map": _map(record.map)}),
         **({} if record.rectification is None else {"rectification": _rectification(record.rectification)}),
     }
 
@@ -83,6 +84,12 @@ def _rectification(found: RectificationRecord) -> dict[str, Any]:
         else {"wheels": asdict(errors.wheels), "rectified": asdict(errors.rectified)},
         "share_of_mean_error_left": None if errors is None else _finite(errors.left),
     }
+
+
+def _map(found: MapRecord) -> dict[str, Any]:
+    """How the map stands at the end."""
+    status = asdict(found.status)
+    return {"file": found.file, "frames_fused": found.fused, **status}
 
 
 def _finite(value: float) -> float | None:

@@ -13,6 +13,8 @@ import numpy as np
 
 from wheelsight.config import Config, TrackName, save_config
 from wheelsight.files import make_output_folder, output_error, write_text
+from wheelsight.mapping import save_map
+from wheelsight.pipeline.maps import MAP_FILE
 from wheelsight.pipeline.metrics import joint_metrics, metrics_of
 from wheelsight.pipeline.places import looks_csv
 from wheelsight.pipeline.track import Passage
@@ -20,7 +22,7 @@ from wheelsight.recordings import Recording
 from wheelsight.report import RunRecord, write_comparison, write_report
 from wheelsight.trajectory import write_tum
 
-_OF_ONE = ("trajectory.txt", "status.csv", "metrics.json", "areas.csv")
+_OF_ONE = ("trajectory.txt", "status.csv", "metrics.json", "areas.csv", MAP_FILE)
 
 
 def write_results(
@@ -61,7 +63,20 @@ def _write_one(record: RunRecord, passage: Passage, recording: Recording, folder
     write_text(folder / "status.csv", _status_csv(record))
     if record.rectification is not None:
         write_text(folder / "areas.csv", looks_csv(record.rectification))
+    _write_map(record, passage, folder / MAP_FILE)
     _write_json(metrics_of(record, passage, recording), folder / "metrics.json")
+
+
+def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:
+    """The map of a run that has one; what an earlier run left in its place goes."""
+    (surfel_map,) = (track.localizer.map for track in passage.tracks if track.odometry == record.odometry)
+    if record.map is not None and surfel_map is not None:
+        save_map(surfel_map, path)
+        return
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise output_error(error, path) from error
 
 
 def _write_json(figures: dict[str, Any], path: Path) -> None:

@@ -10,10 +10,11 @@ import numpy as np
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate, pairing_warning
+from wheelsight.pipeline.maps import map_record_of
 from wheelsight.pipeline.places import PlacesOfRun, rectification_of
 from wheelsight.pipeline.track import UNITS, Passage, Track
 from wheelsight.recordings import Recording, express_for
-from wheelsight.report import RunRecord
+from wheelsight.report import MapRecord, RunRecord
 from wheelsight.trajectory import Trajectory
 
 
@@ -47,6 +48,7 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
     few = None
     if truth is not None and evaluation is not None:
         few = pairing_warning(estimate, truth, evaluation.pairs, evaluation.max_gap_s)
+    surfels = _map(track, passage, estimate, recording)
     return RunRecord(
         recording=recording.name,
         format=recording.format,
@@ -55,7 +57,12 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
         ground_truth=truth,
         evaluation=evaluation,
         association=recording.association,
-        warnings=(*recording.warnings, *_interruption(track, passage), *filter(None, [few])),
+        warnings=(
+            *recording.warnings,
+            *_interruption(track, passage),
+            *filter(None, [few]),
+            *_map_warnings(track, passage, config),
+        ),
         evaluation_problem=problem,
         pictures=tuple(track.photographer.pictures),
         stage_seconds={stage: float(np.median(spent)) for stage, spent in track.stage_seconds.items()},
@@ -63,6 +70,29 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
         peak_memory_mb=_peak_memory_mb(),
         unit=UNITS[track.odometry],
         odometry=track.odometry,
+        map=surfels,
+    )
+
+
+def _map(track: Track, passage: Passage, estimate: Trajectory, recording: Recording) -> MapRecord | None:
+    if track.localizer.map is None or passage.is_torn:
+        return None
+    way = (track.stops.found, estimate.T_world_body)
+    return map_record_of(track.localizer.map, track.fused, *way, recording.calibration)
+
+
+def _map_warnings(track: Track, passage: Passage, config: Config) -> tuple[str, ...]:
+    """That the map is not all of what was seen, or that there is none."""
+    surfel_map = track.localizer.map
+    if surfel_map is None:
+        return ()
+    if passage.is_torn:
+        return ("The map was not kept: it was broken off in the middle of a frame.",)
+    if not surfel_map.dropped:
+        return ()
+    return (
+        f"The map had no room for all that was seen: {surfel_map.dropped:,} surfels were given up, the least useful "
+        f"first. surfels.max_surfels is {config.surfels.max_surfels:,}.",
     )
 
 

@@ -12,8 +12,11 @@ from wheelsight.errors import WheelsightError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.fusion import RectifiedEstimate
-from wheelsight.geometry import ByteArray
+from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.localizer import Localizer, Places
+from wheelsight.mapping import SurfelMap
+from wheelsight.pipeline.interrupts import whole_step
+from wheelsight.pipeline.maps import Stops
 from wheelsight.recordings import Recording
 from wheelsight.report import FrameRecord, Look, MatchPicture
 
@@ -59,20 +62,26 @@ class Track:
         listed: how many frames or readings of the recording it is to answer.
         localizer: what answers.
         photographer: what takes pictures.
+        T_base_camera: (4, 4), or None where the body that is followed is the camera.
         frames: a record of each answer to what the track's unit is.
         poses: the answers that have a pose of their own.
         stage_seconds: how long each stage of each frame took.
         looks: what each frame said of the area, where places were asked.
+        stops: where to look at the map from, where one is built.
+        fused: how many frames went into it.
     """
 
     odometry: TrackName
     listed: int
     localizer: Localizer
     photographer: Photographer
+    T_base_camera: FloatArray | None = None
     frames: list[FrameRecord] = field(default_factory=list)
     poses: list[Estimate] = field(default_factory=list)
     stage_seconds: dict[str, list[float]] = field(default_factory=dict)
     looks: list[Look] = field(default_factory=list)
+    stops: Stops = field(default_factory=lambda: Stops([]))
+    fused: int = 0
 
     @classmethod
     def begin(cls, odometry: TrackName, recording: Recording, config: Config, places: Places | None) -> Track:
@@ -80,7 +89,8 @@ class Track:
         listed = recording.wheel_count if UNITS[odometry] == "reading" else recording.frame_count
         photographer = Photographer(config.report.pictures, recording.frame_count)
         localizer = Localizer(recording.calibration, config.alone(odometry), places)
-        return cls(odometry, listed, localizer, photographer)
+        stops = Stops.spread(config.report.pictures if localizer.map is not None else 0, recording.frame_count)
+        return cls(odometry, listed, localizer, photographer, recording.calibration.T_base_camera, stops=stops)
 
     @property
     def needs_images(self) -> bool:
@@ -99,17 +109,30 @@ class Track:
             self.poses.append(estimate)
         if isinstance(event, RgbdFrame) and not localizer.note:
             self.photographer.look(event, estimate, localizer.last_matches)
-            for stage, spent in localizer.stage_seconds.items():
-                self.stage_seconds.setdefault(stage, []).append(spent)
+            self.stops.look(event, estimate, self.T_base_camera)
+            self._add_stages(localizer.stage_seconds)
+        self.fused += localizer.last_fused is not None
         outcome = (estimate.status, estimate.reason, estimate.matches, estimate.inliers)
         index = event.index if isinstance(event, RgbdFrame | SkippedFrame) else len(self.frames)
-        answer = FrameRecord(index, estimate.stamp_s, *outcome, seconds, localizer.note)
+        answer = FrameRecord(index, estimate.stamp_s, *outcome, seconds, localizer.note, *_size(localizer.map))
         is_frame = isinstance(event, RgbdFrame | SkippedFrame)
         if is_frame or UNITS[self.odometry] == "reading":
             self.frames.append(answer)
         if is_frame and self.odometry == "rectified":
             self.looks.append(_look(localizer, estimate))
         return answer
+
+    def _add_stages(self, seconds: Mapping[str, float]) -> None:
+        if seconds.keys() > self.stage_seconds.keys():
+            # The first frame skips stages: their order is that of a frame which has them all.
+            self.stage_seconds = {stage: self.stage_seconds.get(stage, []) for stage in seconds}
+        for stage, spent in seconds.items():
+            self.stage_seconds.setdefault(stage, []).append(spent)
+
+
+def _size(surfel_map: SurfelMap | None) -> tuple[int | None, int]:
+    """How many surfels it has, and how many it has given up."""
+    return (None, 0) if surfel_map is None else (len(surfel_map), surfel_map.dropped)
 
 
 def _look(localizer: Localizer, estimate: Estimate) -> Look:
@@ -125,11 +148,19 @@ def _look(localizer: Localizer, estimate: Estimate) -> Look:
 
 @dataclass
 class Passage:
-    """One pass over a recording: every odometry's track, how long it took in all, and what broke it off."""
+    """One pass over a recording.
+
+    Attributes:
+        tracks: every odometry's.
+        elapsed_s: how long it took in all.
+        interruption: what broke it off.
+        is_torn: whether that came in the middle of a step, so that what was being built is not to be trusted.
+    """
 
     tracks: tuple[Track, ...]
     elapsed_s: float = 0.0
     interruption: BaseException | None = None
+    is_torn: bool = False
 
 
 def follow(
@@ -144,7 +175,10 @@ def follow(
     events = recording.events(images=any(track.needs_images for track in passage.tracks))
     try:
         for event in events:
-            given = ((track.odometry, track.step(event)) for track in passage.tracks)
+            with whole_step():
+                passage.is_torn = True
+                given = [(track.odometry, track.step(event)) for track in passage.tracks]
+                passage.is_torn = False
             answers: dict[str, FrameRecord] = {odometry: answer for odometry, answer in given if answer is not None}
             if answers and on_event is not None:
                 on_event(answers)

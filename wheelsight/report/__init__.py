@@ -13,6 +13,8 @@ from wheelsight.report.figures import (
     time_histogram_figure,
     trajectory_figure,
 )
+from wheelsight.report.map_figures import plan_figure
+from wheelsight.report.map_record import MapPicture, MapRecord
 from wheelsight.report.overlay import Overlay, overlay_of
 from wheelsight.report.page import write_report
 from wheelsight.report.pictures import draw_matches
@@ -25,6 +27,8 @@ __all__ = [
     "ERROR_HEAD",
     "FrameRecord",
     "Look",
+    "MapPicture",
+    "MapRecord",
     "MatchPicture",
     "Overlay",
     "RectificationRecord",
@@ -43,6 +47,7 @@ __all__ = [
     "matches_figure",
     "overlay_figure",
     "overlay_of",
+    "plan_figure",
     "stage_figure",
     "status_figure",
     "summarise",

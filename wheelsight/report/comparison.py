@@ -9,6 +9,7 @@ from pathlib import Path
 from wheelsight._version import __version__
 from wheelsight.files import write_text
 from wheelsight.report import _html as html
+from wheelsight.report import _map as surfels
 from wheelsight.report import _rectification as rectification
 from wheelsight.report import _sections as sections
 from wheelsight.report import _words as words
@@ -142,6 +143,7 @@ def _tiles(judged: Sequence[Judged]) -> Iterable[tuple[str, str, str]]:
         yield f"With a pose, {record.odometry}", words.percent(summary.pose_share), posed
     for record, summary, _ in judged:
         yield f"Time a {summary.unit}, {record.odometry}", words.duration(summary.median_s), "median"
+    yield from (surfels.tile(record.map) for record, _, _ in judged if record.map is not None)
     yield "Duration", words.duration(max(summary.duration_s for _, summary, _ in judged)), "one pass for all"
     memory_mb = max((r.peak_memory_mb for r, _, _ in judged if r.peak_memory_mb is not None), default=None)
     if memory_mb is not None:
@@ -174,6 +176,7 @@ def _sections(judged: Sequence[Judged], paths: Overlay) -> Iterable[str]:
         if record.unit == "frame" and record.rectification is None:
             yield sections.tracking(record, summary, of)
         yield sections.timing(record, summary, of)
+        yield surfels.section(record, of)
         yield sections.pictures(record, of)
     yield settings(records[0])
 

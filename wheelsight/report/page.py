@@ -14,6 +14,7 @@ from plotly.offline import get_plotlyjs
 from wheelsight._version import __version__
 from wheelsight.files import write_text
 from wheelsight.report import _html as html
+from wheelsight.report import _map as surfels
 from wheelsight.report import _sections as sections
 from wheelsight.report import _words as words
 from wheelsight.report.record import RunRecord
@@ -87,6 +88,7 @@ def _tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
         (f"Median time a {unit}", words.duration(summary.median_s), rate if summary.median_s > 0 else ""),
         ("Distance travelled", words.length(summary.length_m), "of the estimate"),
         ("Duration", words.duration(summary.duration_s), words.count(summary.frames, unit)),
+        *([] if record.map is None else [surfels.tile(record.map)]),
         *([("Peak memory", f"{record.peak_memory_mb:,.0f} MB", "")] if record.peak_memory_mb is not None else []),
     ]
 
@@ -116,6 +118,7 @@ def _notes(record: RunRecord, summary: Summary) -> str:
 def _sections(record: RunRecord, summary: Summary) -> list[str]:
     return [
         sections.path(record, summary),
+        surfels.section(record),
         sections.errors(record),
         sections.certainty(record),
         sections.tracking(record, summary),

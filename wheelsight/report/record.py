@@ -10,13 +10,17 @@ from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import Evaluation
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray
 from wheelsight.recordings import AssociationReport
+from wheelsight.report.map_record import MapRecord
 from wheelsight.report.rectification import RectificationRecord
 from wheelsight.trajectory import Trajectory
 
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """One frame or wheel reading of a run: what was answered, and how long it took (image decoding not included)."""
+    """One frame or wheel reading of a run: what was answered, and how long it took (image decoding not included).
+
+    Of a run that builds a map also how many surfels it had then, and how many it had given up for want of room.
+    """
 
     index: int
     stamp_s: float
@@ -26,6 +30,8 @@ class FrameRecord:
     inliers: int
     seconds: float
     note: str = ""
+    surfels: int | None = None
+    surfels_dropped: int = 0
 
     @property
     def is_skipped(self) -> bool:
@@ -78,6 +84,7 @@ class RunRecord:
         odometry: its name, or "rectified" of wheels that areas correct: then `frames` are of frames alone, while the
             trajectory has a pose at each wheel reading too.
         rectification: what areas did to the wheels, or None.
+        map: what was built on the way, or None.
     """
 
     recording: str
@@ -97,6 +104,7 @@ class RunRecord:
     unit: Literal["frame", "reading"] = "frame"
     odometry: str = "features"
     rectification: RectificationRecord | None = None
+    map: MapRecord | None = None
 
     @property
     def is_planar(self) -> bool:

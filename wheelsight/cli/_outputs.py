@@ -1,0 +1,17 @@
+"""Places for outputs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def check_out(out: Path, force: bool) -> None:
+    """Raises OutputError, before any work, where `out` cannot or must not be written."""
+    from wheelsight.errors import OutputError
+    from wheelsight.files import make_output_folder
+
+    if out.is_dir():
+        raise OutputError("is a folder, not a file", path=out, fix="choose another --out")
+    if out.exists() and not force:
+        raise OutputError("is there already", path=out, fix="choose another --out, or add --force to overwrite")
+    make_output_folder(out.parent, force=True)
