@@ -184,6 +184,7 @@ def follow(
                 on_event(answers)
     except (KeyboardInterrupt, WheelsightError) as interruption:
         passage.interruption = interruption
+        passage.is_torn &= isinstance(interruption, KeyboardInterrupt)  # errors are told before anything is changed
     finally:
         if isinstance(events, Generator):
             events.close()  # stops the reader's thread

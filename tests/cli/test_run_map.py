@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from synthetic import make_tum_recording
+from typer.testing import Result
+
+from wheelsight.cli import _run_status
+from wheelsight.cli._run_status import COMPILING, RunStatus, count, kernels_are_compiled
+from wheelsight.config import load_config
+from wheelsight.estimates import Status
+from wheelsight.report import FrameRecord
+
+Command = Callable[..., Result]
+MAPPED = ("--odometry", "dense", "--map", "surfels")
+
+
+def answer(status: Status = Status.TRACKING, surfels: int | None = None, dropped: int = 0) -> FrameRecord:
+    return FrameRecord(0, 1.0, status, None, 100, 90, 0.01, surfels=surfels, surfels_dropped=dropped)
+
+
+@pytest.fixture
+def status(monkeypatch: pytest.MonkeyPatch) -> Callable[..., RunStatus]:
+    def made(odometry: str, is_compiled: bool = True) -> RunStatus:
+        monkeypatch.setattr(_run_status, "kernels_are_compiled", lambda parts: is_compiled)
+        return RunStatus(load_config(overrides={"odometry": odometry}))
+
+    return made
+
+
+def test_a_terminal_sees_the_map_grow(wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "140")
+    make_tum_recording(tmp_path / "room", frames=4)
+    result = wheelsight("run", tmp_path / "room", *MAPPED, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    surfels = json.loads((tmp_path / "out" / "metrics.json").read_text())["map"]["surfels"]
+    assert f"tracking · {count(surfels)} surfels" in result.stderr
+    assert "frames/s" in result.stderr
+    assert (tmp_path / "out" / "map.surfels").is_file()
+
+
+def test_a_map_needs_dense_odometry(refusal: Callable[..., str], room: Path, tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "out")
+    assert refusal("run", room, "--map", "surfels", *out) == "--map is built by dense odometry (add --odometry dense)"
+    assert refusal("run", room, "--odometry", "dense", "--map", "voxels", *out) == (
+        "--map is 'voxels' (known: 'surfels')"
+    )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("n", "text"), [(0, "0"), (950, "950"), (411_600, "412k"), (999_600, "1.00M"), (2_345_678, "2.35M")]
+)
+def test_counts_are_short(n: int, text: str) -> None:
+    assert count(n) == text
+
+
+def test_status_and_size_are_told_and_what_was_given_up(status: Callable[..., RunStatus]) -> None:
+    told = status("dense")
+    assert told.text == ""
+    assert told.after({"dense": answer(surfels=411_600)}) == "tracking · 412k surfels"
+    full = told.after({"dense": answer(Status.FAILING, 3_000_000, 12_300)})
+    assert full == "failing · 3.00M surfels, 12k given up for want of room"
+
+
+def test_of_several_each_is_told_by_its_name(status: Callable[..., RunStatus]) -> None:
+    told = status("wheels,dense")
+    told.after({"wheels": answer()})
+    assert told.after({"dense": answer(surfels=900)}) == "wheels tracking, dense tracking · 900 surfels"
+
+
+def test_compilation_is_told_until_the_second_frame(status: Callable[..., RunStatus]) -> None:
+    told = status("wheels,dense", is_compiled=False)
+    assert told.text == COMPILING
+    assert told.after({"wheels": answer()}) == COMPILING
+    assert told.after({"dense": answer()}) == COMPILING
+    assert told.after({"dense": answer()}) == "wheels tracking, dense tracking"
+
+
+def test_whether_kernels_are_compiled_is_asked_of_numba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from wheelsight.mapping import _fusion_kernels, _view_kernels
+
+    class _Stats:
+        cache_path = str(tmp_path)
+
+    for module in (_fusion_kernels, _view_kernels):
+        for kernel in vars(module).values():
+            if hasattr(kernel, "py_func"):
+                monkeypatch.setattr(type(kernel), "stats", _Stats())
+    assert not kernels_are_compiled(("surfels",))
+    (tmp_path / "_fusion_kernels.fuse-1.py311.nbi").write_bytes(b"")
+    assert not kernels_are_compiled(("surfels",))
+    (tmp_path / "_view_kernels.blend-1.py311.nbi").write_bytes(b"")
+    assert kernels_are_compiled(("surfels",))
+    assert kernels_are_compiled(("wheels",))
+    assert not kernels_are_compiled(("dense", "surfels"))
