@@ -1,0 +1,242 @@
+"""`python -m benchmarks.bad_input`: what trackers make of a camera that fails, and of views that are hard to track."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console
+from scipy.stats import chi2
+
+from benchmarks.bad_drives import DRIVES, BadDrive, Case
+from benchmarks.table import Sheet
+from benchmarks.targets import Target
+from wheelsight.calibration import Calibration
+from wheelsight.estimates import Estimate, Status
+from wheelsight.events import Event, RgbdFrame
+from wheelsight.geometry import BoolArray, FloatArray, se3, so3
+from wheelsight.recordings import express_for
+from wheelsight.simulation.camera_faults import events_with
+from wheelsight.trajectory import Trajectory
+
+MAPPER = "surfels"
+WRONG_M, WRONG_RAD = 0.10, np.deg2rad(5.0)
+# The square of a distance in standard deviations that three dimensions exceed as rarely as one exceeds 3 σ.
+_THREE_SIGMA = float(chi2.ppf(chi2.cdf(9.0, 1), 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What a tracker said to one frame, and whether a map learned from that frame."""
+
+    estimate: Estimate
+    was_fused: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class BadInputFigures:
+    """How one tracker fared in one case.
+
+    Attributes:
+        case, tracker: names.
+        frames: that it was given; with_pose: that got one.
+        rmse_m, worst_m: distance from the truth of poses given, laid upon it at the first; nan without any.
+        statuses: how many frames of the fault's time got which status, by its name.
+        wrong: frames further than 10 cm or 5° off what has happened since the fault began, or since the last good
+            frame before it; all of them were called tracking.
+        back_s: from the fault's end to the next pose, seconds; None where there is none or the fault never ends.
+        fused_wrong: frames that a map learned from at a wrong pose.
+        fused_failed: frames that a map learned from though tracking had failed.
+        within: share of the poses that lie within three of their standard deviations, position alone.
+    """
+
+    case: str
+    tracker: str
+    frames: int
+    with_pose: int
+    rmse_m: float
+    worst_m: float
+    statuses: tuple[tuple[str, int], ...]
+    wrong: int
+    back_s: float | None
+    fused_wrong: int
+    fused_failed: int
+    within: float
+
+
+def trackers() -> dict[str, Callable[[Calibration], Callable[[RgbdFrame], Answer]]]:
+    """Each by its name: given a calibration, what answers frames."""
+    return {"features": _features, "dense": _dense, MAPPER: _surfels}
+
+
+def measure_bad_input(
+    drives: Sequence[BadDrive] = DRIVES, on_figures: Callable[[BadInputFigures], None] | None = None
+) -> list[BadInputFigures]:
+    """Every tracker in every case; each drive is rendered once and held in memory, about 250 MB.
+
+    Takes some minutes; `on_figures` is told each result as it comes.
+    """
+    figures = []
+    for drive in drives:
+        for found in _measure_drive(drive):
+            figures.append(found)
+            if on_figures is not None:
+                on_figures(found)
+    return figures
+
+
+def _measure_drive(drive: BadDrive) -> Iterator[BadInputFigures]:
+    recording = drive.record()
+    events, calibration = list(recording.events()), recording.calibration
+    truth = express_for("camera", recording.ground_truth, recording.true_calibration)
+    for case in drive.cases(recording):
+        for name, start in trackers().items():
+            yield measure_case(case, name, start(calibration), events, truth)
+
+
+def measure_case(
+    case: Case, tracker: str, track: Callable[[RgbdFrame], Answer], events: Sequence[Event], truth: Trajectory
+) -> BadInputFigures:
+    """One tracker over a drive's events as the case spoils them; truth is T_world_camera."""
+    frames = (event for event in events_with(case.faults, events) if isinstance(event, RgbdFrame))
+    answers = [track(frame) for frame in frames]
+    posed = [answer for answer in answers if answer.estimate.T_world_body is not None]
+    stamps_s = np.array([answer.estimate.stamp_s for answer in posed])
+    T = np.array([answer.estimate.T_world_body for answer in posed]).reshape(-1, 4, 4)
+    T_true = truth.at(stamps_s)
+    covariances = np.array([answer.estimate.covariance for answer in posed]).reshape(-1, 6, 6)
+    wrong = _wrong(T, T_true, stamps_s, case.begin_s)
+    off_m = np.linalg.norm(_laid_upon(T, T_true, 0)[:, :3, 3] - T_true[:, :3, 3], axis=1)
+    fused = np.array([answer.was_fused for answer in posed], bool)
+    return BadInputFigures(
+        case.name,
+        tracker,
+        len(answers),
+        len(posed),
+        float(np.sqrt(np.mean(off_m**2))) if len(posed) else math.nan,
+        float(off_m.max(initial=0.0)) if len(posed) else math.nan,
+        _statuses(answers, case),
+        int(wrong.sum()),
+        _back_s(stamps_s, case),
+        int((wrong & fused).sum()),
+        sum(answer.was_fused and answer.estimate.status is not Status.TRACKING for answer in answers),
+        float(np.mean(_within(T, T_true, covariances))) if len(posed) else math.nan,
+    )
+
+
+def _laid_upon(T: FloatArray, T_true: FloatArray, index: int) -> FloatArray:
+    """Poses (N, 4, 4) moved so that the one of that index is the true one."""
+    return np.asarray(se3.compose(T_true[index] @ se3.invert(T[index]), T)) if len(T) else T
+
+
+def _wrong(T: FloatArray, T_true: FloatArray, stamps_s: FloatArray, begin_s: float) -> BoolArray:
+    """Which poses (N,) are off by more than the limits, once the last one before the fault is laid on its truth."""
+    laid = _laid_upon(T, T_true, max(int(np.searchsorted(stamps_s, begin_s)) - 1, 0))
+    off_m = np.linalg.norm(laid[:, :3, 3] - T_true[:, :3, 3], axis=1)
+    off_rad = so3.angle(np.swapaxes(T_true[:, :3, :3], 1, 2) @ laid[:, :3, :3])
+    return np.asarray((stamps_s >= begin_s) & ((off_m > WRONG_M) | (off_rad > WRONG_RAD)))
+
+
+def _within(T: FloatArray, T_true: FloatArray, covariances: FloatArray) -> BoolArray:
+    """Which positions (N,) lie within three standard deviations, in the world that the first pose began.
+
+    A left perturbation (v, ω) moves a position p by v + ω × p.
+    """
+    laid = _laid_upon(T_true, T, 0)
+    J = np.concatenate([np.broadcast_to(np.eye(3), (len(T), 3, 3)), -so3.hat(T[:, :3, 3])], axis=2)
+    P = J @ covariances @ np.swapaxes(J, 1, 2) + 1e-12 * np.eye(3)
+    off_m = laid[:, :3, 3] - T[:, :3, 3]
+    return np.asarray(np.einsum("ni,nij,nj->n", off_m, np.linalg.inv(P), off_m) <= _THREE_SIGMA)
+
+
+def _statuses(answers: Sequence[Answer], case: Case) -> tuple[tuple[str, int], ...]:
+    told = [a.estimate.status.value for a in answers if case.begin_s <= a.estimate.stamp_s < case.end_s]
+    return tuple(Counter(told).most_common())
+
+
+def _back_s(stamps_s: FloatArray, case: Case) -> float | None:
+    """From the end of the fault to the first pose after it."""
+    after = stamps_s[stamps_s >= case.end_s]
+    return float(after[0] - case.end_s) if len(after) else None
+
+
+def _features(calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
+    from wheelsight.odometry.features import FeatureOdometry
+
+    odometry = FeatureOdometry(calibration)
+    return lambda frame: Answer(odometry.process(frame))
+
+
+def _dense(calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
+    from wheelsight.odometry.dense import DenseOdometry
+
+    odometry = DenseOdometry(calibration)
+    return lambda frame: Answer(odometry.process(frame))
+
+
+def _surfels(calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
+    from wheelsight.mapping import SurfelMapper
+
+    mapper = SurfelMapper(calibration)
+
+    def answer(frame: RgbdFrame) -> Answer:
+        estimate = mapper.process(frame)
+        return Answer(estimate, mapper.last_fused is not None)
+
+    return answer
+
+
+def bad_input_sheet(figures: Sequence[BadInputFigures]) -> Sheet:
+    """A row for each case and tracker."""
+    heads = ("case", "tracker", "poses", "ATE", "worst", "while it lasts", "wrong, unsaid", "back after", "fused wrong")
+    rows = tuple(
+        (
+            f.case,
+            f.tracker,
+            f"{f.with_pose} of {f.frames}",
+            f"{f.rmse_m:.3f} m",
+            f"{f.worst_m:.3f} m",
+            ", ".join(f"{count} {status}" for status, count in f.statuses) or "no frames",
+            str(f.wrong),
+            "—" if f.back_s is None else f"{f.back_s:.2f} s",
+            str(f.fused_wrong) if f.tracker == MAPPER else "—",
+            f"{100 * f.within:.0f} %",
+        )
+        for f in figures
+    )
+    return Sheet("Bad input, simulated", (*heads, "within 3 σ"), rows)
+
+
+def judge_bad_input(figures: Sequence[BadInputFigures]) -> list[Target]:
+    """No failure may go unsaid, and none may reach the map. Features are there for comparison."""
+    targets = [
+        Target(f"{f.case}: {f.tracker}, wrong poses called tracking", 0, f.wrong, "frames", 0)
+        for f in figures
+        if f.tracker != "features"
+    ]
+    failed = sum(f.fused_failed for f in figures)
+    return [*targets, Target("bad input: frames fused though tracking had failed", 0, failed, "frames", 0)]
+
+
+def main() -> None:
+    """Measure all cases; print the table and the verdicts."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.bad_input", description=__doc__)
+    parser.add_argument("--markdown", action="store_true", help="print the table as Markdown, to keep")
+    arguments = parser.parse_args()
+    figures = measure_bad_input(on_figures=lambda f: print(f"{f.case}: {f.tracker}", file=sys.stderr))
+    sheet = bad_input_sheet(figures)
+    if arguments.markdown:
+        print(sheet.to_markdown())
+    else:
+        Console(width=None if sys.stdout.isatty() else 180).print(sheet.to_rich())
+    for target in judge_bad_input(figures):
+        print(f"{target.what}: {target.verdict}")
+
+
+if __name__ == "__main__":
+    main()
