@@ -9,12 +9,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from benchmarks import contenders, machine, parts
-from benchmarks.parts import Judged, Part
+from benchmarks import contenders, dense, machine, parts
+from benchmarks.dense import judge_dense
+from benchmarks.mapping import judge_whole
+from benchmarks.parts import Judged, Part, Scope
 from benchmarks.run import Result, run
 from benchmarks.sequences import Sequence, default_data_folder, find_sequences
 from benchmarks.table import document, problems_of, results_sheets, targets_sheet
-from benchmarks.targets import judge
+from benchmarks.targets import Target, judge
 from wheelsight.errors import WheelsightError
 from wheelsight.files import write_text
 
@@ -38,17 +40,27 @@ def _benchmark(arguments: argparse.Namespace) -> int:
         _CONSOLE.print(f"The machine is busy ({about['Load']}): times will be too long.", style="yellow")
     sequences = find_sequences(arguments.data) if arguments.chosen else []
     results = _measure_all(arguments.chosen, sequences, arguments.frames)
-    measured = _measure_parts(arguments.parts)
-    targets = [*judge(results), *(target for _, judged in measured for target in judged)]
-    sheets = (targets_sheet(targets), *results_sheets(results), *(sheet for sheet, _ in measured))
+    measured = _measure_parts(arguments.parts, Scope(arguments.data, arguments.frames))
+    targets = [*_judge(results), *(target for judged in measured for target in judged.targets)]
+    sheets = (targets_sheet(targets), *results_sheets(results), *(sheet for j in measured for sheet in j.sheets))
     for sheet in sheets:
         _CONSOLE.print(sheet.to_rich())
-    problems = problems_of(results)
+    problems = [*problems_of(results), *(problem for judged in measured for problem in judged.problems)]
     for problem in problems:
         _CONSOLE.print(problem, style="red", markup=False)
     if arguments.out is not None:
-        write_text(arguments.out, document(sheets, about, _command(arguments), arguments.chosen, problems))
+        of_parts = (contender for part in arguments.parts for contender in part.contenders)
+        taking_part = tuple(dict.fromkeys([*arguments.chosen, *of_parts]))
+        write_text(arguments.out, document(sheets, about, _command(arguments), taking_part, problems))
     return 1 if problems else 0
+
+
+def _judge(results: Many[Result]) -> list[Target]:
+    """Feature odometry, dense tracking and surfels; of the latter two only what took part."""
+    names = {result.contender.name for result in results}
+    targets = judge(results)
+    targets += judge_dense(results) if dense.SUBJECT.name in names else []
+    return targets + judge_whole(results)
 
 
 def _measure_all(chosen: Many[contenders.Contender], sequences: Many[Sequence], limit: int | None) -> list[Result]:
@@ -62,11 +74,11 @@ def _measure_all(chosen: Many[contenders.Contender], sequences: Many[Sequence], 
     return results
 
 
-def _measure_parts(chosen: Many[Part]) -> list[Judged]:
+def _measure_parts(chosen: Many[Part], scope: Scope) -> list[Judged]:
     measured = []
     for part in chosen:
         _CONSOLE.print(f"{part.name} …", style="dim")
-        measured.append(part.measure())
+        measured.append(part.measure(scope))
     return measured
 
 

@@ -24,6 +24,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.files import write_text
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.recordings import Recording, open_recording
+from wheelsight.recordings._image_recording import ImageRecording
 from wheelsight.trajectory import Trajectory, write_tum
 
 THREADS = 2
@@ -100,6 +101,16 @@ def _trajectory(stamps_s: list[float], poses: list[FloatArray]) -> Trajectory:
     return Trajectory(np.array(stamps_s), se3.from_parts(so3.nearest(T[:, :3, :3]), T[:, :3, 3]))
 
 
+def there_and_back(recording: Recording) -> Recording:
+    """The recording's frames, and then the same backwards at their own pace: twice as many, and no truth."""
+    assert isinstance(recording, ImageRecording), "frames are read by their number"
+    frames = recording.frames
+    step_s = frames[-1].stamp_s - frames[-2].stamp_s
+    turned_s = 2 * frames[-1].stamp_s + step_s
+    back = tuple(replace(frame, stamp_s=turned_s - frame.stamp_s) for frame in reversed(frames))
+    return replace(recording, frames=frames + back, ground_truth=None, wheels=(), yaw_rates=())
+
+
 def peak_memory_mb() -> float:
     """The most memory this process has held so far, megabytes of 10⁶ bytes.
 
@@ -115,13 +126,13 @@ def peak_memory_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
-def keep_to_two_threads() -> None:
-    """Hold all libraries to two threads on two cores; run.py has set the variables they read when they start."""
+def keep_to(threads: int) -> None:
+    """Hold all libraries to so many threads and cores; run.py has set the variables they read when they start."""
     import cv2
 
-    cv2.setNumThreads(THREADS)
+    cv2.setNumThreads(threads)
     if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:THREADS])
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
 
 
 def main() -> None:
@@ -132,10 +143,14 @@ def main() -> None:
     parser.add_argument("feed", type=Feed)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--frames", type=int)
+    parser.add_argument("--threads", type=int, default=THREADS)
+    parser.add_argument("--there-and-back", action="store_true")
     arguments = parser.parse_args()
-    keep_to_two_threads()
+    keep_to(arguments.threads)
     contender = contenders.named(arguments.contender)
     recording = open_recording(arguments.recording)
+    if arguments.there_and_back:
+        recording = there_and_back(recording)
     passage, trajectory = measure(contender.start, recording, arguments.feed, arguments.frames)
     write_tum(trajectory, arguments.folder / "trajectory.txt")
     write_text(arguments.folder / "passage.json", json.dumps(asdict(passage)))

@@ -1,20 +1,44 @@
-"""What is measured beside the contenders: each part by its name, its table and its targets."""
+"""What is measured beside the contenders: each part by its name, its tables and its targets."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+from benchmarks.contenders import MAPPERS, Contender
+from benchmarks.dense import ON_ONE_THREAD, judge_dense, measure_one_thread, one_thread_sheet
 from benchmarks.firmware import measure_firmware
+from benchmarks.flat import judge_flat, measure_flat, model_sheet, tracking_sheet
+from benchmarks.growth import growth_sheet, judge_growth, measure_growth
+from benchmarks.kernels import judge_kernels, kernels_sheet, measure_kernels
 from benchmarks.link import measure_link
+from benchmarks.mapping import judge_mapping, mapping_sheet, measure_mapping
 from benchmarks.places import judge_places, measure_places, places_sheet
+from benchmarks.run import ContenderError
+from benchmarks.sequences import find_sequences
 from benchmarks.simulation import judge_simulation, measure_simulation, simulation_sheet
 from benchmarks.startup import measure_startup
-from benchmarks.table import Sheet, firmware_sheet, link_sheet, startup_sheet, wheels_sheet
+from benchmarks.table import Sheet, firmware_sheet, link_sheet, problems_of, startup_sheet, wheels_sheet
 from benchmarks.targets import Target, judge_firmware, judge_link, judge_startup, judge_wheels
 from benchmarks.wheels import measure_wheels
 
-Judged = tuple[Sheet, list[Target]]
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What the command line asks for: the data folder, and the most frames of a recording, or None."""
+
+    data: Path
+    frames: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A part's tables, its targets, and a line for each thing that could not be measured."""
+
+    sheets: tuple[Sheet, ...]
+    targets: list[Target]
+    problems: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,44 +47,79 @@ class Part:
 
     Attributes:
         name: for `--only`.
-        measure: measures it: its table, and its targets.
+        measure: measures it.
+        contenders: that take part, whose settings are to be told.
     """
 
     name: str
-    measure: Callable[[], Judged]
+    measure: Callable[[Scope], Judged]
+    contenders: tuple[Contender, ...] = ()
 
 
-def _startup() -> Judged:
+def _startup(_: Scope) -> Judged:
     startup = measure_startup()
-    return startup_sheet(startup), judge_startup(startup)
+    return Judged((startup_sheet(startup),), judge_startup(startup))
 
 
-def _wheels() -> Judged:
+def _wheels(_: Scope) -> Judged:
     times = measure_wheels()
-    return wheels_sheet(times), judge_wheels(times)
+    return Judged((wheels_sheet(times),), judge_wheels(times))
 
 
-def _link() -> Judged:
+def _link(_: Scope) -> Judged:
     figures = measure_link()
-    return link_sheet(figures), judge_link(figures)
+    return Judged((link_sheet(figures),), judge_link(figures))
 
 
-def _firmware() -> Judged:
+def _firmware(_: Scope) -> Judged:
     figures = measure_firmware()
-    return firmware_sheet(figures), judge_firmware(figures)
+    return Judged((firmware_sheet(figures),), judge_firmware(figures))
 
 
-def _simulation() -> Judged:
+def _simulation(_: Scope) -> Judged:
     figures = measure_simulation()
-    return simulation_sheet(figures), judge_simulation(figures)
+    return Judged((simulation_sheet(figures),), judge_simulation(figures))
 
 
-def _places() -> Judged:
+def _places(_: Scope) -> Judged:
     times = measure_places()
-    return places_sheet(times), judge_places(times)
+    return Judged((places_sheet(times),), judge_places(times))
+
+
+def _one_thread(scope: Scope) -> Judged:
+    results = measure_one_thread(find_sequences(scope.data), scope.frames)
+    return Judged((one_thread_sheet(results),), judge_dense(results, threads=1), problems_of(results))
+
+
+def _mapping(scope: Scope) -> Judged:
+    results = measure_mapping(find_sequences(scope.data), scope.frames)
+    return Judged((mapping_sheet(results),), judge_mapping(results), problems_of(results))
+
+
+def _growth(scope: Scope) -> Judged:
+    try:
+        growth = measure_growth(find_sequences(scope.data), scope.frames)
+    except ContenderError as error:
+        return Judged((), [], [f"growth: {error}"])
+    return Judged((growth_sheet(growth),), judge_growth(growth))
+
+
+def _flat(_: Scope) -> Judged:
+    figures = measure_flat()
+    return Judged((tracking_sheet(figures), model_sheet(figures)), judge_flat(figures))
+
+
+def _kernels(_: Scope) -> Judged:
+    times = measure_kernels()
+    return Judged((kernels_sheet(times),), judge_kernels(times))
 
 
 ALL = (
+    Part("mapping", _mapping, MAPPERS),
+    Part("one-thread", _one_thread, ON_ONE_THREAD),
+    Part("growth", _growth),
+    Part("flat", _flat),
+    Part("kernels", _kernels),
     Part("wheels", _wheels),
     Part("link", _link),
     Part("firmware", _firmware),

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +28,12 @@ class Figures:
     Attributes:
         accuracy: against the truth.
         frames, with_pose: frames handed over, and how many were answered with a pose.
-        median_ms, p95_ms: tracking alone, all frames decoded before.
+        median_ms, p95_ms, mean_ms: tracking alone, all frames decoded before.
         streamed_ms: median of waiting for the next frame and tracking it, decoding going on meanwhile.
         peak_memory_mb: of the whole process when streamed.
         differing_poses: how many lines of the two runs' trajectory files differ.
+
+    The last three are None where frames were not streamed.
     """
 
     accuracy: Accuracy
@@ -39,9 +41,10 @@ class Figures:
     with_pose: int
     median_ms: float
     p95_ms: float
-    streamed_ms: float
-    peak_memory_mb: float
-    differing_poses: int
+    mean_ms: float
+    streamed_ms: float | None = None
+    peak_memory_mb: float | None = None
+    differing_poses: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,49 +61,79 @@ class ContenderError(Exception):
     """A contender's process ended badly; the message is the last line it left."""
 
 
-def run(contender: Contender, sequence: Sequence, limit: int | None = None) -> Result:
-    """Measure one contender on one sequence, in two fresh processes: decoded frames, then streamed ones."""
+def run(
+    contender: Contender,
+    sequence: Sequence,
+    limit: int | None = None,
+    threads: int = THREADS,
+    feeds: tuple[Feed, ...] = tuple(Feed),
+) -> Result:
+    """Measure one contender on one sequence, each feed in a fresh process: decoded frames, then streamed ones."""
     with tempfile.TemporaryDirectory() as scratch:
-        folders = {feed: Path(scratch) / feed for feed in Feed}
+        folders = {feed: Path(scratch) / feed for feed in feeds}
         try:
             for feed, folder in folders.items():
-                folder.mkdir()
-                _run_process(contender, sequence, feed, folder, limit)
+                run_process(contender, sequence.path, feed, folder, limit, threads)
         except ContenderError as error:
             return Result(contender, sequence.name, problem=str(error))
-        return Result(contender, sequence.name, figures_of(sequence, folders[Feed.DECODED], folders[Feed.STREAMED]))
+        figures = figures_of(sequence, folders[Feed.DECODED], folders.get(Feed.STREAMED))
+        return Result(contender, sequence.name, figures)
 
 
-def figures_of(sequence: Sequence, decoded: Path, streamed: Path) -> Figures:
-    """The figures of two runs that each left passage.json and trajectory.txt in a folder."""
-    timed, streaming = (Passage(**json.loads((folder / "passage.json").read_text())) for folder in (decoded, streamed))
-    first, second = ((folder / "trajectory.txt").read_text().splitlines() for folder in (decoded, streamed))
-    estimate = _read_trajectory(decoded / "trajectory.txt")
+def figures_of(sequence: Sequence, decoded: Path, streamed: Path | None) -> Figures:
+    """The figures of one or two runs that each left passage.json and trajectory.txt in a folder."""
+    timed, estimate = read_passage(decoded), _read_trajectory(decoded / "trajectory.txt")
     milliseconds = 1e3 * np.array(timed.seconds)
-    return Figures(
+    figures = Figures(
         accuracy=Accuracy() if estimate is None else sequence.accuracy(estimate),
         frames=len(timed.stamps_s),
         with_pose=0 if estimate is None else len(estimate),
         median_ms=float(np.median(milliseconds)),
         p95_ms=float(np.percentile(milliseconds, 95)),
+        mean_ms=float(np.mean(milliseconds)),
+    )
+    if streamed is None:
+        return figures
+    streaming = read_passage(streamed)
+    first, second = ((folder / "trajectory.txt").read_text().splitlines() for folder in (decoded, streamed))
+    return replace(
+        figures,
         streamed_ms=1e3 * float(np.median(streaming.seconds)),
         peak_memory_mb=streaming.peak_memory_mb,
         differing_poses=_differing(first, second),
     )
 
 
-def child_environment() -> dict[str, str]:
+def read_passage(folder: Path) -> Passage:
+    """What a process of `measure` left in a folder."""
+    return Passage(**json.loads((folder / "passage.json").read_text()))
+
+
+def child_environment(threads: int = THREADS) -> dict[str, str]:
     """This process's environment, with every library held to the same number of threads."""
-    return {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, str(THREADS))}
+    return {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, str(threads))}
 
 
-def _run_process(contender: Contender, sequence: Sequence, feed: Feed, folder: Path, limit: int | None) -> None:
-    command = [sys.executable, "-m", "benchmarks.measure", contender.name, str(sequence.path), feed, str(folder)]
-    if limit is not None:
-        command += ["--frames", str(limit)]
+def run_process(
+    contender: Contender,
+    recording: Path,
+    feed: Feed,
+    folder: Path,
+    limit: int | None = None,
+    threads: int = THREADS,
+    extra: tuple[str, ...] = (),
+) -> None:
+    """Measure in a fresh process, which leaves passage.json and trajectory.txt in a new folder.
+
+    Raises ContenderError where it ends badly or takes too long.
+    """
+    folder.mkdir()
+    command = [sys.executable, "-m", "benchmarks.measure", contender.name, str(recording), feed, str(folder), *extra]
+    command += ["--threads", str(threads)] + ([] if limit is None else ["--frames", str(limit)])
+    environment = child_environment(threads)
     try:
         ended = subprocess.run(
-            command, cwd=PROJECT, env=child_environment(), capture_output=True, text=True, timeout=_TIME_LIMIT_S
+            command, cwd=PROJECT, env=environment, capture_output=True, text=True, timeout=_TIME_LIMIT_S
         )
     except subprocess.TimeoutExpired as error:
         raise ContenderError(f"took longer than {_TIME_LIMIT_S} s") from error

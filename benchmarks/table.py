@@ -131,7 +131,7 @@ def document(
 ) -> str:
     """The whole of BENCHMARKS.md."""
     about = "\n".join(f"- {name}: {value}" for name, value in machine.items())
-    about += f"\n- Threads: {THREADS} for every contender" if contenders else ""
+    about += f"\n- Threads: {THREADS} for every contender, if nothing else is said" if contenders else ""
     settings = "\n".join(f"- {contender.name}: {contender.settings}." for contender in contenders)
     return "\n".join(
         (
@@ -158,7 +158,7 @@ def _cells(result: Result) -> tuple[str, ...]:
         _figure(figures.p95_ms, 1),
         _figure(figures.streamed_ms, 1),
         _figure(figures.peak_memory_mb, 0),
-        "yes" if figures.differing_poses == 0 else f"{figures.differing_poses} differ",
+        {None: _NONE, 0: "yes"}.get(figures.differing_poses, f"{figures.differing_poses} differ"),
     )
 
 

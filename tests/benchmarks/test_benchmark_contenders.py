@@ -7,7 +7,7 @@ import pytest
 from synthetic import render_room, wobbling_trajectory
 
 from benchmarks import contenders
-from benchmarks.contenders import Contender, frame_to_frame
+from benchmarks.contenders import Contender, frame_to_frame, open3d_slam
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
@@ -18,6 +18,9 @@ COLOR_CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 316.0, 242.0)
 # Rolled by half a radian, so that a motion told of the wrong camera is off by half of it.
 T_COLOR_DEPTH = se3.from_parts(so3.exp(np.array([0.0, 0.0, 0.5])), np.array([-0.025, 0.0, 0.002]))
 TRUTH = wobbling_trajectory(4)
+# Voxels of 20 mm tell nothing of ways as short as this; they go through the same code.
+SLAM = (open3d_slam.FINE,)
+EVERY = (*contenders.ALL, *SLAM)
 
 
 def start(contender: Contender, calibration: Calibration) -> contenders.Tracker:
@@ -34,6 +37,11 @@ def drift(tracker: contenders.Tracker, frames: list[RgbdFrame]) -> float:
     T_first_last = relative(TRUTH.T_world_body[0], TRUTH.T_world_body[-1])
     error = relative(T_first_last, relative(poses[0], poses[-1]))
     return float(np.linalg.norm(error[:3, 3]) / np.linalg.norm(T_first_last[:3, 3]))
+
+
+def allowed(contender: Contender) -> float:
+    """What aligns depth alone, against voxels, needs longer ways than this to be exact."""
+    return 0.4 if contender in SLAM else 0.25
 
 
 def relative(T_world_a: FloatArray, T_world_b: FloatArray) -> FloatArray:
@@ -55,22 +63,22 @@ def unregistered_frames() -> list[RgbdFrame]:
     ]
 
 
-@pytest.mark.parametrize("contender", [c for c in contenders.ALL if not c.registers], ids=lambda c: c.name)
+@pytest.mark.parametrize("contender", [c for c in EVERY if not c.registers], ids=lambda c: c.name)
 def test_a_contender_follows_the_camera(contender: Contender, frames: list[RgbdFrame]) -> None:
-    assert drift(start(contender, REGISTERED), frames) < 0.25
+    assert drift(start(contender, REGISTERED), frames) < allowed(contender)
 
 
-@pytest.mark.parametrize("contender", [c for c in contenders.ALL if c.registers], ids=lambda c: c.name)
+@pytest.mark.parametrize("contender", [c for c in EVERY if c.registers or c in SLAM], ids=lambda c: c.name)
 def test_with_depth_registered_the_answer_is_the_depth_cameras(
     contender: Contender, unregistered_frames: list[RgbdFrame]
 ) -> None:
     calibration = Calibration(COLOR_CAMERA, CAMERA, T_COLOR_DEPTH)
-    assert drift(start(contender, calibration), unregistered_frames) < 0.25
+    assert drift(start(contender, calibration), unregistered_frames) < allowed(contender)
 
 
 def test_names_are_unique_and_found() -> None:
-    assert len({contender.name for contender in contenders.ALL}) == len(contenders.ALL)
-    assert all(contenders.named(contender.name) is contender for contender in contenders.ALL)
+    assert len({contender.name for contender in EVERY}) == len(EVERY)
+    assert all(contenders.named(contender.name) is contender for contender in (*EVERY, *contenders.MAPPERS))
 
 
 class Step(frame_to_frame.FrameToFrame):

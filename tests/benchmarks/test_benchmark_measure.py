@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.contenders import Contender, opencv_odometry
-from benchmarks.measure import Feed, Passage, measure, peak_memory_mb
+from benchmarks.measure import Feed, Passage, measure, peak_memory_mb, there_and_back
 from benchmarks.run import child_environment, figures_of, run
 from benchmarks.sequences import Sequence, find_sequences
 from benchmarks.startup import measure_startup
@@ -55,6 +55,26 @@ def test_a_run_measures_a_contender_in_its_own_processes(bench_data: Path) -> No
     assert figures.accuracy.ate_m < 0.005
     assert 0 < figures.median_ms <= figures.p95_ms
     assert 20 < figures.peak_memory_mb < 2000
+
+
+def test_one_feed_on_one_thread_leaves_the_other_feeds_figures_open(bench_data: Path) -> None:
+    (sequence,) = find_sequences(bench_data)
+    figures = run(opencv_odometry.RGB_DEPTH, sequence, limit=3, threads=1, feeds=(Feed.DECODED,)).figures
+    assert figures is not None
+    assert figures.mean_ms > 0
+    assert (figures.streamed_ms, figures.peak_memory_mb, figures.differing_poses) == (None, None, None)
+
+
+def test_there_and_back_shows_every_frame_twice_in_order_of_time(bench_data: Path) -> None:
+    recording = open_recording(bench_data / "rgbd" / "room")
+    frames = [event for event in there_and_back(recording).events() if isinstance(event, RgbdFrame)]
+    count = recording.frame_count
+    assert len(frames) == 2 * count
+    assert (np.diff([frame.stamp_s for frame in frames]) > 0.01).all()
+    for k in range(count):
+        np.testing.assert_array_equal(frames[k].depth_m, frames[-1 - k].depth_m)
+    passage, _ = measure(Still, there_and_back(recording), Feed.STREAMED)
+    assert len(passage.seconds) == 2 * count
 
 
 def test_a_contender_that_fails_says_why_in_one_line(bench_data: Path) -> None:
@@ -105,6 +125,7 @@ def test_peak_memory_grows_with_what_is_held() -> None:
 def test_all_libraries_are_held_to_two_threads() -> None:
     environment = child_environment()
     assert {environment[f"{name}_NUM_THREADS"] for name in ("OMP", "NUMBA", "OPENBLAS", "MKL")} == {"2"}
+    assert child_environment(1)["OMP_NUM_THREADS"] == "1"
 
 
 def test_startup_is_measured_from_outside() -> None:

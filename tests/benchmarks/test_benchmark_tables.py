@@ -20,7 +20,7 @@ STARTUP = Startup(bare_s=0.02, import_s=0.1, help_s=0.7)
 
 
 def result(contender: Contender, ate_m: float | None, median_ms: float, differing: int = 0) -> Result:
-    figures = Figures(Accuracy(ate_m), 10, 9, median_ms, 2 * median_ms, median_ms, 480.0, differing)
+    figures = Figures(Accuracy(ate_m), 10, 9, median_ms, 2 * median_ms, median_ms, median_ms, 480.0, differing)
     return Result(contender, "floor", figures)
 
 

@@ -1,0 +1,70 @@
+"""wheelsight's dense odometry: against keyframes, and against the surfel map that it builds on the way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+
+from benchmarks.contenders.protocol import Contender
+from wheelsight.calibration import Calibration
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import FloatArray
+
+if TYPE_CHECKING:
+    from wheelsight.odometry.dense import DenseSettings
+
+
+class WheelsightDense:
+    """`DenseOdometry` as a user gets it."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        from wheelsight.odometry.dense import DenseOdometry
+
+        self._odometry = DenseOdometry(calibration, _as_many_threads())
+
+    def prepare(self, frame: RgbdFrame) -> RgbdFrame:
+        """The frame as the recording gives it, distortion and all."""
+        return frame
+
+    def track(self, prepared: RgbdFrame) -> FloatArray | None:
+        """T_world_camera (4, 4), or None."""
+        return self._odometry.process(prepared).T_world_body
+
+
+class WheelsightSurfels:
+    """`SurfelMapper` as a user gets it: a frame is tracked against the map's view, and fused."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        from wheelsight.mapping import SurfelMapper, SurfelSettings
+
+        dense = _as_many_threads()
+        self._mapper = SurfelMapper(calibration, dense, SurfelSettings(threads=dense.threads))
+
+    def prepare(self, frame: RgbdFrame) -> RgbdFrame:
+        """The frame as the recording gives it, distortion and all."""
+        return frame
+
+    def track(self, prepared: RgbdFrame) -> FloatArray | None:
+        """T_world_camera (4, 4), or None."""
+        return self._mapper.process(prepared).T_world_body
+
+
+def _as_many_threads() -> DenseSettings:
+    """Default settings, but for the threads that measure.py holds all libraries to: OpenCV tells how many."""
+    from wheelsight.odometry.dense import DenseSettings
+
+    return DenseSettings(threads=cv2.getNumThreads())
+
+
+KEYFRAMES = Contender(
+    name="wheelsight dense (keyframes)",
+    start=WheelsightDense,
+    settings="`DenseOdometry` with default settings",
+)
+
+SURFELS = Contender(
+    name="wheelsight dense (surfels)",
+    start=WheelsightSurfels,
+    settings="`SurfelMapper` with default settings: a view is predicted, the frame aligned with it, and fused",
+)

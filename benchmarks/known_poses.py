@@ -1,0 +1,110 @@
+"""Maps fed with true poses, so that what they err is their own: ours, and Open3D's truncated signed distance volume."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.mapping import SurfelMap
+from wheelsight.odometry._velocity import twist_between
+from wheelsight.odometry.dense import DenseSettings
+from wheelsight.odometry.dense.grid import Gridder, Rows
+from wheelsight.odometry.dense.reference import ReferenceMaker
+from wheelsight.simulation import SimulatedRecording
+
+VOXEL_M = 0.006
+_BLOCK_VOXELS = 16
+_BLOCKS = 30_000
+_TRUNCATION_VOXELS = 8.0
+_LEAST_WEIGHT = 3.0
+_STEPS_PER_M = 5000.0
+_TWIST_S = 0.01
+
+
+class TruePoses:
+    """Where a simulated camera is, and how it moves."""
+
+    def __init__(self, recording: SimulatedRecording) -> None:
+        self._truth = recording.ground_truth
+        T_base_camera = recording.true_calibration.T_base_camera
+        assert T_base_camera is not None
+        self._T_base_camera = T_base_camera
+
+    def at(self, stamp_s: float) -> FloatArray:
+        """T_world_camera (4, 4)."""
+        inside_s = np.clip(stamp_s, *self._truth.stamps_s[[0, -1]])
+        return np.asarray(se3.compose(self._truth.at(inside_s)[0], self._T_base_camera))
+
+    def twist(self, stamp_s: float) -> FloatArray:
+        """(6,) the camera's velocity (v, ω) in its own frame."""
+        return twist_between(self.at(stamp_s - _TWIST_S / 2), self.at(stamp_s + _TWIST_S / 2), _TWIST_S)
+
+
+class KnownSurfels:
+    """A `SurfelMap` that frames are fused into where they were."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        settings = DenseSettings()
+        rows = Rows(settings.threads)
+        self.map = SurfelMap()
+        self._noise = calibration.depth_noise
+        self._gridder = Gridder(calibration, settings, rows)
+        self._maker = ReferenceMaker(calibration.depth_noise, settings, rows)
+
+    def fuse(self, frame: RgbdFrame, poses: TruePoses) -> None:
+        """Straighten and fuse a frame, after its view was predicted, as a tracker needs it."""
+        prepared = self.prepare(frame, poses)
+        self.step(prepared, poses.at(frame.stamp_s), frame.stamp_s)
+
+    def prepare(self, frame: RgbdFrame, poses: TruePoses) -> tuple[Any, Any, Any]:
+        """Depth, normals and grey on the ideal grid."""
+        finest = self._gridder.on_grid(frame, poses.twist(frame.stamp_s)).levels[0]
+        return finest.depth_m, self._maker.normals(finest), finest.grey
+
+    def step(self, prepared: tuple[Any, Any, Any], T_world_camera: FloatArray, stamp_s: float) -> None:
+        """What a map does for each frame: the view predicted, the frame fused."""
+        intrinsics = self._gridder.intrinsics
+        self.map.predict(T_world_camera, intrinsics, self._gridder.shape)
+        self.map.fuse(*prepared, None, intrinsics, T_world_camera, stamp_s, self._noise)
+
+
+class KnownVolume:
+    """Open3D's `VoxelBlockGrid` on the CPU, as its own reconstruction example integrates frames.
+
+    Raises ImportError where Open3D is not there.
+    """
+
+    def __init__(self, calibration: Calibration, far_m: float) -> None:
+        import open3d
+
+        self._o3d: Any = open3d
+        self._far_m = far_m
+        core = self._o3d.core
+        self._device: Any = core.Device("CPU:0")
+        self._K = core.Tensor(calibration.cameras[1].K)
+        kinds = (core.float32, core.float32, core.float32)
+        shapes = ((1,), (1,), (3,))
+        given = (VOXEL_M, _BLOCK_VOXELS, _BLOCKS, self._device)
+        self._grid: Any = self._o3d.t.geometry.VoxelBlockGrid(("tsdf", "weight", "color"), kinds, shapes, *given)
+
+    def fuse(self, frame: RgbdFrame, poses: TruePoses) -> None:
+        """Integrate a frame where it was."""
+        steps = (frame.depth_m * _STEPS_PER_M).round().astype(np.uint16)
+        image = self._o3d.t.geometry.Image
+        depth, color = image(self._tensor(steps)), image(self._tensor(frame.color))
+        extrinsic = self._tensor(se3.invert(poses.at(frame.stamp_s)))
+        limits = (_STEPS_PER_M, self._far_m)
+        blocks = self._grid.compute_unique_block_coordinates(depth, self._K, extrinsic, *limits, _TRUNCATION_VOXELS)
+        self._grid.integrate(blocks, depth, color, self._K, self._K, extrinsic, *limits, _TRUNCATION_VOXELS)
+
+    def points(self) -> FloatArray:
+        """(n, 3) of the surface, where enough frames saw it."""
+        cloud = self._grid.extract_point_cloud(weight_threshold=_LEAST_WEIGHT)
+        return np.asarray(cloud.point.positions.numpy(), float)
+
+    def _tensor(self, values: Any) -> Any:
+        return self._o3d.core.Tensor(np.ascontiguousarray(values), device=self._device)

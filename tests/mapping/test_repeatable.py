@@ -1,0 +1,38 @@
+"""Tracking against the map that is built: neither threads nor another run change what comes of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import synthetic
+
+from wheelsight.calibration import Calibration
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import FloatArray
+from wheelsight.mapping import SurfelMapper, SurfelSettings
+from wheelsight.odometry.dense import DenseSettings
+
+FRAMES = 100
+CALIBRATION = Calibration.registered_camera(synthetic.CAMERA)
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[RgbdFrame]:
+    truth = synthetic.wobbling_trajectory(FRAMES)
+    return [RgbdFrame(s, *synthetic.render_room(T, depth_noise=True), k) for k, (s, T) in enumerate(truth)]
+
+
+def positions_m(frames: list[RgbdFrame], threads: int) -> tuple[FloatArray, FloatArray]:
+    """Of the camera at each frame (n, 3), and of all surfels in the end (m, 3)."""
+    mapper = SurfelMapper(CALIBRATION, DenseSettings(threads=threads), SurfelSettings(threads=threads))
+    poses = [mapper.process(frame).T_world_body for frame in frames]
+    assert all(T is not None for T in poses)
+    return np.array(poses)[:, :3, 3], mapper.map.surfels().position
+
+
+@pytest.mark.slow
+def test_threads_agree_and_two_runs_are_identical(frames: list[RgbdFrame]) -> None:
+    single, twice, again = (positions_m(frames, threads) for threads in (1, 2, 2))
+    np.testing.assert_allclose(twice[0], single[0], atol=1e-4)
+    for first, second in zip(twice, again, strict=True):
+        np.testing.assert_array_equal(first, second)
