@@ -13,9 +13,11 @@ from wheelsight.errors import EvaluationError
 from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import evaluate
 from wheelsight.geometry import ByteArray, se3
+from wheelsight.mapping import MapStatus
+from wheelsight.mapping.plan import Plan
 from wheelsight.odometry.wheels import integrate_log
 from wheelsight.recordings import AssociationReport
-from wheelsight.report import FrameRecord, MatchPicture, RunRecord
+from wheelsight.report import FrameRecord, MapPicture, MapRecord, MatchPicture, RunRecord
 from wheelsight.trajectory import Trajectory
 
 START_S = 1305031102.17
@@ -103,6 +105,20 @@ def example_picture(color: ByteArray | None = None, matches: int = 300, seed: in
     reference_px = np.where(is_inlier[:, None], px + (12.0, 3.0), px + rng.uniform(-60, 60, (matches, 2)))
     reference = np.roll(color, (3, 12), axis=(0, 1))
     return MatchPicture(START_S + 2.0, START_S + 1.9, color, reference, px, reference_px, is_inlier)
+
+
+def example_map(pictures: int = 2, **others: Any) -> MapRecord:
+    """Of the same camera: a red floor of 8 m by 6 m round its path, in a plan whose axes are those of the world."""
+    image = np.full((600, 800, 3), (170, 40, 30), np.uint8)
+    is_known = np.ones((600, 800), bool)
+    is_known[:, 700:] = False
+    image[~is_known] = 255
+    rng = np.random.default_rng(4)
+    shots = [rng.integers(0, 255, (60, 80, 3), np.uint8) for _ in range(2 * pictures)]
+    views = tuple(MapPicture(START_S + k, shots[2 * k], shots[2 * k + 1]) for k in range(pictures))
+    plan = Plan(image, is_known, 0.01, np.eye(3), np.array([-4.0, 3.0]))
+    plain = MapRecord(MapStatus(412_345, 300_000, 412_345, 0, 72_000_000), 480, "map.surfels", plan, views)
+    return replace(plain, **others)
 
 
 def _frame(i: int, stamp_s: float, frames: int, rng: np.random.Generator) -> FrameRecord:

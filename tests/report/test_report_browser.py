@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from browser import open_page
 from html_page import Page, Plot
-from run_example import empty_run, example_picture, example_run, wheel_run
+from run_example import empty_run, example_map, example_picture, example_run, wheel_run
 
 from wheelsight.report import RunRecord, write_comparison, write_report
 
@@ -17,6 +17,8 @@ RUNS = {
     "with everything": lambda: example_run(pictures=(example_picture(),)),
     "without ground truth": lambda: example_run(120, with_truth=False),
     "without any pose": empty_run,
+    "with a map": lambda: example_run(120, map=example_map()),
+    "of one frame and its map": lambda: example_run(1, map=example_map()),
     "of one frame": lambda: example_run(1),
     "of no frame": lambda: replace(empty_run(), frames=()),
     "of 20 000 frames": lambda: example_run(20_000),

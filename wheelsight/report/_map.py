@@ -21,7 +21,7 @@ def section(record: RunRecord, of: str = "") -> str:
     if record.map.plan is None:
         return html.section(key, title, "", html.paragraph("It is empty: no frame had a pose.", "missing"))
     start_s = record.frames[0].stamp_s if record.frames else 0.0
-    shown = html.group("pictures wide", [_picture(picture, start_s) for picture in record.map.pictures])
+    shown = html.group("pictures", [_picture(picture, start_s) for picture in record.map.pictures])
     return html.section(key, title, _intro(record.map), _plan(record, of, key), shown if record.map.pictures else "")
 
 
