@@ -5,11 +5,18 @@ sequences  the recordings to run over, and what their truth says of an estimate
 contenders one small file each, behind a protocol; a new one is listed in its __init__
 measure    one contender over one recording, in a process of its own
 run        those processes, one after another, and the figures they give
+dense      dense tracking alone, on one thread too
+mapping    tracking, fusion and prediction together, beside Open3D's dense SLAM
+growth     whether a longer way makes that slower or larger; longdrive, a command of its own, drives 20 minutes
+flat       a simulated flat: errors of tracking, and of models given true poses (known_poses) against true_surface
+kernels    how long the first mapped frames take, with kernels to be compiled and with kernels kept
 wheels     how quick dead reckoning is
 link       how quick the serial link is, and what bad lines (bad_lines) do to it
 firmware   what the wheel controller takes of its chip, and how fast wheels it counts, simulated
+simulation how quick the simulator is, and whether its memory stays flat
+places     how quick places are described, named and learned
 startup    how long importing wheelsight and asking for its help take
-parts      these four by their names, with their tables and targets
+parts      these by their names, with their tables and targets
 targets    what wheelsight must reach, met or missed by how much
 machine    on what all this was measured
 table      the figures as tables: in the terminal and in BENCHMARKS.md
