@@ -40,7 +40,9 @@ def test_a_terminal_sees_the_map_grow(wheelsight: Command, tmp_path: Path, monke
     surfels = json.loads((tmp_path / "out" / "metrics.json").read_text())["map"]["surfels"]
     assert f"tracking · {count(surfels)} surfels" in result.stderr
     assert "frames/s" in result.stderr
-    assert (tmp_path / "out" / "map.surfels").is_file()
+    path = tmp_path / "out" / "map.surfels"
+    assert path.is_file()
+    assert f"map: {path} ({surfels:,} surfels, " in result.stdout.replace("\n", "")
 
 
 def test_a_map_needs_dense_odometry(refusal: Callable[..., str], room: Path, tmp_path: Path) -> None:

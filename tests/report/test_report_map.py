@@ -110,5 +110,6 @@ def test_of_several_it_stands_under_its_odometrys_name(tmp_path: Path):
     page = _page(tmp_path)
     assert "plot-dense-map-plan" in page.plots
     assert "Dense: the map" in page.text
+    assert "are in dense/map.surfels" in page.text
     assert page.tiles["Surfels in the map"][0] == "412,345"
     assert len(page.ids) == len(set(page.ids))

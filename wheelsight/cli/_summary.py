@@ -32,6 +32,11 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
         stdout.print(evaluation_table(first.evaluation))
     for warning in dict.fromkeys(warning for record in records for warning in record.warnings):
         print_warning(warning)
+    for record in records:
+        if record.map is not None:
+            folder, status = out / record.odometry if len(records) > 1 else out, record.map.status
+            surfels = f"{status.surfels:,} surfels, {status.stable:,} of them stable"
+            stdout.print(f"map: {folder / record.map.file} ({surfels})")
     stdout.print(f"report: {out / 'report.html'}")
 
 

@@ -22,7 +22,9 @@ def section(record: RunRecord, of: str = "") -> str:
         return html.section(key, title, "", html.paragraph("It is empty: no frame had a pose.", "missing"))
     start_s = record.frames[0].stamp_s if record.frames else 0.0
     shown = html.group("pictures", [_picture(picture, start_s) for picture in record.map.pictures])
-    return html.section(key, title, _intro(record.map), _plan(record, of, key), shown if record.map.pictures else "")
+    return html.section(
+        key, title, _intro(record.map, of), _plan(record, of, key), shown if record.map.pictures else ""
+    )
 
 
 def tile(found: MapRecord) -> tuple[str, str, str]:
@@ -31,12 +33,12 @@ def tile(found: MapRecord) -> tuple[str, str, str]:
     return "Surfels in the map", f"{found.status.surfels:,}", f"{stable} of them stable"
 
 
-def _intro(found: MapRecord) -> str:
-    status = found.status
+def _intro(found: MapRecord, of: str) -> str:
+    status, file = found.status, f"{of}/{found.file}" if of else found.file
     return (
         f"{words.count(status.surfels, 'surfel')} (small disks) of {words.count(found.fused, 'frame')}, "
         f"{status.stable:,} of them stable: seen often enough to be sure. They took {status.memory_bytes / 1e6:,.0f} "
-        f"MB of memory, and are in {found.file}, of which wheelsight export makes points or a mesh."
+        f"MB of memory, and are in {file}, of which wheelsight export makes points or a mesh."
     )
 
 
