@@ -1,6 +1,13 @@
-"""What joins the parts into one pose: areas that rectify the wheels, as Trinh et al. do and with probabilities."""
+"""What joins the parts into one pose.
 
+Wheels with camera and gyroscope, as Ligocki does and with covariances; areas that rectify the wheels, as Trinh et al.
+do and with probabilities.
+"""
+
+from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion.area_filter import AreaFilter, AreaFilterSettings
+from wheelsight.fusion.error_state import ErrorStateFilter, FusedEstimate
+from wheelsight.fusion.kalman import JoinedEstimate, LigockiFilter, LigockiSettings
 from wheelsight.fusion.probabilistic import AreaRectifier, AreaRectifierSettings, RectifiedEstimate
 from wheelsight.fusion.rectifier import (
     AxisWeights,
@@ -19,6 +26,12 @@ __all__ = [
     "AreaRectifier",
     "AreaRectifierSettings",
     "AxisWeights",
+    "ErrorStateFilter",
+    "ErrorStateSettings",
+    "FusedEstimate",
+    "JoinedEstimate",
+    "LigockiFilter",
+    "LigockiSettings",
     "OdometryTerm",
     "PaperRectifier",
     "RectifiedEstimate",

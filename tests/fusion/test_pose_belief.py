@@ -1,0 +1,194 @@
+"""PoseBelief: its kernels against geometry.se3, its Jacobians against numeric ones, its updates against least squares."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+
+from wheelsight.fusion import ErrorStateSettings
+from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion._pose_belief import Look, PoseBelief, WheelStep
+from wheelsight.geometry import se3
+
+SETTINGS = ErrorStateSettings(level_sigma_rad=np.inf)
+tangents = st.lists(st.floats(-1.7, 1.7), min_size=6, max_size=6).map(np.array)
+
+
+@given(tangents)
+def test_kernels_are_those_of_se3(xi):
+    T = kernels.exp(xi)
+    np.testing.assert_allclose(T, se3.exp(xi), atol=1e-12)
+    np.testing.assert_allclose(kernels.log(T), se3.log(T), atol=1e-9)
+    np.testing.assert_allclose(kernels.adjoint(T), se3.adjoint(T), atol=1e-12)
+    np.testing.assert_allclose(kernels.inverse_adjoint(T), se3.adjoint(se3.invert(T)), atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-9, 1e-4, 1e-3, 1e-2, 0.3, 1.0])
+def test_left_jacobian_against_a_numeric_one(rng, scale):
+    xi, h = rng.normal(size=6) * scale, 1e-6
+    back = se3.invert(se3.exp(xi))
+    columns = [(se3.log(se3.exp(xi + d) @ back) - se3.log(se3.exp(xi - d) @ back)) / (2 * h) for d in h * np.eye(6)]
+    np.testing.assert_allclose(kernels.left_jacobian(xi), np.transpose(columns), atol=1e-8)
+
+
+@pytest.mark.parametrize("angle", [np.pi - 1e-7, np.pi])
+def test_log_of_half_a_turn(angle):
+    for axis in np.eye(3):
+        T = se3.exp(np.r_[0.3, -0.2, 0.1, angle * axis])
+        np.testing.assert_allclose(se3.exp(kernels.log(T)), T, atol=1e-6)
+
+
+def belief_somewhere(rng, clones=2):
+    here = PoseBelief.begin(se3.exp(rng.normal(size=6) * 0.4), np.diag(rng.uniform(0.01, 0.02, 6)), SETTINGS)
+    for i in range(clones):
+        step = WheelStep(i, i + 0.5, rng.normal(size=6) * 0.2, np.diag(rng.uniform(1e-4, 2e-4, 6)))
+        here = here.cloned(f"clone {i}", float(i), 4).rolled(step, 1.0, SETTINGS, False)
+    return here
+
+
+def perturbed(belief, x):
+    return belief.moved(x, belief.covariance)
+
+
+def difference(belief, other):
+    poses = [se3.log(T @ se3.invert(S)) for T, S in zip(belief.T, other.T, strict=True)]
+    return np.concatenate([*poses, belief.rest - other.rest])
+
+
+def numeric(step, belief, n):
+    """Jacobian of a step of the belief by its state."""
+    h, mean = 1e-6, step(belief)
+    pairs = ((step(perturbed(belief, d)), step(perturbed(belief, -d))) for d in h * np.eye(n))
+    return np.transpose([(difference(a, mean) - difference(b, mean)) / (2 * h) for a, b in pairs])
+
+
+@pytest.mark.parametrize("kind", ["wheels", "part of wheels", "glide"])
+def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
+    belief = belief_somewhere(rng)
+    belief = replace(belief, rest=rng.normal(size=7) * 0.1)
+    wheels = WheelStep(2.0, 2.1, rng.normal(size=6) * 0.1, np.zeros((6, 6)))
+    quiet = {name: 0.0 for name in SETTINGS.__slots__ if name.endswith(("_walk", "_per_m", "_sqrt_m", "rad_s", "_s2"))}
+    settings = replace(SETTINGS, **quiet)
+
+    def step(b):
+        if kind == "glide":
+            return b.glided(0.1, settings)
+        return b.rolled(wheels, 0.4 if kind == "part of wheels" else 1.0, settings, False)
+
+    F = numeric(step, belief, len(belief.covariance))
+    np.testing.assert_allclose(step(belief).covariance, F @ belief.covariance @ F.T, atol=1e-8)
+
+
+def look_at(belief, name, rng, size=6):
+    Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(belief.T[belief.reference(name)]) @ belief.T[0]
+    return Look(name, Z, rng.normal(size=(size, 6)), np.eye(size) * 1e-6, np.eye(6) * 1e-6)
+
+
+@pytest.mark.parametrize("kind", ["look", "part of a look", "position", "yaw rate"])
+def test_measurements_by_the_numeric_jacobian(rng, kind):
+    belief = belief_somewhere(rng)
+    look = look_at(belief, "clone 1", rng, 4 if kind == "part of a look" else 6)
+    if "look" in kind:  # the Jacobian is that at the expected motion
+        look = replace(look, Z=se3.invert(belief.T[2]) @ belief.T[0])
+
+    def measured(b):
+        if "look" in kind:
+            return b.innovation(look)
+        return b.position(np.zeros(2), np.eye(2)) if kind == "position" else b.yaw_rate(0.0, 1.0)
+
+    h = 1e-6
+    pairs = (
+        (measured(perturbed(belief, d)), measured(perturbed(belief, -d))) for d in h * np.eye(len(belief.covariance))
+    )
+    H = -np.transpose([(a.residual - b.residual) / (2 * h) for a, b in pairs])
+    R = look.covariance if "look" in kind else np.eye(len(H))
+    found = measured(belief)
+    np.testing.assert_allclose(found.with_state, belief.covariance @ H.T, atol=1e-7)
+    np.testing.assert_allclose(found.covariance, H @ belief.covariance @ H.T + R, atol=1e-7)
+
+
+def test_perturbing_all_poses_alike_changes_no_look(rng):
+    belief = belief_somewhere(rng)
+    look = look_at(belief, "clone 0", rng)
+    x = np.concatenate([np.tile(rng.normal(size=6), 3), np.zeros(7)])
+    np.testing.assert_allclose(perturbed(belief, x).apart(look), belief.apart(look), atol=1e-12)
+
+
+def test_many_looks_are_one_least_squares_fit(rng):
+    """Poses joined by wheels, and looks between each and the last three: all at once, by scipy, and one by one."""
+    steps = [WheelStep(i, i + 1.0, rng.normal(size=6) * 0.05, np.diag(rng.uniform(1, 2, 6) * 1e-6)) for i in range(4)]
+    still = replace(SETTINGS, scale_sigma=0.0, drift_sigma_rad_per_m=0.0, turn_sigma=0.0, scale_walk=0.0)
+    settings = replace(
+        still, drift_walk_rad_per_m=0, turn_walk=0, side_m_per_sqrt_m=0, rise_m_per_sqrt_m=0, tilt_rad_per_sqrt_m=0
+    )
+    belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings).cloned("0", 0.0, 9)
+    prior, looks = [np.eye(4)], []
+    for i, step in enumerate(steps, 1):
+        belief = belief.rolled(step, 1.0, settings, False)
+        prior.append(prior[-1] @ se3.exp(step.xi))
+        for j in range(max(i - 3, 0), i):
+            Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(prior[j]) @ prior[i]
+            look = Look(str(j), Z, np.eye(6), np.diag(rng.uniform(1, 2, 6) * 1e-6), np.eye(6))
+            looks.append((i, j, look))
+            belief = belief.corrected(belief.innovation(look))
+        belief = belief.cloned(str(i), float(i), 9)
+
+    def residuals(x):
+        T = [np.eye(4), *(se3.exp(d) @ T for d, T in zip(x.reshape(-1, 6), prior[1:], strict=True))]
+        wheels = [
+            se3.log(se3.invert(T[i]) @ T[i + 1] @ se3.exp(-s.xi)) / np.sqrt(np.diag(s.covariance))
+            for i, s in enumerate(steps)
+        ]
+        seen = [
+            se3.log(k.Z @ se3.invert(se3.invert(T[j]) @ T[i])) / np.sqrt(np.diag(k.covariance)) for i, j, k in looks
+        ]
+        return np.concatenate(wheels + seen)
+
+    fit = least_squares(residuals, np.zeros(24), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    best = se3.exp(fit.x[-6:]) @ prior[-1]
+    sigmas = np.sqrt(np.diag(belief.covariance)[:6])
+    np.testing.assert_allclose(se3.log(best @ se3.invert(belief.T[0])) / sigmas, 0, atol=2e-2)
+    batch = np.linalg.inv(fit.jac.T @ fit.jac)[-6:, -6:]
+    np.testing.assert_allclose(belief.covariance[:6, :6], batch, rtol=0.02, atol=0.02 * batch.diagonal().min())
+
+
+def test_a_clone_that_is_dropped_leaves_the_rest_as_it_was(rng):
+    belief = belief_somewhere(rng, 3)
+    without = belief.dropped("clone 1")
+    assert without.names == ("clone 0", "clone 2")
+    np.testing.assert_array_equal(without.covariance[:6, :6], belief.covariance[:6, :6])
+    kept = belief.innovation(look_at(belief, "clone 2", np.random.default_rng(0))).nis
+    np.testing.assert_allclose(without.innovation(look_at(belief, "clone 2", np.random.default_rng(0))).nis, kept)
+
+
+def test_of_too_many_clones_the_oldest_goes(rng):
+    belief = belief_somewhere(rng, 2).cloned("a", 3.0, 3).cloned("b", 4.0, 3)
+    assert belief.names == ("clone 1", "a", "b")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_mixture_has_the_moments_of_both(rng, share):
+    one = belief_somewhere(rng)
+    other = one.moved(rng.normal(size=len(one.covariance)) * 1e-3, 2 * one.covariance)
+    mixed = one.mixed(other, share)
+    apart = difference(other, one)
+    np.testing.assert_allclose(difference(mixed, one), share * apart, atol=1e-5)
+    expected = (1 - share) * one.covariance + share * other.covariance + share * (1 - share) * np.outer(apart, apart)
+    np.testing.assert_allclose(mixed.covariance, expected, atol=1e-5)
+
+
+def test_covering_reaches_another_belief_however_it_is_turned(rng):
+    one = belief_somewhere(rng)
+    far = np.zeros(len(one.covariance))
+    far[:6] = [1.0, -2.0, 0.0, 0.0, 0.0, 1.5]
+    other = one.moved(far, one.covariance)
+    covering = one.covering(other)
+    t = one.T[0][:3, 3]
+    J = np.concatenate([np.eye(3), -np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])], axis=1)
+    C, off = (J @ covering.covariance[:6, :6] @ J.T)[:2, :2], (other.T[0] - one.T[0])[:2, 3]
+    assert np.sqrt(off @ np.linalg.solve(C, off)) < 3

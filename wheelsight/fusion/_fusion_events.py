@@ -1,0 +1,187 @@
+"""What can happen to the default filter, and the state after each: FusionState, and `after`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from wheelsight.estimates import Reason
+from wheelsight.fusion import _trust as trust
+from wheelsight.fusion._pose_belief import Look, PoseBelief, WheelStep
+from wheelsight.fusion._settings import ErrorStateSettings
+from wheelsight.fusion._trust import Court
+from wheelsight.geometry import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusionState:
+    """All that the filter knows after an event.
+
+    Attributes:
+        court: beliefs, and whom to trust.
+        stamp_s: of the event; None before any.
+        told_s: until when any sensor told anything.
+        vision_s: when vision was last believed.
+        is_lost: no sensor told anything for too long, and no look or position has been believed since.
+        is_degenerate: the last look did not show all directions.
+        reason: why the event was not believed, or None.
+    """
+
+    court: Court
+    stamp_s: float | None = None
+    told_s: float = -np.inf
+    vision_s: float = -np.inf
+    is_lost: bool = False
+    is_degenerate: bool = False
+    reason: Reason | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Happening:
+    """An event; the one field that is not None says which.
+
+    Attributes:
+        stamp_s: when.
+        wheels: a step of the wheels that ends then.
+        yaw_rate_rad_s: of a gyroscope.
+        look: of the camera. `failure`: why it had none.
+        position: x, y (2,) in the world, and covariance (2, 2).
+        clone: the pose is remembered by that name. `drop`: it no longer is.
+    """
+
+    stamp_s: float
+    wheels: WheelStep | None = None
+    yaw_rate_rad_s: float | None = None
+    look: Look | None = None
+    failure: Reason | None = None
+    position: tuple[FloatArray, FloatArray] | None = None
+    clone: str | None = None
+    drop: str | None = None
+
+    @property
+    def rank(self) -> int:
+        """What measures comes before what remembers."""
+        kinds = (self.wheels, self.yaw_rate_rad_s, self.look, self.failure, self.position, self.drop, self.clone)
+        return next(rank for rank, kind in enumerate(kinds) if kind is not None)
+
+    @property
+    def since_s(self) -> float:
+        """From when on it matters: of a step of the wheels, its begin."""
+        return self.stamp_s if self.wheels is None else self.wheels.begin_s
+
+
+def after(
+    state: FusionState, event: Happening, events: Sequence[Happening], settings: ErrorStateSettings
+) -> FusionState:
+    """The state after an event, of all those known: the whole step of the filter."""
+    steps = [known.wheels for known in events if known.wheels is not None]
+    now = moved_to(state, event.stamp_s, steps, settings)
+    court = replace(trust.end_doubt(now.court, event.stamp_s, settings), nis=None)
+    now = replace(now, court=court, reason=None)
+    if event.yaw_rate_rad_s is not None:
+        return replace(now, court=_turned(now.court, event.yaw_rate_rad_s, event.stamp_s, settings))
+    if event.look is not None:
+        return _looked(now, event.look, event.stamp_s, settings)
+    if event.failure is not None:
+        return replace(now, court=trust.fail(now.court, event.stamp_s, settings), reason=event.failure)
+    if event.position is not None:
+        return _placed(now, *event.position, settings)
+    if event.clone is not None:
+        return replace(now, court=_each(now.court, event.clone, event.stamp_s, settings.max_clones))
+    if event.drop is not None:
+        return replace(now, court=_each(now.court, event.drop, None, 0))
+    return now
+
+
+def moved_to(state: FusionState, stamp_s: float, steps: list[WheelStep], settings: ErrorStateSettings) -> FusionState:
+    """The state at a stamp: by the wheels where they tell, else by the speed there was."""
+    court, told_s, begin_s, is_lost = state.court, state.told_s, state.stamp_s, state.is_lost
+    if begin_s is None:
+        begin_s = told_s = min([stamp_s, *(step.begin_s for step in steps)])
+    covering = sorted((step for step in steps if step.end_s > begin_s and step.begin_s < stamp_s), key=_begin)
+    borders = {begin_s, stamp_s}
+    borders.update(border for step in covering for border in (step.begin_s, step.end_s) if begin_s < border < stamp_s)
+    for start_s, end_s in pairwise(sorted(borders)):
+        step = next((step for step in covering if step.begin_s <= start_s and end_s <= step.end_s), None)
+        court = _gone_on(court, step, start_s, end_s, settings)
+        told_s = told_s if step is None else end_s
+        is_lost = is_lost or end_s - told_s > settings.lost_after_s
+    return replace(state, court=court, stamp_s=stamp_s, told_s=told_s, is_lost=is_lost)
+
+
+def _begin(step: WheelStep) -> float:
+    return step.begin_s
+
+
+def _gone_on(court: Court, step: WheelStep | None, start_s: float, end_s: float, settings: ErrorStateSettings) -> Court:
+    def on(belief: PoseBelief | None, is_slipping: bool) -> PoseBelief | None:
+        if belief is None:
+            return None
+        if step is None:
+            return belief.glided(end_s - start_s, settings)
+        return belief.rolled(step, (end_s - start_s) / (step.end_s - step.begin_s), settings, is_slipping)
+
+    travel = court.travel
+    if step is not None:
+        travel = travel.rolled(step, (end_s - start_s) / (step.end_s - step.begin_s))
+    belief = on(court.belief, court.trust is trust.Trust.CAMERA)
+    assert belief is not None
+    return replace(court, belief=belief, rival=on(court.rival, True), travel=travel)
+
+
+def _looked(state: FusionState, look: Look, stamp_s: float, settings: ErrorStateSettings) -> FusionState:
+    if look.name not in state.court.belief.names:
+        return replace(state, reason=Reason.UNKNOWN_REFERENCE)
+    is_degenerate = len(look.covariance) < 6
+    court, reason = trust.see(state.court, stamp_s, look, settings)
+    heard = replace(state, court=court, reason=reason, is_degenerate=is_degenerate, told_s=stamp_s)
+    return heard if reason is not None else replace(heard, vision_s=stamp_s, is_lost=False)
+
+
+def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> FusionState:
+    court = state.court
+    by = court.belief.position(xy, covariance)
+    rivals = None if court.rival is None else court.rival.position(xy, covariance)
+    most, court = trust.gate(settings, 2), replace(court, nis=(by.nis, 2))
+    if by.nis > most and (rivals is None or rivals.nis > most):
+        return replace(state, court=court, reason=Reason.OUTLIER)
+    if court.rival is not None and rivals is not None:
+        cap = settings.leap_cap
+        evidence = court.evidence + (min(by.nis, cap) - min(rivals.nis, cap)) / 2
+        rival = court.rival.corrected(rivals) if rivals.nis <= most else court.rival
+        court = replace(court, rival=rival, evidence=evidence)
+    belief = court.belief.corrected(by) if by.nis <= most else court.belief
+    return replace(state, court=replace(court, belief=belief), is_lost=False)
+
+
+def _turned(court: Court, rate_rad_s: float, stamp_s: float, settings: ErrorStateSettings) -> Court:
+    seconds = stamp_s - court.gyro_s if court.gyro_s is not None else 0.0
+    if not 0 < seconds <= settings.coast_after_s:
+        return replace(court, gyro_s=stamp_s)
+    variance = settings.gyro_noise_rad_per_sqrt_s**2 / seconds
+
+    def turned(belief: PoseBelief) -> tuple[PoseBelief, float]:
+        by = belief.yaw_rate(rate_rad_s, variance)
+        if by.nis <= trust.gate(settings, 1):
+            return belief.corrected(by).turn_known(), by.nis
+        freed = belief.turn_distrusted(settings)
+        return freed.corrected(freed.yaw_rate(rate_rad_s, variance)).turn_known(), by.nis
+
+    belief, nis = turned(court.belief)
+    told = replace(court, belief=belief, nis=(nis, 1), gyro_s=stamp_s)
+    told = replace(told, travel=court.travel.turned((rate_rad_s - belief.gyro_bias_rad_s) * seconds, seconds))
+    if court.rival is not None:
+        told = replace(told, rival=turned(court.rival)[0])
+    return replace(told, turn_slip_s=stamp_s) if nis > trust.gate(settings, 1) else told
+
+
+def _each(court: Court, name: str, stamp_s: float | None, most: int) -> Court:
+    """Both beliefs with a pose remembered, or, without a stamp, no longer."""
+
+    def on(belief: PoseBelief) -> PoseBelief:
+        return belief.dropped(name) if stamp_s is None else belief.cloned(name, stamp_s, most)
+
+    return replace(court, belief=on(court.belief), rival=None if court.rival is None else on(court.rival))

@@ -1,0 +1,308 @@
+"""PoseBelief: a Gaussian over the base's pose now and at remembered instants, its twist, and the sensors' errors.
+
+Poses err by perturbations from the left, δ with T = exp(δ) T̂. In these, a step T_before_now with error ζ gives
+
+    δ_now = δ_before + Ad(T̂_before) ζ,
+
+so that what was uncertain stays as it is, whatever the way since; and a motion Z seen against a remembered pose c has
+
+    log(Z Ẑ⁻¹) = Ad(T̂_c⁻¹) (δ_now - δ_c) + η,   Ẑ = T̂_c⁻¹ T̂_now,
+
+which does not change when all poses are perturbed alike, wherever it is linearised: relative measurements never claim
+to know where the whole drive lies (Barrau & Bonnabel 2017; cloning: Roumeliotis & Burdick 2002). Beliefs do not change;
+each step answers a new one, so that a filter can go back to any it has kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion._settings import ErrorStateSettings
+from wheelsight.geometry import FloatArray, IntArray
+
+PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
+# Behind all poses stand, in this order: the twist, what is wrong with the wheels, and the gyroscope's bias.
+TWIST, ERRORS, BIAS = slice(0, 3), slice(3, 6), 6
+REST_SIZE = 7
+_LEVEL_EVERY_M = 0.25
+_KNOWN_FOR_S = 0.25
+_COVERED_SIGMAS = 2.5  # so that the other's own error, too, has room within three
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WheelStep:
+    """What the wheels tell of an interval: ξ (6,), and the covariance (6, 6) of the left perturbation of exp(ξ)."""
+
+    begin_s: float
+    end_s: float
+    xi: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """A motion of the base as the camera saw it against the remembered pose `name`.
+
+    Attributes:
+        Z: (4, 4) T_reference_now of the base.
+        seen: (m, 6) rows that take a left perturbation of Z to the directions that the camera shows.
+        covariance: (m, m) in these.
+        spread: (6, 6) of the left perturbation of Z, very wide where nothing is shown.
+        inlier_share: of the matches, or None.
+    """
+
+    name: str
+    Z: FloatArray
+    seen: FloatArray
+    covariance: FloatArray
+    spread: FloatArray
+    inlier_share: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Innovation:
+    """A measurement against the belief: residual (m,), its covariance (m, m), that with the state (n, m), its NIS."""
+
+    residual: FloatArray
+    covariance: FloatArray
+    with_state: FloatArray
+    nis: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseBelief:
+    """The belief; see the module.
+
+    Attributes:
+        T: (1 + K, 4, 4) T_world_base now, and at the remembered instants.
+        names, stamps_s: of these instants.
+        rest: (7,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the gyroscope's bias.
+        covariance: (6 + 6K + 7, 6 + 6K + 7) of all perturbations of poses, then of `rest`.
+        doubted: (6, 6) part of the pose's covariance that is there because wheels were not trusted since vision was
+            last believed.
+        way_m: since the floor was last taken for level.
+        part_s: length of the last part of a wheel step.
+        known_twist: (3,) the twist when a measurement last told it; `known_for_s` ago.
+    """
+
+    T: FloatArray
+    names: tuple[str, ...]
+    stamps_s: tuple[float, ...]
+    rest: FloatArray
+    covariance: FloatArray
+    doubted: FloatArray
+    way_m: float = 0.0
+    part_s: float = 0.0
+    known_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
+    known_for_s: float = np.inf
+
+    @classmethod
+    def begin(cls, T_world_base: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
+        """At rest, at a pose with its covariance (6, 6)."""
+        s = settings
+        P = np.zeros((6 + REST_SIZE, 6 + REST_SIZE))
+        P[:6, :6] = covariance
+        still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
+        errors = [s.scale_sigma, s.drift_sigma_rad_per_m, s.turn_sigma]
+        P[6:, 6:] = np.diag(np.square([*still, *errors, s.gyro_bias_sigma_rad_s]))
+        return cls(T_world_base[None].copy(), (), (), np.zeros(REST_SIZE), P, np.zeros((6, 6)))
+
+    @property
+    def gyro_bias_rad_s(self) -> float:
+        """What the gyroscope is thought to show at rest."""
+        return float(self.rest[BIAS])
+
+    @property
+    def wheel_errors(self) -> FloatArray:
+        """(3,) scale of ways, turn a metre, scale of turns: what is thought to be wrong with the wheels."""
+        return self.rest[ERRORS].copy()
+
+    @property
+    def _rest(self) -> int:
+        return len(self.covariance) - REST_SIZE
+
+    def indices(self, part: slice) -> IntArray:
+        """Where a part of `rest` stands in the covariance."""
+        return np.arange(self._rest + part.start, self._rest + part.stop)
+
+    def rolled(self, step: WheelStep, share: float, settings: ErrorStateSettings, is_slipping: bool) -> PoseBelief:
+        """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
+        s, dt_s = settings, (step.end_s - step.begin_s) * share
+        raw = step.xi * share
+        way_m = s.lever_m * abs(raw[5]) + float(np.sqrt(raw[0] ** 2 + raw[1] ** 2))
+        walks = np.square([s.scale_walk, s.drift_walk_rad_per_m, s.turn_walk, s.gyro_bias_walk_rad_s])
+        walks *= [way_m, way_m, way_m, dt_s]
+        T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
+        Q = step.covariance * share + _unseen(way_m, s)
+        kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)
+        ways = (self.way_m + way_m, dt_s, self.known_twist, self.known_for_s + dt_s)
+        after = PoseBelief(T, self.names, self.stamps_s, rest, P, self.doubted, *ways)
+        after = after.distrusted(dt_s, np.zeros(3), s) if is_slipping else after
+        return after._levelled(s) if after.way_m > _LEVEL_EVERY_M else after
+
+    def _by_errors(self, raw: FloatArray, dt_s: float) -> FloatArray:
+        """How a step (6,) changes with the wheels' errors (6, 3), by the twist known before it.
+
+        By its own numbers, a step that is too long by chance would be one more that calls for a smaller scale, and the
+        errors would be drawn towards those that leave no motion at all.
+        """
+        moved = raw.copy()
+        if self.known_for_s < _KNOWN_FOR_S:
+            moved[PLANE] = self.known_twist * dt_s
+        by_errors = np.zeros((6, 3))
+        by_errors[:2, 0], by_errors[5, 1], by_errors[5, 2] = moved[:2], moved[0], moved[5]
+        return by_errors
+
+    def glided(self, dt_s: float, settings: ErrorStateSettings) -> PoseBelief:
+        """After a time of which the wheels tell nothing: the twist goes on, by white noise of acceleration."""
+        s = settings
+        T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
+        # A base moves sideways by what its wheels slip, no more.
+        q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
+        way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
+        kernels.glide(T, rest, P, q, _unseen(way_m, s), dt_s, s.gyro_bias_walk_rad_s**2 * dt_s)
+        return replace(self, T=T, rest=rest, covariance=P)
+
+    def cloned(self, name: str, stamp_s: float, most: int) -> PoseBelief:
+        """With the pose now remembered as `name`; a pose of that name before, or the oldest of too many, goes."""
+        here = self.dropped(name)
+        while len(here.names) >= most:
+            here = here.dropped(here.names[0])
+        poses = np.r_[: len(here.T), 0]
+        names, stamps = (*here.names, name), (*here.stamps_s, stamp_s)
+        return replace(here._selected(poses), names=names, stamps_s=stamps)
+
+    def dropped(self, name: str) -> PoseBelief:
+        """Without the remembered pose `name`: it is marginalised, all else stays as it is."""
+        if name not in self.names:
+            return self
+        place = self.names.index(name)
+        names = self.names[:place] + self.names[place + 1 :]
+        stamps = self.stamps_s[:place] + self.stamps_s[place + 1 :]
+        return replace(self._selected(np.delete(np.arange(len(self.T)), place + 1)), names=names, stamps_s=stamps)
+
+    def _selected(self, poses: IntArray) -> PoseBelief:
+        rows = np.r_[(6 * poses[:, None] + np.arange(6)).ravel(), self._rest : len(self.covariance)]
+        return replace(self, T=self.T[poses], covariance=self.covariance[np.ix_(rows, rows)])
+
+    def reference(self, name: str) -> int:
+        """Which of `T` the remembered pose `name` is. Raises KeyError."""
+        if name not in self.names:
+            raise KeyError(name)
+        return self.names.index(name) + 1
+
+    def apart(self, look: Look) -> FloatArray:
+        """log(Z Ẑ⁻¹) (6,): how far the camera's motion is from the expected one."""
+        return np.asarray(kernels.apart(self.T[0], self.T[self.reference(look.name)], look.Z))
+
+    def innovation(self, look: Look, *, without_doubt: bool = False) -> Innovation:
+        """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed."""
+        at = self.reference(look.name)
+        H, PHt, HPHt = kernels.look(self.T[at], self.covariance, 6 * at, look.seen)
+        S = HPHt + look.covariance
+        if without_doubt:
+            S = S - H @ self.doubted @ H.T
+        return _innovation(look.seen @ self.apart(look), S, PHt)
+
+    def position(self, xy: FloatArray, covariance: FloatArray) -> Innovation:
+        """What a position (2,) in the world with its covariance (2, 2) says."""
+        x, y, z = self.T[0][:3, 3]
+        H = np.array([[1.0, 0, 0, 0, z, -y], [0, 1.0, 0, -z, 0, x]])
+        PHt = self.covariance[:, :6] @ H.T
+        return _innovation(xy - self.T[0][:2, 3], H @ PHt[:6] + covariance, PHt)
+
+    def yaw_rate(self, rate_rad_s: float, variance: float) -> Innovation:
+        """What a gyroscope's yaw rate says."""
+        place = self.indices(TWIST)[2]
+        PHt = self.covariance[:, [place]] + self.covariance[:, [-1]]
+        residual = np.array([rate_rad_s - self.rest[2] - self.rest[BIAS]])
+        return _innovation(residual, PHt[[place]] + PHt[[-1]] + variance, PHt)
+
+    def corrected(self, by: Innovation) -> PoseBelief:
+        """The Kalman update."""
+        T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
+        kernels.correct(T, rest, P, by.with_state, by.covariance, by.residual)
+        return replace(self, T=T, rest=rest, covariance=P)
+
+    def moved(self, x: FloatArray, covariance: FloatArray) -> PoseBelief:
+        """All poses perturbed, and the rest shifted, by x (n,)."""
+        T, rest = self.T.copy(), self.rest.copy()
+        kernels.perturb(T, rest, x)
+        return replace(self, T=T, rest=rest, covariance=covariance)
+
+    def distrusted(self, seconds: float, step: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
+        """As if wheels had slipped for so long and come off by a step (3,), vx, vy, ωz in the base's frame."""
+        q = np.square([settings.slip_m_per_sqrt_s] * 2 + [settings.slip_rad_per_sqrt_s]) * seconds
+        to_world = kernels.adjoint(self.T[0])[:, PLANE]
+        grown = to_world @ (np.diag(q) + np.outer(step, step)) @ to_world.T
+        P = self.covariance.copy()
+        P[:6, :6] += grown
+        return replace(self, covariance=P, doubted=self.doubted + grown)
+
+    def turn_distrusted(self, settings: ErrorStateSettings) -> PoseBelief:
+        """As if the wheels' last yaw rate, and the turn it made, were any."""
+        twist = self.indices(TWIST)[2]
+        G = np.r_[kernels.adjoint(self.T[0])[:, 5] * self.part_s, 1.0]
+        P = self.covariance.copy()
+        P[np.ix_(*[np.r_[:6, twist]] * 2)] += np.outer(G, G) * settings.acceleration_rad_s2**2
+        return replace(self, covariance=P)
+
+    def believed(self) -> PoseBelief:
+        """With all doubt since vision was last believed settled by what it said, and the twist known."""
+        return replace(self, doubted=np.zeros((6, 6)), known_twist=self.rest[TWIST], known_for_s=0.0)
+
+    def turn_known(self) -> PoseBelief:
+        """With the yaw rate known, by a gyroscope."""
+        return replace(self, known_twist=np.array([*self.known_twist[:2], self.rest[2]]))
+
+    def _levelled(self, settings: ErrorStateSettings) -> PoseBelief:
+        here = replace(self, way_m=0.0)
+        if not np.isfinite(settings.level_sigma_rad):
+            return here
+        # δω × up, where up = R e_z; level is where its x and y are 0.
+        up = self.T[0][:3, 2]
+        H = np.array([[0.0, 0, 0, 0, up[2], -up[1]], [0, 0, 0, -up[2], 0, up[0]]])
+        variance = settings.level_sigma_rad**2 * settings.level_m / self.way_m
+        PHt = self.covariance[:, :6] @ H.T
+        return here.corrected(_innovation(-up[:2], H @ PHt[:6] + variance * np.eye(2), PHt))
+
+    def mixed(self, other: PoseBelief, share: float) -> PoseBelief:
+        """One belief with the moments of both, where `other` is right with probability `share`: it covers both."""
+        way = [kernels.log(kernels.times(T, kernels.inverse(S))) for T, S in zip(other.T, self.T, strict=True)]
+        between = self.moved(share * np.concatenate([*way, other.rest - self.rest]), self.covariance)
+        P = np.zeros_like(self.covariance)
+        for belief, weight in ((self, 1 - share), (other, share)):
+            apart = between._shift_to(belief)
+            P += weight * (belief.covariance + np.outer(apart, apart))
+        return replace(between, covariance=P).believed()
+
+    def covering(self, other: PoseBelief) -> PoseBelief:
+        """This belief, so much less certain that `other` lies within three standard deviations."""
+        apart = self._shift_to(other)
+        apart[self._rest :] = 0.0  # twist and wheels are soon known again; they must not pull the pose along then
+        P = self.covariance + np.outer(apart, apart) / _COVERED_SIGMAS**2
+        P[: self._rest, : self._rest] += other.covariance[: self._rest, : self._rest]
+        return replace(self, covariance=P)
+
+    def _shift_to(self, other: PoseBelief) -> FloatArray:
+        """The perturbation (n,) that, to first order, puts every pose where `other` has it, however they are turned."""
+        shifts = np.zeros((len(self.T), 6))
+        for shift, T, S in zip(shifts, other.T, self.T, strict=True):
+            shift[3:] = kernels.log(kernels.times(T, kernels.inverse(S)))[3:]
+            shift[:3] = T[:3, 3] - S[:3, 3] - np.cross(shift[3:], S[:3, 3])
+        return np.concatenate([shifts.ravel(), other.rest - self.rest])
+
+
+def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray) -> Innovation:
+    return Innovation(residual, S, PHt, float(residual @ np.linalg.solve(S, residual)))
+
+
+def _unseen(way_m: float, settings: ErrorStateSettings) -> FloatArray:
+    """Covariance (6, 6) of what wheels do not tell of a step: sideways, up, roll and pitch."""
+    s = settings
+    return (
+        np.diag(np.square([0.0, s.side_m_per_sqrt_m, s.rise_m_per_sqrt_m, *[s.tilt_rad_per_sqrt_m] * 2, 0.0])) * way_m
+    )

@@ -1,0 +1,250 @@
+"""One rigid motion's exp, log, adjoint and left Jacobian, and the steps of a PoseBelief; numba over arrays and numbers.
+
+`geometry.se3` has the first four for batches of motions; one motion takes it a hundred times as long.
+The steps change the arrays they are given: T (1 + K, 4, 4), rest (7,) and P (n, n), as `_pose_belief` lays them out.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from wheelsight.geometry import FloatArray
+
+_MOST_TERMS = 40
+_REST = 7  # twist 3, the wheels' errors 3, the gyroscope's bias
+
+
+@njit(cache=True, nogil=True)
+def times(A: FloatArray, B: FloatArray) -> FloatArray:
+    """The product of small matrices of any layout."""
+    C = np.zeros((A.shape[0], B.shape[1]))
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            for j in range(B.shape[1]):
+                C[i, j] += A[i, k] * B[k, j]
+    return C
+
+
+@njit(cache=True, nogil=True)
+def _hat(x: float, y: float, z: float) -> FloatArray:
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+@njit(cache=True, nogil=True)
+def _square(W: FloatArray, i: int, j: int) -> float:
+    """Entry of W @ W for W (3, 3)."""
+    entry: float = W[i, 0] * W[0, j] + W[i, 1] * W[1, j] + W[i, 2] * W[2, j]
+    return entry
+
+
+@njit(cache=True, nogil=True)
+def exp(xi: FloatArray) -> FloatArray:
+    """T (4, 4) of a tangent (6,), (v, ω)."""
+    W = _hat(xi[3], xi[4], xi[5])
+    angle = math.sqrt(xi[3] ** 2 + xi[4] ** 2 + xi[5] ** 2)
+    a, b, c = 1 - angle**2 / 6, 0.5 - angle**2 / 24, 1 / 6 - angle**2 / 120
+    if angle > 1e-3:
+        half = math.sin(angle / 2) / angle
+        a, b, c = math.sin(angle) / angle, 2 * half**2, (angle - math.sin(angle)) / angle**3
+    T = np.eye(4)
+    for i in range(3):
+        for j in range(3):
+            W2 = _square(W, i, j)
+            T[i, j] += a * W[i, j] + b * W2
+            T[i, 3] += (b * W[i, j] + c * W2 + (1.0 if i == j else 0.0)) * xi[j]
+    return T
+
+
+@njit(cache=True, nogil=True)
+def log(T: FloatArray) -> FloatArray:
+    """Tangent (6,) of T (4, 4); the angle is at most π."""
+    x, y, z, w = _quaternion(T)
+    sine = math.sqrt(x * x + y * y + z * z)
+    angle = 2 * math.atan2(sine, w)
+    scale = angle / sine if sine > 1e-12 else 2.0
+    xi = np.zeros(6)
+    xi[3], xi[4], xi[5] = scale * x, scale * y, scale * z
+    W = _hat(xi[3], xi[4], xi[5])
+    b = 1 / 12 + angle**2 / 720
+    if angle > 1e-2:
+        b = (1 - angle / 2 / math.tan(angle / 2)) / angle**2 if angle < math.pi else 1 / math.pi**2
+    for i in range(3):
+        for j in range(3):
+            xi[i] += ((1.0 if i == j else 0.0) - 0.5 * W[i, j] + b * _square(W, i, j)) * T[j, 3]
+    return xi
+
+
+@njit(cache=True, nogil=True)
+def _quaternion(T: FloatArray) -> tuple[float, float, float, float]:
+    """x, y, z, w with w ≥ 0 of the rotation of T, from its largest part (Shepperd 1978)."""
+    trace = T[0, 0] + T[1, 1] + T[2, 2]
+    if trace > max(T[0, 0], T[1, 1], T[2, 2]):
+        q = np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1], 1 + trace])
+    elif T[0, 0] >= T[1, 1] and T[0, 0] >= T[2, 2]:
+        q = np.array([1 + 2 * T[0, 0] - trace, T[0, 1] + T[1, 0], T[0, 2] + T[2, 0], T[2, 1] - T[1, 2]])
+    elif T[1, 1] >= T[2, 2]:
+        q = np.array([T[0, 1] + T[1, 0], 1 + 2 * T[1, 1] - trace, T[1, 2] + T[2, 1], T[0, 2] - T[2, 0]])
+    else:
+        q = np.array([T[0, 2] + T[2, 0], T[1, 2] + T[2, 1], 1 + 2 * T[2, 2] - trace, T[1, 0] - T[0, 1]])
+    q /= math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2) * (1.0 if q[3] >= 0 else -1.0)
+    return q[0], q[1], q[2], q[3]
+
+
+@njit(cache=True, nogil=True)
+def adjoint(T: FloatArray) -> FloatArray:
+    """Ad (6, 6) of T (4, 4)."""
+    Ad = np.zeros((6, 6))
+    W = _hat(T[0, 3], T[1, 3], T[2, 3])
+    for i in range(3):
+        for j in range(3):
+            Ad[i, j] = Ad[i + 3, j + 3] = T[i, j]
+            Ad[i, j + 3] = W[i, 0] * T[0, j] + W[i, 1] * T[1, j] + W[i, 2] * T[2, j]
+    return Ad
+
+
+@njit(cache=True, nogil=True)
+def inverse_adjoint(T: FloatArray) -> FloatArray:
+    """Ad (6, 6) of the inverse of T (4, 4)."""
+    return adjoint(inverse(T))
+
+
+@njit(cache=True, nogil=True)
+def left_jacobian(xi: FloatArray) -> FloatArray:
+    """J (6, 6) with exp(ξ + δ) ≈ exp(J δ) exp(ξ): the series of ad(ξ)ⁿ / (n + 1)!, which converges for every ξ."""
+    ad = np.zeros((6, 6))
+    ad[:3, :3] = _hat(xi[3], xi[4], xi[5])
+    ad[3:, 3:] = ad[:3, :3]
+    ad[:3, 3:] = _hat(xi[0], xi[1], xi[2])
+    J, term = np.eye(6), np.eye(6)
+    for n in range(1, _MOST_TERMS):
+        term = times(term, ad) / (n + 1)
+        J += term
+        if np.abs(term).max() < 1e-15:
+            break
+    return J
+
+
+@njit(cache=True, nogil=True)
+def roll(
+    T: FloatArray,
+    rest: FloatArray,
+    P: FloatArray,
+    raw: FloatArray,
+    by_errors: FloatArray,
+    Q: FloatArray,
+    dt_s: float,
+    share: float,
+    walks: FloatArray,
+) -> None:
+    """A step ξ (6,) of the wheels, which changes by `by_errors` (6, 3), with noise Q (6, 6) of its left perturbation.
+
+    `walks` (4,) is added to the variances of the wheels' errors and the gyroscope's bias. A part of a step, `share`
+    below 1, has the twist of the whole, and is as uncertain of it.
+    """
+    n = len(P)
+    twist, errors = n - _REST, n - _REST + 3
+    xi = raw.copy()
+    for i in range(6):
+        for j in range(3):
+            xi[i] += by_errors[i, j] * rest[3 + j]
+    Ad, J = adjoint(T[0]), left_jacobian(xi)
+    to_pose, to_twist = times(times(Ad, J), by_errors), by_errors[np.array([0, 1, 5])] / dt_s
+    old = P[errors : errors + 3].copy()
+    P[:6] += times(to_pose, old)
+    P[twist:errors] = times(to_twist, old)
+    old = P[:, errors : errors + 3].copy()
+    P[:, :6] += times(old, to_pose.T)
+    P[:, twist:errors] = times(old, to_twist.T)
+    G = np.zeros((9, 6))
+    G[:6] = Ad
+    G[6:] = np.linalg.inv(J)[np.array([0, 1, 5])] * (math.sqrt(share) / dt_s)
+    grown = times(times(G, Q), G.T)
+    P[:6, :6] += grown[:6, :6]
+    P[:6, twist:errors] += grown[:6, 6:]
+    P[twist:errors, :6] += grown[6:, :6]
+    P[twist:errors, twist:errors] += grown[6:, 6:]
+    for i in range(4):
+        P[errors + i, errors + i] += walks[i]
+    T[0] = times(T[0], exp(xi))
+    rest[0], rest[1], rest[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
+
+
+@njit(cache=True, nogil=True)
+def glide(
+    T: FloatArray, rest: FloatArray, P: FloatArray, q: FloatArray, Q: FloatArray, dt_s: float, walk: float
+) -> None:
+    """The twist goes on for a time, with white noise of acceleration q (3,) and noise Q (6, 6) of the step besides."""
+    n = len(P)
+    twist, errors = n - _REST, n - _REST + 3
+    xi = np.zeros(6)
+    xi[0], xi[1], xi[5] = rest[0] * dt_s, rest[1] * dt_s, rest[2] * dt_s
+    Ad = adjoint(T[0])
+    plane = np.array([0, 1, 5])
+    to_pose = times(Ad, left_jacobian(xi)[:, plane]) * dt_s
+    P[:6] += times(to_pose, P[twist:errors].copy())
+    P[:, :6] += times(P[:, twist:errors].copy(), to_pose.T)
+    pushed = Ad[:, plane] * q
+    P[:6, :6] += times(pushed, Ad[:, plane].T) * (dt_s**3 / 3) + times(times(Ad, Q), Ad.T)
+    P[:6, twist:errors] += pushed * (dt_s**2 / 2)
+    P[twist:errors, :6] += pushed.T * (dt_s**2 / 2)
+    for i in range(3):
+        P[twist + i, twist + i] += q[i] * dt_s
+    P[n - 1, n - 1] += walk
+    T[0] = times(T[0], exp(xi))
+
+
+@njit(cache=True, nogil=True)
+def inverse(T: FloatArray) -> FloatArray:
+    """T_b_a (4, 4) of T_a_b (4, 4)."""
+    back = np.eye(4)
+    for i in range(3):
+        for j in range(3):
+            back[i, j] = T[j, i]
+            back[i, 3] -= T[j, i] * T[j, 3]
+    return back
+
+
+@njit(cache=True, nogil=True)
+def apart(T_now: FloatArray, T_reference: FloatArray, Z: FloatArray) -> FloatArray:
+    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4) and the one that two poses tell."""
+    return log(times(Z, times(inverse(T_now), T_reference)))
+
+
+@njit(cache=True, nogil=True)
+def look(
+    T_reference: FloatArray, P: FloatArray, place: int, seen: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """H (m, 6) of the pose now, the opposite of that of the pose at `place`; P Hᵀ (n, m); and H P Hᵀ (m, m)."""
+    H = times(seen, adjoint(inverse(T_reference)))
+    PHt = times(P[:, :6] - P[:, place : place + 6], H.T)
+    return H, PHt, times(H, PHt[:6] - PHt[place : place + 6])
+
+
+@njit(cache=True, nogil=True)
+def correct(
+    T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray
+) -> None:
+    """The Kalman update."""
+    gain: FloatArray = np.linalg.solve(S, np.ascontiguousarray(PHt.T)).T.astype(np.float64)
+    lost = times(gain, PHt.T)
+    for i in range(len(P)):
+        for j in range(i + 1):
+            P[i, j] -= (lost[i, j] + lost[j, i]) / 2
+            P[j, i] = P[i, j]
+    x = np.zeros(len(P))
+    for i in range(len(P)):
+        for j in range(len(residual)):
+            x[i] += gain[i, j] * residual[j]
+    perturb(T, rest, x)
+
+
+@njit(cache=True, nogil=True)
+def perturb(T: FloatArray, rest: FloatArray, x: FloatArray) -> None:
+    """Perturb all poses, and shift the rest, by x (n,)."""
+    for i in range(len(T)):
+        T[i] = times(exp(x[6 * i : 6 * i + 6]), T[i])
+    for i in range(len(rest)):
+        rest[i] += x[6 * len(T) + i]

@@ -1,0 +1,91 @@
+"""What the default filter believes of wheels, floor, camera and gyroscope before the drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.errors import ConfigError
+
+_MAY_BE_INFINITE = ("level_sigma_rad",)
+_SHARES = ("confidence", "healthy_share")
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorStateSettings:
+    """What is believed before the drive. Walks are random, told by their standard deviations after a metre or second.
+
+    Attributes:
+        scale_sigma, drift_sigma_rad_per_m, turn_sigma: of the wheels' errors: the ratio by which ways are wrong, the
+            turn a metre too much (unequal radii), the ratio by which turns are wrong (track width).
+        scale_walk, drift_walk_rad_per_m, turn_walk: how these wander in one metre.
+        side_m_per_sqrt_m, rise_m_per_sqrt_m, tilt_rad_per_sqrt_m: of what wheels do not tell: sideways, up, roll and
+            pitch; the way is that of a point `lever_m` beside the base.
+        level_sigma_rad, level_m: floors are level up to this, one stretch of so many metres like another; inf: never.
+        acceleration_m_s2, acceleration_rad_s2: how speeds change in a second while no wheel tells.
+        leap_m_s2, leap_rad_s2: standard deviation of what a robot's accelerations may be; more is a leap.
+        gyro_noise_rad_per_sqrt_s, gyro_bias_sigma_rad_s, gyro_bias_walk_rad_s: of the yaw rate, its bias at first, and
+            how the bias wanders in 1 s.
+        slip_m_per_sqrt_s, slip_rad_per_sqrt_s: where slipping wheels may have gone instead.
+        confidence: share of good measurements that a gate lets pass.
+        decisive: evidence, in nats, that settles whether wheels slip or vision fails.
+        leap_cap: most that one leap counts, as χ².
+        persistence: evidence of slip in each further frame in which a healthy camera contradicts the wheels.
+        ill_health: evidence of visual failure in one in which the camera is not healthy.
+        healthy_share: a camera is healthy whose share of inliers is at least this part of its usual share.
+        agreements: frames that must agree before trust returns.
+        longest_doubt_s: after it, both possibilities become one that covers both.
+        coast_after_s, lost_after_s: since vision was last believed, or since anything was heard.
+        window_s: how late an event may come. max_ahead_s: how far ahead of all others.
+        max_clones: past poses remembered at most; the oldest goes.
+
+    Raises:
+        ConfigError: a value that is negative or not finite, or a share that is none.
+    """
+
+    scale_sigma: float = 0.02
+    drift_sigma_rad_per_m: float = 0.02
+    turn_sigma: float = 0.03
+    scale_walk: float = 0.0005
+    drift_walk_rad_per_m: float = 0.0005
+    turn_walk: float = 0.0005
+    side_m_per_sqrt_m: float = 0.005
+    rise_m_per_sqrt_m: float = 0.01
+    tilt_rad_per_sqrt_m: float = 0.05
+    lever_m: float = 0.25
+    level_sigma_rad: float = 0.05
+    level_m: float = 5.0
+    acceleration_m_s2: float = 1.0
+    acceleration_rad_s2: float = 3.0
+    leap_m_s2: float = 2.0
+    leap_rad_s2: float = 6.0
+    gyro_noise_rad_per_sqrt_s: float = 1e-3
+    gyro_bias_sigma_rad_s: float = 0.02
+    gyro_bias_walk_rad_s: float = 2e-5
+    slip_m_per_sqrt_s: float = 0.3
+    slip_rad_per_sqrt_s: float = 0.5
+    confidence: float = 0.999
+    decisive: float = 6.0
+    leap_cap: float = 16.0
+    persistence: float = 1.5
+    ill_health: float = 2.0
+    healthy_share: float = 0.6
+    agreements: int = 5
+    longest_doubt_s: float = 2.0
+    coast_after_s: float = 0.3
+    lost_after_s: float = 2.0
+    window_s: float = 0.5
+    max_ahead_s: float = 10.0
+    max_clones: int = 4
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not value >= 0 or (value == np.inf and name not in _MAY_BE_INFINITE):
+                raise ConfigError(f"{name} is {value}", fix="0 or more")
+        for name in _SHARES:
+            if not 0 < getattr(self, name) < 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}", fix="between 0 and 1")
+        if self.max_clones < 1 or self.level_m == 0 or self.level_sigma_rad == 0:
+            raise ConfigError("max_clones, level_m or level_sigma_rad is 0", fix="more than 0")

@@ -1,0 +1,327 @@
+"""Whom to believe when camera and wheels contradict each other: a sequential test of slip against visual failure.
+
+While both agree, one belief takes both. A look that lies outside the gate splits it in two: one in which vision fails
+and the wheels go on, one in which the wheels slip and the camera leads. Evidence between them, in nats, sums up frame
+by frame (Wald 1945) until one is settled:
+
+- who leapt: the one whose own speed changed more than a robot's can, at the onset or since, is the one that is wrong;
+- the gyroscope, where there is one: with whom it turns;
+- a camera with its usual share of inliers that goes on contradicting the wheels speaks for slip, since wheels cannot
+  notice that they slip; one with fewer, or that fails, against itself.
+
+A look that even slipping wheels could not explain, because it leaves the floor's plane, is refused and speaks for
+nobody. Until it is settled both beliefs go on, and the answer lies between and covers both. Settled for the wheels, the
+answer is theirs, and covers the camera's as long as that looks well. Trust comes back with a row of looks that agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from functools import cache
+
+import numpy as np
+
+from wheelsight.estimates import Reason
+from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion._pose_belief import PLANE, Innovation, Look, PoseBelief, WheelStep
+from wheelsight.fusion._settings import ErrorStateSettings
+from wheelsight.geometry import FloatArray
+
+_LONGEST_STEP_S = 0.25
+_SHARE_MEMORY = 0.05
+_LEAK = 0.5
+_YAW = 2
+_SIDEWAYS = 0.25  # of the accelerations ahead: wheels hold a base sideways
+
+
+class Trust(Enum):
+    """Who is believed."""
+
+    BOTH = "both"
+    DOUBT = "doubt"
+    CAMERA = "camera"
+    WHEELS = "wheels"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Travel:
+    """What wheels and gyroscope alone told since the last look: motion, its covariance (3, 3) in the plane; yaw."""
+
+    T: FloatArray = field(default_factory=lambda: np.eye(4))
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    wheels_s: float = 0.0
+    gyro_rad: float = 0.0
+    gyro_s: float = 0.0
+
+    def rolled(self, step: WheelStep, share: float) -> Travel:
+        """After a share of a wheel step."""
+        covariance = self.covariance + step.covariance[np.ix_(PLANE, PLANE)] * share
+        T = self.T @ kernels.exp(step.xi * share)
+        return replace(self, T=T, covariance=covariance, wheels_s=self.wheels_s + share * (step.end_s - step.begin_s))
+
+    def turned(self, yaw_rad: float, seconds: float) -> Travel:
+        """After a turn that the gyroscope told."""
+        return replace(self, gyro_rad=self.gyro_rad + yaw_rad, gyro_s=self.gyro_s + seconds)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Speed:
+    """Mean velocity (3,) in the plane over an interval, and its covariance (3, 3)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def over(cls, T: FloatArray, covariance: FloatArray, seconds: float) -> Speed:
+        """Of a motion (4, 4) with its covariance (3, 3)."""
+        return cls(np.asarray(kernels.log(T))[PLANE] / seconds, covariance / seconds**2)
+
+    def leap_from(self, before: Speed, seconds: float, settings: ErrorStateSettings) -> float:
+        """χ² of the change of speed since, against what a robot does in so many seconds; at most `leap_cap`."""
+        s = settings
+        usual = np.square([s.leap_m_s2, s.leap_m_s2 * _SIDEWAYS, s.leap_rad_s2]) * seconds**2
+        change = self.mean - before.mean
+        chi_squared = float(change @ np.linalg.solve(self.covariance + before.covariance + np.diag(usual), change))
+        return min(chi_squared, s.leap_cap)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Glance:
+    """The last look, kept to tell leaps at the next."""
+
+    stamp_s: float
+    look: Look
+    camera: Speed | None = None
+    wheels: Speed | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Court:
+    """Beliefs, whom to trust, and why.
+
+    Attributes:
+        belief: the one that is answered; in DOUBT, the one that trusts the wheels.
+        rival: in DOUBT, the one that trusts the camera; with WHEELS too, while the camera is well and agrees with it.
+        trust: whom.
+        evidence: nats for slip, less those for visual failure.
+        agreed: looks that agreed in a row.
+        since_s: when `trust` last changed.
+        glance: the last look.
+        travel: of wheels and gyroscope since.
+        usual_share: of inliers, where looks tell it.
+        nis: of the measurement just taken, and its degrees of freedom; or None.
+        gyro_s: of the last yaw rate.
+        turn_slip_s: when the gyroscope last contradicted the wheels.
+    """
+
+    belief: PoseBelief
+    rival: PoseBelief | None = None
+    trust: Trust = Trust.BOTH
+    evidence: float = 0.0
+    agreed: int = 0
+    since_s: float = -np.inf
+    glance: Glance | None = None
+    travel: Travel = field(default_factory=Travel)
+    usual_share: float | None = None
+    nis: tuple[float, int] | None = None
+    gyro_s: float | None = None
+    turn_slip_s: float = -np.inf
+
+    @property
+    def rival_share(self) -> float:
+        """Probability that the camera is right, in DOUBT."""
+        return float(1 / (1 + np.exp(-self.evidence)))
+
+    def answer(self) -> PoseBelief:
+        """The belief to answer with: it covers the rival, and lies between both in DOUBT."""
+        if self.rival is None:
+            return self.belief
+        if self.trust is Trust.WHEELS:
+            return self.belief.covering(self.rival)
+        return self.belief.mixed(self.rival, self.rival_share)
+
+
+def gate(settings: ErrorStateSettings, degrees: int) -> float:
+    """The largest NIS that a good measurement of so many degrees of freedom has, but for `1 - confidence` of them."""
+    return _quantile(settings.confidence, degrees)
+
+
+@cache
+def _quantile(share: float, degrees: int) -> float:
+    from scipy.stats import chi2
+
+    return float(chi2.ppf(share, degrees))
+
+
+def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) -> tuple[Court, Reason | None]:
+    """The court after a look, and why it was not believed, or None."""
+    most = gate(settings, len(look.covariance))
+    glance, evidence = _compare(court, stamp_s, look, settings)
+    usual = court.belief.innovation(look, without_doubt=True)
+    agrees = usual.nis <= most
+    agreed, nis = court.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
+    heard = replace(court, glance=glance, travel=Travel(), agreed=agreed, nis=nis)
+    if court.trust is Trust.BOTH:
+        heard = replace(heard, evidence=court.evidence * _LEAK + evidence)
+        return _together(heard, stamp_s, look, usual, most, settings)
+    if court.trust is Trust.DOUBT:
+        return _in_doubt(heard, stamp_s, look, evidence, agrees, settings)
+    if court.trust is Trust.CAMERA:
+        return _by_camera(heard, stamp_s, look, most, settings)
+    return _by_wheels(heard, stamp_s, look, settings)
+
+
+def fail(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+    """The court after a frame in which the camera itself says that it sees nothing."""
+    blind = replace(court, glance=None, travel=Travel(), agreed=0)
+    if court.trust is Trust.DOUBT:
+        return _settled(replace(blind, evidence=court.evidence - settings.ill_health), stamp_s, settings)
+    return replace(blind, rival=None)
+
+
+def end_doubt(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+    """The court with doubt, or distrust of wheels that no camera renews, ended when it has lasted too long."""
+    if stamp_s - court.since_s <= settings.longest_doubt_s:
+        return court
+    if court.trust is Trust.DOUBT:
+        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.answer(), evidence=0.0)
+    lone = court.glance is None or stamp_s - court.glance.stamp_s > settings.longest_doubt_s
+    if court.trust is not Trust.CAMERA or not lone:
+        return court
+    return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.belief.believed())
+
+
+def _together(
+    court: Court, stamp_s: float, look: Look, usual: Innovation, most: float, settings: ErrorStateSettings
+) -> tuple[Court, Reason | None]:
+    if usual.nis <= most:
+        return replace(_healthier(court, look), belief=court.belief.corrected(usual).believed()), None
+    rival = _led_by_camera(court.belief, stamp_s, look, court.glance, settings)
+    if rival is None:
+        return court, Reason.CONTRADICTION
+    split = replace(_trusting(court, Trust.DOUBT, stamp_s), rival=rival)
+    return _verdict(_settled(split, stamp_s, settings))
+
+
+def _in_doubt(
+    court: Court, stamp_s: float, look: Look, evidence: float, agrees: bool, settings: ErrorStateSettings
+) -> tuple[Court, Reason | None]:
+    assert court.rival is not None
+    by = court.rival.innovation(look)
+    fits = by.nis <= gate(settings, len(look.covariance))
+    rival = court.rival.corrected(by).believed() if fits else court.rival
+    if not agrees:
+        is_healthy = fits and _is_healthy(court, look, settings)
+        evidence += settings.persistence if is_healthy else -settings.ill_health
+    court = replace(court, rival=rival, evidence=court.evidence + evidence)
+    if court.agreed >= settings.agreements:
+        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.answer(), evidence=0.0), None
+    return _verdict(_settled(court, stamp_s, settings))
+
+
+def _by_camera(
+    court: Court, stamp_s: float, look: Look, most: float, settings: ErrorStateSettings
+) -> tuple[Court, Reason | None]:
+    by = court.belief.innovation(look)
+    if by.nis > most:
+        return court, Reason.CONTRADICTION
+    if court.agreed >= settings.agreements:
+        court = _trusting(court, Trust.BOTH, stamp_s)
+    return replace(court, belief=court.belief.corrected(by).believed()), None
+
+
+def _by_wheels(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) -> tuple[Court, Reason | None]:
+    if court.agreed >= settings.agreements:
+        belief = court.answer().believed()
+        belief = belief.corrected(belief.innovation(look)).believed()
+        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=belief), None
+    if court.rival is not None:
+        by = court.rival.innovation(look)
+        fits = by.nis <= gate(settings, len(look.covariance)) and _is_healthy(court, look, settings)
+        court = replace(court, rival=court.rival.corrected(by).believed() if fits else None)
+    return court, Reason.CONTRADICTION
+
+
+def _settled(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+    """The court, with one of both beliefs alone where the evidence is decisive."""
+    if court.evidence > settings.decisive:
+        assert court.rival is not None
+        return replace(_trusting(court, Trust.CAMERA, stamp_s), belief=court.rival, evidence=0.0)
+    if court.evidence < -settings.decisive:
+        return replace(_trusting(court, Trust.WHEELS, stamp_s), rival=court.rival, evidence=0.0)
+    return court
+
+
+def _verdict(court: Court) -> tuple[Court, Reason | None]:
+    return court, None if court.trust is Trust.CAMERA else Reason.CONTRADICTION
+
+
+def _trusting(court: Court, trust: Trust, stamp_s: float) -> Court:
+    return replace(court, trust=trust, rival=None, agreed=0, since_s=stamp_s)
+
+
+def _led_by_camera(
+    belief: PoseBelief, stamp_s: float, look: Look, last: Glance | None, settings: ErrorStateSettings
+) -> PoseBelief | None:
+    """The belief if wheels slipped since the last look; None where not even that explains this one."""
+    since_s = belief.stamps_s[belief.reference(look.name) - 1] if last is None else last.stamp_s
+    apart = look.seen.T @ np.linalg.pinv(look.seen @ look.seen.T) @ look.seen @ belief.apart(look)
+    from_reference = kernels.inverse_adjoint(belief.T[0]) @ kernels.adjoint(belief.T[belief.reference(look.name)])
+    distrusting = belief.distrusted(max(stamp_s - since_s, 0.0), (from_reference @ apart)[PLANE], settings)
+    by = distrusting.innovation(look)
+    return distrusting.corrected(by).believed() if by.nis <= gate(settings, len(look.covariance)) else None
+
+
+def _compare(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) -> tuple[Glance, float]:
+    """This look as a glance, and the evidence of leaps and of the gyroscope."""
+    last, travel = court.glance, court.travel
+    seconds = np.inf if last is None else stamp_s - last.stamp_s
+    step = None if last is None else _since(last, look, court.belief)
+    if step is None or not 0 < seconds <= _LONGEST_STEP_S:
+        return Glance(stamp_s, look), 0.0
+    assert last is not None
+    camera = Speed.over(step[0], step[1], seconds)
+    heard = travel.wheels_s > 0.5 * seconds
+    wheels = Speed.over(travel.T, travel.covariance, travel.wheels_s) if heard else None
+    evidence = 0.0
+    if wheels is not None and last.wheels is not None and last.camera is not None:
+        evidence += 0.5 * wheels.leap_from(last.wheels, seconds, settings)
+        evidence -= 0.5 * camera.leap_from(last.camera, seconds, settings)
+    if wheels is not None and travel.gyro_s > 0.5 * seconds:
+        rate = travel.gyro_rad / travel.gyro_s
+        evidence += _turns_against(wheels, rate, seconds, settings) - _turns_against(camera, rate, seconds, settings)
+    return Glance(stamp_s, look, camera, wheels), evidence
+
+
+def _turns_against(speed: Speed, rate_rad_s: float, seconds: float, settings: ErrorStateSettings) -> float:
+    """Evidence of a gyroscope against a source that turns so."""
+    variance = settings.gyro_noise_rad_per_sqrt_s**2 / seconds + speed.covariance[_YAW, _YAW]
+    return float(min((speed.mean[_YAW] - rate_rad_s) ** 2 / variance, settings.leap_cap) / 2)
+
+
+def _since(last: Glance, look: Look, belief: PoseBelief) -> tuple[FloatArray, FloatArray] | None:
+    """The camera's own motion since the last look, and its covariance (3, 3); None where references differ."""
+    reference_s = belief.stamps_s[belief.reference(look.name) - 1]
+    if reference_s == last.stamp_s:
+        return look.Z, look.spread[np.ix_(PLANE, PLANE)]
+    if reference_s > last.stamp_s or last.look.name != look.name:
+        return None
+    T_last_reference = kernels.inverse(last.look.Z)
+    Ad = kernels.adjoint(T_last_reference)
+    spread = Ad @ (look.spread + last.look.spread) @ Ad.T
+    return T_last_reference @ look.Z, spread[np.ix_(PLANE, PLANE)]
+
+
+def _is_healthy(court: Court, look: Look, settings: ErrorStateSettings) -> bool:
+    if look.inlier_share is None or court.usual_share is None:
+        return True
+    return look.inlier_share >= settings.healthy_share * court.usual_share
+
+
+def _healthier(court: Court, look: Look) -> Court:
+    if look.inlier_share is None:
+        return court
+    if court.usual_share is None:
+        return replace(court, usual_share=look.inlier_share)
+    return replace(court, usual_share=court.usual_share + _SHARE_MEMORY * (look.inlier_share - court.usual_share))

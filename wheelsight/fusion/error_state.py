@@ -1,0 +1,280 @@
+"""ErrorStateFilter: wheels, camera, gyroscope and places joined into one pose that says how far to trust it.
+
+An error-state Kalman filter on SE(3) with perturbations from the left (`_pose_belief`). Its state is the base's pose,
+its twist, what is wrong with the wheels, the gyroscope's bias, and remembered past poses (stochastic cloning,
+Roumeliotis & Burdick, ICRA 2002), against which the camera's relative motions are measurements.
+
+- The twist is planar (vx, vy, ωz in the base's frame): that is what wheels and gyroscope tell, and on a ramp it is the
+  pose that is tilted, not the twist. It carries the pose on while no wheel tells, and is what a gyroscope measures.
+- The wheels' errors (scale of ways, turn a metre, scale of turns) are in the state because they are no noise: radii 2 %
+  wrong stay 2 % wrong, and the camera tells them.
+- The floor is level only softly: height, roll and pitch wander with the way; roll and pitch are drawn back to level.
+- Directions that the camera does not see are no part of its measurement.
+- Whom to believe when sensors contradict each other: `_trust`.
+
+Events may come late and in any order, within a window: what followed is then taken again (`_history`), and the outcome
+is that of the events in order. The same events give the same answer to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.errors import ConfigError
+from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion._fusion_events import FusionState, Happening, after, moved_to
+from wheelsight.fusion._history import History
+from wheelsight.fusion._pose_belief import TWIST, Look, PoseBelief, WheelStep
+from wheelsight.fusion._settings import ErrorStateSettings
+from wheelsight.fusion._trust import Court, Trust
+from wheelsight.geometry import FloatArray, se3
+
+_TURN_LEVER_M = 2.0  # of `MotionEstimate.degenerate`
+_SCALE = np.array([1.0, 1.0, 1.0, _TURN_LEVER_M, _TURN_LEVER_M, _TURN_LEVER_M])
+_UNSEEN_SIGMA_M = 10.0
+_RESTART_AFTER = 5  # events in a row that are all far ahead: it is not one clock that is wrong, all sensors had paused
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedEstimate(Estimate):
+    """The base's pose by all sensors.
+
+    Status: initializing, before any event. tracking: vision was believed within `coast_after_s`. coasting: the wheels
+    alone lead, and the covariance grows. lost: nothing was heard for `lost_after_s`, and nothing has told the place
+    since; there is no pose.
+
+    Attributes:
+        slip: the wheels are not believed, because camera or gyroscope contradict them.
+        degenerate: the last look of the camera did not show all directions.
+        doubtful: camera and wheels contradict each other and who is right is not settled; the covariance covers both.
+        twist: (3,) vx, vy, ωz of the base in its own frame, m/s and rad/s. Or None.
+        twist_covariance: (3, 3), or None.
+        nis: normalised innovation squared of the measurement that is answered, and its degrees of freedom; or None.
+        wheel_errors: (3,) what is thought to be wrong with the wheels: the ratio by which ways are too short, the turn
+            a metre that is missing in rad/m, the ratio by which turns are too small. Or None.
+    """
+
+    slip: bool = False
+    degenerate: bool = False
+    doubtful: bool = False
+    twist: FloatArray | None = None
+    twist_covariance: FloatArray | None = None
+    nis: tuple[float, int] | None = None
+    wheel_errors: FloatArray | None = None
+
+
+class ErrorStateFilter:
+    """The default filter; see the module. Each event is answered with the estimate right after it.
+
+    An event that is refused moves nothing: the answer is that of the newest event, and `reason` says why. Numbers that
+    are no motion (`INVALID`), events from before the window (`TOO_LATE`), and stamps far ahead of all others
+    (`CLOCKS_APART`) are refused so; what the gates refuse has `CONTRADICTION` or `OUTLIER`.
+
+    Args:
+        T_base_camera: (4, 4), or None where no camera is used.
+        T_world_base: (4, 4) at the first event; None for the identity, in a frame `odom` with z up.
+        covariance: (6, 6) of its left perturbation; None for zero.
+        settings: see there.
+
+    Raises:
+        ConfigError: a motion or covariance that is none.
+    """
+
+    def __init__(
+        self,
+        T_base_camera: ArrayLike | None = None,
+        T_world_base: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        settings: ErrorStateSettings | None = None,
+    ) -> None:
+        self.settings = settings or ErrorStateSettings()
+        begin = np.eye(4) if T_world_base is None else _motion(T_world_base)
+        spread = np.zeros((6, 6)) if covariance is None else _covariance(covariance, 6)
+        T_base_camera = np.eye(4) if T_base_camera is None else _motion(T_base_camera)
+        if begin is None or spread is None or T_base_camera is None:
+            raise ConfigError("a pose at the start, its covariance or T_base_camera is none", fix="(4, 4) and (6, 6)")
+        self._T_base_camera, self._Ad_base_camera = T_base_camera, kernels.adjoint(T_base_camera)
+        state = FusionState(Court(PoseBelief.begin(begin, spread, self.settings)))
+        self._history: History[Happening, FusionState] = History(state, self.settings.window_s, self._after)
+        self._ahead = 0
+        self._wheels: Estimate | None = None
+
+    def predict(self, stamp_s: float, T_prev_now: ArrayLike, covariance: ArrayLike, begin_s: float) -> FusedEstimate:
+        """Take a step of the wheels, from `begin_s` to `stamp_s`.
+
+        Args:
+            T_prev_now: (4, 4) the base at its end, in the frame of the base at its begin.
+            covariance: (6, 6) of its left perturbation, by the wheels' model.
+        """
+        T, Q = _motion(T_prev_now), _covariance(covariance, 6)
+        if T is None or Q is None or not (np.isfinite(begin_s) and begin_s < stamp_s):
+            return self._refused(Reason.INVALID)
+        return self._take(Happening(stamp_s, wheels=WheelStep(begin_s, stamp_s, kernels.log(T), Q)))
+
+    def predict_to(self, wheels: Estimate) -> FusedEstimate:
+        """Take the next estimate of wheel odometry, in order: T_odom_base with covariance; the first is the start."""
+        before, T, C = self._wheels, wheels.T_world_body, wheels.covariance
+        if T is None or C is None or wheels.reason is Reason.CLOCK_BACKWARDS:
+            return self._refused(wheels.reason or Reason.INVALID)
+        self._wheels = wheels
+        if before is None or before.T_world_body is None or before.covariance is None:
+            return self.estimate
+        T_before_odom = se3.invert(before.T_world_body)
+        Ad = kernels.adjoint(T_before_odom)
+        strength, axes = np.linalg.eigh(Ad @ (C - before.covariance) @ Ad.T)
+        grown = (axes * np.maximum(strength, 0.0)) @ axes.T
+        return self.predict(wheels.stamp_s, T_before_odom @ T, grown, before.stamp_s)
+
+    def clone(self, stamp_s: float, name: str) -> FusedEstimate:
+        """Remember the pose at a stamp as `name`, for later looks; one of that name before is forgotten."""
+        return self._take(Happening(stamp_s, clone=name))
+
+    def drop(self, stamp_s: float, name: str) -> FusedEstimate:
+        """Forget a remembered pose: it is marginalised."""
+        return self._take(Happening(stamp_s, drop=name))
+
+    def update_relative(self, stamp_s: float, motion: MotionEstimate, name: str) -> FusedEstimate:
+        """Take what the camera saw of its motion since the pose remembered as `name`, or that it saw nothing.
+
+        Args:
+            motion: T_reference_current of the camera, with the covariance of its left perturbation; directions named
+                `degenerate` are left out.
+        """
+        if motion.T_reference_current is None or motion.covariance is None:
+            return self._take(Happening(stamp_s, failure=motion.reason or Reason.INVALID))
+        look = self._look(motion, name)
+        if isinstance(look, Reason):
+            return self._take(Happening(stamp_s, failure=look))
+        return self._take(Happening(stamp_s, look=look))
+
+    def update_position(self, stamp_s: float, xy: ArrayLike, covariance: ArrayLike) -> FusedEstimate:
+        """Take a position (2,) in the world, metres, with its covariance (2, 2), as places tell."""
+        position, spread = np.array(xy, float), _covariance(covariance, 2)
+        if spread is None or position.shape != (2,) or not np.isfinite(position).all() or not _is_definite(spread):
+            return self._refused(Reason.INVALID)
+        return self._take(Happening(stamp_s, position=(position, spread)))
+
+    def update_yaw_rate(self, stamp_s: float, yaw_rate_rad_s: float) -> FusedEstimate:
+        """Take a gyroscope's yaw rate, counter-clockwise from above. Wheels must then be reckoned without it."""
+        if not np.isfinite(yaw_rate_rad_s):
+            return self._refused(Reason.INVALID)
+        return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s)))
+
+    @property
+    def estimate(self) -> FusedEstimate:
+        """As of the newest event."""
+        return self._answer(self._history.newest)
+
+    def expect(self, stamp_s: float, name: str) -> tuple[FloatArray, FloatArray] | None:
+        """T_reference_current (4, 4) of the camera that is to be expected, and its covariance (6, 6).
+
+        By what is known up to the stamp, from the newest event on; None where `name` is not remembered. Where vision
+        sees a direction not at all, this is what stands there.
+        """
+        newest = self._history.newest
+        if name not in newest.court.belief.names or not np.isfinite(stamp_s):
+            return None
+        steps = [event.wheels for event in self._history.events if event.wheels is not None]
+        late = newest.stamp_s is not None and stamp_s < newest.stamp_s
+        belief = (newest if late else moved_to(newest, stamp_s, steps, self.settings)).court.answer()
+        place = belief.reference(name)
+        T_camera_reference = se3.invert(belief.T[place] @ self._T_base_camera)
+        A, at = kernels.adjoint(T_camera_reference), slice(6 * place, 6 * place + 6)
+        P = belief.covariance
+        apart = P[:6, :6] - P[:6, at] - P[at, :6] + P[at, at]
+        return T_camera_reference @ belief.T[0] @ self._T_base_camera, A @ apart @ A.T
+
+    def _after(self, state: FusionState, event: Happening, events: Sequence[Happening]) -> FusionState:
+        return after(state, event, events, self.settings)
+
+    def _take(self, event: Happening) -> FusedEstimate:
+        if not np.isfinite(event.stamp_s):
+            return self._refused(Reason.INVALID)
+        newest_s = self._history.newest_s
+        if newest_s is not None and event.stamp_s > newest_s + self.settings.max_ahead_s:
+            self._ahead += 1
+            if self._ahead < _RESTART_AFTER:
+                return self._refused(Reason.CLOCKS_APART)
+        if self._history.is_too_late(event):
+            return self._refused(Reason.TOO_LATE)
+        self._ahead = 0
+        state = self._history.take(event)
+        newest = self._history.newest
+        return self._answer(newest if state.reason is None else replace(newest, reason=state.reason))
+
+    def _refused(self, reason: Reason) -> FusedEstimate:
+        return self._answer(replace(self._history.newest, reason=reason))
+
+    def _look(self, motion: MotionEstimate, name: str) -> Look | Reason:
+        T, R = _motion(motion.T_reference_current), _covariance(motion.covariance, 6)
+        hidden = np.zeros((0, 6)) if motion.degenerate is None else np.asarray(motion.degenerate, float)
+        if T is None or R is None or hidden.ndim != 2 or hidden.shape[1] != 6 or not np.isfinite(hidden).all():
+            return Reason.INVALID
+        seen, unseen = _split(hidden)
+        if len(seen) == 0:
+            return Reason.DEGENERATE
+        to_camera = np.diag(_SCALE) @ kernels.inverse_adjoint(self._T_base_camera)
+        scaled = R * np.outer(_SCALE, _SCALE)
+        shown = seen @ scaled @ seen.T
+        if not _is_definite(shown):
+            return Reason.INVALID
+        wide = np.linalg.inv(to_camera) @ (seen.T @ shown @ seen + _UNSEEN_SIGMA_M**2 * unseen.T @ unseen)
+        spread = wide @ np.linalg.inv(to_camera).T
+        Z = self._T_base_camera @ T @ se3.invert(self._T_base_camera)
+        share = motion.inliers / motion.matches if motion.matches > 0 else None
+        return Look(name, Z, seen @ to_camera, shown, spread, share)
+
+    def _answer(self, state: FusionState) -> FusedEstimate:
+        if state.stamp_s is None:
+            return FusedEstimate(-np.inf, Status.INITIALIZING, reason=state.reason, body="base")
+        s, court = self.settings, state.court
+        turns_off = state.stamp_s - court.turn_slip_s <= s.coast_after_s
+        flags = (court.trust is Trust.CAMERA or turns_off, state.is_degenerate, court.trust is Trust.DOUBT)
+        if state.is_lost:
+            return FusedEstimate(
+                state.stamp_s, Status.LOST, None, None, state.reason, "base", 0, 0, *flags, nis=court.nis
+            )
+        status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
+        belief = court.answer()
+        twist = belief.indices(TWIST)
+        pose = (belief.T[0].copy(), belief.covariance[:6, :6].copy(), state.reason, "base", 0, 0)
+        moving = (belief.rest[TWIST].copy(), belief.covariance[np.ix_(twist, twist)])
+        learned = belief.wheel_errors
+        return FusedEstimate(state.stamp_s, status, *pose, *flags, *moving, nis=court.nis, wheel_errors=learned)
+
+
+def _split(hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal rows (6 - K, 6) of the directions seen, and (K, 6) of those named in `hidden`."""
+    if len(hidden) == 0:
+        return np.eye(6), np.zeros((0, 6))
+    _, strength, rows = np.linalg.svd(hidden)
+    rank = int((strength > 1e-6).sum())
+    return rows[rank:], rows[:rank]
+
+
+def _motion(T: ArrayLike | None) -> FloatArray | None:
+    """A rigid motion (4, 4), or None where it is none."""
+    T = np.array(T, float)
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        return None
+    is_rigid = np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-6 and np.linalg.det(T[:3, :3]) > 0
+    return T if is_rigid and np.abs(T[3] - [0, 0, 0, 1]).max() < 1e-6 else None
+
+
+def _covariance(C: ArrayLike | None, size: int) -> FloatArray | None:
+    """A covariance (size, size), made exactly symmetric, or None where it is none."""
+    C = np.array(C, float)
+    if C.shape != (size, size) or not np.isfinite(C).all():
+        return None
+    most = np.abs(C).max()
+    is_one = np.abs(C - C.T).max() <= 1e-6 * most and np.linalg.eigvalsh((C + C.T) / 2)[0] >= -1e-9 * most
+    return (C + C.T) / 2 if is_one else None
+
+
+def _is_definite(C: FloatArray) -> bool:
+    return bool(np.linalg.eigvalsh(C)[0] > 0)
