@@ -143,6 +143,7 @@ def test_compiled_loops_do_as_plain_python_does(monkeypatch, rng):
 
     compiled, compiled_view = made()
     monkeypatch.setattr(surfels, "fusion", uncompiled(surfels.fusion))
+    monkeypatch.setattr(surfels, "match", uncompiled(surfels.match))
     monkeypatch.setattr(surfels, "view", uncompiled(surfels.view))
     monkeypatch.setattr(blocks, "kernels", uncompiled(blocks.kernels))
     with np.errstate(all="ignore"):

@@ -7,6 +7,7 @@ import pytest
 from mapping.scenes import GRID, SHAPE, Wall, look_at, made_map, pose, see
 
 from wheelsight.errors import MapError
+from wheelsight.mapping import Surfels
 
 FRAMES = 12
 
@@ -74,6 +75,25 @@ def test_unstable_surfels_show_only_where_no_stable_one_does():
     assert (np.abs(depth_m[was_wall] - 3.0) < 1e-3).all()
     was_empty = see([Wall(3.0, high=-0.65)], pose()).depth_m > 0
     assert (np.abs(depth_m[was_empty] - 1.5) < 1e-3).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_unstable_disks_reach_out_from_beside_stable_ones_only(threads):
+    # One stable surfel, and unstable ones farther off: in its middle, half hidden by it, and all beside it.
+    middles = np.array([[0.0, 0, 1], [0.005, 0, 1.2], [0.08, 0, 1.2], [0.4, 0, 1.2]], np.float32)
+    n, facing = len(middles), np.float32([0, 0, -1])
+    grey, confidence = np.float32([10, 20, 30, 40]), np.float32([20, 1, 1, 1])
+    looks = (np.full(n, 0.05, np.float32), np.repeat(grey[:, None], 3, axis=1), grey, confidence)
+    surfel_map = made_map(threads=threads)
+    surfel_map.add(Surfels(middles, np.tile(facing, (n, 1)), *looks, np.full(n, 1e-6), np.zeros(n), np.zeros(n)), 0.0)
+    view = surfel_map.predict(pose(), GRID, SHAPE)
+    seen, counts = np.unique(np.round(view.grey), return_counts=True)
+    np.testing.assert_array_equal(seen, [-1, 10, 30, 40])
+    stable, half, beside = counts[1:]
+    assert stable == pytest.approx(np.pi * (0.05 * GRID[0]) ** 2, rel=0.1)
+    assert beside == pytest.approx(stable / 1.44, rel=0.1)
+    assert 0 < half < beside
+    np.testing.assert_allclose(view.depth_m[np.round(view.grey) == 30], 1.2, rtol=1e-5)
 
 
 def test_the_back_of_a_surface_is_not_shown():

@@ -11,6 +11,8 @@ from numba.core.dispatcher import Dispatcher
 def plain(module: ModuleType) -> SimpleNamespace:
     """A module's kernels uncompiled, all the way down, with numpy counting bits."""
     names = dict(vars(module))
+    for imported in [kernel for kernel in names.values() if isinstance(kernel, Dispatcher)]:
+        names = imported.py_func.__globals__ | names
     names["_count_bits"] = lambda word: int(np.bitwise_count(word))
     kernels = {name: kernel.py_func for name, kernel in names.items() if isinstance(kernel, Dispatcher)}
     names |= {name: FunctionType(f.__code__, names, name, f.__defaults__) for name, f in kernels.items()}

@@ -4,7 +4,8 @@ from wheelsight.mapping.export import Mesh, mesh_of, write_mesh_ply, write_ply
 from wheelsight.mapping.mapper import SurfelMapper
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.storage import load_map, save_map
-from wheelsight.mapping.surfels import ColoredView, FusedFrame, MapStatus, SurfelMap, Surfels
+from wheelsight.mapping.surfels import SurfelMap
+from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
 
 __all__ = [
     "ColoredView",

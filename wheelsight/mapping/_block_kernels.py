@@ -93,10 +93,22 @@ def append(
                 return i
         slot = page * PAGE + page_fill[page]
         page_fill[page] += 1
-        geometry[slot], look[slot], seen_s[slot], variance[slot] = new[i], new_look[i], new_seen_s[i], new_variance[i]
+        _copy(i, slot, new, new_look, new_seen_s, new_variance, geometry, look, seen_s, variance)
         cell_seen_s[cell] = max(cell_seen_s[cell], new_seen_s[i, 1])
         counters[ALIVE] += 1
     return len(new)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _copy(
+    i: Any, j: Any, geometry: Any, look: Any, seen_s: Any, variance: Any, to: Any, to_look: Any, to_s: Any, to_var: Any
+) -> None:
+    """Copy surfel i of some arrays to place j of others, number by number: views of rows would be counted."""
+    for k in range(8):
+        to[j, k] = geometry[i, k]
+    for k in range(4):
+        to_look[j, k] = look[i, k]
+    to_s[j, 0], to_s[j, 1], to_var[j] = seen_s[i, 0], seen_s[i, 1], variance[i]
 
 
 @njit(cache=True, nogil=True)
@@ -260,28 +272,34 @@ def compact(
                 confidence = geometry[slot, CONFIDENCE]
                 if confidence <= 0:
                     continue
-                if confidence < rules[0] and now_s - seen_s[slot, 0] > rules[1]:
+                if _must_go(confidence, seen_s[slot, 0], seen_s[slot, 1], now_s, rules, quota):
                     died += 1
                     continue
-                if len(quota) > 0:
-                    k = usefulness_bin(confidence, now_s - seen_s[slot, 1], rules[2], len(quota))
-                    if quota[k] > 0:
-                        quota[k] -= 1
-                        died += 1
-                        continue
                 if to == PAGE:
                     to_page, to = page_next[to_page], 0
-                target = to_page * PAGE + to
-                if target != slot:
-                    geometry[target], look[target] = geometry[slot], look[slot]
-                    seen_s[target], variance[target] = seen_s[slot], variance[slot]
+                if to_page * PAGE + to != slot:
+                    place = to_page * PAGE + to
+                    _copy(slot, place, geometry, look, seen_s, variance, geometry, look, seen_s, variance)
                 to += 1
-                last_s = max(last_s, seen_s[target, 1])
+                last_s = max(last_s, seen_s[slot, 1])
             page = page_next[page]
         _trim(cell, to_page, to, page_next, page_fill, free, cell_pages, counters)
         cell_seen_s[cell] = last_s
     counters[ALIVE] -= died
     return died, end
+
+
+@njit(cache=True, nogil=True)
+def _must_go(confidence: Any, first_s: Any, last_s: Any, now_s: Any, rules: Any, quota: Any) -> Any:
+    """Whether a surfel's time has come, or its usefulness is among what may still be dropped: `quota` counts it."""
+    if confidence < rules[0] and now_s - first_s > rules[1]:
+        return True
+    if len(quota) == 0:
+        return False
+    k = usefulness_bin(confidence, now_s - last_s, rules[2], len(quota))
+    must_go = quota[k] > 0
+    quota[k] -= must_go
+    return must_go
 
 
 @njit(cache=True, nogil=True)

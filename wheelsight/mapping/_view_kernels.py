@@ -13,7 +13,7 @@ from numba import njit
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x61C70905
+_COMPILED_IN = 0xC716153B
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 # Unstable surfels show only where no stable one does: they rank as if so far away.
@@ -27,10 +27,12 @@ _SMALLEST_PX = np.float32(0.75)
 _LEAST_COSINE = np.float32(0.05)
 _RIM = np.float32(1.001)
 # What a disk is in the camera's frame: slopes x/z, y/z of its middle, the quadratic form (3) of slopes that is 1 at its
-# rim, n·p, normal (3), rank's addend, weight, red, green, blue, grey.
-DISK, _FORM, _PLANE, _N, _ADDEND, _WEIGHT, _RED, _GREY = 15, 2, 5, 6, 9, 10, 11, 14
-# Sums of a pixel: weight, depth, normal (3), grey, weight of those with grey, rank of the nearest; then colour.
-SUMS, _DEPTH, _NORMAL, _SUM_GREY, _PAINTED, _RANK = 8, 1, 2, 5, 6, 7
+# rim, n·p, weight; then what a pixel averages: normal (3), whether grey is known, grey, red, green, blue (0 if not).
+DISK, _FORM, _PLANE, _WEIGHT = 16, 2, 5, 6
+_NORMAL, _PAINTED, _GREY, _RED = 8, 11, 12, 13
+# Of a pixel: rank of the nearest disk, weight, weighted depth; and apart, weighted, the last half of a disk.
+NEAR, _RANK, _TOTAL, _DEPTH = 3, 0, 1, 2
+SUMS = 8
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -54,146 +56,156 @@ def project_disks(
     bound: Any,
     count: Any,
 ) -> None:
-    """The surfels of pages `begin` to `end` that face the camera, as disks; those of page k from entry k·PAGE on.
+    """The surfels of pages `begin` to `end` that face the camera, as disks.
+
+    Page k's stable ones are from entry k·PAGE on, and its unstable ones before entry (k + 1)·PAGE.
 
     Args:
         T: (4, 4) T_world_camera, float32. grid: fx, fy, cx, cy, float32.
         stable: confidence from which surfels are stable. least: confidence from which they are shown.
         since_s: surfels not seen since are left out.
         disk: (entries, DISK) float32. bound: (entries, 4) int16 first and last row, first and last column.
-        count: (pages,) of disks.
+        count: (pages, 2) of stable and unstable disks.
     """
     fx, fy, cx, cy = grid[0], grid[1], grid[2], grid[3]
     for k in range(begin, end):
-        entry = k * PAGE
+        low, high = k * PAGE, (k + 1) * PAGE
         for slot in range(pages[k] * PAGE, pages[k] * PAGE + page_fill[pages[k]]):
-            s = geometry[slot]
-            if s[CONFIDENCE] < least or s[CONFIDENCE] <= 0 or seen_s[slot, 1] < since_s:
+            confidence = geometry[slot, CONFIDENCE]
+            if confidence < least or confidence <= 0 or seen_s[slot, 1] < since_s:
                 continue
-            a, b, d = s[0] - T[0, 3], s[1] - T[1, 3], s[2] - T[2, 3]
-            z = T[0, 2] * a + T[1, 2] * b + T[2, 2] * d
-            facing = -(a * s[4] + b * s[5] + d * s[6])
+            a, b, d = geometry[slot, 0] - T[0, 3], geometry[slot, 1] - T[1, 3], geometry[slot, 2] - T[2, 3]
+            p, q, s = geometry[slot, 4], geometry[slot, 5], geometry[slot, 6]
+            z, facing = T[0, 2] * a + T[1, 2] * b + T[2, 2] * d, -(a * p + b * q + d * s)
             if z < _NEAREST_M or z > far_m or facing < _LEAST_COSINE * z:
                 continue
-            x, y = T[0, 0] * a + T[1, 0] * b + T[2, 0] * d, T[0, 1] * a + T[1, 1] * b + T[2, 1] * d
-            u, v, scale = fx * x / z + cx, fy * y / z + cy, fx / z
-            nx = T[0, 0] * s[4] + T[1, 0] * s[5] + T[2, 0] * s[6]
-            ny = T[0, 1] * s[4] + T[1, 1] * s[5] + T[2, 1] * s[6]
-            nz = T[0, 2] * s[4] + T[1, 2] * s[5] + T[2, 2] * s[6]
-            radius = max(s[RADIUS], _SMALLEST_PX * z / (scale * min(facing, z)))
-            # Seen along its ray, a disk is as wide as its shadow on the image plane, but for what perspective adds.
-            half_u = min(scale * radius * np.sqrt(max(_ONE - nx * nx, _ZERO)), _LARGEST_PX)
-            half_v = min(scale * radius * np.sqrt(max(_ONE - ny * ny, _ZERO)), _LARGEST_PX)
-            top, bottom = max(int(np.ceil(v - half_v)), 0), min(int(np.floor(v + half_v)), height - 1)
-            left, right = max(int(np.ceil(u - half_u)), 0), min(int(np.floor(u + half_u)), width - 1)
+            x, y = (T[0, 0] * a + T[1, 0] * b + T[2, 0] * d) / z, (T[0, 1] * a + T[1, 1] * b + T[2, 1] * d) / z
+            nx, ny = T[0, 0] * p + T[1, 0] * q + T[2, 0] * s, T[0, 1] * p + T[1, 1] * q + T[2, 1] * s
+            radius = max(geometry[slot, RADIUS], _SMALLEST_PX * z * z / (fx * min(facing, z)))
+            top, bottom = _covered(fy * y + cy, fx * radius / z, ny, height)
+            left, right = _covered(fx * x + cx, fx * radius / z, nx, width)
             if top > bottom or left > right:
                 continue
+            entry = low if confidence >= stable else high - 1
+            low, high = (low + 1, high) if confidence >= stable else (low, high - 1)
             bound[entry, 0], bound[entry, 1], bound[entry, 2], bound[entry, 3] = top, bottom, left, right
-            e, paint = disk[entry], look[slot]
-            _set_form(e, x / z, y / z, nx, ny, -facing, z, radius)
-            e[_PLANE], e[_N], e[_N + 1], e[_N + 2] = -facing, nx, ny, nz
-            e[_ADDEND] = _ZERO if s[CONFIDENCE] >= stable else BEHIND_M
-            e[_WEIGHT] = s[CONFIDENCE]
-            e[_RED], e[_RED + 1], e[_RED + 2], e[_GREY] = paint[0], paint[1], paint[2], paint[3]
-            entry += 1
-        count[k] = entry - k * PAGE
+            disk[entry, 0], disk[entry, 1], disk[entry, _PLANE], disk[entry, _WEIGHT] = x, y, -facing, confidence
+            form = _form(x, y, nx, ny, -facing, z, radius)
+            disk[entry, _FORM], disk[entry, _FORM + 1], disk[entry, _FORM + 2] = form
+            disk[entry, _NORMAL], disk[entry, _NORMAL + 1] = nx, ny
+            disk[entry, _NORMAL + 2] = T[0, 2] * p + T[1, 2] * q + T[2, 2] * s
+            known = _ONE if look[slot, 3] >= 0 else _ZERO
+            disk[entry, _PAINTED], disk[entry, _GREY] = known, known * look[slot, 3]
+            for i in range(3):
+                disk[entry, _RED + i] = known * look[slot, i]
+        count[k, 0], count[k, 1] = low - k * PAGE, (k + 1) * PAGE - high
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _covered(middle: Any, radius: Any, n: Any, size: Any) -> Any:
+    """First and last row or column of `size` that a disk covers, whose normal has the component n along them.
+
+    Seen along its ray, a disk is as wide as its shadow on the image plane, but for what perspective adds.
+    """
+    half = min(radius * np.sqrt(max(_ONE - n * n, _ZERO)), _LARGEST_PX)
+    return max(int(np.ceil(middle - half)), 0), min(int(np.floor(middle + half)), size - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _form(x: Any, y: Any, nx: Any, ny: Any, plane: Any, z: Any, radius: Any) -> Any:
+    """The squared distance on the plane, over radius², of slopes (dx, dy) beside the middle's: of dx², dx·dy, dy².
+
+    To first order the plane's depth changes by dz = g·dx + h·dy, and a point by (z·dx + x·dz, z·dy + y·dz, dz).
+    """
+    g, h = -z * z * nx / plane, -z * z * ny / plane
+    ray2, scale = x * x + y * y + _ONE, _ONE / (radius * radius)
+    xx = scale * (z * z + (x * z + x * z) * g + ray2 * g * g)
+    xy = (scale + scale) * (z * (x * h + y * g) + ray2 * g * h)
+    return xx, xy, scale * (z * z + (y * z + y * z) * h + ray2 * h * h)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def blend(
-    begin: Any,
-    end: Any,
-    ray_x: Any,
-    ray_y: Any,
-    disk: Any,
-    bound: Any,
-    count: Any,
-    sums: Any,
-    colors: Any,
+    begin: Any, end: Any, ray_x: Any, ray_y: Any, disk: Any, bound: Any, count: Any, near: Any, sums: Any
 ) -> None:
-    """Weighted sums (h, w, SUMS) of the disks on the surface nearest to each pixel of rows `begin` to `end`.
+    """Weighted sums of the stable disks on the surface nearest to each pixel of rows `begin` to `end`.
 
     A disk that is clearly nearer than what was summed so far begins the sum anew; one clearly farther is left out.
 
     Args:
         ray_x, ray_y: (w,), (h,) slopes of columns and rows, float32.
-        colors: (h, w, 3) sums of colour too; of another shape where none is asked for.
+        near: (h, w, NEAR). sums: (h, w, SUMS).
     """
-    with_color = colors.shape[:2] == sums.shape[:2]
-    sums[begin:end] = 0
-    for r in range(begin, end):
-        for c in range(sums.shape[1]):
-            sums[r, c, _RANK] = np.inf
+    sums[begin:end], near[begin:end] = 0, 0
+    near[begin:end, :, _RANK] = np.inf
     for k in range(len(count)):
-        for entry in range(k * PAGE, k * PAGE + count[k]):
-            low, high = max(bound[entry, 0], begin), min(bound[entry, 1], end - 1)
-            left, right = bound[entry, 2], bound[entry, 3] + 1
-            e = disk[entry]
-            for r in range(low, high + 1):
-                y, dy = ray_y[r], ray_y[r] - e[1]
-                across, part = e[_N + 1] * y + e[_N + 2], e[_FORM + 2] * dy * dy
-                for c in range(left, right):
-                    dx = ray_x[c] - e[0]
-                    rim = dx * (e[_FORM] * dx + e[_FORM + 1] * dy) + part
-                    if rim <= _ONE:
-                        z = e[_PLANE] / (e[_N] * ray_x[c] + across)
-                        _add(sums[r, c], e, z, e[_WEIGHT] * (_RIM - rim) * (_RIM - rim), colors, with_color, r, c)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _set_form(e: Any, x: Any, y: Any, nx: Any, ny: Any, plane: Any, z: Any, radius: Any) -> None:
-    """The middle's slopes, and the squared distance from it on the plane, over radius², of slopes (dx, dy) beside.
-
-    To first order the plane's depth changes by dz = g·dx + h·dy, and a point by (z·dx + x·dz, z·dy + y·dz, dz).
-    """
-    g, h = -z * z * nx / plane, -z * z * ny / plane
-    ray2 = x * x + y * y + _ONE
-    scale = _ONE / (radius * radius)
-    e[0], e[1] = x, y
-    e[_FORM] = scale * (z * z + (x * z + x * z) * g + ray2 * g * g)
-    e[_FORM + 1] = (scale + scale) * (z * (x * h + y * g) + ray2 * g * h)
-    e[_FORM + 2] = scale * (z * z + (y * z + y * z) * h + ray2 * h * h)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _add(total: Any, e: Any, z: Any, weight: Any, colors: Any, with_color: Any, r: Any, c: Any) -> None:
-    """Add a disk that a pixel sees at depth z to what it saw before."""
-    rank, reach = z + e[_ADDEND], _BLEND * z + _BLEND_M
-    if rank > total[_RANK] + reach:
-        return
-    if rank < total[_RANK] - reach:
-        total[:] = 0
-        total[_RANK] = rank
-        if with_color:
-            colors[r, c] = 0
-    total[_RANK] = min(total[_RANK], rank)
-    total[0] += weight
-    total[_DEPTH] += weight * z
-    total[_NORMAL] += weight * e[_N]
-    total[_NORMAL + 1] += weight * e[_N + 1]
-    total[_NORMAL + 2] += weight * e[_N + 2]
-    if e[_GREY] >= 0:
-        total[_PAINTED] += weight
-        total[_SUM_GREY] += weight * e[_GREY]
-        if with_color:
-            for i in range(3):
-                colors[r, c, i] += weight * e[_RED + i]
+        for entry in range(k * PAGE, k * PAGE + count[k, 0]):
+            _add_disk(entry, _ZERO, disk, bound, begin, end, ray_x, ray_y, near, sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def divide(begin: Any, end: Any, sums: Any, depth_m: Any, normal: Any, grey: Any, colors: Any) -> None:
-    """The means of rows `begin` to `end`: depth, normal, grey, and colour in place; 0, 0, -1, -1 where nothing is."""
+def fill_in(
+    begin: Any, end: Any, ray_x: Any, ray_y: Any, disk: Any, bound: Any, count: Any, near: Any, sums: Any
+) -> None:
+    """Once all rows are blended, add the unstable disks where no stable one is, but for those in whose middle one is.
+
+    Args: as of `blend`.
+    """
+    for k in range(len(count)):
+        for entry in range((k + 1) * PAGE - count[k, 1], (k + 1) * PAGE):
+            r, c = (bound[entry, 0] + bound[entry, 1]) // 2, (bound[entry, 2] + bound[entry, 3]) // 2
+            if near[r, c, _RANK] >= BEHIND_M:
+                _add_disk(entry, BEHIND_M, disk, bound, begin, end, ray_x, ray_y, near, sums)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _add_disk(
+    entry: Any, behind_m: Any, disk: Any, bound: Any, begin: Any, end: Any, ray_x: Any, ray_y: Any, near: Any, sums: Any
+) -> None:
+    """Add a disk to its pixels' sums, unless they have what ranks before all that are so far behind."""
+    low, high = max(bound[entry, 0], begin), min(bound[entry, 1] + 1, end)
+    left, right = max(bound[entry, 2], 0), bound[entry, 3] + 1
+    middle_x, middle_y, nx = disk[entry, 0], disk[entry, 1], disk[entry, _NORMAL]
+    xx, xy, yy = disk[entry, _FORM], disk[entry, _FORM + 1], disk[entry, _FORM + 2]
+    for r in range(low, high):
+        dy = ray_y[r] - middle_y
+        across, part = disk[entry, _NORMAL + 1] * ray_y[r] + disk[entry, _NORMAL + 2], yy * dy * dy
+        for c in range(left, right):
+            nearest, dx = near[r, c, _RANK], ray_x[c] - middle_x
+            if nearest < behind_m:
+                continue
+            rim = dx * (xx * dx + xy * dy) + part
+            z = disk[entry, _PLANE] / (nx * ray_x[c] + across)
+            rank, reach = z + behind_m, _BLEND * z + _BLEND_M
+            if (rim > _ONE) | (rank > nearest + reach):
+                continue
+            kept = _ZERO if rank < nearest - reach else _ONE
+            weight = disk[entry, _WEIGHT] * (_RIM - rim) * (_RIM - rim)
+            near[r, c, _RANK] = min(nearest, rank)
+            near[r, c, _TOTAL] = kept * near[r, c, _TOTAL] + weight
+            near[r, c, _DEPTH] = kept * near[r, c, _DEPTH] + weight * z
+            for i in range(SUMS):
+                sums[r, c, i] = kept * sums[r, c, i] + weight * disk[entry, _NORMAL + i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def divide(begin: Any, end: Any, near: Any, sums: Any, depth_m: Any, normal: Any, grey: Any, colors: Any) -> None:
+    """The means of rows `begin` to `end`: depth, normal, grey, and colour; 0, 0, -1, -1 where nothing is.
+
+    `colors`: (h, w, 3), or of another shape where none is asked for.
+    """
     with_color = colors.shape[:2] == grey.shape
     for r in range(begin, end):
         for c in range(grey.shape[1]):
-            total = sums[r, c]
-            painted = total[_PAINTED] > 0
-            depth_m[r, c] = total[_DEPTH] / total[0] if total[0] > 0 else _ZERO
-            a, b, d = total[_NORMAL], total[_NORMAL + 1], total[_NORMAL + 2]
-            length2 = a * a + b * b + d * d
+            depth_m[r, c] = near[r, c, _DEPTH] / near[r, c, _TOTAL] if near[r, c, _TOTAL] > 0 else _ZERO
+            length2 = _ZERO
+            for i in range(3):
+                length2 += sums[r, c, i] * sums[r, c, i]
             scale = _ONE / np.sqrt(length2) if length2 > 0 else _ZERO
-            normal[r, c, 0], normal[r, c, 1], normal[r, c, 2] = a * scale, b * scale, d * scale
-            grey[r, c] = total[_SUM_GREY] / total[_PAINTED] if painted else -_ONE
+            for i in range(3):
+                normal[r, c, i] = sums[r, c, i] * scale
+            painted = sums[r, c, _PAINTED - _NORMAL]
+            grey[r, c] = sums[r, c, _GREY - _NORMAL] / painted if painted > 0 else -_ONE
             if with_color:
                 for i in range(3):
-                    colors[r, c, i] = colors[r, c, i] / total[_PAINTED] if painted else -_ONE
+                    colors[r, c, i] = sums[r, c, _RED - _NORMAL + i] / painted if painted > 0 else -_ONE

@@ -16,7 +16,8 @@ import numpy as np
 from wheelsight.errors import MapError
 from wheelsight.files import atomic_write
 from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array
-from wheelsight.mapping.surfels import SurfelMap, Surfels
+from wheelsight.mapping.surfels import SurfelMap
+from wheelsight.mapping.values import Surfels
 
 _MarchingCubes = Callable[..., tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]]
 

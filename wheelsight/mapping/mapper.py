@@ -7,7 +7,8 @@ from wheelsight.estimates import Estimate, MotionEstimate, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.mapping.settings import SurfelSettings
-from wheelsight.mapping.surfels import FusedFrame, SurfelMap
+from wheelsight.mapping.surfels import SurfelMap
+from wheelsight.mapping.values import FusedFrame
 from wheelsight.odometry.dense import DenseOdometry, DenseSettings
 
 

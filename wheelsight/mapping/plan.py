@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight.mapping.export import colors_of
-from wheelsight.mapping.surfels import Surfels
+from wheelsight.mapping.values import Surfels
 
 _LONGER_SIDE_PX = 1100
 _FINEST_M = 0.004

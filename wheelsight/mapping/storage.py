@@ -19,7 +19,8 @@ from pydantic import ValidationError
 from wheelsight.errors import MapError
 from wheelsight.files import atomic_write
 from wheelsight.mapping.settings import SurfelSettings
-from wheelsight.mapping.surfels import SurfelMap, Surfels
+from wheelsight.mapping.surfels import SurfelMap
+from wheelsight.mapping.values import Surfels
 
 FORMAT = "wheelsight-map-1"
 _LONGEST_HEADER = 1 << 16

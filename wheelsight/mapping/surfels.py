@@ -5,94 +5,26 @@ Keller et al. 2013 for the surfels; Whelan et al. 2015 and 2016 for the window i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from wheelsight.calibration import DepthNoise
 from wheelsight.errors import MapError
-from wheelsight.geometry import Float32Array, FloatArray, Int32Array, se3
+from wheelsight.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight.mapping import _fusion_kernels as fusion
+from wheelsight.mapping import _match_kernels as match
 from wheelsight.mapping import _view_kernels as view
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
+from wheelsight.mapping._inputs import Frame, Pose, checked_frame, checked_pose, rays_of
 from wheelsight.mapping.blocks import Blocks
 from wheelsight.mapping.settings import SurfelSettings
+from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
 from wheelsight.odometry.dense.grid import Rows
 from wheelsight.odometry.dense.reference import PredictedView
 
-_NONE_LARGER_PX = 4096
 # Of the weight over the distance from the image's centre, which is 1 at its farthest corner (Keller et al. 2013).
 _RADIAL_SIGMA = 0.6
-
-
-@dataclass(frozen=True, slots=True)
-class FusedFrame:
-    """What fusing one frame did.
-
-    Attributes:
-        matched: surfels that pixels were averaged into.
-        added: new surfels.
-        removed: that were in free space, never became stable, or left their block.
-        merged: duplicates that became one with another.
-        dropped: given up for want of room, and new ones that found none.
-    """
-
-    matched: int
-    added: int
-    removed: int
-    merged: int
-    dropped: int
-
-
-@dataclass(frozen=True, slots=True)
-class MapStatus:
-    """How a map stands.
-
-    Attributes:
-        surfels: all; stable: those sure to be there; active: those seen within the window of time.
-        dropped: how many were given up so far for want of room.
-        memory_bytes: of all arrays.
-    """
-
-    surfels: int
-    stable: int
-    active: int
-    dropped: int
-    memory_bytes: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surfels:
-    """Surfels as flat arrays, copied out of a map.
-
-    Attributes:
-        position: (n, 3) float32 in metres, in the world frame.
-        normal: (n, 3) float32, of length 1, towards where they were seen from.
-        radius_m: (n,) float32.
-        color: (n, 3) float32 red, green, blue from 0 to 255; -1 where unknown.
-        grey: (n,) float32 from 0 to 255; -1 where unknown.
-        confidence: (n,) float32, about how many frames saw it.
-        variance_m2: (n,) float32 of the position along the normal.
-        first_s, last_s: (n,) when first and last seen.
-    """
-
-    position: Float32Array
-    normal: Float32Array
-    radius_m: Float32Array
-    color: Float32Array
-    grey: Float32Array
-    confidence: Float32Array
-    variance_m2: Float32Array
-    first_s: FloatArray
-    last_s: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ColoredView(PredictedView):
-    """A predicted view with `color` (h, w, 3) float32 from 0 to 255, -1 where unknown."""
-
-    color: Float32Array
 
 
 class SurfelMap:
@@ -187,7 +119,7 @@ class SurfelMap:
         Raises:
             MapError: shapes that differ, a pose that is no rigid motion, or a stamp before the last.
         """
-        frame, pose = _checked_frame(depth_m, normal, grey, color), _checked_pose(T_world_camera, intrinsics)
+        frame, pose = checked_frame(depth_m, normal, grey, color), checked_pose(T_world_camera, intrinsics)
         if not np.isfinite(stamp_s) or stamp_s < self.stamp_s:
             raise MapError(f"stamp_s is {stamp_s}, after {self.stamp_s}", fix="fuse frames in order of time")
         self.stamp_s, noise = float(stamp_s), noise or DepthNoise()
@@ -204,7 +136,7 @@ class SurfelMap:
 
         Args: as of `ReferenceModel.predict`. Raises MapError for a pose that is no rigid motion.
         """
-        pose = _checked_pose(T_world_camera, intrinsics)
+        pose = checked_pose(T_world_camera, intrinsics)
         return PredictedView(*self._show(pose, shape, self.settings.far_m, 0.0, self._active_since_s, False)[:3])
 
     def render(
@@ -219,11 +151,11 @@ class SurfelMap:
         least = self.settings.stable_confidence if which == "stable" else 0.0
         far_m = self.settings.far_m if far_m is None else far_m
         since_s = self._active_since_s if which == "active" else -np.inf
-        return ColoredView(*self._show(_checked_pose(T_world_camera, intrinsics), shape, far_m, least, since_s, True))
+        return ColoredView(*self._show(checked_pose(T_world_camera, intrinsics), shape, far_m, least, since_s, True))
 
     def in_view(self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> int:
         """How many surfels may be in view, of the blocks that are: what a frame's time depends on."""
-        pose = _checked_pose(T_world_camera, intrinsics)
+        pose = checked_pose(T_world_camera, intrinsics)
         pages = self._blocks.pages_in_view(pose.T, pose.grid, shape, self.settings.far_m, -np.inf)
         return int(self._blocks.page_fill[pages].sum())
 
@@ -244,14 +176,23 @@ class SurfelMap:
         return np.array([*gates, s.free_m, s.drift_m, s.far_m], np.float32)
 
     def _readings(
-        self, depth_m: Float32Array, normal: Float32Array, pose: _Pose, sensor: Float32Array
+        self, depth_m: Float32Array, normal: Float32Array, pose: Pose, sensor: Float32Array
     ) -> tuple[Float32Array, Float32Array]:
-        """What each pixel says of the world (h, w, 8), and the radius (h, w) a surfel there would have."""
+        """What each pixel says of the world (h·w, 8), and the radius (h·w,) a surfel there would have."""
         shape = depth_m.shape
-        reading = self._room("reading", (*shape, fusion.READING), np.float32)
-        radius = self._room("radius", shape, np.float32)
+        reading = self._room("reading", (depth_m.size, match.READING), np.float32)
+        radius = self._room("radius", (depth_m.size,), np.float32)
         weight = self._weight(pose.grid, (shape[0], shape[1]))
-        given = (depth_m, normal, weight, pose.T32, *_rays(pose.grid, shape), pose.pitch, sensor, self._kernel_settings)
+        given = (
+            depth_m,
+            normal,
+            weight,
+            pose.T32,
+            *rays_of(pose.grid, shape),
+            pose.pitch,
+            sensor,
+            self._kernel_settings,
+        )
         self._rows.share(shape[0], lambda a, b: fusion.read(a, b, *given, reading, radius))
         return reading, radius
 
@@ -267,54 +208,53 @@ class SurfelMap:
         return self._scratch["weight"]
 
     def _average(
-        self, frame: _Frame, pose: _Pose, readings: tuple[Float32Array, Float32Array], sensor: Float32Array
+        self, frame: Frame, pose: Pose, readings: tuple[Float32Array, Float32Array], sensor: Float32Array
     ) -> tuple[int, int, int, np.ndarray]:
         """Match, average and merge; how many were matched, removed and merged, and which pixels (h, w) are new."""
         blocks, share, settings = self._blocks, self._rows.share, self._kernel_settings
-        (height, width), reading = frame.depth_m.shape, readings[0]
+        (height, width), size = frame.depth_m.shape, frame.depth_m.size
         pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self.settings.far_m + 1, -np.inf)
-        pixel, rank, died = self._candidates(frame, pose, pages, reading, sensor)
-        best, chosen = (
-            self._room("best", reading.shape[:2], np.float32),
-            self._room("chosen", reading.shape[:2], np.int32),
-        )
-        share(height, lambda a, b: fusion.choose(a, b, width, pixel, rank, best, chosen))
-        is_new = self._room("is_new", reading.shape[:2], np.bool_)
-        seen = (chosen, frame.depth_m, reading, pose.pitch, settings, is_new)
-        share(height, lambda a, b: fusion.find_new(a, b, pages, blocks.geometry, *seen))
-        counts, merged = np.zeros((height, 2), np.int64), np.zeros(height, np.int64)
+        slots, pixel, rank, found = self._candidates(frame, pose, pages, readings[0], sensor)
+        best, chosen = self._room("best", (size,), np.float32), self._room("chosen", (size,), np.int32)
+        share(height, lambda a, b: match.choose(a, b, width, pixel, rank, found, best, chosen))
+        is_new = self._room("is_new", (height, width), np.bool_)
+        seen = (slots, blocks.geometry, chosen, frame.depth_m, readings[0], pose.pitch, settings, is_new)
+        share(height, lambda a, b: match.find_new(a, b, *seen))
+        counts, merged = np.zeros((len(pages), 2), np.int64), np.zeros(height, np.int64)
         surfels = (blocks.geometry, blocks.look, blocks.seen_s, blocks.variance)
         cells = (blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
-        given = (*surfels, *cells, chosen, *readings, frame.color, frame.grey, self.stamp_s, counts)
-        share(height, lambda a, b: fusion.update(a, b, pages, *given))
-        pairs = (blocks.geometry, blocks.seen_s, blocks.variance, pixel, rank, chosen, settings, merged)
-        share(height, lambda a, b: fusion.merge(a, b, width, pages, *pairs))
-        removed, merges = int(died.sum() + counts[:, 1].sum()), int(merged.sum())
+        looks = (*readings, frame.color.reshape(-1, 3), frame.grey.reshape(-1), self.stamp_s)
+        given = (slots, pixel, chosen, *surfels, *cells, *looks, found, counts)
+        share(len(pages), lambda a, b: fusion.update(a, b, *given))
+        pairs = (slots, pixel, found, chosen, blocks.geometry, blocks.seen_s, blocks.variance, settings, merged)
+        share(height, lambda a, b: fusion.merge(a, b, width, *pairs))
+        removed, merges = int(found[:, 1].sum() + counts[:, 1].sum()), int(merged.sum())
         blocks.count_deaths(removed + merges)
         return int(counts[:, 0].sum()), removed, merges, is_new
 
     def _candidates(
-        self, frame: _Frame, pose: _Pose, pages: Int32Array, reading: Float32Array, sensor: Float32Array
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of all surfels in view (entries,) the pixel and how well they fit; of the pages, how many died."""
-        blocks, entries = self._blocks, len(pages) * PAGE
-        pixel, rank = self._room("pixel", (entries,), np.int32), self._room("rank", (entries,), np.float32)
-        died = self._room("died", (len(pages),), np.int32)
+        self, frame: Frame, pose: Pose, pages: Int32Array, reading: Float32Array, sensor: Float32Array
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Slot, pixel and rank (entries,) of the surfels that fit; how many fit and how many died, by page (n, 2)."""
+        blocks, entries = self._blocks, (len(pages) * PAGE,)
+        slots, pixel = self._room("slots", entries, np.int32), self._room("pixel", entries, np.int32)
+        rank, found = self._room("rank", entries, np.float32), self._room("found", (len(pages), 2), np.int32)
         surfels = (pages, blocks.page_fill, blocks.geometry, blocks.seen_s, blocks.variance)
         about = (frame.depth_m, reading, pose.T32, pose.grid32, sensor, self._kernel_settings)
         times = (self.stamp_s - self.settings.unstable_s, self._active_since_s)
-        given = (*surfels, *about, *times, pixel, rank, died)
-        self._rows.share(len(pages), lambda a, b: fusion.find_candidates(a, b, *given))
-        return pixel, rank, died
+        given = (*surfels, *about, *times, slots, pixel, rank, found)
+        self._rows.share(len(pages), lambda a, b: match.find_candidates(a, b, *given))
+        return slots, pixel, rank, found
 
-    def _add_new(self, frame: _Frame, readings: tuple[Float32Array, Float32Array], is_new: np.ndarray) -> int:
+    def _add_new(self, frame: Frame, readings: tuple[Float32Array, Float32Array], is_new: np.ndarray) -> int:
         n = int(np.count_nonzero(is_new))
         new = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2)), np.empty(n, np.float32)
-        fusion.make_new(is_new, *readings, frame.color, frame.grey, self.stamp_s, *new)
+        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1), self.stamp_s)
+        fusion.make_new(is_new.reshape(-1), *readings, *looks, *new)
         return self._blocks.append(new, self.stamp_s, self._rules)
 
     def _show(
-        self, pose: _Pose, shape: tuple[int, int], far_m: float, least: float, since_s: float, with_color: bool
+        self, pose: Pose, shape: tuple[int, int], far_m: float, least: float, since_s: float, with_color: bool
     ) -> tuple[Float32Array, ...]:
         """Depth, normal, grey, and colour where it is asked for."""
         blocks, (height, width) = self._blocks, shape
@@ -322,17 +262,20 @@ class SurfelMap:
         entries = len(pages) * PAGE
         disk = self._room("disk", (entries, view.DISK), np.float32)
         bound = self._room("bound", (entries, 4), np.int16)
-        count = self._room("count", (len(pages),), np.int32)
+        count = self._room("count", (len(pages), 2), np.int32)
         limits = tuple(np.float32(limit) for limit in (far_m, self.settings.stable_confidence, least))
         surfels = (pages, blocks.page_fill, blocks.geometry, blocks.look, blocks.seen_s)
         given = (*surfels, pose.T32, pose.grid32, width, height, *limits, since_s, disk, bound, count)
         self._rows.share(len(pages), lambda a, b: view.project_disks(a, b, *given))
+        near = self._room("near", (*shape, view.NEAR), np.float32)
         sums = self._room("sums", (*shape, view.SUMS), np.float32)
+        rays = rays_of(pose.grid, shape)
+        disks = (*rays, disk, bound, count, near, sums)
+        self._rows.share(height, lambda a, b: view.blend(a, b, *disks))
+        self._rows.share(height, lambda a, b: view.fill_in(a, b, *disks))
         color = np.empty((*shape, 3) if with_color else (0, 0, 3), np.float32)
-        rays = _rays(pose.grid, shape)
-        self._rows.share(height, lambda a, b: view.blend(a, b, *rays, disk, bound, count, sums, color))
         out = np.empty(shape, np.float32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
-        self._rows.share(height, lambda a, b: view.divide(a, b, sums, *out, color))
+        self._rows.share(height, lambda a, b: view.divide(a, b, near, sums, *out, color))
         return *out, color
 
     def _room(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
@@ -342,60 +285,3 @@ class SurfelMap:
         if kept is None or len(kept) < size:
             kept = self._scratch[name] = np.empty(size + size // 2, dtype)
         return kept[:size].reshape(shape)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
-    depth_m: Float32Array
-    normal: Float32Array
-    color: Float32Array
-    grey: Float32Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pose:
-    """T_world_camera (4, 4) and fx, fy, cx, cy (4,)."""
-
-    T: FloatArray
-    grid: FloatArray
-
-    @property
-    def T32(self) -> Float32Array:
-        return self.T.astype(np.float32)
-
-    @property
-    def grid32(self) -> Float32Array:
-        return self.grid.astype(np.float32)
-
-    @property
-    def pitch(self) -> np.float32:
-        """Size of a pixel at one metre."""
-        return np.float32(1 / min(self.grid[:2]))
-
-
-def _rays(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Float32Array]:
-    fx, fy, cx, cy = grid
-    x, y = (np.arange(shape[1]) - cx) / fx, (np.arange(shape[0]) - cy) / fy
-    return x.astype(np.float32), y.astype(np.float32)
-
-
-def _checked_frame(depth_m: Float32Array, normal: Float32Array, grey: Float32Array, color: np.ndarray | None) -> _Frame:
-    if depth_m.ndim != 2 or not 0 < max(depth_m.shape) <= _NONE_LARGER_PX:
-        raise MapError(f"depth_m is of shape {depth_m.shape}, not (h, w)")
-    images = {"normal": normal, "grey": grey} | ({} if color is None else {"color": color})
-    for name, image in images.items():
-        expected = depth_m.shape if name == "grey" else (*depth_m.shape, 3)
-        if image.shape != expected:
-            raise MapError(f"{name} is of shape {image.shape}, not {expected} as depth_m asks")
-    if color is None:
-        color = np.broadcast_to(np.float32(-1), (*depth_m.shape, 3))
-    return _Frame(*(np.ascontiguousarray(image, np.float32) for image in (depth_m, normal, color, grey)))
-
-
-def _checked_pose(T_world_camera: FloatArray, intrinsics: FloatArray) -> _Pose:
-    T, grid = np.ascontiguousarray(T_world_camera, float), np.ascontiguousarray(intrinsics, float)
-    if T.shape != (4, 4) or not np.isfinite(T).all() or not se3.is_valid(T, tolerance=1e-4):
-        raise MapError("T_world_camera is not a rigid motion", fix="fuse and predict only where the pose is known")
-    if grid.shape != (4,) or not np.isfinite(grid).all() or min(grid[:2]) <= 0:
-        raise MapError("intrinsics are not fx, fy, cx, cy with positive focal lengths")
-    return _Pose(T, grid)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.geometry import FloatArray
-from wheelsight.mapping.surfels import Surfels
+from wheelsight.mapping.values import Surfels
 
 # Hand-held cameras look down by less; the narrower cones leave walls and slopes out that the widest let in.
 _CONES_DEG = (40.0, 20.0, 10.0)

@@ -1,0 +1,74 @@
+"""Frames and poses as they come to a surfel map: refused where they are none, else ready for its kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.errors import MapError
+from wheelsight.geometry import Float32Array, FloatArray, se3
+
+_NONE_LARGER_PX = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Depth (h, w), normals (h, w, 3), colour (h, w, 3) and grey (h, w) of a frame, as `SurfelMap.fuse` takes them."""
+
+    depth_m: Float32Array
+    normal: Float32Array
+    color: Float32Array
+    grey: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """T_world_camera (4, 4) and fx, fy, cx, cy (4,)."""
+
+    T: FloatArray
+    grid: FloatArray
+
+    @property
+    def T32(self) -> Float32Array:
+        return self.T.astype(np.float32)
+
+    @property
+    def grid32(self) -> Float32Array:
+        return self.grid.astype(np.float32)
+
+    @property
+    def pitch(self) -> np.float32:
+        """Size of a pixel at one metre."""
+        return np.float32(1 / min(self.grid[:2]))
+
+
+def rays_of(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Float32Array]:
+    """Slopes of the columns (w,) and rows (h,) of a camera fx, fy, cx, cy."""
+    fx, fy, cx, cy = grid
+    x, y = (np.arange(shape[1]) - cx) / fx, (np.arange(shape[0]) - cy) / fy
+    return x.astype(np.float32), y.astype(np.float32)
+
+
+def checked_frame(depth_m: Float32Array, normal: Float32Array, grey: Float32Array, color: np.ndarray | None) -> Frame:
+    """The frame, if its images are of one shape; else MapError."""
+    if depth_m.ndim != 2 or not 0 < max(depth_m.shape) <= _NONE_LARGER_PX:
+        raise MapError(f"depth_m is of shape {depth_m.shape}, not (h, w)")
+    images = {"normal": normal, "grey": grey} | ({} if color is None else {"color": color})
+    for name, image in images.items():
+        expected = depth_m.shape if name == "grey" else (*depth_m.shape, 3)
+        if image.shape != expected:
+            raise MapError(f"{name} is of shape {image.shape}, not {expected} as depth_m asks")
+    if color is None:
+        color = np.broadcast_to(np.float32(-1), (*depth_m.shape, 3))
+    return Frame(*(np.ascontiguousarray(image, np.float32) for image in (depth_m, normal, color, grey)))
+
+
+def checked_pose(T_world_camera: FloatArray, intrinsics: FloatArray) -> Pose:
+    """The pose, if it is one; else MapError."""
+    T, grid = np.ascontiguousarray(T_world_camera, float), np.ascontiguousarray(intrinsics, float)
+    if T.shape != (4, 4) or not np.isfinite(T).all() or not se3.is_valid(T, tolerance=1e-4):
+        raise MapError("T_world_camera is not a rigid motion", fix="fuse and predict only where the pose is known")
+    if grid.shape != (4,) or not np.isfinite(grid).all() or min(grid[:2]) <= 0:
+        raise MapError("intrinsics are not fx, fy, cx, cy with positive focal lengths")
+    return Pose(T, grid)

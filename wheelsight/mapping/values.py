@@ -1,0 +1,77 @@
+"""What goes into a surfel map and comes out of it: surfels, views, and what was done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.odometry.dense.reference import PredictedView
+
+
+@dataclass(frozen=True, slots=True)
+class FusedFrame:
+    """What fusing one frame did.
+
+    Attributes:
+        matched: surfels that pixels were averaged into.
+        added: new surfels.
+        removed: that were in free space, never became stable, or left their block.
+        merged: duplicates that became one with another.
+        dropped: given up for want of room, and new ones that found none.
+    """
+
+    matched: int
+    added: int
+    removed: int
+    merged: int
+    dropped: int
+
+
+@dataclass(frozen=True, slots=True)
+class MapStatus:
+    """How a map stands.
+
+    Attributes:
+        surfels: all; stable: those sure to be there; active: those seen within the window of time.
+        dropped: how many were given up so far for want of room.
+        memory_bytes: of all arrays.
+    """
+
+    surfels: int
+    stable: int
+    active: int
+    dropped: int
+    memory_bytes: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surfels:
+    """Surfels as flat arrays, copied out of a map.
+
+    Attributes:
+        position: (n, 3) float32 in metres, in the world frame.
+        normal: (n, 3) float32, of length 1, towards where they were seen from.
+        radius_m: (n,) float32.
+        color: (n, 3) float32 red, green, blue from 0 to 255; -1 where unknown.
+        grey: (n,) float32 from 0 to 255; -1 where unknown.
+        confidence: (n,) float32, about how many frames saw it.
+        variance_m2: (n,) float32 of the position along the normal.
+        first_s, last_s: (n,) when first and last seen.
+    """
+
+    position: Float32Array
+    normal: Float32Array
+    radius_m: Float32Array
+    color: Float32Array
+    grey: Float32Array
+    confidence: Float32Array
+    variance_m2: Float32Array
+    first_s: FloatArray
+    last_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColoredView(PredictedView):
+    """A predicted view with `color` (h, w, 3) float32 from 0 to 255, -1 where unknown."""
+
+    color: Float32Array
