@@ -193,7 +193,7 @@ def _surfels(calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
 
 def bad_input_sheet(figures: Sequence[BadInputFigures]) -> Sheet:
     """A row for each case and tracker."""
-    heads = ("case", "tracker", "poses", "ATE", "worst", "while it lasts", "wrong, unsaid", "back after", "fused wrong")
+    heads = ("case", "tracker", "poses", "RMSE", "worst", "while it lasts", "wrong, unsaid", "back after")
     rows = tuple(
         (
             f.case,
@@ -209,7 +209,7 @@ def bad_input_sheet(figures: Sequence[BadInputFigures]) -> Sheet:
         )
         for f in figures
     )
-    return Sheet("Bad input, simulated", (*heads, "within 3 σ"), rows)
+    return Sheet("Bad input, simulated", (*heads, "fused wrong", "within 3 σ"), rows)
 
 
 def judge_bad_input(figures: Sequence[BadInputFigures]) -> list[Target]:
