@@ -193,14 +193,14 @@ def _surfels(calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
 
 def bad_input_sheet(figures: Sequence[BadInputFigures]) -> Sheet:
     """A row for each case and tracker."""
-    heads = ("case", "tracker", "poses", "RMSE", "worst", "while it lasts", "wrong, unsaid", "back after")
+    heads = ("case", "tracker", "poses", "RMSE, m", "worst, m", "while it lasts", "wrong, unsaid", "back after")
     rows = tuple(
         (
             f.case,
             f.tracker,
             f"{f.with_pose} of {f.frames}",
-            f"{f.rmse_m:.3f} m",
-            f"{f.worst_m:.3f} m",
+            f"{f.rmse_m:.3f}",
+            f"{f.worst_m:.3f}",
             ", ".join(f"{count} {status}" for status, count in f.statuses) or "no frames",
             str(f.wrong),
             "—" if f.back_s is None else f"{f.back_s:.2f} s",
@@ -209,7 +209,7 @@ def bad_input_sheet(figures: Sequence[BadInputFigures]) -> Sheet:
         )
         for f in figures
     )
-    return Sheet("Bad input, simulated", (*heads, "fused wrong", "within 3 σ"), rows)
+    return Sheet("Bad input, simulated", (*heads, "fused wrong", "in 3 σ"), rows)
 
 
 def judge_bad_input(figures: Sequence[BadInputFigures]) -> list[Target]:
