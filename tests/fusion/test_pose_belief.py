@@ -1,4 +1,4 @@
-"""PoseBelief: its kernels against geometry.se3, its Jacobians against numeric ones, its updates against least squares."""
+"""PoseBelief: its kernels against geometry.se3, Jacobians against numeric ones, updates against least squares."""
 
 from __future__ import annotations
 

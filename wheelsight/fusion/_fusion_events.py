@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -25,7 +25,7 @@ class FusionState:
         stamp_s: of the event; None before any.
         told_s: until when any sensor told anything.
         vision_s: when vision was last believed.
-        is_lost: no sensor told anything for too long, and no look or position has been believed since.
+        is_lost: no sensor told anything for too long, and no look has been believed since.
         is_degenerate: the last look did not show all directions.
         reason: why the event was not believed, or None.
     """
@@ -90,9 +90,11 @@ def after(
     if event.position is not None:
         return _placed(now, *event.position, settings)
     if event.clone is not None:
-        return replace(now, court=_each(now.court, event.clone, event.stamp_s, settings.max_clones))
+        name, most = event.clone, settings.max_clones
+        return replace(now, court=_each(now.court, lambda belief: belief.cloned(name, event.stamp_s, most)))
     if event.drop is not None:
-        return replace(now, court=_each(now.court, event.drop, None, 0))
+        forgotten = event.drop
+        return replace(now, court=_each(now.court, lambda belief: belief.dropped(forgotten)))
     return now
 
 
@@ -108,7 +110,8 @@ def moved_to(state: FusionState, stamp_s: float, steps: list[WheelStep], setting
         step = next((step for step in covering if step.begin_s <= start_s and end_s <= step.end_s), None)
         court = _gone_on(court, step, start_s, end_s, settings)
         told_s = told_s if step is None else end_s
-        is_lost = is_lost or end_s - told_s > settings.lost_after_s
+        if not is_lost and end_s - told_s > settings.lost_after_s:
+            court, is_lost = _each(court, PoseBelief.scattered), True
     return replace(state, court=court, stamp_s=stamp_s, told_s=told_s, is_lost=is_lost)
 
 
@@ -154,7 +157,7 @@ def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings
         rival = court.rival.corrected(rivals) if rivals.nis <= most else court.rival
         court = replace(court, rival=rival, evidence=evidence)
     belief = court.belief.corrected(by) if by.nis <= most else court.belief
-    return replace(state, court=replace(court, belief=belief), is_lost=False)
+    return replace(state, court=replace(court, belief=belief))
 
 
 def _turned(court: Court, rate_rad_s: float, stamp_s: float, settings: ErrorStateSettings) -> Court:
@@ -178,10 +181,6 @@ def _turned(court: Court, rate_rad_s: float, stamp_s: float, settings: ErrorStat
     return replace(told, turn_slip_s=stamp_s) if nis > trust.gate(settings, 1) else told
 
 
-def _each(court: Court, name: str, stamp_s: float | None, most: int) -> Court:
-    """Both beliefs with a pose remembered, or, without a stamp, no longer."""
-
-    def on(belief: PoseBelief) -> PoseBelief:
-        return belief.dropped(name) if stamp_s is None else belief.cloned(name, stamp_s, most)
-
-    return replace(court, belief=on(court.belief), rival=None if court.rival is None else on(court.rival))
+def _each(court: Court, change: Callable[[PoseBelief], PoseBelief]) -> Court:
+    """Both beliefs changed alike."""
+    return replace(court, belief=change(court.belief), rival=None if court.rival is None else change(court.rival))

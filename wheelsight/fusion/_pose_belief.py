@@ -29,6 +29,7 @@ TWIST, ERRORS, BIAS = slice(0, 3), slice(3, 6), 6
 REST_SIZE = 7
 _LEVEL_EVERY_M = 0.25
 _KNOWN_FOR_S = 0.25
+_ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
 _COVERED_SIGMAS = 2.5  # so that the other's own error, too, has room within three
 
 
@@ -241,6 +242,12 @@ class PoseBelief:
         P = self.covariance.copy()
         P[:6, :6] += grown
         return replace(self, covariance=P, doubted=self.doubted + grown)
+
+    def scattered(self) -> PoseBelief:
+        """As if the base might be anywhere about, turned any way."""
+        Ad, P = kernels.adjoint(self.T[0]), self.covariance.copy()
+        P[:6, :6] += (Ad * np.square(_ANYWHERE)) @ Ad.T
+        return replace(self, covariance=P)
 
     def turn_distrusted(self, settings: ErrorStateSettings) -> PoseBelief:
         """As if the wheels' last yaw rate, and the turn it made, were any."""

@@ -32,6 +32,7 @@ _LONGEST_STEP_S = 0.25
 _SHARE_MEMORY = 0.05
 _LEAK = 0.5
 _YAW = 2
+_NO_WONDER = 0.99
 _SIDEWAYS = 0.25  # of the accelerations ahead: wheels hold a base sideways
 
 
@@ -78,12 +79,12 @@ class Speed:
         return cls(np.asarray(kernels.log(T))[PLANE] / seconds, covariance / seconds**2)
 
     def leap_from(self, before: Speed, seconds: float, settings: ErrorStateSettings) -> float:
-        """χ² of the change of speed since, against what a robot does in so many seconds; at most `leap_cap`."""
+        """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
         s = settings
         usual = np.square([s.leap_m_s2, s.leap_m_s2 * _SIDEWAYS, s.leap_rad_s2]) * seconds**2
         change = self.mean - before.mean
         chi_squared = float(change @ np.linalg.solve(self.covariance + before.covariance + np.diag(usual), change))
-        return min(chi_squared, s.leap_cap)
+        return min(chi_squared, s.leap_cap) if chi_squared > _quantile(_NO_WONDER, 3) else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

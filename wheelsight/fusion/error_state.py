@@ -45,8 +45,8 @@ class FusedEstimate(Estimate):
     """The base's pose by all sensors.
 
     Status: initializing, before any event. tracking: vision was believed within `coast_after_s`. coasting: the wheels
-    alone lead, and the covariance grows. lost: nothing was heard for `lost_after_s`, and nothing has told the place
-    since; there is no pose.
+    alone lead, and the covariance grows. lost: nothing was heard for `lost_after_s`, and no look at a remembered pose
+    has told where the base is since (a position does not tell the heading); there is no pose.
 
     Attributes:
         slip: the wheels are not believed, because camera or gyroscope contradict them.
@@ -205,7 +205,8 @@ class ErrorStateFilter:
         self._ahead = 0
         state = self._history.take(event)
         newest = self._history.newest
-        return self._answer(newest if state.reason is None else replace(newest, reason=state.reason))
+        court = replace(newest.court, nis=state.court.nis)
+        return self._answer(replace(newest, court=court, reason=state.reason))
 
     def _refused(self, reason: Reason) -> FusedEstimate:
         return self._answer(replace(self._history.newest, reason=reason))
