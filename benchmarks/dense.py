@@ -15,7 +15,7 @@ OPENCV_SHARE, OPEN3D_SHARE = 0.25, 0.4
 ATE_M = 0.02
 SUBJECT = wheelsight_dense.KEYFRAMES
 ON_ONE_THREAD: tuple[Contender, ...] = (SUBJECT, opencv_odometry.RGB_DEPTH, open3d_odometry.HYBRID)
-_FRAMES = 150
+_FRAMES = 100
 
 
 def measure_one_thread(sequences: Many[Sequence], frames: int | None = None) -> list[Result]:

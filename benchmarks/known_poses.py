@@ -18,7 +18,8 @@ from wheelsight.simulation import SimulatedRecording
 
 VOXEL_M = 0.006
 _BLOCK_VOXELS = 16
-_BLOCKS = 30_000
+# To begin with; it makes room for more where they are needed.
+_BLOCKS = 8_000
 _TRUNCATION_VOXELS = 8.0
 _LEAST_WEIGHT = 3.0
 _STEPS_PER_M = 5000.0

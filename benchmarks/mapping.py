@@ -15,7 +15,7 @@ ATE_M = 0.02
 SUBJECT = wheelsight_dense.SURFELS
 _PEER = open3d_slam.FINE
 # The peers take minutes for whole recordings.
-_FRAMES = 150
+_FRAMES = 120
 
 
 def measure_mapping(sequences: Many[Sequence], frames: int | None = None) -> list[Result]:
