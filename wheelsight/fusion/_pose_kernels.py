@@ -128,6 +128,18 @@ def left_jacobian(xi: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
+def _depend(P: FloatArray, errors: int, to_pose: FloatArray, to_twist: FloatArray) -> None:
+    """Add to the pose, and put in the twist's place, what the wheels' errors (3,) do to it: (6, 3) and (3, 3)."""
+    twist = errors - 3
+    old = P[errors : errors + 3].copy()
+    P[:6] += times(to_pose, old)
+    P[twist:errors] = times(to_twist, old)
+    old = P[:, errors : errors + 3].copy()
+    P[:, :6] += times(old, to_pose.T)
+    P[:, twist:errors] = times(old, to_twist.T)
+
+
+@njit(cache=True, nogil=True)
 def roll(
     T: FloatArray,
     rest: FloatArray,
@@ -152,12 +164,7 @@ def roll(
             xi[i] += by_errors[i, j] * rest[3 + j]
     Ad, J = adjoint(T[0]), left_jacobian(xi)
     to_pose, to_twist = times(times(Ad, J), by_errors), by_errors[np.array([0, 1, 5])] / dt_s
-    old = P[errors : errors + 3].copy()
-    P[:6] += times(to_pose, old)
-    P[twist:errors] = times(to_twist, old)
-    old = P[:, errors : errors + 3].copy()
-    P[:, :6] += times(old, to_pose.T)
-    P[:, twist:errors] = times(old, to_twist.T)
+    _depend(P, errors, to_pose, to_twist)
     G = np.zeros((9, 6))
     G[:6] = Ad
     G[6:] = np.linalg.inv(J)[np.array([0, 1, 5])] * (math.sqrt(share) / dt_s)
