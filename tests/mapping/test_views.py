@@ -124,3 +124,24 @@ def test_another_camera_may_look_at_the_map():
 def test_a_pose_that_is_none_is_refused():
     with pytest.raises(MapError, match="T_world_camera"):
         made_map().predict(np.full((4, 4), np.nan), GRID, SHAPE)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, -0.3])
+def test_the_floor_under_a_camera_that_looks_along_it_has_no_holes(turn):
+    """A disk beside the axis is wide in the image by perspective alone where its plane holds the axis."""
+    surfel_map = made_map()
+    across, along = np.meshgrid(np.arange(-2.0, 2.0, 0.02), np.arange(0.4, 4.0, 0.02))
+    spots = np.stack([across.ravel(), np.full(across.size, 0.8), along.ravel()], axis=-1).astype(np.float32)
+    flat = np.ones(len(spots), np.float32)
+    normal = np.tile(np.float32([0, -1, 0]), (len(spots), 1))
+    color, stamps_s = np.full((len(spots), 3), 90, np.float32), np.zeros(len(spots))
+    surfel_map.add(
+        Surfels(spots, normal, 0.015 * flat, color, 90 * flat, 20 * flat, 1e-6 * flat, stamps_s, stamps_s), 0.0
+    )
+    view = surfel_map.predict(pose(0.0, 0.0, 0.0, turn), GRID, SHAPE)
+    y = (np.arange(SHAPE[0]) - GRID[3]) / GRID[1]
+    depth_m = np.broadcast_to(np.divide(0.8, y, out=np.full_like(y, np.inf), where=y > 0)[:, None], SHAPE)
+    is_floor = (depth_m > 0.7) & (depth_m < 2.5)
+    is_floor[:, :10] = is_floor[:, -10:] = False
+    assert is_floor.sum() > 1000
+    assert (view.depth_m[is_floor] > 0).mean() > 0.999

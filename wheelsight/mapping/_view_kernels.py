@@ -15,7 +15,7 @@ from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
 _COMPILED_IN = 0xC716153B
 
-_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_ZERO, _QUARTER, _ONE = np.float32(0.0), np.float32(0.25), np.float32(1.0)
 # Unstable surfels show only where no stable one does: they rank as if so far away.
 BEHIND_M = np.float32(1000.0)
 # Disks no farther apart than this, a metre of depth and in all, are of one surface.
@@ -82,16 +82,17 @@ def project_disks(
             x, y = (T[0, 0] * a + T[1, 0] * b + T[2, 0] * d) / z, (T[0, 1] * a + T[1, 1] * b + T[2, 1] * d) / z
             nx, ny = T[0, 0] * p + T[1, 0] * q + T[2, 0] * s, T[0, 1] * p + T[1, 1] * q + T[2, 1] * s
             radius = max(geometry[slot, RADIUS], _SMALLEST_PX * z * z / (fx * min(facing, z)))
-            top, bottom = _covered(fy * y + cy, fx * radius / z, ny, height)
-            left, right = _covered(fx * x + cx, fx * radius / z, nx, width)
+            xx, xy, yy = _form(x, y, nx, ny, -facing, z, radius)
+            det = xx * yy - _QUARTER * xy * xy
+            top, bottom = _covered(fy * y + cy, fy * np.sqrt(xx / det), height)
+            left, right = _covered(fx * x + cx, fx * np.sqrt(yy / det), width)
             if top > bottom or left > right:
                 continue
             entry = low if confidence >= stable else high - 1
             low, high = (low + 1, high) if confidence >= stable else (low, high - 1)
             bound[entry, 0], bound[entry, 1], bound[entry, 2], bound[entry, 3] = top, bottom, left, right
             disk[entry, 0], disk[entry, 1], disk[entry, _PLANE], disk[entry, _WEIGHT] = x, y, -facing, confidence
-            form = _form(x, y, nx, ny, -facing, z, radius)
-            disk[entry, _FORM], disk[entry, _FORM + 1], disk[entry, _FORM + 2] = form
+            disk[entry, _FORM], disk[entry, _FORM + 1], disk[entry, _FORM + 2] = xx, xy, yy
             disk[entry, _NORMAL], disk[entry, _NORMAL + 1] = nx, ny
             disk[entry, _NORMAL + 2] = T[0, 2] * p + T[1, 2] * q + T[2, 2] * s
             known = _ONE if look[slot, 3] >= 0 else _ZERO
@@ -102,12 +103,9 @@ def project_disks(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _covered(middle: Any, radius: Any, n: Any, size: Any) -> Any:
-    """First and last row or column of `size` that a disk covers, whose normal has the component n along them.
-
-    Seen along its ray, a disk is as wide as its shadow on the image plane, but for what perspective adds.
-    """
-    half = min(radius * np.sqrt(max(_ONE - n * n, _ZERO)), _LARGEST_PX)
+def _covered(middle: Any, half: Any, size: Any) -> Any:
+    """First and last row or column of `size` of the box about a disk; its half size is an ellipse's, by its form."""
+    half = min(half, _LARGEST_PX)
     return max(int(np.ceil(middle - half)), 0), min(int(np.floor(middle + half)), size - 1)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from wheelsight.geometry import FloatArray, se3, so3
 
 # Over a longer gap the mean velocity says little about the velocity at the frame.
-LONGEST_STEP_S = 0.2
+LONGEST_STEP_S = 0.35
 
 
 def twist_between(T_world_before: FloatArray, T_world_now: FloatArray, seconds: float) -> FloatArray:

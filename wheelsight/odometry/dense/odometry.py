@@ -196,7 +196,7 @@ class DenseOdometry:
                 predicted = self._maker.of_view(view, T_world_camera, self.intrinsics)
             yield _Keyframe(predicted, newest.covariance)
         yield newest
-        if self._failures == 0 and self._last is not None and self._model is None:
+        if self._failures == 0 and self._last is not None:
             yield self._keyframe(self._last)
         if self._failures:
             yield min(self._keyframes, key=lambda keyframe: _distance_m(keyframe, T_world_camera))
@@ -215,7 +215,7 @@ class DenseOdometry:
             found = self._aligner.align(grid, reference, turned, step)
         prior = Prior(T_reference_world @ T_prior, self._settings.prior_sigma_m_s * max(seconds, 1e-3))
         judged = judge(found, prior, self._settings)
-        T_world_camera = reference.T_world_reference @ judged.T_reference_frame
+        T_world_camera = _rigid(reference.T_world_reference @ judged.T_reference_frame)
         reason = judged.reason or self._implausible(last, T_world_camera, seconds)
         if reason is not None:
             return MotionEstimate.failed(reason, found.pairs, found.planes)
@@ -297,6 +297,11 @@ def _expected(last: _Tracked, stamp_s: float, prior: FloatArray | None) -> tuple
     if not 0 < seconds <= LONGEST_STEP_S:
         return prior, np.zeros(6)
     return prior, twist_between(np.eye(4), prior, seconds)
+
+
+def _rigid(T: FloatArray) -> FloatArray:
+    """T (4, 4) without what rounding did to its rotation, which inverses would double from frame to frame."""
+    return se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
 
 
 def _distance_m(keyframe: _Keyframe, T_world_camera: FloatArray) -> float:
