@@ -36,7 +36,9 @@ _COMPILED_IN = 0x95DEFFC7
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Beyond, more sightings change nothing: what is seen for long can still change.
 MOST_CONFIDENCE = np.float32(100.0)
-_COLOR_MEMORY = np.float32(20.0)
+# So many frames' colour is averaged: lamps and lenses shade a spot differently from each place, and what a far-off view
+# showed would draw tracking back to there.
+_COLOR_MEMORY = np.float32(4.0)
 # A position is never better known than poses are: no more than so many readings count.
 _MOST_READINGS = np.float32(50.0)
 _LEAST_COSINE2, _LEAST_COSINE = np.float32(0.04), np.float32(0.35)

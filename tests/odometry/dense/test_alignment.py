@@ -56,6 +56,17 @@ def test_turn_alone_brings_a_quick_turn_near() -> None:
     np.testing.assert_array_equal(turned[:3, 3], 0)
 
 
+@pytest.mark.parametrize(("gain", "offset"), [(0.6, 30.0), (1.4, 5.0)])
+def test_turn_does_not_depend_on_exposure(gain: float, offset: float) -> None:
+    T, first, second = room_pair([0, 0, 0, 0.02, 0.05, -0.02])
+    parts = bench()
+    reference, frame = parts.reference(first), parts.grid(second)
+    levels = tuple(replace(level, grey=gain * level.grey + offset) for level in frame.levels)
+    plain, exposed = (parts.aligner.turn(seen, reference, np.eye(4)) for seen in (frame, replace(frame, levels=levels)))
+    assert apart(T, exposed)[1] < 0.01
+    assert apart(plain, exposed)[1] < 2e-3  # four of the least steps taken
+
+
 def test_exposure_is_taken_out() -> None:
     T, first, second = room_pair(MOTIONS["all"])
     darker = replace(second, color=(0.6 * second.color + 10).astype(np.uint8))

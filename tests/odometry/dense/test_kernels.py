@@ -11,6 +11,7 @@ from wheelsight.geometry import PinholeCamera, se3, so3
 from wheelsight.odometry.dense import _alignment_kernels as kernels
 from wheelsight.odometry.dense import _grid_kernels, _reference_kernels
 from wheelsight.odometry.dense import _step_kernels as steps
+from wheelsight.odometry.dense import _turn_kernels as turns
 
 TINY = PinholeCamera(24, 20, 22.0, 21.0, 11.3, 9.8)
 GRID = np.array([TINY.fx, TINY.fy, TINY.cx, TINY.cy], np.float32)
@@ -98,15 +99,16 @@ def test_unknown_pixels_take_no_part(pair: tuple) -> None:
 
 @pytest.mark.parametrize("pixel", [(4, 5), (10, 12), (15, 17)])
 def test_jacobian_of_a_turn_is_the_numeric_one(pair: tuple, pixel: tuple[int, int]) -> None:
-    R, grey, sums = so3.exp([0.004, -0.003, 0.002]), np.full((TINY.height, TINY.width), -1.0, np.float32), np.empty(11)
+    R, grey, sums = so3.exp([0.004, -0.003, 0.002]), np.full((TINY.height, TINY.width), -1.0, np.float32), np.empty(16)
     grey[pixel] = 60.0
-    kernels.accumulate_turn(grey, pair[2], GRID.astype(float), R, 1e9, sums)
+    gain, offset = 1.2, 5.0
+    turns.accumulate_turn(grey, pair[2], GRID.astype(float), R, np.array([gain, offset]), 1e9, sums)
     assert sums[9] == 1
 
     def seen(R: np.ndarray) -> float:
-        """The reference's grey, whose slopes are 3 and -2 a pixel, where the pixel's ray falls."""
+        """The reference's grey, whose slopes are 3 and -2 a pixel, where the pixel's ray falls, as exposed here."""
         ray = R @ [(pixel[1] - TINY.cx) / TINY.fx, (pixel[0] - TINY.cy) / TINY.fy, 1.0]
-        return 3 * TINY.fx * ray[0] / ray[2] - 2 * TINY.fy * ray[1] / ray[2]
+        return gain * (3 * TINY.fx * ray[0] / ray[2] - 2 * TINY.fy * ray[1] / ray[2])
 
     numeric = [(seen(so3.exp(d) @ R) - seen(so3.exp(-d) @ R)) / 2e-5 for d in 1e-5 * np.eye(3)]
     np.testing.assert_allclose(sums[6:9] / sums[10], numeric, rtol=1e-4, atol=1e-2)

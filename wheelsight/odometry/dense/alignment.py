@@ -12,6 +12,7 @@ from wheelsight.geometry import Float32Array, FloatArray, se3, so3
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import _alignment_kernels as kernels
 from wheelsight.odometry.dense import _step_kernels as steps
+from wheelsight.odometry.dense._turn_kernels import find_turn
 from wheelsight.odometry.dense.grid import GridFrame, Level, Rows
 from wheelsight.odometry.dense.reference import Reference
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -22,7 +23,6 @@ _GREY_SIGMA = 8.0
 # A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
 _COLOR_ERROR_LEFT = 0.25
 _GREY_PAIRS = kernels.PAIRS - kernels.GREY_SUMS
-_TURN_STEPS, _TURN_LIMIT, _TURN_SHARE, _SMALL_TURN = 8, 20.0, 0.3, 5e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,25 +71,11 @@ class Aligner:
 
     def turn(self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
         """T_reference_frame with its rotation bettered by grey values alone, at the two coarsest levels."""
-        T = T_reference_frame.copy()
+        T, R, exposure = T_reference_frame.copy(), T_reference_frame[:3, :3].copy(), np.array([1.0, 0.0])
         for level, seen in zip(frame.levels[:-3:-1], reference.levels[:-3:-1], strict=True):
-            T[:3, :3] = self._turned(level, seen.pixels, T[:3, :3].copy())
+            find_turn(level.grey, seen.pixels, level.intrinsics, R, exposure)
+        T[:3, :3] = R
         return T
-
-    def _turned(self, level: Level, pixels: Float32Array, R: FloatArray) -> FloatArray:
-        """The rotation of least error on the way of Gauss–Newton from R (3, 3)."""
-        best, kept, sums = np.inf, R, np.empty(11)
-        for _ in range(_TURN_STEPS):
-            kernels.accumulate_turn(level.grey, pixels, level.intrinsics, R, _TURN_LIMIT, sums)
-            if sums[9] < _TURN_SHARE * level.grey.size or sums[10] / sums[9] > best:
-                break
-            best, kept = sums[10] / sums[9], R
-            H = np.array([[sums[0], sums[1], sums[2]], [sums[1], sums[3], sums[4]], [sums[2], sums[4], sums[5]]])
-            change = -np.linalg.solve(H + (1e-6 * np.trace(H) + 1e-9) * np.eye(3), sums[6:9])
-            if np.abs(change).max() < _SMALL_TURN:
-                break
-            R = so3.exp(change) @ R
-        return kept
 
     def align(
         self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray, step: Step | None = None
