@@ -1,6 +1,11 @@
 """Compiled inner loops that bring frames onto the grid of an ideal camera, and halve it level by level.
 
-All images are float32. Depth 0 and grey -1 say that nothing is known there.
+Images are float32, but for colours as measured. Depth 0, grey -1 and colour -1 say that nothing is known there.
+
+Where a row's pixels were seen is worked out for the whole row at once, then the images are read there: loops of plain
+arithmetic are done eight pixels at a time. Cameras, poses and twists come as tuples, and helpers that read images do so
+without branches, for numba counts references to an array that an inlined helper takes, pixel by pixel, unless it sees
+that nothing happens in between; and threads that count the same reference wait for each other.
 """
 
 from __future__ import annotations
@@ -55,9 +60,6 @@ def straighten(
 ) -> None:
     """Rows of depth and grey (h, w) on the ideal grid, as if all rows were read at the middle row's time.
 
-    A row's delay grows linearly with its number, and the row a point is seen in moves linearly with the delay; both
-    together give that row in closed form.
-
     Args:
         depth_m, grey: (h, w) as measured, of a lens with distortion and a rolling shutter.
         source_px: (h, w, 2) where a pixel of the ideal grid lies in it, shutter left aside.
@@ -69,22 +71,37 @@ def straighten(
         out: (2, h, w) depth, 0 where none is known, and grey; grey (0, 0) is left alone.
     """
     height, width = depth_m.shape
-    one, pace, middle = np.float32(1), shutter_s / np.float32(height), np.float32(0.5 * height - 0.5)
     has_grey = grey.shape[0] == height
+    u, v, late = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
     for r in range(rows[0], rows[1]):
-        y = np.float32((r - grid[3]) / grid[1])
+        y = (np.float32(r) - grid[3]) / grid[1]
+        _find_source(y, source_px[r], depth_m, grid, twist, shutter_s, height, u, v, late)
         for c in range(width):
-            u, v, x = source_px[r, c, 0], source_px[r, c, 1], np.float32((c - grid[2]) / grid[0])
-            late = np.float32(0)
-            if pace != 0:
-                du, dv = _flow(x, y, _depth_near(depth_m, u, v), twist)
-                row = (v + pace * middle * grid[1] * dv) / (one + pace * grid[1] * dv)
-                late = pace * (row - middle)
-                u, v = u - late * grid[0] * du, row
-            z = _depth_between(depth_m, u, v, jump)
-            out[0, r, c] = z + late * (twist[2] + (twist[3] * y - twist[4] * x) * z) if z > 0 else z
-            if has_grey:
-                out[1, r, c] = _between(grey, u, v)
+            z, x = _depth_between(depth_m, u[c], v[c], jump), (np.float32(c) - grid[2]) / grid[0]
+            out[0, r, c] = z + late[c] * (twist[2] + (twist[3] * y - twist[4] * x) * z) if z > 0 else z
+        if has_grey:
+            for c in range(width):
+                out[1, r, c] = _between(grey, u[c], v[c])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def straighten_color(
+    image: Any, depth_m: Any, source_px: Any, grid: Any, twist: Any, shutter_s: Any, rows: Any, out: Any
+) -> None:
+    """Rows of colour (h, w, 3) on the ideal grid, as `straighten` brings grey there.
+
+    Args: as of `straighten`, and
+        image: (h, w, 3) uint8 as measured.
+        depth_m: (h, w) as measured; never looked at without a shutter.
+        out: (h, w, 3); -1 where unknown.
+    """
+    height, width = image.shape[0], image.shape[1]
+    u, v, late = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    for r in range(rows[0], rows[1]):
+        y = (np.float32(r) - grid[3]) / grid[1]
+        _find_source(y, source_px[r], depth_m, grid, twist, shutter_s, height, u, v, late)
+        for c in range(width):
+            out[r, c, 0], out[r, c, 1], out[r, c, 2] = _color_between(image, u[c], v[c])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -105,29 +122,96 @@ def sample_grey(
         image: (H, W) grey as measured.
         depth_m: (h, w) on the ideal grid, straightened.
         grid: fx, fy, cx, cy of the ideal grid.
-        T_color_camera: (3, 4) or more rows.
+        T_color_camera: (12,) the upper three rows.
         color: fx, fy, cx, cy, k1, k2, p1, p2, k3 of the colour camera at the image's size.
         twist: (6,) velocity (v, ω) of the depth camera in its own frame a second.
         shutter_s: time from the image's first row to the last; 0 for none.
         rows: first and last row to do.
         out: (h, w); -1 where the point is unknown or out of sight.
     """
-    pace, middle = shutter_s / np.float32(image.shape[0]), np.float32(0.5 * image.shape[0] - 0.5)
+    width = depth_m.shape[1]
+    u, v = np.empty(width, np.float32), np.empty(width, np.float32)
     for r in range(rows[0], rows[1]):
-        ray_y = np.float32((r - grid[3]) / grid[1])
-        for c in range(out.shape[1]):
-            z = depth_m[r, c]
-            out[r, c] = NO_GREY
-            if z <= 0:
-                continue
-            x, y = np.float32((c - grid[2]) / grid[0]) * z, ray_y * z
-            if pace != 0:
-                late = pace * (_row_seen(x, y, z, T_color_camera, color) - middle)
-                x -= late * (twist[0] + twist[4] * z - twist[5] * y)
-                y -= late * (twist[1] + twist[5] * x - twist[3] * z)
-                z -= late * (twist[2] + twist[3] * y - twist[4] * x)
-            u, v = _seen_at(x, y, z, T_color_camera, color)
-            out[r, c] = _between(image, u, v)
+        y = (np.float32(r) - grid[3]) / grid[1]
+        _look_up(y, depth_m[r], grid, T_color_camera, color, twist, shutter_s, image.shape[0], u, v)
+        for c in range(width):
+            out[r, c] = _between(image, u[c], v[c])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sample_color(
+    image: Any,
+    depth_m: Any,
+    grid: Any,
+    T_color_camera: Any,
+    color: Any,
+    twist: Any,
+    shutter_s: Any,
+    rows: Any,
+    out: Any,
+) -> None:
+    """Colours (h, w, 3) that another camera saw at the points of a depth image, as `sample_grey` finds grey values.
+
+    Args: as of `sample_grey`, but `image` (H, W, 3) uint8 and `out` (h, w, 3).
+    """
+    width = depth_m.shape[1]
+    u, v = np.empty(width, np.float32), np.empty(width, np.float32)
+    for r in range(rows[0], rows[1]):
+        y = (np.float32(r) - grid[3]) / grid[1]
+        _look_up(y, depth_m[r], grid, T_color_camera, color, twist, shutter_s, image.shape[0], u, v)
+        for c in range(width):
+            out[r, c, 0], out[r, c, 1], out[r, c, 2] = _color_between(image, u[c], v[c])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _find_source(
+    y: Any, source_px: Any, depth_m: Any, grid: Any, twist: Any, shutter_s: Any, height: Any, u: Any, v: Any, late: Any
+) -> None:
+    """Where (w,) u and v the ideal grid's pixels of the row at y were seen, and how late after the middle row.
+
+    A row's delay grows linearly with its number, and the row a point is seen in moves linearly with the delay; both
+    together give that row in closed form.
+    """
+    one, pace, middle = np.float32(1), shutter_s / np.float32(height), np.float32(0.5 * height - 0.5)
+    for c in range(len(u)):
+        u[c], v[c], late[c] = source_px[c, 0], source_px[c, 1], np.float32(0)
+    if shutter_s == 0:
+        return
+    for c in range(len(u)):
+        late[c] = _depth_near(depth_m, u[c], v[c])
+    for c in range(len(u)):
+        du, dv = _flow((np.float32(c) - grid[2]) / grid[0], y, late[c], twist)
+        row = (v[c] + pace * middle * grid[1] * dv) / (one + pace * grid[1] * dv)
+        late[c] = pace * (row - middle)
+        u[c], v[c] = u[c] - late[c] * grid[0] * du, row
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_up(
+    ray_y: Any,
+    depth_m: Any,
+    grid: Any,
+    T: Any,
+    color: Any,
+    twist: Any,
+    shutter_s: Any,
+    height: Any,
+    u: Any,
+    v: Any,
+) -> None:
+    """Where (w,) u and v a colour camera of so many rows saw points of one row of depth (w,); -1 where unknown."""
+    outside = np.float32(-1)
+    pace, middle = shutter_s / np.float32(height), np.float32(0.5 * height - 0.5)
+    for c in range(len(u)):
+        z = depth_m[c]
+        x, y, is_known = (np.float32(c) - grid[2]) / grid[0] * z, ray_y * z, z > 0
+        late = pace * (_row_seen(x, y, z, T, color) - middle)
+        x -= late * (twist[0] + twist[4] * z - twist[5] * y)
+        y -= late * (twist[1] + twist[5] * x - twist[3] * z)
+        z -= late * (twist[2] + twist[3] * y - twist[4] * x)
+        a, b, is_before = _seen_at(x, y, z, T, color)
+        u[c] = a if is_known & is_before else outside
+        v[c] = b if is_known & is_before else outside
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -147,8 +231,7 @@ def _flow(x: Any, y: Any, z: Any, twist: Any) -> Any:
 def _depth_near(depth_m: Any, u: Any, v: Any) -> Any:
     """Depth of the nearest pixel, or a typical one where that is unknown."""
     half = np.float32(0.5)
-    column = min(max(int(u + half), 0), depth_m.shape[1] - 1)
-    z = depth_m[min(max(int(v + half), 0), depth_m.shape[0] - 1), column]
+    z = depth_m[_within(v + half, depth_m.shape[0] - 1), _within(u + half, depth_m.shape[1] - 1)]
     return z if z > 0 else _TYPICAL_DEPTH_M
 
 
@@ -156,61 +239,81 @@ def _depth_near(depth_m: Any, u: Any, v: Any) -> Any:
 def _depth_between(depth_m: Any, u: Any, v: Any, jump: float) -> Any:
     """Depth between four pixels where they are one surface, else that of the nearest pixel; 0 outside."""
     height, width = depth_m.shape
-    half = np.float32(0.5)
-    column, row = int(u + half), int(v + half)
-    if not (-half < u and -half < v and column < width and row < height):
-        return np.float32(0.0)
-    nearest = depth_m[row, column]
-    if nearest <= 0 or u < 0 or v < 0 or u >= width - 1 or v >= height - 1:
-        return nearest
-    c, r = int(u), int(v)
+    half, none = np.float32(0.5), np.float32(0.0)
+    nearest = depth_m[_within(v + half, height - 1), _within(u + half, width - 1)]
+    r, c = _within(v, height - 2), _within(u, width - 2)
     a, b, d, e = depth_m[r, c], depth_m[r, c + 1], depth_m[r + 1, c], depth_m[r + 1, c + 1]
-    limit = jump * nearest
-    if min(a, b, d, e) <= 0 or max(a, b, d, e) - min(a, b, d, e) > limit:
-        return nearest
-    s, t = np.float32(u - c), np.float32(v - r)
-    one = np.float32(1.0)
-    return (one - t) * ((one - s) * a + s * b) + t * ((one - s) * d + s * e)
+    low, high = min(min(a, b), min(d, e)), max(max(a, b), max(d, e))
+    is_one = (low > none) & (high - low <= jump * nearest) & (u >= none) & (v >= none)
+    is_one &= (u < width - 1) & (v < height - 1)
+    z = _mixed(a, b, d, e, np.float32(u - c), np.float32(v - r)) if is_one else nearest
+    is_inside = (-half < u) & (-half < v) & (u < width - half) & (v < height - half)
+    return z if is_inside else none
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _row_seen(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
     """The colour camera's row of a point, lens left aside: near enough to know when it was read."""
-    b = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-    d = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    b = T[4] * x + T[5] * y + T[6] * z + T[7]
+    d = T[8] * x + T[9] * y + T[10] * z + T[11]
     return color[1] * b / max(d, _NEAREST_M) + color[3]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _seen_at(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
-    """The colour camera's pixel (2,) of a point of the depth camera; far outside where it is behind."""
-    a = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-    b = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-    d = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-    if d <= _NEAREST_M:
-        return np.float32(-1), np.float32(-1)
-    a, b, two = a / d, b / d, np.float32(2)
-    if color[4] == 0 and color[5] == 0 and color[6] == 0 and color[7] == 0 and color[8] == 0:
-        return color[0] * a + color[2], color[1] * b + color[3]
-    q = a * a + b * b
+    """The colour camera's pixel (u, v) of a point of the depth camera, and whether it is before the camera."""
+    a = T[0] * x + T[1] * y + T[2] * z + T[3]
+    b = T[4] * x + T[5] * y + T[6] * z + T[7]
+    d = T[8] * x + T[9] * y + T[10] * z + T[11]
+    near, two = max(d, _NEAREST_M), np.float32(2)
+    a, b = a / near, b / near
+    q, ab = a * a + b * b, two * a * b
     radial = np.float32(1) + q * (color[4] + q * (color[5] + q * color[8]))
-    a, b = (
-        a * radial + two * color[6] * a * b + color[7] * (q + two * a * a),
-        b * radial + color[6] * (q + two * b * b) + two * color[7] * a * b,
-    )
-    return color[0] * a + color[2], color[1] * b + color[3]
+    a_bent = a * radial + color[6] * ab + color[7] * (q + two * a * a)
+    b_bent = b * radial + color[6] * (q + two * b * b) + color[7] * ab
+    return color[0] * a_bent + color[2], color[1] * b_bent + color[3], d > _NEAREST_M
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _between(image: Any, u: Any, v: Any) -> Any:
     """Bilinear value between pixels; -1 outside the image or where a neighbour is unknown."""
     height, width = image.shape
-    if not (0 <= u < width - 1 and 0 <= v < height - 1):
-        return NO_GREY
-    c, r = int(u), int(v)
+    r, c = _within(v, height - 2), _within(u, width - 2)
     a, b, d, e = image[r, c], image[r, c + 1], image[r + 1, c], image[r + 1, c + 1]
-    if a < 0 or b < 0 or d < 0 or e < 0:
-        return NO_GREY
+    is_known = _is_between(u, v, width, height) & (min(min(a, b), min(d, e)) >= 0)
+    return _mixed(a, b, d, e, np.float32(u - c), np.float32(v - r)) if is_known else NO_GREY
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _color_between(image: Any, u: Any, v: Any) -> Any:
+    """Bilinear red, green and blue between pixels of bytes; -1 outside the image."""
+    height, width = image.shape[0], image.shape[1]
+    r, c = _within(v, height - 2), _within(u, width - 2)
     s, t = np.float32(u - c), np.float32(v - r)
+    red, green, blue = _channel(image, r, c, 0, s, t), _channel(image, r, c, 1, s, t), _channel(image, r, c, 2, s, t)
+    is_known = _is_between(u, v, width, height)
+    return red if is_known else NO_GREY, green if is_known else NO_GREY, blue if is_known else NO_GREY
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _channel(image: Any, r: Any, c: Any, k: Any, s: Any, t: Any) -> Any:
+    a, b = np.float32(image[r, c, k]), np.float32(image[r, c + 1, k])
+    return _mixed(a, b, np.float32(image[r + 1, c, k]), np.float32(image[r + 1, c + 1, k]), s, t)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _is_between(u: Any, v: Any, width: Any, height: Any) -> Any:
+    return (u >= 0) & (v >= 0) & (u < width - 1) & (v < height - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _within(x: Any, last: Any) -> Any:
+    """The whole part of a coordinate, held within an image."""
+    return int(min(max(x, np.float32(0)), np.float32(last)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _mixed(a: Any, b: Any, d: Any, e: Any, s: Any, t: Any) -> Any:
+    """Bilinear value at s to the right and t below a, of a, b beside it, and d, e below them."""
     one = np.float32(1.0)
     return (one - t) * ((one - s) * a + s * b) + t * ((one - s) * d + s * e)

@@ -8,16 +8,21 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera
 from wheelsight.odometry.dense import _grid_kernels as kernels
 from wheelsight.odometry.dense.settings import DenseSettings
 
 # Images lower than this are done sooner by one thread than handed to several.
 _FEWEST_ROWS = 100
 _NO_IMAGE = np.empty((0, 0), np.float32)
+# An image is dark if fewer of its pixels than this share are brighter than this: what is left in the dark is noise.
+_DARK_SHARE, _DARK_GREY = 0.01, 12
+# Of the pixels asked whether it is dark, the distance.
+_DARK_STRIDE = 8
 
 
 class Rows:
@@ -88,16 +93,30 @@ class Gridder:
         self.late_s: FloatArray = late_share * calibration.rolling_shutter_s
 
     def on_grid(self, frame: RgbdFrame, twist: FloatArray) -> GridFrame:
-        """The frame's pyramid, straightened for a camera moving at `twist` (6,)."""
-        depth_m, grey = frame.depth_m, self._small_grey(frame)
-        for _ in range(self.halvings):
-            depth_m = _halved_depth(depth_m, self._settings.depth_jump, self._rows)
+        """The frame's pyramid, straightened for a camera moving at `twist` (6,).
+
+        Where the lights are off or the lens is covered, grey is noise: of a frame with hardly a pixel brighter than 12
+        of 255, no grey is known.
+        """
+        depth_m, grey = self._small_depth(frame), self._small_grey(frame)
         if not self._is_straight:
             depth_m, grey = self._straightened(depth_m, grey, twist)
         if not self._calibration.is_registered:
             grey = self._looked_up(grey, depth_m, twist)
         levels = coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
         return GridFrame(frame.stamp_s, levels, twist)
+
+    def color_on_grid(self, frame: RgbdFrame, grid: GridFrame) -> Float32Array:
+        """Red, green and blue (h, w, 3) from 0 to 255 of the frame that `grid` was made of, known where its grey is.
+
+        Unknown colours are -1.
+        """
+        if _is_dark(frame.color):
+            return np.full((*self.shape, 3), -1, np.float32)
+        image = self._small(frame.color)
+        if not self._calibration.is_registered:
+            return self._looked_up(image, grid.levels[0].depth_m, grid.twist)
+        return image.astype(np.float32) if self._is_straight else self._straightened_color(image, frame, grid.twist)
 
     @property
     def _is_straight(self) -> bool:
@@ -109,11 +128,21 @@ class Gridder:
         lens = replace(ideal, distortion=self._depth.distortion)
         return lens.denormalise(ideal.rays()[..., :2]).astype(np.float32)
 
+    def _small_depth(self, frame: RgbdFrame) -> Float32Array:
+        """Depth (h, w) as measured, halved."""
+        depth_m = frame.depth_m
+        for _ in range(self.halvings):
+            depth_m = _halved_depth(depth_m, self._settings.depth_jump, self._rows)
+        return depth_m
+
     def _small_grey(self, frame: RgbdFrame) -> Float32Array:
-        """Grey (H, W) as measured, halved."""
-        grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-        size = (grey.shape[1] >> self.halvings, grey.shape[0] >> self.halvings)
-        return (cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if self.halvings else grey).astype(np.float32)
+        """Grey (H, W) as measured, halved; -1 in the dark."""
+        grey = self._small(_grey(frame.color)).astype(np.float32)
+        return np.full_like(grey, -1) if _is_dark(frame.color) else grey
+
+    def _small(self, image: ByteArray) -> ByteArray:
+        size = (image.shape[1] >> self.halvings, image.shape[0] >> self.halvings)
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8) if self.halvings else image
 
     def _straightened(
         self, depth_m: Float32Array, grey: Float32Array, twist: FloatArray
@@ -123,20 +152,29 @@ class Gridder:
         out = np.empty((1 + registered, *self.shape), np.float32)
         images = (depth_m, grey if registered else _NO_IMAGE)
         how = (np.float32(self._shutter_s(twist)), np.float32(self._settings.depth_jump))
-        given = (*images, self._source_px, self.intrinsics.astype(np.float32), twist.astype(np.float32), *how)
+        given = (*images, self._source_px, _numbers(self.intrinsics), _numbers(twist), *how)
         self._rows.share(self.shape[0], lambda begin, end: kernels.straighten(*given, (begin, end), out))
         return out[0], out[1] if registered else grey
 
-    def _looked_up(self, grey: Float32Array, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
-        """What a colour camera of its own saw at the 3D point of each pixel."""
+    def _straightened_color(self, image: ByteArray, frame: RgbdFrame, twist: FloatArray) -> Float32Array:
+        """Colour (h, w, 3) on depth's grid, without lens and shutter."""
+        shutter_s = self._shutter_s(twist)
+        depth_m = self._small_depth(frame) if shutter_s else _NO_IMAGE
+        given = (image, depth_m, self._source_px, _numbers(self.intrinsics), _numbers(twist), np.float32(shutter_s))
+        out = np.empty((*self.shape, 3), np.float32)
+        self._rows.share(len(out), lambda begin, end: kernels.straighten_color(*given, (begin, end), out))
+        return out
+
+    def _looked_up(self, image: Float32Array | ByteArray, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
+        """What a colour camera of its own saw, in grey (H, W) or colour (H, W, 3), at the 3D point of each pixel."""
         color = self._color
-        lens = _scaled(np.array([color.fx, color.fy, color.cx, color.cy]), self.halvings)
-        images = (grey, depth_m, self.intrinsics.astype(np.float32))
-        T_color_camera = np.asarray(self._calibration.T_color_depth, np.float32)
-        cameras = (T_color_camera, np.array([*lens, *color.distortion], np.float32))
-        given = (*images, *cameras, twist.astype(np.float32), np.float32(self._shutter_s(twist)))
-        out = np.empty(self.shape, np.float32)
-        self._rows.share(len(out), lambda begin, end: kernels.sample_grey(*given, (begin, end), out))
+        lens = (*_scaled(np.array([color.fx, color.fy, color.cx, color.cy]), self.halvings), *color.distortion)
+        T_color_camera = _numbers(np.asarray(self._calibration.T_color_depth)[:3])
+        cameras = (_numbers(self.intrinsics), T_color_camera, _numbers(lens))
+        given = (image, depth_m, *cameras, _numbers(twist), np.float32(self._shutter_s(twist)))
+        out = np.empty((*self.shape, *image.shape[2:]), np.float32)
+        sample = kernels.sample_grey if image.ndim == 2 else kernels.sample_color
+        self._rows.share(len(out), lambda begin, end: sample(*given, (begin, end), out))
         return out
 
     def _shutter_s(self, twist: FloatArray) -> float:
@@ -152,6 +190,16 @@ def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, 
         depth_m = _halved_depth(last.depth_m, settings.depth_jump * (1 << number), rows)
         levels.append(Level(_scaled(last.intrinsics, 1), depth_m, _halved_grey(last.grey, rows)))
     return tuple(levels)
+
+
+def _is_dark(color: ByteArray) -> bool:
+    """Whether a colour image (H, W, 3) shows nothing but noise: judged by some of its pixels."""
+    some = _grey(np.ascontiguousarray(color[::_DARK_STRIDE, ::_DARK_STRIDE]))
+    return bool(np.count_nonzero(some > _DARK_GREY) < _DARK_SHARE * some.size)
+
+
+def _grey(color: ByteArray) -> ByteArray:
+    return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def _halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array:
@@ -171,3 +219,8 @@ def _scaled(intrinsics: FloatArray, halvings: int) -> FloatArray:
     factor = 2.0**halvings
     fx, fy, cx, cy = intrinsics
     return np.array([fx / factor, fy / factor, (cx + 0.5) / factor - 0.5, (cy + 0.5) / factor - 0.5])
+
+
+def _numbers(values: ArrayLike) -> tuple[np.float32, ...]:
+    """As kernels read them fastest."""
+    return tuple(np.asarray(values, np.float32).ravel())
