@@ -1,0 +1,73 @@
+"""SurfelMapper: what tracked frames leave in the map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+from numpy.testing import assert_array_equal
+
+from wheelsight.calibration import Calibration
+from wheelsight.estimates import Status
+from wheelsight.events import RgbdFrame
+from wheelsight.mapping.mapper import SurfelMapper
+
+TRUTH = synthetic.wobbling_trajectory(6)
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[RgbdFrame]:
+    poses = zip(TRUTH.stamps_s, TRUTH.T_world_body, strict=True)
+    return [RgbdFrame(float(stamp_s), *synthetic.render_room(T)) for stamp_s, T in poses]
+
+
+def mapper() -> SurfelMapper:
+    return SurfelMapper(Calibration.registered_camera(synthetic.CAMERA))
+
+
+def dark(frame: RgbdFrame) -> RgbdFrame:
+    return replace(frame, color=np.full_like(frame.color, 3))
+
+
+def looks(subject: SurfelMapper) -> dict[tuple[float, ...], int]:
+    """Colour and grey (4,) of the surfels, which the dark is not to change, and how often each occurs."""
+    surfels = subject.map.surfels()
+    values, counts = np.unique(np.column_stack([surfels.color, surfels.grey]), axis=0, return_counts=True)
+    return {tuple(value): int(count) for value, count in zip(values, counts, strict=True)}
+
+
+def test_the_map_has_the_colours_of_the_frames(frames: list[RgbdFrame]) -> None:
+    subject = mapper()
+    for frame in frames:
+        assert subject.process(frame).status is Status.TRACKING
+    view = subject.map.render(np.eye(4), subject.odometry.intrinsics, frames[0].depth_m.shape)
+    there = (view.depth_m > 0) & (view.color[..., 0] >= 0)
+    assert there.mean() > 0.9
+    assert np.median(np.abs(view.color - frames[0].color)[there]) < 8
+
+
+def test_dark_frames_change_no_colour(frames: list[RgbdFrame]) -> None:
+    subject = mapper()
+    subject.process(frames[0])
+    before = looks(subject)
+    for frame in frames[1:]:
+        assert subject.process(dark(frame)).status is Status.TRACKING
+        assert subject.last_fused is not None
+        assert subject.last_fused.matched > 0.5 * frame.depth_m.size
+    unknown = (-1.0, -1.0, -1.0, -1.0)
+    after = looks(subject)
+    # Surfels may die, and new ones know no colour; none has a colour that was not there in the light.
+    assert all(count <= before[look] for look, count in after.items() if look != unknown)
+    assert sum(count for look, count in after.items() if look != unknown) > 0.8 * sum(before.values())
+
+
+def test_light_gives_colour_to_what_was_found_in_the_dark(frames: list[RgbdFrame]) -> None:
+    subject = mapper()
+    for frame in frames[:3]:
+        subject.process(dark(frame))
+    assert_array_equal(subject.map.surfels().color, -1)
+    for frame in frames[3:]:
+        subject.process(frame)
+    assert np.mean(subject.map.surfels("all").grey >= 0) > 0.8
