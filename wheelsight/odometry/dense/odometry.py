@@ -15,23 +15,20 @@ from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
+from wheelsight.odometry.dense.keyframes import Keyframe, Witness
 from wheelsight.odometry.dense.observability import Prior, judge
-from wheelsight.odometry.dense.reference import Reference, ReferenceMaker, ReferenceModel
+from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
 from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.odometry.features.extraction import Features
 
 _START_VARIANCE = 1e-12
-# A turn by a radian hides as much of a view as this many metres of way.
-_TYPICAL_DEPTH_M = 1.5
+# Poses of one frame by its surfaces and by its keypoints that lie no farther apart say the same.
+_AGREE_M, _AGREE_RAD = 0.08, 0.07
+# A change of velocity at once, and that many times a second, which is a leap rather than the camera's motion.
+_LEAP = np.array([0.5, 1.5])
+_LEAP_S = np.array([10.0, 30.0])
 # Rows placed more wrongly than this are worth preparing a frame twice.
 _STRAIGHT_ENOUGH_PX = 0.3
-
-
-@dataclass(eq=False)
-class _Keyframe:
-    """A reference with the covariance (6, 6) of its pose."""
-
-    reference: Reference
-    covariance: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,13 +90,15 @@ class DenseOdometry:
         self._gridder = Gridder(calibration, self._settings, rows)
         self._maker = ReferenceMaker(calibration.depth_noise, self._settings, rows)
         self._aligner = Aligner(calibration, self._settings, rows, self._gridder.late_s, self._gridder.halvings)
+        self._witness = Witness(calibration)
         self._model = model
         self._T_world_first = np.eye(4) if T_world_first is None else np.asarray(T_world_first, float)
-        self._keyframes: list[_Keyframe] = []
+        self._keyframes: list[Keyframe] = []
         self.watch = Stopwatch()
         self._first: RgbdFrame | None = None
         self._last: _Tracked | None = None
         self._failures = 0
+        self._unseen_s = 0.0
         self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
         self.last_frame: GridFrame | None = None
 
@@ -117,7 +116,8 @@ class DenseOdometry:
         """What `frame`, which was the last one tracked, adds to a map."""
         assert self.last_frame is not None, "the last frame has no pose"
         finest = self.last_frame.levels[0]
-        return Surface(finest.depth_m, self._maker.normals(finest), finest.grey)
+        color = self._gridder.color_on_grid(frame, self.last_frame)
+        return Surface(finest.depth_m, self._maker.normals(finest), finest.grey, color)
 
     def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
         """The camera's pose at a frame, T_world_camera, or why there is none.
@@ -144,7 +144,12 @@ class DenseOdometry:
         found = self._locate(grid, last, T_prior)
         if isinstance(found, _Tracked) and self._first is not None:
             found = self._begin_again(found, T_prior)
-        return self._succeed(frame, found) if isinstance(found, _Tracked) else self._fail(frame.stamp_s, found)
+        if T_previous_current_prior is None:
+            found = self._doubted(frame, grid, last, found)
+        if isinstance(found, _Tracked):
+            with self.watch.stage("keyframe"):
+                found = self._remember(frame, found)
+        return self._accept(found) if isinstance(found, _Tracked) else self._fail(frame.stamp_s, found)
 
     def miss(self, stamp_s: float) -> Estimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
@@ -154,7 +159,7 @@ class DenseOdometry:
 
     def _start(self, frame: RgbdFrame, grid: GridFrame) -> Estimate:
         start = _Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6))
-        self._keyframes = [self._keyframe(start)]
+        self._keyframes = [self._keyframe(start, self._witness.look(frame))]
         self._first = frame
         self.last_motion = MotionEstimate(np.eye(4), start.covariance)
         return self._accept(start)
@@ -166,7 +171,7 @@ class DenseOdometry:
             return found
         grid = self._gridder.on_grid(first, found.twist)
         self._last = _Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6), found.twist)
-        self._keyframes = [self._keyframe(self._last)]
+        self._keyframes = [self._keyframe(self._last, self._witness.look(first))]
         return self._align(found.frame, self._keyframes[0], self._last, found.T_world_camera, prior)
 
     def _locate(self, grid: GridFrame, last: _Tracked, T_prior: FloatArray) -> _Tracked | MotionEstimate:
@@ -176,8 +181,6 @@ class DenseOdometry:
             guess = T_prior if place == 0 or not self._is_lost else reference.reference.T_world_reference
             found = self._align(grid, reference, last, guess, T_prior)
             if isinstance(found, _Tracked):
-                if reference not in self._keyframes and self._model is None:
-                    self._keyframes.append(reference)
                 return found
             failure = failure or found
         assert failure is not None
@@ -187,24 +190,27 @@ class DenseOdometry:
     def _is_lost(self) -> bool:
         return self._failures >= self._settings.lost_after
 
-    def _references(self, T_world_camera: FloatArray) -> Iterator[_Keyframe]:
+    def _references(self, T_world_camera: FloatArray) -> Iterator[Keyframe]:
         """What the model predicts, else the newest keyframe; while frames fail, the nearest; once lost, others too."""
         newest = self._keyframes[-1]
         if self._model is not None:
             with self.watch.stage("predict"):
                 view = self._model.predict(T_world_camera, self.intrinsics, self._gridder.shape)
                 predicted = self._maker.of_view(view, T_world_camera, self.intrinsics)
-            yield _Keyframe(predicted, newest.covariance)
+            yield Keyframe(predicted, self._nearest(T_world_camera).covariance)
         yield newest
         if self._failures == 0 and self._last is not None:
             yield self._keyframe(self._last)
         if self._failures:
-            yield min(self._keyframes, key=lambda keyframe: _distance_m(keyframe, T_world_camera))
+            yield self._nearest(T_world_camera)
         if self._is_lost:
             yield self._keyframes[-1 - self._failures % len(self._keyframes)]
 
+    def _nearest(self, T_world_camera: FloatArray) -> Keyframe:
+        return min(self._keyframes, key=lambda keyframe: keyframe.distance_m(T_world_camera))
+
     def _align(
-        self, grid: GridFrame, keyframe: _Keyframe, last: _Tracked, guess: FloatArray, T_prior: FloatArray
+        self, grid: GridFrame, keyframe: Keyframe, last: _Tracked, guess: FloatArray, T_prior: FloatArray
     ) -> _Tracked | MotionEstimate:
         reference = keyframe.reference
         T_reference_world = se3.invert(reference.T_world_reference)
@@ -232,29 +238,90 @@ class DenseOdometry:
         turning = so3.angle(T[:3, :3]) > self._settings.max_turn_rad_s * seconds
         return Reason.IMPLAUSIBLE_MOTION if fast or turning else None
 
-    def _succeed(self, frame: RgbdFrame, found: _Tracked) -> Estimate:
-        with self.watch.stage("keyframe"):
-            if self._settings.reference == "previous":
-                self._keyframes = [self._keyframe(self._straightened(frame, found))]
-            elif found.overlap < self._settings.keyframe_overlap:
-                found = self._change_keyframe(frame, found)
-        return self._accept(found)
+    def _doubted(
+        self, frame: RgbdFrame, grid: GridFrame, last: _Tracked, found: _Tracked | MotionEstimate
+    ) -> _Tracked | MotionEstimate:
+        """A pose that nothing but surfaces speak for is kept while they have shown all motion, and without a leap.
 
-    def _change_keyframe(self, frame: RgbdFrame, found: _Tracked) -> _Tracked:
-        """Go back to an older keyframe that is nearer and shows the same, which ends the drift; else keep a new one."""
-        nearest = min(self._keyframes, key=lambda keyframe: _distance_m(keyframe, found.T_world_camera))
-        if nearest is not self._keyframes[-1] and self._last is not None:
-            motion = self.last_motion
-            seen = self._align(found.frame, nearest, self._last, found.T_world_camera, found.T_world_camera)
-            if isinstance(seen, _Tracked) and seen.overlap > self._settings.keyframe_overlap:
-                self._keyframes.remove(nearest)
-                self._keyframes.append(nearest)
-                return seen
-            self.last_motion = motion
+        After a failure, a gap or a leap, keypoints must say the same; where they know better, their pose is tried.
+        """
+        seconds = grid.stamp_s - last.frame.stamp_s
+        if isinstance(found, _Tracked):
+            self._count_unseen(seconds)
+            if self._unseen_s > self._settings.max_unseen_s:
+                return MotionEstimate.failed(Reason.DEGENERATE)
+            if self._failures == 0 and not self._is_leap(last, found, seconds):
+                return found
+        with self.watch.stage("recognise"):
+            T_guess = found.T_world_camera if isinstance(found, _Tracked) else last.T_world_camera
+            T_witness = self._witness.locate(self._witness.look(frame), self._familiar(T_guess), grid.twist)
+        if T_witness is None:
+            return MotionEstimate.failed(Reason.NOT_RECOGNISED) if isinstance(found, _Tracked) else found
+        if not isinstance(found, _Tracked) or not _agree(found.T_world_camera, T_witness):
+            found = self._locate(grid, last, T_witness)
+        if isinstance(found, _Tracked) and not _agree(found.T_world_camera, T_witness):
+            return MotionEstimate.failed(Reason.CONTRADICTED)
+        return found
+
+    def _count_unseen(self, seconds: float) -> None:
+        """How long some direction of motion has not been seen; noise shows one now and then, which counts half."""
+        seen = self.last_motion.degenerate is None or not len(self.last_motion.degenerate)
+        self._unseen_s = max(self._unseen_s - 0.5 * seconds, 0.0) if seen else self._unseen_s + seconds
+
+    def _is_leap(self, last: _Tracked, found: _Tracked, seconds: float) -> bool:
+        """Whether the camera would have had to gain more speed, or turning, than one does; always after a gap."""
+        if seconds > LONGEST_STEP_S:
+            return True
+        change = found.twist - last.twist
+        gained = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
+        return bool((gained > _LEAP + _LEAP_S * seconds).any() and last.twist.any())
+
+    def _familiar(self, T_world_camera: FloatArray) -> list[Keyframe]:
+        """Keyframes that a frame may show: the nearest, the newest, and once lost an older one in turn."""
+        keyframes = [self._nearest(T_world_camera), self._keyframes[-1]]
+        if self._is_lost:
+            keyframes.append(self._keyframes[-1 - self._failures % len(self._keyframes)])
+        return list(dict.fromkeys(keyframes))
+
+    def _remember(self, frame: RgbdFrame, found: _Tracked) -> _Tracked | MotionEstimate:
+        """Keep the frame as a keyframe where it shows much that the last one did not; keypoints must not gainsay it."""
+        if self._settings.reference == "previous" and self._model is None:
+            straight = self._straightened(frame, found)
+            self._keyframes = [self._keyframe(straight, self._witness.look(frame))]
+            return straight
+        if not self._is_new(found):
+            return found
+        seen = self._seen_from_before(found)
+        if seen is not None:
+            return seen
         straight = self._straightened(frame, found)
-        self._keyframes.append(self._keyframe(straight))
+        features = self._witness.look(frame)
+        T_witness = self._witness.locate(features, self._keyframes[-1:], found.twist)
+        if T_witness is not None and not _agree(found.T_world_camera, T_witness):
+            return MotionEstimate.failed(Reason.CONTRADICTED)
+        self._keyframes.append(self._keyframe(straight, features))
         del self._keyframes[: -self._settings.kept_keyframes]
         return straight
+
+    def _is_new(self, found: _Tracked) -> bool:
+        """Whether a frame is to become a keyframe: by what is left of the last one, or beside a map by the way."""
+        if self._model is None:
+            return found.overlap < self._settings.keyframe_overlap
+        return self._nearest(found.T_world_camera).distance_m(found.T_world_camera) > self._settings.keyframe_way_m
+
+    def _seen_from_before(self, found: _Tracked) -> _Tracked | None:
+        """The frame by an older keyframe that is nearer and shows the same, which ends the drift, if there is one."""
+        nearest = self._nearest(found.T_world_camera)
+        if self._model is not None or nearest is self._keyframes[-1] or self._last is None:
+            return None
+        motion = self.last_motion
+        seen = self._align(found.frame, nearest, self._last, found.T_world_camera, found.T_world_camera)
+        if isinstance(seen, _Tracked) and seen.overlap > self._settings.keyframe_overlap:
+            self._keyframes.remove(nearest)
+            self._keyframes.append(nearest)
+            return seen
+        self.last_motion = motion
+        return None
 
     def _straightened(self, frame: RgbdFrame, found: _Tracked) -> _Tracked:
         """The same frame, its rows straightened by the speed that was found rather than the one expected."""
@@ -263,8 +330,10 @@ class DenseOdometry:
             return found
         return replace(found, frame=self._gridder.on_grid(frame, found.twist))
 
-    def _keyframe(self, tracked: _Tracked) -> _Keyframe:
-        return _Keyframe(self._maker.of_frame(tracked.frame, tracked.T_world_camera), tracked.covariance)
+    def _keyframe(self, tracked: _Tracked, features: Features | None = None) -> Keyframe:
+        T, covariance = tracked.T_world_camera, tracked.covariance
+        view = None if features is None else self._witness.view(features, T, covariance, tracked.twist)
+        return Keyframe(self._maker.of_frame(tracked.frame, T), covariance, view)
 
     def _accept(self, found: _Tracked) -> Estimate:
         self._last, self._failures, self.last_frame = found, 0, found.frame
@@ -304,7 +373,7 @@ def _rigid(T: FloatArray) -> FloatArray:
     return se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
 
 
-def _distance_m(keyframe: _Keyframe, T_world_camera: FloatArray) -> float:
-    """How far two views are apart; a turn by a radian counts as 1.5 m."""
-    T = se3.invert(keyframe.reference.T_world_reference) @ T_world_camera
-    return float(np.linalg.norm(T[:3, 3]) + _TYPICAL_DEPTH_M * so3.angle(T[:3, :3]))
+def _agree(T_world_a: FloatArray, T_world_b: FloatArray) -> bool:
+    """Whether two poses of a camera are as near as two ways to find one leave them."""
+    T = se3.invert(T_world_a) @ T_world_b
+    return bool(np.linalg.norm(T[:3, 3]) < _AGREE_M and so3.angle(T[:3, :3]) < _AGREE_RAD)

@@ -19,7 +19,7 @@ class DenseSettings(BaseModel):
     levels: int = Field(3, ge=1, le=5, description="of the pyramid, each half as wide")
     iterations: tuple[PositiveInt, ...] = Field((4, 6, 8), description="at most, from the finest level to the coarsest")
     row_stride: PositiveInt = Field(2, description="of the finest level's rows only every so many are aligned")
-    color_weight: NonNegativeFloat = Field(0.5, description="of grey values against depth; 0 aligns depth alone")
+    color_weight: NonNegativeFloat = Field(0.7, description="of grey values against depth; 0 aligns depth alone")
     min_gradient: NonNegativeFloat = Field(
         3.0, description="grey levels a pixel, at the second level; a flatter place may show nothing but noise"
     )
@@ -28,8 +28,13 @@ class DenseSettings(BaseModel):
     depth_jump: PositiveFloat = Field(0.03, description="share of a depth that tells two surfaces apart")
     normal_radius_px: int = Field(2, ge=1, le=6, description="half width of the window a normal is fitted to")
     keyframe_overlap: float = Field(0.75, gt=0, lt=1, description="of a keyframe; with less in sight a new one is made")
+    keyframe_way_m: PositiveFloat = Field(
+        0.3, description="beside a map: way from the nearest keyframe to a new one, a turn by a radian as 1.5 m"
+    )
     min_overlap: float = Field(0.25, gt=0, lt=1, description="share of a frame's points that must find a partner")
-    max_residual: PositiveFloat = Field(3.0, description="mean residual in standard deviations beyond which none fits")
+    max_residual: PositiveFloat = Field(
+        5.0, description="mean residual in standard deviations of the sensor's noise beyond which none fits"
+    )
     degenerate_sigma_m: PositiveFloat = Field(
         0.01, description="a direction less certain than this after one frame is left to the prior"
     )
@@ -41,7 +46,10 @@ class DenseSettings(BaseModel):
     )
     min_depth_share: float = Field(0.05, gt=0, lt=1, description="of a frame's pixels that must have depth")
     kept_keyframes: PositiveInt = Field(60, description="held in memory; those used longest ago go first")
-    max_speed_m_s: PositiveFloat = Field(5.0, description="a faster motion is implausible")
+    max_unseen_s: PositiveFloat = Field(
+        0.5, description="how long a direction of motion may stay unseen where nothing but the camera tells it"
+    )
+    max_speed_m_s: PositiveFloat = Field(3.0, description="a faster motion is implausible")
     max_turn_rad_s: PositiveFloat = Field(8.0, description="a faster turn is implausible")
     lost_after: PositiveInt = Field(10, description="failed frames in a row, after which the state is lost")
     threads: PositiveInt = Field(2, description="that share a frame's rows")
