@@ -82,6 +82,12 @@ def test_compiled_is_plain_python(pair: tuple) -> None:
     np.testing.assert_allclose(compiled, sums_of(pair, T, 0.5, huber=1.5, module=plain(kernels)), rtol=1e-4, atol=1e-2)
 
 
+def test_stretches_of_a_row_add_up(pair: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = sums_of(pair, np.eye(4), 0.5, huber=1.5)
+    monkeypatch.setattr(kernels, "_STRETCH", 10)  # of 24 pixels
+    np.testing.assert_allclose(sums_of(pair, np.eye(4), 0.5, 1.5, plain(kernels)), whole, rtol=1e-4, atol=1e-2)
+
+
 def test_huber_takes_weight_from_large_errors_only(pair: tuple) -> None:
     gentle, strict = (sums_of(pair, np.eye(4), 1.0, huber=limit) for limit in (1e6, 0.5))
     assert strict[kernels.GREY_COUNT] == gentle[kernels.GREY_COUNT]

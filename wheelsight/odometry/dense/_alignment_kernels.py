@@ -1,7 +1,7 @@
 """Compiled inner loops of dense alignment: residuals, weights and normal equations, a row of partial sums each.
 
-A row is gone over in short loops, each of which the compiler can do for many pixels at once; only the look-up in the
-reference goes pixel by pixel.
+A row is gone over in loops without branches, which the compiler does for many pixels at once; only the look-up in the
+reference goes pixel by pixel. What is inlined here takes its liberties with rounding from its caller.
 """
 
 from __future__ import annotations
@@ -23,13 +23,17 @@ SUMS = 66
 NX, NY, NZ, OFFSET, DEPTH, GREY, ALONG_U, ALONG_V = range(8)
 CHANNELS = 8
 
+# So many pixels side by side are done at once, by buffers whose size the compiler knows.
+_STRETCH = 320
+# Rows of the buffer of a stretch's moved points, and of the buffer of those of them that have a partner: point, depth
+# and grey here, and the partner's channels.
+_MX, _MY, _MZ, _MU, _MV, _MOVED = range(6)
+_PX, _PY, _PZ, _HERE_Z, _HERE, _PARTNER, _PAIR = *range(6), 5 + CHANNELS
 # Rows of the buffer in which residuals of one kind are collected.
-_PX, _PY, _PZ, _GX, _GY, _GZ, _ERROR, _ROOT, _J3, _J4, _J5 = range(11)
-# Rows of the buffer for a row's moved points.
-_MX, _MY, _MZ, _MU, _MV = range(5)
+_GX, _GY, _GZ, _J3, _J4, _J5, _ERROR, _ROOT, _RESIDUAL = range(9)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def accumulate(
     depth_m: Any,
     grey: Any,
@@ -63,191 +67,162 @@ def accumulate(
         sums: (h // stride, SUMS) of float64, written row by row, so that the total does not depend on who did which.
     """
     width = depth_m.shape[1]
-    moved = np.empty((5, width), np.float32)
-    planes, greys = np.empty((11, width), np.float32), np.empty((11, width), np.float32)
+    moved, pairs = np.empty((_MOVED, _STRETCH), np.float32), np.empty((_PAIR, _STRETCH), np.float32)
+    residuals = np.empty((_RESIDUAL, _STRETCH), np.float32)
     x = ((np.arange(width) - grid[2]) / grid[0]).astype(np.float32)
     for k in range(begin, end):
-        r, row = k * stride, sums[k]
+        r = k * stride
+        y, row = np.float32((r - grid[3]) / grid[1]), sums[k]
         row[:] = 0.0
-        _move(depth_m[r], x, np.float32((r - grid[3]) / grid[1]), T_rows[r], grid, moved)
-        plane_count, grey_count = _look_up(depth_m[r], grey[r], reference, grid, noise, how, moved, planes, greys, row)
-        _weigh(planes, plane_count, how[5], row, PLANE_COUNT)
-        _weigh(greys, grey_count, how[5], row, GREY_COUNT)
-        _add(planes, plane_count, row[:GREY_SUMS])
-        _add(greys, grey_count, row[GREY_SUMS:])
+        for first in range(0, width, _STRETCH):
+            last = min(first + _STRETCH, width)
+            here = depth_m[r, first:last]
+            _move(here, x[first:last], y, T_rows[r], grid, moved)
+            n = _pair(here, grey[r, first:last], reference, noise, moved, pairs)
+            row[PAIRS] += n
+            _meet_planes(pairs, n, noise, how, residuals)
+            _weigh(pairs, residuals, n, how[5], row, PLANE_COUNT)
+            _add(residuals, n, row[:GREY_SUMS])
+            if how[6] > 0:
+                _compare_grey(pairs, n, grid, how, residuals, row)
+                _weigh(pairs, residuals, n, how[5], row, GREY_COUNT)
+                _add(residuals, n, row[GREY_SUMS:])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _move(depth_m: Any, x: Any, y: Any, T: Any, grid: Any, moved: Any) -> None:
-    """Points T p of a row of p = (x, y, 1)·z, and the pixels they fall on."""
-    for axis in range(3):
-        a, b, t = T[axis, 0], T[axis, 1] * y + T[axis, 2], T[axis, 3]
-        out = moved[axis]
-        for c in range(len(x)):
-            out[c] = depth_m[c] * (a * x[c] + b) + t
-    depth_there, across, down = moved[_MZ], moved[_MX], moved[_MY]
-    u, v = moved[_MU], moved[_MV]
+    """Points T p of a stretch of p = (x, y, 1)·z, and the pixels they fall on."""
     fx, fy, cx, cy = grid[0], grid[1], grid[2], grid[3]
+    ax, bx, tx = T[0, 0], T[0, 1] * y + T[0, 2], T[0, 3]
+    ay, by, ty = T[1, 0], T[1, 1] * y + T[1, 2], T[1, 3]
+    az, bz, tz = T[2, 0], T[2, 1] * y + T[2, 2], T[2, 3]
     for c in range(len(x)):
-        u[c] = fx * across[c] / depth_there[c] + cx
-    for c in range(len(x)):
-        v[c] = fy * down[c] / depth_there[c] + cy
+        z = depth_m[c]
+        px, py, pz = z * (ax * x[c] + bx) + tx, z * (ay * x[c] + by) + ty, z * (az * x[c] + bz) + tz
+        moved[_MX, c], moved[_MY, c], moved[_MZ, c] = px, py, pz
+        moved[_MU, c], moved[_MV, c] = fx * px / pz + cx, fy * py / pz + cy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _look_up(
-    depth_m: Any,
-    grey: Any,
-    reference: Any,
-    grid: Any,
-    noise: Any,
-    how: Any,
-    moved: Any,
-    planes: Any,
-    greys: Any,
-    row: Any,
-) -> Any:
-    """Collect the residuals of a row: points, gradients g = ∂error/∂p', errors, and 1 / σ. How many of each kind."""
-    height, width = reference.shape[0], reference.shape[1]
-    one, half = np.float32(1), np.float32(0.5)
-    near, far, gate = noise[2], noise[3], how[0]
-    last_u, last_v = np.float32(width - 2), np.float32(height - 2)
-    pairs = plane_count = grey_count = 0
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _pair(depth_m: Any, grey: Any, reference: Any, noise: Any, moved: Any, pairs: Any) -> Any:
+    """Collect the points that fall into the reference, each with the plane of the pixel it falls on and the grey there.
+
+    Returns how many. No branches: which points do is known too late for the processor to guess.
+    """
+    one, half, near, far = np.float32(1), np.float32(0.5), noise[2], noise[3]
+    last_u, last_v = np.float32(reference.shape[1] - 2), np.float32(reference.shape[0] - 2)
+    n = 0
     for c in range(len(depth_m)):
         z, pz, u, v = depth_m[c], moved[_MZ, c], moved[_MU, c], moved[_MV, c]
-        if not (near <= z <= far and pz >= near and one <= u < last_u and one <= v < last_v):
-            continue
-        pairs += 1
-        line, column = int(v + half), int(u + half)
-        qz = reference[line, column, DEPTH]
-        if not abs(qz - pz) <= gate * (one + pz):
-            continue
-        px, py = moved[_MX, c], moved[_MY, c]
-        nx, ny, nz = reference[line, column, NX], reference[line, column, NY], reference[line, column, NZ]
-        along = nx * px + ny * py + nz * pz
-        error = along - reference[line, column, OFFSET]
-        if not np.isnan(error):
-            root = _plane_root(noise, how[1], z, qz, along * along / (px * px + py * py + pz * pz))
-            _put(planes, plane_count, px, py, pz, nx, ny, nz, error, root)
-            plane_count += 1
-        if how[6] > 0 and grey[c] >= 0:
-            grey_count += _put_grey(greys, grey_count, px, py, pz, u, v, grey[c], reference, grid, how)
-    row[PAIRS] = pairs
-    _fit(greys, grey_count, how[5], row)
-    return plane_count, grey_count
+        is_seen = (z >= near) & (z <= far) & (pz >= near) & (u >= one) & (u < last_u) & (v >= one) & (v < last_v)
+        line, column = int(v + half) if is_seen else 0, int(u + half) if is_seen else 0
+        pairs[_PX, n], pairs[_PY, n], pairs[_PZ, n] = moved[_MX, c], moved[_MY, c], pz
+        pairs[_HERE_Z, n], pairs[_HERE, n] = z, grey[c]
+        for k in range(GREY):
+            pairs[_PARTNER + k, n] = reference[line, column, k]
+        line, column = int(v) if is_seen else 0, int(u) if is_seen else 0
+        s, t = u - np.float32(column), v - np.float32(line)
+        for k in range(GREY, CHANNELS):
+            above, below = reference[line, column, k], reference[line + 1, column, k]
+            above += s * (reference[line, column + 1, k] - above)
+            below += s * (reference[line + 1, column + 1, k] - below)
+            pairs[_PARTNER + k, n] = above + t * (below - above)
+        n += is_seen
+    return n
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _put_grey(
-    to: Any, k: int, px: Any, py: Any, pz: Any, u: Any, v: Any, here: Any, reference: Any, grid: Any, how: Any
-) -> int:
-    """Collect the photometric residual of a pixel as number k; 0 where there is none, else 1."""
-    there, du, dv = _between(reference, u, v)
-    slope2 = du * du + dv * dv
-    if not slope2 >= how[8] * how[8] or np.isnan(there):
-        return 0
-    gx, gy = how[3] * du * grid[0] / pz, how[3] * dv * grid[1] / pz
-    root = how[6] / np.sqrt(how[2] * how[2] + how[7] * how[7] * slope2)
-    _put(to, k, px, py, pz, gx, gy, -(gx * px + gy * py) / pz, how[3] * there + how[4] - here, root)
-    to[_J3, k], to[_J4, k] = there, here
-    return 1
+def _meet_planes(pairs: Any, n: int, noise: Any, how: Any, out: Any) -> None:
+    """Gradients g = ∂error/∂p', errors and 1 / σ of n pairs as to the partners' planes; 0 where there is none.
+
+    Both depths err along the ray; what counts of it is bounded where planes are grazed.
+    """
+    zero, one, least = np.float32(0), np.float32(1), np.float32(0.04)
+    constant, quadratic, gate, scale = noise[0], noise[1], how[0], how[1]
+    for k in range(n):
+        px, py, pz, z = pairs[_PX, k], pairs[_PY, k], pairs[_PZ, k], pairs[_HERE_Z, k]
+        nx, ny, nz = pairs[_PARTNER + NX, k], pairs[_PARTNER + NY, k], pairs[_PARTNER + NZ, k]
+        qz, along = pairs[_PARTNER + DEPTH, k], nx * px + ny * py + nz * pz
+        error = along - pairs[_PARTNER + OFFSET, k]
+        here, there = constant + quadratic * z * z, constant + quadratic * qz * qz
+        cosine2 = along * along / (px * px + py * py + pz * pz)
+        cosine2 = cosine2 if cosine2 > least else least
+        is_near = (abs(qz - pz) <= gate * (one + pz)) & (error == error)
+        out[_GX, k], out[_GY, k], out[_GZ, k] = (
+            nx if is_near else zero,
+            ny if is_near else zero,
+            nz if is_near else zero,
+        )
+        out[_ERROR, k] = error if is_near else zero
+        out[_ROOT, k] = one / (scale * np.sqrt((here * here + there * there) * cosine2)) if is_near else zero
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _plane_root(noise: Any, scale: Any, z: Any, qz: Any, cosine2: Any) -> Any:
-    """1 / σ of a plane residual, whose two depths err along the ray; bounded where planes are grazed."""
-    here, there = noise[0] + noise[1] * z * z, noise[0] + noise[1] * qz * qz
-    return np.float32(1) / (scale * np.sqrt((here * here + there * there) * max(cosine2, np.float32(0.04))))
+def _compare_grey(pairs: Any, n: int, grid: Any, how: Any, out: Any, row: Any) -> None:
+    """Likewise of the grey values of n pairs; and sum up in the row what the regression of exposure needs."""
+    zero, one = np.float32(0), np.float32(1)
+    fx, fy, gate, sigma2, gain, offset = grid[0], grid[1], how[0], how[2] * how[2], how[3], how[4]
+    limit, weight_of, misplaced2, least2 = how[5], how[6], how[7] * how[7], how[8] * how[8]
+    s = sx = sy = sxx = sxy = zero
+    for k in range(n):
+        px, py, pz, qz, here = pairs[_PX, k], pairs[_PY, k], pairs[_PZ, k], pairs[_PARTNER + DEPTH, k], pairs[_HERE, k]
+        du, dv = pairs[_PARTNER + ALONG_U, k], pairs[_PARTNER + ALONG_V, k]
+        there = pairs[_PARTNER + GREY, k]
+        slope2 = du * du + dv * dv
+        is_known = (abs(qz - pz) <= gate * (one + pz)) & (here >= zero) & (slope2 >= least2) & (there == there)
+        there = there if is_known else zero
+        gx, gy = gain * du * fx / pz if is_known else zero, gain * dv * fy / pz if is_known else zero
+        error = gain * there + offset - here if is_known else zero
+        root = weight_of / np.sqrt(sigma2 + misplaced2 * slope2) if is_known else zero
+        out[_GX, k], out[_GY, k], out[_GZ, k] = gx, gy, -(gx * px + gy * py) / pz
+        out[_ERROR, k], out[_ROOT, k] = error, root
+        scaled = abs(error) * root
+        weight = limit / (scaled if scaled > limit else limit) if is_known else zero
+        s += weight
+        sx += weight * there
+        sy += weight * here
+        sxx += weight * there * there
+        sxy += weight * there * here
+    row[FIT_N] += s
+    row[FIT_X] += sx
+    row[FIT_Y] += sy
+    row[FIT_XX] += sxx
+    row[FIT_XY] += sxy
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _between(reference: Any, u: Any, v: Any) -> Any:
-    """Grey and its gradient between four pixels; NaN where one is unknown."""
-    c, r = int(u), int(v)
-    s, t, one = u - np.float32(c), v - np.float32(r), np.float32(1)
-    wa, wb, wd, we = (one - s) * (one - t), s * (one - t), (one - s) * t, s * t
-    return (
-        wa * reference[r, c, GREY]
-        + wb * reference[r, c + 1, GREY]
-        + wd * reference[r + 1, c, GREY]
-        + we * reference[r + 1, c + 1, GREY],
-        wa * reference[r, c, ALONG_U]
-        + wb * reference[r, c + 1, ALONG_U]
-        + wd * reference[r + 1, c, ALONG_U]
-        + we * reference[r + 1, c + 1, ALONG_U],
-        wa * reference[r, c, ALONG_V]
-        + wb * reference[r, c + 1, ALONG_V]
-        + wd * reference[r + 1, c, ALONG_V]
-        + we * reference[r + 1, c + 1, ALONG_V],
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _put(to: Any, k: int, px: Any, py: Any, pz: Any, gx: Any, gy: Any, gz: Any, error: Any, root: Any) -> None:
-    to[_PX, k], to[_PY, k], to[_PZ, k] = px, py, pz
-    to[_GX, k], to[_GY, k], to[_GZ, k] = gx, gy, gz
-    to[_ERROR, k], to[_ROOT, k] = error, root
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def _fit(greys: Any, count: int, limit: Any, row: Any) -> None:
-    """What the regression of grey here on grey there needs, of the two greys left in the buffer."""
-    n = x = y = xx = xy = np.float32(0)
-    for k in range(count):
-        weight = limit / max(abs(greys[_ERROR, k]) * greys[_ROOT, k], limit)
-        there, here = greys[_J3, k], greys[_J4, k]
-        n += weight
-        x += weight * there
-        y += weight * here
-        xx += weight * there * there
-        xy += weight * there * here
-    row[FIT_N], row[FIT_X], row[FIT_Y], row[FIT_XX], row[FIT_XY] = n, x, y, xx, xy
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def _weigh(buffer: Any, count: int, limit: Any, row: Any, place: int) -> None:
-    """Turn collected residuals into weighted Jacobians (g, p × g) and errors by Huber's weights; sum up in the row."""
-    px, py, pz, gx, gy, gz = buffer[_PX], buffer[_PY], buffer[_PZ], buffer[_GX], buffer[_GY], buffer[_GZ]
-    error, root = buffer[_ERROR], buffer[_ROOT]
-    total = squares = np.float32(0)
-    for k in range(count):
-        scaled = abs(error[k]) * root[k]
-        weight = limit / max(scaled, limit)
+def _weigh(pairs: Any, residuals: Any, n: int, limit: Any, row: Any, place: int) -> None:
+    """Turn n residuals into weighted Jacobians (g, p × g) and errors by Huber's weights; sum up in the row."""
+    zero, one = np.float32(0), np.float32(1)
+    count = total = squares = zero
+    for k in range(n):
+        px, py, pz, root = pairs[_PX, k], pairs[_PY, k], pairs[_PZ, k], residuals[_ROOT, k]
+        scaled = abs(residuals[_ERROR, k]) * root
+        weight = limit / (scaled if scaled > limit else limit)
+        count += one if root > zero else zero
         total += scaled
         squares += weight * scaled * scaled
-        root[k] *= np.sqrt(weight)
-    for k in range(count):
-        gx[k] *= root[k]
-    for k in range(count):
-        gy[k] *= root[k]
-    for k in range(count):
-        gz[k] *= root[k]
-    for k in range(count):
-        error[k] *= root[k]
-    a, b, d = buffer[_J3], buffer[_J4], buffer[_J5]
-    for k in range(count):
-        a[k] = py[k] * gz[k] - pz[k] * gy[k]
-    for k in range(count):
-        b[k] = pz[k] * gx[k] - px[k] * gz[k]
-    for k in range(count):
-        d[k] = px[k] * gy[k] - py[k] * gx[k]
-    row[place], row[place + 1], row[place + 2] = count, total, squares
+        root *= np.sqrt(weight)
+        gx, gy, gz = root * residuals[_GX, k], root * residuals[_GY, k], root * residuals[_GZ, k]
+        residuals[_GX, k], residuals[_GY, k], residuals[_GZ, k] = gx, gy, gz
+        residuals[_J3, k], residuals[_J4, k] = py * gz - pz * gy, pz * gx - px * gz
+        residuals[_J5, k], residuals[_ERROR, k] = px * gy - py * gx, root * residuals[_ERROR, k]
+    row[place] += count
+    row[place + 1] += total
+    row[place + 2] += squares
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def _add(buffer: Any, count: int, row: Any) -> None:
-    """Add the products of a buffer's Jacobians and errors to a row's sums."""
-    k = 0
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _add(residuals: Any, n: int, row: Any) -> None:
+    """Add the products of n Jacobians and errors to a row's sums: J is rows _GX to _J5."""
+    at = 0
     for i in range(6):
-        of_i = buffer[_GX + i if i < 3 else _J3 + i - 3]
-        for j in range(i, 6):
-            of_j = buffer[_GX + j if j < 3 else _J3 + j - 3]
+        for j in range(i, 7):
             total = np.float32(0)
-            for n in range(count):
-                total += of_i[n] * of_j[n]
-            row[k] += total
-            k += 1
-        total = np.float32(0)
-        for n in range(count):
-            total += of_i[n] * buffer[_ERROR, n]
-        row[21 + i] += total
+            for k in range(n):
+                total += residuals[i, k] * residuals[j, k]
+            if j < 6:
+                row[at] += total
+                at += 1
+            else:
+                row[21 + i] += total
