@@ -43,10 +43,11 @@ class SurfelMapper:
         return self.odometry.stage_seconds
 
     def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
-        """The camera's pose at a frame, as `DenseOdometry.process` answers; where there is one, the map has learned."""
+        """The camera's pose at a frame, as `DenseOdometry` answers; the map learns where all of it was seen."""
         estimate = self.odometry.process(frame, T_previous_current_prior)
         self.last_fused = None
-        if estimate.status is Status.TRACKING and estimate.T_world_body is not None:
+        is_known = estimate.status is Status.TRACKING and self.odometry.sees_all_motion
+        if is_known and estimate.T_world_body is not None:
             self._fuse(frame, estimate.T_world_body)
         return estimate
 

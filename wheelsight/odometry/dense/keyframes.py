@@ -35,6 +35,22 @@ class Keyframe:
         return float(np.linalg.norm(T[:3, 3]) + _TYPICAL_DEPTH_M * so3.angle(T[:3, :3]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """Where a frame is by its keypoints.
+
+    Attributes:
+        T_world_camera: (4, 4).
+        covariance: (6, 6) of its left perturbation (v, ω), that of the keyframe included.
+        matches: keypoints that were matched; inliers: those that agree.
+    """
+
+    T_world_camera: FloatArray
+    covariance: FloatArray
+    matches: int
+    inliers: int
+
+
 class Witness:
     """Where a frame is by its keypoints and those of a keyframe: a second opinion that no smooth surface misleads.
 
@@ -60,13 +76,14 @@ class Witness:
         straight = self._tracker.straighten(features, se3.adjoint(self._T_color_camera) @ twist)
         return View(straight, T_world_color, covariance, np.full(len(features), -1))
 
-    def locate(self, features: Features, keyframes: Iterable[Keyframe], twist: FloatArray) -> FloatArray | None:
-        """T_world_camera (4, 4) of a frame by the first keyframe that it shows; None where it shows none."""
+    def locate(self, features: Features, keyframes: Iterable[Keyframe], twist: FloatArray) -> Sighting | None:
+        """Where a frame is by the first keyframe that it shows; None where it shows none."""
         self._asked += 1
         velocity = se3.adjoint(self._T_color_camera) @ twist
         for keyframe in keyframes:
             if keyframe.view is not None:
                 found = self._tracker.track(features, keyframe.view, velocity, None, self._asked)
                 if isinstance(found, Fix):
-                    return np.asarray(found.view.T_world_color @ self._T_color_camera)
+                    T_world_camera = np.asarray(found.view.T_world_color @ self._T_color_camera)
+                    return Sighting(T_world_camera, found.view.covariance, found.motion.matches, found.motion.inliers)
         return None

@@ -15,7 +15,7 @@ from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
-from wheelsight.odometry.dense.keyframes import Keyframe, Witness
+from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness
 from wheelsight.odometry.dense.observability import Prior, judge
 from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -111,6 +111,11 @@ class DenseOdometry:
     def intrinsics(self) -> FloatArray:
         """fx, fy, cx, cy (4,) of the ideal camera on whose grid frames and predictions are."""
         return self._gridder.intrinsics
+
+    @property
+    def sees_all_motion(self) -> bool:
+        """Whether the last frames showed every direction of motion; else part of the pose is only what was expected."""
+        return self._unseen_s == 0
 
     def last_surface(self, frame: RgbdFrame) -> Surface:
         """What `frame`, which was the last one tracked, adds to a map."""
@@ -243,7 +248,7 @@ class DenseOdometry:
     ) -> _Tracked | MotionEstimate:
         """A pose that nothing but surfaces speak for is kept while they have shown all motion, and without a leap.
 
-        After a failure, a gap or a leap, keypoints must say the same; where they know better, their pose is tried.
+        After a failure, a gap or a leap, keypoints must say the same; where they know better, theirs is the pose.
         """
         seconds = grid.stamp_s - last.frame.stamp_s
         if isinstance(found, _Tracked):
@@ -254,14 +259,23 @@ class DenseOdometry:
                 return found
         with self.watch.stage("recognise"):
             T_guess = found.T_world_camera if isinstance(found, _Tracked) else last.T_world_camera
-            T_witness = self._witness.locate(self._witness.look(frame), self._familiar(T_guess), grid.twist)
-        if T_witness is None:
+            told = self._witness.locate(self._witness.look(frame), self._familiar(T_guess), grid.twist)
+        if told is None:
             return MotionEstimate.failed(Reason.NOT_RECOGNISED) if isinstance(found, _Tracked) else found
-        if not isinstance(found, _Tracked) or not _agree(found.T_world_camera, T_witness):
-            found = self._locate(grid, last, T_witness)
-        if isinstance(found, _Tracked) and not _agree(found.T_world_camera, T_witness):
-            return MotionEstimate.failed(Reason.CONTRADICTED)
-        return found
+        if not isinstance(found, _Tracked) or not _agree(found.T_world_camera, told.T_world_camera):
+            found = self._locate(grid, last, told.T_world_camera)
+        if isinstance(found, _Tracked) and _agree(found.T_world_camera, told.T_world_camera):
+            return found
+        return self._as_told(grid, told)
+
+    def _as_told(self, grid: GridFrame, told: Sighting) -> _Tracked:
+        """The pose that keypoints tell."""
+        T_world_reference = self._nearest(told.T_world_camera).reference.T_world_reference
+        Ad = se3.adjoint(se3.invert(T_world_reference))
+        T_reference_frame = se3.invert(T_world_reference) @ told.T_world_camera
+        counts = (None, told.matches, told.inliers)
+        self.last_motion = MotionEstimate(T_reference_frame, Ad @ told.covariance @ Ad.T, *counts)
+        return _Tracked(grid, _rigid(told.T_world_camera), told.covariance)
 
     def _count_unseen(self, seconds: float) -> None:
         """How long some direction of motion has not been seen; noise shows one now and then, which counts half."""
@@ -296,8 +310,8 @@ class DenseOdometry:
             return seen
         straight = self._straightened(frame, found)
         features = self._witness.look(frame)
-        T_witness = self._witness.locate(features, self._keyframes[-1:], found.twist)
-        if T_witness is not None and not _agree(found.T_world_camera, T_witness):
+        told = self._witness.locate(features, self._keyframes[-1:], found.twist)
+        if told is not None and not _agree(found.T_world_camera, told.T_world_camera):
             return MotionEstimate.failed(Reason.CONTRADICTED)
         self._keyframes.append(self._keyframe(straight, features))
         del self._keyframes[: -self._settings.kept_keyframes]
