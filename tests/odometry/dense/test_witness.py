@@ -1,0 +1,106 @@
+"""Keypoints as a second opinion: where surfaces alone would mislead, no pose is given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from odometry.dense.scenes import Plane, apart, dense, frame_of
+from odometry.views import covered_frame, from_start, room_frame, run
+from synthetic import wobbling_trajectory
+
+from wheelsight.estimates import Reason, Status
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import se3
+from wheelsight.odometry.dense.keyframes import Sighting, Witness
+
+TRUTH = wobbling_trajectory(24)
+IN_WORLD = from_start(np.array(TRUTH.T_world_body))
+WALL = [Plane((0, 0, 1), 1.5)]
+# A corner whose three planes show all motion, and nothing is painted on them.
+CORNER = [Plane((0, 0, 1), 2.0), Plane((1, 0, 0), 0.7), Plane((0, 1, 0), 0.6)]
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[RgbdFrame]:
+    return [room_frame(T, stamp_s, depth_noise=True) for stamp_s, T in TRUTH]
+
+
+def still(planes: list[Plane], count: int, begin_s: float = 0.0) -> list[RgbdFrame]:
+    return [frame_of(planes, np.eye(4), begin_s + k / 30, noise_seed=k) for k in range(count)]
+
+
+def test_keypoints_tell_where_a_frame_is_and_nothing_of_another_place(frames: list[RgbdFrame]) -> None:
+    subject = dense()
+    run(subject, frames[:1])
+    witness, keyframes = subject._witness, subject._keyframes
+    told = witness.locate(witness.look(frames[6]), keyframes, np.zeros(6))
+    assert told is not None
+    assert apart(IN_WORLD[6], told.T_world_camera)[0] < 0.02
+    assert 20 < told.inliers <= told.matches
+    elsewhere = frame_of(CORNER, np.eye(4), 1.0, noise_seed=1)
+    assert witness.locate(witness.look(elsewhere), keyframes, np.zeros(6)) is None
+
+
+def test_a_plain_wall_is_no_pose_for_long(frames: list[RgbdFrame]) -> None:
+    answers = run(dense(), still(WALL, 40))
+    said = [a for a in answers if a.status is Status.TRACKING]
+    assert len(said) < 0.7 * 30 + 2
+    assert Reason.DEGENERATE in {a.reason for a in answers}
+    assert all(a.T_world_body is None for a in answers[25:])
+
+
+def test_a_plain_wall_is_a_pose_where_somebody_else_tells_the_motion() -> None:
+    subject = dense()
+    way = se3.exp([0.01, 0, 0, 0, 0, 0])
+    T = np.eye(4)
+    for k in range(40):
+        answer = subject.process(frame_of(WALL, T, k / 30, noise_seed=k), way if k else None)
+        assert answer.status is Status.TRACKING
+        assert apart(T, answer.T_world_body)[0] < 0.05
+        T = T @ way
+
+
+def test_after_a_gap_like_surfaces_are_no_place() -> None:
+    """A corner shows all motion, so it is tracked; but one that is met again after a while may be any corner."""
+    before, after = still(CORNER, 6), still(CORNER, 6, begin_s=2.0)
+    answers = run(dense(), [*before, *(covered_frame(0.2 + k / 10) for k in range(18)), *after])
+    assert all(a.status is Status.TRACKING for a in answers[:6])
+    assert [a.reason for a in answers[-6:]] == [Reason.NOT_RECOGNISED] * 6
+
+
+def test_after_a_gap_a_place_is_recognised_by_its_keypoints(frames: list[RgbdFrame]) -> None:
+    later = [room_frame(TRUTH.T_world_body[k], frames[k].stamp_s + 2.0, depth_noise=True) for k in range(8, 12)]
+    answers = run(dense(), [*frames[:10], *later])
+    assert [a.status for a in answers[-4:]] == [Status.TRACKING] * 4
+    assert max(apart(IN_WORLD[k], answers[k + 2].T_world_body)[0] for k in range(8, 12)) < 5e-3
+
+
+@pytest.mark.parametrize("off_m", [0.2, 1.0])
+def test_a_keyframe_that_keypoints_contradict_is_none(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch, off_m: float
+) -> None:
+    def elsewhere(self: Witness, *_: object) -> Sighting:
+        T_world_camera = np.asarray(se3.from_parts(np.eye(3), [off_m, 0, 0]) @ IN_WORLD[7])
+        return Sighting(T_world_camera, 1e-4 * np.eye(6), 60, 50)
+
+    subject = dense(keyframe_overlap=0.999)
+    run(subject, frames[:7])
+    kept = len(subject._keyframes)
+    monkeypatch.setattr(Witness, "locate", elsewhere)
+    answer = subject.process(frames[7])
+    assert (answer.status, answer.reason, answer.T_world_body) == (Status.FAILING, Reason.CONTRADICTED, None)
+    assert len(subject._keyframes) == kept
+    again = subject.process(frames[8])
+    assert again.status is Status.TRACKING
+    np.testing.assert_allclose(again.T_world_body, elsewhere(subject._witness).T_world_camera, atol=1e-12)
+    np.testing.assert_allclose(again.covariance, 1e-4 * np.eye(6))
+
+
+def test_a_leap_is_believed_only_with_keypoints(frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch) -> None:
+    leap = np.array(TRUTH.T_world_body[6]) @ se3.exp([0.06, 0, 0, 0, 0.02, 0])
+    leapt = room_frame(leap, frames[7].stamp_s, depth_noise=True)
+    seen, blind = dense(), dense()
+    run(seen, frames[:7]), run(blind, frames[:7])
+    assert seen.process(leapt).status is Status.TRACKING
+    monkeypatch.setattr(Witness, "locate", lambda *_: None)
+    assert blind.process(leapt).reason is Reason.NOT_RECOGNISED
