@@ -23,7 +23,9 @@ from wheelsight.odometry.features.extraction import Features
 
 _START_VARIANCE = 1e-12
 # Poses of one frame by its surfaces and by its keypoints that lie no farther apart say the same.
-_AGREE_M, _AGREE_RAD = 0.08, 0.07
+_AGREE_M, _AGREE_RAD = 0.04, 0.035
+# Keypoints are believed against surfaces where so many agree, and such a share of all that were matched.
+_CLEAR_INLIERS, _CLEAR_SHARE = 60, 0.6
 # A change of velocity at once, and that many times a second, which is a leap rather than the camera's motion.
 _LEAP = np.array([0.5, 1.5])
 _LEAP_S = np.array([10.0, 30.0])
@@ -266,6 +268,8 @@ class DenseOdometry:
             found = self._locate(grid, last, told.T_world_camera)
         if isinstance(found, _Tracked) and _agree(found.T_world_camera, told.T_world_camera):
             return found
+        if told.inliers < max(_CLEAR_INLIERS, _CLEAR_SHARE * told.matches):
+            return MotionEstimate.failed(Reason.CONTRADICTED, told.matches, told.inliers)
         return self._as_told(grid, told)
 
     def _as_told(self, grid: GridFrame, told: Sighting) -> _Tracked:
