@@ -123,7 +123,7 @@ def test_what_went_away_is_removed_and_what_is_behind_stays():
 
 
 def test_missing_depth_removes_nothing():
-    surfel_map, view = made_map(), see([Wall(2.0)], pose())
+    surfel_map, view = made_map(unseen_s=3.0), see([Wall(2.0)], pose())
     look_at(surfel_map, [Wall(2.0)], [pose()] * 12)
     before = surfel_map.surfels()
     for k in range(20):
@@ -132,7 +132,7 @@ def test_missing_depth_removes_nothing():
 
 
 def test_what_stands_behind_a_nearer_thing_is_not_removed():
-    surfel_map = made_map()
+    surfel_map = made_map(unseen_s=3.0)
     look_at(surfel_map, [Wall(2.5)], [pose()] * 12)
     before = len(surfel_map)
     look_at(surfel_map, [Wall(1.0)], [pose()] * 12, start_s=1.0)
@@ -140,8 +140,9 @@ def test_what_stands_behind_a_nearer_thing_is_not_removed():
 
 
 @pytest.mark.parametrize("looks_on", [True, False], ids=["in view", "out of view"])
-def test_surfels_that_never_became_stable_go_after_their_time(looks_on):
-    surfel_map = made_map(unstable_s=1.0)
+@pytest.mark.parametrize(("unstable_s", "unseen_s"), [(1.0, 9.0), (9.0, 1.0)], ids=["made", "last seen"])
+def test_surfels_that_never_became_stable_go_after_their_time(looks_on, unstable_s, unseen_s):
+    surfel_map = made_map(unstable_s=unstable_s, unseen_s=unseen_s)
     look_at(surfel_map, [Wall(2.0)], [pose()] * 3)
     assert len(surfel_map) > 0
     T = pose() if looks_on else pose(yaw=np.pi)

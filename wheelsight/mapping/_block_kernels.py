@@ -256,7 +256,8 @@ def compact(
     looked at.
 
     Args:
-        rules: confidence of the stable, seconds after which others die, active window in seconds.
+        rules: confidence of the stable, seconds after which others die, active window in seconds, and seconds for which
+            others may go unseen.
         quota: of each bin of usefulness, how many surfels may still be dropped.
     """
     died, looked_at = 0, 0
@@ -292,7 +293,7 @@ def compact(
 @njit(cache=True, nogil=True)
 def _must_go(confidence: Any, first_s: Any, last_s: Any, now_s: Any, rules: Any, quota: Any) -> Any:
     """Whether a surfel's time has come, or its usefulness is among what may still be dropped: `quota` counts it."""
-    if confidence < rules[0] and now_s - first_s > rules[1]:
+    if confidence < rules[0] and (now_s - first_s > rules[1] or now_s - last_s > rules[3]):
         return True
     if len(quota) == 0:
         return False

@@ -14,7 +14,7 @@ from numba import njit
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0xC716153B
+_COMPILED_IN = 0x85AFD1F0
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 # Order in which surfels are preferred to each other where several fit a pixel; added to a distance in pixels².
@@ -46,7 +46,8 @@ def find_candidates(
     grid: Any,
     noise: Any,
     settings: Any,
-    dead_before_s: Any,
+    made_since_s: Any,
+    shown_since_s: Any,
     since_s: Any,
     slots: Any,
     pixel: Any,
@@ -58,7 +59,8 @@ def find_candidates(
     Surfels that contradict free space lose confidence here, and unstable ones die when their time has come.
 
     Args:
-        dead_before_s: unstable surfels first seen before are gone. since_s: surfels seen since then are active.
+        made_since_s, shown_since_s: unstable surfels first or last seen before are gone.
+        since_s: surfels seen since then are active.
         slots, pixel: (entries,) of the candidates; those of page k from entry k·PAGE on. Pixels count row by row.
         rank: (entries,) the lower, the better it fits.
         counts: (pages, 2) how many candidates, and how many died.
@@ -71,7 +73,7 @@ def find_candidates(
             confidence = geometry[slot, CONFIDENCE]
             if confidence <= 0:
                 continue
-            if confidence < settings[STABLE] and seen_s[slot, 0] < dead_before_s:
+            if confidence < settings[STABLE] and (seen_s[slot, 0] < made_since_s or seen_s[slot, 1] < shown_since_s):
                 geometry[slot, CONFIDENCE] = _ZERO
                 died += 1
                 continue

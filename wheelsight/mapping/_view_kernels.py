@@ -13,7 +13,7 @@ from numba import njit
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0xC716153B
+_COMPILED_IN = 0x85AFD1F0
 
 _ZERO, _QUARTER, _ONE = np.float32(0.0), np.float32(0.25), np.float32(1.0)
 # Unstable surfels show only where no stable one does: they rank as if so far away.
@@ -30,12 +30,15 @@ _RIM = np.float32(1.001)
 # rim, n·p, weight; then what a pixel averages: normal (3), whether grey is known, grey, red, green, blue (0 if not).
 DISK, _FORM, _PLANE, _WEIGHT = 16, 2, 5, 6
 _NORMAL, _PAINTED, _GREY, _RED = 8, 11, 12, 13
+# Rows of the buffers of a page's surfels, as geometry has them, and of what is shown of them: a disk's first entries up
+# to its normal, and first and last row and column of the box about it.
+_SURFEL, _BOUND, _SHOWN = 8, 11, 15
 # Of a pixel: rank of the nearest disk, weight, weighted depth; and apart, weighted, the last half of a disk.
 NEAR, _RANK, _TOTAL, _DEPTH = 3, 0, 1, 2
 SUMS = 8
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def project_disks(
     begin: Any,
     end: Any,
@@ -67,46 +70,64 @@ def project_disks(
         disk: (entries, DISK) float32. bound: (entries, 4) int16 first and last row, first and last column.
         count: (pages, 2) of stable and unstable disks.
     """
-    fx, fy, cx, cy = grid[0], grid[1], grid[2], grid[3]
+    surfel, shown = np.empty((_SURFEL, PAGE), np.float32), np.empty((_SHOWN, PAGE), np.float32)
     for k in range(begin, end):
-        low, high = k * PAGE, (k + 1) * PAGE
-        for slot in range(pages[k] * PAGE, pages[k] * PAGE + page_fill[pages[k]]):
-            confidence = geometry[slot, CONFIDENCE]
-            if confidence < least or confidence <= 0 or seen_s[slot, 1] < since_s:
+        first, fill, low, high = pages[k] * PAGE, page_fill[pages[k]], k * PAGE, (k + 1) * PAGE
+        for i in range(fill):
+            for j in range(_SURFEL):
+                surfel[j, i] = geometry[first + i, j]
+            if surfel[CONFIDENCE, i] < least or seen_s[first + i, 1] < since_s:
+                surfel[CONFIDENCE, i] = _ZERO
+        _project(surfel, fill, T, grid, np.float32(width - 1), np.float32(height - 1), far_m, shown)
+        for i in range(fill):
+            if not shown[_WEIGHT, i] > 0:
                 continue
-            a, b, d = geometry[slot, 0] - T[0, 3], geometry[slot, 1] - T[1, 3], geometry[slot, 2] - T[2, 3]
-            p, q, s = geometry[slot, 4], geometry[slot, 5], geometry[slot, 6]
-            z, facing = T[0, 2] * a + T[1, 2] * b + T[2, 2] * d, -(a * p + b * q + d * s)
-            if z < _NEAREST_M or z > far_m or facing < _LEAST_COSINE * z:
-                continue
-            x, y = (T[0, 0] * a + T[1, 0] * b + T[2, 0] * d) / z, (T[0, 1] * a + T[1, 1] * b + T[2, 1] * d) / z
-            nx, ny = T[0, 0] * p + T[1, 0] * q + T[2, 0] * s, T[0, 1] * p + T[1, 1] * q + T[2, 1] * s
-            radius = max(geometry[slot, RADIUS], _SMALLEST_PX * z * z / (fx * min(facing, z)))
-            xx, xy, yy = _form(x, y, nx, ny, -facing, z, radius)
-            det = xx * yy - _QUARTER * xy * xy
-            top, bottom = _covered(fy * y + cy, fy * np.sqrt(xx / det), height)
-            left, right = _covered(fx * x + cx, fx * np.sqrt(yy / det), width)
-            if top > bottom or left > right:
-                continue
-            entry = low if confidence >= stable else high - 1
-            low, high = (low + 1, high) if confidence >= stable else (low, high - 1)
-            bound[entry, 0], bound[entry, 1], bound[entry, 2], bound[entry, 3] = top, bottom, left, right
-            disk[entry, 0], disk[entry, 1], disk[entry, _PLANE], disk[entry, _WEIGHT] = x, y, -facing, confidence
-            disk[entry, _FORM], disk[entry, _FORM + 1], disk[entry, _FORM + 2] = xx, xy, yy
-            disk[entry, _NORMAL], disk[entry, _NORMAL + 1] = nx, ny
-            disk[entry, _NORMAL + 2] = T[0, 2] * p + T[1, 2] * q + T[2, 2] * s
-            known = _ONE if look[slot, 3] >= 0 else _ZERO
-            disk[entry, _PAINTED], disk[entry, _GREY] = known, known * look[slot, 3]
-            for i in range(3):
-                disk[entry, _RED + i] = known * look[slot, i]
+            is_stable = shown[_WEIGHT, i] >= stable
+            entry = low if is_stable else high - 1
+            low, high = (low + 1, high) if is_stable else (low, high - 1)
+            for j in range(_PAINTED):
+                disk[entry, j] = shown[j, i]
+            for j in range(4):
+                bound[entry, j] = int(shown[_BOUND + j, i])
+            known = _ONE if look[first + i, 3] >= 0 else _ZERO
+            disk[entry, _PAINTED], disk[entry, _GREY] = known, known * look[first + i, 3]
+            for j in range(3):
+                disk[entry, _RED + j] = known * look[first + i, j]
         count[k, 0], count[k, 1] = low - k * PAGE, (k + 1) * PAGE - high
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _covered(middle: Any, half: Any, size: Any) -> Any:
-    """First and last row or column of `size` of the box about a disk; its half size is an ellipse's, by its form."""
-    half = min(half, _LARGEST_PX)
-    return max(int(np.ceil(middle - half)), 0), min(int(np.floor(middle + half)), size - 1)
+def _project(
+    surfel: Any, fill: Any, T: Any, grid: Any, last_column: Any, last_row: Any, far_m: Any, shown: Any
+) -> None:
+    """The first entries of disks and their boxes, of a page's surfels (_SHOWN, PAGE); weight 0 if out of sight."""
+    # Read once: the compiler cannot know that they stay as they are while buffers are written.
+    fx, fy, cx, cy = grid[0], grid[1], grid[2], grid[3]
+    ax, ay, az, bx, by, bz = T[0, 0], T[1, 0], T[2, 0], T[0, 1], T[1, 1], T[2, 1]
+    dx, dy, dz, tx, ty, tz = T[0, 2], T[1, 2], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    for i in range(fill):
+        a, b, d = surfel[0, i] - tx, surfel[1, i] - ty, surfel[2, i] - tz
+        p, q, s = surfel[4, i], surfel[5, i], surfel[6, i]
+        z, facing = dx * a + dy * b + dz * d, -(a * p + b * q + d * s)
+        x, y = (ax * a + ay * b + az * d) / z, (bx * a + by * b + bz * d) / z
+        nx, ny = ax * p + ay * q + az * s, bx * p + by * q + bz * s
+        least_m = _SMALLEST_PX * z * z / (fx * (facing if facing < z else z))
+        radius = surfel[RADIUS, i] if surfel[RADIUS, i] > least_m else least_m
+        xx, xy, yy = _form(x, y, nx, ny, -facing, z, radius)
+        det = xx * yy - _QUARTER * xy * xy
+        across, down = fx * np.sqrt(yy / det), fy * np.sqrt(xx / det)
+        across, down = across if across < _LARGEST_PX else _LARGEST_PX, down if down < _LARGEST_PX else _LARGEST_PX
+        top, bottom = np.ceil(fy * y + cy - down), np.floor(fy * y + cy + down)
+        left, right = np.ceil(fx * x + cx - across), np.floor(fx * x + cx + across)
+        top, bottom = top if top > _ZERO else _ZERO, bottom if bottom < last_row else last_row
+        left, right = left if left > _ZERO else _ZERO, right if right < last_column else last_column
+        is_seen = (z >= _NEAREST_M) & (z <= far_m) & (facing >= _LEAST_COSINE * z) & (top <= bottom) & (left <= right)
+        shown[0, i], shown[1, i], shown[_PLANE, i] = x, y, -facing
+        shown[_FORM, i], shown[_FORM + 1, i], shown[_FORM + 2, i] = xx, xy, yy
+        shown[_WEIGHT, i] = surfel[CONFIDENCE, i] if is_seen else _ZERO
+        shown[_NORMAL, i], shown[_NORMAL + 1, i] = nx, ny
+        shown[_NORMAL + 2, i] = dx * p + dy * q + dz * s
+        shown[_BOUND, i], shown[_BOUND + 1, i], shown[_BOUND + 2, i], shown[_BOUND + 3, i] = top, bottom, left, right
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -163,27 +184,34 @@ def _add_disk(
     """Add a disk to its pixels' sums, unless they have what ranks before all that are so far behind."""
     low, high = max(bound[entry, 0], begin), min(bound[entry, 1] + 1, end)
     left, right = max(bound[entry, 2], 0), bound[entry, 3] + 1
-    middle_x, middle_y, nx = disk[entry, 0], disk[entry, 1], disk[entry, _NORMAL]
+    middle_x, middle_y, plane, confidence = disk[entry, 0], disk[entry, 1], disk[entry, _PLANE], disk[entry, _WEIGHT]
     xx, xy, yy = disk[entry, _FORM], disk[entry, _FORM + 1], disk[entry, _FORM + 2]
+    # All at hand before the first is written, so that they are added at once.
+    nx, ny, nz, known = disk[entry, 8], disk[entry, 9], disk[entry, 10], disk[entry, 11]
+    grey, red, green, blue = disk[entry, 12], disk[entry, 13], disk[entry, 14], disk[entry, 15]
     for r in range(low, high):
         dy = ray_y[r] - middle_y
-        across, part = disk[entry, _NORMAL + 1] * ray_y[r] + disk[entry, _NORMAL + 2], yy * dy * dy
+        across, part = ny * ray_y[r] + nz, yy * dy * dy
         for c in range(left, right):
             nearest, dx = near[r, c, _RANK], ray_x[c] - middle_x
             if nearest < behind_m:
                 continue
             rim = dx * (xx * dx + xy * dy) + part
-            z = disk[entry, _PLANE] / (nx * ray_x[c] + across)
+            z = plane / (nx * ray_x[c] + across)
             rank, reach = z + behind_m, _BLEND * z + _BLEND_M
             if (rim > _ONE) | (rank > nearest + reach):
                 continue
             kept = _ZERO if rank < nearest - reach else _ONE
-            weight = disk[entry, _WEIGHT] * (_RIM - rim) * (_RIM - rim)
+            weight = confidence * (_RIM - rim) * (_RIM - rim)
             near[r, c, _RANK] = min(nearest, rank)
             near[r, c, _TOTAL] = kept * near[r, c, _TOTAL] + weight
             near[r, c, _DEPTH] = kept * near[r, c, _DEPTH] + weight * z
-            for i in range(SUMS):
-                sums[r, c, i] = kept * sums[r, c, i] + weight * disk[entry, _NORMAL + i]
+            s0, s1, s2, s3 = sums[r, c, 0], sums[r, c, 1], sums[r, c, 2], sums[r, c, 3]
+            s4, s5, s6, s7 = sums[r, c, 4], sums[r, c, 5], sums[r, c, 6], sums[r, c, 7]
+            sums[r, c, 0], sums[r, c, 1] = kept * s0 + weight * nx, kept * s1 + weight * ny
+            sums[r, c, 2], sums[r, c, 3] = kept * s2 + weight * nz, kept * s3 + weight * known
+            sums[r, c, 4], sums[r, c, 5] = kept * s4 + weight * grey, kept * s5 + weight * red
+            sums[r, c, 6], sums[r, c, 7] = kept * s6 + weight * green, kept * s7 + weight * blue
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -110,7 +110,8 @@ class Blocks:
     def sweep(self, now_s: float, rules: FloatArray) -> int:
         """Compact the next cells, and let unstable surfels there go whose time has come; how many did.
 
-        `rules`: confidence of the stable, seconds after which others go, active window in seconds.
+        `rules`: confidence of the stable, seconds after which others go, active window in seconds, and seconds for
+        which others may go unseen.
         """
         cells = int(self._counters[CELLS])
         if self._cursor >= cells:

@@ -12,6 +12,7 @@ class SurfelSettings(BaseModel):
 
     stable_confidence: PositiveFloat = Field(8.0, description="about how many frames make a surfel stable")
     unstable_s: PositiveFloat = Field(3.0, description="a surfel not stable so long after it was first seen goes")
+    unseen_s: PositiveFloat = Field(1.0, description="a surfel not stable goes sooner if not seen for so long")
     active_s: PositiveFloat = Field(60.0, description="surfels not seen for longer are kept, but not tracked against")
     far_m: PositiveFloat = Field(6.0, description="depths beyond are not fused, surfels beyond not predicted")
     gate_sigmas: PositiveFloat = Field(3.0, description="distance along the normal at which readings still agree")

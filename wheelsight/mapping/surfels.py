@@ -165,7 +165,8 @@ class SurfelMap:
 
     @property
     def _rules(self) -> FloatArray:
-        return np.array([self.settings.stable_confidence, self.settings.unstable_s, self.settings.active_s])
+        s = self.settings
+        return np.array([s.stable_confidence, s.unstable_s, s.active_s, s.unseen_s])
 
     @property
     def _kernel_settings(self) -> Float32Array:
@@ -241,7 +242,8 @@ class SurfelMap:
         rank, found = self._room("rank", entries, np.float32), self._room("found", (len(pages), 2), np.int32)
         surfels = (pages, blocks.page_fill, blocks.geometry, blocks.seen_s, blocks.variance)
         about = (frame.depth_m, reading, pose.T32, pose.grid32, sensor, self._kernel_settings)
-        times = (self.stamp_s - self.settings.unstable_s, self._active_since_s)
+        waits = self.settings.unstable_s, self.settings.unseen_s
+        times = (*(self.stamp_s - wait for wait in waits), self._active_since_s)
         given = (*surfels, *about, *times, slots, pixel, rank, found)
         self._rows.share(len(pages), lambda a, b: match.find_candidates(a, b, *given))
         return slots, pixel, rank, found
