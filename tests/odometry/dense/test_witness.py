@@ -81,7 +81,7 @@ def test_a_keyframe_that_keypoints_contradict_is_none(
 ) -> None:
     def elsewhere(self: Witness, *_: object) -> Sighting:
         T_world_camera = np.asarray(se3.from_parts(np.eye(3), [off_m, 0, 0]) @ IN_WORLD[7])
-        return Sighting(T_world_camera, 1e-4 * np.eye(6), 60, 50)
+        return Sighting(T_world_camera, 1e-4 * np.eye(6), 90, 80)
 
     subject = dense(keyframe_overlap=0.999)
     run(subject, frames[:7])
