@@ -12,15 +12,17 @@ import cv2
 import numpy as np
 
 from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray
-from wheelsight.mapping import SurfelMap
+from wheelsight.mapping import ColoredView, SurfelMap
 
 SIZE = (1280, 960)
 _FOCAL_PX = 1500.0
-_FAR_M = 200.0
+_FAR_M = 100.0
 _FILLS = 0.95  # of the picture's width or height
-_STRAY_SHARE = 0.002  # of the surfels, at each edge: a few strays must not make the room small
+_STRAY_SHARE = 0.0007  # of the surfels, at each edge: a few strays must not make the room small
 _STEPS = 40
+_FITTED = 20_000  # surfels are enough to find the edges by
 _AZIMUTHS = 12
+_UPRIGHT = 0.5
 _FINER = 2  # rendered so much finer, and averaged: smooth edges
 _BEHIND_M = 0.05
 _TOP, _BOTTOM = np.array([244, 246, 249]), np.array([206, 213, 222])
@@ -69,13 +71,20 @@ def outside(
         surfel_map: with stable surfels.
         up: (3,) of length 1, in the world.
         ahead: (3,) in the world, not along `up`: azimuth 0.
-        azimuth_deg: which way to look, to the left of `ahead`; None for that of twelve which fills the picture best.
+        azimuth_deg: which way to look, to the left of `ahead`; None for that of twelve which shows the most of walls.
         down_deg: how far to look down.
     """
     if azimuth_deg is not None:
         return _from(surfel_map, up, ahead, azimuth_deg, down_deg)
     tried = [_from(surfel_map, up, ahead, degrees, down_deg) for degrees in np.arange(_AZIMUTHS) * 360 / _AZIMUTHS]
-    return max(tried, key=lambda view: np.count_nonzero(_depth_and_image(surfel_map, view.scaled(0.25))[0]))
+    return max(tried, key=lambda view: _upright_px(surfel_map, up, view))
+
+
+def _upright_px(surfel_map: SurfelMap, up: FloatArray, view: Viewpoint) -> int:
+    """How many pixels show walls and what else stands upright: floors are seen from everywhere."""
+    seen = _render(surfel_map, view.scaled(0.25))
+    rise = seen.normal @ (view.T_world_camera[:3, :3].T @ up)
+    return int(np.count_nonzero((seen.depth_m > 0) & (np.abs(rise) < _UPRIGHT)))
 
 
 def _from(surfel_map: SurfelMap, up: FloatArray, ahead: FloatArray, azimuth_deg: float, down_deg: float) -> Viewpoint:
@@ -87,7 +96,8 @@ def _from(surfel_map: SurfelMap, up: FloatArray, ahead: FloatArray, azimuth_deg:
     z = np.cos(down) * forward - np.sin(down) * up
     x = np.cross(forward, up)
     R_world_camera = np.stack([x, np.cross(z, x), z], axis=1)
-    shown = surfels.position[surfels.normal @ z < 0].astype(float) @ R_world_camera
+    shown = surfels.position[surfels.normal @ z < 0].astype(float)
+    shown = shown[:: max(1, len(shown) // _FITTED)] @ R_world_camera
     T_world_camera = np.eye(4)
     T_world_camera[:3, :3], T_world_camera[:3, 3] = R_world_camera, R_world_camera @ _eye(shown)
     return Viewpoint(T_world_camera, np.array([_FOCAL_PX, _FOCAL_PX, *(0.5 * np.array(SIZE) - 0.5)]), SIZE)
@@ -110,21 +120,21 @@ def _eye(points: FloatArray) -> FloatArray:
 
 def picture_of(surfel_map: SurfelMap, view: Viewpoint) -> tuple[ByteArray, Float32Array]:
     """The stable surfels from a viewpoint: (h, w, 3) uint8 red green blue on a light ground, and depth (h, w)."""
-    depth_m, image = _depth_and_image(surfel_map, view.scaled(_FINER))
-    is_known = (depth_m > 0)[..., None].astype(np.float32)
+    seen = _render(surfel_map, view.scaled(_FINER))
+    image = np.where(seen.color < 0, np.maximum(seen.grey, 0)[..., None], seen.color)
+    is_known = (seen.depth_m > 0)[..., None].astype(np.float32)
     share = cv2.resize(is_known, view.size, interpolation=cv2.INTER_AREA)[..., None]
     color = cv2.resize(image * is_known, view.size, interpolation=cv2.INTER_AREA)
     down = np.linspace(0, 1, view.size[1])[:, None, None]
     picture = color + (1 - share) * (_TOP * (1 - down) + _BOTTOM * down)
-    nearest = np.where(depth_m > 0, depth_m, np.float32(np.inf))
+    nearest = np.where(seen.depth_m > 0, seen.depth_m, np.float32(np.inf))
     nearest = nearest.reshape(view.size[1], _FINER, view.size[0], _FINER).min(axis=(1, 3))
     return np.asarray(np.clip(np.rint(picture), 0, 255), np.uint8), np.where(np.isinf(nearest), 0, nearest)
 
 
-def _depth_and_image(surfel_map: SurfelMap, view: Viewpoint) -> tuple[Float32Array, Float32Array]:
+def _render(surfel_map: SurfelMap, view: Viewpoint) -> ColoredView:
     shape = (view.size[1], view.size[0])
-    seen = surfel_map.render(view.T_world_camera, view.intrinsics, shape, which="stable", far_m=_FAR_M)
-    return seen.depth_m, np.where(seen.color < 0, np.maximum(seen.grey, 0)[..., None], seen.color)
+    return surfel_map.render(view.T_world_camera, view.intrinsics, shape, which="stable", far_m=_FAR_M)
 
 
 def frustum_of(view: Viewpoint, T_world_camera: FloatArray, slopes: Sequence[FloatArray], far_m: float) -> FloatArray:

@@ -11,7 +11,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,15 +26,16 @@ from wheelsight.estimates import Status
 from wheelsight.evaluation import evaluate
 from wheelsight.events import RgbdFrame, SkippedFrame
 from wheelsight.files import atomic_write, make_output_folder, write_text
-from wheelsight.geometry import ByteArray, FloatArray
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.localizer import Localizer
 from wheelsight.mapping import SurfelMap
 from wheelsight.mapping.upright import upward
 from wheelsight.recordings import Recording, open_recording
-from wheelsight.simulation import SimulationSettings, simulate
+from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 from wheelsight.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 EXAMPLES = """examples:
@@ -51,8 +52,9 @@ REAL = Path("rgbd") / "red_kitchen"
 # The whole round through four rooms. Half the Kinect's rate: rendering it takes longer than mapping it.
 FLAT = SimulationSettings(world="flat", camera="kinect-v1", size=None, rate_hz=15.0, seed=0)
 HEAD = ("recording", "frames tracked", "surfels", "stable", "ATE RMSE", "frames/s", "map")
+_QUALITY = {".jpg": {"quality": 85}}
 INK, BLUE, HALO = "#222222", "#0b62d6", "#ffffff"
-_FRUSTUM_M = 0.45
+_FRUSTUM_SHARE = 0.06  # of the distance it is seen from
 
 
 @dataclass(eq=False)
@@ -90,16 +92,28 @@ class Model:
         return upward(self.map.surfels("stable"), self.T_world_camera[0, :3, :3])
 
 
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A model seen by `view`: the picture (h, w, 3) and its depth (h, w)."""
+
+    model: Model
+    view: Viewpoint
+    picture: ByteArray
+    depth_m: Float32Array
+
+
 def main(arguments: list[str] | None = None, flat: SimulationSettings = FLAT) -> int:
     """Run the script; returns 0, or 2 after a one-line error. `flat` is what is simulated."""
     options = _parser().parse_args(arguments)
     try:
         folder = make_output_folder(options.out, options.force)
-        rows = []
-        for recording in _recordings(options.recordings, flat):
+        looks, rows = [], []
+        for recording in _recordings(options.recordings, flat, folder):
             model = mapped(recording)
-            rows.append(row_of(model))
-            save(figure_of(model, options.azimuth, options.down), folder / f"{recording.name}.png")
+            rows.append(row_of(model))  # before pictures need more memory than frames do
+            looks.append(look_at(model, options.azimuth, options.down))
+            save(beside_camera(looks[-1]), folder / f"{recording.name}.png")
+        save(in_a_row(looks), folder / "models.jpg")
         text = table(rows)
         print(f"\n{text}\n\n{PAPER}")
         write_text(folder / "table.md", f"{text}\n")
@@ -109,13 +123,22 @@ def main(arguments: list[str] | None = None, flat: SimulationSettings = FLAT) ->
     return 0
 
 
-def _recordings(folders: list[Path], flat: SimulationSettings) -> Iterator[Recording]:
-    """Those named; of none, the real one and the simulated one."""
+def _recordings(folders: list[Path], flat: SimulationSettings, out: Path) -> Iterator[Recording]:
+    """Those named; of none, the real one and the simulated one, which is kept in the folder `out`."""
     data = Path(os.environ.get("WHEELSIGHT_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
     for folder in folders or [data / REAL]:
         yield open_recording(folder)
     if not folders:
-        yield simulate(flat)
+        yield open_recording(_simulated(flat, out / flat.world))
+
+
+def _simulated(flat: SimulationSettings, folder: Path) -> Path:
+    """The folder, with the drive in it: rendered first, so that mapping has the processor to itself."""
+    recording = simulate(flat)
+    with _progress() as progress:
+        bar = progress.add_task(f"simulating {flat.world}", total=recording.frame_count)
+        write_simulation(recording, folder, force=True, on_frame=lambda frame: progress.advance(bar))
+    return folder
 
 
 def mapped(recording: Recording) -> Model:
@@ -183,32 +206,52 @@ def table(rows: list[tuple[str, ...]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def figure_of(model: Model, azimuth_deg: float | None, down_deg: float) -> Figure:
-    """The model from outside with the camera's way in it; beside it the last frame, and the model seen from there."""
-    T_world_camera = model.T_world_camera
-    view = outside(model.map, model.up, T_world_camera[0, :3, 2], azimuth_deg, down_deg)
-    picture, depth_m = picture_of(model.map, view)
-    last = _last_view(model.recording.calibration, T_world_camera[-1])
-    seen, _ = picture_of(model.map, last)
-    figure = _figure()
-    axes = figure.add_axes((0, 0, 0.7273, 1))
-    axes.imshow(picture, interpolation="none")
+def look_at(model: Model, azimuth_deg: float | None, down_deg: float) -> Look:
+    """A model from outside."""
+    view = outside(model.map, model.up, model.T_world_camera[0, :3, 2], azimuth_deg, down_deg)
+    return Look(model, view, *picture_of(model.map, view))
+
+
+def beside_camera(look: Look) -> Figure:
+    """The model from outside; beside it the camera's last frame, and the model seen from there."""
+    last = _last_view(look.model.recording.calibration, look.model.T_world_camera[-1])
+    from_there, _ = picture_of(look.model.map, last)
+    figure = _figure(11, 6)
+    _draw(figure.add_axes((0, 0, 8 / 11, 1)), look)
+    pictures = {"the camera's last frame": look.model.last, "the model from there": from_there}
+    for (title, image), bottom in zip(pictures.items(), (0.52, 0.04), strict=True):
+        axes = figure.add_axes((0.737, bottom, 0.255, 0.42))
+        axes.imshow(image)
+        axes.set_title(title, loc="left", fontsize=10, color=INK)
+        axes.set_axis_off()
+    return figure
+
+
+def in_a_row(looks: Sequence[Look]) -> Figure:
+    """All models from outside, side by side."""
+    figure = _figure(6.25 * len(looks), 6.25 * 3 / 4)
+    for number, look in enumerate(looks):
+        _draw(figure.add_axes(((number + 0.004) / len(looks), 0, 0.992 / len(looks), 1)), look)
+    return figure
+
+
+def _draw(axes: Axes, look: Look) -> None:
+    """The picture with the camera's way, pale where something stands before it, and the camera at the end."""
+    view, T_world_camera = look.view, look.model.T_world_camera
     path = T_world_camera[:, :3, 3]
     px, _ = view.project(path)
-    shown = np.where(view.hides(depth_m, path)[:, None], np.nan, px)
-    axes.plot(*px.T, color=BLUE, linewidth=1.2, alpha=0.35)
-    axes.plot(*shown.T, color=HALO, linewidth=4, solid_capstyle="round")
+    shown = np.where(view.hides(look.depth_m, path)[:, None], np.nan, px)
+    axes.imshow(look.picture)
+    axes.plot(*px.T, color=BLUE, linewidth=1.2, alpha=0.4)
+    axes.plot(*shown.T, color=HALO, linewidth=3.6, solid_capstyle="round")
     axes.plot(*shown.T, color=BLUE, linewidth=2, solid_capstyle="round")
-    for edge in frustum_of(view, T_world_camera[-1], _corner_slopes(last), _FRUSTUM_M):
-        axes.plot(*edge.T, color=BLUE, linewidth=1.4, solid_capstyle="round")
+    last = _last_view(look.model.recording.calibration, T_world_camera[-1])
+    far_m = _FRUSTUM_SHARE * float(np.linalg.norm(view.T_world_camera[:3, 3] - path[-1]))
+    for edge in frustum_of(view, T_world_camera[-1], _corner_slopes(last), far_m):
+        axes.plot(*edge.T, color=HALO, linewidth=2.8, solid_capstyle="round")
+        axes.plot(*edge.T, color=BLUE, linewidth=1.5, solid_capstyle="round")
     axes.set(xlim=(-0.5, view.size[0] - 0.5), ylim=(view.size[1] - 0.5, -0.5))
     axes.set_axis_off()
-    for bottom, image, title in ((0.5, model.last, "the camera's last frame"), (0, seen, "the model from there")):
-        side = figure.add_axes((0.735, bottom + 0.025, 0.26, 0.4))
-        side.imshow(image)
-        side.set_title(title, loc="left", fontsize=10, color=INK)
-        side.set_axis_off()
-    return figure
 
 
 def _last_view(calibration: Calibration, T_world_camera: FloatArray) -> Viewpoint:
@@ -224,18 +267,18 @@ def _corner_slopes(view: Viewpoint) -> list[FloatArray]:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, atomically, and say so."""
+    """Write a figure in the format that the name ends in, atomically, and say so."""
     with atomic_write(path, "wb") as stream:
-        figure.savefig(stream, format="png", dpi=160)
+        figure.savefig(stream, format=path.suffix[1:], dpi=160, pil_kwargs=_QUALITY.get(path.suffix, {}))
     print(f"wrote {path}")
 
 
-def _figure() -> Figure:
+def _figure(width_in: float, height_in: float) -> Figure:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise InputError("matplotlib is missing", fix="pip install 'wheelsight[papers]'") from error
-    return Figure(figsize=(11, 6), facecolor="white")
+    return Figure(figsize=(width_in, height_in), facecolor="white")
 
 
 def _progress() -> Any:
