@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
+import cv2
 import numpy as np
 
 from wheelsight.calibration import Calibration
@@ -17,6 +19,8 @@ from wheelsight.odometry.features.landmarks import View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, ViewTracker
 
+# Poses of one frame by its surfaces and by its keypoints that lie no farther apart say the same.
+_AGREE_M, _AGREE_RAD = 0.04, 0.035
 # A turn by a radian hides as much of a view as this many metres of way.
 _TYPICAL_DEPTH_M = 1.5
 
@@ -50,6 +54,11 @@ class Sighting:
     matches: int
     inliers: int
 
+    def agrees_with(self, T_world_camera: FloatArray) -> bool:
+        """Whether a pose (4, 4) is as near as two ways to find one leave them."""
+        T = se3.invert(self.T_world_camera) @ T_world_camera
+        return bool(np.linalg.norm(T[:3, 3]) < _AGREE_M and so3.angle(T[:3, :3]) < _AGREE_RAD)
+
 
 class Witness:
     """Where a frame is by its keypoints and those of a keyframe: a second opinion that no smooth surface misleads.
@@ -60,6 +69,7 @@ class Witness:
 
     def __init__(self, calibration: Calibration) -> None:
         settings = FeatureSettings()
+        calibration, self._straight = _without_lens(calibration)
         T = calibration.T_color_depth
         self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
         self._extractor = FeatureExtractor(calibration, settings)
@@ -68,6 +78,10 @@ class Witness:
 
     def look(self, frame: RgbdFrame) -> Features:
         """The keypoints of a frame."""
+        if self._straight is not None:
+            map_u, map_v = self._straight
+            depth_m = cv2.remap(frame.depth_m, map_u, map_v, cv2.INTER_NEAREST)
+            frame = replace(frame, depth_m=np.asarray(depth_m, np.float32))
         return self._extractor.extract(frame)
 
     def view(self, features: Features, T_world_camera: FloatArray, covariance: FloatArray, twist: FloatArray) -> View:
@@ -87,3 +101,13 @@ class Witness:
                     T_world_camera = np.asarray(found.view.T_world_color @ self._T_color_camera)
                     return Sighting(T_world_camera, found.view.covariance, found.motion.matches, found.motion.inliers)
         return None
+
+
+def _without_lens(calibration: Calibration) -> tuple[Calibration, Any]:
+    """A calibration whose depth camera has no lens of its own, and the maps that bring depth there, if it had one."""
+    depth = calibration.cameras[1]
+    if calibration.is_registered or not depth.has_distortion:
+        return calibration, None
+    size = (depth.width, depth.height)
+    maps = cv2.initUndistortRectifyMap(depth.K, np.array(depth.distortion), None, depth.K, size, cv2.CV_32FC1)
+    return replace(calibration, depth=replace(depth, distortion=(0.0,) * 5)), maps

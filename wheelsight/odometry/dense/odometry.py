@@ -22,8 +22,6 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.features.extraction import Features
 
 _START_VARIANCE = 1e-12
-# Poses of one frame by its surfaces and by its keypoints that lie no farther apart say the same.
-_AGREE_M, _AGREE_RAD = 0.04, 0.035
 # Keypoints are believed against surfaces where so many agree, and such a share of all that were matched.
 _CLEAR_INLIERS, _CLEAR_SHARE = 60, 0.6
 # A change of velocity at once, and that many times a second, which is a leap rather than the camera's motion.
@@ -101,6 +99,7 @@ class DenseOdometry:
         self._last: _Tracked | None = None
         self._failures = 0
         self._unseen_s = 0.0
+        self._prediction: tuple[Keyframe | None, int] = None, 0
         self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
         self.last_frame: GridFrame | None = None
 
@@ -201,10 +200,7 @@ class DenseOdometry:
         """What the model predicts, else the newest keyframe; while frames fail, the nearest; once lost, others too."""
         newest = self._keyframes[-1]
         if self._model is not None:
-            with self.watch.stage("predict"):
-                view = self._model.predict(T_world_camera, self.intrinsics, self._gridder.shape)
-                predicted = self._maker.of_view(view, T_world_camera, self.intrinsics)
-            yield Keyframe(predicted, self._nearest(T_world_camera).covariance)
+            yield self._predicted(self._model, T_world_camera)
         yield newest
         if self._failures == 0 and self._last is not None:
             yield self._keyframe(self._last)
@@ -212,6 +208,18 @@ class DenseOdometry:
             yield self._nearest(T_world_camera)
         if self._is_lost:
             yield self._keyframes[-1 - self._failures % len(self._keyframes)]
+
+    def _predicted(self, model: ReferenceModel, T_world_camera: FloatArray) -> Keyframe:
+        """What the model looks like from there; one view serves for some frames, while the camera is near."""
+        known, served = self._prediction
+        is_near = known is not None and known.distance_m(T_world_camera) < self._settings.predicted_way_m
+        if known is None or self._failures or not is_near or served >= self._settings.predicted_frames:
+            with self.watch.stage("predict"):
+                view = model.predict(T_world_camera, self.intrinsics, self._gridder.shape)
+                reference = self._maker.of_view(view, T_world_camera, self.intrinsics)
+            known, served = Keyframe(reference, self._nearest(T_world_camera).covariance), 0
+        self._prediction = known, served + 1
+        return known
 
     def _nearest(self, T_world_camera: FloatArray) -> Keyframe:
         return min(self._keyframes, key=lambda keyframe: keyframe.distance_m(T_world_camera))
@@ -264,9 +272,9 @@ class DenseOdometry:
             told = self._witness.locate(self._witness.look(frame), self._familiar(T_guess), grid.twist)
         if told is None:
             return MotionEstimate.failed(Reason.NOT_RECOGNISED) if isinstance(found, _Tracked) else found
-        if not isinstance(found, _Tracked) or not _agree(found.T_world_camera, told.T_world_camera):
+        if not isinstance(found, _Tracked) or not told.agrees_with(found.T_world_camera):
             found = self._locate(grid, last, told.T_world_camera)
-        if isinstance(found, _Tracked) and _agree(found.T_world_camera, told.T_world_camera):
+        if isinstance(found, _Tracked) and told.agrees_with(found.T_world_camera):
             return found
         if told.inliers < max(_CLEAR_INLIERS, _CLEAR_SHARE * told.matches):
             return MotionEstimate.failed(Reason.CONTRADICTED, told.matches, told.inliers)
@@ -315,7 +323,7 @@ class DenseOdometry:
         straight = self._straightened(frame, found)
         features = self._witness.look(frame)
         told = self._witness.locate(features, self._keyframes[-1:], found.twist)
-        if told is not None and not _agree(found.T_world_camera, told.T_world_camera):
+        if told is not None and not told.agrees_with(found.T_world_camera):
             return MotionEstimate.failed(Reason.CONTRADICTED)
         self._keyframes.append(self._keyframe(straight, features))
         del self._keyframes[: -self._settings.kept_keyframes]
@@ -389,9 +397,3 @@ def _expected(last: _Tracked, stamp_s: float, prior: FloatArray | None) -> tuple
 def _rigid(T: FloatArray) -> FloatArray:
     """T (4, 4) without what rounding did to its rotation, which inverses would double from frame to frame."""
     return se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
-
-
-def _agree(T_world_a: FloatArray, T_world_b: FloatArray) -> bool:
-    """Whether two poses of a camera are as near as two ways to find one leave them."""
-    T = se3.invert(T_world_a) @ T_world_b
-    return bool(np.linalg.norm(T[:3, 3]) < _AGREE_M and so3.angle(T[:3, :3]) < _AGREE_RAD)

@@ -31,6 +31,10 @@ class DenseSettings(BaseModel):
     keyframe_way_m: PositiveFloat = Field(
         0.3, description="beside a map: way from the nearest keyframe to a new one, a turn by a radian as 1.5 m"
     )
+    predicted_way_m: NonNegativeFloat = Field(
+        0.04, description="a map's prediction serves while the camera is no farther away, a turn by a radian as 1.5 m"
+    )
+    predicted_frames: PositiveInt = Field(3, description="at most so many frames that one prediction serves")
     min_overlap: float = Field(0.25, gt=0, lt=1, description="share of a frame's points that must find a partner")
     max_residual: PositiveFloat = Field(
         5.0, description="mean residual in standard deviations of the sensor's noise beyond which none fits"
