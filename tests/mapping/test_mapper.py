@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import synthetic
 from numpy.testing import assert_array_equal
+from odometry.dense.scenes import SMALL, Plane, frame_of
 
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Status
@@ -71,3 +72,15 @@ def test_light_gives_colour_to_what_was_found_in_the_dark(frames: list[RgbdFrame
     for frame in frames[3:]:
         subject.process(frame)
     assert np.mean(subject.map.surfels("all").grey >= 0) > 0.8
+
+
+def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
+    """Along a plain wall nobody knows the way; where the pose is partly a guess, frames would smear the map."""
+    subject = SurfelMapper(Calibration.registered_camera(SMALL))
+    fused = []
+    for k in range(12):
+        subject.process(frame_of([Plane((0, 0, 1), 1.5)], np.eye(4), k / 30, noise_seed=k))
+        fused.append(subject.last_fused is not None)
+    assert fused[0]
+    assert not any(fused[1:])
+    assert subject.odometry.last_motion.degenerate is not None
