@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate, MotionEstimate, Status
+from wheelsight.estimates import Estimate, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.mapping.settings import SurfelSettings
@@ -20,7 +20,7 @@ class SurfelMapper:
 
     Attributes:
         map: what was seen so far.
-        odometry: what finds the poses.
+        odometry: what finds the poses; it knows the last motion and how long each stage took, fusing included.
         last_fused: what fusing the last frame did; None where it was not fused.
     """
 
@@ -31,16 +31,6 @@ class SurfelMapper:
         self.odometry = DenseOdometry(calibration, dense, self.map, calibration.T_base_camera)
         self._noise = calibration.depth_noise
         self.last_fused: FusedFrame | None = None
-
-    @property
-    def last_motion(self) -> MotionEstimate:
-        """Of the last frame against its reference."""
-        return self.odometry.last_motion
-
-    @property
-    def stage_seconds(self) -> dict[str, float]:
-        """Seconds the last frame spent in each stage."""
-        return self.odometry.stage_seconds
 
     def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
         """The camera's pose at a frame, as `DenseOdometry` answers; the map learns where all of it was seen."""

@@ -75,7 +75,7 @@ class DenseOdometry:
     Attributes:
         last_motion: of the last frame against its reference.
         last_frame: the last frame tracked, on the ideal grid, straightened; None where the last one failed.
-        watch: stops the time of the last frame's "prepare", "predict", "align" and "keyframe".
+        watch: stops the time of the last frame's "prepare", "predict", "align", "recognise" and "keyframe".
     """
 
     def __init__(
