@@ -50,13 +50,17 @@ class Surface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Tracked:
-    """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame."""
+    """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame.
+
+    `overlap` is the share of the frame that its reference shows, and `is_by_keyframe` whether that is one.
+    """
 
     frame: GridFrame
     T_world_camera: FloatArray
     covariance: FloatArray
     twist: FloatArray = field(default_factory=lambda: np.zeros(6))
     overlap: float = 1.0
+    is_by_keyframe: bool = True
 
 
 class DenseOdometry:
@@ -187,7 +191,7 @@ class DenseOdometry:
             guess = T_prior if place == 0 or not self._is_lost else reference.reference.T_world_reference
             found = self._align(grid, reference, last, guess, T_prior)
             if isinstance(found, _Tracked):
-                return found
+                return replace(found, is_by_keyframe=reference in self._keyframes)
             failure = failure or found
         assert failure is not None
         return failure
@@ -330,9 +334,9 @@ class DenseOdometry:
         return straight
 
     def _is_new(self, found: _Tracked) -> bool:
-        """Whether a frame is to become a keyframe: by what is left of the last one, or beside a map by the way."""
+        """Whether a frame is to become a keyframe: the last one shows too little of it; beside a map, by the way."""
         if self._model is None:
-            return found.overlap < self._settings.keyframe_overlap
+            return found.overlap < self._settings.keyframe_overlap or not found.is_by_keyframe
         return self._nearest(found.T_world_camera).distance_m(found.T_world_camera) > self._settings.keyframe_way_m
 
     def _seen_from_before(self, found: _Tracked) -> _Tracked | None:
