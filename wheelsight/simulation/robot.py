@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.calibration import Wheels
 from wheelsight.errors import ConfigError
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, so3
 
 TICK_PERIOD_S = 0.02
 NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M = 0.17, 0.52
@@ -25,7 +25,10 @@ _POSSIBLE = {
     "height_m": (0.6, 2.5),
     "camera_height_m": (0.05, 3.0),
     "camera_forward_m": (-1.0, 2.0),
+    "camera_left_m": (-1.0, 1.0),
     "camera_pitch_rad": (-math.pi / 2, math.pi / 2),
+    "camera_yaw_rad": (-math.pi, math.pi),
+    "camera_roll_rad": (-math.pi, math.pi),
 }
 
 
@@ -39,8 +42,10 @@ class Robot:
         gear_ratio: turns of a motor a turn of its wheel.
         counts_per_turn: of the encoder on the motor.
         length_m, width_m, height_m: of the whole wheelchair.
-        camera_height_m, camera_forward_m: where the camera sits over the ground and ahead of the axle.
-        camera_pitch_rad: how far it looks down.
+        camera_height_m, camera_forward_m, camera_left_m: where the camera sits over the ground, ahead of the axle and
+            left of its middle.
+        camera_pitch_rad, camera_yaw_rad, camera_roll_rad: how far it looks down, looks to the left, and leans to the
+            right.
         has_gyro: whether a gyroscope is read too.
 
     Raises:
@@ -57,7 +62,10 @@ class Robot:
     height_m: float = 1.00
     camera_height_m: float = 0.90
     camera_forward_m: float = 0.35
+    camera_left_m: float = 0.0
     camera_pitch_rad: float = 0.10
+    camera_yaw_rad: float = 0.0
+    camera_roll_rad: float = 0.0
     has_gyro: bool = False
 
     def __post_init__(self) -> None:
@@ -74,7 +82,9 @@ class Robot:
         c, s = math.cos(self.camera_pitch_rad), math.sin(self.camera_pitch_rad)
         T = np.eye(4)
         T[:3, 0], T[:3, 1], T[:3, 2] = (0, -1, 0), (-s, 0, -c), (c, 0, -s)
-        T[:3, 3] = self.camera_forward_m, 0, self.camera_height_m
+        if self.camera_yaw_rad or self.camera_roll_rad:
+            T[:3, :3] = so3.exp([0, 0, self.camera_yaw_rad]) @ T[:3, :3] @ so3.exp([0, 0, self.camera_roll_rad])
+        T[:3, 3] = self.camera_forward_m, self.camera_left_m, self.camera_height_m
         return T
 
     @property
