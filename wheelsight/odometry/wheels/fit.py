@@ -4,8 +4,7 @@ The reference, ground truth or visual odometry, is cut into short pieces. What t
 what the reference says, along and across the way and in yaw, and wheel sizes and delay are sought for which the
 differences are least. The body that the reference follows, a marker or a camera, may sit off the middle of the axle and
 look a little aside: its mount is fitted along with the rest. Pieces where a wheel slipped or the reference jumped lose
-their weight (Geman & McClure 1985; graduated as in Yang et al., RA-L 2020): what counts as a slip is narrowed from
-generous to the spread found.
+their weight (see `odometry._robust_fit`).
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy as np
 from wheelsight.calibration import Wheels
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, robust_fit, spread
 from wheelsight.odometry.wheels._observability import (
     chords_m,
     refuse_if_impossible,
@@ -33,13 +33,7 @@ LARGEST_DELAY_S = 0.5
 
 _FEWEST_SEGMENTS = 12
 _COARSE_STEP_S = 0.02
-_STEP = 0.01
-_FIRST_SCALES = np.array([0.02, 0.02, 0.02])
-_LEAST_SCALES = np.array([5e-4, 5e-4, 5e-4])  # no reference is better than half a millimetre and half a milliradian
-_NARROWING = (32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
 _MOUNT_SIGMAS = np.array([0.5, 0.5, 0.3])  # how far off a mount may well be; holds what a straight drive leaves open
-_SLIP_CHI2 = 16.0  # three normal residuals exceed it once in a thousand
-_MOST_CLUSTERS = 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +64,7 @@ class WheelFit:
     @property
     def spread(self) -> FloatArray:
         """Robust standard deviation (3,) of the residuals of a segment: along, across in metres, yaw in radians."""
-        return _spread(self.residuals)
+        return spread(self.residuals)
 
 
 def fit_wheels(
@@ -102,16 +96,15 @@ def fit_wheels(
     on_step("searching the delay")
     start = problem.coarse()
     on_step("fitting")
-    values, scales, weights = _robust(problem, start)
-    fitted, residuals = problem.fitted(values), problem.residuals(values)
-    refuse_if_unlike(segments, residuals, drive, fitted.delay_s)
-    covariance = _covariance(problem, values, scales)
-    sigmas = problem.sigmas(values, covariance)
+    found = robust_fit(problem, start)
+    values, fitted = found.values, problem.fitted(found.values)
+    refuse_if_unlike(segments, found.residuals, drive, fitted.delay_s)
+    sigmas = problem.sigmas(values, found.covariance)
     refuse_if_unobservable(sigmas, fitted, segments)
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
-    slips = ((residuals / scales) ** 2).sum(axis=1) > _SLIP_CHI2
-    ratio_sigma = _ratio_sigma(fitted, covariance)
-    return WheelFit(wheels, fitted, sigmas, ratio_sigma, problem.mount(values), segments, residuals, weights, slips)
+    ratio_sigma, mount = _ratio_sigma(fitted, found.covariance), problem.mount(values)
+    explained = (found.residuals, found.weights, found.is_outlier)
+    return WheelFit(wheels, fitted, sigmas, ratio_sigma, mount, segments, *explained)
 
 
 def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: float) -> Segments:
@@ -143,6 +136,8 @@ class _Problem:
         self.drive, self.segments, self.nominal = drive, segments, nominal
         self.nominal_sizes = np.array([nominal.left_radius_m, nominal.right_radius_m, nominal.track_width_m])
         self.bounds = np.array([np.log(8.0)] * 3 + [3.0, 3.0, 1.5] + [2 * LARGEST_DELAY_S] * with_delay)
+        self.prior_sigmas = np.full(len(self.bounds), UNKNOWN_SIGMA)
+        self.prior_sigmas[3:6] = _MOUNT_SIGMAS
         self.with_delay = with_delay
 
     def sizes(self, values: FloatArray) -> FloatArray:
@@ -196,80 +191,5 @@ class _Problem:
 def _misfit(regressors: FloatArray, wanted: FloatArray) -> float:
     """Logarithm of the mean squared residual of a linear fit, with slips cut off at three spreads."""
     off = wanted - regressors @ np.linalg.lstsq(regressors, wanted)[0]
-    limit = 3 * max(float(_spread(off[:, None])[0]), 1e-9)
+    limit = 3 * max(float(spread(off[:, None])[0]), 1e-9)
     return float(np.log(np.mean(np.minimum(off**2, limit**2)) + 1e-12))
-
-
-def _robust(problem: _Problem, start: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values (P,), scales of the residuals (3,) and weights (M,) of the segments."""
-    values, scales, weights = start, _FIRST_SCALES, np.ones(len(problem.segments))
-    for factor in _NARROWING:
-        residuals = problem.residuals(values)
-        if values is not start:
-            scales = np.maximum(_spread(residuals), _LEAST_SCALES)
-        weights = _weights(((residuals / (factor * scales)) ** 2).sum(axis=1))
-        values = _solve(problem, values, scales, weights)
-    return values, scales, weights
-
-
-def _solve(problem: _Problem, start: FloatArray, scales: FloatArray, weights: FloatArray) -> FloatArray:
-    from scipy.optimize import least_squares
-
-    root = np.sqrt(weights)[:, None] / scales
-
-    def misfit(values: FloatArray) -> FloatArray:
-        prior = problem.mount(values) / _MOUNT_SIGMAS
-        return np.concatenate([(root * problem.residuals(values)).ravel(), prior])
-
-    bounds = problem.bounds
-    within = start.clip(-0.99 * bounds, 0.99 * bounds)
-    return np.asarray(least_squares(misfit, within, jac="3-point", bounds=(-bounds, bounds), x_scale=_STEP * bounds).x)
-
-
-def _weights(chi2: FloatArray) -> FloatArray:
-    """Geman and McClure's weights (M,) of squared residuals (M,) in units of their scale."""
-    return (_SLIP_CHI2 / (_SLIP_CHI2 + chi2)) ** 2
-
-
-def _spread(residuals: FloatArray) -> FloatArray:
-    """Standard deviations (K,) of (M, K) by the median, which slips do not move."""
-    return np.asarray(1.4826 * np.median(np.abs(residuals), axis=0))
-
-
-def _covariance(problem: _Problem, values: FloatArray, scales: FloatArray) -> FloatArray:
-    """Covariance (P, P): the robust cost's inverse Hessian on both sides of its gradient's spread (Huber 1967).
-
-    The gradient is summed over runs of neighbouring segments, for neighbours share a pose and so that pose's error.
-    What residuals of the least credible size would leave is added, so that data without noise hide no open direction.
-    """
-    r = problem.residuals(values) / scales
-    J = _jacobian(problem, values) / scales[None, :, None]
-    chi2 = (r**2).sum(axis=1)
-    w = _weights(chi2)
-    slope = -4 * _SLIP_CHI2**2 / (_SLIP_CHI2 + chi2) ** 3
-    H = np.einsum("mip,m,miq->pq", J, w, J)
-    along = np.einsum("mip,mi->mp", J, r)
-    robust = H + np.einsum("mp,m,mq->pq", along, slope, along)
-    known = np.diag(np.full(len(values), 1e-6))  # what nothing determines has a standard deviation of a thousand
-    known[range(3, 6), range(3, 6)] = _MOUNT_SIGMAS**-2
-    if np.linalg.eigvalsh(robust + known)[0] < 0.1 * np.linalg.eigvalsh(H + known)[0]:
-        robust = H
-    inverse = np.linalg.inv(robust + known)
-    size = -(-len(r) // _MOST_CLUSTERS)
-    gradients = np.add.reduceat(w[:, None] * along, np.arange(0, len(r), size))
-    groups = len(gradients)
-    spread = gradients.T @ gradients * groups / (groups - len(values))
-    return np.asarray(inverse @ spread @ inverse + _floor(J, scales, known))
-
-
-def _floor(J: FloatArray, scales: FloatArray, known: FloatArray) -> FloatArray:
-    """The covariance (P, P) that residuals of the least credible size would leave."""
-    whole = J * (scales / _LEAST_SCALES)[None, :, None]
-    return np.asarray(np.linalg.inv(np.einsum("mip,miq->pq", whole, whole) + known))
-
-
-def _jacobian(problem: _Problem, values: FloatArray) -> FloatArray:
-    """Derivatives (M, 3, P) of the residuals, by central differences."""
-    steps = 1e-6 * np.eye(len(values))
-    columns = [(problem.residuals(values + h) - problem.residuals(values - h)) / 2e-6 for h in steps]
-    return np.stack(columns, axis=-1)

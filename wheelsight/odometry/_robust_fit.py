@@ -1,0 +1,128 @@
+"""Robust least squares over pieces of a drive, with a covariance that allows for what neighbouring pieces share.
+
+Pieces that disagree lose their weight (Geman & McClure 1985; graduated as in Yang et al., RA-L 2020): what counts as a
+disagreement is narrowed from generous to the spread found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from wheelsight.geometry import BoolArray, FloatArray
+
+UNKNOWN_SIGMA = 1e3
+
+_STEP = 0.01
+_FIRST_SCALES = np.array([0.02, 0.02, 0.02])
+_LEAST_SCALES = np.array([5e-4, 5e-4, 5e-4])  # nothing is better than half a millimetre and half a milliradian
+_NARROWING = (32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
+_OUTLIER_CHI2 = 16.0  # three normal residuals exceed it once in a thousand
+_MOST_CLUSTERS = 25
+
+
+class Problem(Protocol):
+    """What is fitted: M pieces of a drive, explained by P values.
+
+    Attributes:
+        bounds: (P,) largest size of each value.
+        prior_sigmas: (P,) how far each may well be from 0, as a standard deviation; `UNKNOWN_SIGMA` for no idea.
+    """
+
+    @property
+    def bounds(self) -> FloatArray: ...
+
+    @property
+    def prior_sigmas(self) -> FloatArray: ...
+
+    def residuals(self, values: FloatArray) -> FloatArray:
+        """(M, 3) along and across each piece in metres, and in yaw in radians."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class RobustFit:
+    """Values (P,) with covariance (P, P); the residuals (M, 3) they leave, the weights (M,) and which are outliers."""
+
+    values: FloatArray
+    covariance: FloatArray
+    residuals: FloatArray
+    weights: FloatArray
+    is_outlier: BoolArray
+
+
+def robust_fit(problem: Problem, start: FloatArray) -> RobustFit:
+    """The values for which most pieces agree, sought from `start` (P,)."""
+    values, scales, weights = start, _FIRST_SCALES, np.ones(len(problem.residuals(start)))
+    for factor in _NARROWING:
+        residuals = problem.residuals(values)
+        if values is not start:
+            scales = np.maximum(spread(residuals), _LEAST_SCALES)
+        weights = _weights(((residuals / (factor * scales)) ** 2).sum(axis=1))
+        values = _solve(problem, values, scales, weights)
+    residuals = problem.residuals(values)
+    is_outlier = ((residuals / scales) ** 2).sum(axis=1) > _OUTLIER_CHI2
+    return RobustFit(values, _covariance(problem, values, scales), residuals, weights, is_outlier)
+
+
+def spread(residuals: FloatArray) -> FloatArray:
+    """Standard deviations (K,) of (M, K) by the median, which outliers do not move."""
+    return np.asarray(1.4826 * np.median(np.abs(residuals), axis=0))
+
+
+def _solve(problem: Problem, start: FloatArray, scales: FloatArray, weights: FloatArray) -> FloatArray:
+    from scipy.optimize import least_squares
+
+    root = np.sqrt(weights)[:, None] / scales
+
+    def misfit(values: FloatArray) -> FloatArray:
+        return np.concatenate([(root * problem.residuals(values)).ravel(), values / problem.prior_sigmas])
+
+    bounds = problem.bounds
+    within = start.clip(-0.99 * bounds, 0.99 * bounds)
+    return np.asarray(least_squares(misfit, within, jac="3-point", bounds=(-bounds, bounds), x_scale=_STEP * bounds).x)
+
+
+def _weights(chi2: FloatArray) -> FloatArray:
+    """Geman and McClure's weights (M,) of squared residuals (M,) in units of their scale."""
+    return (_OUTLIER_CHI2 / (_OUTLIER_CHI2 + chi2)) ** 2
+
+
+def _covariance(problem: Problem, values: FloatArray, scales: FloatArray) -> FloatArray:
+    """Covariance (P, P): the robust cost's inverse Hessian on both sides of its gradient's spread (Huber 1967).
+
+    The gradient is summed over runs of neighbouring pieces, for neighbours share a pose and so that pose's error.
+    What residuals of the least credible size would leave is added, so that data without noise hide no open direction.
+    """
+    r = problem.residuals(values) / scales
+    J = _jacobian(problem, values) / scales[None, :, None]
+    chi2 = (r**2).sum(axis=1)
+    w = _weights(chi2)
+    slope = -4 * _OUTLIER_CHI2**2 / (_OUTLIER_CHI2 + chi2) ** 3
+    H = np.einsum("mip,m,miq->pq", J, w, J)
+    along = np.einsum("mip,mi->mp", J, r)
+    robust = H + np.einsum("mp,m,mq->pq", along, slope, along)
+    known = np.diag(problem.prior_sigmas**-2)
+    if np.linalg.eigvalsh(robust + known)[0] < 0.1 * np.linalg.eigvalsh(H + known)[0]:
+        robust = H
+    inverse = np.linalg.inv(robust + known)
+    size = -(-len(r) // _MOST_CLUSTERS)
+    gradients = np.add.reduceat(w[:, None] * along, np.arange(0, len(r), size))
+    groups = len(gradients)
+    scatter = gradients.T @ gradients * groups / (groups - len(values))
+    return np.asarray(inverse @ scatter @ inverse + _floor(J, scales, known))
+
+
+def _floor(J: FloatArray, scales: FloatArray, known: FloatArray) -> FloatArray:
+    """The covariance (P, P) that residuals of the least credible size would leave."""
+    whole = J * (scales / _LEAST_SCALES)[None, :, None]
+    return np.asarray(np.linalg.inv(np.einsum("mip,miq->pq", whole, whole) + known))
+
+
+def _jacobian(problem: Problem, values: FloatArray) -> FloatArray:
+    """Derivatives (M, 3, P) of the residuals, by central differences."""
+    steps = 1e-6 * np.eye(len(values))
+    columns = [(problem.residuals(values + h) - problem.residuals(values - h)) / 2e-6 for h in steps]
+    return np.stack(columns, axis=-1)
