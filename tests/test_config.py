@@ -137,11 +137,29 @@ WITH_PLACES = {"odometry": "wheels", "places.model": "three.places"}
 
 def test_places_join_the_wheels_as_a_track_of_their_own() -> None:
     config = load_config(overrides={**WITH_PLACES, "odometry": "wheels,features"})
-    assert config.tracks == ("wheels", "features", "rectified")
+    assert config.tracks == ("wheels", "features", "rectified", "joined")
     assert config.alone("wheels") == load_config(overrides={"odometry": "wheels"})
     assert config.alone("features") == Config()
     assert config.alone("rectified") == load_config(overrides=WITH_PLACES)
     assert Config().tracks == ("features",)
+
+
+def test_wheels_and_a_camera_are_joined_unless_one_says_otherwise() -> None:
+    joined = load_config(overrides={"odometry": "wheels,dense", "map": "surfels"})
+    assert (joined.fusion, joined.tracks) == ("default", ("wheels", "dense", "joined"))
+    assert joined.alone("joined") == joined
+    assert joined.alone("dense") == load_config(overrides={"odometry": "dense"})
+    apart = load_config(overrides={"odometry": "wheels,dense", "map": "surfels", "fusion": "none"})
+    assert apart.tracks == ("wheels", "dense")
+    assert apart.alone("dense").map == "surfels"
+    assert load_config(overrides={"odometry": "wheels,features,dense"}).fusion == "none"
+    assert Config.model_validate(joined.to_dict()) == joined
+
+
+@pytest.mark.parametrize("names", ["dense", "wheels", "features,dense", "wheels,features,dense"])
+def test_fusion_of_anything_but_wheels_and_one_camera_is_refused(names: str) -> None:
+    with pytest.raises(ConfigError, match="fusion joins wheels with one camera odometry, not "):
+        load_config(overrides={"odometry": names, "fusion": "default"})
 
 
 def test_what_is_written_of_places_is_what_was_used(tmp_path: Path) -> None:

@@ -34,7 +34,8 @@ from wheelsight.odometry.features import FeatureSettings
 from wheelsight.recordings import OpenOptions
 
 OdometryName = Literal["features", "dense", "wheels"]
-TrackName = Literal["features", "dense", "wheels", "rectified"]
+FusionName = Literal["default", "ligocki", "none"]
+TrackName = Literal["features", "dense", "wheels", "rectified", "joined"]
 
 
 class _Settings(BaseModel):
@@ -199,6 +200,11 @@ class Config(_Settings):
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
+    fusion: FusionName = Field(
+        "none",
+        description="how wheels and one camera odometry are joined: by the default filter, which is the default where "
+        "both are named, by Ligocki's, or not at all",
+    )
     map: Literal["surfels"] | None = Field(None, description="what dense odometry builds on the way and tracks against")
     surfels: SurfelSettings = SurfelSettings()
     wheels: WheelSettings = WheelSettings()
@@ -206,9 +212,22 @@ class Config(_Settings):
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _resolve(cls, given: Any) -> Any:
+        """Wheels and a camera are joined unless one says otherwise."""
+        if not isinstance(given, dict) or given.get("fusion") is not None:
+            return given
+        names = _split(given.get("odometry", ()))
+        joins = isinstance(names, tuple | list) and len(names) == 2 and "wheels" in names
+        return {**given, "fusion": "default" if joins else "none"}
+
     @model_validator(mode="after")
     def _refuse_conflicts(self) -> Self:
         places = self.places
+        if self.fusion != "none" and (len(self.odometry) != 2 or "wheels" not in self.odometry):
+            fix = "--odometry wheels,dense or wheels,features"
+            raise _conflict("fusion", "joins wheels with one camera odometry, not " + " and ".join(self.odometry), fix)
         if self.map is not None and "dense" not in self.odometry:
             raise _conflict("map", "is built by dense odometry", "add --odometry dense")
         if places.model is None:
@@ -225,19 +244,22 @@ class Config(_Settings):
 
     @property
     def tracks(self) -> tuple[TrackName, ...]:
-        """What a run follows and reports: every odometry, and the wheels once more where places rectify them."""
-        return (*self.odometry, *(() if self.places.model is None else ("rectified",)))
+        """What a run follows and reports: every odometry alone, wheels that places rectify, and what joins them all."""
+        rectified: tuple[TrackName, ...] = () if self.places.model is None else ("rectified",)
+        return (*self.odometry, *rectified, *(() if self.fusion == "none" else ("joined",)))
 
     def to_dict(self) -> dict[str, Any]:
         """All settings as plain nested values, as YAML and JSON take them."""
         return self.model_dump(mode="json")
 
     def alone(self, track: TrackName) -> Config:
-        """The same settings for one of `tracks` by itself."""
+        """The same settings for one of `tracks` by itself; where sensors are joined, that track alone has the map."""
+        if track == "joined":
+            return self
+        alone = {"fusion": "none", "map": self.map if track == "dense" and self.fusion == "none" else None}
         if track == "rectified":
-            return self.model_copy(update={"odometry": ("wheels",), "map": None})
-        kept = {"map": self.map if track == "dense" else None}
-        return self.model_copy(update={"odometry": (track,), "places": PlaceSettings(), **kept})
+            return self.model_copy(update={"odometry": ("wheels",), **alone})
+        return self.model_copy(update={"odometry": (track,), "places": PlaceSettings(), **alone})
 
 
 def _conflict(setting: str, problem: str, fix: str) -> PydanticCustomError:

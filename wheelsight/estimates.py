@@ -20,7 +20,7 @@ class Reason(StrEnum):
     TOO_LITTLE_OVERLAP = "too little overlap with what is known"
     POOR_FIT = "surfaces do not fit what is known"
     NOT_RECOGNISED = "no view seen before is recognised"
-    CONTRADICTED = "keypoints contradict what surfaces say"
+    SURFACES_CONTRADICTED = "keypoints contradict what surfaces say"
     IMPLAUSIBLE_MOTION = "implausible motion"
     CLOCK_BACKWARDS = "clock ran backwards"
     GAP = "gap between readings"

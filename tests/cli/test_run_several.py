@@ -42,12 +42,16 @@ def test_a_terminal_sees_all_events_pass_by(
     events = source.wheel_count + source.frame_count
     assert f"{events}/{events}" in result.stderr
     assert "events/s" in result.stderr
-    assert "wheels tracking, features tracking" in result.stderr
+    assert "wheels tracking, joined tracking, features tracking" in result.stderr
 
 
 def test_why_one_was_not_evaluated_stands_below(wheelsight: Command, tmp_path: Path) -> None:
     make_room_drive(tmp_path / "drive", frames=4, mounted=False)
     result = wheelsight("run", tmp_path / "drive", "--odometry", "wheels,features", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "wheelsight calibrate base finds T_base_camera; or --fusion none" in result.output
+    names = ("--odometry", "wheels,features", "--fusion", "none")
+    result = wheelsight("run", tmp_path / "drive", *names, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "wheels not evaluated: ground truth: a trajectory of 'camera' cannot be told for 'base'" in result.stdout
 

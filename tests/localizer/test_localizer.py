@@ -19,7 +19,7 @@ from wheelsight.trajectory import Trajectory
 def truth(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> Trajectory:
     motions = se3.exp(0.1 * rng.standard_normal((10, 6)))
     TrueOdometry.truth = Trajectory(np.arange(10.0), motions)
-    monkeypatch.setattr("wheelsight.localizer.by_frames.FeatureOdometry", TrueOdometry)
+    monkeypatch.setattr("wheelsight.localizer._camera.FeatureOdometry", TrueOdometry)
     return TrueOdometry.truth
 
 
@@ -157,7 +157,7 @@ def test_what_the_odometry_needs_the_calibration_must_have() -> None:
 
 
 def test_a_localizer_goes_by_one_odometry() -> None:
-    both = load_config(overrides={"odometry": "wheels,features"})
+    both = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})
     with pytest.raises(ConfigError, match=r"not by wheels and features .*alone"):
         Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both)
     assert Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both.alone("wheels")).world == "odom"
@@ -171,7 +171,8 @@ def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.Monkey
             super().__init__(calibration, settings)
             made.append(settings)
 
-    monkeypatch.setattr("wheelsight.localizer.by_frames.DenseOdometry", Dense)
+    for part in ("_camera", "by_frames"):
+        monkeypatch.setattr(f"wheelsight.localizer.{part}.DenseOdometry", Dense)
     config = load_config(overrides={"odometry": "dense", "dense.levels": 2})
     subject = Localizer(Calibration.registered_camera(CAMERA), config)
     assert made == [config.dense]

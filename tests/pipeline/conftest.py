@@ -18,7 +18,7 @@ def truth() -> Trajectory:
 def true_odometry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, truth: Trajectory) -> None:
     if "real_odometry" not in request.fixturenames:
         TrueOdometry.truth = truth
-        monkeypatch.setattr("wheelsight.localizer.by_frames.FeatureOdometry", TrueOdometry)
+        monkeypatch.setattr("wheelsight.localizer._camera.FeatureOdometry", TrueOdometry)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ FILES = {"trajectory.txt", "status.csv", "metrics.json", "config.yaml", "report.
 OF_ONE = {"trajectory.txt", "status.csv", "metrics.json"}
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 BY_WHEELS = load_config(overrides={"odometry": "wheels"})
-BOTH = load_config(overrides={"odometry": "wheels,features"})
+BOTH = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})
 
 
 def frames_at(truth: Trajectory, dark: tuple[int, ...] = ()) -> list[Event | BaseException]:

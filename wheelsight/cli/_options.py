@@ -44,6 +44,7 @@ MaxGap = Annotated[
 
 _SETTINGS = {
     "--odometry": "odometry",
+    "--fusion": "fusion",
     "--map": "map",
     "--reference": "features.reference",
     "--integration": "wheels.integration",

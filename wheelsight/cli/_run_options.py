@@ -12,7 +12,7 @@ Odometry = Annotated[
     str | None,
     typer.Option(
         metavar="NAME[,NAME]",
-        help="How motion is estimated: features, dense, wheels, or several, each alone.",
+        help="How motion is estimated: features, dense, wheels, or several; wheels and a camera are joined too.",
         show_default="features",
     ),
 ]
@@ -23,6 +23,14 @@ Map = Annotated[
         metavar="NAME",
         help="What dense odometry builds and tracks against: surfels.",
         show_default="keyframes alone",
+    ),
+]
+Fusion = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="How wheels and camera are joined: default, ligocki (eq. 2), or none.",
+        show_default="default, where both are named",
     ),
 ]
 SettingsFile = Annotated[

@@ -23,6 +23,7 @@ def run(
     recording: RecordingPath,
     out: options.Out,
     odometry: options.Odometry = None,
+    fusion: options.Fusion = None,
     map_: options.Map = None,
     camera: Camera = None,
     calibration: CalibrationFile = None,
@@ -69,7 +70,8 @@ def run(
     of_wheels = {"--integration": integration, "--gyro": gyro}
     of_places = {"--places": places, "--areas": areas, "--rectify": rectify, "--start": start}
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}
-    given = {"--odometry": odometry, "--map": map_, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
+    of_all = {"--odometry": odometry, "--fusion": fusion, "--map": map_}
+    given = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     settings = settings_from(given, config)
     print_summary(_track(recording, settings, out, force), out)
 

@@ -90,6 +90,12 @@ def interpolate(T_start: ArrayLike, T_end: ArrayLike, share: ArrayLike) -> Float
     return np.asarray(exp(np.asarray(share, float)[..., None] * xi) @ T_start)
 
 
+def nearest(T: ArrayLike) -> FloatArray:
+    """The rigid motion (4, 4) that lies nearest to T (4, 4), which rounding, doubled by inverses, made none."""
+    T = np.asarray(T, float)
+    return from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
+
+
 def is_valid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
     """Whether every matrix of (..., 4, 4) is finite and a rigid motion within `tolerance`."""
     T = np.asarray(T, float)

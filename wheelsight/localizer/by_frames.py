@@ -10,9 +10,9 @@ from wheelsight.config import Config
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.geometry import se3
-from wheelsight.mapping import SurfelMapper
+from wheelsight.localizer._camera import camera_odometry
 from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
+from wheelsight.odometry.features import MatchedPixels
 
 
 class ByFrames:
@@ -22,16 +22,8 @@ class ByFrames:
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
         self.body = "camera" if calibration.T_base_camera is None else "base"
+        self.odometry, self.mapper = camera_odometry(calibration, settings)
         T_base_camera = calibration.T_base_camera
-        self.odometry: FeatureOdometry | DenseOdometry
-        self.mapper: SurfelMapper | None = None
-        if settings.map == "surfels":
-            self.mapper = SurfelMapper(calibration, settings.dense, settings.surfels)
-            self.odometry = self.mapper.odometry
-        elif settings.odometry == ("dense",):
-            self.odometry = DenseOdometry(calibration, settings.dense, T_world_first=T_base_camera)
-        else:
-            self.odometry = FeatureOdometry(calibration, settings.features, T_world_first=T_base_camera)
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
         self._newest_s = -math.inf
 

@@ -8,9 +8,11 @@ from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event
 from wheelsight.localizer.by_frames import ByFrames
+from wheelsight.localizer.by_fusion import ByFusion
+from wheelsight.localizer.by_ligocki import ByLigocki
 from wheelsight.localizer.by_places import ByPlaces, Places, load_places
 from wheelsight.localizer.by_wheels import ByWheels
-from wheelsight.mapping import FusedFrame, SurfelMap
+from wheelsight.mapping import FusedFrame, SurfelMap, SurfelMapper
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.odometry.wheels import WheelOdometry
@@ -20,18 +22,21 @@ from wheelsight.places import PlaceMatch
 class Localizer:
     """Answers each frame or wheel reading with the pose of the body at its stamp, or with the reason why there is none.
 
-    It goes by one odometry, and by places where the configuration names a model of them.
+    It goes by one odometry, by places where the configuration names a model of them, or by wheels and a camera joined.
 
     With `odometry: features` or `dense` frames are answered; the body is the robot's base where the calibration knows
     `T_base_camera`, else the camera; the world is where the body was at the first tracked frame. With `odometry:
     wheels` the wheel readings are answered; the body is the base, its frame `odom`, which begins at the first reading.
     With `map: surfels` dense odometry builds a map on the way and tracks against it.
+    With `odometry: [wheels, dense]` or `[wheels, features]` both are joined, by `fusion`: the default filter answers
+    readings and frames with a `FusedEstimate`, whose status and flags say how far to trust it; Ligocki's answers
+    frames. The body is the base, the world is where it was at the first event (Ligocki: at the first tracked frame).
     With `places` beside wheels, both are answered: wheels lead from frame to frame, each frame corrects them by the
     area it shows; the world is that of the areas.
 
     Args:
         calibration: of the sensors.
-        config: all settings; `config.alone(name)` picks one of several odometries.
+        config: all settings; `config.alone(track)` picks one of several tracks.
         places: model, areas and start, where they are not all in `config.places`.
 
     Attributes:
@@ -41,18 +46,20 @@ class Localizer:
         note: what there is to say about the last event beyond its reason; often empty.
 
     Raises:
-        ConfigError: the configuration names several odometries, or a model of places without areas or start.
+        ConfigError: the configuration names odometries that it does not join, or places without areas or start.
         CalibrationError: the calibration lacks the cameras or wheels that the odometry needs.
         AreaError, PlaceError: areas or model cannot be read, or do not belong together.
     """
 
     def __init__(self, calibration: Calibration, config: Config | None = None, places: Places | None = None) -> None:
         settings = config or Config()
-        if len(settings.odometry) > 1:
+        if len(settings.odometry) > 1 and settings.fusion == "none":
             several = " and ".join(settings.odometry)
             raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
-        self._way: ByFrames | ByWheels | ByPlaces
-        if settings.places.model is not None:
+        self._way: ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki
+        if settings.fusion != "none":
+            self._way = (ByLigocki if settings.fusion == "ligocki" else ByFusion)(calibration, settings)
+        elif settings.places.model is not None:
             self._way = ByPlaces(calibration, settings, places or load_places(settings.places))
         elif settings.odometry == ("wheels",):
             self._way = ByWheels(calibration, settings.wheels)
@@ -79,14 +86,16 @@ class Localizer:
     @property
     def map(self) -> SurfelMap | None:
         """What was built on the way, in the world of the poses; None where the configuration asks for no map."""
-        mapper = self._way.mapper if isinstance(self._way, ByFrames) else None
-        return None if mapper is None else mapper.map
+        return None if self._mapper is None else self._mapper.map
 
     @property
     def last_fused(self) -> FusedFrame | None:
         """What the last frame did to the map; None where it did not get there."""
-        mapper = self._way.mapper if isinstance(self._way, ByFrames) else None
-        return None if mapper is None else mapper.last_fused
+        return None if self._mapper is None else self._mapper.last_fused
+
+    @property
+    def _mapper(self) -> SurfelMapper | None:
+        return None if isinstance(self._way, ByWheels | ByPlaces) else self._way.mapper
 
     @property
     def stage_seconds(self) -> dict[str, float]:

@@ -38,7 +38,7 @@ class SurfelMapper:
         self.last_fused = None
         is_known = estimate.status is Status.TRACKING and self.odometry.sees_all_motion
         if is_known and estimate.T_world_body is not None:
-            self._fuse(frame, estimate.T_world_body)
+            self.fuse(frame, estimate.T_world_body)
         return estimate
 
     def miss(self, stamp_s: float) -> Estimate:
@@ -46,7 +46,8 @@ class SurfelMapper:
         self.last_fused = None
         return self.odometry.miss(stamp_s)
 
-    def _fuse(self, frame: RgbdFrame, T_world_camera: FloatArray) -> None:
+    def fuse(self, frame: RgbdFrame, T_world_camera: FloatArray) -> None:
+        """Average the frame that odometry tracked last into the map, at a pose (4, 4) that may be another's."""
         with self.odometry.watch.stage("fuse"):
             surface = self.odometry.last_surface(frame)
             where = (self.odometry.intrinsics, T_world_camera, frame.stamp_s, self._noise)

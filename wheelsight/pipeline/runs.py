@@ -95,4 +95,6 @@ def _check(recording: Recording, config: Config) -> PlacesOfRun | None:
         if UNITS[odometry] == "frame" and recording.wheel_count and not recording.frame_count:
             raise ConfigError(f"{recording.path}: the recording has no images", fix="--odometry wheels")
         Localizer(recording.calibration, config.alone(odometry))
+    if config.fusion != "none":
+        Localizer(recording.calibration, config)
     return places_of(recording, config)

@@ -11,7 +11,7 @@ from wheelsight.config import Config, TrackName
 from wheelsight.errors import WheelsightError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
-from wheelsight.fusion import RectifiedEstimate
+from wheelsight.fusion import FusedEstimate, RectifiedEstimate
 from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.localizer import Localizer, Places
 from wheelsight.mapping import SurfelMap
@@ -20,13 +20,15 @@ from wheelsight.pipeline.maps import Stops
 from wheelsight.recordings import Recording
 from wheelsight.report import FrameRecord, Look, MatchPicture
 
-# What a track's record lists; of the rectified one frames, though it tells a pose at each reading too.
+# What a track's record lists; of rectified and joined ones frames, though they tell a pose at each reading too.
 UNITS: dict[TrackName, Literal["frame", "reading"]] = {
     "features": "frame",
     "dense": "frame",
     "wheels": "reading",
     "rectified": "frame",
+    "joined": "frame",
 }
+_FLAGS = ("slip", "degenerate", "doubtful")
 
 
 class Photographer:
@@ -105,7 +107,8 @@ class Track:
         seconds = time.perf_counter() - started
         if estimate is None:
             return None
-        if estimate.T_world_body is not None and estimate.reason is None:
+        is_joined = isinstance(estimate, FusedEstimate)  # which knows the pose though the event told it nothing
+        if estimate.T_world_body is not None and (estimate.reason is None or is_joined):
             self.poses.append(estimate)
         if isinstance(event, RgbdFrame) and not localizer.note:
             self.photographer.look(event, estimate, localizer.last_matches)
@@ -114,7 +117,9 @@ class Track:
         self.fused += localizer.last_fused is not None
         outcome = (estimate.status, estimate.reason, estimate.matches, estimate.inliers)
         index = event.index if isinstance(event, RgbdFrame | SkippedFrame) else len(self.frames)
-        answer = FrameRecord(index, estimate.stamp_s, *outcome, seconds, localizer.note, *_size(localizer.map))
+        flags = tuple(flag for flag in _FLAGS if getattr(estimate, flag, False))
+        stamp_s = event.stamp_s if isinstance(event, RgbdFrame | SkippedFrame) else estimate.stamp_s
+        answer = FrameRecord(index, stamp_s, *outcome, seconds, localizer.note, *_size(localizer.map), flags)
         is_frame = isinstance(event, RgbdFrame | SkippedFrame)
         if is_frame or UNITS[self.odometry] == "reading":
             self.frames.append(answer)

@@ -19,7 +19,8 @@ from wheelsight.trajectory import Trajectory
 class FrameRecord:
     """One frame or wheel reading of a run: what was answered, and how long it took (image decoding not included).
 
-    Of a run that builds a map also how many surfels it had then, and how many it had given up for want of room.
+    Of a run that builds a map also how many surfels it had then, and how many it had given up for want of room; of
+    joined sensors `flags`, words such as "slip" that say more than the status.
     """
 
     index: int
@@ -32,6 +33,7 @@ class FrameRecord:
     note: str = ""
     surfels: int | None = None
     surfels_dropped: int = 0
+    flags: tuple[str, ...] = ()
 
     @property
     def is_skipped(self) -> bool:

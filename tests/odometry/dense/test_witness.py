@@ -88,7 +88,7 @@ def test_a_keyframe_that_keypoints_contradict_is_none(
     kept = len(subject._keyframes)
     monkeypatch.setattr(Witness, "locate", elsewhere)
     answer = subject.process(frames[7])
-    assert (answer.status, answer.reason, answer.T_world_body) == (Status.FAILING, Reason.CONTRADICTED, None)
+    assert (answer.status, answer.reason, answer.T_world_body) == (Status.FAILING, Reason.SURFACES_CONTRADICTED, None)
     assert len(subject._keyframes) == kept
     again = subject.process(frames[8])
     assert again.status is Status.TRACKING

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import Float32Array, FloatArray, se3, so3
+from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._stopwatch import Stopwatch
-from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
+from wheelsight.odometry._velocity import LONGEST_STEP_S
+from wheelsight.odometry.dense._tracked import Surface, Tracked, expected
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
 from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness
@@ -29,38 +30,6 @@ _LEAP = np.array([0.5, 1.5])
 _LEAP_S = np.array([10.0, 30.0])
 # Rows placed more wrongly than this are worth preparing a frame twice.
 _STRAIGHT_ENOUGH_PX = 0.3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """What a frame adds to a map, on the ideal grid at the finest level.
-
-    Attributes:
-        depth_m: (h, w) float32, 0 where unknown.
-        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
-        grey: (h, w) float32, -1 where unknown.
-        color: (h, w, 3) float32 red, green, blue from 0 to 255, -1 where unknown; or None.
-    """
-
-    depth_m: Float32Array
-    normal: Float32Array
-    grey: Float32Array
-    color: Float32Array | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Tracked:
-    """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame.
-
-    `overlap` is the share of the frame that its reference shows, and `is_by_keyframe` whether that is one.
-    """
-
-    frame: GridFrame
-    T_world_camera: FloatArray
-    covariance: FloatArray
-    twist: FloatArray = field(default_factory=lambda: np.zeros(6))
-    overlap: float = 1.0
-    is_by_keyframe: bool = True
 
 
 class DenseOdometry:
@@ -100,7 +69,7 @@ class DenseOdometry:
         self._keyframes: list[Keyframe] = []
         self.watch = Stopwatch()
         self._first: RgbdFrame | None = None
-        self._last: _Tracked | None = None
+        self._last: Tracked | None = None
         self._failures = 0
         self._unseen_s = 0.0
         self._prediction: tuple[Keyframe | None, int] = None, 0
@@ -143,23 +112,22 @@ class DenseOdometry:
         T_last_frame, twist = np.eye(4), np.zeros(6)
         with self.watch.stage("prepare"):
             if last is not None:
-                T_last_frame, twist = _expected(last, frame.stamp_s, T_previous_current_prior)
+                T_last_frame, twist = expected(last, frame.stamp_s, T_previous_current_prior)
             grid = self._gridder.on_grid(frame, twist)
-        depth_m = grid.levels[0].depth_m
-        if np.count_nonzero(depth_m) < self._settings.min_depth_share * depth_m.size:
+        if not self._has_depth(grid):
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
         if last is None:
-            return self._start(frame, grid)
+            self._first = frame
+            return self._begin(frame, Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6)))
         T_prior = last.T_world_camera @ T_last_frame
         found = self._locate(grid, last, T_prior)
-        if isinstance(found, _Tracked) and self._first is not None:
+        if isinstance(found, Tracked) and self._first is not None:
             found = self._begin_again(found, T_prior)
-        if T_previous_current_prior is None:
-            found = self._doubted(frame, grid, last, found)
-        if isinstance(found, _Tracked):
+        found = self._doubted(frame, last, found, grid, has_prior=T_previous_current_prior is not None)
+        if isinstance(found, Tracked):
             with self.watch.stage("keyframe"):
                 found = self._remember(frame, found)
-        return self._accept(found) if isinstance(found, _Tracked) else self._fail(frame.stamp_s, found)
+        return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
 
     def miss(self, stamp_s: float) -> Estimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
@@ -167,30 +135,55 @@ class DenseOdometry:
         self.last_frame = None
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
-    def _start(self, frame: RgbdFrame, grid: GridFrame) -> Estimate:
-        start = _Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6))
-        self._keyframes = [self._keyframe(start, self._witness.look(frame))]
-        self._first = frame
-        self.last_motion = MotionEstimate(np.eye(4), start.covariance)
+    def settle(self, T_world_camera: FloatArray, covariance: FloatArray) -> None:
+        """Take this (4, 4), with its covariance (6, 6), for the pose of the last tracked frame: others know more."""
+        if self._last is None:
+            return
+        newest = self._keyframes[-1]
+        if newest.reference.T_world_reference is self._last.T_world_camera:
+            self._keyframes[-1] = newest.moved(T_world_camera, covariance)
+        self._last = replace(self._last, T_world_camera=T_world_camera, covariance=covariance)
+
+    def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
+        """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
+        self.watch.restart()
+        with self.watch.stage("prepare"):
+            grid = self._gridder.on_grid(frame, np.zeros(6))
+        if not self._has_depth(grid):
+            return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
+        return self._begin(frame, Tracked(grid, T_world_camera, covariance))
+
+    def _has_depth(self, grid: GridFrame) -> bool:
+        depth_m = grid.levels[0].depth_m
+        return bool(np.count_nonzero(depth_m) >= self._settings.min_depth_share * depth_m.size)
+
+    def _begin(self, frame: RgbdFrame, start: Tracked) -> Estimate:
+        with self.watch.stage("keyframe"):
+            self._keep(self._keyframe(start, self._witness.look(frame)))
+        self._prediction = None, 0
+        self.last_motion = MotionEstimate(np.eye(4), _START_VARIANCE * np.eye(6))
         return self._accept(start)
 
-    def _begin_again(self, found: _Tracked, prior: FloatArray) -> _Tracked | MotionEstimate:
+    def _keep(self, keyframe: Keyframe) -> None:
+        self._keyframes.append(keyframe)
+        del self._keyframes[: -self._settings.kept_keyframes]
+
+    def _begin_again(self, found: Tracked, prior: FloatArray) -> Tracked | MotionEstimate:
         """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
         first, self._first = self._first, None
-        if first is None or not self._gridder.late_s.any():
+        if first is None or self._last is None or not self._gridder.late_s.any():
             return found
-        grid = self._gridder.on_grid(first, found.twist)
-        self._last = _Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6), found.twist)
+        self._last = replace(self._last, frame=self._gridder.on_grid(first, found.twist), twist=found.twist)
         self._keyframes = [self._keyframe(self._last, self._witness.look(first))]
         return self._align(found.frame, self._keyframes[0], self._last, found.T_world_camera, prior)
 
-    def _locate(self, grid: GridFrame, last: _Tracked, T_prior: FloatArray) -> _Tracked | MotionEstimate:
+    def _locate(self, grid: GridFrame, last: Tracked, T_prior: FloatArray) -> Tracked | MotionEstimate:
         """Align with the first reference that fits, beginning at the expected pose T_world_camera (4, 4)."""
         failure: MotionEstimate | None = None
         for place, reference in enumerate(self._references(T_prior)):
             guess = T_prior if place == 0 or not self._is_lost else reference.reference.T_world_reference
             found = self._align(grid, reference, last, guess, T_prior)
-            if isinstance(found, _Tracked):
+            if isinstance(found, Tracked):
                 return replace(found, is_by_keyframe=reference in self._keyframes)
             failure = failure or found
         assert failure is not None
@@ -229,8 +222,8 @@ class DenseOdometry:
         return min(self._keyframes, key=lambda keyframe: keyframe.distance_m(T_world_camera))
 
     def _align(
-        self, grid: GridFrame, keyframe: Keyframe, last: _Tracked, guess: FloatArray, T_prior: FloatArray
-    ) -> _Tracked | MotionEstimate:
+        self, grid: GridFrame, keyframe: Keyframe, last: Tracked, guess: FloatArray, T_prior: FloatArray
+    ) -> Tracked | MotionEstimate:
         reference = keyframe.reference
         T_reference_world = se3.invert(reference.T_world_reference)
         seconds = grid.stamp_s - last.frame.stamp_s
@@ -240,7 +233,7 @@ class DenseOdometry:
             found = self._aligner.align(grid, reference, turned, step)
         prior = Prior(T_reference_world @ T_prior, self._settings.prior_sigma_m_s * max(seconds, 1e-3))
         judged = judge(found, prior, self._settings)
-        T_world_camera = _rigid(reference.T_world_reference @ judged.T_reference_frame)
+        T_world_camera = se3.nearest(reference.T_world_reference @ judged.T_reference_frame)
         reason = judged.reason or self._implausible(last, T_world_camera, seconds)
         if reason is not None:
             return MotionEstimate.failed(reason, found.pairs, found.planes)
@@ -249,62 +242,57 @@ class DenseOdometry:
         Ad = se3.adjoint(reference.T_world_reference)
         covariance = keyframe.covariance + Ad @ judged.covariance @ Ad.T
         twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
-        return _Tracked(grid, T_world_camera, covariance, twist, found.planes / max(found.points, 1))
+        return Tracked(grid, T_world_camera, covariance, twist, found.planes / max(found.points, 1))
 
-    def _implausible(self, last: _Tracked, T_world_camera: FloatArray, seconds: float) -> Reason | None:
+    def _implausible(self, last: Tracked, T_world_camera: FloatArray, seconds: float) -> Reason | None:
         T = se3.invert(last.T_world_camera) @ T_world_camera
         fast = np.linalg.norm(T[:3, 3]) > self._settings.max_speed_m_s * seconds
         turning = so3.angle(T[:3, :3]) > self._settings.max_turn_rad_s * seconds
         return Reason.IMPLAUSIBLE_MOTION if fast or turning else None
 
     def _doubted(
-        self, frame: RgbdFrame, grid: GridFrame, last: _Tracked, found: _Tracked | MotionEstimate
-    ) -> _Tracked | MotionEstimate:
+        self, frame: RgbdFrame, last: Tracked, found: Tracked | MotionEstimate, grid: GridFrame, *, has_prior: bool
+    ) -> Tracked | MotionEstimate:
         """A pose that nothing but surfaces speak for is kept while they have shown all motion, and without a leap.
 
-        After a failure, a gap or a leap, keypoints must say the same; where they know better, theirs is the pose.
+        After a failure, a gap or a leap, keypoints must say the same; where they know better, theirs is the pose. A
+        prior stands in for what surfaces do not show, and for keypoints after a failure.
         """
         seconds = grid.stamp_s - last.frame.stamp_s
-        if isinstance(found, _Tracked):
-            self._count_unseen(seconds)
+        if isinstance(found, Tracked):
+            if not has_prior:
+                self._count_unseen(seconds)
             if self._unseen_s > self._settings.max_unseen_s:
                 return MotionEstimate.failed(Reason.DEGENERATE)
-            if self._failures == 0 and not self._is_leap(last, found, seconds):
+            leaps = (has_prior or last.twist.any()) and _is_leap(found, seconds)
+            if seconds <= LONGEST_STEP_S and not leaps and (has_prior or self._failures == 0):
                 return found
         with self.watch.stage("recognise"):
-            T_guess = found.T_world_camera if isinstance(found, _Tracked) else last.T_world_camera
+            T_guess = found.T_world_camera if isinstance(found, Tracked) else last.T_world_camera
             told = self._witness.locate(self._witness.look(frame), self._familiar(T_guess), grid.twist)
         if told is None:
-            return MotionEstimate.failed(Reason.NOT_RECOGNISED) if isinstance(found, _Tracked) else found
-        if not isinstance(found, _Tracked) or not told.agrees_with(found.T_world_camera):
+            return MotionEstimate.failed(Reason.NOT_RECOGNISED) if isinstance(found, Tracked) else found
+        if not isinstance(found, Tracked) or not told.agrees_with(found.T_world_camera):
             found = self._locate(grid, last, told.T_world_camera)
-        if isinstance(found, _Tracked) and told.agrees_with(found.T_world_camera):
+        if isinstance(found, Tracked) and told.agrees_with(found.T_world_camera):
             return found
         if told.inliers < max(_CLEAR_INLIERS, _CLEAR_SHARE * told.matches):
-            return MotionEstimate.failed(Reason.CONTRADICTED, told.matches, told.inliers)
+            return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED, told.matches, told.inliers)
         return self._as_told(grid, told)
 
-    def _as_told(self, grid: GridFrame, told: Sighting) -> _Tracked:
+    def _as_told(self, grid: GridFrame, told: Sighting) -> Tracked:
         """The pose that keypoints tell."""
         T_world_reference = self._nearest(told.T_world_camera).reference.T_world_reference
         Ad = se3.adjoint(se3.invert(T_world_reference))
         T_reference_frame = se3.invert(T_world_reference) @ told.T_world_camera
         counts = (None, told.matches, told.inliers)
         self.last_motion = MotionEstimate(T_reference_frame, Ad @ told.covariance @ Ad.T, *counts)
-        return _Tracked(grid, _rigid(told.T_world_camera), told.covariance)
+        return Tracked(grid, se3.nearest(told.T_world_camera), told.covariance)
 
     def _count_unseen(self, seconds: float) -> None:
         """How long some direction of motion has not been seen; noise shows one now and then, which counts half."""
         seen = self.last_motion.degenerate is None or not len(self.last_motion.degenerate)
         self._unseen_s = max(self._unseen_s - 0.5 * seconds, 0.0) if seen else self._unseen_s + seconds
-
-    def _is_leap(self, last: _Tracked, found: _Tracked, seconds: float) -> bool:
-        """Whether the camera would have had to gain more speed, or turning, than one does; always after a gap."""
-        if seconds > LONGEST_STEP_S:
-            return True
-        change = found.twist - last.twist
-        gained = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
-        return bool((gained > _LEAP + _LEAP_S * seconds).any() and last.twist.any())
 
     def _familiar(self, T_world_camera: FloatArray) -> list[Keyframe]:
         """Keyframes that a frame may show: the nearest, the newest, and once lost an older one in turn."""
@@ -313,7 +301,7 @@ class DenseOdometry:
             keyframes.append(self._keyframes[-1 - self._failures % len(self._keyframes)])
         return list(dict.fromkeys(keyframes))
 
-    def _remember(self, frame: RgbdFrame, found: _Tracked) -> _Tracked | MotionEstimate:
+    def _remember(self, frame: RgbdFrame, found: Tracked) -> Tracked | MotionEstimate:
         """Keep the frame as a keyframe where it shows much that the last one did not; keypoints must not gainsay it."""
         if self._settings.reference == "previous" and self._model is None:
             straight = self._straightened(frame, found)
@@ -328,44 +316,43 @@ class DenseOdometry:
         features = self._witness.look(frame)
         told = self._witness.locate(features, self._keyframes[-1:], found.twist)
         if told is not None and not told.agrees_with(found.T_world_camera):
-            return MotionEstimate.failed(Reason.CONTRADICTED)
-        self._keyframes.append(self._keyframe(straight, features))
-        del self._keyframes[: -self._settings.kept_keyframes]
+            return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED)
+        self._keep(self._keyframe(straight, features))
         return straight
 
-    def _is_new(self, found: _Tracked) -> bool:
+    def _is_new(self, found: Tracked) -> bool:
         """Whether a frame is to become a keyframe: the last one shows too little of it; beside a map, by the way."""
         if self._model is None:
             return found.overlap < self._settings.keyframe_overlap or not found.is_by_keyframe
         return self._nearest(found.T_world_camera).distance_m(found.T_world_camera) > self._settings.keyframe_way_m
 
-    def _seen_from_before(self, found: _Tracked) -> _Tracked | None:
+    def _seen_from_before(self, found: Tracked) -> Tracked | None:
         """The frame by an older keyframe that is nearer and shows the same, which ends the drift, if there is one."""
         nearest = self._nearest(found.T_world_camera)
         if self._model is not None or nearest is self._keyframes[-1] or self._last is None:
             return None
         motion = self.last_motion
         seen = self._align(found.frame, nearest, self._last, found.T_world_camera, found.T_world_camera)
-        if isinstance(seen, _Tracked) and seen.overlap > self._settings.keyframe_overlap:
+        if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
             self._keyframes.remove(nearest)
             self._keyframes.append(nearest)
             return seen
         self.last_motion = motion
         return None
 
-    def _straightened(self, frame: RgbdFrame, found: _Tracked) -> _Tracked:
+    def _straightened(self, frame: RgbdFrame, found: Tracked) -> Tracked:
         """The same frame, its rows straightened by the speed that was found rather than the one expected."""
         wrong = np.abs(found.twist - found.frame.twist)[3:].max() * np.abs(self._gridder.late_s).max()
         if wrong * self.intrinsics[0] < _STRAIGHT_ENOUGH_PX:
             return found
         return replace(found, frame=self._gridder.on_grid(frame, found.twist))
 
-    def _keyframe(self, tracked: _Tracked, features: Features | None = None) -> Keyframe:
+    def _keyframe(self, tracked: Tracked, features: Features | None = None) -> Keyframe:
         T, covariance = tracked.T_world_camera, tracked.covariance
         view = None if features is None else self._witness.view(features, T, covariance, tracked.twist)
         return Keyframe(self._maker.of_frame(tracked.frame, T), covariance, view)
 
-    def _accept(self, found: _Tracked) -> Estimate:
+    def _accept(self, found: Tracked) -> Estimate:
         self._last, self._failures, self.last_frame = found, 0, found.frame
         return Estimate(
             found.frame.stamp_s,
@@ -387,17 +374,8 @@ class DenseOdometry:
         return Estimate(stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers)
 
 
-def _expected(last: _Tracked, stamp_s: float, prior: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """T_last_frame (4, 4) by the prior, or else by constant velocity; and the velocity (6,) it means."""
-    seconds = stamp_s - last.frame.stamp_s
-    if prior is None:
-        twist = last.twist if 0 < seconds <= LONGEST_STEP_S else np.zeros(6)
-        return se3.from_parts(so3.exp(twist[3:] * seconds), twist[:3] * seconds), twist
-    if not 0 < seconds <= LONGEST_STEP_S:
-        return prior, np.zeros(6)
-    return prior, twist_between(np.eye(4), prior, seconds)
-
-
-def _rigid(T: FloatArray) -> FloatArray:
-    """T (4, 4) without what rounding did to its rotation, which inverses would double from frame to frame."""
-    return se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
+def _is_leap(found: Tracked, seconds: float) -> bool:
+    """Whether the camera would have had to gain more speed, or turning, against what was expected, than one does."""
+    change = found.twist - found.frame.twist
+    gained = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
+    return bool((gained > _LEAP + _LEAP_S * seconds).any())

@@ -113,11 +113,25 @@ class FeatureOdometry:
         self.last_matches = None
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
-    def _start(self, features: Features) -> Estimate:
+    def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
+        """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is given up."""
+        self._watch.restart()
+        self.last_matches, self._first_raw = None, None
+        with self._watch.stage("extract"):
+            raw = self._extractor.extract(frame)
+        if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
+            return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
+        return self._start(raw, T_world_camera @ se3.invert(self._T_color_camera), covariance)
+
+    def _start(
+        self, features: Features, T_world_color: FloatArray | None = None, covariance: FloatArray | None = None
+    ) -> Estimate:
+        T = self._T_world_first if T_world_color is None else T_world_color
+        certain = _START_VARIANCE * np.eye(6)
         self._map = LandmarkMap(self._settings.kept_keyframes)
-        view = View(features, self._T_world_first, _START_VARIANCE * np.eye(6), np.full(len(features), -1))
+        view = View(features, T, certain if covariance is None else covariance, np.full(len(features), -1))
         self._last, self._failures = self._map.add_keyframe(view), 0
-        self.last_motion = MotionEstimate(np.eye(4), view.covariance)
+        self.last_motion = MotionEstimate(np.eye(4), certain)
         return self._answer(self._last)
 
     def _begin_again(self, first_raw: Features, raw: Features, fix: Fix) -> Fix:

@@ -1,0 +1,56 @@
+"""Anchor: the frame against which the camera's motions are told to the filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.estimates import MotionEstimate
+from wheelsight.geometry import FloatArray, se3, so3
+
+# Against an anchor that is held for a while, errors of single frames do not add up.
+_FAR_M, _METRES_A_RADIAN = 0.3, 1.5
+_LEVER = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # of `MotionEstimate.degenerate`
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """A frame's pose by camera odometry, T_world_camera (4, 4), and what its alignment left uncertain (6, 6)."""
+
+    T_world_camera: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def at(cls, T_world_camera: FloatArray, motion: MotionEstimate) -> Anchor:
+        """A frame at a pose, which `motion` against its own reference has told."""
+        return cls(T_world_camera, _in_world(T_world_camera, motion)[1])
+
+    def is_far_from(self, T_world_camera: FloatArray) -> bool:
+        """Whether a pose (4, 4) is so far off that the next anchor is due; a turn by a radian counts as 1.5 m."""
+        T = se3.invert(self.T_world_camera) @ T_world_camera
+        return bool(np.linalg.norm(T[:3, 3]) + _METRES_A_RADIAN * so3.angle(T[:3, :3]) > _FAR_M)
+
+    def motion_to(self, T_world_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
+        """The motion from here to a pose that odometry found by `motion` against a reference of its own.
+
+        What both alignments left uncertain adds up. Directions that the last one did not show are named.
+        """
+        T_anchor_world = se3.invert(self.T_world_camera)
+        Ad = se3.adjoint(T_anchor_world)
+        to_world, covariance = _in_world(T_world_camera, motion)
+        covariance = Ad @ (covariance + self.covariance) @ Ad.T
+        hidden = None
+        if motion.degenerate is not None and len(motion.degenerate):
+            turned = (motion.degenerate / _LEVER) @ (Ad @ to_world).T * _LEVER
+            hidden = np.linalg.qr(turned.T)[0].T
+        T_anchor_camera = se3.nearest(T_anchor_world @ T_world_camera)
+        return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden)
+
+
+def _in_world(T_world_camera: FloatArray, motion: MotionEstimate) -> tuple[FloatArray, FloatArray]:
+    """What takes perturbations (6,) in the motion's reference to the world, (6, 6), and its covariance (6, 6) there."""
+    assert motion.T_reference_current is not None
+    assert motion.covariance is not None
+    Ad = se3.adjoint(T_world_camera @ se3.invert(motion.T_reference_current))
+    return Ad, Ad @ motion.covariance @ Ad.T

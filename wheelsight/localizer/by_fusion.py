@@ -1,0 +1,141 @@
+"""ByFusion: wheels lead, the camera corrects them, and each is told what the other expects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from wheelsight.calibration import Calibration
+from wheelsight.config import Config
+from wheelsight.errors import CalibrationError
+from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.fusion import ErrorStateFilter, FusedEstimate
+from wheelsight.geometry import FloatArray
+from wheelsight.localizer._anchor import Anchor
+from wheelsight.localizer._camera import camera_odometry
+from wheelsight.localizer.by_wheels import ByWheels
+from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
+
+# What the filter remembers: the last frame that was tracked, and the anchor of the camera's motions.
+_FRAME, _ANCHOR = "frame", "anchor"
+# After so many frames in a row that show nothing known, the camera goes on from where the wheels have it.
+_RESTART_AFTER = 5
+_BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
+
+
+class ByFusion:
+    """Wheel readings and frames answered by the default filter; dense odometry builds its map where all agree.
+
+    Attributes:
+        odometry: the camera's.
+        filter: what joins it with the wheels.
+        mapper: builds a map, where one is asked for.
+    """
+
+    body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
+
+    def __init__(self, calibration: Calibration, settings: Config) -> None:
+        T_base_camera = calibration.T_base_camera
+        if T_base_camera is None:
+            problem = f"the calibration ({calibration.source}) does not say where the camera sits on the base"
+            raise CalibrationError(problem, fix="wheelsight calibrate base finds T_base_camera; or --fusion none")
+        # The filter knows the gyroscope's bias; had the wheels used it too, it would count twice.
+        self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
+        self._uses_gyro = settings.wheels.gyro
+        self.odometry, self.mapper = camera_odometry(calibration, settings)
+        self.filter = ErrorStateFilter(T_base_camera)
+        self._T_base_camera = T_base_camera
+        self._anchor: Anchor | None = None
+        self._newest_s, self._unknown = -math.inf, 0
+
+    @property
+    def last_matches(self) -> MatchedPixels | None:
+        """What the last frame was aligned by; dense odometry matches no pixels."""
+        return None if isinstance(self.odometry, DenseOdometry) else self.odometry.last_matches
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """How long each stage of the last frame took."""
+        return self.odometry.stage_seconds
+
+    def process(self, event: Event) -> tuple[Estimate | None, str]:
+        """The estimate right after a reading or frame, None at any other event, and what was wrong with a frame."""
+        if self.mapper is not None:
+            self.mapper.last_fused = None
+        if isinstance(event, YawRate) and self._uses_gyro:
+            self.filter.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
+        if isinstance(event, WheelTicks | WheelSpeeds):
+            wheels, note = self._wheels.process(event)
+            return None if wheels is None else self.filter.predict_to(wheels), note
+        if isinstance(event, SkippedFrame):
+            return self._miss(event.stamp_s), event.reason
+        if not isinstance(event, RgbdFrame):
+            return None, ""
+        if not self._newest_s < event.stamp_s < math.inf:
+            return self._miss(event.stamp_s), f"its stamp does not come after {self._newest_s:.6f} s"
+        self._newest_s = event.stamp_s
+        return self._frame(event), ""
+
+    def _frame(self, frame: RgbdFrame) -> Estimate:
+        """Expect, look, judge, and remember what was believed."""
+        expected = self.filter.expect(frame.stamp_s, _FRAME)
+        seen = self.odometry.process(frame, None if expected is None else expected[0])
+        if seen.T_world_body is None:
+            return self._unseen(frame, seen)
+        if self._anchor is None:
+            return self._anchored(frame, seen)
+        motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
+        answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR)
+        self._unknown = 0
+        is_believed = answer.reason is None and not answer.doubtful
+        self._settle(frame, answer, is_believed)
+        is_over = not is_believed and not answer.doubtful
+        if is_over or self._anchor.is_far_from(seen.T_world_body):
+            return self._anchored(frame, replace(seen, reason=answer.reason))
+        return _with_counts(answer, seen)
+
+    def _settle(self, frame: RgbdFrame, answer: FusedEstimate, is_believed: bool) -> None:
+        """Camera and map go on from where the joined pose is; what is not believed never gets into the map."""
+        self.filter.clone(frame.stamp_s, _FRAME)
+        if answer.T_world_body is None or answer.covariance is None or isinstance(self.odometry, FeatureOdometry):
+            return
+        T_world_camera = answer.T_world_body @ self._T_base_camera
+        self.odometry.settle(T_world_camera, answer.covariance)
+        if self.mapper is not None and is_believed and answer.status is Status.TRACKING:
+            self.mapper.fuse(frame, T_world_camera)
+
+    def _anchored(self, frame: RgbdFrame, seen: Estimate) -> Estimate:
+        """From here on the camera's motions are told against this frame."""
+        self.filter.clone(frame.stamp_s, _FRAME)
+        answer = self.filter.clone(frame.stamp_s, _ANCHOR)
+        assert seen.T_world_body is not None
+        T_world_camera: FloatArray = seen.T_world_body
+        if isinstance(self.odometry, DenseOdometry) and answer.T_world_body is not None:
+            assert answer.covariance is not None
+            T_world_camera = answer.T_world_body @ self._T_base_camera
+            self.odometry.settle(T_world_camera, answer.covariance)
+        self._anchor = Anchor.at(T_world_camera, self.odometry.last_motion)
+        return _with_counts(replace(answer, reason=seen.reason), seen)
+
+    def _unseen(self, frame: RgbdFrame, seen: Estimate) -> Estimate:
+        """The wheels' pose; after some frames that show nothing known, the camera starts again from there."""
+        answer = self.filter.update_relative(frame.stamp_s, self.odometry.last_motion, _ANCHOR)
+        self._unknown += seen.reason not in _BLIND
+        if self._unknown >= _RESTART_AFTER and answer.T_world_body is not None and answer.covariance is not None:
+            self._unknown = 0
+            again = self.odometry.restart(frame, answer.T_world_body @ self._T_base_camera, answer.covariance)
+            if again.T_world_body is not None:
+                return self._anchored(frame, replace(again, reason=seen.reason))
+        return _with_counts(answer, seen)
+
+    def _miss(self, stamp_s: float) -> Estimate:
+        """The answer at a frame that came to nothing before anyone could look at it."""
+        seen = self.odometry.miss(stamp_s)
+        nothing = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
+        return _with_counts(self.filter.update_relative(stamp_s, nothing, _ANCHOR), seen)
+
+
+def _with_counts(answer: FusedEstimate, seen: Estimate) -> FusedEstimate:
+    return replace(answer, matches=seen.matches, inliers=seen.inliers)

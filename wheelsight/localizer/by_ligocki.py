@@ -1,0 +1,77 @@
+"""ByLigocki: wheels and camera, each alone, joined at every frame by the filter of Ligocki's paper."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from wheelsight.calibration import Calibration
+from wheelsight.config import Config
+from wheelsight.errors import CalibrationError
+from wheelsight.estimates import Estimate, Status
+from wheelsight.events import Event, RgbdFrame, SkippedFrame
+from wheelsight.fusion import LigockiFilter
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.localizer.by_frames import ByFrames
+from wheelsight.localizer.by_wheels import ByWheels
+from wheelsight.odometry.features import MatchedPixels
+
+
+class ByLigocki:
+    """Frames answered by eq. 2. Both sensors begin at the identity at the first frame that the camera tracked.
+
+    Attributes:
+        odometry: the camera's.
+        mapper: builds a map of the camera alone, where one is asked for.
+    """
+
+    body, world, answers = "base", "world", (RgbdFrame, SkippedFrame)
+
+    def __init__(self, calibration: Calibration, settings: Config) -> None:
+        if calibration.T_base_camera is None:
+            problem = f"the calibration ({calibration.source}) does not say where the camera sits on the base"
+            raise CalibrationError(problem, fix="wheelsight calibrate base finds T_base_camera; or --fusion none")
+        self._wheels = ByWheels(calibration, settings.wheels)
+        self._camera = ByFrames(calibration, settings)
+        self.odometry, self.mapper = self._camera.odometry, self._camera.mapper
+        assert calibration.wheels is not None  # ByWheels has refused it
+        self._max_gap_s = calibration.wheels.max_gap_s
+        self._filter = LigockiFilter()
+        self._rolled: Estimate | None = None
+        self._T_begin_odom: FloatArray | None = None
+
+    @property
+    def last_matches(self) -> MatchedPixels | None:
+        """What the last frame was aligned by."""
+        return self._camera.last_matches
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """How long each stage of the last frame took."""
+        return self._camera.stage_seconds
+
+    def process(self, event: Event) -> tuple[Estimate | None, str]:
+        """The joined estimate at a frame, None at any other event, and what was wrong with a frame."""
+        rolled, note = self._wheels.process(event)
+        if rolled is not None:
+            self._rolled = rolled
+        seen, note = self._camera.process(event)
+        return None if seen is None else self._joined(seen), note
+
+    def _joined(self, seen: Estimate) -> Estimate:
+        T_odom_base = self._rolled_to(seen.stamp_s)
+        if T_odom_base is None:
+            return replace(seen, T_world_body=None, covariance=None, status=Status.INITIALIZING)
+        if self._T_begin_odom is None:
+            if seen.T_world_body is None:
+                return seen
+            self._T_begin_odom = seen.T_world_body @ se3.invert(T_odom_base)
+        joined = self._filter.update(seen.stamp_s, se3.nearest(self._T_begin_odom @ T_odom_base), seen.T_world_body)
+        return replace(joined, reason=joined.reason or seen.reason, matches=seen.matches, inliers=seen.inliers)
+
+    def _rolled_to(self, stamp_s: float) -> FloatArray | None:
+        """T_odom_base by the wheels, moved on from the last reading by their speed, as far as a gap may be bridged."""
+        if self._rolled is None or self._rolled.T_world_body is None:
+            return None
+        speed, yaw_rate = self._wheels.odometry.twist
+        seconds = min(max(stamp_s - self._rolled.stamp_s, 0.0), self._max_gap_s)
+        return self._rolled.T_world_body @ se3.exp([speed * seconds, 0, 0, 0, 0, yaw_rate * seconds])

@@ -1,0 +1,54 @@
+"""Tracked: a frame whose pose is known, and where the next one is to be expected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wheelsight.geometry import Float32Array, FloatArray, se3, so3
+from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
+from wheelsight.odometry.dense.grid import GridFrame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracked:
+    """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame.
+
+    `overlap` is the share of the frame that its reference shows, and `is_by_keyframe` whether that is one.
+    """
+
+    frame: GridFrame
+    T_world_camera: FloatArray
+    covariance: FloatArray
+    twist: FloatArray = field(default_factory=lambda: np.zeros(6))
+    overlap: float = 1.0
+    is_by_keyframe: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """What a frame adds to a map, on the ideal grid at the finest level.
+
+    Attributes:
+        depth_m: (h, w) float32, 0 where unknown.
+        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
+        grey: (h, w) float32, -1 where unknown.
+        color: (h, w, 3) float32 red, green, blue from 0 to 255, -1 where unknown; or None.
+    """
+
+    depth_m: Float32Array
+    normal: Float32Array
+    grey: Float32Array
+    color: Float32Array | None = None
+
+
+def expected(last: Tracked, stamp_s: float, prior: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """T_last_frame (4, 4) by the prior, or else by constant velocity; and the velocity (6,) it means."""
+    seconds = stamp_s - last.frame.stamp_s
+    if prior is None:
+        twist = last.twist if 0 < seconds <= LONGEST_STEP_S else np.zeros(6)
+        return se3.from_parts(so3.exp(twist[3:] * seconds), twist[:3] * seconds), twist
+    if not 0 < seconds <= LONGEST_STEP_S:
+        return prior, np.zeros(6)
+    return prior, twist_between(np.eye(4), prior, seconds)
