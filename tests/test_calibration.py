@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -185,7 +186,7 @@ EYE = np.eye(4).tolist()
         (wheeled() | {"gyro": {"bias": 1}}, "field gyro has an unknown entry 'bias'"),
         (wheeled() | {"gyro": {"bias_sigma_rad_s": -1}}, "field gyro: bias_sigma_rad_s is -1.0, not a number from 0"),
         (wheeled() | {"gyro": {"noise_rad_per_sqrt_s": 0}}, "no gyroscope is without noise"),
-        (wheeled() | {"T_base_camera": EYE}, "field color is missing"),
+        (wheeled() | {"T_color_depth": EYE}, "field color is missing"),
         (wheeled() | {"depth_noise": {}}, "field color is missing"),
         (document(depth_noise={"near_m": 5.0, "far_m": 4.0}), "range 5.0 to 4.0 m is empty"),
     ],
@@ -281,8 +282,8 @@ def test_a_robot_has_something() -> None:
         Calibration()
     with pytest.raises(CalibrationError, match="one camera of two is missing"):
         Calibration(color=COLOR, wheels=WHEELS)
-    with pytest.raises(CalibrationError, match="T_base_camera is given, but no camera"):
-        Calibration(wheels=WHEELS, T_base_camera=T_BASE_CAMERA)
+    with pytest.raises(CalibrationError, match="T_color_depth is given, but no camera"):
+        Calibration(wheels=WHEELS, T_color_depth=T_COLOR_DEPTH)
 
 
 def test_a_tick_is_a_part_of_the_wheels_circumference() -> None:
@@ -309,3 +310,15 @@ def test_a_calibration_of_the_cameras_leaves_the_wheels_as_they_are() -> None:
     assert updated.is_registered
     assert updated.color_sigma_px == 0.5
     np.testing.assert_array_equal(updated.T_base_camera, T_BASE_CAMERA)
+
+
+def test_a_mount_updates_the_mount_alone(tmp_path: Path) -> None:
+    """What `calibrate base` writes: wheels and mount, no lens."""
+    robot = Calibration(COLOR, DEPTH, T_COLOR_DEPTH, T_base_camera=np.eye(4), wheels=WHEELS)
+    path = tmp_path / "base.yaml"
+    save_calibration(Calibration(T_base_camera=T_BASE_CAMERA, wheels=replace(WHEELS, delay_s=0.02)), path)
+    updated = robot.updated_by(load_calibration(path))
+    np.testing.assert_array_equal(updated.T_base_camera, T_BASE_CAMERA)
+    np.testing.assert_array_equal(updated.T_color_depth, T_COLOR_DEPTH)
+    assert updated.cameras == (COLOR, DEPTH)
+    assert updated.wheels == replace(WHEELS, delay_s=0.02)

@@ -141,7 +141,8 @@ class Calibration:
             A frame's stamp is the time of its middle row.
         color_sigma_px: how far off the colour camera's numbers may be, as a standard deviation in the image; 0 for a
             camera calibrated well enough for it not to matter, more for nominal values.
-        T_base_camera: (4, 4), or None where the recording has no base.
+        T_base_camera: (4, 4), or None where the recording has no base. May stand beside wheels without a camera, in a
+            calibration that is to update another.
         wheels: or None where no wheel is read.
         gyro: what a yaw rate is worth, where there is one.
         source: where the numbers come from, for reports.
@@ -183,9 +184,8 @@ class Calibration:
             raise CalibrationError("one camera of two is missing", fix="give color and depth, or neither")
         if self.color is None and self.wheels is None:
             raise CalibrationError("has neither cameras nor wheels", fix="give color, or wheels, or both")
-        for name in ("T_color_depth", "T_base_camera"):
-            if self.color is None and getattr(self, name) is not None:
-                raise CalibrationError(f"{name} is given, but no camera", fix="give color, or leave it out")
+        if self.color is None and self.T_color_depth is not None:
+            raise CalibrationError("T_color_depth is given, but no camera", fix="give color, or leave it out")
 
     @classmethod
     def registered_camera(cls, camera: PinholeCamera, **others: Any) -> Calibration:
@@ -209,11 +209,12 @@ class Calibration:
     def updated_by(self, other: Calibration) -> Calibration:
         """This robot with what `other` knows in place of its own: cameras, T_base_camera, wheels with gyro.
 
-        A calibration of the wheels alone leaves the cameras as they are, and the other way round.
+        A calibration of the wheels alone leaves the cameras as they are, and the other way round; one of the wheels
+        and the mount leaves the cameras' lenses.
         """
         newer = {name: getattr(other, name) for name in _CAMERA_PART} if other.color is not None else {}
-        if other.T_base_camera is None:
-            newer.pop("T_base_camera", None)
+        if other.T_base_camera is not None:
+            newer["T_base_camera"] = other.T_base_camera
         if other.wheels is not None:
             newer |= {"wheels": other.wheels, "gyro": other.gyro}
         both = self.source if self.source == other.source else f"{self.source}, updated by: {other.source}"
@@ -250,8 +251,8 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 _CAMERA_FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 _NOISE_FIELDS = ("constant_m", "quadratic_per_m", "near_m", "far_m")
 _NUMBERS = ("rolling_shutter_s", "color_sigma_px")
-_CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", *_NUMBERS, "T_base_camera")
-_TOP_FIELDS = ("format", "source", *_CAMERA_PART, "wheels", "gyro")
+_CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", *_NUMBERS)
+_TOP_FIELDS = ("format", "source", *_CAMERA_PART, "T_base_camera", "wheels", "gyro")
 _WHEEL_FIELDS = tuple(f.name for f in fields(Wheels))
 _GYRO_FIELDS = tuple(f.name for f in fields(Gyro))
 
@@ -272,8 +273,8 @@ def _to_document(calibration: Calibration) -> dict[str, Any]:
             document |= {"depth": camera(calibration.depth), "T_color_depth": motion(calibration.T_color_depth)}
         document["depth_noise"] = _plain(calibration.depth_noise)
         document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
-        if calibration.T_base_camera is not None:
-            document["T_base_camera"] = motion(calibration.T_base_camera)
+    if calibration.T_base_camera is not None:
+        document["T_base_camera"] = motion(calibration.T_base_camera)
     if calibration.wheels is not None:
         counter = {"counter_bits": int(calibration.wheels.counter_bits)}
         document |= {"wheels": _plain(calibration.wheels) | counter, "gyro": _plain(calibration.gyro)}
@@ -292,6 +293,7 @@ def _from_document(document: Any) -> Calibration:
     if "color" not in known and (of_camera or "wheels" not in known):
         raise CalibrationError("field color is missing", fix="give the colour camera: width, height, fx, fy, cx, cy")
     parts = _camera_part(known) if of_camera else {}
+    parts["T_base_camera"] = _motion(known.get("T_base_camera"), "T_base_camera")
     if "wheels" in known:
         parts["wheels"] = _wheels(known["wheels"])
     if "gyro" in known:
@@ -307,7 +309,7 @@ def _camera_part(known: dict[str, Any]) -> dict[str, Any]:
         "color": color,
         "depth": _camera(known["depth"], "depth") if "depth" in known else color,
         "depth_noise": DepthNoise(**{name: _number(value, f"depth_noise.{name}") for name, value in noise.items()}),
-        **{name: _motion(known.get(name), name) for name in ("T_color_depth", "T_base_camera")},
+        "T_color_depth": _motion(known.get("T_color_depth"), "T_color_depth"),
         **{name: _number(known[name], name) for name in _NUMBERS if name in known},
     }
 
