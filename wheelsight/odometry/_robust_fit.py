@@ -44,10 +44,14 @@ class Problem(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """Values (P,) with covariance (P, P); the residuals (M, 3) they leave, the weights (M,) and which are outliers."""
+    """Values (P,) with covariance (P, P); the residuals (M, 3) they leave, the weights (M,) and which are outliers.
+
+    `if_independent` (P, P) is the covariance that residuals of this spread would leave if each were by itself.
+    """
 
     values: FloatArray
     covariance: FloatArray
+    if_independent: FloatArray
     residuals: FloatArray
     weights: FloatArray
     is_outlier: BoolArray
@@ -64,7 +68,7 @@ def robust_fit(problem: Problem, start: FloatArray) -> RobustFit:
         values = _solve(problem, values, scales, weights)
     residuals = problem.residuals(values)
     is_outlier = ((residuals / scales) ** 2).sum(axis=1) > _OUTLIER_CHI2
-    return RobustFit(values, _covariance(problem, values, scales), residuals, weights, is_outlier)
+    return RobustFit(values, *_covariances(problem, values, scales), residuals, weights, is_outlier)
 
 
 def spread(residuals: FloatArray) -> FloatArray:
@@ -90,8 +94,8 @@ def _weights(chi2: FloatArray) -> FloatArray:
     return (_OUTLIER_CHI2 / (_OUTLIER_CHI2 + chi2)) ** 2
 
 
-def _covariance(problem: Problem, values: FloatArray, scales: FloatArray) -> FloatArray:
-    """Covariance (P, P): the robust cost's inverse Hessian on both sides of its gradient's spread (Huber 1967).
+def _covariances(problem: Problem, values: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The robust cost's inverse Hessian on both sides of its gradient's spread (Huber 1967), and alone, (P, P) each.
 
     The gradient is summed over runs of neighbouring pieces, for neighbours share a pose and so that pose's error.
     What residuals of the least credible size would leave is added, so that data without noise hide no open direction.
@@ -112,7 +116,8 @@ def _covariance(problem: Problem, values: FloatArray, scales: FloatArray) -> Flo
     gradients = np.add.reduceat(w[:, None] * along, np.arange(0, len(r), size))
     groups = len(gradients)
     scatter = gradients.T @ gradients * groups / (groups - len(values))
-    return np.asarray(inverse @ scatter @ inverse + _floor(J, scales, known))
+    floor = _floor(J, scales, known)
+    return inverse @ scatter @ inverse + floor, inverse + floor
 
 
 def _floor(J: FloatArray, scales: FloatArray, known: FloatArray) -> FloatArray:

@@ -12,7 +12,6 @@ from wheelsight.geometry import BoolArray, FloatArray, se2, se3
 from wheelsight.odometry.wheels.drive import Drive, poses_at
 from wheelsight.trajectory import Trajectory
 
-_MOST_TURN_RAD = 1.0
 _LONGEST = 3.0
 
 
@@ -52,8 +51,10 @@ class Segments:
         return np.stack([along.real, along.imag, se2.wrap_angle(off[:, 2])], axis=-1)
 
 
-def cut(drive: Drive, reference: Trajectory, wheels: Wheels, length_m: float, margin_s: float) -> Segments:
-    """Cut `reference` where the wheels, by nominal size, have gone on by `length_m` or a radian since the last cut.
+def cut(
+    drive: Drive, reference: Trajectory, wheels: Wheels, length_m: float, margin_s: float, turn_rad: float = 1.0
+) -> Segments:
+    """Cut `reference` where the wheels, by nominal size, have gone on by `length_m` or `turn_rad` since the last cut.
 
     Cuts lie on poses of the reference, at least `margin_s` inside the readings. Time at rest makes no pieces, in which
     a reference would only show its noise. Left out are pieces in which readings are missing for longer than
@@ -70,7 +71,7 @@ def cut(drive: Drive, reference: Trajectory, wheels: Wheels, length_m: float, ma
             f"{2 * margin_s:g} s that the search for their delay needs",
             fix="give the reference of this very drive, on the same clock",
         )
-    progress = _progress(drive, wheels, length_m, inside.stamps_s)
+    progress = _progress(drive, wheels, length_m, turn_rad, inside.stamps_s)
     marks = np.arange(np.floor(progress[-1]) + 1) if progress[-1] >= 1 else np.zeros(1)
     cuts = np.unique(np.searchsorted(progress, marks).clip(0, len(inside) - 1))
     start, end = cuts[:-1], cuts[1:]
@@ -83,12 +84,12 @@ def cut(drive: Drive, reference: Trajectory, wheels: Wheels, length_m: float, ma
     return Segments(start_s[whole], end_s[whole], motions[whole])
 
 
-def _progress(drive: Drive, wheels: Wheels, length_m: float, stamps_s: FloatArray) -> FloatArray:
+def _progress(drive: Drive, wheels: Wheels, length_m: float, turn_rad: float, stamps_s: FloatArray) -> FloatArray:
     """How many segments lie before each stamp (N,), by nominal wheels."""
     left_m, right_m = wheels.left_radius_m * drive.left_rad, wheels.right_radius_m * drive.right_rad
     gone = np.maximum(
         np.abs(np.diff(left_m + right_m)) / 2 / length_m,
-        np.abs(np.diff(right_m - left_m)) / wheels.track_width_m / _MOST_TURN_RAD,
+        np.abs(np.diff(right_m - left_m)) / wheels.track_width_m / turn_rad,
     )
     total = np.concatenate([[0.0], np.cumsum(np.minimum(gone, 1.0))])  # a counter that jumps is no long way
     along: FloatArray = np.interp(stamps_s + wheels.delay_s, drive.stamps_s, total)

@@ -1,0 +1,157 @@
+"""When a drive does not show where the camera sits: said, with what to drive instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from wheelsight.calibration import Wheels
+from wheelsight.errors import CalibrationError
+from wheelsight.geometry import FloatArray
+from wheelsight.odometry.extrinsics.floor import Floor
+from wheelsight.odometry.extrinsics.hand_eye import LARGEST_DELAY_S, MountFit
+from wheelsight.odometry.extrinsics.sightings import Sightings
+from wheelsight.odometry.extrinsics.turning import Turning
+from wheelsight.odometry.wheels import Drive, drive_path
+
+WHAT_TO_DRIVE = "drive a minute or two as usual, straight and with turns both ways, some of them on the spot"
+
+_SAMPLE_S = 0.5
+_LEAST_WAY_M, _LEAST_TURN_RAD = 2.0, np.pi
+_LEAST_SHARED_S = 5.0
+_LEAST_TRACKED_SHARE, _FEWEST_TRACKED = 0.5, 50
+_LEAST_AGREEMENT = 0.6
+_FEWEST_SEGMENTS = 24
+_MOST_TILT_RAD = np.radians(4.0)
+_LARGEST_FACTOR = 1.25
+_MOST_UNCERTAIN_RAD, _MOST_UNCERTAIN_M, _MOST_UNCERTAIN_S = np.radians(1.0), 0.02, 0.02  # a protractor does as well
+_TILT, _PLACE = ("roll", "pitch", "yaw"), ("x", "y", "height")
+
+
+def refuse_if_hardly_moving(drive: Drive, wheels: Wheels) -> None:
+    """Raise CalibrationError for a drive that by its wheels alone can't do: before any image is looked at."""
+    samples = np.arange(drive.stamps_s[0], drive.stamps_s[-1], _SAMPLE_S)
+    if len(samples) < 2:
+        raise CalibrationError(f"the wheels tell of {np.ptp(drive.stamps_s):.2f} s only", fix=WHAT_TO_DRIVE)
+    path = drive_path(drive, wheels, samples - wheels.delay_s)
+    yaw_rad = np.unwrap(np.arctan2(path.T_world_body[:, 1, 0], path.T_world_body[:, 0, 0]))
+    turned_rad = float(np.abs(np.diff(yaw_rad)).sum())
+    if path.length_m < _LEAST_WAY_M and turned_rad < _LEAST_TURN_RAD:
+        raise CalibrationError(f"by its wheels the robot stands, it goes {path.length_m:.2f} m", fix=WHAT_TO_DRIVE)
+    if turned_rad < _LEAST_TURN_RAD:
+        raise CalibrationError(
+            f"the drive hardly turns, by {np.degrees(turned_rad):.0f}° in all: x and y of the camera stay unseen",
+            fix="drive some turns too, both ways, also on the spot",
+        )
+    if path.length_m < _LEAST_WAY_M:
+        raise CalibrationError(
+            f"the robot hardly leaves its place, it goes {path.length_m:.2f} m: where the camera looks stays unseen",
+            fix="drive straight for some metres too",
+        )
+
+
+def refuse_if_apart(drive: Drive, first_s: float, last_s: float) -> None:
+    """Raise CalibrationError where frames from `first_s` to `last_s` share hardly any time with the readings."""
+    shared_s = min(last_s, drive.stamps_s[-1]) - max(first_s, drive.stamps_s[0])
+    if shared_s < _LEAST_SHARED_S:
+        raise CalibrationError(
+            f"wheels ({drive.stamps_s[0]:.3f} to {drive.stamps_s[-1]:.3f} s) and camera ({first_s:.3f} to "
+            f"{last_s:.3f} s) share {max(shared_s, 0.0):.1f} s: their clocks count from different moments",
+            fix="stamp both by one clock, to within half a second",
+        )
+
+
+def refuse_if_lost(sightings: Sightings) -> None:
+    """Raise CalibrationError where the camera could not be followed for most of the drive."""
+    tracked, total = len(sightings.camera), sightings.frame_count
+    if tracked < max(_FEWEST_TRACKED, _LEAST_TRACKED_SHARE * total):
+        raise CalibrationError(
+            f"the camera could be followed in {tracked} of {total} frames only",
+            fix="drive slowly, in light, past things with texture one to four metres away",
+        )
+
+
+def refuse_if_unlike(turning: Turning, wheels: Wheels, up_expected: FloatArray | None) -> None:
+    """Raise CalibrationError where wheels and camera turn differently, or too far apart in time.
+
+    `up_expected` (3,) is up in the camera frame by the nominal mount, or None.
+    """
+    if turning.agreement < _LEAST_AGREEMENT:
+        raise CalibrationError(
+            "wheels and camera do not turn together: their turns agree by "
+            f"{100 * turning.agreement:.0f} %, less than {100 * _LEAST_AGREEMENT:.0f} %",
+            fix=f"see that both are of one drive and their clocks at most 10 s apart, and {WHAT_TO_DRIVE}",
+        )
+    up = np.array([0.0, -1.0, 0.0]) if up_expected is None else up_expected
+    if turning.up_camera @ up < -0.5:
+        raise CalibrationError(
+            "the camera turns left where the wheels turn right",
+            fix="swap left and right wheel, or, for a camera that hangs upside down, give T_base_camera roughly",
+        )
+    change_s = turning.delay_s - wheels.delay_s
+    if abs(change_s) > LARGEST_DELAY_S:
+        raise CalibrationError(
+            f"the wheels' stamps seem {change_s:+.2f} s late, more than the ±{LARGEST_DELAY_S:g} s that are searched",
+            fix=f"give wheels.delay_s: {turning.delay_s:.2f} by --calibration, or correct the clocks",
+        )
+
+
+def refuse_if_tilted(floor: Floor, turning: Turning) -> None:
+    """Raise CalibrationError where the plane in sight is not the one on which the robot turns."""
+    off_rad = float(np.arccos(np.clip(floor.up_camera @ turning.up_camera, -1, 1)))
+    if off_rad > _MOST_TILT_RAD:
+        raise CalibrationError(
+            f"the plane under the camera leans by {np.degrees(off_rad):.1f}° against the one that the robot turns on",
+            fix="drive on level ground with free floor before the camera",
+        )
+
+
+def refuse_if_few(segment_count: int) -> None:
+    """Raise CalibrationError for too few pieces of the drive to judge them by one another."""
+    if segment_count < _FEWEST_SEGMENTS:
+        raise CalibrationError(
+            f"the drive holds {segment_count} pieces of a third of a metre or a quarter of a radian with readings and "
+            f"frames, {_FEWEST_SEGMENTS} are needed",
+            fix=WHAT_TO_DRIVE,
+        )
+
+
+def refuse_if_unobservable(sigmas: Mapping[str, float], fit: MountFit) -> None:
+    """Raise CalibrationError where a standard deviation is so large that a protractor and a tape would do as well."""
+    vague = [name for name, sigma in sigmas.items() if not sigma <= _allowed(name)]
+    if vague:
+        told = ", ".join(f"{name} (σ {_told(name, sigmas[name])})" for name in vague)
+        raise CalibrationError(f"the drive does not determine: {told}", fix=_advice(vague, fit))
+
+
+def refuse_if_out_of_scale(nominal: Wheels, fitted: Wheels) -> None:
+    """Raise CalibrationError where camera and wheels tell of ways so different that something else is wrong."""
+    factor = (fitted.left_radius_m + fitted.right_radius_m) / (nominal.left_radius_m + nominal.right_radius_m)
+    if not 1 / _LARGEST_FACTOR < factor < _LARGEST_FACTOR:
+        raise CalibrationError(
+            f"the camera sees ways {factor:.2f} times as long as the wheels tell",
+            fix="check the depth factor, the wheels' radii and ticks_per_turn",
+        )
+
+
+def _advice(vague: list[str], fit: MountFit) -> str:
+    if vague == ["delay"]:
+        return "start, stop and turn now and then, as steady motion hides the delay"
+    turn_rad = fit.segments.motions[:, 2]
+    left_rad, right_rad = turn_rad[turn_rad > 0].sum(), -turn_rad[turn_rad < 0].sum()
+    if min(left_rad, right_rad) < 0.1 * max(left_rad, right_rad):
+        return "the drive turns one way only: turn the other way too"
+    return WHAT_TO_DRIVE.replace("a minute or two", "longer")
+
+
+def _allowed(name: str) -> float:
+    if name in _TILT:
+        return float(_MOST_UNCERTAIN_RAD)
+    return _MOST_UNCERTAIN_M if name in _PLACE else _MOST_UNCERTAIN_S
+
+
+def _told(name: str, sigma: float) -> str:
+    if name in _TILT:
+        return f"{np.degrees(sigma):.2g}°"
+    return f"{100 * sigma:.2g} cm" if name in _PLACE else f"{1e3 * sigma:.2g} ms"

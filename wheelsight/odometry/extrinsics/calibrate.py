@@ -1,0 +1,154 @@
+"""calibrate_base: where the camera sits on its robot, and how late the wheels' clock is, from an ordinary drive.
+
+The robot's turns tell which way is up for the camera, and the delay roughly. The floor seen in depth tells roll, pitch
+and height. With the camera levelled by that, the motions of wheels and camera tell yaw, x, y and the delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wheelsight.calibration import Calibration, Wheels
+from wheelsight.errors import CalibrationError
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.odometry.extrinsics import _observability as observability
+from wheelsight.odometry.extrinsics.floor import Floor, fit_floor, tilt_of
+from wheelsight.odometry.extrinsics.hand_eye import MountFit, cut_level, fit_mount, level_rotation, levelled
+from wheelsight.odometry.extrinsics.sightings import Sightings, watch
+from wheelsight.odometry.extrinsics.turning import Turning, common_turning
+from wheelsight.odometry.wheels import drive_of
+from wheelsight.recordings import Recording
+
+QUANTITIES = ("roll", "pitch", "yaw", "x", "y", "height", "delay")
+_FAR_OFF_RAD = np.radians(30.0)
+
+
+@dataclass(frozen=True, eq=False)
+class BaseCalibration:
+    """A camera's mount and the wheels' delay, with what they were found by.
+
+    Attributes:
+        recording: its name.
+        nominal: what was known before.
+        T_base_camera: (4, 4).
+        wheels: nominal ones with the delay found.
+        values, sigmas: of each of QUANTITIES, radians, metres and seconds, see `mount_values`; and their standard
+            deviations.
+        sightings, turning, floor, fit: the steps.
+        warnings: one sentence each.
+    """
+
+    recording: str
+    nominal: Calibration
+    T_base_camera: FloatArray
+    wheels: Wheels
+    values: dict[str, float]
+    sigmas: dict[str, float]
+    sightings: Sightings
+    turning: Turning
+    floor: Floor
+    fit: MountFit
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def nominal_values(self) -> dict[str, float]:
+        """What was known before of QUANTITIES; the delay alone where no mount was known."""
+        mount, wheels = self.nominal.T_base_camera, self.nominal.wheels
+        before = {} if mount is None else mount_values(mount)
+        return before if wheels is None else before | {"delay": wheels.delay_s}
+
+
+def calibrate_base(
+    recording: Recording,
+    *,
+    on_frame: Callable[[str], None] = lambda _: None,
+    on_step: Callable[[str], None] = lambda _: None,
+) -> BaseCalibration:
+    """Find T_base_camera and the wheels' delay from a drive with wheels and camera.
+
+    Args:
+        recording: with nominal wheels in its calibration, sizes right to a few hundredths. A nominal T_base_camera is
+            only compared with.
+        on_frame: told the camera's status after each frame.
+        on_step: told in a word what is being done after that, a few times.
+
+    Raises:
+        CalibrationError: no wheels or camera, or a drive that does not show what is sought; says what to drive.
+    """
+    nominal = recording.calibration
+    if nominal.wheels is None:
+        raise CalibrationError(
+            f"the calibration of {recording.name} ({nominal.source}) has no wheels",
+            fix="give nominal ones in a calibration.yaml by --calibration: radii, track width, ticks a turn",
+        )
+    nominal.cameras  # noqa: B018  refuses a recording without, before anything is read
+    observability.refuse_if_hardly_moving(drive_of(recording, nominal.wheels), nominal.wheels)
+    sightings = watch(recording, nominal.wheels, on_frame)
+    found = base_from(sightings, nominal, on_step)
+    return replace(found, recording=recording.name, warnings=(*recording.warnings, *found.warnings))
+
+
+def base_from(
+    sightings: Sightings, nominal: Calibration, on_step: Callable[[str], None] = lambda _: None
+) -> BaseCalibration:
+    """The same from what a pass over a recording left. Raises CalibrationError."""
+    wheels, drive, mount = nominal.wheels, sightings.drive, nominal.T_base_camera
+    assert wheels is not None
+    observability.refuse_if_apart(drive, *sightings.span_s)
+    observability.refuse_if_lost(sightings)
+    on_step("comparing turns")
+    turning = common_turning(drive, wheels, sightings.camera)
+    observability.refuse_if_unlike(turning, wheels, None if mount is None else mount[2, :3])
+    on_step("finding the floor")
+    floor = fit_floor(sightings.views, turning.up_camera, nominal.depth_noise)
+    observability.refuse_if_tilted(floor, turning)
+    on_step("fitting the mount")
+    segments = cut_level(drive, wheels, levelled(sightings.camera, floor.up_camera))
+    observability.refuse_if_few(len(segments))
+    fit = fit_mount(drive, wheels, segments, turning.delay_s)
+    observability.refuse_if_out_of_scale(wheels, fit.wheels)
+    T_base_camera = _mount(fit, floor)
+    values = mount_values(T_base_camera) | {"delay": fit.wheels.delay_s}
+    sigmas = _sigmas(fit, floor)
+    observability.refuse_if_unobservable(sigmas, fit)
+    late = replace(wheels, delay_s=fit.wheels.delay_s)
+    steps = (sightings, turning, floor, fit)
+    return BaseCalibration("", nominal, T_base_camera, late, values, sigmas, *steps, _doubts(T_base_camera, mount))
+
+
+def mount_values(T_base_camera: FloatArray) -> dict[str, float]:
+    """roll, pitch, yaw (how far a camera (4, 4) leans right, looks down, looks left) and x, y, height of it."""
+    roll, pitch = tilt_of(T_base_camera[2, :3])
+    yaw = np.arctan2(T_base_camera[1, 2], T_base_camera[0, 2])
+    names = ("roll", "pitch", "yaw", "x", "y", "height")
+    return dict(zip(names, map(float, (roll, pitch, yaw, *T_base_camera[:3, 3])), strict=True))
+
+
+def _mount(fit: MountFit, floor: Floor) -> FloatArray:
+    x, y, yaw = fit.mount
+    T_base_level = se3.from_plane(x, y, yaw)
+    T_base_level[2, 3] = floor.height_m
+    T_level_camera = se3.invert(se3.from_parts(level_rotation(floor.up_camera), np.zeros(3)))
+    return T_base_level @ T_level_camera
+
+
+def _sigmas(fit: MountFit, floor: Floor) -> dict[str, float]:
+    roll, pitch, height = np.sqrt(np.diag(floor.covariance)).tolist()
+    x, y, yaw, delay = fit.sigmas.tolist()
+    return dict(zip(QUANTITIES, (roll, pitch, yaw, x, y, height, delay), strict=True))
+
+
+def _doubts(T_base_camera: FloatArray, nominal: FloatArray | None) -> tuple[str, ...]:
+    if nominal is None:
+        return ()
+    cosine = (np.trace(nominal[:3, :3].T @ T_base_camera[:3, :3]) - 1) / 2
+    off_rad = float(np.arccos(np.clip(cosine, -1, 1)))
+    if off_rad < _FAR_OFF_RAD:
+        return ()
+    return (
+        f"The camera looks {np.degrees(off_rad):.0f}° away from where its nominal mount says: if it does not, "
+        "the wheels may count backwards.",
+    )

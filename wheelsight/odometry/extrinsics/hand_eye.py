@@ -1,0 +1,152 @@
+"""fit_mount: where a camera sits on its robot, seen from above, by the motions of wheels and camera.
+
+For each piece of a drive A·X = X·B holds, with A the base's motion by the wheels, B the camera's, and X the mount. On a
+floor, with the camera levelled, it is (R(θ) - 1) t + p = R(ψ) c: turns θ show where the camera sits (t), straight ways
+where it looks (ψ). That is linear in t and R(ψ); from there, wheel sizes and the clocks' delay are fitted along with
+the mount, robustly, so that a wheel 2 % too small does not spoil it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wheelsight.calibration import Wheels
+from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, robust_fit, spread
+from wheelsight.odometry.wheels.drive import Drive
+from wheelsight.odometry.wheels.segments import Segments, cut
+from wheelsight.trajectory import Trajectory
+
+LARGEST_DELAY_S = 0.5
+
+_SEGMENT_M, _SEGMENT_RAD = 0.3, 0.25
+# Odometry by images is biased by as much, which no residual shows: found on simulated drives.
+_LEAST_SIGMAS = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 1e-3, 1e-3])
+_BOUNDS = np.array([np.log(2.0)] * 3 + [3.0, 3.0, 1.0] + [2 * LARGEST_DELAY_S])
+
+
+@dataclass(frozen=True, eq=False)
+class MountFit:
+    """A camera's place seen from above, and what was fitted along with it.
+
+    Attributes:
+        mount: (3,) x, y in metres and yaw in radians of T_base_level (see `levelled`).
+        wheels: with the sizes and delay found; sizes only as this drive and the camera's own scale tell them.
+        covariance: (7, 7) of the logarithms of left and right radius and track width, of x, y, yaw, and of the delay.
+        segments: pieces of the camera's way.
+        residuals: (M, 3) of wheels and mount, along and across each in metres, yaw in radians.
+        is_slip: (M,) pieces whose residual is beyond what one in a thousand would show without a slip.
+    """
+
+    mount: FloatArray
+    wheels: Wheels
+    covariance: FloatArray
+    segments: Segments
+    residuals: FloatArray
+    is_slip: BoolArray
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard deviations (4,) of x, y, yaw and delay."""
+        return np.sqrt(np.diag(self.covariance)[3:])
+
+    @property
+    def spread(self) -> FloatArray:
+        """Robust standard deviation (3,) of the residuals."""
+        return spread(self.residuals)
+
+
+def level_rotation(up_camera: FloatArray) -> FloatArray:
+    """R_camera_level (3, 3) of a frame with z up, x as the camera looks; looking straight down, as its image's top."""
+    ahead = np.array([0.0, 0.0, 1.0]) if abs(up_camera[2]) < 0.98 else np.array([0.0, np.sign(up_camera[2]), 0.0])
+    x = ahead - (ahead @ up_camera) * up_camera
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(up_camera, x), up_camera], axis=-1)
+
+
+def levelled(camera: Trajectory, up_camera: FloatArray) -> Trajectory:
+    """T_world_level of a frame that sits where the camera does, from T_world_camera."""
+    T_camera_level = se3.from_parts(level_rotation(up_camera), np.zeros(3))
+    return Trajectory(camera.stamps_s, camera.T_world_body @ T_camera_level, body="base")
+
+
+def cut_level(drive: Drive, wheels: Wheels, level: Trajectory) -> Segments:
+    """The pieces to be explained. Raises CalibrationError where readings and frames share no time."""
+    return cut(drive, level, wheels, _SEGMENT_M, LARGEST_DELAY_S + abs(wheels.delay_s), _SEGMENT_RAD)
+
+
+def fit_mount(drive: Drive, wheels: Wheels, segments: Segments, delay_s: float) -> MountFit:
+    """The mount for which the wheels explain most pieces of the camera's way.
+
+    Args:
+        drive: the wheels' readings.
+        wheels: nominal ones, right to a few hundredths or so.
+        segments: from `cut_level`, with turns and straight ways.
+        delay_s: of the wheels' stamps, right to a few hundredths of a second.
+    """
+    problem = _Problem(drive, wheels, segments, delay_s)
+    found = robust_fit(problem, np.zeros(len(_BOUNDS)))
+    left_m, right_m, track_m = problem.sizes_m(found.values).tolist()
+    fitted = replace(
+        wheels,
+        left_radius_m=left_m,
+        right_radius_m=right_m,
+        track_width_m=track_m,
+        delay_s=problem.delay_s(found.values),
+    )
+    mount = problem.mount(found.values)
+    covariance = _larger(found.covariance, found.if_independent) + np.diag(_LEAST_SIGMAS**2)
+    return MountFit(mount, fitted, covariance, segments, found.residuals, found.is_outlier)
+
+
+def closed_form(base: FloatArray, level: FloatArray) -> FloatArray:
+    """x, y, yaw (3,) of T_base_level from motions (M, 3) of the base and of the levelled camera, by least squares.
+
+    The rotation's size is left free: it takes up what the wheels' scale is wrong by.
+    """
+    p, c = base[:, :2] @ np.array([1, 1j]), level[:, :2] @ np.array([1, 1j])
+    turn = np.exp(1j * level[:, 2]) - 1
+    # Complex: p = a·c - turn·t, with a of R(ψ) and t of the place; the scale is shared by both.
+    a, t = np.linalg.lstsq(np.stack([c, -turn], axis=-1), p)[0]
+    size = max(abs(a), 1e-9)
+    return np.array([t.real / size, t.imag / size, np.angle(a)])
+
+
+def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The covariance (P, P) that is in no direction smaller than either of two.
+
+    The scatter of a few turns may by chance be small; by chance it is not believed to be so.
+    """
+    L = np.linalg.cholesky(b)
+    inverse = np.linalg.inv(L)
+    values, directions = np.linalg.eigh(inverse @ a @ inverse.T)
+    across = L @ directions
+    return np.asarray((across * np.maximum(values, 1.0)) @ across.T)
+
+
+class _Problem:
+    """Residuals as a function of what is sought: logarithms of sizes over nominal, mount and delay over their start."""
+
+    def __init__(self, drive: Drive, wheels: Wheels, segments: Segments, delay_s: float) -> None:
+        self.drive, self.segments, self.start_delay_s = drive, segments, delay_s
+        self.nominal_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
+        base = segments.predicted(drive, self.nominal_m, delay_s, np.zeros(3))
+        self.start_mount = closed_form(base, segments.motions)
+        self.bounds = _BOUNDS
+        self.prior_sigmas = np.full(len(_BOUNDS), UNKNOWN_SIGMA)
+
+    def sizes_m(self, values: FloatArray) -> FloatArray:
+        return np.asarray(self.nominal_m * np.exp(values[:3]))
+
+    def mount(self, values: FloatArray) -> FloatArray:
+        return np.asarray(self.start_mount + values[3:6])
+
+    def delay_s(self, values: FloatArray) -> float:
+        return self.start_delay_s + float(values[6])
+
+    def residuals(self, values: FloatArray) -> FloatArray:
+        """(M, 3) in metres, metres, radians."""
+        robot = (self.sizes_m(values), self.delay_s(values), self.mount(values))
+        return self.segments.residuals(self.segments.predicted(self.drive, *robot))

@@ -1,0 +1,76 @@
+"""common_turning: which way is up for the camera, and how late the wheels' clock is, by turns that both have seen.
+
+A robot on a floor turns about the floor's normal only. Seen from the camera, all its turns therefore have one axis, and
+their sizes are those of the wheels: the axis and the delay for which they agree best are found together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.calibration import Wheels
+from wheelsight.geometry import FloatArray, IntArray, se3, so3
+from wheelsight.odometry.wheels.drive import Drive, poses_at
+from wheelsight.trajectory import Trajectory
+
+LARGEST_OFFSET_S = 10.0
+
+_STEP_S = 0.02
+_INTERVAL_S = 0.25
+_LONGEST_INTERVAL_S = 1.0
+_FEWEST_SHARE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Turning:
+    """What the turns say.
+
+    Attributes:
+        up_camera: (3,) the axis about which left turns go, of length 1, in the camera frame.
+        delay_s: of the wheels' stamps against the camera's, to 20 ms, within ±`LARGEST_OFFSET_S` of the nominal one.
+        agreement: 0 to 1, the correlation of the camera's turns about that axis with the wheels'.
+    """
+
+    up_camera: FloatArray
+    delay_s: float
+    agreement: float
+
+
+def common_turning(drive: Drive, wheels: Wheels, camera: Trajectory) -> Turning:
+    """The axis and delay for which the turns of `camera` (T_world_camera) and of the wheels agree best.
+
+    Turns that share no time with the readings, at a delay, have no say in it; where fewer than half do, the delay is
+    not considered. Without turns the agreement is 0.
+    """
+    start, end = _intervals(camera.stamps_s)
+    turns = so3.log(se3.invert(camera.T_world_body[start])[:, :3, :3] @ camera.T_world_body[end, :3, :3])
+    steps = round(LARGEST_OFFSET_S / _STEP_S)
+    best = Turning(np.array([0.0, -1.0, 0.0]), wheels.delay_s, 0.0)
+    for delay_s in wheels.delay_s + _STEP_S * np.arange(-steps, steps + 1):
+        begin_s, until_s = camera.stamps_s[start] + delay_s, camera.stamps_s[end] + delay_s
+        inside = (begin_s >= drive.stamps_s[0]) & (until_s <= drive.stamps_s[-1])
+        if np.count_nonzero(inside) < max(1.0, _FEWEST_SHARE * len(start)):
+            continue
+        yaw_rad = _yaw_at(drive, wheels, until_s[inside]) - _yaw_at(drive, wheels, begin_s[inside])
+        axis = yaw_rad @ turns[inside]
+        size = float(np.sqrt(np.sum(yaw_rad**2) * np.sum(turns[inside] ** 2)))
+        agreement = float(np.linalg.norm(axis)) / size if size > 0 else 0.0
+        if agreement > best.agreement:
+            best = Turning(axis / np.linalg.norm(axis), float(delay_s), agreement)
+    return best
+
+
+def _yaw_at(drive: Drive, wheels: Wheels, stamps_s: FloatArray) -> FloatArray:
+    sizes_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
+    return poses_at(drive, sizes_m, stamps_s)[:, 2]
+
+
+def _intervals(stamps_s: FloatArray) -> tuple[IntArray, IntArray]:
+    """Indices of first and last frame of intervals of a quarter of a second, without those over gaps."""
+    marks = np.floor((stamps_s - stamps_s[:1]) / _INTERVAL_S) if len(stamps_s) else np.zeros(0)
+    cuts = np.flatnonzero(np.diff(marks, prepend=-1) > 0)
+    start, end = cuts[:-1], cuts[1:]
+    whole = stamps_s[end] - stamps_s[start] <= _LONGEST_INTERVAL_S
+    return start[whole], end[whole]
