@@ -28,7 +28,9 @@ def test_averaging_a_still_view_is_worth_the_root_of_the_number_of_frames(wall, 
     look_at(surfel_map, [wall], [pose()] * FRAMES, rng)
     surfels = surfel_map.surfels("stable")
     assert len(surfels.grey) > 0.5 * SHAPE[0] * SHAPE[1]
-    inner = surfels.confidence > 0.9 * FRAMES
+    u, v = (f * surfels.position[:, k] / surfels.position[:, 2] for k, f in enumerate(GRID[:2]))
+    # Readings beside the image's centre weigh less.
+    inner = np.hypot(u, v) < 0.2 * GRID[2]
     error = wall.distance(surfels.position)[inner]
     # Of a plane whose every depth errs by σ(z) along its ray.
     expected = NOISE.sigma_m(surfels.position[inner, 2]) * abs(wall.normal[2]) / np.sqrt(FRAMES)
@@ -47,7 +49,7 @@ def test_a_moving_camera_averages_into_the_same_surfels(rng):
     assert len(surfel_map) < 3 * SHAPE[0] * SHAPE[1]
 
 
-def test_confidence_counts_frames_by_how_central_they_saw_a_surfel():
+def test_confidence_counts_frames_and_readings_weigh_by_how_central_they_are():
     surfel_map = made_map()
     look_at(surfel_map, [Wall(2.0)], [pose()] * 5)
     surfels = surfel_map.surfels()
@@ -55,7 +57,9 @@ def test_confidence_counts_frames_by_how_central_they_saw_a_surfel():
     v = GRID[1] * surfels.position[:, 1] / surfels.position[:, 2]
     farthest2 = max(GRID[2], SHAPE[1] - 1 - GRID[2]) ** 2 + max(GRID[3], SHAPE[0] - 1 - GRID[3]) ** 2
     weight = np.exp(-(u**2 + v**2) / farthest2 / (2 * 0.6**2))
-    np.testing.assert_allclose(surfels.confidence, 5 * weight, rtol=1e-3)
+    np.testing.assert_array_equal(surfels.confidence, 5)
+    one_m2 = NOISE.sigma_m(2.0) ** 2
+    np.testing.assert_allclose(surfels.variance_m2, one_m2 / (5 * weight), rtol=1e-3)
     assert len(surfels.grey) == SHAPE[0] * SHAPE[1]
 
 

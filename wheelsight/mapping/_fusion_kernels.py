@@ -116,7 +116,8 @@ def update(
     """Average into the chosen among the candidates of pages `begin` to `end` what their pixels saw.
 
     A surfel moves along the reading's normal only: across it, it would be drawn to pixels' centres. Both are weighted
-    by what is known of them, 1/variance. Surfels are taken in their order in memory, for pixels are fewer.
+    by what is known of them, 1/variance. Confidence counts frames, wherever in the image they saw a surfel: by weights,
+    as Keller et al. add them up, what passes along the rim would need four times as many. Surfels are taken in their order in memory, for pixels are fewer.
 
     Args:
         candidates: (pages, 2) how many, and something else.
@@ -129,10 +130,10 @@ def update(
             if chosen[p] != entry:
                 continue
             matched += 1
-            weight, confidence = reading[p, WEIGHT], geometry[slot, CONFIDENCE]
+            confidence = geometry[slot, CONFIDENCE]
             share = _learn(geometry, slot, variance, reading, p)
             geometry[slot, RADIUS] += share * min(radius[p] - geometry[slot, RADIUS], _ZERO)
-            paint = weight / (min(confidence, _COLOR_MEMORY) + weight)
+            paint = _ONE / (min(confidence, _COLOR_MEMORY) + _ONE)
             if color[p, 0] >= 0:
                 for i in range(3):
                     before = look[slot, i]
@@ -144,7 +145,7 @@ def update(
             cell = page_cell[slot // PAGE]
             cell_seen_s[cell] = stamp_s
             has_left = _has_left(geometry, slot, cell_xyz, cell, block_m)
-            geometry[slot, CONFIDENCE] = _ZERO if has_left else min(confidence + weight, MOST_CONFIDENCE)
+            geometry[slot, CONFIDENCE] = _ZERO if has_left else min(confidence + _ONE, MOST_CONFIDENCE)
             died += has_left
         counts[k, 0], counts[k, 1] = matched, died
 
@@ -244,7 +245,7 @@ def make_new(
             continue
         for k in range(READING):
             geometry[i, k] = reading[p, k]
-        geometry[i, RADIUS], geometry[i, CONFIDENCE] = radius[p], reading[p, WEIGHT]
+        geometry[i, RADIUS], geometry[i, CONFIDENCE] = radius[p], _ONE
         look[i, 0], look[i, 1], look[i, 2], look[i, 3] = color[p, 0], color[p, 1], color[p, 2], grey[p]
         seen_s[i, 0] = seen_s[i, 1] = stamp_s
         variance[i] = reading[p, VARIANCE] / reading[p, WEIGHT]

@@ -10,7 +10,7 @@ class SurfelSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    stable_confidence: PositiveFloat = Field(8.0, description="about how many frames make a surfel stable")
+    stable_confidence: PositiveFloat = Field(10.0, description="how many frames make a surfel stable")
     unstable_s: PositiveFloat = Field(3.0, description="a surfel not stable so long after it was first seen goes")
     unseen_s: PositiveFloat = Field(1.0, description="a surfel not stable goes sooner if not seen for so long")
     active_s: PositiveFloat = Field(60.0, description="surfels not seen for longer are kept, but not tracked against")

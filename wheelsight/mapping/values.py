@@ -54,7 +54,7 @@ class Surfels:
         radius_m: (n,) float32.
         color: (n, 3) float32 red, green, blue from 0 to 255; -1 where unknown.
         grey: (n,) float32 from 0 to 255; -1 where unknown.
-        confidence: (n,) float32, about how many frames saw it.
+        confidence: (n,) float32, how many frames saw it, up to 100.
         variance_m2: (n,) float32 of the position along the normal.
         first_s, last_s: (n,) when first and last seen.
     """
