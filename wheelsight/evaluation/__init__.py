@@ -1,6 +1,7 @@
 """How good an estimated trajectory is: ATE and RPE as the TUM benchmark defines them, coverage, sequence statistics."""
 
 from wheelsight.evaluation.ate import AbsoluteError, ate
+from wheelsight.evaluation.consistency import THREE_SIGMA_RADIUS, Consistency, consistency, position_covariances_m2
 from wheelsight.evaluation.coverage import frame_coverage, pairing_warning, time_coverage
 from wheelsight.evaluation.evaluate import Evaluation, evaluate
 from wheelsight.evaluation.rpe import RelativeError, rpe
@@ -8,15 +9,19 @@ from wheelsight.evaluation.sequence import SequenceStatistics, sequence_statisti
 from wheelsight.evaluation.statistics import Statistics
 
 __all__ = [
+    "THREE_SIGMA_RADIUS",
     "AbsoluteError",
+    "Consistency",
     "Evaluation",
     "RelativeError",
     "SequenceStatistics",
     "Statistics",
     "ate",
+    "consistency",
     "evaluate",
     "frame_coverage",
     "pairing_warning",
+    "position_covariances_m2",
     "rpe",
     "sequence_statistics",
     "time_coverage",

@@ -1,0 +1,110 @@
+"""Consistency: whether an estimate is as good as it says, judged by the truth and nothing fitted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.errors import EvaluationError
+from wheelsight.geometry import BoolArray, FloatArray, se3, so3
+from wheelsight.trajectory import Trajectory
+
+# What two dimensions stay within as probably as one within 3σ: χ² of two degrees of freedom, to 0.9973.
+THREE_SIGMA_RADIUS = math.sqrt(11.83)
+_FEWEST_POSES = 3
+_MOST_WEIGHT_S = 0.5  # a pose speaks for the time until the next one, but no longer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Consistency:
+    """An estimate's errors in its own x–y plane beside the covariances it stated, from where truth and estimate meet.
+
+    Attributes:
+        T_truth_estimate: (4, 4) that lays the estimate's first pose upon the true one.
+        stamps_s: (M,) of the poses that have a truth, seconds.
+        errors_m: (M, 2) estimated minus true position, along the body's x axis and to its left.
+        covariances_m2: (M, 2, 2) of these, as stated.
+        is_within: (M,) whether the true position is within the stated 3σ, of two dimensions: as probable as 3σ of one.
+        weights_s: (M,) for how long each pose speaks: until the next one, half a second at most.
+        way_m: length of the true way, metres.
+    """
+
+    T_truth_estimate: FloatArray
+    stamps_s: FloatArray
+    errors_m: FloatArray
+    covariances_m2: FloatArray
+    is_within: BoolArray
+    weights_s: FloatArray
+    way_m: float
+
+    @property
+    def share(self) -> float:
+        """Share of the time, 0 to 1, in which the true position is within the stated 3σ."""
+        return float(self.weights_s[self.is_within].sum() / self.weights_s.sum())
+
+    @property
+    def drift_m(self) -> float:
+        """How far the last pose is off."""
+        return float(np.linalg.norm(self.errors_m[-1]))
+
+    @property
+    def drift_share(self) -> float:
+        """The same as a share of the true way; NaN where nothing moved."""
+        return self.drift_m / self.way_m if self.way_m > 0 else math.nan
+
+
+def consistency(
+    estimate: Trajectory, truth: Trajectory, *, max_gap_s: float = 0.5, truth_sigma_m: float = 1e-3
+) -> Consistency:
+    """What `estimate` states of its own errors, compared with `truth`.
+
+    The estimate is laid upon the truth by its first pose that has a true one: a covariance grows from there, and
+    against the best fit of whole paths (ATE) it would say nothing. An error of that true pose counts as the estimate's.
+
+    Args:
+        estimate: of a body with covariances, in a world whose z axis is up.
+        max_gap_s: true poses are interpolated between neighbours at most so far apart.
+        truth_sigma_m: what the truth itself may be off, which joins the stated covariances.
+
+    Raises:
+        EvaluationError: different bodies, no covariances, or fewer than three poses with a truth.
+    """
+    if estimate.body != truth.body:
+        raise EvaluationError(f"the estimate is of the {estimate.body}, the ground truth of the {truth.body}")
+    if estimate.covariances is None:
+        raise EvaluationError("the estimate states no covariances")
+    T_truthworld_body = truth.at(estimate.stamps_s, max_gap_s)
+    known = np.isfinite(T_truthworld_body[:, 0, 0])
+    if np.count_nonzero(known) < _FEWEST_POSES:
+        raise EvaluationError(f"{np.count_nonzero(known)} of the estimate's poses have a truth, {_FEWEST_POSES} needed")
+    near, T_true = estimate.select(known), T_truthworld_body[known]
+    T_truth_estimate = T_true[0] @ se3.invert(near.T_world_body[0])
+    true = Trajectory(near.stamps_s, T_true, body=truth.body).moved(se3.invert(T_truth_estimate))
+    R_body_world = _turned_back(near)
+    errors_m = np.einsum("nij,nj->ni", R_body_world, (near.positions_m - true.positions_m)[:, :2])
+    C = R_body_world @ position_covariances_m2(near)[:, :2, :2] @ R_body_world.transpose(0, 2, 1)
+    stated = C + truth_sigma_m**2 * np.eye(2)
+    squared = np.einsum("ni,ni->n", errors_m, np.linalg.solve(stated, errors_m[..., None])[..., 0])
+    weights_s = np.append(np.diff(near.stamps_s), 0.0).clip(max=_MOST_WEIGHT_S)
+    return Consistency(
+        T_truth_estimate, near.stamps_s, errors_m, C, squared <= THREE_SIGMA_RADIUS**2, weights_s, true.length_m
+    )
+
+
+def position_covariances_m2(trajectory: Trajectory) -> FloatArray:
+    """Covariances (N, 3, 3) of the positions in the world, m², of a trajectory that has covariances.
+
+    A left perturbation (v, ω) moves the position p by v + ω × p: J Σ Jᵀ with J = (I, −p̂).
+    """
+    assert trajectory.covariances is not None
+    J = np.concatenate([np.tile(np.eye(3), (len(trajectory), 1, 1)), -so3.hat(trajectory.positions_m)], axis=-1)
+    return np.asarray(J @ trajectory.covariances @ J.transpose(0, 2, 1))
+
+
+def _turned_back(trajectory: Trajectory) -> FloatArray:
+    """Rotations (N, 2, 2) from the world's x and y to the body's x axis, seen from above, and its left."""
+    x, y = trajectory.T_world_body[:, 0, 0], trajectory.T_world_body[:, 1, 0]
+    yaw = np.arctan2(y, x)
+    return np.stack([np.stack([np.cos(yaw), np.sin(yaw)], -1), np.stack([-np.sin(yaw), np.cos(yaw)], -1)], -2)
