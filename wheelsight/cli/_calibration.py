@@ -15,6 +15,7 @@ from wheelsight.calibration import Calibration, Gyro, Wheels, load_calibration, 
 from wheelsight.cli._console import console, print_warning
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
+from wheelsight.odometry.extrinsics import BaseCalibration
 from wheelsight.odometry.wheels.squares import (
     errors_on_unused_runs_m,
     read_return_errors,
@@ -24,6 +25,7 @@ from wheelsight.odometry.wheels.squares import (
 from wheelsight.odometry.wheels.trial import WheelTrial
 from wheelsight.odometry.wheels.umbmark import Umbmark, umbmark
 from wheelsight.recordings import Recording
+from wheelsight.report.base_tables import mount_rows
 from wheelsight.report.wheel_tables import HEAD, error_rows, fit_rows, square_rows
 
 
@@ -103,6 +105,15 @@ def print_squares(squares: Squares, out: Path, page: Path) -> None:
         told = "mean error of each run by wheels corrected without it"
         stdout.print(f"{told}: {squares.unused_m[0]:.3f} m nominal, {squares.unused_m[1]:.3f} m corrected")
     _print_end(squares.warnings, out, page)
+
+
+def print_mount(found: BaseCalibration, out: Path, page: Path) -> None:
+    """A camera's mount before and after, and where the files are."""
+    stdout, fit = console(), found.fit
+    stdout.print(_table(f"{found.recording}: where the camera sits", HEAD, mount_rows(found)))
+    pieces = f"{len(fit.segments)} pieces, {int(fit.is_slip.sum())} of them slips or jumps"
+    stdout.print(f"{pieces}; floor seen in {len(found.floor.tilts)} of {found.floor.view_count} views")
+    _print_end(found.warnings, out, page)
 
 
 @contextmanager

@@ -1,23 +1,21 @@
-"""`wheelsight calibrate`: how large the wheels are and how far apart, from a drive or from squares."""
+"""`wheelsight calibrate`: how large the wheels are and how far apart, from a drive or from squares; and the camera."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from wheelsight.cli._options import CalibrationFile, RecordingPath, settings_from
+from wheelsight.cli._calibrate_base import base
+from wheelsight.cli._calibration_files import Force, Out, open_for, page_beside
+from wheelsight.cli._options import CalibrationFile, RecordingPath
 
-if TYPE_CHECKING:
-    from wheelsight.recordings import Recording
+app = typer.Typer(
+    no_args_is_help=True, help="Find how large a robot's wheels are and how far apart, and where its camera sits."
+)
+app.command("base")(base)
 
-app = typer.Typer(no_args_is_help=True, help="Find how large a robot's wheels are and how far apart.")
-
-Out = Annotated[
-    Path,
-    typer.Option(metavar="FILE", help="calibration.yaml to write; a page about it goes beside it.", show_default=False),
-]
 Reference = Annotated[
     Path | None,
     typer.Option(
@@ -40,7 +38,6 @@ Runs = Annotated[
 Side = Annotated[
     float | None, typer.Option(metavar="METRES", help="Side of the squares.", show_default="a quarter of the way")
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite FILE and its page.")]
 
 
 @app.command("wheels")
@@ -72,8 +69,8 @@ def wheels(
     from wheelsight.report.wheel_page import write_wheel_page
     from wheelsight.trajectory import read_tum
 
-    page = _page_beside(out, force)
-    source = _open(recording, calibration)
+    page = page_beside(out, force)
+    source = open_for(recording, calibration)
     truth = None if reference is None else read_tum(reference, body=source.body)
     with show_steps() as on_step:
         trial = try_calibration(
@@ -103,34 +100,11 @@ def umbmark(runs: Runs, out: Out, calibration: CalibrationFile = None, side: Sid
     from wheelsight.cli._calibration import print_squares, save, squares_from_recordings, squares_from_table
     from wheelsight.report.wheel_page import write_squares_page
 
-    page = _page_beside(out, force)
+    page = page_beside(out, force)
     if len(runs) == 1 and not runs[0].is_dir():
         squares = squares_from_table(runs[0], calibration, side)
     else:
-        squares = squares_from_recordings([_open(run, calibration) for run in runs], side)
+        squares = squares_from_recordings([open_for(run, calibration) for run in runs], side)
     save(squares.result.wheels, squares.gyro, f"UMBmark, {squares.name}", out)
     write_squares_page(squares.result, squares.after_m, squares.name, page)
     print_squares(squares, out, page)
-
-
-def _open(folder: Path, calibration: str | None) -> Recording:
-    from wheelsight.recordings import open_recording
-
-    return open_recording(folder, settings_from({"--calibration": calibration}).recording.open_options())
-
-
-def _page_beside(out: Path, force: bool) -> Path:
-    """Where the page goes; raises OutputError, before any work, where it or `out` cannot or must not be written."""
-    from wheelsight.errors import OutputError
-    from wheelsight.files import make_output_folder
-
-    page = out.with_suffix(".html")
-    if page == out:
-        raise OutputError("is the name of the page, not of a calibration", path=out, fix="end it with .yaml")
-    for path in (out, page):
-        if path.is_dir():
-            raise OutputError("is a folder, not a file", path=path, fix="choose another --out")
-        if path.exists() and not force:
-            raise OutputError("is there already", path=path, fix="choose another --out, or add --force to overwrite")
-    make_output_folder(out.parent, force=True)
-    return page

@@ -54,6 +54,12 @@ class BaseCalibration:
     warnings: tuple[str, ...] = ()
 
     @property
+    def calibration(self) -> Calibration:
+        """Mount and wheels alone, to stand in place of those of a recording."""
+        source = f"mount found on {self.recording}"
+        return Calibration(T_base_camera=self.T_base_camera, wheels=self.wheels, gyro=self.nominal.gyro, source=source)
+
+    @property
     def nominal_values(self) -> dict[str, float]:
         """What was known before of QUANTITIES; the delay alone where no mount was known."""
         mount, wheels = self.nominal.T_base_camera, self.nominal.wheels
@@ -61,19 +67,13 @@ class BaseCalibration:
         return before if wheels is None else before | {"delay": wheels.delay_s}
 
 
-def calibrate_base(
-    recording: Recording,
-    *,
-    on_frame: Callable[[str], None] = lambda _: None,
-    on_step: Callable[[str], None] = lambda _: None,
-) -> BaseCalibration:
+def calibrate_base(recording: Recording, on_frame: Callable[[str], None] = lambda _: None) -> BaseCalibration:
     """Find T_base_camera and the wheels' delay from a drive with wheels and camera.
 
     Args:
         recording: with nominal wheels in its calibration, sizes right to a few hundredths. A nominal T_base_camera is
             only compared with.
         on_frame: told the camera's status after each frame.
-        on_step: told in a word what is being done after that, a few times.
 
     Raises:
         CalibrationError: no wheels or camera, or a drive that does not show what is sought; says what to drive.
@@ -87,25 +87,20 @@ def calibrate_base(
     nominal.cameras  # noqa: B018  refuses a recording without, before anything is read
     observability.refuse_if_hardly_moving(drive_of(recording, nominal.wheels), nominal.wheels)
     sightings = watch(recording, nominal.wheels, on_frame)
-    found = base_from(sightings, nominal, on_step)
+    found = base_from(sightings, nominal)
     return replace(found, recording=recording.name, warnings=(*recording.warnings, *found.warnings))
 
 
-def base_from(
-    sightings: Sightings, nominal: Calibration, on_step: Callable[[str], None] = lambda _: None
-) -> BaseCalibration:
-    """The same from what a pass over a recording left. Raises CalibrationError."""
+def base_from(sightings: Sightings, nominal: Calibration) -> BaseCalibration:
+    """The same from what a pass over a recording left; `nominal` has wheels. Raises CalibrationError."""
     wheels, drive, mount = nominal.wheels, sightings.drive, nominal.T_base_camera
     assert wheels is not None
     observability.refuse_if_apart(drive, *sightings.span_s)
     observability.refuse_if_lost(sightings)
-    on_step("comparing turns")
     turning = common_turning(drive, wheels, sightings.camera)
     observability.refuse_if_unlike(turning, wheels, None if mount is None else mount[2, :3])
-    on_step("finding the floor")
     floor = fit_floor(sightings.views, turning.up_camera, nominal.depth_noise)
     observability.refuse_if_tilted(floor, turning)
-    on_step("fitting the mount")
     segments = cut_level(drive, wheels, levelled(sightings.camera, floor.up_camera))
     observability.refuse_if_few(len(segments))
     fit = fit_mount(drive, wheels, segments, turning.delay_s)

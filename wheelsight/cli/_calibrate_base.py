@@ -1,0 +1,36 @@
+"""`wheelsight calibrate base`: where the camera sits on its robot, and how late its clock is."""
+
+from __future__ import annotations
+
+from wheelsight.cli._calibration_files import Force, Out, open_for, page_beside
+from wheelsight.cli._options import CalibrationFile, RecordingPath
+
+
+def base(recording: RecordingPath, out: Out, calibration: CalibrationFile = None, force: Force = False) -> None:
+    """Find where the camera sits on the robot and how late the wheels' stamps are, from an ordinary drive.
+
+    Roll, pitch and height come from the floor seen in depth; yaw, x, y and the delay from the motions of wheels and
+    camera.
+    FILE gets T_base_camera and the wheels' delay, for wheelsight run --calibration.
+    A drive that does not show them is refused, as a straight one hides x and y;
+    what to drive instead is said: a minute or two, straight and with turns both ways.
+
+    [bold]Examples[/bold]
+
+    wheelsight calibrate base my_drive --out base.yaml
+
+    wheelsight calibrate base my_drive --calibration nominal.yaml --out base.yaml
+    """
+    from wheelsight.calibration import save_calibration
+    from wheelsight.cli._calibration import print_mount
+    from wheelsight.cli._progress import FrameProgress
+    from wheelsight.odometry.extrinsics import calibrate_base
+    from wheelsight.report.base_page import write_base_page
+
+    page = page_beside(out, force)
+    source = open_for(recording, calibration)
+    with FrameProgress("watching", source.frame_count) as progress:
+        found = calibrate_base(source, progress.advance)
+    save_calibration(found.calibration, out)
+    write_base_page(found, page)
+    print_mount(found, out, page)
