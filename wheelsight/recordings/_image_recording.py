@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +21,7 @@ from wheelsight.recordings._images import DepthEncoding, image_size, read_color,
 from wheelsight.recordings._read_ahead import read_ahead
 from wheelsight.recordings._text import ListedFile
 from wheelsight.recordings.bodies import express_for
-from wheelsight.recordings.protocol import AssociationReport
+from wheelsight.recordings.protocol import AssociationReport, ListedFrame
 from wheelsight.trajectory import Trajectory
 
 _FRAMES_READ_AHEAD = 4
@@ -78,9 +81,18 @@ class ImageRecording:
 
         Images are decoded a few frames ahead.
         """
-        frames = (self._frame_or_reason(index) for index in range(len(self.frames) if images else 0))
-        merged: Iterator[Event] = heapq.merge(self.yaw_rates, self.wheels, frames, key=_stamp_s)
-        return read_ahead(merged, _FRAMES_READ_AHEAD)
+        listed = (event for event in self.listed() if images or not isinstance(event, ListedFrame))
+        events = (event.read() if isinstance(event, ListedFrame) else event for event in listed)
+        return read_ahead(events, _FRAMES_READ_AHEAD)
+
+    def listed(self) -> Iterator[Event | ListedFrame]:
+        """Frames that are still to be decoded, and readings, in order of time."""
+        stamps_s = [*(frame.stamp_s for frame in self.frames), math.inf]
+        frames = (
+            ListedFrame(stamp_s, next_stamp_s, partial(self._frame_or_reason, index))
+            for index, (stamp_s, next_stamp_s) in enumerate(pairwise(stamps_s))
+        )
+        return heapq.merge(self.yaw_rates, self.wheels, frames, key=_stamp_s)
 
     def read_frame(self, index: int) -> RgbdFrame:
         """The frame at `index`. Raises RecordingError naming the file and what makes it unusable."""
@@ -141,7 +153,7 @@ def pair_images(
     return frames, AssociationReport(len(color), len(depth), len(frames), max_gap_s, largest_s)
 
 
-def _stamp_s(event: Event) -> float:
+def _stamp_s(event: Event | ListedFrame) -> float:
     return event.stamp_s
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import ConfigError
-from wheelsight.events import Event
+from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.trajectory import Trajectory
 
 
@@ -84,6 +84,29 @@ class Recording(Protocol):
 
         Without `images` frames are left out, and none is decoded.
         """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ListedFrame:
+    """A frame that is known of, but not decoded yet.
+
+    Attributes:
+        stamp_s: its time.
+        next_stamp_s: that of the frame after it; infinite for the last.
+        read: decodes it.
+    """
+
+    stamp_s: float
+    next_stamp_s: float
+    read: Callable[[], RgbdFrame | SkippedFrame]
+
+
+@runtime_checkable
+class ListsFrames(Protocol):
+    """A recording that knows of its frames before it decodes them, so that some need not be decoded at all."""
+
+    def listed(self) -> Iterator[Event | ListedFrame]:
+        """What `events()` yields, in the same order, with frames that are still to be decoded."""
 
 
 @dataclass(frozen=True, slots=True)
