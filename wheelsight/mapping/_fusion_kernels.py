@@ -31,7 +31,7 @@ from wheelsight.mapping._match_kernels import (
 )
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x9FA8E1F5
+_COMPILED_IN = 0xEB70777E
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Beyond, more sightings change nothing: what is seen for long can still change.
@@ -116,8 +116,10 @@ def update(
     """Average into the chosen among the candidates of pages `begin` to `end` what their pixels saw.
 
     A surfel moves along the reading's normal only: across it, it would be drawn to pixels' centres. Both are weighted
-    by what is known of them, 1/variance. Confidence counts frames, wherever in the image they saw a surfel: by weights,
-    as Keller et al. add them up, what passes along the rim would need four times as many. Surfels are taken in their order in memory, for pixels are fewer.
+    by what is known of them, 1/variance. Surfels are taken in their order in memory, for pixels are fewer.
+
+    Confidence counts frames, wherever in the image they saw a surfel: by weights, as Keller et al. add them up, what
+    passes along the rim would need four times as many.
 
     Args:
         candidates: (pages, 2) how many, and something else.

@@ -23,6 +23,10 @@ _NEAREST_M = np.float32(0.1)
 # A surfel in front of free space loses half its confidence a frame, and is gone below this.
 _GONE = np.float32(0.4)
 _FREE_SIGMAS = np.float32(4.0)
+# What each entry of `since_s` is.
+_MADE, _SHOWN, _ACTIVE = range(3)
+# Rows of the buffer of a page's surfels: where they are (3), how deep, and how far off their pixel's middle, squared.
+_PLACE, _Z, _OFF, _OUTSIDE = 5, 3, 4, np.int32(-1)
 # What each entry of `settings` is.
 STABLE, GATE_SIGMAS, GATE_M, MIN_NORMAL_DOT, MIN_COSINE, FREE_M, DRIFT_M, FAR_M = range(8)
 # What each entry of `noise` is.
@@ -46,8 +50,6 @@ def find_candidates(
     grid: Any,
     noise: Any,
     settings: Any,
-    made_since_s: Any,
-    shown_since_s: Any,
     since_s: Any,
     slots: Any,
     pixel: Any,
@@ -59,46 +61,57 @@ def find_candidates(
     Surfels that contradict free space lose confidence here, and unstable ones die when their time has come.
 
     Args:
-        made_since_s, shown_since_s: unstable surfels first or last seen before are gone.
-        since_s: surfels seen since then are active.
+        since_s: (3,) unstable surfels first seen before the first of these, or last seen before the second, are gone;
+            surfels seen since the third are active.
         slots, pixel: (entries,) of the candidates; those of page k from entry k·PAGE on. Pixels count row by row.
         rank: (entries,) the lower, the better it fits.
         counts: (pages, 2) how many candidates, and how many died.
     """
-    height, width = depth_m.shape
-    fx, fy, cx, cy = grid[0], grid[1], grid[2] + _HALF, grid[3] + _HALF
+    seen_m, place, where = depth_m.reshape(-1), np.empty((_PLACE, PAGE), np.float32), np.empty(PAGE, np.int32)
     for k in range(begin, end):
-        entry, died = k * PAGE, 0
-        for slot in range(pages[k] * PAGE, pages[k] * PAGE + page_fill[pages[k]]):
-            confidence = geometry[slot, CONFIDENCE]
+        first, fill, entry, died = pages[k] * PAGE, page_fill[pages[k]], k * PAGE, 0
+        _place(geometry, first, fill, T, grid, depth_m.shape, place, where)
+        for i in range(fill):
+            slot, p, confidence = first + i, where[i], geometry[first + i, CONFIDENCE]
             if confidence <= 0:
                 continue
-            if confidence < settings[STABLE] and (seen_s[slot, 0] < made_since_s or seen_s[slot, 1] < shown_since_s):
+            is_stable, is_active = confidence >= settings[STABLE], seen_s[slot, 1] >= since_s[_ACTIVE]
+            if not is_stable and (seen_s[slot, 0] < since_s[_MADE] or seen_s[slot, 1] < since_s[_SHOWN]):
                 geometry[slot, CONFIDENCE] = _ZERO
                 died += 1
-                continue
-            a, b, d = geometry[slot, 0] - T[0, 3], geometry[slot, 1] - T[1, 3], geometry[slot, 2] - T[2, 3]
-            z = T[0, 2] * a + T[1, 2] * b + T[2, 2] * d
-            u = fx * (T[0, 0] * a + T[1, 0] * b + T[2, 0] * d) / z + cx
-            v = fy * (T[0, 1] * a + T[1, 1] * b + T[2, 1] * d) / z + cy
-            if z < _NEAREST_M or not (0 <= u < width and 0 <= v < height):
-                continue
-            c, r = int(u), int(v)
-            seen_z, p = depth_m[r, c], r * width + c
-            if _agree(geometry, slot, reading, p, variance, settings):
-                du, dv = u - np.float32(c) - _HALF, v - np.float32(r) - _HALF
-                off = du * du + dv * dv + (_ZERO if confidence >= settings[STABLE] else _UNSTABLE)
-                rank[entry] = off if seen_s[slot, 1] >= since_s else off + _INACTIVE
-                slots[entry], pixel[entry] = slot, p
+            elif p >= 0 and _agree(geometry, slot, reading, p, variance, settings):
+                worse = (_ZERO if is_stable else _UNSTABLE) + (_ZERO if is_active else _INACTIVE)
+                slots[entry], pixel[entry], rank[entry] = slot, p, place[_OFF, i] + worse
                 entry += 1
-            elif z < seen_z - settings[FREE_M]:
-                margin = settings[FREE_M] + (_ZERO if seen_s[slot, 1] >= since_s else settings[DRIFT_M])
-                margin += _FREE_SIGMAS * (noise[CONSTANT] + noise[QUADRATIC] * seen_z * seen_z)
-                if _is_free(depth_m, r, c, z + margin):
-                    halved = _HALF * confidence
-                    geometry[slot, CONFIDENCE] = halved if halved >= _GONE else _ZERO
-                    died += halved < _GONE
+            elif p >= 0 and place[_Z, i] < seen_m[p] - settings[FREE_M]:
+                aside_m = _ZERO if is_active else settings[DRIFT_M]
+                if _is_free(depth_m, p, place[_Z, i], aside_m, noise, settings):
+                    geometry[slot, CONFIDENCE] = _HALF * confidence if _HALF * confidence >= _GONE else _ZERO
+                    died += geometry[slot, CONFIDENCE] <= 0
         counts[k, 0], counts[k, 1] = entry - k * PAGE, died
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _place(geometry: Any, first: Any, fill: Any, T: Any, grid: Any, shape: Any, place: Any, where: Any) -> None:
+    """The pixels `where` a page's surfels fall, -1 outside; how deep, and how far from the pixel's middle, squared."""
+    # Read once: the compiler cannot know that they stay as they are while buffers are written.
+    fx, fy, cx, cy = grid[0], grid[1], grid[2] + _HALF, grid[3] + _HALF
+    ax, ay, az, bx, by, bz = T[0, 0], T[1, 0], T[2, 0], T[0, 1], T[1, 1], T[2, 1]
+    dx, dy, dz, tx, ty, tz = T[0, 2], T[1, 2], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    height, width = np.float32(shape[0]), np.float32(shape[1])
+    for i in range(fill):
+        for k in range(3):
+            place[k, i] = geometry[first + i, k]
+    for i in range(fill):
+        a, b, d = place[0, i] - tx, place[1, i] - ty, place[2, i] - tz
+        z = dx * a + dy * b + dz * d
+        u, v = fx * (ax * a + ay * b + az * d) / z + cx, fy * (bx * a + by * b + bz * d) / z + cy
+        is_seen = (z >= _NEAREST_M) & (u >= _ZERO) & (u < width) & (v >= _ZERO) & (v < height)
+        u, v = u if is_seen else _ZERO, v if is_seen else _ZERO
+        c, r = np.int32(u), np.int32(v)
+        du, dv = u - np.float32(c) - _HALF, v - np.float32(r) - _HALF
+        where[i] = r * np.int32(shape[1]) + c if is_seen else _OUTSIDE
+        place[_Z, i], place[_OFF, i] = z, du * du + dv * dv
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
@@ -112,9 +125,11 @@ def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, settin
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _is_free(depth_m: Any, r: Any, c: Any, beyond_m: Any) -> Any:
-    """Whether all that is seen about a pixel lies beyond."""
-    is_free = True
+def _is_free(depth_m: Any, p: Any, z: Any, aside_m: Any, noise: Any, settings: Any) -> Any:
+    """Whether all that is seen about pixel p lies behind a depth z, clearly; `aside_m` more for what rests."""
+    r, c, is_free = p // depth_m.shape[1], p % depth_m.shape[1], True
+    sigma = noise[CONSTANT] + noise[QUADRATIC] * depth_m[r, c] * depth_m[r, c]
+    beyond_m = z + settings[FREE_M] + aside_m + _FREE_SIGMAS * sigma
     for i in range(max(r - 1, 0), min(r + 2, depth_m.shape[0])):
         for j in range(max(c - 1, 0), min(c + 2, depth_m.shape[1])):
             is_free &= depth_m[i, j] > beyond_m

@@ -242,9 +242,8 @@ class SurfelMap:
         rank, found = self._room("rank", entries, np.float32), self._room("found", (len(pages), 2), np.int32)
         surfels = (pages, blocks.page_fill, blocks.geometry, blocks.seen_s, blocks.variance)
         about = (frame.depth_m, reading, pose.T32, pose.grid32, sensor, self._kernel_settings)
-        waits = self.settings.unstable_s, self.settings.unseen_s
-        times = (*(self.stamp_s - wait for wait in waits), self._active_since_s)
-        given = (*surfels, *about, *times, slots, pixel, rank, found)
+        since_s = self.stamp_s - np.array([self.settings.unstable_s, self.settings.unseen_s, self.settings.active_s])
+        given = (*surfels, *about, since_s, slots, pixel, rank, found)
         self._rows.share(len(pages), lambda a, b: match.find_candidates(a, b, *given))
         return slots, pixel, rank, found
 
