@@ -1,0 +1,206 @@
+"""`python -m benchmarks.joined`: wheels and camera joined, against each alone and the paper's filter, with faults.
+
+Error is that of the base's position, RMSE over a localizer's answers, with its first pose laid upon the truth and no
+further alignment: a best fit would hide what the heading lost. The better sensor of a drive is wheels alone or the
+camera alone (dense odometry with its map), whichever has the smaller error there; a camera that has no pose for over a
+tenth of the drive is none.
+
+The right status of the joined estimate, told at wheel readings and frames:
+
+- camera covered: `coasting`, from 0.5 s after it is covered until it is not; `tracking` again within 2 s after.
+- corridor: `degenerate` or `coasting`, while the base is where neither walls nor floor nor ceiling show anything.
+- lifted wheel, ice: `slip` or `doubtful`, while a wheel's rim runs more than 5 cm/s faster or slower than the ground
+  under it, or the base slides sideways as fast, from 0.5 s after that has begun.
+- all others: `tracking`, the whole drive.
+
+A position is within 3σ where its error (3,) is no less likely than one of 3σ is in one dimension.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.joined_cases import (
+    CASES,
+    DURATION_S,
+    RATE_HZ,
+    SIZE,
+    Case,
+    Way,
+    drive_of,
+)
+from benchmarks.joined_figures import BACK_S, JoinedFigures, figures_of
+from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, run_all
+from benchmarks.table import Sheet, targets_sheet
+from benchmarks.targets import Target
+from wheelsight.events import Event
+from wheelsight.files import write_text
+from wheelsight.simulation import SimulatedRecording
+from wheelsight.simulation.camera_faults import events_with
+
+SEEDS = 10
+_ORDINARY, _FAULT, _TOLD, _END_PERCENT = 0.5, 1.2, 95.0, 0.5
+
+
+def measure_joined(
+    cases: Sequence[Case] = CASES,
+    seeds: Sequence[int] = range(1, SEEDS + 1),
+    duration_s: float = DURATION_S,
+    odometry: str = "dense",
+    on_figures: Callable[[JoinedFigures], None] | None = None,
+) -> list[JoinedFigures]:
+    """Every case on the drives of all seeds; a drive is rendered once, and held in memory where several cases share it.
+
+    Takes an hour and more for ten seeds, and up to 250 MB for images; `on_figures` is told each result as it comes.
+    """
+    figures = []
+    for seed in seeds:
+        for way, group in groupby(sorted(cases, key=lambda case: case.way.value), key=lambda case: case.way):
+            for found in _measure_drive(drive_of(way, seed, duration_s), list(group), seed, odometry):
+                figures.append(found)
+                if on_figures is not None:
+                    on_figures(found)
+    return figures
+
+
+def _measure_drive(
+    recording: SimulatedRecording, cases: Sequence[Case], seed: int, odometry: str
+) -> Iterator[JoinedFigures]:
+    wheels = recording.true_calibration.wheels
+    assert wheels is not None
+    events: Iterable[Event] = recording.events()
+    if len(cases) > 1:
+        events = list(events)
+    for case in cases:
+        faulty = events_with(case.camera_faults(recording), events)
+        answers = run_all(faulty, case.calibration(recording), odometry)
+        yield figures_of(case, seed, answers, recording.drive, wheels, case.lasts_s(recording))
+
+
+def joined_sheet(figures: Sequence[JoinedFigures]) -> Sheet:
+    """A row a case: medians over the drives, and in brackets the worst of them."""
+    seeds = len({f.seed for f in figures})
+    title = (
+        f"Wheels and camera joined, {seeds} drive{'s' * (seeds != 1)} a case, {SIZE[0]}×{SIZE[1]} at {RATE_HZ:g} Hz: "
+        "median (worst)"
+    )
+    heads = ("wheels m", "camera m", "camera's poses", "paper's m", "joined m", "to the better", "at the end")
+    rows = tuple(_row(case, _of(case, figures)) for case in _cases(figures))
+    return Sheet(title, ("case", *heads, "right status", "within 3σ", "back after", "slip told, none"), rows)
+
+
+def _row(case: Case, figures: Sequence[JoinedFigures]) -> tuple[str, ...]:
+    def median(name: str) -> str:
+        return f"{np.median([f.accuracy[name].rmse_m for f in figures]):.3f}"
+
+    ratios = [f.ratio for f in figures]
+    ends = [100 * f.accuracy[JOINED].end_share for f in figures]
+    backs = [f.back_s for f in figures if f.back_s is not None]
+    return (
+        case.name,
+        median(WHEELS),
+        median(CAMERA),
+        f"{100 * np.median([f.accuracy[CAMERA].coverage for f in figures]):.0f} %",
+        median(PAPER),
+        median(JOINED),
+        f"{np.median(ratios):.2f} ({max(ratios):.2f})",
+        f"{np.median(ends):.2f} % ({max(ends):.2f})",
+        _share([f.right for f in figures]),
+        _share([f.within for f in figures]),
+        f"{np.median(backs):.1f} s ({max(backs):.1f})" if backs else "—",
+        f"{100 * np.mean([f.false_slip for f in figures]):.1f} %",
+    )
+
+
+def judge_joined(figures: Sequence[JoinedFigures]) -> list[Target]:
+    """Errors of ordinary drives by the median, those with faults by the worst; shares over all drives together."""
+    return [target for case in _cases(figures) for target in _targets(case, _of(case, figures))]
+
+
+def _targets(case: Case, figures: Sequence[JoinedFigures]) -> Iterator[Target]:
+    ratios, name = [f.ratio for f in figures], f"joined, {case.name}"
+    if case.way is Way.LONG:
+        ends = [100 * f.accuracy[JOINED].end_share for f in figures]
+        yield Target(f"{name}: error at the end, of the way, worst", _END_PERCENT, max(ends), "%", 2)
+    if case.is_ordinary:
+        yield Target(f"{name}: error to the better sensor's", _ORDINARY, float(np.median(ratios)), "", 2)
+    else:
+        yield Target(f"{name}: error to the better sensor's, worst", _FAULT, max(ratios), "", 2)
+    backs = [f.back_s for f in figures if f.back_s is not None]
+    if backs:
+        yield Target(f"{name}: tracking again after", BACK_S, max(backs), "s", 1)
+    yield Target(f"{name}: right status", _TOLD, _percent([f.right for f in figures]), "%", 1, is_least=True)
+    yield Target(f"{name}: within 3σ", _TOLD, _percent([f.within for f in figures]), "%", 1, is_least=True)
+
+
+def _cases(figures: Sequence[JoinedFigures]) -> list[Case]:
+    measured = {f.case.name for f in figures}
+    return [case for case in CASES if case.name in measured]
+
+
+def _of(case: Case, figures: Sequence[JoinedFigures]) -> list[JoinedFigures]:
+    return [f for f in figures if f.case.name == case.name]
+
+
+def _percent(counts: Sequence[tuple[int, int]]) -> float | None:
+    """Of all counted together; None where there are none."""
+    asked = sum(count for count, _ in counts)
+    return 100 * sum(right for _, right in counts) / asked if asked else None
+
+
+def _share(counts: Sequence[tuple[int, int]]) -> str:
+    """Of all counted together, and the worst."""
+    percent = _percent(counts)
+    if percent is None:
+        return "—"
+    return f"{percent:.1f} % ({min(100 * right / asked for asked, right in counts if asked):.0f})"
+
+
+def told(figures: JoinedFigures) -> str:
+    """One result in a line."""
+    errors = ", ".join(f"{name} {accuracy.rmse_m:.3f}" for name, accuracy in figures.accuracy.items())
+    coverage = 100 * figures.accuracy[CAMERA].coverage
+    return (
+        f"{figures.case.name}, seed {figures.seed}: {errors} m (camera's poses {coverage:.0f} %), "
+        f"{figures.ratio:.2f} of the better, end {100 * figures.accuracy[JOINED].end_share:.2f} %, "
+        f"status {_share([figures.right])}, 3σ {_share([figures.within])}, "
+        f"back {figures.back_s}, false slip {100 * figures.false_slip:.1f} %"
+    )
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.joined", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="how many drives a case")
+    parser.add_argument("--first", type=int, default=1, metavar="SEED", help="of the first drive")
+    parser.add_argument("--cases", help="names of cases with commas; a part of a name will do")
+    parser.add_argument("--duration", type=float, default=DURATION_S, metavar="S", help="of a drive")
+    parser.add_argument("--odometry", choices=("dense", "features"), default="dense")
+    parser.add_argument("--out", type=Path, help="Markdown file for the tables")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Measure, print, and keep if asked to."""
+    arguments = _parse()
+    words = arguments.cases.split(",") if arguments.cases else [""]
+    cases = [case for case in CASES if any(word.strip() in case.name for word in words)]
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    duration_s, odometry = arguments.duration, arguments.odometry
+    figures = measure_joined(cases, seeds, duration_s, odometry, lambda f: print(told(f), file=sys.stderr))
+    sheets = joined_sheet(figures), targets_sheet(judge_joined(figures))
+    console = Console(width=None if sys.stdout.isatty() else 180)
+    for sheet in sheets:
+        console.print(sheet.to_rich())
+    if arguments.out is not None:
+        write_text(arguments.out, "\n".join(sheet.to_markdown() for sheet in sheets))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""Simulated drives on which wheels and camera are joined, and what goes wrong on them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.simulation import Patch, Robot, SimulatedRecording, SimulationSettings, WheelFaults, simulate
+from wheelsight.simulation.camera_faults import CameraFault, Covered, FramesDropped, LateClock
+from wheelsight.simulation.robot import NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M
+from wheelsight.simulation.worlds.blank import BLANK_M
+
+DURATION_S, RATE_HZ, SIZE = 45.0, 10.0, (320, 240)
+LONG_M = 200.0
+LIFT_S = 3.0
+PEOPLE = 4
+ICE_RADIUS_M = 0.8
+WRONG_RADII = 1.02
+# The camera sees the dressed end of the corridor from about so far away.
+_SIGHT_M = 6.0
+_STREAM = 0x701
+# Of the wheels: least and most relative error. Of the mount: standard deviations, as a good calibration leaves them.
+_WHEEL_ERROR = (0.005, 0.01)
+_MOUNT_M, _MOUNT_RAD = 0.003, math.radians(0.1)
+
+
+class Expected(Enum):
+    """Which status is right while a fault lasts."""
+
+    TRACKING = "tracking"
+    COASTING = "coasting"
+    SLIP = "slip or doubt told while a wheel slips"
+    DEGENERATE = "degenerate, or coasting"
+
+
+class Way(Enum):
+    """A drive to be rendered."""
+
+    CLEAN = "clean"
+    LIFTED = "lifted"
+    ICE = "ice"
+    PEOPLE = "people"
+    BLANK = "blank"
+    LONG = "long"
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What happens on a drive.
+
+    Attributes:
+        name: as it stands in the table.
+        way: the drive.
+        expected: the right status.
+        blackout_s: for how long the camera is covered.
+        faults: of the camera, over the whole drive.
+        radii: of the wheels as they are believed to be, as a share of the true ones; None for the data sheet's wheels.
+    """
+
+    name: str
+    way: Way
+    expected: Expected = Expected.TRACKING
+    blackout_s: float = 0.0
+    faults: tuple[CameraFault, ...] = ()
+    radii: float | None = None
+
+    @property
+    def is_ordinary(self) -> bool:
+        """Whether nothing goes wrong."""
+        return self.name.startswith("ordinary")
+
+    def lasts_s(self, recording: SimulatedRecording) -> tuple[float, float]:
+        """When it begins and ends."""
+        if self.way is Way.BLANK:
+            x_m = recording.ground_truth.positions_m[:, 0]
+            inside_s = recording.ground_truth.stamps_s[(x_m > BLANK_M[0]) & (x_m < BLANK_M[1] - _SIGHT_M)]
+            return (float(inside_s[0]), float(inside_s[-1])) if len(inside_s) else (math.inf, math.inf)
+        begin_s = fault_begin_s(recording.settings.duration_s or DURATION_S)
+        return (begin_s, begin_s + self.blackout_s) if self.blackout_s else (0.0, math.inf)
+
+    def camera_faults(self, recording: SimulatedRecording) -> tuple[CameraFault, ...]:
+        """All that goes wrong with the camera."""
+        if not self.blackout_s:
+            return self.faults
+        begin_s, end_s = self.lasts_s(recording)
+        return (*self.faults, Covered(begin_s=begin_s, end_s=end_s))
+
+    def calibration(self, recording: SimulatedRecording) -> Calibration:
+        """What the robot's owner believes."""
+        calibration, wheels = recording.calibration, recording.true_calibration.wheels
+        if self.radii is None:
+            return calibration
+        assert wheels is not None
+        left, right = wheels.left_radius_m * self.radii, wheels.right_radius_m * self.radii
+        return replace(calibration, wheels=replace(wheels, left_radius_m=left, right_radius_m=right))
+
+
+CASES = (
+    Case("ordinary", Way.CLEAN),
+    Case("ordinary, 200 m", Way.LONG),
+    *(Case(f"camera covered, {seconds} s", Way.CLEAN, Expected.COASTING, seconds) for seconds in (1, 5, 20)),
+    Case("featureless corridor", Way.BLANK, Expected.DEGENERATE),
+    Case("a wheel lifted, 3 s", Way.LIFTED, Expected.SLIP),
+    Case("a patch of ice", Way.ICE, Expected.SLIP),
+    Case("radii 2 % wrong", Way.CLEAN, radii=WRONG_RADII),
+    Case("camera clock 30 ms late", Way.CLEAN, faults=(LateClock(late_s=0.03),)),
+    Case("20 % of frames dropped", Way.CLEAN, faults=(FramesDropped(share=0.2),)),
+    Case(f"{PEOPLE} people walk by", Way.PEOPLE),
+)
+
+
+def fault_begin_s(duration_s: float) -> float:
+    """When a fault begins that has a time of its own."""
+    return duration_s / 3
+
+
+def robot_of(seed: int) -> Robot:
+    """A robot whose wheels are 0.5 to 1 % off their data sheet, each by itself, and whose mount is a little off too."""
+    rng = np.random.default_rng([seed, _STREAM])
+    wrong = 1 + rng.choice([-1, 1], 3) * rng.uniform(*_WHEEL_ERROR, 3)
+    forward, left, height = _MOUNT_M * rng.standard_normal(3)
+    pitch, yaw, roll = _MOUNT_RAD * rng.standard_normal(3)
+    nominal = Robot()
+    return replace(
+        nominal,
+        left_radius_m=NOMINAL_RADIUS_M * wrong[0],
+        right_radius_m=NOMINAL_RADIUS_M * wrong[1],
+        track_width_m=NOMINAL_TRACK_WIDTH_M * wrong[2],
+        camera_forward_m=nominal.camera_forward_m + forward,
+        camera_left_m=nominal.camera_left_m + left,
+        camera_height_m=nominal.camera_height_m + height,
+        camera_pitch_rad=nominal.camera_pitch_rad + pitch,
+        camera_yaw_rad=nominal.camera_yaw_rad + yaw,
+        camera_roll_rad=nominal.camera_roll_rad + roll,
+    )
+
+
+def drive_of(way: Way, seed: int, duration_s: float = DURATION_S) -> SimulatedRecording:
+    """The drive of a seed: odd ones through `floor4`, even ones through `flat`; every second pair backwards."""
+    world = "floor4" if seed % 2 else "flat"
+    settings = SimulationSettings(
+        world, size=SIZE, rate_hz=RATE_HZ, seed=seed, duration_s=duration_s, laps=3, robot=robot_of(seed)
+    )
+    settings = replace(settings, is_reverse=(seed - 1) // 2 % 2 == 1)
+    if way is Way.BLANK:
+        settings = replace(settings, world="blank", laps=1, duration_s=None, is_reverse=False)
+    if way is Way.LONG:
+        settings = replace(settings, world="floor4", duration_s=_seconds_for(LONG_M, replace(settings, world="floor4")))
+    if way is Way.LIFTED:
+        begin_s = fault_begin_s(duration_s)
+        settings = replace(settings, faults=WheelFaults(lifted_s=((begin_s, begin_s + LIFT_S),)))
+    if way is Way.ICE:
+        settings = replace(settings, faults=WheelFaults(patches=(_ice_on(settings),)))
+    return simulate(replace(settings, passersby=PEOPLE if way is Way.PEOPLE else 0))
+
+
+def _seconds_for(way_m: float, settings: SimulationSettings) -> float:
+    """How long it takes to drive so far."""
+    truth = simulate(replace(settings, duration_s=None)).ground_truth
+    return float(np.interp(way_m, truth.distances_m, truth.stamps_s))
+
+
+def _ice_on(settings: SimulationSettings) -> Patch:
+    """In the sharpest bend after a while: on a straight, at a steady speed, ice does nothing."""
+    truth = simulate(settings).ground_truth
+    yaw_rad = np.unwrap(np.arctan2(truth.T_world_body[:, 1, 0], truth.T_world_body[:, 0, 0]))
+    rates = np.where(truth.stamps_s > fault_begin_s(truth.duration_s), np.abs(np.gradient(yaw_rad)), 0.0)
+    x_m, y_m, _ = truth.positions_m[int(np.argmax(rates))]
+    return Patch(float(x_m), float(y_m), ICE_RADIUS_M)

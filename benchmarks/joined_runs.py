@@ -1,0 +1,83 @@
+"""What wheels, camera, the paper's filter and the default filter answer to one stream of events."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.config import load_config
+from wheelsight.estimates import Estimate, Status
+from wheelsight.events import Event
+from wheelsight.fusion import FusedEstimate
+from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.localizer import Localizer
+
+WHEELS, CAMERA, PAPER, JOINED = "wheels", "camera", "paper's filter", "joined"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answers:
+    """All answers of one localizer, in order.
+
+    Attributes:
+        estimates: those of the events that it answers.
+    """
+
+    estimates: list[Estimate] = field(default_factory=list)
+
+    @property
+    def posed(self) -> list[Estimate]:
+        """Those with a pose."""
+        return [estimate for estimate in self.estimates if estimate.T_world_body is not None]
+
+    @property
+    def stamps_s(self) -> FloatArray:
+        """(N,) of all."""
+        return np.array([estimate.stamp_s for estimate in self.estimates])
+
+    def is_status(self, *statuses: Status) -> BoolArray:
+        """(N,) whether the status is one of these."""
+        return np.array([estimate.status in statuses for estimate in self.estimates], bool)
+
+    def is_flagged(self, *names: str) -> BoolArray:
+        """(N,) whether one of these flags is up."""
+        fused = [estimate if isinstance(estimate, FusedEstimate) else None for estimate in self.estimates]
+        return np.array([f is not None and any(getattr(f, name) for name in names) for f in fused], bool)
+
+
+def run_all(events: Iterable[Event], calibration: Calibration, odometry: str = "dense") -> dict[str, Answers]:
+    """Each localizer's answers to the same events, by its name; dense odometry has a map, alone and joined.
+
+    The paper's filter is told the answers of the camera alone: it goes by these, and would find the same again.
+    """
+    has_map = {"map": "surfels"} if odometry == "dense" else {}
+    both = {"odometry": f"wheels,{odometry}", **has_map}
+    localizers = {
+        WHEELS: Localizer(calibration, load_config(overrides={"odometry": "wheels"})),
+        CAMERA: Localizer(calibration, load_config(overrides={"odometry": odometry, **has_map})),
+        PAPER: Localizer(calibration, load_config(overrides={**both, "fusion": "ligocki"})),
+        JOINED: Localizer(calibration, load_config(overrides=both)),
+    }
+    again = _Again()
+    vars(localizers[PAPER]._way)["_camera"] = again
+    answers = {name: Answers() for name in localizers}
+    for event in events:
+        for name, localizer in localizers.items():
+            estimate = localizer.process(event)
+            if estimate is not None:
+                answers[name].estimates.append(estimate)
+            if name == CAMERA:
+                again.estimate = estimate
+    return answers
+
+
+class _Again:
+    """Says once more what the camera has answered."""
+
+    estimate: Estimate | None = None
+
+    def process(self, event: Event) -> tuple[Estimate | None, str]:
+        return self.estimate, ""
