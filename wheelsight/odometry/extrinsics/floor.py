@@ -25,7 +25,7 @@ _ROBUST_STEPS = 8
 _OUTLIER_CHI2 = 9.0
 _FEWEST_POINTS, _FEWEST_VIEWS, _FEWEST_SHARE = 40, 10, 0.25
 _BELOW_M, _MOST_BELOW = 0.15, 0.1
-_MOST_SWAY_RAD, _MOST_SWAY_M = np.radians(2.0), 0.05
+_MOST_SWAY_RAD, _MOST_SWAY_M = np.radians(0.6), 0.02
 _WORST_CONDITION = 1e6
 _MOST_CLUSTERS = 25
 _LEAST_SIGMAS = np.array([2e-4, 2e-4, 5e-4])  # no depth camera is better than a hundredth of a degree and half a mm
@@ -87,9 +87,9 @@ def fit_floor(views: FloorViews, up_camera: FloatArray, noise: DepthNoise) -> Fl
     for _ in range(_ROBUST_STEPS):
         q = points.plane(points.agreement(q))
     agreement = points.agreement(q)
-    _refuse_if_not_lowest(points, q)
     seen, tilts = _view_by_view(points, q, agreement, len(views.stamps_s))
     _refuse_if_unsteady(tilts, len(views.stamps_s))
+    _refuse_if_not_lowest(points, q)
     height_m = float(1 / np.linalg.norm(q))
     covariance = _covariance(points, q, agreement)
     return Floor(-q * height_m, height_m, covariance, views.stamps_s[seen], tilts, len(views.stamps_s))
