@@ -6,7 +6,7 @@ from wheelsight.devices.link import BAUDRATE, LinkReport, LinkStatus, WheelLink
 from wheelsight.devices.pipe import TelemetryPipe
 from wheelsight.devices.protocol import FrameDecoder, LineStatistics, Version
 from wheelsight.devices.recognition import Format, LineDecoder
-from wheelsight.devices.source import TelemetryReader, TicksFile, WheelSource, open_wheels
+from wheelsight.devices.source import TelemetryReader, TicksFile, WheelSource, is_recorded, open_wheels
 
 __all__ = [
     "BAUDRATE",
@@ -24,5 +24,6 @@ __all__ = [
     "Version",
     "WheelLink",
     "WheelSource",
+    "is_recorded",
     "open_wheels",
 ]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import os
 import select
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
-from wheelsight.devices.link import BAUDRATE, WheelLink
+from wheelsight.devices.link import BAUDRATE, LinkStatus, WheelLink
 from wheelsight.errors import DeviceError
 from wheelsight.events import WheelTicks
 
@@ -27,8 +27,14 @@ class WheelSource(Protocol):
         """End it; a loop over `ticks` ends too."""
 
 
-def open_wheels(where: Path | str, baudrate: int = BAUDRATE) -> WheelSource:
+def open_wheels(
+    where: Path | str, baudrate: int = BAUDRATE, on_status: Callable[[LinkStatus], None] | None = None
+) -> WheelSource:
     """The ticks of a named pipe, a wheels.csv (or a recording's folder that holds one), or else a serial port.
+
+    Args:
+        where: the path of any of them.
+        baudrate, on_status: of the port, as `WheelLink` takes them.
 
     Raises:
         DeviceError: the port is missing, denied, in use, or none.
@@ -37,11 +43,15 @@ def open_wheels(where: Path | str, baudrate: int = BAUDRATE) -> WheelSource:
     path = Path(where)
     if path.is_fifo():
         return TelemetryReader(path)
-    if path.is_dir():
-        return TicksFile(path / "wheels.csv")
-    if path.is_file() or path.suffix == ".csv":
-        return TicksFile(path)
-    return WheelLink(str(where), baudrate)
+    if is_recorded(path):
+        return TicksFile(path / "wheels.csv" if path.is_dir() else path)
+    return WheelLink(str(where), baudrate, on_status)
+
+
+def is_recorded(where: Path | str) -> bool:
+    """Whether `open_wheels` takes it for a file, whose readings are all there already."""
+    path = Path(where)
+    return path.is_dir() or path.is_file() or path.suffix == ".csv"
 
 
 class TicksFile:

@@ -22,6 +22,7 @@ def metrics_of(record: RunRecord, passage: Passage, recording: Recording) -> dic
         "recording": _recording(recording),
         "frame": f"T_{record.estimate.world}_{record.estimate.body}",
         "interrupted": passage.interruption is not None,
+        **_real_time(record),
         **_of_odometry(record, passage, recording),
         "peak_memory_mb": record.peak_memory_mb,
         "warnings": list(record.warnings),
@@ -43,6 +44,7 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, recording: Rec
         "recording": _recording(recording),
         "interrupted": passage.interruption is not None,
         "elapsed_s": passage.elapsed_s,
+        **_real_time(records[0]),
         "odometry": of_each,
         "peak_memory_mb": max((r.peak_memory_mb for r in records if r.peak_memory_mb is not None), default=None),
         "warnings": list(recording.warnings),
@@ -52,6 +54,11 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, recording: Rec
 
 def _recording(recording: Recording) -> dict[str, str]:
     return {"name": recording.name, "format": recording.format, "path": str(recording.path)}
+
+
+def _real_time(record: RunRecord) -> dict[str, Any]:
+    """How it went where the recording was played in real time."""
+    return {} if record.realtime is None else {"realtime": record.realtime.to_dict()}
 
 
 def _of_odometry(record: RunRecord, passage: Passage, recording: Recording) -> dict[str, Any]:

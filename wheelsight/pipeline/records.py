@@ -12,6 +12,7 @@ from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate, pairing_warning
 from wheelsight.pipeline.maps import map_record_of
 from wheelsight.pipeline.places import PlacesOfRun, rectification_of
+from wheelsight.pipeline.realtime import RealTimeRecording
 from wheelsight.pipeline.track import UNITS, Passage, Track
 from wheelsight.recordings import Recording, express_for
 from wheelsight.report import MapRecord, RunRecord
@@ -71,6 +72,7 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
         unit=UNITS[track.odometry],
         odometry=track.odometry,
         map=surfels,
+        realtime=recording.report() if isinstance(recording, RealTimeRecording) else None,
     )
 
 
@@ -101,7 +103,8 @@ def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
     if passage.interruption is None:
         return ()
     why = "by the user" if isinstance(passage.interruption, KeyboardInterrupt) else f"by {passage.interruption}"
-    return (f"Interrupted {why} after {len(track.frames)} of {track.listed} {UNITS[track.odometry]}s.",)
+    of_all = f" of {track.listed}" if track.listed else ""  # nobody knows how many live wheels will give
+    return (f"Interrupted {why} after {len(track.frames)}{of_all} {UNITS[track.odometry]}s.",)
 
 
 def _trajectory(track: Track) -> Trajectory:

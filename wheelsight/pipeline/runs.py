@@ -11,6 +11,7 @@ from wheelsight.files import make_output_folder
 from wheelsight.localizer import Localizer
 from wheelsight.pipeline.outputs import write_results
 from wheelsight.pipeline.places import PlacesOfRun, places_of
+from wheelsight.pipeline.realtime import RealTimeRecording
 from wheelsight.pipeline.records import records_of
 from wheelsight.pipeline.track import UNITS, follow
 from wheelsight.recordings import Recording
@@ -31,7 +32,7 @@ def run(
     as interrupted, and then the exception goes on its way.
 
     Args:
-        recording: from `open_recording`.
+        recording: from `open_recording`; or from `in_real_time`, then frames may be dropped.
         config: all settings; of one odometry, without places.
         out: folder for the results; made if need be.
         force: write into a folder that holds something already.
@@ -89,8 +90,11 @@ def run_each(
 
 def _check(recording: Recording, config: Config) -> PlacesOfRun | None:
     """Refuse what cannot end well, before anything is written; places, if they are asked for."""
+    wheels = recording.wheels if isinstance(recording, RealTimeRecording) else None
+    if wheels is not None and (config.odometry == ("wheels",) or "wheels" not in config.odometry):
+        raise ConfigError(f"wheels from {wheels.where} are played beside a camera", fix="--odometry wheels,dense")
     for odometry in config.odometry:
-        if UNITS[odometry] == "reading" and not recording.wheel_count:
+        if UNITS[odometry] == "reading" and wheels is None and not recording.wheel_count:
             raise ConfigError(f"{recording.path}: the recording has no wheel readings", fix="--odometry features")
         if UNITS[odometry] == "frame" and recording.wheel_count and not recording.frame_count:
             raise ConfigError(f"{recording.path}: the recording has no images", fix="--odometry wheels")

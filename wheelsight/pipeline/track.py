@@ -17,6 +17,7 @@ from wheelsight.localizer import Localizer, Places
 from wheelsight.mapping import SurfelMap
 from wheelsight.pipeline.interrupts import whole_step
 from wheelsight.pipeline.maps import Stops
+from wheelsight.pipeline.realtime import RealTimeRecording, rehearse
 from wheelsight.recordings import Recording
 from wheelsight.report import FrameRecord, Look, MatchPicture
 
@@ -168,6 +169,13 @@ class Passage:
     is_torn: bool = False
 
 
+def _followed(recording: Recording, config: Config) -> tuple[TrackName, ...]:
+    """The tracks; in real time, where sensors are joined, not the camera alone once more, which would cost frames."""
+    if isinstance(recording, RealTimeRecording) and config.fusion != "none":
+        return tuple(track for track in config.tracks if track not in ("features", "dense"))
+    return config.tracks
+
+
 def follow(
     recording: Recording,
     config: Config,
@@ -175,10 +183,14 @@ def follow(
     places: Places | None = None,
 ) -> Passage:
     """Hand each event to every track, in their order; without one that looks, no image is decoded."""
-    passage = Passage(tuple(Track.begin(track, recording, config, places) for track in config.tracks))
-    started = time.perf_counter()
+    passage = Passage(tuple(Track.begin(track, recording, config, places) for track in _followed(recording, config)))
     events = recording.events(images=any(track.needs_images for track in passage.tracks))
+    started = time.perf_counter()
     try:
+        if isinstance(recording, RealTimeRecording):
+            alone = [config.alone(track.odometry) for track in passage.tracks]
+            rehearse(recording, [Localizer(recording.calibration, settings, places) for settings in alone])
+            started = time.perf_counter()
         for event in events:
             with whole_step():
                 passage.is_torn = True

@@ -18,6 +18,7 @@ from wheelsight.report.map_record import MapPicture, MapRecord
 from wheelsight.report.overlay import Overlay, overlay_of
 from wheelsight.report.page import write_report
 from wheelsight.report.pictures import draw_matches
+from wheelsight.report.realtime_record import RealTimeRecord
 from wheelsight.report.record import FrameRecord, MatchPicture, RunRecord
 from wheelsight.report.rectification import Look, RectificationRecord, WorldErrors
 from wheelsight.report.rectification_figures import area_map_figure, area_time_figure, world_error_figure
@@ -31,6 +32,7 @@ __all__ = [
     "MapRecord",
     "MatchPicture",
     "Overlay",
+    "RealTimeRecord",
     "RectificationRecord",
     "RunRecord",
     "Summary",

@@ -11,6 +11,7 @@ from wheelsight.evaluation import Evaluation
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray
 from wheelsight.recordings import AssociationReport
 from wheelsight.report.map_record import MapRecord
+from wheelsight.report.realtime_record import RealTimeRecord
 from wheelsight.report.rectification import RectificationRecord
 from wheelsight.trajectory import Trajectory
 
@@ -87,6 +88,7 @@ class RunRecord:
             trajectory has a pose at each wheel reading too.
         rectification: what areas did to the wheels, or None.
         map: what was built on the way, or None.
+        realtime: how it went, if the recording was played in real time, or None.
     """
 
     recording: str
@@ -107,6 +109,7 @@ class RunRecord:
     odometry: str = "features"
     rectification: RectificationRecord | None = None
     map: MapRecord | None = None
+    realtime: RealTimeRecord | None = None
 
     @property
     def is_planar(self) -> bool:

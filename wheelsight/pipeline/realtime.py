@@ -1,0 +1,256 @@
+"""A recording played in real time: what comes too late for it is dropped, not queued, and counted."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.devices import BAUDRATE, is_recorded
+from wheelsight.errors import ConfigError, WheelsightError
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.localizer import Localizer
+from wheelsight.pipeline.live_wheels import LiveWheels, RecordedWheels
+from wheelsight.pipeline.playing import Clock, MonotonicClock, Playing
+from wheelsight.recordings import AssociationReport, ListedFrame, ListsFrames, Recording
+from wheelsight.report import RealTimeRecord
+from wheelsight.trajectory import Trajectory
+
+_MANY = 0.1
+_LATELY = 30
+_REHEARSED = 3
+
+
+class RealTimeRecording:
+    """A `Recording` whose events come when their time comes, as from a robot that drives just now.
+
+    Readings come all, of frames only the newest: one that is overtaken while nobody was free for it is dropped
+    (`Playing` tells the rules). Hence frames that take too long cost frames, never a growing delay. How late an answer
+    is shows when the next event is asked for. `frame_count` stays that of the recording.
+
+    Args:
+        recording: what is played.
+        wheels: where wheel readings come from in place of the recording's own.
+        clock: what it is played by.
+
+    Raises:
+        ConfigError: there are wheels and no frames beside which they could be played, or they were recorded at another
+            time than the frames.
+    """
+
+    def __init__(
+        self, recording: Recording, wheels: LiveWheels | RecordedWheels | None = None, clock: Clock | None = None
+    ) -> None:
+        if wheels is not None and not recording.frame_count:
+            raise ConfigError(f"{recording.path}: the recording has no images to play beside the wheels")
+        if isinstance(wheels, RecordedWheels):
+            _check_times(recording, wheels)
+        self.wheels = wheels
+        self._recording = recording
+        self._clock = clock or MonotonicClock()
+        self._playing: Playing | None = None
+        self._frames_s: list[float] = []
+        self._readings_s: list[float] = []
+        self._lately: deque[tuple[float, float]] = deque(maxlen=_LATELY)
+
+    @property
+    def name(self) -> str:
+        """The recording's, as with most that follows."""
+        return self._recording.name
+
+    @property
+    def path(self) -> Path:
+        """The recording's."""
+        return self._recording.path
+
+    @property
+    def format(self) -> str:
+        """The recording's."""
+        return self._recording.format
+
+    @property
+    def body(self) -> str:
+        """The recording's."""
+        return self._recording.body
+
+    @property
+    def calibration(self) -> Calibration:
+        """The recording's, but that the counters of live wheels, which the link has unrolled, do not roll over."""
+        calibration = self._recording.calibration
+        if not isinstance(self.wheels, LiveWheels) or calibration.wheels is None:
+            return calibration
+        return replace(calibration, wheels=replace(calibration.wheels, counter_bits=0))
+
+    @property
+    def frame_count(self) -> int:
+        """The recording's: those that are dropped included."""
+        return self._recording.frame_count
+
+    @property
+    def wheel_count(self) -> int:
+        """Of live wheels, how many were heard while it was played."""
+        return self._recording.wheel_count if self.wheels is None else self.wheels.count
+
+    @property
+    def association(self) -> AssociationReport:
+        """The recording's."""
+        return self._recording.association
+
+    @property
+    def ground_truth(self) -> Trajectory | None:
+        """The recording's."""
+        return self._recording.ground_truth
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The recording's and the wheels', and what to do where many frames were dropped."""
+        of_wheels = () if self.wheels is None else self.wheels.warnings
+        return (*self._recording.warnings, *of_wheels, *_advice(self.report()))
+
+    def events(self, *, images: bool = True) -> Generator[Event]:
+        """The events, each when its time comes, from the start at each call."""
+        self._frames_s, self._readings_s = [], []
+        self._lately.clear()
+        playing = self._playing = Playing(self._items(images), self._clock)
+        if isinstance(self.wheels, LiveWheels):
+            self.wheels.tell(self._hear)
+        try:
+            while (event := playing.take()) is not None:
+                yield event
+                self._answered(event, playing.now_s)
+        finally:
+            if isinstance(self.wheels, LiveWheels):
+                self.wheels.tell(None)
+            playing.close()
+
+    def rehearsal(self) -> Generator[Event]:
+        """The first few events, at once: for kernels to be compiled by. Wheels from elsewhere stand still in it."""
+        has_frames, seen = self._recording.frame_count > 0, 0
+        events = self._recording.events(images=has_frames)
+        try:
+            for event in events:
+                if isinstance(event, WheelTicks | WheelSpeeds) and self.wheels is not None:
+                    continue
+                if isinstance(event, RgbdFrame) and self.wheels is not None:
+                    yield WheelTicks(event.stamp_s, 0, 0)
+                yield event
+                seen += isinstance(event, RgbdFrame) or not has_frames
+                if seen == _REHEARSED:
+                    return
+        finally:
+            if isinstance(events, Generator):
+                events.close()
+
+    def report(self) -> RealTimeRecord:
+        """How it went so far."""
+        played = self._playing
+        latencies_s = self._frames_s or self._readings_s
+        median_s, p95_s = (float(x) for x in np.percentile(latencies_s, [50, 95])) if latencies_s else (None, None)
+        counts = (0, 0, 0, 0) if played is None else (played.frames, played.dropped, played.unread, played.readings)
+        where = None if self.wheels is None else self.wheels.where
+        return RealTimeRecord(0.0 if played is None else played.played_s, *counts, median_s, p95_s, where)
+
+    def lately(self) -> tuple[float, float] | None:
+        """Frames answered a second, and their median latency in seconds, over the last thirty; None before two."""
+        if len(self._lately) < 2 or self._lately[-1][0] <= self._lately[0][0]:
+            return None
+        rate = (len(self._lately) - 1) / (self._lately[-1][0] - self._lately[0][0])
+        return rate, float(np.median([latency_s for _, latency_s in self._lately]))
+
+    @property
+    def frames_so_far(self) -> tuple[int, int]:
+        """Frames that came by, and how many of them were dropped."""
+        return (0, 0) if self._playing is None else (self._playing.frames, self._playing.dropped)
+
+    @property
+    def is_missing_wheels(self) -> bool:
+        """Whether live wheels have fallen silent."""
+        return isinstance(self.wheels, LiveWheels) and self.wheels.is_silent
+
+    def _answered(self, event: Event, now_s: float) -> None:
+        if not isinstance(event, RgbdFrame | SkippedFrame):
+            self._readings_s.append(now_s - event.stamp_s)
+            return
+        self._frames_s.append(now_s - event.stamp_s)
+        self._lately.append((now_s, now_s - event.stamp_s))
+
+    def _hear(self, ticks: WheelTicks) -> bool:
+        """A live reading, stamped by the clock; False before the playing clock runs."""
+        assert self._playing is not None
+        stamp_s = self._playing.shown_s(ticks.stamp_s)
+        if stamp_s is not None:
+            self._playing.hear(replace(ticks, stamp_s=stamp_s))
+        return stamp_s is not None
+
+    def _items(self, images: bool) -> Iterator[Event | ListedFrame]:
+        items: Iterator[Event | ListedFrame]
+        if images and isinstance(self._recording, ListsFrames):
+            items = self._recording.listed()
+        else:
+            items = self._recording.events(images=images)
+        if self.wheels is None:
+            return items
+        others = (item for item in items if not isinstance(item, WheelTicks | WheelSpeeds))
+        if isinstance(self.wheels, LiveWheels):
+            return others
+        return heapq.merge(self.wheels.ticks, others, key=lambda item: item.stamp_s)
+
+
+@contextmanager
+def in_real_time(
+    recording: Recording, wheels_from: str | None = None, baudrate: int = BAUDRATE, clock: Clock | None = None
+) -> Iterator[RealTimeRecording]:
+    """A recording to be played in real time, with the wheels at a port, pipe or file, if given, opened for the block.
+
+    Raises:
+        DeviceError: the port or pipe cannot be opened.
+        RecordingError: the file of readings cannot be read.
+        ConfigError: as `RealTimeRecording`.
+    """
+    clock = clock or MonotonicClock()
+    if wheels_from is None:
+        yield RealTimeRecording(recording, clock=clock)
+    elif is_recorded(wheels_from):
+        yield RealTimeRecording(recording, RecordedWheels(wheels_from), clock)
+    else:
+        with LiveWheels(wheels_from, baudrate, clock) as wheels:
+            yield RealTimeRecording(recording, wheels, clock)
+
+
+def rehearse(recording: RealTimeRecording, localizers: Sequence[Localizer]) -> None:
+    """Answer the first few events, for nothing but that kernels are compiled, or loaded, before time begins to run."""
+    with suppress(WheelsightError):  # what is wrong with the recording is told at its place
+        for event in recording.rehearsal():
+            for localizer in localizers:
+                localizer.process(event)
+
+
+def _check_times(recording: Recording, wheels: RecordedWheels) -> None:
+    """Refuse readings that no frame lies between. Raises ConfigError."""
+    if not isinstance(recording, ListsFrames):
+        return
+    frames_s = [item.stamp_s for item in recording.listed() if isinstance(item, ListedFrame)]
+    first_s, last_s = (wheels.ticks[index].stamp_s if wheels.ticks else np.nan for index in (0, -1))
+    if not (first_s <= frames_s[-1] and last_s >= frames_s[0]):
+        problem = f"{wheels.where}: its readings are of {first_s:.3f} s to {last_s:.3f} s"
+        images = f"the images of {recording.path} of {frames_s[0]:.3f} s to {frames_s[-1]:.3f} s"
+        raise ConfigError(f"{problem}, {images}", fix="both must be stamped by one clock")
+
+
+def _advice(played: RealTimeRecord) -> tuple[str, ...]:
+    """What to do where many frames were dropped."""
+    if played.dropped_share <= _MANY:
+        return ()
+    text = (
+        f"In real time {played.dropped} of {played.frames} frames ({100 * played.dropped_share:.0f} %) were dropped: "
+        f"this computer answers {played.answered_per_s:.1f} a second."
+    )
+    if played.unread > played.dropped / 2:
+        return (f"{text} Most were not even decoded in time: the disk or the decoding of images is too slow.",)
+    return (f"{text} End other programs, let the camera send fewer images, or take a faster computer.",)
