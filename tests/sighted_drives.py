@@ -1,4 +1,4 @@
-"""What a camera on a simulated robot sees, without rendering: its poses, noise and all, and depth of floor and walls."""
+"""What a camera on a simulated robot sees, without rendering: its poses, with noise, and depth of floor and walls."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_a_table_without_a_floor_is_refused() -> None:
     low = -(views.rays @ MOUNT[2, :3]) > 0.5
     top_m = 0.3 / -(views.rays @ MOUNT[2, :3])
     depth_m = np.where(low, top_m, walls_alone)
-    with pytest.raises(CalibrationError, match="no floor is in view .tilt the camera down"):
+    with pytest.raises(CalibrationError, match=r"no floor is in view .tilt the camera down"):
         fit_floor(replace(views, depth_m=depth_m), MOUNT[2, :3], NOISE)
 
 
