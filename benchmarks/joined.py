@@ -37,6 +37,7 @@ from benchmarks.joined_cases import (
     drive_of,
 )
 from benchmarks.joined_figures import BACK_S, JoinedFigures, figures_of
+from benchmarks.joined_images import kept_events
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, run_all
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
@@ -54,16 +55,22 @@ def measure_joined(
     seeds: Sequence[int] = range(1, SEEDS + 1),
     duration_s: float = DURATION_S,
     odometry: str = "dense",
+    images: Path | None = None,
     on_figures: Callable[[JoinedFigures], None] | None = None,
 ) -> list[JoinedFigures]:
-    """Every case on the drives of all seeds; a drive is rendered once, and held in memory where several cases share it.
+    """Every case on the drives of all seeds; takes hours, and 250 MB for the images of a drive that cases share.
 
-    Takes an hour and more for ten seeds, and up to 250 MB for images; `on_figures` is told each result as it comes.
+    Args:
+        cases, seeds: what is measured.
+        duration_s: of a drive, but for the one through the corridor and the long one.
+        odometry: the camera's, "dense" (with a map) or "features".
+        images: a folder that keeps images for another time, or None.
+        on_figures: is told each result as it comes.
     """
     figures = []
     for seed in seeds:
         for way, group in groupby(sorted(cases, key=lambda case: case.way.value), key=lambda case: case.way):
-            for found in _measure_drive(drive_of(way, seed, duration_s), list(group), seed, odometry):
+            for found in _measure_drive(drive_of(way, seed, duration_s), list(group), seed, odometry, images):
                 figures.append(found)
                 if on_figures is not None:
                     on_figures(found)
@@ -71,14 +78,15 @@ def measure_joined(
 
 
 def _measure_drive(
-    recording: SimulatedRecording, cases: Sequence[Case], seed: int, odometry: str
+    recording: SimulatedRecording, cases: Sequence[Case], seed: int, odometry: str, images: Path | None
 ) -> Iterator[JoinedFigures]:
     wheels = recording.true_calibration.wheels
     assert wheels is not None
-    events: Iterable[Event] = recording.events()
-    if len(cases) > 1:
-        events = list(events)
+    rendered = list(recording.events()) if len(cases) > 1 and images is None else None
     for case in cases:
+        events: Iterable[Event] = rendered or recording.events()
+        if images is not None:
+            events = kept_events(recording, images)
         faulty = events_with(case.camera_faults(recording), events)
         answers = run_all(faulty, case.calibration(recording), odometry)
         yield figures_of(case, seed, answers, recording.drive, wheels, case.lasts_s(recording))
@@ -175,6 +183,14 @@ def told(figures: JoinedFigures) -> str:
     )
 
 
+def _named(words: Sequence[str]) -> list[Case]:
+    """Cases of these names, or whose names hold one that is no case's whole name."""
+    names = {case.name for case in CASES}
+    return [
+        case for case in CASES if any(word == case.name or (word not in names and word in case.name) for word in words)
+    ]
+
+
 def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.joined", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seeds", type=int, default=SEEDS, help="how many drives a case")
@@ -182,6 +198,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--cases", help="names of cases with commas; a part of a name will do")
     parser.add_argument("--duration", type=float, default=DURATION_S, metavar="S", help="of a drive")
     parser.add_argument("--odometry", choices=("dense", "features"), default="dense")
+    parser.add_argument("--images", type=Path, metavar="DIR", help="keeps rendered images, 0.5 MB each, for next time")
     parser.add_argument("--out", type=Path, help="Markdown file for the tables")
     return parser.parse_args()
 
@@ -189,11 +206,10 @@ def _parse() -> argparse.Namespace:
 def main() -> None:
     """Measure, print, and keep if asked to."""
     arguments = _parse()
-    words = arguments.cases.split(",") if arguments.cases else [""]
-    cases = [case for case in CASES if any(word.strip() in case.name for word in words)]
+    cases = _named(arguments.cases.split(",")) if arguments.cases else CASES
     seeds = range(arguments.first, arguments.first + arguments.seeds)
-    duration_s, odometry = arguments.duration, arguments.odometry
-    figures = measure_joined(cases, seeds, duration_s, odometry, lambda f: print(told(f), file=sys.stderr))
+    given = (cases, seeds, arguments.duration, arguments.odometry, arguments.images)
+    figures = measure_joined(*given, on_figures=lambda f: print(told(f), file=sys.stderr))
     sheets = joined_sheet(figures), targets_sheet(judge_joined(figures))
     console = Console(width=None if sys.stdout.isatty() else 180)
     for sheet in sheets:
