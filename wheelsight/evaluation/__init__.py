@@ -1,7 +1,14 @@
 """How good an estimated trajectory is: ATE and RPE as the TUM benchmark defines them, coverage, sequence statistics."""
 
 from wheelsight.evaluation.ate import AbsoluteError, ate
-from wheelsight.evaluation.consistency import THREE_SIGMA_RADIUS, Consistency, consistency, position_covariances_m2
+from wheelsight.evaluation.consistency import (
+    THREE_SIGMA_RADIUS,
+    Consistency,
+    consistency,
+    covariances_ahead_m2,
+    position_covariances_m2,
+    start_alignment,
+)
 from wheelsight.evaluation.coverage import frame_coverage, pairing_warning, time_coverage
 from wheelsight.evaluation.evaluate import Evaluation, evaluate
 from wheelsight.evaluation.rpe import RelativeError, rpe
@@ -18,11 +25,13 @@ __all__ = [
     "Statistics",
     "ate",
     "consistency",
+    "covariances_ahead_m2",
     "evaluate",
     "frame_coverage",
     "pairing_warning",
     "position_covariances_m2",
     "rpe",
     "sequence_statistics",
+    "start_alignment",
     "time_coverage",
 ]

@@ -75,22 +75,34 @@ def consistency(
         raise EvaluationError(f"the estimate is of the {estimate.body}, the ground truth of the {truth.body}")
     if estimate.covariances is None:
         raise EvaluationError("the estimate states no covariances")
-    T_truthworld_body = truth.at(estimate.stamps_s, max_gap_s)
-    known = np.isfinite(T_truthworld_body[:, 0, 0])
+    T_truth_body = truth.at(estimate.stamps_s, max_gap_s)
+    known = np.isfinite(T_truth_body[:, 0, 0])
     if np.count_nonzero(known) < _FEWEST_POSES:
         raise EvaluationError(f"{np.count_nonzero(known)} of the estimate's poses have a truth, {_FEWEST_POSES} needed")
-    near, T_true = estimate.select(known), T_truthworld_body[known]
-    T_truth_estimate = T_true[0] @ se3.invert(near.T_world_body[0])
-    true = Trajectory(near.stamps_s, T_true, body=truth.body).moved(se3.invert(T_truth_estimate))
+    near = estimate.select(known)
+    T_truth_estimate = start_alignment(near, truth, max_gap_s)
+    true = Trajectory(near.stamps_s, T_truth_body[known], body=truth.body).moved(se3.invert(T_truth_estimate))
     R_body_world = _turned_back(near)
     errors_m = np.einsum("nij,nj->ni", R_body_world, (near.positions_m - true.positions_m)[:, :2])
-    C = R_body_world @ position_covariances_m2(near)[:, :2, :2] @ R_body_world.transpose(0, 2, 1)
+    C = covariances_ahead_m2(near)
     stated = C + truth_sigma_m**2 * np.eye(2)
     squared = np.einsum("ni,ni->n", errors_m, np.linalg.solve(stated, errors_m[..., None])[..., 0])
     weights_s = np.append(np.diff(near.stamps_s), 0.0).clip(max=_MOST_WEIGHT_S)
     return Consistency(
         T_truth_estimate, near.stamps_s, errors_m, C, squared <= THREE_SIGMA_RADIUS**2, weights_s, true.length_m
     )
+
+
+def start_alignment(estimate: Trajectory, truth: Trajectory, max_gap_s: float = 0.5) -> FloatArray:
+    """T_truth_estimate (4, 4) that lays the first pose which has a true one upon that; arguments as above.
+
+    Raises EvaluationError where none has.
+    """
+    T_truth_body = truth.at(estimate.stamps_s, max_gap_s)
+    known = np.flatnonzero(np.isfinite(T_truth_body[:, 0, 0]))
+    if not len(known):
+        raise EvaluationError("none of the estimate's poses has a truth")
+    return np.asarray(T_truth_body[known[0]] @ se3.invert(estimate.T_world_body[known[0]]))
 
 
 def position_covariances_m2(trajectory: Trajectory) -> FloatArray:
@@ -101,6 +113,13 @@ def position_covariances_m2(trajectory: Trajectory) -> FloatArray:
     assert trajectory.covariances is not None
     J = np.concatenate([np.tile(np.eye(3), (len(trajectory), 1, 1)), -so3.hat(trajectory.positions_m)], axis=-1)
     return np.asarray(J @ trajectory.covariances @ J.transpose(0, 2, 1))
+
+
+def covariances_ahead_m2(trajectory: Trajectory) -> FloatArray:
+    """Covariances (N, 2, 2) of the positions in x and y along the body's x axis and to its left, m²."""
+    R_body_world = _turned_back(trajectory)
+    C = position_covariances_m2(trajectory)[:, :2, :2]
+    return np.asarray(R_body_world @ C @ R_body_world.transpose(0, 2, 1))
 
 
 def _turned_back(trajectory: Trajectory) -> FloatArray:

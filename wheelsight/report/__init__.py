@@ -13,6 +13,8 @@ from wheelsight.report.figures import (
     time_histogram_figure,
     trajectory_figure,
 )
+from wheelsight.report.joined import FLAGS, JoinedFacts, Rival, facts_of, joined_of, rival_of
+from wheelsight.report.joined_figures import trust_figure
 from wheelsight.report.map_figures import plan_figure
 from wheelsight.report.map_record import MapPicture, MapRecord
 from wheelsight.report.overlay import Overlay, overlay_of
@@ -26,7 +28,9 @@ from wheelsight.report.summary import Summary, summarise
 
 __all__ = [
     "ERROR_HEAD",
+    "FLAGS",
     "FrameRecord",
+    "JoinedFacts",
     "Look",
     "MapPicture",
     "MapRecord",
@@ -34,6 +38,7 @@ __all__ = [
     "Overlay",
     "RealTimeRecord",
     "RectificationRecord",
+    "Rival",
     "RunRecord",
     "Summary",
     "WorldErrors",
@@ -46,16 +51,20 @@ __all__ = [
     "error_figure",
     "error_rows",
     "errors_figure",
+    "facts_of",
+    "joined_of",
     "matches_figure",
     "overlay_figure",
     "overlay_of",
     "plan_figure",
+    "rival_of",
     "stage_figure",
     "status_figure",
     "summarise",
     "time_figure",
     "time_histogram_figure",
     "trajectory_figure",
+    "trust_figure",
     "world_error_figure",
     "write_comparison",
     "write_report",

@@ -16,8 +16,10 @@ from wheelsight.report.record import FrameRecord, RunRecord
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
 ORANGE, SKY, PURPLE = "#E69F00", "#56B4E9", "#CC79A7"
 OLIVE = "#8F8300"  # Okabe and Ito's yellow, dark enough to be a line on white
+YELLOW = "#F0E442"  # the same as it is, for bands
+INK = "#1D2126"  # the page's; where the page is dark, its style sheet turns it light
 # Each odometry keeps its colour wherever several are drawn together.
-ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE, "dense": OLIVE, "rectified": GREEN}
+ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE, "dense": OLIVE, "rectified": GREEN, "joined": INK}
 DASHED = {"color": GREY, "width": 1.5, "dash": "dash"}
 _AIR = 0.08  # of the longer side, around a path: enough for the words at its ends
 _LEAST_EXTENT_M = 0.01
@@ -80,6 +82,20 @@ def add_path(
         x, y = path[lone].T
         marker = {"size": line["width"] + 4, "color": line["color"]}
         figure.add_scatter(x=x, y=y, mode="markers", marker=marker, showlegend=False, **text, **where)
+
+
+def add_area(figure: go.Figure, x: FloatArray, low: FloatArray, high: FloatArray, **how: Any) -> None:
+    """What lies between two lines over time (N,), filled; open where either is NaN."""
+    known = ~np.isnan(low + high)
+    kept = np.union1d(series.keep_peaks(low), series.keep_peaks(high))
+    outline = []
+    for i, j, is_known in series.runs([str(found) for found in known[kept]]):
+        part = kept[i:j]
+        if is_known == "True":
+            there_and_back = np.concatenate([x[part], x[part][::-1]]), np.concatenate([low[part], high[part][::-1]])
+            outline += [np.stack(there_and_back, axis=-1), np.full((1, 2), np.nan)]
+    closed = np.concatenate(outline) if outline else np.empty((0, 2))
+    figure.add_scatter(x=closed[:, 0], y=closed[:, 1], mode="lines", line={"width": 0}, fill="toself", **how)
 
 
 def room_around(points: FloatArray) -> tuple[list[float] | None, list[float] | None]:

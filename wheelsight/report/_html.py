@@ -53,11 +53,13 @@ def bullets(items: Sequence[str], kind: str) -> str:
     return f"<ul{_class(kind)}>\n" + "\n".join(f"<li>{escape(item)}</li>" for item in items) + "\n</ul>"
 
 
-def table(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table whose first column names its rows; wide ones scroll."""
+def table(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]], main: str | None = None) -> str:
+    """A table whose first column names its rows, of which the one called `main` stands out; wide ones scroll."""
     heads = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     lines = "\n".join(
-        f'<tr><th scope="row">{escape(name)}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+        f'<tr{_class("main" if name == main else "")}><th scope="row">{escape(name)}</th>'
+        + "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+        + "</tr>"
         for name, *cells in rows
     )
     return (

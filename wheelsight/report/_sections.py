@@ -66,9 +66,10 @@ def error_table(record: RunRecord) -> str:
     """Every error of a record that was evaluated, as numbers."""
     assert record.evaluation is not None
     evaluation = record.evaluation
+    step = "pose" if record.rectification is not None or record.is_joined else record.unit
     kinds = {
         "ATE": evaluation.ate,
-        f"RPE a {'pose' if record.rectification is not None else record.unit}": evaluation.rpe_per_frame,
+        f"RPE a {step}": evaluation.rpe_per_frame,
         "RPE a second": evaluation.rpe_per_second,
         "RPE a metre": evaluation.rpe_per_metre,
     }
@@ -128,12 +129,14 @@ def tracking(record: RunRecord, summary: Summary, of: str = "") -> str:
     )
     if record.unit == "reading":
         return html.section(_key("tracking", of), _title("Was every reading used?", of), "", status)
-    return html.section(_key("tracking", of), _title("Was it ever lost?", of), "", status, _matches(record, of))
+    return html.section(_key("tracking", of), _title("Was it ever lost?", of), "", status, matches(record, of))
 
 
-def _matches(record: RunRecord, of: str) -> str:
+def matches(record: RunRecord, of: str = "") -> str:
+    """How many matches each frame had."""
     if not any(frame.matches for frame in record.frames):
         return html.paragraph("No frame had any matches.", "missing")
+    is_dense = record.odometry == "dense" or (record.is_joined and "dense" in record.config.get("odometry", ()))
     inliers = np.median([frame.inliers for frame in record.frames if not frame.is_skipped])
     return html.plot(
         _key("matches", of),
@@ -141,7 +144,7 @@ def _matches(record: RunRecord, of: str) -> str:
         "Matches over time",
         "How many of a frame's points fall into what it is aligned with, and how many of them find a surface near them "
         "there (inliers): with few, the pose hangs by a thread."
-        if record.odometry == "dense"
+        if is_dense
         else "How many points were found again in the reference frame, and how many of them agree on one motion "
         "(inliers): with few, the pose hangs by a thread.",
         f"Matches and inliers a frame over time; median {inliers:.0f} inliers.",

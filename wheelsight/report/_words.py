@@ -39,7 +39,7 @@ def duration(seconds: float | None) -> str:
         return "0 s"
     if seconds < 1e-4:
         return f"{number(seconds * 1e6)} µs"
-    if seconds < 1:
+    if seconds < 0.9995:  # what is more reads as 1 s
         return f"{number(seconds * 1e3)} ms"
     if seconds < 120:
         return f"{number(seconds)} s"

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
 from wheelsight._version import __version__
 from wheelsight.files import write_text
 from wheelsight.report import _html as html
+from wheelsight.report import _joined as fusion
 from wheelsight.report import _map as surfels
 from wheelsight.report import _rectification as rectification
 from wheelsight.report import _sections as sections
 from wheelsight.report import _words as words
 from wheelsight.report import comparison_figures as figures
+from wheelsight.report.joined import JOINED, JoinedFacts, Rival, facts_of, joined_of, rival_of
 from wheelsight.report.overlay import Overlay, overlay_of
 from wheelsight.report.page import fill_template, settings
 from wheelsight.report.record import RunRecord
@@ -37,6 +40,15 @@ _HEAD = (
 Judged = tuple[RunRecord, Summary, Verdict]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Joined:
+    """The record of joined sensors, which is the page's main answer, and what there is to say of it."""
+
+    record: RunRecord
+    facts: JoinedFacts
+    rival: Rival | None
+
+
 def write_comparison(records: Sequence[RunRecord], path: Path) -> None:
     """Write the page about `records`, each of another odometry, to `path`, atomically. Raises OutputError."""
     # A folder's name may hold bytes that are no text; they must not cost the page.
@@ -45,25 +57,34 @@ def write_comparison(records: Sequence[RunRecord], path: Path) -> None:
 
 def render_comparison(records: Sequence[RunRecord]) -> str:
     """The page about several odometries as HTML that refers to nothing outside itself."""
-    judged = []
+    joined, judged = _joined_of(records), []
     for record in records:
         summary = summarise(record)
-        judged.append((record, summary, judge(record, summary)))
+        if joined is not None and record is joined.record:
+            judged.append((record, summary, fusion.judge(record, summary, joined.facts, joined.rival)))
+        else:
+            judged.append((record, summary, judge(record, summary)))
+    judged.sort(key=lambda found: not found[0].is_joined)  # the main answer comes first
     paths = overlay_of(records)
     return fill_template(
         kicker="wheelsight run report",
         title=escape(records[0].recording),
         facts=" · ".join(escape(fact) for fact in _facts(records)),
         tone=_tone(judged),
-        phrase=escape(_phrase(records)),
+        phrase=escape(_phrase(records) if joined is None else judged[0][2].phrase),
         sentences="<br>\n".join(
             escape(f"{record.odometry.capitalize()}: {' '.join(verdict.sentences)}") for record, _, verdict in judged
         ),
-        tiles="\n".join(html.tile(*tile) for tile in _tiles(judged)),
+        tiles="\n".join(html.tile(*tile) for tile in _tiles(judged, joined)),
         notes=_notes(judged, paths),
-        sections="\n".join(part for part in _sections(judged, paths) if part),
+        sections="\n".join(part for part in _sections(judged, paths, joined) if part),
         footer=escape("Lengths are in metres, stamps in seconds. This page needs no network."),
     )
+
+
+def _joined_of(records: Sequence[RunRecord]) -> _Joined | None:
+    record = joined_of(records)
+    return None if record is None else _Joined(record, facts_of(record), rival_of(records))
 
 
 def comparison_rows(records: Sequence[RunRecord]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -107,6 +128,8 @@ def _facts(records: Sequence[RunRecord]) -> list[str]:
 
 
 def _tone(judged: Sequence[Judged]) -> Tone:
+    if judged[0][0].is_joined:
+        return judged[0][2].tone
     tones = {verdict.tone for _, _, verdict in judged}
     return tones.pop() if len(tones) == 1 else "fair"
 
@@ -129,19 +152,23 @@ def _phrase(records: Sequence[RunRecord]) -> str:
     return f"{name} came nearest to the truth, {error} off (RMSE)"
 
 
-def _tiles(judged: Sequence[Judged]) -> Iterable[tuple[str, str, str]]:
+def _tiles(judged: Sequence[Judged], joined: _Joined | None) -> Iterable[tuple[str, str, str]]:
+    if joined is not None:
+        yield from fusion.tiles(joined.record, joined.facts, joined.rival)
     for record, _, _ in judged:
         yield from rectification.tiles(record)
-    for record, _, _ in judged:
+    for record, summary in ((record, summary) for record, summary, _ in judged if not record.is_joined):
         if record.evaluation is None:
             yield f"ATE, {record.odometry}", words.UNKNOWN, "not evaluated"
             continue
-        rmse = record.evaluation.ate.translation.rmse
-        yield f"ATE, {record.odometry}", words.length(rmse), f"{words.percent(_share_of_the_way(record))} of the way"
-    for record, summary, _ in judged:
+        more = f"{words.percent(_share_of_the_way(record))} of the way"
+        if joined is not None and summary.pose_share < _MOST_OF_THE_TIME:
+            more = f"where it has a pose, {words.percent(summary.pose_share)}"
+        yield f"ATE, {record.odometry}", words.length(record.evaluation.ate.translation.rmse), more
+    for record, summary, _ in judged if joined is None else ():
         posed = f"{summary.posed:,} of {words.count(summary.frames, summary.unit)}"
         yield f"With a pose, {record.odometry}", words.percent(summary.pose_share), posed
-    for record, summary, _ in judged:
+    for record, summary, _ in judged if joined is None else judged[:1]:
         yield f"Time a {summary.unit}, {record.odometry}", words.duration(summary.median_s), "median"
     yield from (surfels.tile(record.map) for record, _, _ in judged if record.map is not None)
     yield "Duration", words.duration(max(summary.duration_s for _, summary, _ in judged)), "one pass for all"
@@ -164,28 +191,45 @@ def _notes(judged: Sequence[Judged], paths: Overlay) -> str:
     return html.section("notes", "What to know before trusting it", intro, body)
 
 
-def _sections(judged: Sequence[Judged], paths: Overlay) -> Iterable[str]:
-    records = [record for record, _, _ in judged]
+def _sections(judged: Sequence[Judged], paths: Overlay, joined: _Joined | None) -> Iterable[str]:
+    records = sorted(
+        (record for record, _, _ in judged), key=lambda record: record.is_joined
+    )  # in figures it is on top
     yield rectification.section(records)
     yield _path(records, paths)
+    if joined is not None:
+        yield fusion.section(joined.record, joined.facts)
+        yield surfels.section(joined.record, joined.record.odometry)
     yield _errors(records)
-    yield _bands(judged)
+    yield _bands(records)
     for record, summary, _ in judged:
-        of = record.odometry
-        yield sections.certainty(record, of)
-        if record.unit == "frame" and record.rectification is None:
-            yield sections.tracking(record, summary, of)
-        yield sections.timing(record, summary, of)
-        yield surfels.section(record, of)
-        yield sections.pictures(record, of)
+        yield from _details(record, summary)
     yield settings(records[0])
+
+
+def _details(record: RunRecord, summary: Summary) -> Iterable[str]:
+    """What there is to say of one odometry; of joined sensors only what is not said above already."""
+    of = record.odometry
+    yield sections.certainty(record, of)
+    if record.unit == "frame" and record.rectification is None and not record.is_joined:
+        yield sections.tracking(record, summary, of)
+    yield sections.timing(record, summary, of)
+    if not record.is_joined:
+        yield surfels.section(record, of)
+    yield sections.pictures(record, of)
 
 
 def _path(records: Sequence[RunRecord], paths: Overlay) -> str:
     title = "Where each went"
     if not paths.paths_m:
         return html.section("path", title, "", html.paragraph("No pose was found, so there is no path.", "missing"))
-    if paths.by == "truth":
+    if paths.by == "true start":
+        intro = (
+            "Each path begins where the truth does, in its direction, and nothing is fitted afterwards: where it "
+            "leaves the truth, it has drifted. Ellipses are where the joined sensors say that the robot is, by 3σ; "
+            "where none is seen, they are smaller than the line. The legend shows those of the others too."
+        )
+    elif paths.by == "truth":
         intro = (
             "Each path by itself is laid upon the ground truth by one rigid motion, as ATE does it: what is left is "
             "the error of its shape, and not where it drifts to from a common start."
@@ -207,7 +251,7 @@ def _errors(records: Sequence[RunRecord]) -> str:
         "One row an odometry. RPE is RMSE, “turn a metre” its rotation; the time is of one frame or reading, reading "
         "images not included. Errors speak only of the time covered."
     )
-    table = html.table(caption, *comparison_rows(records))
+    table = html.table(caption, *comparison_rows(records), main=JOINED)
     evaluated = [record for record in records if record.evaluation is not None]
     if not evaluated:
         why = records[0].evaluation_problem or "the recording has no ground truth"
@@ -222,14 +266,16 @@ def _errors(records: Sequence[RunRecord]) -> str:
     return html.section("errors", title, "", table, plot, *all_errors)
 
 
-def _bands(judged: Sequence[Judged]) -> str:
-    if not any(record.frames for record, _, _ in judged):
+def _bands(records: Sequence[RunRecord]) -> str:
+    if not any(record.frames for record in records):
         return ""
-    shares = ", ".join(f"{record.odometry} {words.percent(summary.pose_share)}" for record, summary, _ in judged)
+    shares = ", ".join(f"{record.odometry} {words.percent(summarise(record).pose_share)}" for record in records)
     sentence = "In an odometry's own colour its pose is known; other colours say why it is not."
+    if joined_of(records) is not None:
+        sentence += " While coasting, joined sensors know it by the wheels alone."
     plot = html.plot(
         "bands",
-        figures.bands_figure([r for r, _, _ in judged]),
+        figures.bands_figure(records),
         "Status over time",
         sentence,
         f"With a pose: {shares}.",

@@ -14,6 +14,8 @@ from wheelsight.report import _drawing as drawing
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import GREY
 from wheelsight.report.figures import STATUS_COLOURS, add_band, status_labels
+from wheelsight.report.joined import JOINED
+from wheelsight.report.joined_figures import add_ellipses
 from wheelsight.report.overlay import Overlay
 from wheelsight.report.record import RunRecord
 
@@ -21,9 +23,12 @@ _TIME = "seconds since the first event"
 
 
 def overlay_figure(paths: Overlay) -> go.Figure:
-    """All paths and the truth from above, metres, equal aspect; a ring at the start, a square at each end."""
+    """All paths and the truth from above, metres, equal aspect; a ring at the start, a square at each end.
+
+    Joined sensors stand out, with ellipses of the 3σ that they state; those of the others the legend turns on.
+    """
     figure = drawing.style(go.Figure(), 560, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
-    lines = {name: (path, colour_of(name), 2) for name, path in paths.paths_m.items()}
+    lines = {name: (path, colour_of(name), _width_of(name)) for name, path in paths.paths_m.items()}
     if paths.truth_m is not None:
         lines = {"ground truth": (paths.truth_m, GREY, 5), **lines}
     drawn, start = np.empty((0, 2)), None
@@ -37,6 +42,9 @@ def overlay_figure(paths: Overlay) -> go.Figure:
         start = known[0] if start is None and len(known) else start
         if name != "ground truth" and len(known):
             _mark(figure, known[-1], f"end, {name}", "square", colour)
+        if name in paths.trajectories and JOINED in paths.paths_m:
+            how = {} if name == JOINED else {"visible": "legendonly"}
+            add_ellipses(figure, name, paths.trajectories[name], colour, **how)
     if start is not None:
         _mark(figure, start, "start", "circle-open", GREY)
     x_range, y_range = drawing.room_around(drawn)
@@ -54,7 +62,8 @@ def errors_figure(records: Sequence[RunRecord]) -> go.Figure:
     for row, (title, unit, lines) in enumerate(panels, start=1):
         for record, stamps_s, errors in lines:
             x, y = series.with_gaps(stamps_s, errors, series.poseless_stamps_s(record))
-            name, line = record.odometry, {"color": colour_of(record.odometry), "width": 1.5}
+            name = record.odometry
+            line = {"color": colour_of(name), "width": 0.75 * _width_of(name)}
             where = {"row": row, "in_legend": row == 1}
             drawing.add_line(figure, x - start_s, y, name=name, line=line, hover=f"%{{y:.4f}} {unit}", **where)
         drawing.panel_title(figure, f"{title}, {unit}", y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
@@ -89,6 +98,10 @@ def bands_figure(records: Sequence[RunRecord]) -> go.Figure:
 def colour_of(odometry: str) -> str:
     """The colour an odometry keeps through the page."""
     return drawing.ODOMETRY_COLOURS.get(odometry, GREY)
+
+
+def _width_of(odometry: str) -> float:
+    return 3 if odometry == JOINED else 2
 
 
 def _error_panels(

@@ -13,18 +13,19 @@ from plotly.subplots import make_subplots
 
 from wheelsight.errors import EvaluationError
 from wheelsight.estimates import Status
-from wheelsight.evaluation import Evaluation
+from wheelsight.evaluation import Evaluation, position_covariances_m2
 from wheelsight.geometry import FloatArray
 from wheelsight.report import _drawing as drawing
 from wheelsight.report import _series as series
 from wheelsight.report import _words as words
-from wheelsight.report._drawing import BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION
+from wheelsight.report._drawing import BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, YELLOW
 from wheelsight.report.record import RunRecord
 from wheelsight.report.summary import SKIPPED, summarise
 from wheelsight.trajectory import Trajectory
 
 STATUS_COLOURS = {
     Status.TRACKING.value: GREEN,
+    Status.COASTING.value: YELLOW,
     Status.INITIALIZING.value: SKY,
     Status.FAILING.value: ORANGE,
     Status.LOST.value: VERMILLION,
@@ -100,11 +101,8 @@ def certainty_figure(record: RunRecord, colour: str | None = None) -> go.Figure:
 def standard_deviations(estimate: Trajectory) -> tuple[FloatArray, FloatArray]:
     """σ (N,) of the position along its worst direction in the plane, metres, and of the yaw, degrees."""
     assert estimate.covariances is not None
-    Ad = np.tile(np.eye(3), (len(estimate), 1, 1))  # a turn about the world's origin shifts the body that stands off it
-    Ad[:, 0, 2], Ad[:, 1, 2] = -estimate.positions_m[:, 1], estimate.positions_m[:, 0]
-    covariances = Ad @ estimate.covariances[:, [[0], [1], [5]], [0, 1, 5]] @ Ad.transpose(0, 2, 1)
-    position = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1]
-    return np.sqrt(position.clip(0)), np.degrees(np.sqrt(covariances[:, 2, 2]))
+    position = np.linalg.eigvalsh(position_covariances_m2(estimate)[:, :2, :2])[:, -1]
+    return np.sqrt(position.clip(0)), np.degrees(np.sqrt(estimate.covariances[:, 5, 5].clip(0)))
 
 
 def status_figure(record: RunRecord) -> go.Figure:
@@ -123,9 +121,10 @@ def status_figure(record: RunRecord) -> go.Figure:
 
 
 def status_labels(record: RunRecord) -> list[str]:
-    """The status of each frame, or that it was skipped, unless it was lost anyway."""
+    """The status of each frame, or that it was skipped, unless it was lost anyway, or other sensors told the pose."""
     return [
-        SKIPPED if frame.is_skipped and frame.status != Status.LOST else str(frame.status) for frame in record.frames
+        SKIPPED if frame.is_skipped and not (record.is_joined or frame.status == Status.LOST) else str(frame.status)
+        for frame in record.frames
     ]
 
 

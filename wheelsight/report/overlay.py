@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
+from wheelsight.errors import EvaluationError
+from wheelsight.evaluation import start_alignment
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.report import _series as series
 from wheelsight.report.figures import estimated_path_m, truth_path_m
+from wheelsight.report.joined import joined_of
 from wheelsight.report.record import RunRecord
+from wheelsight.trajectory import Trajectory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,19 +25,29 @@ class Overlay:
     Attributes:
         paths_m: (N, 3) positions of each odometry by its name, metres, rows of NaN at gaps.
         truth_m: (M, 3) true positions, likewise, or None.
-        by: what they were brought together by: each laid upon the "truth" as ATE lays it, or their "start".
+        by: what they were brought together by: each laid upon the "truth" as ATE lays it, or by its first pose upon
+            the "true start", or their "start".
         left_out: why an odometry is not among them, by its name.
+        trajectories: the same estimates in the same world, with their covariances, of those that have some.
     """
 
     paths_m: dict[str, FloatArray]
     truth_m: FloatArray | None
-    by: Literal["truth", "start"]
+    by: Literal["truth", "true start", "start"]
     left_out: dict[str, str]
+    trajectories: dict[str, Trajectory] = field(default_factory=dict)
 
 
 def overlay_of(records: Sequence[RunRecord]) -> Overlay:
-    """The paths of `records` in one world: the truth's where any was evaluated, else one that begins where they do."""
+    """The paths of `records` in one world: the truth's where any was evaluated, else one that begins where they do.
+
+    With joined sensors all begin at the true start: what these state of their errors grows from there.
+    """
     evaluated = [record for record in records if record.evaluation is not None]
+    if evaluated and joined_of(evaluated) is not None:
+        left_out = {r.odometry: r.evaluation_problem or "" for r in records if r.evaluation is None}
+        moved = {record.odometry: _from_the_true_start(record) for record in evaluated}
+        return _overlay(evaluated, moved, truth_path_m(evaluated[0]), "true start", left_out)
     if evaluated:
         left_out = {r.odometry: r.evaluation_problem or "" for r in records if r.evaluation is None}
         paths_m = {record.odometry: estimated_path_m(record) for record in evaluated}
@@ -45,18 +59,42 @@ def overlay_of(records: Sequence[RunRecord]) -> Overlay:
             left_out[record.odometry] = "no pose was found"
         elif record.estimate.body != body:
             left_out[record.odometry] = f"it tells of the {record.estimate.body}, the others of the {body}"
-    return Overlay(_from_one_start([r for r in records if r.odometry not in left_out]), None, "start", left_out)
+    drawn = [record for record in records if record.odometry not in left_out]
+    return _overlay(drawn, _from_one_start(drawn), None, "start", left_out)
 
 
-def _from_one_start(records: Sequence[RunRecord]) -> dict[str, FloatArray]:
-    """Each path (N, 3) seen from its pose at the first moment at which all are known, or else from its first pose."""
-    begin_s = max((record.estimate.stamps_s[0] for record in records), default=0.0)
+def _overlay(
+    records: Sequence[RunRecord],
+    moved: dict[str, Trajectory],
+    truth_m: FloatArray | None,
+    by: Literal["true start", "start"],
+    left_out: dict[str, str],
+) -> Overlay:
     paths_m = {}
+    for record in records:
+        stamps_s, positions_m = moved[record.odometry].stamps_s, moved[record.odometry].positions_m
+        paths_m[record.odometry] = series.with_gaps(stamps_s, positions_m, series.poseless_stamps_s(record))[1]
+    stated = {name: trajectory for name, trajectory in moved.items() if trajectory.covariances is not None}
+    return Overlay(paths_m, truth_m, by, left_out, stated)
+
+
+def _from_the_true_start(record: RunRecord) -> Trajectory:
+    """The estimate laid upon the truth by its first pose; as ATE lays it where the truth has too wide gaps for that."""
+    assert record.ground_truth is not None
+    assert record.evaluation is not None
+    try:
+        return record.estimate.moved(start_alignment(record.estimate, record.ground_truth))
+    except EvaluationError:
+        return record.evaluation.ate.aligned
+
+
+def _from_one_start(records: Sequence[RunRecord]) -> dict[str, Trajectory]:
+    """Each estimate seen from its pose at the first moment at which all are known, or else from its first pose."""
+    begin_s = max((record.estimate.stamps_s[0] for record in records), default=0.0)
+    moved = {}
     for record in records:
         T_world_start = record.estimate.at([begin_s])[0]
         if not np.isfinite(T_world_start).all():
             T_world_start = record.estimate.T_world_body[0]
-        moved = record.estimate.moved(se3.invert(T_world_start))
-        breaks_s = series.poseless_stamps_s(record)
-        paths_m[record.odometry] = series.with_gaps(moved.stamps_s, moved.positions_m, breaks_s)[1]
-    return paths_m
+        moved[record.odometry] = record.estimate.moved(se3.invert(T_world_start))
+    return moved

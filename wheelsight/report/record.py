@@ -84,8 +84,8 @@ class RunRecord:
         peak_memory_mb: of the whole process, or None where the system does not tell.
         finished_at: when the run ended, with its time zone.
         unit: what `frames` holds, "frame" or "reading".
-        odometry: its name, or "rectified" of wheels that areas correct: then `frames` are of frames alone, while the
-            trajectory has a pose at each wheel reading too.
+        odometry: its name, "rectified" of wheels that areas correct, or "joined" of wheels and a camera: then `frames`
+            are of frames alone, while the trajectory has a pose at each wheel reading too.
         rectification: what areas did to the wheels, or None.
         map: what was built on the way, or None.
         realtime: how it went, if the recording was played in real time, or None.
@@ -115,3 +115,8 @@ class RunRecord:
     def is_planar(self) -> bool:
         """Whether the estimate keeps to one plane, as wheels do."""
         return self.unit == "reading" or self.rectification is not None
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether wheels and a camera tell it together, so that a frame that tells nothing may have a pose."""
+        return self.odometry == "joined"

@@ -26,9 +26,9 @@ class Verdict:
 
 def judge(record: RunRecord, summary: Summary) -> Verdict:
     """What `record` shows, in words. Only tracking is judged; how much error is too much is the reader's to say."""
-    phrase, tone = _tracking_phrase(summary)
+    phrase, tone = tracking_phrase(summary)
     tracked = _tracking_sentence(summary, by_camera=summary.unit == "frame" and record.rectification is None)
-    sentences = (tracked, _accuracy_sentence(record, summary), _speed_sentence(summary))
+    sentences = (tracked, accuracy_sentence(record, summary), speed_sentence(summary))
     return Verdict(phrase, tuple(filter(None, sentences)), tone)
 
 
@@ -39,7 +39,12 @@ def notes(record: RunRecord, summary: Summary) -> list[str]:
         found.append(f"{words.count(summary.skipped, summary.unit)} could not be used: {_counted(summary.skips)}.")
     if summary.failures:
         failed = sum(n for _, n in summary.failures)
-        found.append(f"{words.count(failed, f'used {summary.unit}')} gave no pose: {_counted(summary.failures)}.")
+        which, why = words.count(failed, f"used {summary.unit}"), _counted(summary.failures)
+        found.append(
+            f"{which} told nothing that was believed, and the wheels led there: {why}."
+            if record.is_joined
+            else f"{which} gave no pose: {why}."
+        )
     if summary.failures and record.unit == "reading":
         found.append(
             "After a reading without a pose the path goes on from where it was: what lies between is not known."
@@ -49,7 +54,8 @@ def notes(record: RunRecord, summary: Summary) -> list[str]:
     return found
 
 
-def _tracking_phrase(summary: Summary) -> tuple[str, Tone]:
+def tracking_phrase(summary: Summary) -> tuple[str, Tone]:
+    """How much of the run has a pose, and how that sounds."""
     share = summary.pose_share
     if not summary.posed:
         return "No pose was found", "poor"
@@ -77,7 +83,8 @@ def _tracking_sentence(summary: Summary, by_camera: bool) -> str:
     return text + f"; the camera was lost {times}, for {words.duration(summary.lost_s)} in all."
 
 
-def _accuracy_sentence(record: RunRecord, summary: Summary) -> str:
+def accuracy_sentence(record: RunRecord, summary: Summary) -> str:
+    """How far the path is off, or why that cannot be said; nothing without a pose."""
     if not summary.posed:
         return ""
     if record.evaluation is None:
@@ -91,7 +98,8 @@ def _accuracy_sentence(record: RunRecord, summary: Summary) -> str:
     return text + "."
 
 
-def _speed_sentence(summary: Summary) -> str:
+def speed_sentence(summary: Summary) -> str:
+    """Whether it keeps up with its sensor; nothing where no time is known."""
     if not summary.median_s > 0:
         return ""
     text = f"A {summary.unit} takes {words.duration(summary.median_s)} at the median"

@@ -1,0 +1,143 @@
+"""The page's part about joined sensors: what it comes to in words, key figures, and whether it knew its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from wheelsight.estimates import Status
+from wheelsight.report import _html as html
+from wheelsight.report import _sections as sections
+from wheelsight.report import _words as words
+from wheelsight.report import figures
+from wheelsight.report.joined import FLAGS, JoinedFacts, Rival
+from wheelsight.report.joined_figures import trust_figure
+from wheelsight.report.record import RunRecord
+from wheelsight.report.summary import Summary
+from wheelsight.report.verdict import Tone, Verdict, accuracy_sentence, speed_sentence, tracking_phrase
+
+# Joining sensors is to err at most so many times what the better one does, and to stay within 3σ at least so often.
+_NO_WORSE, _MOSTLY_WITHIN = 1.2, 0.95
+
+
+def judge(record: RunRecord, summary: Summary, facts: JoinedFacts, rival: Rival | None) -> Verdict:
+    """What joining came to, in words, with the sensors alone beside it."""
+    phrase, tone = tracking_phrase(summary)
+    if tone == "good":
+        tone = _tone(facts, rival)
+    if summary.posed and record.evaluation is not None:
+        error = words.length(record.evaluation.ate.translation.rmse)
+        phrase = f"Joined: {error} off (RMSE){_beside(rival)}"
+    elif summary.posed:
+        phrase = f"Joined: {phrase[0].lower()}{phrase[1:]}, without a truth to judge it by"
+    sentences = (
+        _leading_sentence(summary, facts),
+        _flags_sentence(facts),
+        accuracy_sentence(record, summary),
+        _consistency_sentence(facts),
+        speed_sentence(summary),
+    )
+    return Verdict(phrase, tuple(filter(None, sentences)), tone)
+
+
+def tiles(record: RunRecord, facts: JoinedFacts, rival: Rival | None) -> Iterable[tuple[str, str, str]]:
+    """Key figures."""
+    if record.evaluation is None:
+        yield "ATE, joined", words.UNKNOWN, "not evaluated"
+    else:
+        more = "RMSE" if rival is None else f"{words.number(rival.ratio, 2)} times that of {rival.odometry}"
+        yield "ATE, joined", words.length(record.evaluation.ate.translation.rmse), more
+    found = facts.consistency
+    if found is not None:
+        yield "Within its stated 3σ", words.percent(found.share), "of the time"
+        yield "Off at the end", words.length(found.drift_m), f"{words.percent(found.drift_share)} of the way"
+    coasting = sum(facts.coasting_s)
+    yield (
+        "Coasting",
+        words.duration(coasting),
+        f"{_times(len(facts.coasting_s))}, {words.duration(max(facts.coasting_s))} at most" if coasting else "never",
+    )
+    first, *others = FLAGS
+    more = ", ".join(f"{flag} {_share(facts.flag_shares[flag])}" for flag in others)
+    yield f"Flagged: {first}", _share(facts.flag_shares[first]), more
+
+
+def section(record: RunRecord, facts: JoinedFacts) -> str:
+    """Errors beside what was said of them, statuses and flags, on one time axis; the camera's matches below."""
+    key, title = "joined-trust", "Joined: how far to trust it"
+    if not record.frames:
+        return ""
+    if record.estimate.covariances is None:
+        status = html.plot("joined-status", figures.status_figure(record), "Status over time", "", "No pose is known.")
+        return html.section(key, title, "", html.paragraph("No pose was found.", "missing"), status)
+    found = facts.consistency
+    intro = (
+        "Tracking is when the camera was believed, coasting when the wheels alone led. Flagged is slip, when the "
+        "wheels were not believed; doubtful, when camera and wheels contradicted each other and nobody knew who was "
+        "right; degenerate, when an image did not show all directions."
+    )
+    sentence = (
+        "The band is ±3σ as the filter stated it. Without a truth, whether that is honest cannot be said."
+        if found is None
+        else "Estimated minus true position, as the robot sees it, begun at the true start and never fitted again. The "
+        "band is ±3σ as the filter stated it; red is where the true position lies beyond it. (Both directions are "
+        "judged together, by the 3σ ellipse.)"
+    )
+    alt = f"{_leading_sentence(None, facts)} {_consistency_sentence(facts)}".strip()
+    plot = html.plot(key, trust_figure(record, found), "Error, stated error, status", sentence, alt)
+    return html.section(key, title, intro, plot, sections.matches(record, record.odometry))
+
+
+def _beside(rival: Rival | None) -> str:
+    if rival is None:
+        return ""
+    better = ", which is better" if rival.ratio > 1 else ""
+    return f", {words.number(rival.ratio, 2)} times the error of {rival.odometry} alone{better}"
+
+
+def _tone(facts: JoinedFacts, rival: Rival | None) -> Tone:
+    is_worse = rival is not None and rival.ratio > _NO_WORSE
+    is_boasting = facts.consistency is not None and facts.consistency.share < _MOSTLY_WITHIN
+    return "fair" if is_worse or is_boasting else "good"
+
+
+def _leading_sentence(summary: Summary | None, facts: JoinedFacts) -> str:
+    """How many frames have a pose, and who led."""
+    led = "the camera led throughout"
+    if facts.coasting_s:
+        share = words.percent(facts.share_of(Status.COASTING))
+        whole, longest = words.duration(sum(facts.coasting_s)), words.duration(max(facts.coasting_s))
+        led = f"it coasted on the wheels {_times(len(facts.coasting_s))}, for {whole} in all ({share} of the time)"
+        led += f", {longest} at most" if len(facts.coasting_s) > 1 else ""
+    elif not facts.seconds.get(Status.TRACKING):
+        led = "it never tracked"
+    lost_s = facts.seconds.get(Status.LOST, 0.0)
+    led += f", and was lost for {words.duration(lost_s)}" if lost_s else ""
+    if summary is None:
+        return f"{led[0].upper()}{led[1:]}."
+    share = words.percent(summary.pose_share)
+    return f"{summary.posed:,} of {words.count(summary.frames, summary.unit)} ({share}) have a pose; {led}."
+
+
+def _flags_sentence(facts: JoinedFacts) -> str:
+    if not any(facts.flag_shares.values()):
+        return "Nothing was flagged: no slip, no doubt, no degenerate view."
+    flagged = ", ".join(f"{flag} {_share(share)}" for flag, share in facts.flag_shares.items())
+    return f"Flagged, in shares of the time: {flagged}."
+
+
+def _consistency_sentence(facts: JoinedFacts) -> str:
+    found = facts.consistency
+    if found is None:
+        return ""
+    return (
+        f"Begun at the true start, it ends {words.length(found.drift_m)} off, {words.percent(found.drift_share)} of "
+        f"the way; the position is within its stated 3σ in {words.percent(found.share)} of the time."
+    )
+
+
+def _share(share: float) -> str:
+    return words.percent(share) if share else "never"
+
+
+def _times(n: int) -> str:
+    return "once" if n == 1 else f"{n} times"
