@@ -28,6 +28,11 @@ def errors_of_wheels(rng, settings):
     return tuple(rng.normal(size=3) * [settings.scale_sigma, settings.drift_sigma_rad_per_m, settings.turn_sigma])
 
 
+def errors_of_camera(rng, settings):
+    s = settings
+    return tuple(rng.normal(size=3) * [s.camera_scale_sigma, s.camera_drift_sigma_rad_per_m, s.camera_turn_sigma])
+
+
 def within(mean, degrees, runs, probability=0.99):
     low, high = chi2.ppf([(1 - probability) / 2, (1 + probability) / 2], degrees * runs) / runs
     return low < mean < high
@@ -39,7 +44,8 @@ def test_nees_and_nis_are_chi_squared(kind):
     nees, nis = [], []
     for seed in range(RUNS):
         rng = np.random.default_rng(seed)
-        drive = Drive(5.0, 0.1, 2, 0.8, errors_of_wheels(rng, PLAIN), 0.01, camera_fault=FAULTS[kind])
+        wrong = errors_of_wheels(rng, PLAIN), errors_of_camera(rng, PLAIN)
+        drive = Drive(5.0, 0.1, 2, 0.8, *wrong, 0.01, camera_fault=FAULTS[kind])
         steps = simulate(drive, rng, PLAIN)
         answers = run(steps, PLAIN)
         off = error_of(answers[-1], steps[-1].T_truth)
@@ -57,7 +63,7 @@ def test_nis_of_gyroscope_and_places_are_chi_squared():
         rng = np.random.default_rng(seed)
         fusion = ErrorStateFilter(settings=PLAIN)
         bias = rng.normal() * PLAIN.gyro_bias_sigma_rad_s
-        drive = Drive(3.0, 0.1, 99, 0.8, errors_of_wheels(rng, PLAIN), 0.01)
+        drive = Drive(3.0, 0.1, 99, 0.8, errors_of_wheels(rng, PLAIN), slip_m_per_sqrt_m=0.01)
         for i, step in enumerate(simulate(drive, rng, PLAIN)):
             fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
             rate = (

@@ -49,7 +49,8 @@ class Happening:
         yaw_rate_rad_s: of a gyroscope.
         look: of the camera. `failure`: why it had none.
         position: x, y (2,) in the world, and covariance (2, 2).
-        clone: the pose is remembered by that name. `drop`: it no longer is.
+        clone: the pose is remembered by that name; `spread` (6, 6) by which the camera may have it wrong. `drop`: it no
+            longer is.
     """
 
     stamp_s: float
@@ -60,6 +61,7 @@ class Happening:
     position: tuple[FloatArray, FloatArray] | None = None
     clone: str | None = None
     drop: str | None = None
+    spread: FloatArray | None = None
 
     @property
     def rank(self) -> int:
@@ -90,8 +92,8 @@ def after(
     if event.position is not None:
         return _placed(now, *event.position, settings)
     if event.clone is not None:
-        name, most = event.clone, settings.max_clones
-        return replace(now, court=_each(now.court, lambda belief: belief.cloned(name, event.stamp_s, most)))
+        given = (event.clone, event.stamp_s, settings.max_clones, event.spread)
+        return replace(now, court=_each(now.court, lambda belief: belief.cloned(*given)))
     if event.drop is not None:
         forgotten = event.drop
         return replace(now, court=_each(now.court, lambda belief: belief.dropped(forgotten)))

@@ -24,9 +24,9 @@ from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.geometry import FloatArray, IntArray
 
 PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
-# Behind all poses stand, in this order: the twist, what is wrong with the wheels, and the gyroscope's bias.
-TWIST, ERRORS, BIAS = slice(0, 3), slice(3, 6), 6
-REST_SIZE = 7
+# Behind all poses stand, in this order: the twist, what is wrong with wheels and camera, and the gyroscope's bias.
+TWIST, ERRORS, CAMERA_ERRORS, BIAS = slice(0, 3), slice(3, 6), slice(6, 9), 9
+REST_SIZE = 10
 _LEVEL_EVERY_M = 0.25
 _KNOWN_FOR_S = 0.25
 _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
@@ -80,8 +80,8 @@ class PoseBelief:
     Attributes:
         T: (1 + K, 4, 4) T_world_base now, and at the remembered instants.
         names, stamps_s: of these instants.
-        rest: (7,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the gyroscope's bias.
-        covariance: (6 + 6K + 7, 6 + 6K + 7) of all perturbations of poses, then of `rest`.
+        rest: (10,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's, the gyroscope's bias.
+        covariance: (6 + 6K + 10, 6 + 6K + 10) of all perturbations of poses, then of `rest`.
         doubted: (6, 6) part of the pose's covariance that is there because wheels were not trusted since vision was
             last believed.
         way_m: since the floor was last taken for level.
@@ -108,7 +108,8 @@ class PoseBelief:
         P[:6, :6] = covariance
         still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
         errors = [s.scale_sigma, s.drift_sigma_rad_per_m, s.turn_sigma]
-        P[6:, 6:] = np.diag(np.square([*still, *errors, s.gyro_bias_sigma_rad_s]))
+        camera = [s.camera_scale_sigma, s.camera_drift_sigma_rad_per_m, s.camera_turn_sigma]
+        P[6:, 6:] = np.diag(np.square([*still, *errors, *camera, s.gyro_bias_sigma_rad_s]))
         return cls(T_world_base[None].copy(), (), (), np.zeros(REST_SIZE), P, np.zeros((6, 6)))
 
     @property
@@ -134,8 +135,9 @@ class PoseBelief:
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         raw = step.xi * share
         way_m = s.lever_m * abs(raw[5]) + float(np.sqrt(raw[0] ** 2 + raw[1] ** 2))
-        walks = np.square([s.scale_walk, s.drift_walk_rad_per_m, s.turn_walk, s.gyro_bias_walk_rad_s])
-        walks *= [way_m, way_m, way_m, dt_s]
+        wander = [s.camera_scale_walk, s.camera_drift_walk_rad_per_m, s.camera_turn_walk]
+        walks = np.square([s.scale_walk, s.drift_walk_rad_per_m, s.turn_walk, *wander, s.gyro_bias_walk_rad_s])
+        walks *= [*[way_m] * 6, dt_s]
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
         Q = step.covariance * share + _unseen(way_m, s)
         kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)
@@ -167,14 +169,21 @@ class PoseBelief:
         kernels.glide(T, rest, P, q, _unseen(way_m, s), dt_s, s.gyro_bias_walk_rad_s**2 * dt_s)
         return replace(self, T=T, rest=rest, covariance=P)
 
-    def cloned(self, name: str, stamp_s: float, most: int) -> PoseBelief:
-        """With the pose now remembered as `name`; a pose of that name before, or the oldest of too many, goes."""
+    def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:
+        """With the pose now remembered as `name`; a pose of that name before, or the oldest of too many, goes.
+
+        `spread` (6, 6), in the base's own frame, is added to its covariance: by what the camera has it elsewhere.
+        """
         here = self.dropped(name)
         while len(here.names) >= most:
             here = here.dropped(here.names[0])
         poses = np.r_[: len(here.T), 0]
         names, stamps = (*here.names, name), (*here.stamps_s, stamp_s)
-        return replace(here._selected(poses), names=names, stamps_s=stamps)
+        there = replace(here._selected(poses), names=names, stamps_s=stamps)
+        if spread is not None:
+            at, Ad = slice(6 * len(names), 6 * len(names) + 6), kernels.adjoint(self.T[0])
+            there.covariance[at, at] += Ad @ spread @ Ad.T
+        return there
 
     def dropped(self, name: str) -> PoseBelief:
         """Without the remembered pose `name`: it is marginalised, all else stays as it is."""
@@ -196,13 +205,14 @@ class PoseBelief:
         return self.names.index(name) + 1
 
     def apart(self, look: Look) -> FloatArray:
-        """log(Z Ẑ⁻¹) (6,): how far the camera's motion is from the expected one."""
-        return np.asarray(kernels.apart(self.T[0], self.T[self.reference(look.name)], look.Z))
+        """log(Z Ẑ⁻¹) (6,): how far the camera's motion, mended by what is known of its errors, is from the expected."""
+        T_reference = self.T[self.reference(look.name)]
+        return np.asarray(kernels.apart(self.T[0], T_reference, look.Z, self.rest[CAMERA_ERRORS]))
 
     def innovation(self, look: Look, *, without_doubt: bool = False) -> Innovation:
         """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed."""
         at = self.reference(look.name)
-        H, PHt, HPHt = kernels.look(self.T[at], self.covariance, 6 * at, look.seen)
+        H, PHt, HPHt = kernels.look(self.T[0], self.T[at], self.covariance, 6 * at, look.seen)
         S = HPHt + look.covariance
         if without_doubt:
             S = S - H @ self.doubted @ H.T

@@ -20,6 +20,8 @@ class ErrorStateSettings:
         scale_sigma, drift_sigma_rad_per_m, turn_sigma: of the wheels' errors: the ratio by which ways are wrong, the
             turn a metre too much (unequal radii), the ratio by which turns are wrong (track width).
         scale_walk, drift_walk_rad_per_m, turn_walk: how these wander in one metre.
+        camera_scale_sigma, camera_drift_sigma_rad_per_m, camera_turn_sigma: likewise of the camera's errors.
+        camera_scale_walk, camera_drift_walk_rad_per_m, camera_turn_walk: how these wander in one metre.
         side_m_per_sqrt_m, rise_m_per_sqrt_m, tilt_rad_per_sqrt_m: of what wheels do not tell: sideways, up, roll and
             pitch; the way is that of a point `lever_m` beside the base.
         level_sigma_rad, level_m: floors are level up to this, one stretch of so many metres like another; inf: never.
@@ -50,6 +52,12 @@ class ErrorStateSettings:
     scale_walk: float = 0.0005
     drift_walk_rad_per_m: float = 0.0005
     turn_walk: float = 0.0005
+    camera_scale_sigma: float = 0.005
+    camera_drift_sigma_rad_per_m: float = 0.0005
+    camera_turn_sigma: float = 0.005
+    camera_scale_walk: float = 0.0005
+    camera_drift_walk_rad_per_m: float = 0.0001
+    camera_turn_walk: float = 0.0005
     side_m_per_sqrt_m: float = 0.005
     rise_m_per_sqrt_m: float = 0.01
     tilt_rad_per_sqrt_m: float = 0.05

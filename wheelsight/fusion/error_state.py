@@ -130,9 +130,19 @@ class ErrorStateFilter:
         grown = (axes * np.maximum(strength, 0.0)) @ axes.T
         return self.predict(wheels.stamp_s, T_before_odom @ T, grown, before.stamp_s)
 
-    def clone(self, stamp_s: float, name: str) -> FusedEstimate:
-        """Remember the pose at a stamp as `name`, for later looks; one of that name before is forgotten."""
-        return self._take(Happening(stamp_s, clone=name))
+    def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
+        """Remember the pose at a stamp as `name`, for later looks; one of that name before is forgotten.
+
+        Args:
+            covariance: (6, 6) of the camera's left perturbation in its own frame, by which camera odometry has it
+                elsewhere: an error that all later looks against it share. None for none.
+        """
+        if covariance is None:
+            return self._take(Happening(stamp_s, clone=name))
+        spread = _covariance(covariance, 6)
+        if spread is None:
+            return self._refused(Reason.INVALID)
+        return self._take(Happening(stamp_s, clone=name, spread=self._Ad_base_camera @ spread @ self._Ad_base_camera.T))
 
     def drop(self, stamp_s: float, name: str) -> FusedEstimate:
         """Forget a remembered pose: it is marginalised."""

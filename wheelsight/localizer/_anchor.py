@@ -16,7 +16,10 @@ _LEVER = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # of `MotionEstimate.degenera
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
-    """A frame's pose by camera odometry, T_world_camera (4, 4), and what its alignment left uncertain (6, 6)."""
+    """A frame's pose by camera odometry, T_world_camera (4, 4).
+
+    `covariance` (6, 6) is what its alignment left uncertain, in its own frame: all motions told against it share that.
+    """
 
     T_world_camera: FloatArray
     covariance: FloatArray
@@ -24,7 +27,8 @@ class Anchor:
     @classmethod
     def at(cls, T_world_camera: FloatArray, motion: MotionEstimate) -> Anchor:
         """A frame at a pose, which `motion` against its own reference has told."""
-        return cls(T_world_camera, _in_world(T_world_camera, motion)[1])
+        Ad = se3.adjoint(se3.invert(T_world_camera))
+        return cls(T_world_camera, Ad @ _in_world(T_world_camera, motion)[1] @ Ad.T)
 
     def is_far_from(self, T_world_camera: FloatArray) -> bool:
         """Whether a pose (4, 4) is so far off that the next anchor is due; a turn by a radian counts as 1.5 m."""
@@ -34,12 +38,12 @@ class Anchor:
     def motion_to(self, T_world_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
         """The motion from here to a pose that odometry found by `motion` against a reference of its own.
 
-        What both alignments left uncertain adds up. Directions that the last one did not show are named.
+        Its covariance is what the last alignment left uncertain; directions that this did not show are named.
         """
         T_anchor_world = se3.invert(self.T_world_camera)
         Ad = se3.adjoint(T_anchor_world)
         to_world, covariance = _in_world(T_world_camera, motion)
-        covariance = Ad @ (covariance + self.covariance) @ Ad.T
+        covariance = Ad @ covariance @ Ad.T
         hidden = None
         if motion.degenerate is not None and len(motion.degenerate):
             turned = (motion.degenerate / _LEVER) @ (Ad @ to_world).T * _LEVER

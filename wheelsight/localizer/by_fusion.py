@@ -108,8 +108,7 @@ class ByFusion:
 
     def _anchored(self, frame: RgbdFrame, seen: Estimate) -> Estimate:
         """From here on the camera's motions are told against this frame."""
-        self.filter.clone(frame.stamp_s, _FRAME)
-        answer = self.filter.clone(frame.stamp_s, _ANCHOR)
+        answer = self.filter.clone(frame.stamp_s, _FRAME)
         assert seen.T_world_body is not None
         T_world_camera: FloatArray = seen.T_world_body
         if isinstance(self.odometry, DenseOdometry) and answer.T_world_body is not None:
@@ -117,6 +116,7 @@ class ByFusion:
             T_world_camera = answer.T_world_body @ self._T_base_camera
             self.odometry.settle(T_world_camera, answer.covariance)
         self._anchor = Anchor.at(T_world_camera, self.odometry.last_motion)
+        self.filter.clone(frame.stamp_s, _ANCHOR, self._anchor.covariance)
         return _with_counts(replace(answer, reason=seen.reason), seen)
 
     def _unseen(self, frame: RgbdFrame, seen: Estimate) -> Estimate:

@@ -18,6 +18,7 @@ from wheelsight.odometry.dense.reference import Reference
 from wheelsight.odometry.dense.settings import DenseSettings
 
 _UPPER = np.triu_indices(6)
+_DIVERGED_M = 1e3
 _SMALL_STEP = 1e-4
 _GREY_SIGMA = 8.0
 # A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
@@ -99,6 +100,8 @@ class Aligner:
                 self._sum_up(frame.levels[number], reference.levels[number].pixels, place(T), how, sums, stride)
                 if steps.advance(sums, T, how, total) < _SMALL_STEP * (1 << number):
                     break
+                if not np.abs(T).max() < _DIVERGED_M:
+                    return self._answer(frame, reference, np.array(T_reference_frame), np.zeros(kernels.SUMS), how)
         return self._answer(frame, reference, T, total, how)
 
     def _answer(

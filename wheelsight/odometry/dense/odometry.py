@@ -91,11 +91,11 @@ class DenseOdometry:
         """Whether the last frames showed every direction of motion; else part of the pose is only what was expected."""
         return self._unseen_s == 0
 
-    def last_surface(self, frame: RgbdFrame) -> Surface:
+    def last_surface(self, frame: RgbdFrame, with_color: bool = True) -> Surface:
         """What `frame`, which was the last one tracked, adds to a map."""
         assert self.last_frame is not None, "the last frame has no pose"
         finest = self.last_frame.levels[0]
-        color = self._gridder.color_on_grid(frame, self.last_frame)
+        color = self._gridder.color_on_grid(frame, self.last_frame) if with_color else None
         return Surface(finest.depth_m, self._maker.normals(finest), finest.grey, color)
 
     def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
