@@ -153,8 +153,8 @@ def roll(
 ) -> None:
     """A step ξ (6,) of the wheels, which changes by `by_errors` (6, 3), with noise Q (6, 6) of its left perturbation.
 
-    `walks` (7,) is added to the variances of the errors of wheels and camera and the gyroscope's bias. A part of a step, `share`
-    below 1, has the twist of the whole, and is as uncertain of it.
+    `walks` (7,) is added to the variances of the errors of wheels and camera and the gyroscope's bias. A part of a
+    step, `share` below 1, has the twist of the whole, and is as uncertain of it.
     """
     n = len(P)
     twist, errors = n - _REST, n - _REST + 3
@@ -234,7 +234,7 @@ def by_camera_errors(T_now: FloatArray, T_reference: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def apart(T_now: FloatArray, T_reference: FloatArray, Z: FloatArray, camera_errors: FloatArray) -> FloatArray:
-    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by what is wrong with the camera, and the one that two poses tell."""
+    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (3,), and the one that two poses tell."""
     xi = log(times(Z, times(inverse(T_now), T_reference)))
     B = by_camera_errors(T_now, T_reference)
     for i in range(6):
