@@ -100,6 +100,16 @@ def test_without_color_only_grey_is_known():
     surfels = surfel_map.surfels()
     assert (surfels.color == -1).all()
     assert (surfels.grey >= 0).all()
+    shown = surfel_map.render(pose(), GRID, SHAPE)
+    np.testing.assert_allclose(shown.color, np.repeat(shown.grey[..., None], 3, axis=-1), rtol=1e-4)
+
+
+def test_a_frame_without_color_leaves_the_colors_as_they_are():
+    surfel_map, view = made_map(), see([Wall(2.0)], pose())
+    for k, color in enumerate((None, np.full_like(view.color, 80), None, np.full_like(view.color, 120))):
+        surfel_map.fuse(view.depth_m, view.normal, view.grey, color, GRID, pose(), k * FRAME_S, NOISE)
+        expected = (-1, 80, 80, 90)[k]
+        np.testing.assert_allclose(surfel_map.surfels().color, expected, atol=0.01)
 
 
 def test_pixels_that_tell_too_little_are_not_fused():

@@ -122,9 +122,11 @@ def update(
     passes along the rim would need four times as many.
 
     Args:
+        color: (h·w, 3), or (0, 3) where the frame has none.
         candidates: (pages, 2) how many, and something else.
         counts: (pages, 2) matched and died.
     """
+    has_color = len(color) > 0
     for k in range(begin, end):
         matched = died = 0
         for entry in range(k * PAGE, k * PAGE + candidates[k, 0]):
@@ -136,7 +138,7 @@ def update(
             share = _learn(geometry, slot, variance, reading, p)
             geometry[slot, RADIUS] += share * min(radius[p] - geometry[slot, RADIUS], _ZERO)
             paint = _ONE / (min(confidence, _COLOR_MEMORY) + _ONE)
-            if color[p, 0] >= 0:
+            if has_color and color[p, 0] >= 0:
                 for i in range(3):
                     before = look[slot, i]
                     look[slot, i] = color[p, i] if before < 0 else before + paint * (color[p, i] - before)
@@ -248,7 +250,9 @@ def make_new(
         for k in range(READING):
             geometry[i, k] = reading[p, k]
         geometry[i, RADIUS], geometry[i, CONFIDENCE] = radius[p], _ONE
-        look[i, 0], look[i, 1], look[i, 2], look[i, 3] = color[p, 0], color[p, 1], color[p, 2], grey[p]
+        for k in range(3):
+            look[i, k] = color[p, k] if len(color) > 0 else -_ONE
+        look[i, 3] = grey[p]
         seen_s[i, 0] = seen_s[i, 1] = stamp_s
         variance[i] = reading[p, VARIANCE] / reading[p, WEIGHT]
         i += 1

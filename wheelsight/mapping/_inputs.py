@@ -14,7 +14,10 @@ _NONE_LARGER_PX = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """Depth (h, w), normals (h, w, 3), colour (h, w, 3) and grey (h, w) of a frame, as `SurfelMap.fuse` takes them."""
+    """Depth (h, w), normals (h, w, 3), colour (h, w, 3) and grey (h, w) of a frame, as `SurfelMap.fuse` takes them.
+
+    Without colour, `color` is (0, 0, 3).
+    """
 
     depth_m: Float32Array
     normal: Float32Array
@@ -60,7 +63,7 @@ def checked_frame(depth_m: Float32Array, normal: Float32Array, grey: Float32Arra
         if image.shape != expected:
             raise MapError(f"{name} is of shape {image.shape}, not {expected} as depth_m asks")
     if color is None:
-        color = np.broadcast_to(np.float32(-1), (*depth_m.shape, 3))
+        color = np.empty((0, 0, 3))
     return Frame(*(np.ascontiguousarray(image, np.float32) for image in (depth_m, normal, color, grey)))
 
 

@@ -92,7 +92,8 @@ def project_disks(
             known = _ONE if look[first + i, 3] >= 0 else _ZERO
             disk[entry, _PAINTED], disk[entry, _GREY] = known, known * look[first + i, 3]
             for j in range(3):
-                disk[entry, _RED + j] = known * look[first + i, j]
+                seen = look[first + i, j]
+                disk[entry, _RED + j] = known * (seen if seen >= 0 else look[first + i, 3])
         count[k, 0], count[k, 1] = low - k * PAGE, (k + 1) * PAGE - high
 
 

@@ -11,6 +11,10 @@ from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import FusedFrame
 from wheelsight.odometry.dense import DenseOdometry, DenseSettings
 
+# Tracking takes grey from each frame; colour, which is only looked at, is brought onto the grid for one of so many. A
+# surfel is stable after more.
+_COLORED_EVERY = 3
+
 
 class SurfelMapper:
     """Aligns each frame with what the map predicts, then averages it into the map; a frame that fails never gets there.
@@ -31,6 +35,7 @@ class SurfelMapper:
         self.odometry = DenseOdometry(calibration, dense, self.map, calibration.T_base_camera)
         self._noise = calibration.depth_noise
         self.last_fused: FusedFrame | None = None
+        self._fused = 0
 
     def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
         """The camera's pose at a frame, as `DenseOdometry` answers; the map learns where all of it was seen."""
@@ -49,6 +54,7 @@ class SurfelMapper:
     def fuse(self, frame: RgbdFrame, T_world_camera: FloatArray) -> None:
         """Average the frame that odometry tracked last into the map, at a pose (4, 4) that may be another's."""
         with self.odometry.watch.stage("fuse"):
-            surface = self.odometry.last_surface(frame)
+            surface = self.odometry.last_surface(frame, with_color=self._fused % _COLORED_EVERY == 0)
+            self._fused += 1
             where = (self.odometry.intrinsics, T_world_camera, frame.stamp_s, self._noise)
             self.last_fused = self.map.fuse(surface.depth_m, surface.normal, surface.grey, surface.color, *where)
