@@ -58,13 +58,18 @@ def sighted(
     slips: int = 0,
     blur: Blur = CLEAR,
     camera_late_s: float = 0.0,
+    slide_s: float = 0.0,
 ) -> Sightings:
-    """A drive in a room whose walls keep a metre and a half off the way, wheels and camera truly so."""
+    """A drive in a room whose walls keep a metre and a half off the way, wheels and camera truly so.
+
+    In bends the robot slides outwards by `slide_s` times its acceleration inwards.
+    """
     made = simulate(wheels, legs, rng=rng, slips=slips)
+    truth = _slid(made.truth, slide_s) if slide_s else made.truth
     drive = drive_from_ticks(NOMINAL, made.stamps_s, made.left, made.right)
-    start_s, end_s = made.truth.stamps_s[[0, -1]]
+    start_s, end_s = truth.stamps_s[[0, -1]]
     stamps_s = np.arange(start_s, end_s, 1 / _FRAMES_HZ)
-    T_world_camera = made.truth.at(stamps_s) @ T_base_camera
+    T_world_camera = truth.at(stamps_s) @ T_base_camera
     noise = np.random.default_rng(5) if rng is None else rng
     camera = Trajectory(stamps_s + camera_late_s, _blurred(T_world_camera, blur, noise))
     kept = slice(None, None, round(_VIEWS_S * _FRAMES_HZ))
@@ -97,6 +102,16 @@ def with_late_camera(sightings: Sightings, late_s: float) -> Sightings:
         span_s=(sightings.span_s[0] + late_s, sightings.span_s[1] + late_s),
         views=replace(views, stamps_s=views.stamps_s + late_s),
     )
+
+
+def _slid(truth: Trajectory, slide_s: float) -> Trajectory:
+    steps = se3.invert(truth.T_world_body[:-1]) @ truth.T_world_body[1:]
+    turned = np.arctan2(steps[:, 1, 0], steps[:, 0, 0])
+    steps[:, 1, 3] -= slide_s * steps[:, 0, 3] * turned / np.diff(truth.stamps_s)
+    poses = [truth.T_world_body[0]]
+    for step in steps:
+        poses.append(poses[-1] @ step)
+    return Trajectory(truth.stamps_s, np.array(poses), body="base")
 
 
 def _blurred(T_world_camera: FloatArray, blur: Blur, rng: np.random.Generator) -> FloatArray:

@@ -3,7 +3,8 @@
 For each piece of a drive A·X = X·B holds, with A the base's motion by the wheels, B the camera's, and X the mount. On a
 floor, with the camera levelled, it is (R(θ) - 1) t + p = R(ψ) c: turns θ show where the camera sits (t), straight ways
 where it looks (ψ). That is linear in t and R(ψ); from there, wheel sizes and the clocks' delay are fitted along with
-the mount, robustly, so that a wheel 2 % too small does not spoil it.
+the mount, robustly, so that a wheel 2 % too small does not spoil it. So is how far the robot slides outwards in bends,
+for which it would look as if the camera sat further back.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wheelsight.calibration import Wheels
 from wheelsight.geometry import BoolArray, FloatArray, se3
@@ -19,12 +21,15 @@ from wheelsight.odometry.wheels.drive import Drive
 from wheelsight.odometry.wheels.segments import Segments, cut
 from wheelsight.trajectory import Trajectory
 
+ComplexArray = NDArray[np.complex128]
+
 LARGEST_DELAY_S = 0.5
 
 _SEGMENT_M, _SEGMENT_RAD = 0.3, 0.25
 # Odometry by images is biased by as much, which no residual shows: found on simulated drives.
-_LEAST_SIGMAS = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 1e-3, 1e-3])
-_BOUNDS = np.array([np.log(2.0)] * 3 + [3.0, 3.0, 1.0] + [2 * LARGEST_DELAY_S])
+_LEAST_SIGMAS = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 1e-3, 1e-3, 1e-4])
+_BOUNDS = np.array([np.log(2.0)] * 3 + [3.0, 3.0, 1.0] + [2 * LARGEST_DELAY_S] + [0.2])
+_SLIDE_SIGMA_S = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +39,8 @@ class MountFit:
     Attributes:
         mount: (3,) x, y in metres and yaw in radians of T_base_level (see `levelled`).
         wheels: with the sizes and delay found; sizes only as this drive and the camera's own scale tell them.
-        covariance: (7, 7) of the logarithms of left and right radius and track width, of x, y, yaw, and of the delay.
+        slide_s: speed outwards in a bend over its acceleration inwards: of tyres that creep, a few milliseconds.
+        covariance: (8, 8) of the logarithms of left and right radius and track width, of x, y, yaw, delay and slide.
         segments: pieces of the camera's way.
         residuals: (M, 3) of wheels and mount, along and across each in metres, yaw in radians.
         is_slip: (M,) pieces whose residual is beyond what one in a thousand would show without a slip.
@@ -42,6 +48,7 @@ class MountFit:
 
     mount: FloatArray
     wheels: Wheels
+    slide_s: float
     covariance: FloatArray
     segments: Segments
     residuals: FloatArray
@@ -50,7 +57,7 @@ class MountFit:
     @property
     def sigmas(self) -> FloatArray:
         """Standard deviations (4,) of x, y, yaw and delay."""
-        return np.sqrt(np.diag(self.covariance)[3:])
+        return np.sqrt(np.diag(self.covariance)[3:7])
 
     @property
     def spread(self) -> FloatArray:
@@ -98,7 +105,7 @@ def fit_mount(drive: Drive, wheels: Wheels, segments: Segments, delay_s: float) 
     )
     mount = problem.mount(found.values)
     covariance = _larger(found.covariance, found.if_independent) + np.diag(_LEAST_SIGMAS**2)
-    return MountFit(mount, fitted, covariance, segments, found.residuals, found.is_outlier)
+    return MountFit(mount, fitted, float(found.values[7]), covariance, segments, found.residuals, found.is_outlier)
 
 
 def closed_form(base: FloatArray, level: FloatArray) -> FloatArray:
@@ -136,6 +143,8 @@ class _Problem:
         self.start_mount = closed_form(base, segments.motions)
         self.bounds = _BOUNDS
         self.prior_sigmas = np.full(len(_BOUNDS), UNKNOWN_SIGMA)
+        self.prior_sigmas[7] = _SLIDE_SIGMA_S
+        self.sideways = _sideways(base, segments.end_s - segments.start_s)
 
     def sizes_m(self, values: FloatArray) -> FloatArray:
         return np.asarray(self.nominal_m * np.exp(values[:3]))
@@ -148,5 +157,16 @@ class _Problem:
 
     def residuals(self, values: FloatArray) -> FloatArray:
         """(M, 3) in metres, metres, radians."""
-        robot = (self.sizes_m(values), self.delay_s(values), self.mount(values))
-        return self.segments.residuals(self.segments.predicted(self.drive, *robot))
+        mount = self.mount(values)
+        motions = self.segments.predicted(self.drive, self.sizes_m(values), self.delay_s(values), mount)
+        slid = values[7] * self.sideways * np.exp(-1j * mount[2])
+        motions[:, :2] += np.stack([slid.real, slid.imag], axis=-1)
+        return self.segments.residuals(motions)
+
+
+def _sideways(base: FloatArray, seconds: FloatArray) -> ComplexArray:
+    """Where a robot (M,) comes to slide outwards, as x + iy in metres for a slide of one second, by motions (M, 3)."""
+    x, y, turn_rad = base.T
+    middle = np.exp(0.5j * turn_rad)
+    along_m = ((x + 1j * y) / middle).real
+    return np.asarray(-1j * along_m * turn_rad / seconds * middle)

@@ -1,0 +1,63 @@
+"""The whole way on rendered drives: injected mounts and clocks against what is found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wheelsight.odometry.extrinsics import QUANTITIES, calibrate_base, mount_values
+from wheelsight.odometry.wheels import drive_of, fit_wheels
+from wheelsight.simulation import Robot, SimulationSettings, simulate
+from wheelsight.simulation.camera_faults import LateClock
+from wheelsight.simulation.faulty_recording import with_camera_faults
+from wheelsight.simulation.simulated_recording import SimulatedRecording
+
+LIMITS = dict.fromkeys(("roll", "pitch", "yaw"), np.radians(0.5)) | dict.fromkeys(("x", "y", "height"), 0.01)
+CASES: dict[str, tuple[dict[str, Any], dict[str, float], float]] = {
+    "flat": (
+        {"world": "flat", "seed": 2, "rate_hz": 15},
+        {
+            "camera_left_m": 0.08,
+            "camera_forward_m": 0.28,
+            "camera_height_m": 0.8,
+            "camera_pitch_rad": 0.25,
+            "camera_yaw_rad": 0.15,
+            "camera_roll_rad": -0.05,
+            "left_radius_m": 0.1734,
+            "right_radius_m": 0.1683,
+            "track_width_m": 0.53,
+        },
+        0.03,
+    ),
+    "corridor": (
+        {"world": "floor4", "seed": 4, "rate_hz": 10, "duration_s": 70.0},
+        {"camera_forward_m": 0.45, "camera_pitch_rad": 0.4, "camera_roll_rad": 0.1, "camera_height_m": 1.2},
+        -0.05,
+    ),
+}
+
+
+def delay_of_body_s(recording: SimulatedRecording) -> float:
+    """How late the robot's body follows its wheels, which creep on the floor under load; part of what is found."""
+    nominal = recording.calibration.wheels
+    assert nominal is not None
+    return fit_wheels(nominal, drive_of(recording, nominal), recording.ground_truth, segment_m=0.3).wheels.delay_s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_injected_mount_and_clock_are_found(name: str) -> None:
+    drive, robot, late_s = CASES[name]
+    settings = SimulationSettings(**drive, size=(320, 240), robot=Robot(**robot))
+    recording = with_camera_faults(simulate(settings), LateClock(late_s=late_s))
+    found = calibrate_base(recording)
+    expected = mount_values(settings.robot.T_base_camera) | {"delay": delay_of_body_s(recording) - late_s}
+    off = {quantity: found.values[quantity] - expected[quantity] for quantity in QUANTITIES}
+    told = {quantity: (off[quantity], found.sigmas[quantity]) for quantity in QUANTITIES}
+    assert abs(delay_of_body_s(recording)) < 0.01
+    for quantity, limit in (LIMITS | {"delay": 0.005}).items():
+        assert abs(off[quantity]) < limit, told
+        assert found.sigmas[quantity] < limit, told
+        assert abs(off[quantity]) < 4 * found.sigmas[quantity], told
