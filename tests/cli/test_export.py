@@ -133,3 +133,12 @@ def test_a_map_without_stable_surfels_says_how_to_go_on(refusal: Refusal, wheels
     save_map(surfel_map, tmp_path / "map.surfels")
     assert "no stable surfels to write (fuse more frames, or take all surfels)" in refusal("export", tmp_path, "--ply")
     assert wheelsight("export", tmp_path, "--ply", "--all").exit_code == 0
+
+
+def test_the_map_of_joined_sensors_is_found(wheelsight: Command, kept: Path, tmp_path: Path) -> None:
+    for place in ("dense", "joined"):
+        (tmp_path / place).mkdir()
+        shutil.copy(kept, tmp_path / place)
+    assert wheelsight("export", tmp_path, "--ply").exit_code == 0
+    assert (tmp_path / "joined" / "points.ply").exists()
+    assert not (tmp_path / "dense" / "points.ply").exists()

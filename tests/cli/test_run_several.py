@@ -60,3 +60,14 @@ def test_unknown_and_doubled_names_are_one_line(refusal: Callable[..., str], dri
     out = ("--out", tmp_path / "out")
     assert refusal("run", drive, "--odometry", "wheels,sonar", *out).startswith("--odometry is 'sonar' (known: ")
     assert "names wheels twice (known: " in refusal("run", drive, "--odometry", "wheels,wheels", *out)
+
+
+def test_what_joining_came_to_is_said(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    result = wheelsight("run", drive, "--odometry", "wheels,features", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    rows = {words[0]: words[1:] for words in map(str.split, result.stdout.splitlines()) if words}
+    assert rows["error"][1:] in (["times", "that", "of", of, "alone"] for of in ("wheels", "features"))
+    assert rows["end"][1:3] == ["m", "off,"]
+    assert "joined" in rows
+    result = wheelsight("run", drive, "--odometry", "wheels,features", "--fusion", "none", "--out", tmp_path / "none")
+    assert "what joining came to" not in result.stdout

@@ -26,10 +26,14 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
         for record in records:
             if record.rectification is not None and record.rectification.errors is not None:
                 stdout.print(_world_table(record.rectification))
+        if any(record.is_joined for record in records):
+            stdout.print(facts_table("what joining came to", _joined_facts(records)))
     else:
         stdout.print(facts_table(f"{first.recording}: T_{first.estimate.world}_{first.estimate.body}", _facts(first)))
     if len(records) == 1 and first.evaluation is not None:
         stdout.print(evaluation_table(first.evaluation))
+    if first.realtime is not None:
+        stdout.print(first.realtime.sentence, markup=False)
     for warning in dict.fromkeys(warning for record in records for warning in record.warnings):
         print_warning(warning)
     for record in records:
@@ -60,9 +64,31 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
     shown = [index for index, name in enumerate(head) if name not in _ON_THE_PAGE_ONLY]
     for index in shown:
         table.add_column(head[index], justify="right" if index else "left")
-    for row in rows:
-        table.add_row(*(row[index] for index in shown))
+    for record, row in zip(records, rows, strict=True):
+        table.add_row(*(row[index] for index in shown), style="bold" if record.is_joined else None)
     return table
+
+
+def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
+    """What joining came to."""
+    from wheelsight.cli._console import percent
+    from wheelsight.report import facts_of, joined_of, rival_of
+
+    joined = joined_of(records)
+    assert joined is not None
+    facts, rival = facts_of(joined), rival_of(records)
+    if rival is not None:
+        yield "error", f"{rival.ratio:.2f} times that of {rival.odometry} alone"
+    for status, seconds in facts.seconds.items():
+        times = f", {len(facts.coasting_s)} times" if status == "coasting" else ""
+        yield status, f"{seconds:.2f} s{times}"
+    for flag, share in facts.flag_shares.items():
+        if share:
+            yield flag, f"{percent(share)} of the time"
+    found = facts.consistency
+    if found is not None:
+        yield "end", f"{found.drift_m:.3f} m off, {percent(found.drift_share)} of {found.way_m:.2f} m"
+        yield "stated 3σ", f"holds {percent(found.share)} of the time"
 
 
 def _world_table(found: RectificationRecord) -> Table:

@@ -62,7 +62,7 @@ def export(
 
 
 def _map_in(source: Path) -> Path:
-    """The map's file: as given, in a run's folder, or in that of a run's dense odometry. Raises MapError."""
+    """The map's file: as given, in a run's folder, or in that of its joined or dense track. Raises MapError."""
     from wheelsight.errors import MapError
     from wheelsight.pipeline import MAP_FILE
 
@@ -70,7 +70,7 @@ def _map_in(source: Path) -> Path:
         return source
     if not source.exists():
         raise MapError("there is no such folder or file", path=source, fix="check the path")
-    found = [path for path in (source / MAP_FILE, source / "dense" / MAP_FILE) if path.is_file()]
+    found = [path for path in (source / place / MAP_FILE for place in ("", "joined", "dense")) if path.is_file()]
     if not found:
         fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
         raise MapError(f"holds no {MAP_FILE}", path=source, fix=fix)

@@ -13,7 +13,15 @@ from wheelsight import __version__
 from wheelsight.estimates import Status
 from wheelsight.pipeline.track import Passage
 from wheelsight.recordings import Recording
-from wheelsight.report import MapRecord, RectificationRecord, RunRecord
+from wheelsight.report import (
+    JoinedFacts,
+    MapRecord,
+    RectificationRecord,
+    RunRecord,
+    facts_of,
+    joined_of,
+    rival_of,
+)
 
 
 def metrics_of(record: RunRecord, passage: Passage, recording: Recording) -> dict[str, Any]:
@@ -46,6 +54,7 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, recording: Rec
         "elapsed_s": passage.elapsed_s,
         **_real_time(records[0]),
         "odometry": of_each,
+        **_beside_alone(records),
         "peak_memory_mb": max((r.peak_memory_mb for r in records if r.peak_memory_mb is not None), default=None),
         "warnings": list(recording.warnings),
         "versions": _versions(),
@@ -70,6 +79,36 @@ def _of_odometry(record: RunRecord, passage: Passage, recording: Recording) -> d
         "evaluation_problem": record.evaluation_problem,
         **({} if record.map is None else {"map": _map(record.map)}),
         **({} if record.rectification is None else {"rectification": _rectification(record.rectification)}),
+        **({"joined": _joined(facts_of(record))} if record.is_joined else {}),
+    }
+
+
+def _beside_alone(records: Sequence[RunRecord]) -> dict[str, Any]:
+    """How joined sensors compare with the better one alone; nothing where none were joined."""
+    if joined_of(records) is None:
+        return {}
+    rival = rival_of(records)
+    return {"joined_beside_alone": None if rival is None else {"better": rival.odometry, "ate_ratio": rival.ratio}}
+
+
+def _joined(facts: JoinedFacts) -> dict[str, Any]:
+    """How long joined sensors were in each status, and whether their errors were as they stated."""
+    found = facts.consistency
+    return {
+        "seconds_by_status": facts.seconds,
+        "coasting_episodes": len(facts.coasting_s),
+        "longest_coasting_s": max(facts.coasting_s, default=0.0),
+        "flag_shares": facts.flag_shares,
+        "poses_at_frames": facts.poses_at_frames,
+        "poses_at_wheel_readings_alone": facts.poses_at_readings,
+        "consistency": None
+        if found is None
+        else {
+            "within_three_sigma_share": _finite(found.share),
+            "way_m": found.way_m,
+            "drift_at_end_m": found.drift_m,
+            "drift_share_of_way": _finite(found.drift_share),
+        },
     }
 
 
@@ -106,7 +145,7 @@ def _finite(value: float) -> float | None:
 def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
     frames = record.frames
     statuses = [str(frame.status) for frame in frames]
-    posed = statuses.count(Status.TRACKING)
+    posed = statuses.count(Status.TRACKING) + statuses.count(Status.COASTING)
     reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
     return {
         "listed": recording.frame_count if record.unit == "frame" else recording.wheel_count,

@@ -86,10 +86,10 @@ def _write_json(figures: dict[str, Any], path: Path) -> None:
 def _status_csv(record: RunRecord) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "note"])
+    rows.writerow(["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note"])
     for frame in record.frames:
         counts = (frame.matches, frame.inliers, f"{1e3 * frame.seconds:.3f}")
         # as in trajectory.txt, so that rows can be joined
         stamp = np.format_float_positional(frame.stamp_s, min_digits=6)
-        rows.writerow([stamp, frame.status, frame.reason or "", *counts, frame.note])
+        rows.writerow([stamp, frame.status, frame.reason or "", *counts, ";".join(frame.flags), frame.note])
     return text.getvalue()

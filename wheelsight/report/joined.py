@@ -18,7 +18,6 @@ JOINED = "joined"
 _NO_SENSORS = (JOINED, "rectified")
 FLAGS = ("slip", "doubtful", "degenerate")
 _MOST_OF_THE_TIME = 0.95
-_SAME_STAMP_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +66,7 @@ def facts_of(record: RunRecord) -> JoinedFacts:
     flagged = {flag: np.array([flag in frame.flags for frame in record.frames], bool) for flag in FLAGS}
     whole_s = float(lasted_s.sum())
     coasting = ((i, j) for i, j, status in runs(statuses) if status == Status.COASTING)
-    at_frames = _at_frames(record)
+    at_frames = int(np.isin(record.estimate.stamps_s, [frame.stamp_s for frame in record.frames]).sum())
     return JoinedFacts(
         seconds={
             status.value: float(lasted_s[np.array(statuses) == status].sum()) for status in Status if status in statuses
@@ -107,14 +106,3 @@ def rival_of(records: Sequence[RunRecord]) -> Rival | None:
     if best is None or not rmse_m[best] > 0:
         return None
     return Rival(best, joined.evaluation.ate.translation.rmse / rmse_m[best])
-
-
-def _at_frames(record: RunRecord) -> int:
-    stamps_s = np.sort([frame.stamp_s for frame in record.frames])
-    if not len(stamps_s) or not len(record.estimate):
-        return 0
-    after = np.searchsorted(stamps_s, record.estimate.stamps_s).clip(0, len(stamps_s) - 1)
-    gap_s = np.minimum(
-        abs(stamps_s[after] - record.estimate.stamps_s), abs(stamps_s[(after - 1).clip(0)] - record.estimate.stamps_s)
-    )
-    return int(np.count_nonzero(gap_s <= _SAME_STAMP_S))

@@ -49,6 +49,8 @@ def notes(record: RunRecord, summary: Summary) -> list[str]:
         found.append(
             "After a reading without a pose the path goes on from where it was: what lies between is not known."
         )
+    if record.realtime is not None:
+        found.append(f"{record.realtime.sentence[0].upper()}{record.realtime.sentence[1:]}.")
     found += _association_notes(record)
     found += _evaluation_notes(record, summary)
     return found

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pipeline.made import OF_ONE, metrics_in, names_in, status_in
+from room_drive import make_room_drive
+
+from wheelsight.config import load_config
+from wheelsight.pipeline import run_each
+from wheelsight.recordings import open_recording
+from wheelsight.report import RunRecord, facts_of, rival_of
+from wheelsight.trajectory import read_tum
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[RunRecord, ...]]:
+    """A drive through a room by wheels and features (no stand-in), joined by the default filter."""
+    folder = tmp_path_factory.mktemp("joined")
+    make_room_drive(folder / "room", frames=4)
+    config = load_config(overrides={"odometry": "wheels,features"})
+    return folder / "out", run_each(open_recording(folder / "room"), config, folder / "out")
+
+
+def test_a_joined_run_leaves_its_own_folder_and_figures(ran: tuple[Path, tuple[RunRecord, ...]]) -> None:
+    out, records = ran
+    assert [record.odometry for record in records] == ["wheels", "features", "joined"]
+    assert names_in(out / "joined") == OF_ONE
+    joint, alone = metrics_in(out), metrics_in(out / "joined")
+    found, facts = alone["joined"], facts_of(records[2])
+    assert joint["odometry"]["joined"]["joined"] == found
+    assert "joined" not in joint["odometry"]["wheels"]
+    assert sum(found["seconds_by_status"].values()) == pytest.approx(sum(facts.seconds.values()))
+    assert set(found["flag_shares"]) == {"slip", "doubtful", "degenerate"}
+    assert found["consistency"]["drift_at_end_m"] == facts.consistency.drift_m  # type: ignore[union-attr]
+    assert 0 <= found["consistency"]["within_three_sigma_share"] <= 1
+    rival = rival_of(records)
+    assert rival is not None
+    assert joint["joined_beside_alone"] == {"better": rival.odometry, "ate_ratio": rival.ratio}
+
+
+def test_its_trajectory_has_poses_at_frames_and_at_readings(ran: tuple[Path, tuple[RunRecord, ...]]) -> None:
+    out, records = ran
+    found = metrics_in(out / "joined")["joined"]
+    poses = len(read_tum(out / "joined" / "trajectory.txt"))
+    assert found["poses_at_frames"] + found["poses_at_wheel_readings_alone"] == poses
+    assert found["poses_at_frames"] == metrics_in(out / "joined")["frames"]["with_pose"] == len(records[2].frames)
+    readings = metrics_in(out / "wheels")["wheel_readings"]["with_pose"]
+    assert readings - 1 <= found["poses_at_wheel_readings_alone"] <= readings  # the first may tell no pose yet
+
+
+def test_frames_tell_their_flags(ran: tuple[Path, tuple[RunRecord, ...]]) -> None:
+    out, records = ran
+    rows = status_in(out / "joined")
+    assert [row["flags"] for row in rows] == [";".join(frame.flags) for frame in records[2].frames]
+    assert {row["flags"] for row in status_in(out / "wheels")} == {""}
