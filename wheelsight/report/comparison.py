@@ -226,8 +226,7 @@ def _path(records: Sequence[RunRecord], paths: Overlay) -> str:
     if paths.by == "true start":
         intro = (
             "Each path begins where the truth does, in its direction, and nothing is fitted afterwards: where it "
-            "leaves the truth, it has drifted. Ellipses are where the joined sensors say that the robot is, by 3σ; "
-            "where none is seen, they are smaller than the line. The legend shows those of the others too."
+            "leaves the truth, it has drifted."
         )
     elif paths.by == "truth":
         intro = (
@@ -238,6 +237,11 @@ def _path(records: Sequence[RunRecord], paths: Overlay) -> str:
         intro = (
             "Without a ground truth to lay them upon, the paths begin at one point in one direction: where they "
             "part, at least one of them is wrong."
+        )
+    if JOINED in paths.trajectories:
+        intro += (
+            " Ellipses are where the joined sensors say that the robot is, by 3σ; where none is seen, they are smaller "
+            "than the line. The legend shows those of the others too."
         )
     names = ", ".join(paths.paths_m)
     sentence = "Seen from above. Lines break where no pose is known; squares are where each one ends."
