@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from browser import open_page
 from html_page import Page, Plot
+from joined_example import joined_runs
 from run_example import empty_run, example_map, example_picture, example_run, wheel_run
 
 from wheelsight.report import RunRecord, write_comparison, write_report
@@ -40,8 +41,11 @@ def test_every_figure_is_drawn_and_the_console_stays_silent(name: str, chromium:
 
 
 @pytest.mark.parametrize("with_truth", [True, False])
-def test_every_figure_of_a_comparison_is_drawn(with_truth: bool, chromium: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("joined", [True, False])
+def test_every_figure_of_a_comparison_is_drawn(joined: bool, with_truth: bool, chromium: str, tmp_path: Path) -> None:
     records = [replace(wheel_run(with_truth=with_truth), odometry="wheels"), example_run(300, with_truth=with_truth)]
+    if joined:
+        records = [*joined_runs(with_truth, map=example_map())]
     write_comparison(records, tmp_path / "report.html")
     expected = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
     dom, console = open_page(chromium, tmp_path / "report.html")
@@ -69,4 +73,6 @@ def _written(record: RunRecord, path: Path) -> Page:
 
 
 def _visible_traces(plot: Plot) -> int:
-    return sum(bool(np.isfinite(plot.numbers(trace, "x")).any()) for trace in plot.spec["data"])
+    """How many traces have something to show, those left out that only the legend turns on."""
+    shown = [trace for trace in plot.spec["data"] if trace.get("visible", True) is True]
+    return sum(bool(np.isfinite(plot.numbers(trace, "x")).any()) for trace in shown)
