@@ -23,8 +23,9 @@ WRONG_RADII = 1.02
 # The camera sees the dressed end of the corridor from about so far away.
 _SIGHT_M = 6.0
 _STREAM = 0x701
-# Of the wheels: least and most relative error. Of the mount: standard deviations, as a good calibration leaves them.
-_WHEEL_ERROR = (0.005, 0.01)
+# Least and most relative error of the wheels' size and track width, and by how much radii differ.
+_WHEEL_ERROR, _UNEQUAL = (0.005, 0.01), (0.001, 0.0025)
+# Of the mount: standard deviations, as a good calibration leaves them.
 _MOUNT_M, _MOUNT_RAD = 0.003, math.radians(0.1)
 
 
@@ -119,17 +120,21 @@ def fault_begin_s(duration_s: float) -> float:
 
 
 def robot_of(seed: int) -> Robot:
-    """A robot whose wheels are 0.5 to 1 % off their data sheet, each by itself, and whose mount is a little off too."""
+    """A robot as robots are: nothing of it is quite what its owner believes.
+
+    Wheels' size and track width are each 0.5 to 1 % off the data sheet, radii differ by 0.1 to 0.25 %, and the camera
+    is off its mount by about 3 mm and 0.1° about each axis.
+    """
     rng = np.random.default_rng([seed, _STREAM])
-    wrong = 1 + rng.choice([-1, 1], 3) * rng.uniform(*_WHEEL_ERROR, 3)
+    size, track, unequal = rng.choice([-1, 1], 3) * [*rng.uniform(*_WHEEL_ERROR, 2), rng.uniform(*_UNEQUAL)]
     forward, left, height = _MOUNT_M * rng.standard_normal(3)
     pitch, yaw, roll = _MOUNT_RAD * rng.standard_normal(3)
     nominal = Robot()
     return replace(
         nominal,
-        left_radius_m=NOMINAL_RADIUS_M * wrong[0],
-        right_radius_m=NOMINAL_RADIUS_M * wrong[1],
-        track_width_m=NOMINAL_TRACK_WIDTH_M * wrong[2],
+        left_radius_m=NOMINAL_RADIUS_M * (1 + size - unequal / 2),
+        right_radius_m=NOMINAL_RADIUS_M * (1 + size + unequal / 2),
+        track_width_m=NOMINAL_TRACK_WIDTH_M * (1 + track),
         camera_forward_m=nominal.camera_forward_m + forward,
         camera_left_m=nominal.camera_left_m + left,
         camera_height_m=nominal.camera_height_m + height,
