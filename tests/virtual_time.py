@@ -17,6 +17,7 @@ class VirtualClock:
 
     def __init__(self, begin_s: float = 1000.0) -> None:
         self._now_s = begin_s
+        self.is_over = False
         self._lock = threading.Lock()
         self._waiting: dict[threading.Event, tuple[threading.Condition, float]] = {}
 
@@ -29,6 +30,8 @@ class VirtualClock:
             self._waiting[woken] = (condition, until_s)
         condition.release()
         try:
+            if self.is_over:
+                return
             for _ in range(_PATIENCE):
                 self._move()
                 if woken.wait(_LOOK_S):
@@ -44,8 +47,14 @@ class VirtualClock:
     def sleep(self, seconds: float) -> None:
         condition, until_s = threading.Condition(), self._now_s + seconds
         with condition:
-            while self._now_s < until_s:
+            while self._now_s < until_s and not self.is_over:
                 self.wait(condition, until_s)
+
+    def end(self) -> None:
+        """Let nobody wait any more."""
+        with self._lock:
+            self.is_over = True
+            self._wake(lambda its, until_s: True)
 
     def _move(self) -> None:
         with self._lock:

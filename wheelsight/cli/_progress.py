@@ -20,14 +20,14 @@ from wheelsight.cli._console import console
 
 
 class _Rate(ProgressColumn):
-    """Frames, or another unit, a second, once there are some."""
+    """Frames, or another unit, a second, once there are some; nothing without a unit."""
 
     def __init__(self, unit: str) -> None:
         super().__init__()
         self._unit = unit
 
     def render(self, task: Task) -> Text:
-        return Text("" if task.speed is None else f"{task.speed:.0f} {self._unit}/s")
+        return Text("" if task.speed is None or not self._unit else f"{task.speed:.0f} {self._unit}/s")
 
 
 class FrameProgress:
@@ -61,6 +61,7 @@ class FrameProgress:
         """One frame more."""
         self._progress.update(self._task, advance=1, status=status)
 
-    def reach(self, done: float, total: float | None) -> None:
+    def reach(self, done: float, total: float | None, status: str = "") -> None:
         """So much is done by now, of a total that is only now known, or not yet."""
-        self._progress.update(self._task, completed=int(done), total=None if total is None else int(total))
+        all_of_it = None if total is None else int(total)
+        self._progress.update(self._task, completed=int(done), total=all_of_it, status=status)

@@ -75,5 +75,17 @@ OdometryTerm = Annotated[
 Weights = Annotated[
     str | None, typer.Option(metavar="A,B,G", help="alpha, beta, gamma of eq. 5.", show_default="0,0.9,0.1")
 ]
+RealTime = Annotated[
+    bool, typer.Option("--realtime", help="Play the recording in real time; frames that come too fast are dropped.")
+]
+WheelsFrom = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PORT|PIPE|FILE",
+        help="Wheel readings in real time from elsewhere: a serial port, the pipe of wheels serve, or a wheels.csv.",
+        show_default="the recording's own",
+    ),
+]
+Baud = Annotated[int | None, typer.Option(min=1, metavar="RATE", help="Baud rate of the port.", show_default="115200")]
 Seed = Annotated[int | None, typer.Option(help="Seed of all random choices.", show_default="0")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite results in DIR.")]

@@ -11,6 +11,7 @@ import typer
 from wheelsight.cli import _run_options as options
 from wheelsight.cli._console import INTERRUPTED
 from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RecordingPath, settings_from
+from wheelsight.cli._real_time import counts_frames, played, show_progress
 from wheelsight.cli._summary import print_summary
 
 if TYPE_CHECKING:
@@ -39,6 +40,9 @@ def run(
     start: options.Start = None,
     odometry_term: options.OdometryTerm = None,
     weights: options.Weights = None,
+    realtime: options.RealTime = False,
+    wheels_from: options.WheelsFrom = None,
+    baud: options.Baud = None,
     seed: options.Seed = None,
     force: options.Force = False,
 ) -> None:
@@ -64,6 +68,8 @@ def run(
     wheelsight run my_recording --odometry dense --map surfels --out results
 
     wheelsight run my_recording --odometry wheels --places floor.places --out results
+
+    wheelsight run my_recording --odometry wheels,dense --realtime --out results
     """
     of_recording = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
     of_features = {"--max-gap": max_gap, "--reference": reference, "--seed": seed}
@@ -73,21 +79,27 @@ def run(
     of_all = {"--odometry": odometry, "--fusion": fusion, "--map": map_}
     given = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     settings = settings_from(given, config)
-    print_summary(_track(recording, settings, out, force), out)
+    with played(_open(recording, settings), realtime, wheels_from, baud) as source:
+        records = _track(source, settings, out, force)
+    print_summary(records, out)
 
 
-def _track(folder: Path, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
+def _open(folder: Path, settings: Config) -> Recording:
+    from wheelsight.recordings import open_recording
+
+    return open_recording(folder, settings.recording.open_options())
+
+
+def _track(source: Recording, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
     from wheelsight import pipeline
     from wheelsight.cli._console import print_note
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
-    from wheelsight.recordings import open_recording
 
-    source = open_recording(folder, settings.recording.open_options())
     status = RunStatus(settings)
 
     def show(answers: Mapping[str, FrameRecord]) -> None:
-        progress.advance(status.after(answers))
+        show_progress(progress, source, status.after(answers))
 
     try:
         with FrameProgress("tracking", *_expected(source, settings, status.text)) as progress:
@@ -99,6 +111,8 @@ def _track(folder: Path, settings: Config, out: Path, force: bool) -> Sequence[R
 
 def _expected(source: Recording, settings: Config, at_first: str) -> tuple[int, str, str]:
     """How many events will be answered, what to say until the first is, and what they are called."""
+    if counts_frames(source):
+        return source.frame_count, at_first, ""  # the rate of those that pass by says nothing
     if settings.tracks == ("wheels",):
         return source.wheel_count, at_first, "readings"
     if "wheels" not in settings.tracks:

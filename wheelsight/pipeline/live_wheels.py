@@ -85,7 +85,7 @@ class LiveWheels:
         return tuple(f"The wheels ({self.where}) fell silent after {why}." for why in self._silences)
 
     def tell(self, listener: Callable[[WheelTicks], bool] | None) -> None:
-        """Who hears each reading from now on, in the thread and stamped by `clock`, and answers whether it is of use."""
+        """Who hears each reading from now on, in the thread and stamped by `clock`, and says whether it is of use."""
         self._listener = listener
 
     def close(self) -> None:

@@ -92,13 +92,13 @@ class Playing:
                 self._begin()
                 self._drop_overtaken()
                 event = self._next()
-                if event is not None and not event.stamp_s > self.now_s:
+                if event is not None and self._is_due(event.stamp_s):
                     return self._taken(event)
                 if event is None and self._is_read:
                     if self._error is not None:
                         raise self._error
                     return None
-                self._wait_until(math.inf if event is None else event.stamp_s)
+                self._clock.wait(self._changed, self._due_s(math.inf if event is None else event.stamp_s))
 
     def hear(self, event: Event) -> None:
         """An event from elsewhere, stamped by the recording's clock; it is due by now."""
@@ -142,14 +142,18 @@ class Playing:
         return event
 
     def _drop_overtaken(self) -> None:
-        while len(self._frames) > 1 and self._frames[1].stamp_s <= self.now_s:
+        while len(self._frames) > 1 and self._is_due(self._frames[1].stamp_s):
             self._frames.popleft()
             self.frames += 1
             self.dropped += 1
 
-    def _wait_until(self, stamp_s: float) -> None:
-        until_s = math.inf if self._behind_s is None else stamp_s + self._behind_s
-        self._clock.wait(self._changed, until_s)
+    def _due_s(self, stamp_s: float) -> float:
+        """The clock's time at which the playing clock shows a stamp; infinite before it began."""
+        return math.inf if self._behind_s is None else stamp_s + self._behind_s
+
+    def _is_due(self, stamp_s: float) -> bool:
+        """Whether it shows it by now; it always does one that is no number."""
+        return not self._due_s(stamp_s) > self._clock.now_s()
 
     def _read(self) -> None:
         """The thread: decode ahead, as far as there is room, until the recording ends or nobody plays it any more."""
@@ -180,8 +184,8 @@ class Playing:
                 if not self._is_ready:
                     self._is_ready = True
                     self._clock.wake(self._changed)
-                self._wait_until(look_again_s)
-            is_overtaken = isinstance(item, ListedFrame) and item.next_stamp_s <= self.now_s
+                self._clock.wait(self._changed, self._due_s(look_again_s))
+            is_overtaken = isinstance(item, ListedFrame) and self._is_due(item.next_stamp_s)
             if is_overtaken and not self._is_over:
                 self.frames += 1
                 self.dropped += 1
@@ -193,10 +197,10 @@ class Playing:
         self._drop_overtaken()
         if isinstance(item, ListedFrame | RgbdFrame | SkippedFrame):
             return self._frames[1].stamp_s if len(self._frames) >= FRAMES_AHEAD else None
-        first = self._next()
-        played_s = self.now_s if self._behind_s is not None or first is None else first.stamp_s
         there_s = item.stamp_s - _READINGS_AHEAD_S
-        return None if first is None or there_s <= played_s else there_s
+        first = self._next()
+        has_room = first is None or self._is_due(there_s) or (self._behind_s is None and there_s <= first.stamp_s)
+        return None if has_room else there_s
 
 
 def _stamp_s(event: Event) -> float:

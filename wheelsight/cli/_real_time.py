@@ -1,0 +1,72 @@
+"""A run in real time: how the recording is opened for it, and what the progress bar says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from wheelsight.errors import ConfigError
+
+if TYPE_CHECKING:
+    from wheelsight.cli._progress import FrameProgress
+    from wheelsight.pipeline import RealTimeRecording
+    from wheelsight.recordings import Recording
+
+
+@contextmanager
+def played(
+    recording: Recording, realtime: bool, wheels_from: str | None, baud: int | None
+) -> Iterator[Recording | RealTimeRecording]:
+    """The recording as it is, or in real time, with wheels from elsewhere if asked for.
+
+    Raises:
+        ConfigError: something is given that another option is needed for.
+        InputError: the wheels cannot be had.
+    """
+    from wheelsight.devices import BAUDRATE
+    from wheelsight.pipeline import in_real_time
+
+    if wheels_from is not None and not realtime:
+        raise ConfigError("--wheels-from joins wheels that turn just now", fix="add --realtime")
+    if baud is not None and wheels_from is None:
+        raise ConfigError("--baud is the rate of a port", fix="add --wheels-from PORT")
+    if not realtime:
+        yield recording
+        return
+    with in_real_time(recording, wheels_from, baud or BAUDRATE) as live:
+        yield live
+
+
+def counts_frames(recording: Recording) -> bool:
+    """Whether progress is that of frames passing by, some of them dropped."""
+    from wheelsight.pipeline import RealTimeRecording
+
+    return isinstance(recording, RealTimeRecording) and recording.frame_count > 0
+
+
+def show_progress(progress: FrameProgress, recording: Recording, status: str) -> None:
+    """One event more was answered; in real time also how well that keeps up."""
+    from wheelsight.pipeline import RealTimeRecording
+
+    if not isinstance(recording, RealTimeRecording):
+        progress.advance(status)
+        return
+    status = " · ".join(filter(None, [status, words(recording)]))
+    if recording.frame_count:
+        progress.reach(recording.frames_so_far[0], recording.frame_count, status)
+    else:
+        progress.advance(status)
+
+
+def words(recording: RealTimeRecording) -> str:
+    """Such as "29.8 frames/s, 31 ms late, 12 dropped"."""
+    parts = []
+    if (lately := recording.lately()) is not None:
+        parts += [f"{lately[0]:.1f} frames/s", f"{1e3 * lately[1]:.0f} ms late"]
+    frames, dropped = recording.frames_so_far
+    if frames:
+        parts.append(f"{dropped} dropped")
+    if recording.is_missing_wheels:
+        parts.append("wheels silent")
+    return ", ".join(parts)
