@@ -23,6 +23,9 @@ from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfel
 from wheelsight.odometry.dense.grid import Rows
 from wheelsight.odometry.dense.reference import PredictedView
 
+# Duplicates are looked for in one of so many frames, and not in that which brings colour: those of a few frames can be
+# merged at once.
+_MERGED_EVERY = 3
 # Of the weight over the distance from the image's centre, which is 1 at its farthest corner (Keller et al. 2013).
 _RADIAL_SIGMA = 0.6
 
@@ -40,6 +43,7 @@ class SurfelMap:
         self._rows = Rows(self.settings.threads)
         self._scratch: dict[str, np.ndarray] = {}
         self._weight_of: tuple[float, ...] = ()
+        self._frames = 0
 
     def __len__(self) -> int:
         return self._blocks.alive
@@ -128,6 +132,7 @@ class SurfelMap:
         readings = self._readings(frame.depth_m, frame.normal, pose, sensor)
         matched, removed, merged, is_new = self._average(frame, pose, readings, sensor)
         added = self._add_new(frame, readings, is_new)
+        self._frames += 1
         removed += self._blocks.sweep(self.stamp_s, self._rules)
         return FusedFrame(matched, added, removed, merged, self._blocks.dropped - dropped)
 
@@ -221,17 +226,24 @@ class SurfelMap:
         is_new = self._room("is_new", (height, width), np.bool_)
         seen = (slots, blocks.geometry, chosen, frame.depth_m, readings[0], pose.pitch, settings, is_new)
         share(height, lambda a, b: match.find_new(a, b, *seen))
-        counts, merged = np.zeros((len(pages), 2), np.int64), np.zeros(height, np.int64)
+        counts = np.zeros((len(pages), 2), np.int64)
         surfels = (blocks.geometry, blocks.look, blocks.seen_s, blocks.variance)
         cells = (blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
         looks = (*readings, frame.color.reshape(-1, 3), frame.grey.reshape(-1), self.stamp_s)
         given = (slots, pixel, chosen, *surfels, *cells, *looks, found, counts)
         share(len(pages), lambda a, b: fusion.update(a, b, *given))
-        pairs = (slots, pixel, found, chosen, blocks.geometry, blocks.seen_s, blocks.variance, settings, merged)
-        share(height, lambda a, b: fusion.merge(a, b, width, *pairs))
-        removed, merges = int(found[:, 1].sum() + counts[:, 1].sum()), int(merged.sum())
-        blocks.count_deaths(removed + merges)
-        return int(counts[:, 0].sum()), removed, merges, is_new
+        is_due, matches = self._frames % _MERGED_EVERY == 1, (slots, pixel, found, chosen)
+        merged = self._merge((height, width), *matches) if is_due else 0
+        removed = int(found[:, 1].sum() + counts[:, 1].sum())
+        blocks.count_deaths(removed + merged)
+        return int(counts[:, 0].sum()), removed, merged, is_new
+
+    def _merge(self, shape: tuple[int, int], *matches: np.ndarray) -> int:
+        """Merge into the chosen surfels the candidates (slots, pixel, found, chosen) that are their like; how many."""
+        merged, blocks = np.zeros(shape[0], np.int64), self._blocks
+        pairs = (*matches, blocks.geometry, blocks.seen_s, blocks.variance, self._kernel_settings, merged)
+        self._rows.share(shape[0], lambda a, b: fusion.merge(a, b, shape[1], *pairs))
+        return int(merged.sum())
 
     def _candidates(
         self, frame: Frame, pose: Pose, pages: Int32Array, reading: Float32Array, sensor: Float32Array

@@ -72,6 +72,6 @@ class Surfels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColoredView(PredictedView):
-    """A predicted view with `color` (h, w, 3) float32 from 0 to 255: grey where only that is known, -1 where nothing."""
+    """A predicted view with `color` (h, w, 3) float32 from 0 to 255; grey where only that is known, else -1."""
 
     color: Float32Array
