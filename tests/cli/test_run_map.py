@@ -83,6 +83,13 @@ def test_compilation_is_told_until_the_second_frame(status: Callable[..., RunSta
     assert told.after({"dense": answer()}) == "wheels tracking, dense tracking"
 
 
+def test_in_real_time_compilation_is_over_at_the_first_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_run_status, "kernels_are_compiled", lambda parts: False)
+    told = RunStatus(load_config(overrides={"odometry": "wheels,dense"}), is_rehearsed=True)
+    assert told.text == COMPILING
+    assert told.after({"wheels": answer(), "joined": answer()}) == "wheels tracking, joined tracking"
+
+
 def test_whether_kernels_are_compiled_is_asked_of_numba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from wheelsight.mapping import _fusion_kernels, _view_kernels
 

@@ -23,16 +23,20 @@ _KERNELS = {
 class RunStatus:
     """Each odometry's status, how large the map is, and, as long as it takes, that kernels are compiled.
 
+    Args:
+        settings: of the run.
+        is_rehearsed: whether kernels are compiled before the first frame, as for a run in real time.
+
     Attributes:
         text: what to say now.
     """
 
-    def __init__(self, settings: Config) -> None:
+    def __init__(self, settings: Config, is_rehearsed: bool = False) -> None:
         self._of_each: dict[str, str] = {}
         self._has_several = len(settings.tracks) > 1
         parts = (*settings.tracks, *([] if settings.map is None else [settings.map]))
         self._compiles = not kernels_are_compiled(parts)
-        self._frames = 0
+        self._frames = _FRAMES_THAT_COMPILE if is_rehearsed else 0
         self.text = COMPILING if self._compiles else ""
 
     def after(self, answers: Mapping[str, FrameRecord]) -> str:

@@ -96,7 +96,7 @@ def _track(source: Recording, settings: Config, out: Path, force: bool) -> Seque
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
 
-    status = RunStatus(settings)
+    status = RunStatus(settings, is_rehearsed=isinstance(source, pipeline.RealTimeRecording))
 
     def show(answers: Mapping[str, FrameRecord]) -> None:
         show_progress(progress, source, status.after(answers))
