@@ -155,6 +155,8 @@ def test_without_a_truth_three_sigma_stands_alone() -> None:
     assert "Without a truth, whether that is honest cannot be said." in page.text
     assert "Joined: followed in every frame, without a truth to judge it by" in page.text
     assert page.tiles["ATE, joined"] == ("unknown", "not evaluated")
+    assert {"3σ at the end", "With a pose, wheels"} <= set(page.tiles)
+    assert "ATE, wheels" not in page.tiles
 
 
 def test_the_joined_verdict_comes_first_and_says_what_it_is_worth() -> None:
@@ -205,3 +207,11 @@ def test_joined_sensors_without_any_pose_are_a_page_too() -> None:
     assert "plot-joined-status" in page.plots
     assert facts_of(replace(nothing, frames=())).flag_shares == {"slip": 0, "doubtful": 0, "degenerate": 0}
     render_comparison([wheels, dense, replace(nothing, frames=())])
+
+
+def test_of_a_filter_that_knows_no_flags_none_are_told() -> None:
+    run = joined_run(config={"odometry": ["wheels", "dense"], "fusion": "ligocki"})
+    facts = facts_of(run)
+    assert facts.flag_shares == {}
+    assert not [s for s in judge(run, summarise(run), facts, None).sentences if "lagged" in s]
+    assert "Flagged: slip" not in Page(render_comparison([*joined_runs()[:2], run])).tiles

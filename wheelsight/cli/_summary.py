@@ -87,7 +87,7 @@ def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
             yield flag, f"{percent(share)} of the time"
     found = facts.consistency
     if found is not None:
-        yield "end", f"{found.drift_m:.3f} m off, {percent(found.drift_share)} of {found.way_m:.2f} m"
+        yield "end", f"{found.drift_m:.3f} m off after {found.way_m:.2f} m ({100 * found.drift_share:.2f} %)"
         yield "stated 3σ", f"holds {percent(found.share)} of the time"
 
 

@@ -9,7 +9,7 @@ from wheelsight.report import _html as html
 from wheelsight.report import _sections as sections
 from wheelsight.report import _words as words
 from wheelsight.report import figures
-from wheelsight.report.joined import FLAGS, JoinedFacts, Rival
+from wheelsight.report.joined import JoinedFacts, Rival
 from wheelsight.report.joined_figures import trust_figure
 from wheelsight.report.record import RunRecord
 from wheelsight.report.summary import Summary
@@ -50,15 +50,17 @@ def tiles(record: RunRecord, facts: JoinedFacts, rival: Rival | None) -> Iterabl
     if found is not None:
         yield "Within its stated 3σ", words.percent(found.share), "of the time"
         yield "Off at the end", words.length(found.drift_m), f"{words.percent(found.drift_share)} of the way"
+    elif record.estimate.covariances is not None and len(record.estimate):
+        yield "3σ at the end", words.length(3 * figures.standard_deviations(record.estimate)[0][-1]), "as stated"
     coasting = sum(facts.coasting_s)
     yield (
         "Coasting",
         words.duration(coasting),
         f"{_times(len(facts.coasting_s))}, {words.duration(max(facts.coasting_s))} at most" if coasting else "never",
     )
-    first, *others = FLAGS
-    more = ", ".join(f"{flag} {_share(facts.flag_shares[flag])}" for flag in others)
-    yield f"Flagged: {first}", _share(facts.flag_shares[first]), more
+    if facts.flag_shares:
+        (first, share), *others = facts.flag_shares.items()
+        yield f"Flagged: {first}", _share(share), ", ".join(f"{flag} {_share(share)}" for flag, share in others)
 
 
 def section(record: RunRecord, facts: JoinedFacts) -> str:
@@ -119,6 +121,8 @@ def _leading_sentence(summary: Summary | None, facts: JoinedFacts) -> str:
 
 
 def _flags_sentence(facts: JoinedFacts) -> str:
+    if not facts.flag_shares:
+        return ""
     if not any(facts.flag_shares.values()):
         return "Nothing was flagged: no slip, no doubt, no degenerate view."
     flagged = ", ".join(f"{flag} {_share(share)}" for flag, share in facts.flag_shares.items())

@@ -158,14 +158,15 @@ def _tiles(judged: Sequence[Judged], joined: _Joined | None) -> Iterable[tuple[s
     for record, _, _ in judged:
         yield from rectification.tiles(record)
     for record, summary in ((record, summary) for record, summary, _ in judged if not record.is_joined):
-        if record.evaluation is None:
+        if record.evaluation is None and joined is None:
             yield f"ATE, {record.odometry}", words.UNKNOWN, "not evaluated"
+        if record.evaluation is None:
             continue
         more = f"{words.percent(_share_of_the_way(record))} of the way"
         if joined is not None and summary.pose_share < _MOST_OF_THE_TIME:
             more = f"where it has a pose, {words.percent(summary.pose_share)}"
         yield f"ATE, {record.odometry}", words.length(record.evaluation.ate.translation.rmse), more
-    for record, summary, _ in judged if joined is None else ():
+    for record, summary, _ in judged if joined is None or joined.record.evaluation is None else ():
         posed = f"{summary.posed:,} of {words.count(summary.frames, summary.unit)}"
         yield f"With a pose, {record.odometry}", words.percent(summary.pose_share), posed
     for record, summary, _ in judged if joined is None else judged[:1]:

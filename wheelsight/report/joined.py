@@ -27,7 +27,7 @@ class JoinedFacts:
     Attributes:
         seconds: for how long each status held, those that occurred.
         coasting_s: length of each stretch without a camera, seconds.
-        flag_shares: share of the time, 0 to 1, in which each flag was up.
+        flag_shares: share of the time, 0 to 1, in which each flag was up; empty of a filter that knows none.
         poses_at_frames: how many poses of the trajectory are at frames.
         poses_at_readings: how many are at wheel readings alone.
         consistency: the errors beside what was stated of them, or None without truth or covariances.
@@ -63,7 +63,8 @@ def facts_of(record: RunRecord) -> JoinedFacts:
     """What came of it."""
     starts_s, ends_s = frame_spans_s(record)
     lasted_s, statuses = ends_s - starts_s, [str(frame.status) for frame in record.frames]
-    flagged = {flag: np.array([flag in frame.flags for frame in record.frames], bool) for flag in FLAGS}
+    flags = () if record.config.get("fusion") == "ligocki" else FLAGS
+    flagged = {flag: np.array([flag in frame.flags for frame in record.frames], bool) for flag in flags}
     whole_s = float(lasted_s.sum())
     coasting = ((i, j) for i, j, status in runs(statuses) if status == Status.COASTING)
     at_frames = int(np.isin(record.estimate.stamps_s, [frame.stamp_s for frame in record.frames]).sum())
