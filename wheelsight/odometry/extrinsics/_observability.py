@@ -18,7 +18,7 @@ from wheelsight.odometry.wheels import Drive, drive_path
 WHAT_TO_DRIVE = "drive a minute or two as usual, straight and with turns both ways, some of them on the spot"
 
 _SAMPLE_S = 0.5
-_LEAST_WAY_M, _LEAST_TURN_RAD = 2.0, np.pi
+_LEAST_WAY_M, _LEAST_TURN_RAD = 2.0, 1.0
 _LEAST_SHARED_S = 5.0
 _LEAST_TRACKED_SHARE, _FEWEST_TRACKED = 0.5, 50
 _LEAST_AGREEMENT = 0.6
