@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 from pipeline.made import WHEELS, frames_at, metrics_in, mixed_recording, wheel_recording
 from room_drive import make_room_drive
 from simulated_controller import SimulatedController
-from stand_ins import MemoryRecording, TrueOdometry
+from stand_ins import MemoryRecording, TrueOdometry, frame
 from virtual_time import VirtualClock
 
 from wheelsight.calibration import Wheels
@@ -26,7 +27,7 @@ from wheelsight.events import RgbdFrame, WheelTicks
 from wheelsight.pipeline import RealTimeRecording, in_real_time, run, run_each
 from wheelsight.pipeline.live_wheels import LiveWheels
 from wheelsight.pipeline.playing import THREAD
-from wheelsight.recordings import Recording, open_recording
+from wheelsight.recordings import ListedFrame, Recording, open_recording
 from wheelsight.report import FrameRecord, RealTimeRecord, RunRecord
 from wheelsight.telemetry import Telemetry
 from wheelsight.trajectory import Trajectory
@@ -91,6 +92,28 @@ def test_a_fast_one_answers_as_a_run_that_takes_its_time(
     assert calm.realtime is None
     assert live.warnings == calm.warnings
     assert "realtime" not in metrics_in(tmp_path / "calm")
+
+
+def test_decoding_that_is_too_slow_is_told_apart_from_tracking(clock: VirtualClock) -> None:
+    class Listed(MemoryRecording):
+        """Frames ten a second, each a quarter of a second in decoding."""
+
+        def listed(self) -> Iterator[ListedFrame]:
+            for index in range(30):
+                yield ListedFrame(0.1 * index, 0.1 * (index + 1), partial(self.decoded, index))
+
+        def decoded(self, index: int) -> RgbdFrame:
+            clock.sleep(0.25)
+            return frame(index, 0.1 * index)
+
+    live = RealTimeRecording(Listed([frame(0, 0.0)]), clock=clock)
+    assert not live.warnings
+    assert len(list(live.events())) < 20
+    (said,) = live.warnings
+    assert "Most were not even decoded in time" in said
+    lately = live.lately()
+    assert lately is not None
+    assert lately[0] == pytest.approx(4.0, rel=0.25)
 
 
 def mounted(recording: MemoryRecording) -> MemoryRecording:
