@@ -9,7 +9,7 @@ from run_example import START_S, empty_run, example_run
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.recordings import AssociationReport
-from wheelsight.report import FrameRecord, RunRecord, summarise
+from wheelsight.report import FrameRecord, RealTimeRecord, RunRecord, summarise
 from wheelsight.report.verdict import judge, notes
 
 
@@ -140,3 +140,10 @@ def test_many_reasons_are_summed_up() -> None:
     )
     run = replace(empty_run(), frames=frames)
     assert "other reasons (42)" in notes(run, summarise(run))[0]
+
+
+def test_how_it_went_in_real_time_is_a_note() -> None:
+    live = RealTimeRecord(20.0, 600, 12, 3, 1000, 0.031, 0.052)
+    run = replace(_with_statuses("tracking", "tracking"), association=AssociationReport(2, 2, 2, 0.02), realtime=live)
+    (note,) = notes(run, summarise(run))
+    assert note.startswith("Played in real time: 29.4 frames/s answered, 12 of 600 frames dropped (2.0 %)")
