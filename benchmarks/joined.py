@@ -37,7 +37,9 @@ from benchmarks.joined_cases import (
     drive_of,
 )
 from benchmarks.joined_figures import BACK_S, JoinedFigures, figures_of
+from benchmarks.joined_hour import drive_long
 from benchmarks.joined_images import kept_events
+from benchmarks.joined_picture import draw_joined
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, run_all
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
@@ -199,6 +201,8 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--duration", type=float, default=DURATION_S, metavar="S", help="of a drive")
     parser.add_argument("--odometry", choices=("dense", "features"), default="dense")
     parser.add_argument("--images", type=Path, metavar="DIR", help="keeps rendered images, 0.5 MB each, for next time")
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw one drive with faults instead")
+    parser.add_argument("--hour", type=float, nargs="?", const=60.0, metavar="MINUTES", help="drive so long instead")
     parser.add_argument("--out", type=Path, help="Markdown file for the tables")
     return parser.parse_args()
 
@@ -206,6 +210,12 @@ def _parse() -> argparse.Namespace:
 def main() -> None:
     """Measure, print, and keep if asked to."""
     arguments = _parse()
+    if arguments.picture is not None:
+        draw_joined(arguments.picture, arguments.odometry, arguments.images)
+        return
+    if arguments.hour is not None:
+        drive_long(arguments.hour, arguments.odometry)
+        return
     cases = _named(arguments.cases.split(",")) if arguments.cases else CASES
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     given = (cases, seeds, arguments.duration, arguments.odometry, arguments.images)

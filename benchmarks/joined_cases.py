@@ -9,20 +9,36 @@ from enum import Enum
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.simulation import Patch, Robot, SimulatedRecording, SimulationSettings, WheelFaults, simulate
+from wheelsight.geometry import FloatArray
+from wheelsight.simulation import (
+    Patch,
+    Renderer,
+    Robot,
+    SimulatedRecording,
+    SimulationSettings,
+    WheelFaults,
+    build_world,
+    camera_model,
+    follow_route,
+    simulate,
+    simulate_drive,
+)
 from wheelsight.simulation.camera_faults import CameraFault, Covered, FramesDropped, LateClock
 from wheelsight.simulation.robot import NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M
 from wheelsight.simulation.worlds.blank import BLANK_M
+from wheelsight.trajectory import Trajectory
 
 DURATION_S, RATE_HZ, SIZE = 45.0, 10.0, (320, 240)
 LONG_M = 200.0
-LIFT_S = 3.0
+LIFTED_S = (11.0, 14.0)
 PEOPLE = 4
 ICE_RADIUS_M = 0.8
 WRONG_RADII = 1.02
 # The camera sees the dressed end of the corridor from about so far away.
 _SIGHT_M = 6.0
 _STREAM = 0x701
+# Through the hall of `floor4`, where a chair that one wheel turns about has room, and round two bends.
+_HALL = np.array([(39.7, 20.6), (21.8, 20.6), (21.8, 15.9), (1.2, 15.9)])
 # Least and most relative error of the wheels' size and track width, and by how much radii differ.
 _WHEEL_ERROR, _UNEQUAL = (0.005, 0.01), (0.001, 0.0025)
 # Of the mount: standard deviations, as a good calibration leaves them.
@@ -145,7 +161,10 @@ def robot_of(seed: int) -> Robot:
 
 
 def drive_of(way: Way, seed: int, duration_s: float = DURATION_S) -> SimulatedRecording:
-    """The drive of a seed: odd ones through `floor4`, even ones through `flat`; every second pair backwards."""
+    """The drive of a seed: odd ones through `floor4`, even ones through `flat`; every second pair backwards.
+
+    The long one is through `floor4`; a lifted wheel and ice are met in its hall.
+    """
     world = "floor4" if seed % 2 else "flat"
     settings = SimulationSettings(
         world, size=SIZE, rate_hz=RATE_HZ, seed=seed, duration_s=duration_s, laps=3, robot=robot_of(seed)
@@ -155,12 +174,34 @@ def drive_of(way: Way, seed: int, duration_s: float = DURATION_S) -> SimulatedRe
         settings = replace(settings, world="blank", laps=1, duration_s=None, is_reverse=False)
     if way is Way.LONG:
         settings = replace(settings, world="floor4", duration_s=_seconds_for(LONG_M, replace(settings, world="floor4")))
-    if way is Way.LIFTED:
-        begin_s = fault_begin_s(duration_s)
-        settings = replace(settings, faults=WheelFaults(lifted_s=((begin_s, begin_s + LIFT_S),)))
-    if way is Way.ICE:
-        settings = replace(settings, faults=WheelFaults(patches=(_ice_on(settings),)))
+    if way in (Way.LIFTED, Way.ICE):
+        return _through_hall(replace(settings, world="floor4", laps=1, is_reverse=False), way)
     return simulate(replace(settings, passersby=PEOPLE if way is Way.PEOPLE else 0))
+
+
+def recorded_along(route: FloatArray, settings: SimulationSettings) -> SimulatedRecording:
+    """A drive along waypoints (N, 2) of one's own, in metres; nobody checks that they keep clear of walls."""
+    world = build_world(settings.world, settings.seed)
+    driver = follow_route(route, is_loop=False, speed_m_s=settings.speed_m_s)
+    drive = simulate_drive(
+        world,
+        settings.robot,
+        driver,
+        faults=settings.faults,
+        slip=settings.has_slip,
+        seed=settings.seed,
+        time_limit_s=settings.duration_s or 3600.0,
+    )
+    camera = camera_model(settings.camera, settings.size)
+    return SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
+
+
+def _through_hall(settings: SimulationSettings, way: Way) -> SimulatedRecording:
+    """The left wheel is lifted on the straight, or ice lies in the sharper bend: elsewhere it does nothing."""
+    faults = WheelFaults(lifted_s=(LIFTED_S,))
+    if way is Way.ICE:
+        faults = WheelFaults(patches=(_ice_on(recorded_along(_HALL, settings).ground_truth),))
+    return recorded_along(_HALL, replace(settings, faults=faults))
 
 
 def _seconds_for(way_m: float, settings: SimulationSettings) -> float:
@@ -169,9 +210,8 @@ def _seconds_for(way_m: float, settings: SimulationSettings) -> float:
     return float(np.interp(way_m, truth.distances_m, truth.stamps_s))
 
 
-def _ice_on(settings: SimulationSettings) -> Patch:
-    """In the sharpest bend after a while: on a straight, at a steady speed, ice does nothing."""
-    truth = simulate(settings).ground_truth
+def _ice_on(truth: Trajectory) -> Patch:
+    """In the sharpest bend of a drive, once it is under way."""
     yaw_rad = np.unwrap(np.arctan2(truth.T_world_body[:, 1, 0], truth.T_world_body[:, 0, 0]))
     rates = np.where(truth.stamps_s > fault_begin_s(truth.duration_s), np.abs(np.gradient(yaw_rad)), 0.0)
     x_m, y_m, _ = truth.positions_m[int(np.argmax(rates))]
