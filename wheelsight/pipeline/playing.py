@@ -136,9 +136,9 @@ class Playing:
         next(queue for queue in queues if queue and queue[0] is event).popleft()
         if isinstance(event, RgbdFrame | SkippedFrame):
             self.frames += 1
+            self._clock.wake(self._changed)  # there is room for another
         else:
             self.readings += 1
-        self._clock.wake(self._changed)
         return event
 
     def _drop_overtaken(self) -> None:
@@ -167,7 +167,8 @@ class Playing:
                 with self._changed:
                     is_frame = isinstance(event, RgbdFrame | SkippedFrame)
                     (self._frames if is_frame else self._readings).append(event)  # type: ignore[arg-type]
-                    self._clock.wake(self._changed)
+                    if self._next() is event:  # else it is something before it that is waited for
+                        self._clock.wake(self._changed)
         except BaseException as error:
             self._error = error
         finally:
@@ -193,14 +194,14 @@ class Playing:
             return not (self._is_over or is_overtaken)
 
     def _has_room_at(self, item: Event | ListedFrame) -> float | None:
-        """None where there is room, else the stamp at which there may be."""
+        """None where there is room, else the stamp at which to look again."""
         self._drop_overtaken()
         if isinstance(item, ListedFrame | RgbdFrame | SkippedFrame):
             return self._frames[1].stamp_s if len(self._frames) >= FRAMES_AHEAD else None
         there_s = item.stamp_s - _READINGS_AHEAD_S
         first = self._next()
         has_room = first is None or self._is_due(there_s) or (self._behind_s is None and there_s <= first.stamp_s)
-        return None if has_room else there_s
+        return None if has_room else there_s + _READINGS_AHEAD_S / 2  # rather many at once than each by itself
 
 
 def _stamp_s(event: Event) -> float:
