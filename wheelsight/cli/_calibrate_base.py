@@ -9,8 +9,8 @@ from wheelsight.cli._options import CalibrationFile, RecordingPath
 def base(recording: RecordingPath, out: Out, calibration: CalibrationFile = None, force: Force = False) -> None:
     """Find where the camera sits on the robot and how late the wheels' stamps are, from an ordinary drive.
 
-    Roll, pitch and height come from the floor seen in depth; yaw, x, y and the delay from the motions of wheels and
-    camera.
+    Roll, pitch and height come from the floor seen in depth.
+    Yaw, x, y and the delay come from the motions of wheels and camera.
     FILE gets T_base_camera and the wheels' delay, for wheelsight run --calibration.
     A drive that does not show them is refused, as a straight one hides x and y;
     what to drive instead is said: a minute or two, straight and with turns both ways.
