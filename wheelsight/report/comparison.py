@@ -196,11 +196,13 @@ def _sections(judged: Sequence[Judged], paths: Overlay, joined: _Joined | None) 
     records = sorted(
         (record for record, _, _ in judged), key=lambda record: record.is_joined
     )  # in figures it is on top
-    yield rectification.section(records)
+    of_areas = rectification.section(records)
+    yield of_areas if joined is None else ""
     yield _path(records, paths)
     if joined is not None:
         yield fusion.section(joined.record, joined.facts)
         yield surfels.section(joined.record, joined.record.odometry)
+        yield of_areas
     yield _errors(records)
     yield _bands(records)
     for record, summary, _ in judged:
