@@ -68,11 +68,18 @@ def test_a_terminal_sees_how_it_keeps_up(
     assert f"/{frames}" in result.stderr
 
 
-def test_wheels_alone_are_played_too(wheelsight: Command, wheels: Path, tmp_path: Path) -> None:
-    result = wheelsight("run", wheels, "--realtime", "--odometry", "wheels", "--out", tmp_path / "out")
+def test_wheels_alone_are_played_too(
+    wheelsight: Command, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "160")
+    result = wheelsight("run", drive, "--realtime", "--odometry", "wheels", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "readings/s answered, latency " in result.stdout
-    assert metrics_in(tmp_path / "out")["realtime"]["readings"] == 200
+    count = open_recording(drive).wheel_count
+    assert f"{count}/{count}" in result.stderr
+    played = metrics_in(tmp_path / "out")["realtime"]
+    assert (played["readings"], played["frames"]) == (count, 0)
 
 
 def test_wheels_of_a_file_take_the_place_of_the_recordings(wheelsight: Command, drive: Path, tmp_path: Path) -> None:

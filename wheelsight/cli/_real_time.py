@@ -10,6 +10,7 @@ from wheelsight.errors import ConfigError
 
 if TYPE_CHECKING:
     from wheelsight.cli._progress import FrameProgress
+    from wheelsight.config import Config
     from wheelsight.pipeline import RealTimeRecording
     from wheelsight.recordings import Recording
 
@@ -38,25 +39,23 @@ def played(
         yield live
 
 
-def counts_frames(recording: Recording) -> bool:
+def counts_frames(recording: Recording, settings: Config) -> bool:
     """Whether progress is that of frames passing by, some of them dropped."""
     from wheelsight.pipeline import RealTimeRecording
 
-    return isinstance(recording, RealTimeRecording) and recording.frame_count > 0
+    return isinstance(recording, RealTimeRecording) and settings.tracks != ("wheels",)
 
 
-def show_progress(progress: FrameProgress, recording: Recording, status: str) -> None:
+def show_progress(progress: FrameProgress, recording: Recording, settings: Config, status: str) -> None:
     """One event more was answered; in real time also how well that keeps up."""
     from wheelsight.pipeline import RealTimeRecording
 
-    if not isinstance(recording, RealTimeRecording):
-        progress.advance(status)
-        return
-    status = " · ".join(filter(None, [status, words(recording)]))
-    if recording.frame_count:
-        progress.reach(recording.frames_so_far[0], recording.frame_count, status)
-    else:
-        progress.advance(status)
+    if isinstance(recording, RealTimeRecording):
+        status = " · ".join(filter(None, [status, words(recording)]))
+        if counts_frames(recording, settings):
+            progress.reach(recording.frames_so_far[0], recording.frame_count, status)
+            return
+    progress.advance(status)
 
 
 def words(recording: RealTimeRecording) -> str:

@@ -99,7 +99,7 @@ def _track(source: Recording, settings: Config, out: Path, force: bool) -> Seque
     status = RunStatus(settings, is_rehearsed=isinstance(source, pipeline.RealTimeRecording))
 
     def show(answers: Mapping[str, FrameRecord]) -> None:
-        show_progress(progress, source, status.after(answers))
+        show_progress(progress, source, settings, status.after(answers))
 
     try:
         with FrameProgress("tracking", *_expected(source, settings, status.text)) as progress:
@@ -111,7 +111,7 @@ def _track(source: Recording, settings: Config, out: Path, force: bool) -> Seque
 
 def _expected(source: Recording, settings: Config, at_first: str) -> tuple[int, str, str]:
     """How many events will be answered, what to say until the first is, and what they are called."""
-    if counts_frames(source):
+    if counts_frames(source, settings):
         return source.frame_count, at_first, ""  # the rate of those that pass by says nothing
     if settings.tracks == ("wheels",):
         return source.wheel_count, at_first, "readings"

@@ -109,6 +109,8 @@ class LiveWheels:
             self._fall_silent("its other end was closed")
         except DeviceError as error:
             self._fall_silent(error.problem)
+        except OSError as error:
+            self._fall_silent(error.strerror or str(error))
 
     def _stamp_s(self, source_s: float) -> float:
         """By `clock`; what is no number stays so, for whoever answers it to refuse."""
