@@ -28,6 +28,7 @@ PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 TWIST, ERRORS, CAMERA_ERRORS, BIAS = slice(0, 3), slice(3, 6), slice(6, 9), 9
 REST_SIZE = 10
 _LEVEL_EVERY_M = 0.25
+_RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
 _KNOWN_FOR_S = 0.25
 _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
 _COVERED_SIGMAS = 2.5  # so that the other's own error, too, has room within three
@@ -282,9 +283,12 @@ class PoseBelief:
         # δω × up, where up = R e_z; level is where its x and y are 0.
         up = self.T[0][:3, 2]
         H = np.array([[0.0, 0, 0, 0, up[2], -up[1]], [0, 0, 0, -up[2], 0, up[0]]])
-        variance = settings.level_sigma_rad**2 * settings.level_m / self.way_m
         PHt = self.covariance[:, :6] @ H.T
-        return here.corrected(_innovation(-up[:2], H @ PHt[:6] + variance * np.eye(2), PHt))
+        spread, one_sigma2 = H @ PHt[:6], settings.level_sigma_rad**2
+        if _innovation(-up[:2], spread + one_sigma2 * np.eye(2), PHt).nis > _RAMP:
+            return here
+        variance = one_sigma2 * settings.level_m / self.way_m
+        return here.corrected(_innovation(-up[:2], spread + variance * np.eye(2), PHt))
 
     def mixed(self, other: PoseBelief, share: float) -> PoseBelief:
         """One belief with the moments of both, where `other` is right with probability `share`: it covers both."""

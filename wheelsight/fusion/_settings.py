@@ -24,7 +24,8 @@ class ErrorStateSettings:
         camera_scale_walk, camera_drift_walk_rad_per_m, camera_turn_walk: how these wander in one metre.
         side_m_per_sqrt_m, rise_m_per_sqrt_m, tilt_rad_per_sqrt_m: of what wheels do not tell: sideways, up, roll and
             pitch; the way is that of a point `lever_m` beside the base.
-        level_sigma_rad, level_m: floors are level up to this, one stretch of so many metres like another; inf: never.
+        level_sigma_rad, level_m: floors are level up to this, one stretch of so many metres like another, or else are
+            ramps, of which nothing is believed; inf: never level.
         acceleration_m_s2, acceleration_rad_s2: how speeds change in a second while no wheel tells.
         leap_m_s2, leap_rad_s2: standard deviation of what a robot's accelerations may be; more is a leap.
         gyro_noise_rad_per_sqrt_s, gyro_bias_sigma_rad_s, gyro_bias_walk_rad_s: of the yaw rate, its bias at first, and
@@ -53,16 +54,16 @@ class ErrorStateSettings:
     drift_walk_rad_per_m: float = 0.0005
     turn_walk: float = 0.0005
     camera_scale_sigma: float = 0.005
-    camera_drift_sigma_rad_per_m: float = 0.0005
+    camera_drift_sigma_rad_per_m: float = 0.0003
     camera_turn_sigma: float = 0.005
     camera_scale_walk: float = 0.0005
     camera_drift_walk_rad_per_m: float = 0.0001
     camera_turn_walk: float = 0.0005
     side_m_per_sqrt_m: float = 0.005
-    rise_m_per_sqrt_m: float = 0.01
+    rise_m_per_sqrt_m: float = 0.003
     tilt_rad_per_sqrt_m: float = 0.05
     lever_m: float = 0.25
-    level_sigma_rad: float = 0.05
+    level_sigma_rad: float = 0.01
     level_m: float = 5.0
     acceleration_m_s2: float = 1.0
     acceleration_rad_s2: float = 3.0

@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer._anchor import Anchor
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
+from wheelsight.odometry.features import MatchedPixels
 
 # What the filter remembers: the last frame that was tracked, and the anchor of the camera's motions.
 _FRAME, _ANCHOR = "frame", "anchor"
@@ -32,6 +34,8 @@ class ByFusion:
         odometry: the camera's.
         filter: what joins it with the wheels.
         mapper: builds a map, where one is asked for.
+        T_world_map: (4, 4) where the world of the camera's odometry, and of the map, lies by now. What the filter knows
+            better moves the pose but no surfel, which would tear the map.
     """
 
     body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
@@ -46,6 +50,7 @@ class ByFusion:
         self._uses_gyro = settings.wheels.gyro
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         self.filter = ErrorStateFilter(T_base_camera)
+        self.T_world_map: FloatArray = np.eye(4)
         self._T_base_camera = T_base_camera
         self._anchor: Anchor | None = None
         self._newest_s, self._unknown = -math.inf, 0
@@ -85,39 +90,56 @@ class ByFusion:
         if seen.T_world_body is None:
             return self._unseen(frame, seen)
         if self._anchor is None:
-            return self._anchored(frame, seen)
+            return self._begun(frame, seen)
         motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
         answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR)
         self._unknown = 0
-        is_believed = answer.reason is None and not answer.doubtful
-        self._settle(frame, answer, is_believed)
-        is_over = not is_believed and not answer.doubtful
-        if is_over or self._anchor.is_far_from(seen.T_world_body):
-            return self._anchored(frame, replace(seen, reason=answer.reason))
+        self.filter.clone(frame.stamp_s, _FRAME)
+        if answer.doubtful:
+            return _with_counts(answer, seen)
+        if answer.reason is not None:
+            return self._put_back(frame, answer, seen)
+        self._believe(frame, answer, seen.T_world_body)
+        if self._anchor.is_far_from(seen.T_world_body):
+            self._anchor_at(frame, seen.T_world_body)
         return _with_counts(answer, seen)
 
-    def _settle(self, frame: RgbdFrame, answer: FusedEstimate, is_believed: bool) -> None:
-        """Camera and map go on from where the joined pose is; what is not believed never gets into the map."""
-        self.filter.clone(frame.stamp_s, _FRAME)
-        if answer.T_world_body is None or answer.covariance is None or isinstance(self.odometry, FeatureOdometry):
+    def _believe(self, frame: RgbdFrame, answer: FusedEstimate, T_map_camera: FloatArray) -> None:
+        """Camera odometry goes on in a world of its own, that of its map, of which the filter knows where it lies."""
+        if answer.T_world_body is None or answer.status is not Status.TRACKING:
             return
-        T_world_camera = answer.T_world_body @ self._T_base_camera
-        self.odometry.settle(T_world_camera, answer.covariance)
-        if self.mapper is not None and is_believed and answer.status is Status.TRACKING:
-            self.mapper.fuse(frame, T_world_camera)
+        self.T_world_map = se3.nearest(answer.T_world_body @ self._T_base_camera @ se3.invert(T_map_camera))
+        if self.mapper is not None:
+            self.mapper.fuse(frame, T_map_camera)
 
-    def _anchored(self, frame: RgbdFrame, seen: Estimate) -> Estimate:
-        """From here on the camera's motions are told against this frame."""
-        answer = self.filter.clone(frame.stamp_s, _FRAME)
+    def _put_back(self, frame: RgbdFrame, answer: FusedEstimate, seen: Estimate) -> Estimate:
+        """A camera that is not believed goes on from where the joined pose is."""
         assert seen.T_world_body is not None
-        T_world_camera: FloatArray = seen.T_world_body
+        T_map_camera: FloatArray = seen.T_world_body
         if isinstance(self.odometry, DenseOdometry) and answer.T_world_body is not None:
             assert answer.covariance is not None
-            T_world_camera = answer.T_world_body @ self._T_base_camera
-            self.odometry.settle(T_world_camera, answer.covariance)
-        self._anchor = Anchor.at(T_world_camera, self.odometry.last_motion)
+            T_map_camera = self._in_map(answer.T_world_body)
+            self.odometry.settle(T_map_camera, answer.covariance)
+        self._anchor_at(frame, T_map_camera)
+        return _with_counts(answer, seen)
+
+    def _anchor_at(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
+        """From here on the camera's motions are told against this frame."""
+        self._anchor = Anchor.at(T_map_camera, self.odometry.last_motion)
         self.filter.clone(frame.stamp_s, _ANCHOR, self._anchor.covariance)
-        return _with_counts(replace(answer, reason=seen.reason), seen)
+
+    def _begun(self, frame: RgbdFrame, seen: Estimate, reason: Reason | None = None) -> Estimate:
+        """The answer at a frame at which the camera starts, where the wheels have it."""
+        assert seen.T_world_body is not None
+        answer = self.filter.clone(frame.stamp_s, _FRAME)
+        if answer.T_world_body is not None:
+            T_world_camera = answer.T_world_body @ self._T_base_camera
+            self.T_world_map = se3.nearest(T_world_camera @ se3.invert(seen.T_world_body))
+        self._anchor_at(frame, seen.T_world_body)
+        return _with_counts(replace(answer, reason=reason), seen)
+
+    def _in_map(self, T_world_base: FloatArray) -> FloatArray:
+        return np.asarray(se3.nearest(se3.invert(self.T_world_map) @ T_world_base @ self._T_base_camera))
 
     def _unseen(self, frame: RgbdFrame, seen: Estimate) -> Estimate:
         """The wheels' pose; after some frames that show nothing known, the camera starts again from there."""
@@ -125,9 +147,9 @@ class ByFusion:
         self._unknown += seen.reason not in _BLIND
         if self._unknown >= _RESTART_AFTER and answer.T_world_body is not None and answer.covariance is not None:
             self._unknown = 0
-            again = self.odometry.restart(frame, answer.T_world_body @ self._T_base_camera, answer.covariance)
+            again = self.odometry.restart(frame, self._in_map(answer.T_world_body), answer.covariance)
             if again.T_world_body is not None:
-                return self._anchored(frame, replace(again, reason=seen.reason))
+                return self._begun(frame, again, seen.reason)
         return _with_counts(answer, seen)
 
     def _miss(self, stamp_s: float) -> Estimate:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event
+from wheelsight.geometry import FloatArray
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.localizer.by_ligocki import ByLigocki
@@ -85,8 +88,17 @@ class Localizer:
 
     @property
     def map(self) -> SurfelMap | None:
-        """What was built on the way, in the world of the poses; None where the configuration asks for no map."""
+        """What was built on the way, where `T_world_map` has it; None where the configuration asks for no map."""
         return None if self._mapper is None else self._mapper.map
+
+    @property
+    def T_world_map(self) -> FloatArray:
+        """(4, 4) where the map lies: the identity where one odometry is followed.
+
+        Joined with wheels, a pose T_world_body gets better by what no camera shows, such as the floor that is level;
+        the map stays as it is. Within the map the body is at `inv(T_world_map) @ T_world_body`.
+        """
+        return self._way.T_world_map if isinstance(self._way, ByFusion) else np.eye(4)
 
     @property
     def last_fused(self) -> FusedFrame | None:

@@ -27,30 +27,40 @@ _WHITE = 255.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stop:
-    """A frame from whose pose T_world_camera (4, 4) the finished map is to be looked at."""
+    """A frame from whose pose in the map, T_map_camera (4, 4), the finished map is to be looked at."""
 
     stamp_s: float
     color: ByteArray
-    T_world_camera: FloatArray
+    T_map_camera: FloatArray
 
 
 @dataclass
 class Stops:
-    """A few frames, evenly spread over a recording: those at or after `due` indices that have a pose."""
+    """A few frames, evenly spread over a recording: those at or after `due` indices that have a pose.
+
+    `T_map_body` are the poses (4, 4) in the map of all frames that have one.
+    """
 
     due: list[int]
     found: list[Stop] = field(default_factory=list)
+    T_map_body: list[FloatArray] = field(default_factory=list)
 
     @classmethod
     def spread(cls, wanted: int, frame_count: int) -> Stops:
         """So many, none at the very ends."""
         return cls([int((number + 0.5) * frame_count / wanted) for number in range(wanted)])
 
-    def look(self, frame: RgbdFrame, estimate: Estimate, T_base_camera: FloatArray | None) -> None:
-        """Keep `frame` if one is due and its pose is known."""
-        if not self.due or frame.index < self.due[0] or estimate.T_world_body is None:
+    def look(
+        self, frame: RgbdFrame, estimate: Estimate, T_world_map: FloatArray, T_base_camera: FloatArray | None
+    ) -> None:
+        """Keep where a frame is, if its pose is known, and all of it if one is due."""
+        if estimate.T_world_body is None:
             return
-        self.found.append(Stop(frame.stamp_s, frame.color, camera_of(estimate.T_world_body, T_base_camera)))
+        T_map_body = se3.invert(T_world_map) @ estimate.T_world_body
+        self.T_map_body.append(T_map_body)
+        if not self.due or frame.index < self.due[0]:
+            return
+        self.found.append(Stop(frame.stamp_s, frame.color, camera_of(T_map_body, T_base_camera)))
         self.due = [index for index in self.due if index > frame.index]
 
 
@@ -58,7 +68,7 @@ def map_record_of(
     surfel_map: SurfelMap,
     fused: int,
     stops: Sequence[Stop],
-    T_world_body: FloatArray,
+    T_map_body: FloatArray,
     calibration: Calibration,
 ) -> MapRecord:
     """The record of a run's map.
@@ -67,33 +77,33 @@ def map_record_of(
         surfel_map: as it is at the end.
         fused: how many frames went into it.
         stops: where to look at it from.
-        T_world_body: (n, 4, 4) of the whole way.
+        T_map_body: (n, 4, 4) of the whole way, in the map.
         calibration: tells the colour camera, and which way is up where it has `T_base_camera`.
     """
     is_levelled = calibration.T_base_camera is not None
     pictures = tuple(MapPicture(stop.stamp_s, stop.color, _seen(surfel_map, stop, calibration)) for stop in stops)
-    status, plan = surfel_map.status(), _plan(surfel_map, T_world_body, calibration)
+    status, plan = surfel_map.status(), _plan(surfel_map, T_map_body, calibration)
     return MapRecord(status, fused, MAP_FILE, plan, pictures, is_levelled)
 
 
-def camera_of(T_world_body: FloatArray, T_base_camera: FloatArray | None) -> FloatArray:
-    """T_world_camera (..., 4, 4) of a body that is the base where `T_base_camera` is known, else the camera."""
-    return T_world_body if T_base_camera is None else T_world_body @ T_base_camera
+def camera_of(T_map_body: FloatArray, T_base_camera: FloatArray | None) -> FloatArray:
+    """T_map_camera (..., 4, 4) of a body that is the base where `T_base_camera` is known, else the camera."""
+    return T_map_body if T_base_camera is None else T_map_body @ T_base_camera
 
 
-def _plan(surfel_map: SurfelMap, T_world_body: FloatArray, calibration: Calibration) -> Plan | None:
+def _plan(surfel_map: SurfelMap, T_map_body: FloatArray, calibration: Calibration) -> Plan | None:
     surfels = surfel_map.surfels("stable")
     if not len(surfels.grey):
         surfels = surfel_map.surfels()
-    if not len(surfels.grey) or not len(T_world_body):
+    if not len(surfels.grey) or not len(T_map_body):
         return None
-    T_world_camera = camera_of(T_world_body, calibration.T_base_camera)
+    T_map_camera = camera_of(T_map_body, calibration.T_base_camera)
     up = np.array([0.0, 0.0, 1.0])
     if calibration.T_base_camera is None:
-        up = upward(surfels, T_world_camera[0, :3, :3])
-    below_m = float((T_world_camera[:, :3, 3] @ up).max()) + _ABOVE_CAMERA_M
+        up = upward(surfels, T_map_camera[0, :3, :3])
+    below_m = float((T_map_camera[:, :3, 3] @ up).max()) + _ABOVE_CAMERA_M
     # x points forward from where a base was, and to the right from where a camera was.
-    return plan_of(surfels, up, below_m, T_world_body[:, :3, 3], right=np.array([1.0, 0.0, 0.0]))
+    return plan_of(surfels, up, below_m, T_map_body[:, :3, 3], right=np.array([1.0, 0.0, 0.0]))
 
 
 def _seen(surfel_map: SurfelMap, stop: Stop, calibration: Calibration) -> ByteArray:
@@ -102,23 +112,23 @@ def _seen(surfel_map: SurfelMap, stop: Stop, calibration: Calibration) -> ByteAr
     Pixels that fall between surfels, which may have been seen from farther off, are those of a coarser view.
     """
     camera, _ = calibration.cameras
-    T_world_color = stop.T_world_camera
+    T_map_color = stop.T_map_camera
     if calibration.T_color_depth is not None:
-        T_world_color = T_world_color @ se3.invert(calibration.T_color_depth)
-    fine, *coarser = (_rendered(surfel_map, T_world_color, camera, width) for width in _WIDTHS_PX)
+        T_map_color = T_map_color @ se3.invert(calibration.T_color_depth)
+    fine, *coarser = (_rendered(surfel_map, T_map_color, camera, width) for width in _WIDTHS_PX)
     for image in coarser:
         wider = cv2.resize(image, (fine.shape[1], fine.shape[0]), interpolation=cv2.INTER_NEAREST)
         fine = np.where(fine < 0, wider, fine)
     return np.asarray(np.clip(np.rint(np.where(fine < 0, _WHITE, fine)), 0, 255), np.uint8)
 
 
-def _rendered(surfel_map: SurfelMap, T_world_color: FloatArray, camera: PinholeCamera, width: int) -> Float32Array:
+def _rendered(surfel_map: SurfelMap, T_map_color: FloatArray, camera: PinholeCamera, width: int) -> Float32Array:
     """(h, width, 3) from 0 to 255, grey where colour is unknown, -1 where the map has nothing."""
     scale = width / camera.width
     # Pixel centres lie at integers, so that an image begins half a pixel before its first.
     cx, cy = scale * (np.array([camera.cx, camera.cy]) + 0.5) - 0.5
     intrinsics = np.array([scale * camera.fx, scale * camera.fy, cx, cy])
     shape = (max(1, round(scale * camera.height)), width)
-    view = surfel_map.render(T_world_color, intrinsics, shape, far_m=_FAR_M)
+    view = surfel_map.render(T_map_color, intrinsics, shape, far_m=_FAR_M)
     image = np.where(view.color[..., :1] < 0, view.grey[..., None], view.color)
     return np.where(view.depth_m[..., None] > 0, image, np.float32(-1))

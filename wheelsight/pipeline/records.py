@@ -49,7 +49,7 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
     few = None
     if truth is not None and evaluation is not None:
         few = pairing_warning(estimate, truth, evaluation.pairs, evaluation.max_gap_s)
-    surfels = _map(track, passage, estimate, recording)
+    surfels = _map(track, passage, recording)
     return RunRecord(
         recording=recording.name,
         format=recording.format,
@@ -76,10 +76,10 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
     )
 
 
-def _map(track: Track, passage: Passage, estimate: Trajectory, recording: Recording) -> MapRecord | None:
+def _map(track: Track, passage: Passage, recording: Recording) -> MapRecord | None:
     if track.localizer.map is None or passage.is_torn:
         return None
-    way = (track.stops.found, estimate.T_world_body)
+    way = (track.stops.found, np.array(track.stops.T_map_body, float).reshape(-1, 4, 4))
     return map_record_of(track.localizer.map, track.fused, *way, recording.calibration)
 
 

@@ -11,7 +11,7 @@ from wheelsight.config import Config, TrackName
 from wheelsight.errors import WheelsightError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
-from wheelsight.fusion import FusedEstimate, RectifiedEstimate
+from wheelsight.fusion import RectifiedEstimate
 from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.localizer import Localizer, Places
 from wheelsight.mapping import SurfelMap
@@ -108,12 +108,12 @@ class Track:
         seconds = time.perf_counter() - started
         if estimate is None:
             return None
-        is_joined = isinstance(estimate, FusedEstimate)  # which knows the pose though the event told it nothing
+        is_joined = self.odometry == "joined"  # which knows the pose though the event told it nothing
         if estimate.T_world_body is not None and (estimate.reason is None or is_joined):
             self.poses.append(estimate)
         if isinstance(event, RgbdFrame) and not localizer.note:
             self.photographer.look(event, estimate, localizer.last_matches)
-            self.stops.look(event, estimate, self.T_base_camera)
+            self.stops.look(event, estimate, localizer.T_world_map, self.T_base_camera)
             self._add_stages(localizer.stage_seconds)
         self.fused += localizer.last_fused is not None
         outcome = (estimate.status, estimate.reason, estimate.matches, estimate.inliers)
