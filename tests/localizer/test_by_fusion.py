@@ -1,0 +1,276 @@
+"""ByFusion: wheels and a camera that sees the truth, but for what each test does to one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from localizer.joined_drives import (
+    CALIBRATION,
+    WHEELS,
+    Drive,
+    Eye,
+    Sight,
+    answers_to,
+    drive,
+    joined,
+    of_frames,
+    off_m,
+    spinning,
+    spread_m,
+    yaw_rates,
+)
+
+from wheelsight.estimates import Reason, Status
+from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.fusion import ErrorStateFilter, FusedEstimate
+from wheelsight.geometry import se3, so3
+from wheelsight.odometry.wheels import WheelOdometry
+
+SHORT = ((2.0, 0.6, 0.2),)
+Run = tuple[Drive, Eye, list[tuple[Event, FusedEstimate]], dict[float, Any]]
+
+
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Run]:
+    """Runs a drive, and gives it with what saw it, the answers, and what got into the map at which second."""
+
+    def run(made: Drive, kind: str = "dense") -> Run:
+        eye = made.eye()
+        subject, kept = joined(monkeypatch, eye, kind)
+        answers = answers_to(subject, made.events())
+        return made, eye, answers, {stamp_s - made.begin_s: T for stamp_s, T in kept.fused.items()}
+
+    return run
+
+
+def between(run: Run, begin_s: float, end_s: float) -> list[FusedEstimate]:
+    """Answers to frames of these seconds."""
+    return [a for a in of_frames(run[2]) if begin_s < a.stamp_s - run[0].begin_s < end_s]
+
+
+def fused_between(run: Run, begin_s: float, end_s: float) -> list[float]:
+    return [second for second in run[3] if begin_s < second < end_s]
+
+
+def only(when: tuple[float, float], sight: Sight) -> Callable[[float], Sight]:
+    """Some seconds of a drive show this, all others the truth."""
+    return lambda seconds: sight if when[0] < seconds < when[1] else Sight()
+
+
+HIDING = only((2.0, 3.5), Sight(hidden=np.array([[0.0, 0, 1, 0, 0, 0]])))  # where the camera looks, which is forward
+
+
+@pytest.mark.parametrize("kind", ["dense", "features"])
+def test_readings_and_frames_are_answered_with_the_bases_pose(ran: Callable[..., Run], kind: str) -> None:
+    run = ran(drive(), kind)
+    made, _, answers, _ = run
+    assert [type(event) for event, _ in answers] == [type(event) for event in made.events()]
+    assert all(answer.body == "base" for _, answer in answers)
+    told = [answer for event, answer in answers[1:] if answer.stamp_s == event.stamp_s]
+    assert len(told) == len(answers) - 1
+    assert max(off_m(answer, made.truth) for answer in told) < 0.03
+    assert all(off_m(answer, made.truth) < 3 * spread_m(answer) + 1e-3 for answer in told)
+    assert {a.status for a in between(run, 0.1, 99)} == {Status.TRACKING}
+    assert not any(a.slip or a.doubtful or a.degenerate or a.reason for a in between(run, 0.1, 99))
+    assert {(a.matches, a.inliers) for a in between(run, 0.1, 99)} == {(200, 160)}
+
+
+def test_there_is_no_pose_before_an_event_tells_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    subject, kept = joined(monkeypatch, made.eye())
+    assert (subject.body, subject.world) == ("base", "world")
+    assert {WheelTicks, RgbdFrame} <= set(subject.answers)
+    begin, *rest = made.events()
+    first = subject.process(begin)
+    assert first is not None
+    assert (first.status, first.T_world_body, first.covariance) == (Status.INITIALIZING, None, None)
+    (_, second), *_ = answers_to(subject, rest[:1])
+    assert second.status is Status.COASTING  # a frame alone tells no motion
+    np.testing.assert_allclose(second.T_world_body, np.eye(4))
+    assert not kept.fused
+
+
+def test_the_camera_is_handed_the_motion_that_wheels_expect(ran: Callable[..., Run]) -> None:
+    _, eye, answers, _ = ran(drive(faults=only((3.0, 3.5), Sight(Reason.TOO_LITTLE_DEPTH))))
+    assert len(eye.priors) > 100
+    for stamp_s, (last_s, prior) in eye.priors.items():
+        assert prior is not None
+        T = se3.invert(eye.T_world_camera(last_s)) @ eye.T_world_camera(stamp_s)
+        off = se3.invert(T) @ prior
+        sigma_m = WHEELS.slip_m_per_sqrt_m * np.sqrt(np.linalg.norm(T[:3, 3])) + 2 * WHEELS.left_m_per_tick
+        assert np.linalg.norm(off[:3, 3]) < 5 * sigma_m
+        assert so3.angle(off[:3, :3]) < 5 * sigma_m / WHEELS.track_width_m
+    steps_m = [np.linalg.norm(prior[:3, 3]) for _, prior in eye.priors.values() if prior is not None]
+    assert max(steps_m) > 0.2  # over the gap
+
+
+@pytest.mark.parametrize("kind", ["dense", "features"])
+def test_a_blackout_is_coasted_and_the_map_waits(ran: Callable[..., Run], kind: str) -> None:
+    run = ran(drive(faults=only((2.0, 3.5), Sight(Reason.TOO_LITTLE_DEPTH))), kind)
+    dark = between(run, 2.0, 3.5)
+    assert {a.reason for a in dark} == {Reason.TOO_LITTLE_DEPTH}
+    assert {a.status for a in between(run, 2.4, 3.5)} == {Status.COASTING}
+    spreads = np.array([spread_m(a) for a in dark])
+    assert (np.diff(spreads) > 0).all()
+    assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in dark)
+    assert {a.status for a in between(run, 3.5, 99)} == {Status.TRACKING}
+    assert spread_m(between(run, 3.5, 3.6)[0]) < 0.8 * spreads[-1]
+    assert off_m(between(run, 3.5, 4.0)[-1], run[0].truth) < 0.01
+    if kind == "dense":
+        assert not fused_between(run, 2.0, 3.5)
+        assert len(fused_between(run, 3.5, 99)) > 50
+    assert not run[1].restarts
+
+
+@pytest.mark.parametrize("kind", ["dense", "features"])
+def test_where_nothing_known_is_in_sight_the_camera_starts_again_where_wheels_have_it(
+    ran: Callable[..., Run], kind: str
+) -> None:
+    def faults(seconds: float) -> Sight:
+        return Sight(Reason.TOO_LITTLE_DEPTH) if 2 < seconds < 3 else Sight(place=int(seconds >= 3))
+
+    run = ran(drive(faults=faults), kind)
+    made, eye, _, _ = run
+    ((restart_s, T_map_camera),) = eye.restarts.items()
+    assert restart_s - made.begin_s == pytest.approx(3.0 + 4 * 0.04, abs=0.01)  # five frames in a row
+    assert np.linalg.norm((T_map_camera - eye.T_world_camera(restart_s))[:3, 3]) < 0.03
+    assert {a.status for a in between(run, 2.4, 3.14)} == {Status.COASTING}
+    assert {a.reason for a in between(run, 3.0, 3.17)} == {Reason.NOT_RECOGNISED}
+    assert {a.status for a in between(run, 3.2, 99)} == {Status.TRACKING}
+    last = between(run, 0, 99)[-1]
+    assert off_m(last, made.truth) < min(0.05, 3 * spread_m(last))
+    if kind == "dense":
+        assert not fused_between(run, 2.0, 3.17)
+        assert len(fused_between(run, 3.17, 4.0)) > 15
+
+
+def test_blind_frames_alone_never_start_the_camera_again(ran: Callable[..., Run]) -> None:
+    run = ran(drive(SHORT, only((0.5, 2.0), Sight(Reason.FRAME_UNUSABLE))))
+    assert not run[1].restarts
+    assert {a.status for a in between(run, 2.1, 99)} == {Status.TRACKING}
+
+
+@pytest.mark.parametrize("kind", ["dense", "features"])
+def test_a_camera_that_leaps_away_is_not_believed_nor_mapped(ran: Callable[..., Run], kind: str) -> None:
+    run = ran(drive(faults=only((2.0, 3.5), Sight(wrong=(0.0, 0.5, 0.3)))), kind)
+    told = between(run, 2.0, 3.5)
+    assert {a.reason for a in told} == {Reason.CONTRADICTION}
+    assert max(off_m(a, run[0].truth) for a in told if not a.doubtful) < 0.03  # the camera's would be 0.75 m
+    assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in told)
+    assert not any(a.slip for a in told)
+    assert {a.status for a in between(run, 2.4, 3.5)} == {Status.COASTING}
+    assert not fused_between(run, 2.0, 3.5)
+    assert {a.status for a in between(run, 5.4, 99)} == {Status.TRACKING}
+    if kind == "dense":
+        assert fused_between(run, 5.4, 99)
+
+
+def test_a_camera_that_creeps_away_with_the_wheels_is_doubted_first(ran: Callable[..., Run]) -> None:
+    run = ran(drive(faults=only((2.0, 3.5), Sight(wrong=(0.15, 0.0, 0.0)))))
+    doubted = [a for a in between(run, 2.0, 3.5) if a.doubtful]
+    assert doubted
+    assert all(a.reason is Reason.CONTRADICTION for a in doubted)
+    assert not {a.stamp_s for a in doubted} & set(run[1].settled)  # who is right is not settled yet
+    assert not {round(a.stamp_s - run[0].begin_s, 6) for a in doubted} & {round(second, 6) for second in run[3]}
+
+
+@pytest.mark.parametrize("kind", ["dense", "features"])
+def test_wheels_that_spin_are_told_and_the_camera_leads(ran: Callable[..., Run], kind: str) -> None:
+    run = ran(spinning(drive(), 2.0, 3.5, 0.6), kind)
+    told = between(run, 2.04, 3.5)
+    assert all(a.slip or a.doubtful for a in told)
+    assert sum(a.slip for a in told) > 0.8 * len(told)
+    assert max(off_m(a, run[0].truth) for a in told if not a.doubtful) < 0.02  # the wheels are 0.9 m ahead
+    assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in told)
+    after = between(run, 4.0, 99)
+    assert not any(a.slip or a.doubtful for a in after)
+    assert off_m(after[-1], run[0].truth) < 0.03
+
+
+def test_directions_that_the_camera_does_not_show_are_the_wheels(ran: Callable[..., Run]) -> None:
+    """Wheels that are a tenth too quick for a while are followed where the view does not tell, and only there."""
+    hidden, seen = (ran(spinning(drive(faults=f), 2.0, 3.5, 0.05)) for f in (HIDING, only((0, 0), Sight())))
+    told = between(hidden, 2.02, 3.5)
+    assert all(a.degenerate and a.status is Status.TRACKING and a.reason is None for a in told)
+    assert not any(a.degenerate for a in [*between(hidden, 3.5, 99), *between(seen, 0.0, 99)])
+    T_truth = hidden[0].truth.at([told[-1].stamp_s])[0]
+    assert told[-1].T_world_body is not None
+    off = se3.invert(T_truth) @ told[-1].T_world_body
+    assert 0.05 < np.linalg.norm(off[:2, 3]) < 0.08
+    assert so3.angle(off[:3, :3]) < 0.01
+    assert off_m(between(seen, 2.02, 3.5)[-1], seen[0].truth) < 0.015
+    assert len(fused_between(hidden, 2.02, 3.5)) == len(told)  # filled by the wheels, it is a pose as any other
+
+
+def test_the_gyroscope_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the filter alone, to the last bit, and not by the wheels before it as well."""
+    made = drive(SHORT)
+    readings = [event for event in made.events() if isinstance(event, WheelTicks)]
+    events = sorted([*readings, *yaw_rates(made, 0.01)], key=lambda event: event.stamp_s)
+    answers = answers_to(joined(monkeypatch, made.eye())[0], events)
+    assert len(answers) == len(readings)
+    wheels, by_hand = WheelOdometry(WHEELS), ErrorStateFilter(CALIBRATION.T_base_camera)
+    for event in events:
+        if isinstance(event, WheelTicks):
+            expected = by_hand.predict_to(wheels.process(event))
+        else:
+            by_hand.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
+    np.testing.assert_array_equal(answers[-1][1].T_world_body, expected.T_world_body)
+    np.testing.assert_array_equal(answers[-1][1].covariance, expected.covariance)
+
+
+def test_a_gyroscope_that_is_not_wanted_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    both = sorted([*made.events(), *yaw_rates(made, 0.5)], key=lambda event: event.stamp_s)
+    without = answers_to(joined(monkeypatch, made.eye())[0], made.events())
+    unwanted = answers_to(joined(monkeypatch, made.eye(), **{"wheels.gyro": False})[0], both)
+    wanted = answers_to(joined(monkeypatch, made.eye())[0], both)
+    np.testing.assert_array_equal(without[-1][1].covariance, unwanted[-1][1].covariance)
+    assert not np.array_equal(without[-1][1].covariance, wanted[-1][1].covariance)
+
+
+def test_a_gyroscope_carries_the_turn_through_a_blackout(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT, only((0.5, 99.0), Sight(Reason.TOO_LITTLE_DEPTH)))
+    both = sorted([*made.events(), *yaw_rates(made, 0.02)], key=lambda event: event.stamp_s)
+    yaw_sigma = [
+        np.sqrt(answers_to(joined(monkeypatch, made.eye())[0], events)[-1][1].covariance[5, 5])
+        for events in (made.events(), both)
+    ]
+    assert yaw_sigma[1] < 0.5 * yaw_sigma[0]
+
+
+def test_a_pause_of_all_sensors_is_bridged_by_a_view_that_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive()
+    subject, _ = joined(monkeypatch, made.eye())
+    pause = (made.begin_s + 2.0, made.begin_s + 4.5)
+    answers = answers_to(subject, [event for event in made.events() if not pause[0] < event.stamp_s < pause[1]])
+    after = [(event, answer) for event, answer in answers if event.stamp_s >= pause[1]]
+    first = after[0][1]
+    assert first.status in (Status.COASTING, Status.LOST)
+    assert first.T_world_body is None or off_m(first, made.truth) < 3 * spread_m(first)
+    assert {answer.status for answer in of_frames(after)} == {Status.TRACKING}
+    assert max(off_m(answer, made.truth) for answer in of_frames(after)) < 0.05
+
+
+def test_the_camera_goes_on_when_wheels_fall_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive()
+    silent_s = made.begin_s + 2.0
+    events = [event for event in made.events() if isinstance(event, RgbdFrame) or event.stamp_s < silent_s]
+    answers = of_frames(answers_to(joined(monkeypatch, made.eye())[0], events))
+    alone = [answer for answer in answers if answer.stamp_s > silent_s]
+    assert {answer.status for answer in alone} == {Status.TRACKING}
+    assert max(off_m(answer, made.truth) for answer in alone) < 0.05
+
+
+def test_what_the_last_event_did_to_the_map_is_of_that_event(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    subject, kept = joined(monkeypatch, made.eye())
+    fused = 0
+    for event in made.events():
+        subject.process(event)
+        fused += subject.last_fused is not None
+        assert subject.last_fused is None or isinstance(event, RgbdFrame)
+    assert fused == len(kept.fused) > 30
