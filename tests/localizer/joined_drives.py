@@ -77,7 +77,8 @@ class Eye:
 
     def T_world_camera(self, stamp_s: float) -> FloatArray:
         """The truth (4, 4)."""
-        return np.asarray(self._truth.at([stamp_s])[0] @ self._T_base_camera)
+        known_s = np.clip(np.nan_to_num(stamp_s), *self._truth.stamps_s[[0, -1]])
+        return np.asarray(self._truth.at([known_s])[0] @ self._T_base_camera)
 
     def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
         shows = self._sight(frame.stamp_s)

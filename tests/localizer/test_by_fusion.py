@@ -94,7 +94,7 @@ def test_there_is_no_pose_before_an_event_tells_one(monkeypatch: pytest.MonkeyPa
 
 
 def test_the_camera_is_handed_the_motion_that_wheels_expect(ran: Callable[..., Run]) -> None:
-    _, eye, answers, _ = ran(drive(faults=only((3.0, 3.5), Sight(Reason.TOO_LITTLE_DEPTH))))
+    _, eye, _, _ = ran(drive(faults=only((3.0, 3.5), Sight(Reason.TOO_LITTLE_DEPTH))))
     assert len(eye.priors) > 100
     for stamp_s, (last_s, prior) in eye.priors.items():
         assert prior is not None

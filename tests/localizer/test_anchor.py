@@ -1,0 +1,121 @@
+"""Anchor: motions and covariances under known transforms, against numbers found by perturbing poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wheelsight.estimates import MotionEstimate
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.localizer._anchor import Anchor
+
+_SCALE = np.array([1.0, 1, 1, 2, 2, 2])  # of degenerate directions (v, ω · 2 m)
+tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def some_covariance(rng: np.random.Generator) -> FloatArray:
+    A = 1e-2 * rng.standard_normal((6, 6))
+    return np.asarray(A @ A.T)
+
+
+def motion(T: FloatArray, covariance: FloatArray, hidden: FloatArray | None = None) -> MotionEstimate:
+    return MotionEstimate(T, covariance, None, 90, 70, hidden)
+
+
+def numeric(moved: object, about: FloatArray) -> FloatArray:
+    """Jacobian (6, 6) of the left perturbation of `moved(ξ)`, which is `about` at 0, by ξ."""
+    h = 1e-6
+    columns = [(se3.log(moved(d) @ se3.invert(about)) - se3.log(moved(-d) @ se3.invert(about))) for d in h * np.eye(6)]  # type: ignore[operator]
+    return np.transpose(columns) / (2 * h)
+
+
+@settings(max_examples=30)
+@given(tangents, tangents, tangents, seeds)
+def test_a_motion_is_told_from_the_anchor_with_what_its_alignment_left_uncertain(
+    anchor: FloatArray, reference: FloatArray, by: FloatArray, seed: int
+) -> None:
+    T_world_anchor, T_world_reference, T_reference_now = se3.exp(anchor), se3.exp(reference), se3.exp(by)
+    covariance = some_covariance(np.random.default_rng(seed))
+    told = Anchor(T_world_anchor, np.zeros((6, 6))).motion_to(
+        T_world_reference @ T_reference_now, motion(T_reference_now, covariance)
+    )
+
+    def moved(xi: FloatArray) -> FloatArray:
+        return np.asarray(se3.invert(T_world_anchor) @ T_world_reference @ se3.exp(xi) @ T_reference_now)
+
+    np.testing.assert_allclose(told.T_reference_current, moved(np.zeros(6)), atol=1e-12)
+    J = numeric(moved, moved(np.zeros(6)))
+    np.testing.assert_allclose(told.covariance, J @ covariance @ J.T, atol=1e-8)
+    assert (told.reason, told.matches, told.inliers, told.degenerate) == (None, 90, 70, None)
+
+
+@settings(max_examples=30)
+@given(tangents, tangents, seeds)
+def test_an_anchors_own_uncertainty_is_that_of_its_frame(reference: FloatArray, by: FloatArray, seed: int) -> None:
+    """As a left perturbation in the frame itself: T_world_camera exp(ξ)."""
+    T_world_reference, T_reference_now = se3.exp(reference), se3.exp(by)
+    covariance = some_covariance(np.random.default_rng(seed))
+    T_world_camera = T_world_reference @ T_reference_now
+    anchor = Anchor.at(T_world_camera, motion(T_reference_now, covariance))
+
+    def seen_from_it(xi: FloatArray) -> FloatArray:
+        return np.asarray(se3.invert(T_world_camera) @ T_world_reference @ se3.exp(xi) @ T_reference_now)
+
+    J = numeric(seen_from_it, np.eye(4))
+    np.testing.assert_allclose(anchor.covariance, J @ covariance @ J.T, atol=1e-8)
+
+
+@settings(max_examples=30)
+@given(tangents, tangents, tangents, st.integers(1, 5), seeds)
+def test_hidden_directions_span_the_same_motions_from_the_anchor(
+    anchor: FloatArray, reference: FloatArray, by: FloatArray, count: int, seed: int
+) -> None:
+    hidden = np.linalg.qr(np.random.default_rng(seed).standard_normal((6, count)))[0].T
+    T_world_anchor, T_world_reference, T_reference_now = se3.exp(anchor), se3.exp(reference), se3.exp(by)
+    T_world_now = T_world_reference @ T_reference_now
+    at = Anchor(T_world_anchor, np.zeros((6, 6)))
+    told = at.motion_to(T_world_now, motion(T_reference_now, 1e-6 * np.eye(6), hidden))
+    assert told.degenerate is not None
+    np.testing.assert_allclose(told.degenerate @ told.degenerate.T, np.eye(count), atol=1e-9)
+    # The camera moved a little along each hidden direction of its reference, as the anchor sees it.
+    for direction in hidden:
+        moved = T_world_reference @ se3.exp(1e-6 * direction / _SCALE) @ T_reference_now
+        xi = se3.log(se3.invert(T_world_anchor) @ moved @ se3.invert(se3.invert(T_world_anchor) @ T_world_now))
+        xi = _SCALE * xi / 1e-6
+        outside = xi - told.degenerate.T @ (told.degenerate @ xi)
+        assert np.linalg.norm(outside) < 1e-4 * np.linalg.norm(xi)
+
+
+def test_a_view_that_hides_nothing_hides_nothing_from_the_anchor() -> None:
+    nothing = motion(np.eye(4), 1e-6 * np.eye(6), np.zeros((0, 6)))
+    assert Anchor(np.eye(4), np.zeros((6, 6))).motion_to(se3.exp(0.1 * np.ones(6)), nothing).degenerate is None
+
+
+def test_a_pose_that_rounding_made_no_motion_becomes_one(rng: np.random.Generator) -> None:
+    T = se3.exp(rng.standard_normal(6))
+    rough = T.copy()
+    rough[:3, :3] *= 1 + 1e-5
+    told = Anchor(np.eye(4), np.zeros((6, 6))).motion_to(rough, motion(np.eye(4), np.eye(6)))
+    assert told.T_reference_current is not None
+    assert not se3.is_valid(rough)
+    assert se3.is_valid(told.T_reference_current, tolerance=1e-12)
+    np.testing.assert_allclose(told.T_reference_current, T, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("by", "is_far"),
+    [
+        ([0.29, 0, 0, 0, 0, 0], False),
+        ([0, -0.31, 0, 0, 0, 0], True),
+        ([0, 0, 0, 0, 0.19, 0], False),
+        ([0, 0, 0, 0, -0.21, 0], True),
+        ([0.2, 0, 0, 0, 0.1, 0], True),
+    ],
+)
+def test_the_next_anchor_is_due_after_a_way_or_a_turn(rng: np.random.Generator, by: list[float], is_far: bool) -> None:
+    T_world_camera = se3.exp(rng.standard_normal(6))
+    anchor = Anchor(T_world_camera, np.zeros((6, 6)))
+    assert anchor.is_far_from(T_world_camera @ se3.exp(by)) is is_far

@@ -1,0 +1,183 @@
+"""What joined localizers refuse, and what they say of events that cannot be used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from localizer.joined_drives import (
+    CALIBRATION,
+    WHEELS,
+    Drive,
+    answers_to,
+    drive,
+    joined,
+    of_frames,
+    off_m,
+    spread_m,
+)
+from stand_ins import CAMERA, frame
+
+from wheelsight.calibration import Calibration
+from wheelsight.config import load_config
+from wheelsight.errors import CalibrationError
+from wheelsight.estimates import Reason, Status
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, YawRate
+from wheelsight.localizer import Localizer
+
+SHORT = ((2.0, 0.6, 0.2),)
+FUSIONS = pytest.mark.parametrize("fusion", ["default", "ligocki"])
+
+
+def joined_by(fusion: str, calibration: Calibration) -> Localizer:
+    return Localizer(calibration, load_config(overrides={"odometry": "wheels,features", "fusion": fusion}))
+
+
+@FUSIONS
+def test_a_calibration_without_wheels_is_refused(fusion: str) -> None:
+    with pytest.raises(CalibrationError, match=r"has no wheels .*--calibration"):
+        joined_by(fusion, replace(CALIBRATION, wheels=None))
+
+
+@FUSIONS
+def test_a_calibration_without_the_cameras_place_is_refused(fusion: str) -> None:
+    with pytest.raises(CalibrationError, match=r"drive.* where the camera sits .*wheelsight calibrate base .*none"):
+        joined_by(fusion, replace(CALIBRATION, T_base_camera=None))
+
+
+@FUSIONS
+def test_a_calibration_without_a_camera_is_refused(fusion: str) -> None:
+    with pytest.raises(CalibrationError, match="camera"):
+        joined_by(fusion, replace(CALIBRATION, color=None, depth=None))
+
+
+def with_clock(made: Drive, ahead_s: float, *, frames_first: bool) -> list[Event]:
+    """The drive's events in the order in which they happen, its frames stamped by another clock."""
+    events = [replace(e, stamp_s=e.stamp_s + ahead_s) if isinstance(e, RgbdFrame) else e for e in made.events()]
+    return [e for i, e in enumerate(events) if i > 5 or isinstance(e, RgbdFrame) == frames_first]
+
+
+@pytest.mark.parametrize("kind", ["dense", "features"])
+@pytest.mark.parametrize(("ahead_s", "reason"), [(1e9, Reason.CLOCKS_APART), (-1e9, Reason.TOO_LATE)])
+def test_a_camera_whose_clock_is_in_another_epoch_is_never_called_tracking(
+    monkeypatch: pytest.MonkeyPatch, kind: str, ahead_s: float, reason: Reason
+) -> None:
+    made = drive(SHORT)
+    eye = made.eye()
+    eye.T_world_camera = lambda stamp_s, honest=eye.T_world_camera: honest(stamp_s - ahead_s)  # type: ignore[method-assign]
+    subject, kept = joined(monkeypatch, eye, kind)
+    answers = answers_to(subject, with_clock(made, ahead_s, frames_first=False))[1:]
+    assert not any(answer.status is Status.TRACKING for _, answer in answers)
+    told = of_frames(answers)
+    assert {answer.reason for answer in told[1:]} == {reason}
+    moving = [answer for answer in told if answer.T_world_body is not None]
+    assert len(moving) > 40
+    assert max(off_m(answer, made.truth) for answer in moving) < 0.05
+    assert spread_m(moving[-1]) > 2 * spread_m(moving[len(moving) // 2])
+    assert not kept.fused
+
+
+def test_where_the_odd_clock_is_heard_first_one_sensor_is_followed_and_the_other_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made, ahead_s = drive(SHORT), -1e9
+    eye = made.eye()
+    eye.T_world_camera = lambda stamp_s, honest=eye.T_world_camera: honest(stamp_s - ahead_s)  # type: ignore[method-assign]
+    answers = answers_to(joined(monkeypatch, eye)[0], with_clock(made, ahead_s, frames_first=True))
+    wheels = [answer for event, answer in answers if not isinstance(event, RgbdFrame)]
+    assert {answer.reason for answer in wheels[1:]} <= {Reason.CLOCKS_APART, Reason.TOO_LATE}
+
+
+@pytest.mark.parametrize("stamp_s", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(
+    "make", [lambda s: frame(0, s), lambda s: SkippedFrame(s, "cut off")], ids=["frame", "skipped"]
+)
+def test_a_frame_whose_stamp_is_no_number_moves_nothing(
+    monkeypatch: pytest.MonkeyPatch, stamp_s: float, make: Callable[[float], Event]
+) -> None:
+    made = drive(SHORT)
+    subject, kept = joined(monkeypatch, made.eye())
+    events = made.events()
+    *_, (_, before) = answers_to(subject, events[:60])
+    fused = len(kept.fused)
+    ((_, odd),) = answers_to(subject, [make(stamp_s)])
+    assert odd.reason in (Reason.INVALID, Reason.CLOCKS_APART, Reason.TOO_LATE, Reason.FRAME_UNUSABLE)
+    assert subject.note
+    np.testing.assert_array_equal(odd.T_world_body, before.T_world_body)
+    np.testing.assert_array_equal(odd.covariance, before.covariance)
+    assert len(kept.fused) == fused
+    after = answers_to(subject, events[60:])
+    assert {answer.status for _, answer in after} == {Status.TRACKING}
+    assert off_m(after[-1][1], made.truth) < 0.01
+
+
+def test_a_frame_whose_stamp_is_no_number_may_be_the_first_event(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    ((_, odd),) = answers_to(joined(monkeypatch, made.eye())[0], [frame(0, np.nan)])
+    assert (odd.status, odd.T_world_body) == (Status.INITIALIZING, None)
+
+
+def test_a_skipped_frame_is_answered_by_the_wheels_with_what_was_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    subject, kept = joined(monkeypatch, made.eye())
+    for event in made.events():
+        is_cut = isinstance(event, RgbdFrame) and event.stamp_s > made.begin_s + 1.0
+        answer = subject.process(SkippedFrame(event.stamp_s, "depth image is cut off") if is_cut else event)
+        assert answer is not None
+        assert subject.note == ("depth image is cut off" if is_cut else "")
+        if is_cut:
+            assert answer.reason is Reason.FRAME_UNUSABLE
+            assert (answer.stamp_s, answer.matches, answer.inliers) == (event.stamp_s, 0, 0)
+            assert off_m(answer, made.truth) < 3 * spread_m(answer)
+    assert answer.status is Status.COASTING
+    assert max(kept.fused) < made.begin_s + 1.0
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.1, 5.0])
+def test_a_frame_that_is_not_newer_is_refused_with_the_reason_said(
+    monkeypatch: pytest.MonkeyPatch, late_s: float
+) -> None:
+    made = drive(SHORT)
+    subject, kept = joined(monkeypatch, made.eye())
+    events = made.events()[:102]
+    answers_to(subject, events)
+    newest_s = max(event.stamp_s for event in events if isinstance(event, RgbdFrame))
+    fused = len(kept.fused)
+    ((_, late),) = answers_to(subject, [frame(9, newest_s - late_s)])
+    assert late.reason in (Reason.FRAME_UNUSABLE, Reason.TOO_LATE)
+    assert f"does not come after {newest_s:.6f} s" in subject.note
+    assert len(kept.fused) == fused
+    assert off_m(late, made.truth) < 0.01
+
+
+def test_wheels_that_tell_no_number_are_left_out_and_the_camera_leads(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    turn = 2 * np.pi / WHEELS.ticks_per_turn * 50  # of a tick between readings, rad/s
+    speeds = np.diff(np.stack([made.readings.left, made.readings.right]), append=0) * turn
+    of_reading = dict(zip(made.readings.stamps_s, speeds.T, strict=True))
+
+    def odd(event: Event) -> Event:
+        if isinstance(event, RgbdFrame):
+            return event
+        is_odd = 1.0 < event.stamp_s - made.begin_s < 1.2
+        return WheelSpeeds(event.stamp_s, *(of_reading[event.stamp_s].tolist() if not is_odd else (np.nan, 1.0)))
+
+    answers = answers_to(joined(monkeypatch, made.eye())[0], map(odd, made.events()[:-1]))
+    told = of_frames(answers)[1:]
+    assert {answer.status for answer in told} == {Status.TRACKING}
+    assert max(off_m(answer, made.truth) for answer in told) < 0.01
+    assert all(off_m(answer, made.truth) < 3 * spread_m(answer) + 1e-3 for _, answer in answers[1:])
+
+
+def test_a_yaw_rate_that_is_no_number_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    odd = [event for e in made.events() for event in (e, YawRate(e.stamp_s, float("nan")))]
+    with_odd, without = (answers_to(joined(monkeypatch, made.eye())[0], e)[-1][1] for e in (odd, made.events()))
+    np.testing.assert_array_equal(with_odd.covariance, without.covariance)
+
+
+def test_a_camera_alone_tells_no_wheels_to_join() -> None:
+    with pytest.raises(CalibrationError):
+        joined_by("default", Calibration.registered_camera(CAMERA))
