@@ -11,6 +11,7 @@ The right status of the joined estimate, told at wheel readings and frames:
 - corridor: `degenerate` or `coasting`, while the base is where neither walls nor floor nor ceiling show anything.
 - lifted wheel, ice: `slip` or `doubtful`, while a wheel's rim runs more than 5 cm/s faster or slower than the ground
   under it, or the base slides sideways as fast, from 0.5 s after that has begun.
+- people: `tracking`, or `coasting` where they hide what does not move; never `slip`, since no wheel slips.
 - all others: `tracking`, the whole drive.
 
 A position is within 3σ where its error (3,) is no less likely than one of 3σ is in one dimension.

@@ -180,6 +180,8 @@ def _statuses(
     asked = _during(stamps_s, [(begin_s if begin_s == 0 else begin_s + NOTICE_S, end_s)])
     if expected is Expected.TRACKING:
         return asked, answers.is_status(Status.TRACKING)
+    if expected is Expected.POSED:
+        return asked, answers.is_status(Status.TRACKING, Status.COASTING) & ~answers.is_flagged("slip")
     coasts = answers.is_status(Status.COASTING)
     return asked, coasts | answers.is_flagged("degenerate") if expected is Expected.DEGENERATE else coasts
 

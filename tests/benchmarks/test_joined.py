@@ -125,6 +125,13 @@ def test_slips_are_found_and_must_be_told():
     assert figures(ORDINARY, drive(), slip=lambda t: t >= 5).false_slip == pytest.approx(0.5, abs=0.01)
 
 
+def test_people_in_the_way_are_no_slip():
+    case = Case("people", Way.PEOPLE, Expected.POSED)
+    asked, right = figures(case, drive(), status=lambda t: Status.COASTING if t > 5 else Status.TRACKING).right
+    assert asked == right == len(STAMPS_S)
+    assert figures(case, drive(), slip=lambda t: t < 1).right == (asked, asked - 50)
+
+
 def test_a_base_that_slides_sideways_slips():
     straight = drive()
     T = straight.truth.T_world_body.copy()
