@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from localizer.joined_drives import CALIBRATION, WHEELS, Drive, Eye, Sight, drive, off_m
+from localizer.joined_drives import CALIBRATION, T_BASE_CAMERA, WHEELS, Drive, Eye, Sight, drive, off_m
 from stand_ins import frame
 
 from wheelsight.calibration import Calibration
@@ -157,3 +157,30 @@ def test_frames_out_of_order_are_refused_and_move_nothing(paper: Callable[..., L
     *_, (_, after) = answered(subject, made.events()[91:])
     assert after.status is Status.TRACKING
     assert off_m(after, made.truth) < 0.02
+
+
+@pytest.mark.parametrize("stamp_s", [np.nan, np.inf])
+@pytest.mark.parametrize(
+    "make", [lambda s: frame(0, s), lambda s: SkippedFrame(s, "cut off")], ids=["frame", "skipped"]
+)
+def test_a_frame_whose_stamp_is_no_number_has_no_pose_and_moves_nothing(
+    paper: Callable[..., Localizer], stamp_s: float, make: Callable[[float], Event]
+) -> None:
+    made = drive()
+    subject = paper(made.eye())
+    answered(subject, made.events()[:91])
+    odd = subject.process(make(stamp_s))
+    assert odd is not None
+    assert (odd.T_world_body, odd.reason) == (None, Reason.FRAME_UNUSABLE)
+    assert subject.note
+    *_, (_, after) = answered(subject, made.events()[91:])
+    assert after.status is Status.TRACKING
+    assert off_m(after, made.truth) < 0.02
+
+
+def test_a_mount_that_was_written_with_five_digits_will_do(paper: Callable[..., Localizer]) -> None:
+    T_base_camera = T_BASE_CAMERA.copy()
+    T_base_camera[:3, :3] += 2e-5
+    made = drive()
+    answers = answered(paper(made.eye(), replace(CALIBRATION, T_base_camera=T_base_camera)), made.events())
+    assert off_m(answers[-1][1], made.truth) < 0.02

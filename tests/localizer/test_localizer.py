@@ -75,6 +75,18 @@ def test_a_frame_that_is_not_newer_is_refused_with_the_reason_said(late_s: float
     assert newer.status is Status.TRACKING
 
 
+@pytest.mark.parametrize("stamp_s", [np.nan, np.inf])
+def test_a_frame_whose_stamp_is_no_number_is_refused_and_those_after_it_are_not(stamp_s: float) -> None:
+    subject = localizer()
+    subject.process(frame(0, 5.0))
+    odd = subject.process(frame(1, stamp_s))
+    assert odd is not None
+    assert (odd.T_world_body, odd.reason) == (None, Reason.FRAME_UNUSABLE)
+    newer = subject.process(frame(2, 6.0))
+    assert newer is not None
+    assert newer.status is Status.TRACKING
+
+
 def test_poses_of_the_base_start_where_the_base_was(truth: Trajectory, rng: np.random.Generator) -> None:
     T_base_camera = se3.exp(rng.standard_normal(6))
     estimate = localizer(T_base_camera).process(frame(3, 3.0))

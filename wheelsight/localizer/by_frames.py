@@ -43,7 +43,7 @@ class ByFrames:
             return self._refuse(event.stamp_s, event.reason)
         if not isinstance(event, RgbdFrame):
             return None, ""
-        if event.stamp_s <= self._newest_s:
+        if not self._newest_s < event.stamp_s < math.inf:
             return self._refuse(event.stamp_s, f"its stamp does not come after {self._newest_s:.6f} s")
         self._newest_s = event.stamp_s
         return self._of_body((self.mapper or self.odometry).process(event)), ""

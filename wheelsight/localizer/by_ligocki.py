@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from wheelsight.calibration import Calibration
@@ -58,6 +59,8 @@ class ByLigocki:
         return None if seen is None else self._joined(seen), note
 
     def _joined(self, seen: Estimate) -> Estimate:
+        if not math.isfinite(seen.stamp_s):
+            return seen
         T_odom_base = self._rolled_to(seen.stamp_s)
         if T_odom_base is None:
             return replace(seen, T_world_body=None, covariance=None, status=Status.INITIALIZING)
@@ -65,7 +68,8 @@ class ByLigocki:
             if seen.T_world_body is None:
                 return seen
             self._T_begin_odom = seen.T_world_body @ se3.invert(T_odom_base)
-        joined = self._filter.update(seen.stamp_s, se3.nearest(self._T_begin_odom @ T_odom_base), seen.T_world_body)
+        T_visual = None if seen.T_world_body is None else se3.nearest(seen.T_world_body)
+        joined = self._filter.update(seen.stamp_s, se3.nearest(self._T_begin_odom @ T_odom_base), T_visual)
         return replace(joined, reason=joined.reason or seen.reason, matches=seen.matches, inliers=seen.inliers)
 
     def _rolled_to(self, stamp_s: float) -> FloatArray | None:
