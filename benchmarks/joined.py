@@ -40,7 +40,6 @@ from benchmarks.joined_cases import (
 from benchmarks.joined_figures import BACK_S, JoinedFigures, figures_of
 from benchmarks.joined_hour import drive_long
 from benchmarks.joined_images import kept_events
-from benchmarks.joined_picture import draw_joined
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, run_all
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
@@ -212,6 +211,8 @@ def main() -> None:
     """Measure, print, and keep if asked to."""
     arguments = _parse()
     if arguments.picture is not None:
+        from benchmarks.joined_picture import draw_joined
+
         draw_joined(arguments.picture, arguments.odometry, arguments.images)
         return
     if arguments.hour is not None:
