@@ -193,3 +193,16 @@ def test_covering_reaches_another_belief_however_it_is_turned(rng):
     J = np.concatenate([np.eye(3), -np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])], axis=1)
     C, off = (J @ covering.covariance[:6, :6] @ J.T)[:2, :2], (other.T[0] - one.T[0])[:2, 3]
     assert np.sqrt(off @ np.linalg.solve(C, off)) < 3
+
+
+def test_what_was_doubted_before_a_clone_is_no_doubt_about_motion_since(rng):
+    certain = belief_somewhere(rng)
+    doubting = certain.distrusted(1.0, np.array([0.1, 0.0, 0.2]), SETTINGS)
+    step = WheelStep(9.0, 9.1, rng.normal(size=6) * 0.02, 1e-6 * np.eye(6))
+    now = [b.cloned("late", 9.0, 4).rolled(step, 1.0, SETTINGS, False) for b in (certain, doubting)]
+    look = look_at(now[0], "late", rng)
+    usual = [b.innovation(look, without_doubt=True) for b in now]
+    np.testing.assert_allclose(usual[1].covariance, usual[0].covariance, rtol=1e-6, atol=1e-12)
+    assert usual[1].nis == pytest.approx(usual[0].nis, rel=1e-4)
+    earlier = doubting.innovation(look_at(doubting, "clone 0", rng), without_doubt=True)
+    assert np.linalg.eigvalsh(earlier.covariance)[0] > 0

@@ -199,3 +199,31 @@ def test_a_motion_in_the_plane_is_that_of_se2_in_space(rng: np.random.Generator)
     np.testing.assert_array_equal(T[:, 2], np.tile([0.0, 0.0, 1.0, 0.0], (5, 1)))
     assert se3.is_valid(T)
     assert se3.from_plane(1.0, 2.0, 0.3).shape == (4, 4)
+
+
+@given(motions, st.integers(0, 2**32 - 1))
+def test_nearest_takes_rounding_out_and_leaves_motions_alone(T: np.ndarray, seed: int) -> None:
+    np.testing.assert_allclose(se3.nearest(T), T, atol=1e-14)
+    rough = T.copy()
+    rough[:3, :3] += 1e-4 * np.random.default_rng(seed).uniform(-1, 1, (3, 3))
+    mended = se3.nearest(rough)
+    assert se3.is_valid(mended, tolerance=1e-12)
+    np.testing.assert_array_equal(mended[:3, 3], T[:3, 3])
+    off = np.linalg.norm(mended - rough)
+    # No rotation lies nearer: not the true one, nor any beside the one found.
+    assert off <= np.linalg.norm(T - rough) + 1e-15
+    for turn in 1e-4 * np.concatenate([np.eye(3), -np.eye(3)]):
+        beside = se3.from_parts(so3.exp(turn) @ mended[:3, :3], T[:3, 3])
+        assert np.linalg.norm(beside - rough) > off
+
+
+def test_nearest_ends_what_inverses_double() -> None:
+    """Transposing takes a rotation that is none for its inverse, and squares how wrong it is, again and again."""
+    T = se3.exp([0.3, -0.2, 0.1, 0.5, -0.4, 0.9])
+    T[:3, :3] *= 1 + 1e-9
+    rough, kept = T, se3.nearest(T)
+    for _ in range(20):
+        rough = rough @ se3.invert(rough) @ rough
+        kept = se3.nearest(kept @ se3.invert(kept) @ kept)
+    assert not se3.is_valid(rough, tolerance=1e-3)
+    np.testing.assert_allclose(kept, se3.nearest(T), atol=1e-12)

@@ -1,0 +1,151 @@
+"""What is wrong with a camera alike in all its motions: how it adds up, that it is learned, and else covered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from fusion.fused_drives import T_BASE_CAMERA, Drive, Step, error_of, looked, run, simulate
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from wheelsight.estimates import Reason
+from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
+from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion._pose_belief import CAMERA_ERRORS
+from wheelsight.geometry import se3
+
+SETTINGS = ErrorStateSettings()
+_STEPS = 2000
+tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
+
+
+def travelled(xi: np.ndarray, scale: float = 0.0, drift_rad_per_m: float = 0.0, turn: float = 0.0) -> np.ndarray:
+    """exp(ξ) in many steps, each wrong by so much."""
+    step = xi / _STEPS
+    step[:3] *= 1 + scale
+    step[5] = step[5] * (1 + turn) + drift_rad_per_m * np.linalg.norm(step[:3])
+    return np.linalg.matrix_power(se3.exp(step), _STEPS)
+
+
+def of_camera(fusion: ErrorStateFilter) -> tuple[np.ndarray, np.ndarray]:
+    """The camera's errors (3,) as the filter has them, and their standard deviations."""
+    belief = fusion._history.newest.court.belief
+    return belief.rest[CAMERA_ERRORS], np.sqrt(np.diag(belief.covariance)[belief.indices(CAMERA_ERRORS)])
+
+
+def turned(before: Step, step: Step) -> float:
+    """The true yaw rate of a step, as a gyroscope has it."""
+    return float(kernels.log(se3.invert(before.T_truth) @ step.T_truth)[5]) / (step.end_s - step.begin_s)
+
+
+def missed(error: str, xi: np.ndarray) -> np.ndarray:
+    """Left perturbation (6,) of a motion, a unit of an error, by the numbers."""
+    h = 1e-5
+    return se3.log(travelled(xi.copy(), **{error: h}) @ se3.invert(travelled(xi.copy(), **{error: -h}))) / (2 * h)
+
+
+@pytest.mark.parametrize("column", [0, 1, 2])
+@pytest.mark.parametrize("xi", [[0.5, 0, 0, 0, 0, 0], [0.3, -0.4, 0.1, 0, 0, 0], [0.5, 0.02, 0, 0, 0, 0.02]])
+def test_errors_add_up_as_steps_do(rng: np.random.Generator, xi: list[float], column: int) -> None:
+    error = ("scale", "drift_rad_per_m", "turn")[column]
+    T_reference = se3.exp(rng.standard_normal(6))
+    B = kernels.by_camera_errors(T_reference @ se3.exp(xi), T_reference)
+    np.testing.assert_allclose(B[:, column], missed(error, np.array(xi)), atol=4e-3)
+
+
+def test_a_turn_on_the_spot_is_wrong_by_its_ratio_alone() -> None:
+    B = kernels.by_camera_errors(se3.exp([0, 0, 0, 0, 0, 0.8]), np.eye(4))
+    np.testing.assert_allclose(B[:, 2], [0, 0, 0, 0, 0, 0.8], atol=1e-12)
+    np.testing.assert_allclose(B[:, :2], 0, atol=1e-12)
+
+
+@hypothesis_settings(max_examples=30)
+@given(tangents, tangents, st.lists(st.floats(-1e-4, 1e-4), min_size=3, max_size=3).map(np.array))
+def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
+    reference: np.ndarray, by: np.ndarray, errors: np.ndarray
+) -> None:
+    T_reference = se3.exp(reference)
+    T_now = T_reference @ se3.exp(by)
+    seen = se3.exp(-kernels.by_camera_errors(T_now, T_reference) @ errors) @ se3.exp(by)
+    np.testing.assert_allclose(kernels.apart(T_now, T_reference, seen, errors), 0, atol=1e-9)
+    assert np.abs(kernels.apart(T_now, T_reference, seen, np.zeros(3))).max() <= 3e-4
+
+
+def test_wheels_that_are_known_well_tell_what_is_wrong_with_the_camera(rng: np.random.Generator) -> None:
+    sure = {"scale_sigma": 1e-4, "drift_sigma_rad_per_m": 1e-5, "turn_sigma": 1e-4}
+    still = dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk"), 0.0)
+    settings = replace(SETTINGS, **sure, **still)
+    wrong = (0.01, 0.0, -0.01)
+    steps = simulate(Drive(seconds=30, camera_errors=wrong, slip_m_per_sqrt_m=0.001), rng, settings)
+    fusion = ErrorStateFilter(T_BASE_CAMERA, settings=settings)
+    run(steps, fusion=fusion)
+    learned, sigma = of_camera(fusion)
+    assert learned[0] == pytest.approx(0.01, abs=0.003)
+    assert (np.abs(learned - wrong) < 3 * sigma).all()
+    assert sigma[0] < 0.5 * SETTINGS.camera_scale_sigma
+    assert sigma[2] < 0.8 * SETTINGS.camera_turn_sigma
+
+
+def test_a_gyroscope_tells_that_the_cameras_turns_are_too_small(rng: np.random.Generator) -> None:
+    steps = simulate(Drive(seconds=30, camera_errors=(0.0, 0.0, 0.015)), rng, SETTINGS)
+    steps = [replace(step, yaw_rate_rad_s=turned(before, step)) for before, step in pairwise(steps)]
+    fusion = ErrorStateFilter(T_BASE_CAMERA, settings=replace(SETTINGS, gyro_bias_sigma_rad_s=1e-4))
+    run(steps, fusion=fusion)
+    learned, sigma = of_camera(fusion)
+    assert learned[2] == pytest.approx(0.015, abs=0.006)
+    assert sigma[2] < 0.5 * SETTINGS.camera_turn_sigma
+
+
+def test_what_nobody_tells_of_a_camera_is_covered() -> None:
+    """Wheels and camera are both too short, by twice the camera's standard deviation: no event tells."""
+    drive = Drive(seconds=40, camera_errors=(0.01, 0.0, 0.0), errors=(0.01, 0.0, 0.0))
+    steps = simulate(drive, np.random.default_rng(1), SETTINGS)
+    none = dict.fromkeys((name for name in SETTINGS.__slots__ if name.startswith("camera_")), 0.0)
+    knowing, trusting = (run(steps, settings)[-1] for settings in (SETTINGS, replace(SETTINGS, **none)))
+    error = error_of(knowing, steps[-1].T_truth)
+    sigma, too_sure = (np.sqrt(answer.covariance[0, 0]) for answer in (knowing, trusting))
+    assert 0.15 < abs(error[0]) < 3 * sigma
+    way_m = steps[-1].T_truth[0, 3]
+    assert np.sqrt(sigma**2 - too_sure**2) > 0.8 * SETTINGS.camera_scale_sigma * way_m
+
+
+def cloned(covariance: np.ndarray | None) -> ErrorStateFilter:
+    fusion = ErrorStateFilter(T_BASE_CAMERA)
+    fusion.predict(0.1, se3.from_plane(0.05, 0.0, 0.02), 1e-6 * np.eye(6), 0.0)
+    fusion.clone(0.1, "anchor", covariance)
+    return fusion
+
+
+def test_a_remembered_pose_may_be_elsewhere_to_the_camera(rng: np.random.Generator) -> None:
+    """The covariance is of the camera's left perturbation in its own frame, which `expect` gives back as it is."""
+    A = 1e-2 * rng.standard_normal((6, 6))
+    C = A @ A.T
+    T, found = cloned(C).expect(0.1, "anchor")
+    np.testing.assert_allclose(T, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(found, C, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(cloned(None).expect(0.1, "anchor")[1], 0, atol=1e-12)
+
+
+def test_looks_against_one_remembered_pose_share_its_error(rng: np.random.Generator) -> None:
+    spread = np.diag(np.square([0.01] * 3 + [0.001] * 3))
+    sigmas = {}
+    for name, covariance in (("shared", spread), ("none", None)):
+        fusion = cloned(covariance)
+        fusion.predict(0.2, np.eye(4), 1e-2 * np.eye(6), 0.1)
+        for _ in range(30):
+            answer = fusion.update_relative(0.2, looked(rng, np.eye(4), 1e-6 * np.eye(6)), "anchor")
+        sigmas[name] = np.sqrt(answer.covariance[:3, :3].diagonal())
+    assert (sigmas["shared"] > 0.0095).all()  # thirty looks would make a tenth of a millimetre of their own error
+    assert (sigmas["none"] < 0.003).all()
+
+
+@pytest.mark.parametrize("wrong", [np.full((6, 6), np.nan), -np.eye(6), np.eye(5)], ids=["NaN", "negative", "shape"])
+def test_a_covariance_that_is_none_is_refused_and_nothing_is_remembered(wrong: np.ndarray) -> None:
+    fusion = ErrorStateFilter(T_BASE_CAMERA)
+    fusion.predict(0.1, np.eye(4), 1e-6 * np.eye(6), 0.0)
+    assert fusion.clone(0.1, "anchor", wrong).reason is Reason.INVALID
+    assert fusion.expect(0.1, "anchor") is None
