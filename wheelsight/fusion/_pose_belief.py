@@ -84,7 +84,7 @@ class PoseBelief:
         rest: (10,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's, the gyroscope's bias.
         covariance: (6 + 6K + 10, 6 + 6K + 10) of all perturbations of poses, then of `rest`.
         doubted: (6, 6) part of the pose's covariance that is there because wheels were not trusted since vision was
-            last believed.
+            last believed; doubted_before: the same of each remembered pose, as of then.
         way_m: since the floor was last taken for level.
         part_s: length of the last part of a wheel step.
         known_twist: (3,) the twist when a measurement last told it; `known_for_s` ago.
@@ -100,6 +100,7 @@ class PoseBelief:
     part_s: float = 0.0
     known_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
     known_for_s: float = np.inf
+    doubted_before: tuple[FloatArray, ...] = ()
 
     @classmethod
     def begin(cls, T_world_base: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
@@ -142,7 +143,7 @@ class PoseBelief:
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
         Q = step.covariance * share + _unseen(way_m, s)
         kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)
-        ways = (self.way_m + way_m, dt_s, self.known_twist, self.known_for_s + dt_s)
+        ways = (self.way_m + way_m, dt_s, self.known_twist, self.known_for_s + dt_s, self.doubted_before)
         after = PoseBelief(T, self.names, self.stamps_s, rest, P, self.doubted, *ways)
         after = after.distrusted(dt_s, np.zeros(3), s) if is_slipping else after
         return after._levelled(s) if after.way_m > _LEVEL_EVERY_M else after
@@ -180,7 +181,8 @@ class PoseBelief:
             here = here.dropped(here.names[0])
         poses = np.r_[: len(here.T), 0]
         names, stamps = (*here.names, name), (*here.stamps_s, stamp_s)
-        there = replace(here._selected(poses), names=names, stamps_s=stamps)
+        doubts = (*here.doubted_before, self.doubted)
+        there = replace(here._selected(poses), names=names, stamps_s=stamps, doubted_before=doubts)
         if spread is not None:
             at, Ad = slice(6 * len(names), 6 * len(names) + 6), kernels.adjoint(self.T[0])
             there.covariance[at, at] += Ad @ spread @ Ad.T
@@ -193,7 +195,9 @@ class PoseBelief:
         place = self.names.index(name)
         names = self.names[:place] + self.names[place + 1 :]
         stamps = self.stamps_s[:place] + self.stamps_s[place + 1 :]
-        return replace(self._selected(np.delete(np.arange(len(self.T)), place + 1)), names=names, stamps_s=stamps)
+        doubts = self.doubted_before[:place] + self.doubted_before[place + 1 :]
+        without = self._selected(np.delete(np.arange(len(self.T)), place + 1))
+        return replace(without, names=names, stamps_s=stamps, doubted_before=doubts)
 
     def _selected(self, poses: IntArray) -> PoseBelief:
         rows = np.r_[(6 * poses[:, None] + np.arange(6)).ravel(), self._rest : len(self.covariance)]
@@ -216,7 +220,9 @@ class PoseBelief:
         H, PHt, HPHt = kernels.look(self.T[0], self.T[at], self.covariance, 6 * at, look.seen)
         S = HPHt + look.covariance
         if without_doubt:
-            S = S - H @ self.doubted @ H.T
+            certain = S - H @ (self.doubted - self.doubted_before[at - 1]) @ H.T
+            # Corrections have made some of the doubt smaller than it was written down.
+            S = certain if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0 else S
         return _innovation(look.seen @ self.apart(look), S, PHt)
 
     def position(self, xy: FloatArray, covariance: FloatArray) -> Innovation:
@@ -246,10 +252,16 @@ class PoseBelief:
         return replace(self, T=T, rest=rest, covariance=covariance)
 
     def distrusted(self, seconds: float, step: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
-        """As if wheels had slipped for so long and come off by a step (3,), vx, vy, ωz in the base's frame."""
-        q = np.square([settings.slip_m_per_sqrt_s] * 2 + [settings.slip_rad_per_sqrt_s]) * seconds
-        to_world = kernels.adjoint(self.T[0])[:, PLANE]
-        grown = to_world @ (np.diag(q) + np.outer(step, step)) @ to_world.T
+        """As if wheels had slipped for so long and come off by a step (3,), vx, vy, ωz in the base's frame.
+
+        A wheel that is lifted tilts the base, too.
+        """
+        s, off = settings, np.zeros(6)
+        off[PLANE] = step
+        aside = [s.slip_rise_m_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s]
+        q = np.square([s.slip_m_per_sqrt_s, s.slip_m_per_sqrt_s, *aside, s.slip_rad_per_sqrt_s]) * seconds
+        Ad = kernels.adjoint(self.T[0])
+        grown = Ad @ (np.diag(q) + np.outer(off, off)) @ Ad.T
         P = self.covariance.copy()
         P[:6, :6] += grown
         return replace(self, covariance=P, doubted=self.doubted + grown)
@@ -270,7 +282,10 @@ class PoseBelief:
 
     def believed(self) -> PoseBelief:
         """With all doubt since vision was last believed settled by what it said, and the twist known."""
-        return replace(self, doubted=np.zeros((6, 6)), known_twist=self.rest[TWIST], known_for_s=0.0)
+        none = np.zeros((6, 6))
+        doubts = (none,) * len(self.names)
+        known = self.rest[TWIST]
+        return replace(self, doubted=none, doubted_before=doubts, known_twist=known, known_for_s=0.0)
 
     def turn_known(self) -> PoseBelief:
         """With the yaw rate known, by a gyroscope."""

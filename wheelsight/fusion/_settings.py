@@ -26,15 +26,18 @@ class ErrorStateSettings:
             pitch; the way is that of a point `lever_m` beside the base.
         level_sigma_rad, level_m: floors are level up to this, one stretch of so many metres like another, or else are
             ramps, of which nothing is believed; inf: never level.
+        clock_sigma_s: by which stamps of camera and wheels are apart; at speed, that is a way.
         acceleration_m_s2, acceleration_rad_s2: how speeds change in a second while no wheel tells.
         leap_m_s2, leap_rad_s2: standard deviation of what a robot's accelerations may be; more is a leap.
         gyro_noise_rad_per_sqrt_s, gyro_bias_sigma_rad_s, gyro_bias_walk_rad_s: of the yaw rate, its bias at first, and
             how the bias wanders in 1 s.
         slip_m_per_sqrt_s, slip_rad_per_sqrt_s: where slipping wheels may have gone instead.
+        slip_rise_m_per_sqrt_s, slip_tilt_rad_per_sqrt_s: likewise up, and to either side.
         confidence: share of good measurements that a gate lets pass.
         decisive: evidence, in nats, that settles whether wheels slip or vision fails.
         leap_cap: most that one leap counts, as χ².
         persistence: evidence of slip in each further frame in which a healthy camera contradicts the wheels.
+        perseverance_per_s: likewise in each second, once the wheels are believed.
         ill_health: evidence of visual failure in one in which the camera is not healthy.
         healthy_share: a camera is healthy whose share of inliers is at least this part of its usual share.
         agreements: frames that must agree before trust returns.
@@ -65,6 +68,7 @@ class ErrorStateSettings:
     lever_m: float = 0.25
     level_sigma_rad: float = 0.01
     level_m: float = 5.0
+    clock_sigma_s: float = 0.01
     acceleration_m_s2: float = 1.0
     acceleration_rad_s2: float = 3.0
     leap_m_s2: float = 2.0
@@ -74,10 +78,13 @@ class ErrorStateSettings:
     gyro_bias_walk_rad_s: float = 2e-5
     slip_m_per_sqrt_s: float = 0.3
     slip_rad_per_sqrt_s: float = 0.5
+    slip_rise_m_per_sqrt_s: float = 0.1
+    slip_tilt_rad_per_sqrt_s: float = 0.2
     confidence: float = 0.999
     decisive: float = 6.0
     leap_cap: float = 16.0
     persistence: float = 1.5
+    perseverance_per_s: float = 8.0
     ill_health: float = 2.0
     healthy_share: float = 0.6
     agreements: int = 5

@@ -11,7 +11,8 @@ by frame (Wald 1945) until one is settled:
 
 A look that even slipping wheels could not explain, because it leaves the floor's plane, is refused and speaks for
 nobody. Until it is settled both beliefs go on, and the answer lies between and covers both. Settled for the wheels, the
-answer is theirs, and covers the camera's as long as that looks well. Trust comes back with a row of looks that agree.
+answer is theirs, and covers the camera's as long as that looks well. Trust comes back with a row of looks that agree;
+or the camera gets it, when it has gone on looking well and contradicting for a second or two: what fails does not last.
 """
 
 from __future__ import annotations
@@ -170,7 +171,10 @@ def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) 
         return _in_doubt(heard, stamp_s, look, evidence, agrees, settings)
     if court.trust is Trust.CAMERA:
         return _by_camera(heard, stamp_s, look, most, settings)
-    return _by_wheels(heard, stamp_s, look, settings)
+    seconds = 0.0 if court.glance is None else stamp_s - court.glance.stamp_s
+    if agreed == 0:
+        evidence += min(seconds, _LONGEST_STEP_S) * settings.perseverance_per_s
+    return _by_wheels(heard, stamp_s, look, evidence, settings)
 
 
 def fail(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
@@ -198,7 +202,7 @@ def _together(
 ) -> tuple[Court, Reason | None]:
     if usual.nis <= most:
         return replace(_healthier(court, look), belief=court.belief.corrected(usual).believed()), None
-    rival = _led_by_camera(court.belief, stamp_s, look, court.glance, settings)
+    rival = _led_by_camera(court.belief, stamp_s, look, settings)
     if rival is None:
         return court, Reason.CONTRADICTION
     split = replace(_trusting(court, Trust.DOUBT, stamp_s), rival=rival)
@@ -225,23 +229,28 @@ def _by_camera(
     court: Court, stamp_s: float, look: Look, most: float, settings: ErrorStateSettings
 ) -> tuple[Court, Reason | None]:
     by = court.belief.innovation(look)
-    if by.nis > most:
+    if by.nis > most or not _is_healthy(court, look, settings):
         return court, Reason.CONTRADICTION
     if court.agreed >= settings.agreements:
         court = _trusting(court, Trust.BOTH, stamp_s)
     return replace(court, belief=court.belief.corrected(by).believed()), None
 
 
-def _by_wheels(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) -> tuple[Court, Reason | None]:
+def _by_wheels(
+    court: Court, stamp_s: float, look: Look, evidence: float, settings: ErrorStateSettings
+) -> tuple[Court, Reason | None]:
     if court.agreed >= settings.agreements:
         belief = court.answer().believed()
         belief = belief.corrected(belief.innovation(look)).believed()
-        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=belief), None
-    if court.rival is not None:
-        by = court.rival.innovation(look)
-        fits = by.nis <= gate(settings, len(look.covariance)) and _is_healthy(court, look, settings)
-        court = replace(court, rival=court.rival.corrected(by).believed() if fits else None)
-    return court, Reason.CONTRADICTION
+        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=belief, evidence=0.0), None
+    if not _is_healthy(court, look, settings):
+        return replace(court, rival=None), Reason.CONTRADICTION
+    by = None if court.rival is None else court.rival.innovation(look)
+    if court.rival is None or by is None or by.nis > gate(settings, len(look.covariance)):
+        return replace(court, rival=_led_by_camera(court.belief, stamp_s, look, settings)), Reason.CONTRADICTION
+    evidence = max(court.evidence + evidence, -settings.decisive)
+    court = replace(court, rival=court.rival.corrected(by).believed(), evidence=evidence)
+    return _verdict(_settled(court, stamp_s, settings))
 
 
 def _settled(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
@@ -250,7 +259,7 @@ def _settled(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Cour
         assert court.rival is not None
         return replace(_trusting(court, Trust.CAMERA, stamp_s), belief=court.rival, evidence=0.0)
     if court.evidence < -settings.decisive:
-        return replace(_trusting(court, Trust.WHEELS, stamp_s), rival=court.rival, evidence=0.0)
+        return replace(_trusting(court, Trust.WHEELS, stamp_s), rival=court.rival, evidence=-settings.decisive)
     return court
 
 
@@ -262,11 +271,9 @@ def _trusting(court: Court, trust: Trust, stamp_s: float) -> Court:
     return replace(court, trust=trust, rival=None, agreed=0, since_s=stamp_s)
 
 
-def _led_by_camera(
-    belief: PoseBelief, stamp_s: float, look: Look, last: Glance | None, settings: ErrorStateSettings
-) -> PoseBelief | None:
-    """The belief if wheels slipped since the last look; None where not even that explains this one."""
-    since_s = belief.stamps_s[belief.reference(look.name) - 1] if last is None else last.stamp_s
+def _led_by_camera(belief: PoseBelief, stamp_s: float, look: Look, settings: ErrorStateSettings) -> PoseBelief | None:
+    """The belief if wheels slipped since the look's reference; None where not even that explains it."""
+    since_s = belief.stamps_s[belief.reference(look.name) - 1]
     apart = look.seen.T @ np.linalg.pinv(look.seen @ look.seen.T) @ look.seen @ belief.apart(look)
     from_reference = kernels.inverse_adjoint(belief.T[0]) @ kernels.adjoint(belief.T[belief.reference(look.name)])
     distrusting = belief.distrusted(max(stamp_s - since_s, 0.0), (from_reference @ apart)[PLANE], settings)

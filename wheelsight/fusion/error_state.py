@@ -29,7 +29,7 @@ from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._fusion_events import FusionState, Happening, after, moved_to
 from wheelsight.fusion._history import History
-from wheelsight.fusion._pose_belief import TWIST, Look, PoseBelief, WheelStep
+from wheelsight.fusion._pose_belief import PLANE, TWIST, Look, PoseBelief, WheelStep
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
 from wheelsight.geometry import FloatArray, se3
@@ -253,7 +253,8 @@ class ErrorStateFilter:
         status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
         belief = court.answer()
         twist = belief.indices(TWIST)
-        pose = (belief.T[0].copy(), belief.covariance[:6, :6].copy(), state.reason, "base", 0, 0)
+        late = kernels.adjoint(belief.T[0])[:, PLANE] @ belief.rest[TWIST] * s.clock_sigma_s
+        pose = (belief.T[0].copy(), belief.covariance[:6, :6] + np.outer(late, late), state.reason, "base", 0, 0)
         moving = (belief.rest[TWIST].copy(), belief.covariance[np.ix_(twist, twist)])
         learned = belief.wheel_errors
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *moving, nis=court.nis, wheel_errors=learned)

@@ -97,10 +97,10 @@ class ByFusion:
         self.filter.clone(frame.stamp_s, _FRAME)
         if answer.doubtful:
             return _with_counts(answer, seen)
-        if answer.reason is not None:
-            return self._put_back(frame, answer, seen)
-        self._believe(frame, answer, seen.T_world_body)
-        if self._anchor.is_far_from(seen.T_world_body):
+        if answer.reason is None:
+            self._believe(frame, answer, seen.T_world_body)
+        # What was not believed is no anchor's concern: the camera may be right again from here on.
+        if answer.reason is not None or self._anchor.is_far_from(seen.T_world_body):
             self._anchor_at(frame, seen.T_world_body)
         return _with_counts(answer, seen)
 
@@ -111,17 +111,6 @@ class ByFusion:
         self.T_world_map = se3.nearest(answer.T_world_body @ self._T_base_camera @ se3.invert(T_map_camera))
         if self.mapper is not None:
             self.mapper.fuse(frame, T_map_camera)
-
-    def _put_back(self, frame: RgbdFrame, answer: FusedEstimate, seen: Estimate) -> Estimate:
-        """A camera that is not believed goes on from where the joined pose is."""
-        assert seen.T_world_body is not None
-        T_map_camera: FloatArray = seen.T_world_body
-        if isinstance(self.odometry, DenseOdometry) and answer.T_world_body is not None:
-            assert answer.covariance is not None
-            T_map_camera = self._in_map(answer.T_world_body)
-            self.odometry.settle(T_map_camera, answer.covariance)
-        self._anchor_at(frame, T_map_camera)
-        return _with_counts(answer, seen)
 
     def _anchor_at(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
         """From here on the camera's motions are told against this frame."""

@@ -33,14 +33,6 @@ class Keyframe:
     covariance: FloatArray
     view: View | None = None
 
-    def moved(self, T_world_camera: FloatArray, covariance: FloatArray) -> Keyframe:
-        """The same view from another pose (4, 4), with its covariance (6, 6)."""
-        view = self.view
-        if view is not None:
-            T_camera_color = se3.invert(self.reference.T_world_reference) @ view.T_world_color
-            view = replace(view, T_world_color=T_world_camera @ T_camera_color, covariance=covariance)
-        return Keyframe(replace(self.reference, T_world_reference=T_world_camera), covariance, view)
-
     def distance_m(self, T_world_camera: FloatArray) -> float:
         """How far a view from there (4, 4) is from this one; a turn by a radian counts as 1.5 m."""
         T = se3.invert(self.reference.T_world_reference) @ T_world_camera

@@ -109,40 +109,44 @@ class DenseOdometry:
         self.watch.restart()
         self.last_frame = None
         last = self._last
-        T_last_frame, twist = np.eye(4), np.zeros(6)
+        if last is None:
+            return self._start(frame)
+        found = self._find(frame, last, T_previous_current_prior)
+        if not isinstance(found, Tracked) and found.reason is not Reason.TOO_LITTLE_DEPTH:
+            # Wheels that spin expect what is not so, and lead astray.
+            found = found if T_previous_current_prior is None else self._find(frame, last, None)
+        return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
+
+    def _start(self, frame: RgbdFrame) -> Estimate:
         with self.watch.stage("prepare"):
-            if last is not None:
-                T_last_frame, twist = expected(last, frame.stamp_s, T_previous_current_prior)
-            grid = self._gridder.on_grid(frame, twist)
+            grid = self._gridder.on_grid(frame, np.zeros(6))
         if not self._has_depth(grid):
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
-        if last is None:
-            self._first = frame
-            return self._begin(frame, Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6)))
+        self._first = frame
+        return self._begin(frame, Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6)))
+
+    def _find(self, frame: RgbdFrame, last: Tracked, prior: FloatArray | None) -> Tracked | MotionEstimate:
+        """Where a frame is, from what the prior (4, 4) or constant velocity expects, or why that is not known."""
+        with self.watch.stage("prepare"):
+            T_last_frame, twist = expected(last, frame.stamp_s, prior)
+            grid = self._gridder.on_grid(frame, twist)
+        if not self._has_depth(grid):
+            return MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
         T_prior = last.T_world_camera @ T_last_frame
         found = self._locate(grid, last, T_prior)
         if isinstance(found, Tracked) and self._first is not None:
             found = self._begin_again(found, T_prior)
-        found = self._doubted(frame, last, found, grid, has_prior=T_previous_current_prior is not None)
+        found = self._doubted(frame, last, found, grid, has_prior=prior is not None)
         if isinstance(found, Tracked):
             with self.watch.stage("keyframe"):
                 found = self._remember(frame, found)
-        return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
+        return found
 
     def miss(self, stamp_s: float) -> Estimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
         self.watch.restart()
         self.last_frame = None
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
-
-    def settle(self, T_world_camera: FloatArray, covariance: FloatArray) -> None:
-        """Take this (4, 4), with its covariance (6, 6), for the pose of the last tracked frame: others know more."""
-        if self._last is None:
-            return
-        newest = self._keyframes[-1]
-        if newest.reference.T_world_reference is self._last.T_world_camera:
-            self._keyframes[-1] = newest.moved(T_world_camera, covariance)
-        self._last = replace(self._last, T_world_camera=T_world_camera, covariance=covariance)
 
     def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
