@@ -123,7 +123,7 @@ class ErrorStateFilter:
             return self._refused(wheels.reason or Reason.INVALID)
         self._wheels = wheels
         if before is None or before.T_world_body is None or before.covariance is None:
-            return self.estimate
+            return self._take(Happening(wheels.stamp_s, drop=""))  # which begins the clock
         T_before_odom = se3.invert(before.T_world_body)
         Ad = kernels.adjoint(T_before_odom)
         strength, axes = np.linalg.eigh(Ad @ (C - before.covariance) @ Ad.T)

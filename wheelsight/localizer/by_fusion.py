@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +15,7 @@ from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer._anchor import Anchor
 from wheelsight.localizer._camera import camera_odometry
+from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import MatchedPixels
@@ -53,7 +53,8 @@ class ByFusion:
         self.T_world_map: FloatArray = np.eye(4)
         self._T_base_camera = T_base_camera
         self._anchor: Anchor | None = None
-        self._newest_s, self._unknown = -math.inf, 0
+        self._gate = FrameGate()
+        self._unknown, self._deaf = 0, ""
 
     @property
     def last_matches(self) -> MatchedPixels | None:
@@ -72,21 +73,32 @@ class ByFusion:
         if isinstance(event, YawRate) and self._uses_gyro:
             self.filter.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
         if isinstance(event, WheelTicks | WheelSpeeds):
-            wheels, note = self._wheels.process(event)
-            return None if wheels is None else self.filter.predict_to(wheels), note
+            return self._reading(event)
         if isinstance(event, SkippedFrame):
             return self._miss(event.stamp_s), event.reason
         if not isinstance(event, RgbdFrame):
             return None, ""
-        if not self._newest_s < event.stamp_s < math.inf:
-            return self._miss(event.stamp_s), f"its stamp does not come after {self._newest_s:.6f} s"
-        self._newest_s = event.stamp_s
-        return self._frame(event), ""
+        expected = self.filter.expect(event.stamp_s, _FRAME)
+        why_not = self._gate.why_not(event, None if expected is None else expected[0])
+        if why_not:
+            return self._miss(event.stamp_s), why_not
+        if self._gate.waits_for_wheels(event):
+            return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
+        return self._frame(event, None if expected is None else expected[0]), self._deaf
 
-    def _frame(self, frame: RgbdFrame) -> Estimate:
+    def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate | None, str]:
+        wheels, note = self._wheels.process(reading)
+        self._gate.wheels_are_heard = True
+        if wheels is None:
+            return None, note
+        answer = self.filter.predict_to(wheels)
+        apart = answer.reason in (Reason.CLOCKS_APART, Reason.TOO_LATE)
+        self._deaf = f"the wheels are not heard: {answer.reason}" if apart else ""
+        return answer, note
+
+    def _frame(self, frame: RgbdFrame, T_last_frame: FloatArray | None) -> Estimate:
         """Expect, look, judge, and remember what was believed."""
-        expected = self.filter.expect(frame.stamp_s, _FRAME)
-        seen = self.odometry.process(frame, None if expected is None else expected[0])
+        seen = self.odometry.process(frame, T_last_frame)
         if seen.T_world_body is None:
             return self._unseen(frame, seen)
         if self._anchor is None:
@@ -125,7 +137,7 @@ class ByFusion:
             T_world_camera = answer.T_world_body @ self._T_base_camera
             self.T_world_map = se3.nearest(T_world_camera @ se3.invert(seen.T_world_body))
         self._anchor_at(frame, seen.T_world_body)
-        return _with_counts(replace(answer, reason=reason), seen)
+        return _with_counts(replace(answer, reason=reason or answer.reason), seen)
 
     def _in_map(self, T_world_base: FloatArray) -> FloatArray:
         return np.asarray(se3.nearest(se3.invert(self.T_world_map) @ T_world_base @ self._T_base_camera))
