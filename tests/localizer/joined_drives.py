@@ -54,7 +54,7 @@ class Eye:
 
     Attributes:
         priors: by stamps, that of the frame tracked before, and the motion since then that was to be expected.
-        settled, restarts: by stamps, the poses T_world_camera that it was handed.
+        restarts: by stamps, the poses T_world_camera that it was told to go on at.
     """
 
     def __init__(
@@ -72,7 +72,6 @@ class Eye:
         self.last_matches = None
         self.stage_seconds = {"align": 0.001}
         self.priors: dict[float, tuple[float, FloatArray | None]] = {}
-        self.settled: dict[float, FloatArray] = {}
         self.restarts: dict[float, FloatArray] = {}
 
     def T_world_camera(self, stamp_s: float) -> FloatArray:
@@ -101,14 +100,6 @@ class Eye:
         self.restarts[frame.stamp_s] = T_world_camera
         self._place = self._sight(frame.stamp_s).place
         return self._begin(frame.stamp_s, T_world_camera)
-
-    def settle(self, T_world_camera: FloatArray, covariance: FloatArray) -> None:
-        assert self._last is not None
-        assert np.linalg.eigvalsh(covariance)[0] > -1e-9
-        if self._key is self._last:
-            self._key = self._last[0], T_world_camera
-        self._last = self._last[0], T_world_camera
-        self.settled[self._last[0]] = T_world_camera
 
     def miss(self, stamp_s: float) -> Estimate:
         return self._fail(Reason.FRAME_UNUSABLE, stamp_s)
@@ -142,7 +133,7 @@ def _judged(T: FloatArray, T_prior: FloatArray | None, hidden: FloatArray | None
     covariance = np.diag(_SIGMAS**2)
     if hidden is None:
         return MotionEstimate(T, covariance, None, 200, 160)
-    assert T_prior is not None
+    T_prior = T if T_prior is None else T_prior
     seen = np.linalg.svd(hidden)[2][len(hidden) :]
     off = _LEVER * se3.log(T @ se3.invert(T_prior))
     T = se3.exp(seen.T @ seen @ off / _LEVER) @ T_prior
@@ -184,7 +175,7 @@ class Drive:
             given.append(WheelTicks(stamp_s, int(left), int(right)))
             if index % _READINGS_A_FRAME == 0 and index + 1 < len(self.readings.stamps_s):
                 number = index // _READINGS_A_FRAME
-                given.append(replace(frame(0, stamp_s + FRAME_LATE_S), index=number))
+                given.append(replace(frame(number % 200, stamp_s + FRAME_LATE_S), index=number))
         return given
 
     def eye(self) -> Eye:

@@ -78,19 +78,20 @@ def test_readings_and_frames_are_answered_with_the_bases_pose(ran: Callable[...,
     assert {(a.matches, a.inliers) for a in between(run, 0.1, 99)} == {(200, 160)}
 
 
-def test_there_is_no_pose_before_an_event_tells_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_there_is_no_pose_before_wheels_begin_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(SHORT)
     subject, kept = joined(monkeypatch, made.eye())
     assert (subject.body, subject.world) == ("base", "world")
     assert {WheelTicks, RgbdFrame} <= set(subject.answers)
-    begin, *rest = made.events()
-    first = subject.process(begin)
-    assert first is not None
-    assert (first.status, first.T_world_body, first.covariance) == (Status.INITIALIZING, None, None)
-    (_, second), *_ = answers_to(subject, rest[:1])
-    assert second.status is Status.COASTING  # a frame alone tells no motion
-    np.testing.assert_allclose(second.T_world_body, np.eye(4))
+    begin, first_frame, *rest = made.events()
+    waiting = subject.process(first_frame)
+    assert waiting is not None
+    assert (waiting.status, waiting.body, waiting.T_world_body) == (Status.INITIALIZING, "base", None)
+    (_, told), *_ = answers_to(subject, [begin])
+    assert (told.status, told.stamp_s) == (Status.COASTING, begin.stamp_s)
+    np.testing.assert_allclose(told.T_world_body, np.eye(4), atol=1e-12)
     assert not kept.fused
+    assert of_frames(answers_to(subject, rest))[-1].status is Status.TRACKING
 
 
 def test_the_camera_is_handed_the_motion_that_wheels_expect(ran: Callable[..., Run]) -> None:
@@ -114,7 +115,8 @@ def test_a_blackout_is_coasted_and_the_map_waits(ran: Callable[..., Run], kind: 
     assert {a.reason for a in dark} == {Reason.TOO_LITTLE_DEPTH}
     assert {a.status for a in between(run, 2.4, 3.5)} == {Status.COASTING}
     spreads = np.array([spread_m(a) for a in dark])
-    assert (np.diff(spreads) > 0).all()
+    assert (spreads[5:] > spreads[:-5]).all()
+    assert spreads[-1] > 1.8 * spreads[0]
     assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in dark)
     assert {a.status for a in between(run, 3.5, 99)} == {Status.TRACKING}
     assert spread_m(between(run, 3.5, 3.6)[0]) < 0.8 * spreads[-1]
@@ -173,7 +175,6 @@ def test_a_camera_that_creeps_away_with_the_wheels_is_doubted_first(ran: Callabl
     doubted = [a for a in between(run, 2.0, 3.5) if a.doubtful]
     assert doubted
     assert all(a.reason is Reason.CONTRADICTION for a in doubted)
-    assert not {a.stamp_s for a in doubted} & set(run[1].settled)  # who is right is not settled yet
     assert not {round(a.stamp_s - run[0].begin_s, 6) for a in doubted} & {round(second, 6) for second in run[3]}
 
 

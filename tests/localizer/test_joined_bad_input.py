@@ -79,15 +79,16 @@ def test_a_camera_whose_clock_is_in_another_epoch_is_never_called_tracking(
     assert not kept.fused
 
 
-def test_where_the_odd_clock_is_heard_first_one_sensor_is_followed_and_the_other_named(
+def test_a_camera_that_is_heard_first_waits_for_the_wheels_whatever_its_clock_says(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     made, ahead_s = drive(SHORT), -1e9
     eye = made.eye()
     eye.T_world_camera = lambda stamp_s, honest=eye.T_world_camera: honest(stamp_s - ahead_s)  # type: ignore[method-assign]
     answers = answers_to(joined(monkeypatch, eye)[0], with_clock(made, ahead_s, frames_first=True))
-    wheels = [answer for event, answer in answers if not isinstance(event, RgbdFrame)]
-    assert {answer.reason for answer in wheels[1:]} <= {Reason.CLOCKS_APART, Reason.TOO_LATE}
+    assert {answer.status for _, answer in answers} == {Status.COASTING}
+    assert {answer.reason for answer in of_frames(answers)} == {Reason.TOO_LATE}
+    assert max(off_m(answer, made.truth) for _, answer in answers) < 0.05
 
 
 @pytest.mark.parametrize("stamp_s", [np.nan, np.inf, -np.inf])
