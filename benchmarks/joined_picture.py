@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from benchmarks.joined_cases import RATE_HZ, SIZE, recorded_along, robot_of
-from benchmarks.joined_figures import accuracy_of
+from benchmarks.joined_figures import Accuracy, accuracy_of
 from benchmarks.joined_images import kept_events
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, Answers, run_all
 from wheelsight.files import write_bytes
@@ -26,9 +26,10 @@ from wheelsight.simulation.camera_faults import Covered, events_with
 from wheelsight.simulation.worlds.clearance import footprints
 
 _SEED = 3
-# Up a corridor, through the hall and a kitchen, and down another corridor of `floor4`.
-_ROUTE = np.array([(39.7, 3.0), (39.7, 20.6), (21.8, 20.6), (21.8, 15.9), (1.2, 15.9)])
-_COVERED_S, _LIFTED_S = (11.0, 16.0), (36.0, 39.0)
+# Up one corridor, along another, and into the kitchen and hall of `floor4`.
+_ROUTE = np.array([(4.0, 1.4), (1.2, 1.4), (1.2, 15.9), (21.8, 15.9), (21.8, 20.6), (33.0, 20.6)])
+_SPEED_M_S, _DURATION_S = 0.5, 105.0
+_COVERED_S, _LIFTED_S = (18.0, 23.0), (52.0, 55.0)
 _COLOURS = {WHEELS: "#e08a1e", CAMERA: "#2f7fd1", PAPER: "#9a5fb8", JOINED: "#0b8f63"}
 _WORDS = {
     WHEELS: "wheels alone",
@@ -38,8 +39,9 @@ _WORDS = {
 }
 _TRUTH, _INK, _WALL, _THING, _FAULT = "#1d2129", "#262b33", "#aab0b9", "#e4e2dc", "#d8453b"
 _EYE_M, _THIN_M = 1.9, 0.05
-_UNSEEN_M = np.array([0.0, 1.0])  # of the world, at its south-west
 _MARGIN_M, _BAR_M = 1.5, 5.0
+_COVERAGE = 0.9
+_LEGEND_INCHES = 1.0
 _INCHES, _DOTS_PER_INCH = 10.0, 150
 
 
@@ -50,14 +52,19 @@ class _Fault:
     words: str
     begin_s: float
     end_s: float
+    aside_m: tuple[float, float]
 
 
-_FAULTS = (_Fault("camera covered, 5 s", *_COVERED_S), _Fault("a wheel lifted, 3 s", *_LIFTED_S))
+_FAULTS = (
+    _Fault("camera covered, 5 s", *_COVERED_S, (1.5, 0.0)),
+    _Fault("a wheel lifted, 3 s", *_LIFTED_S, (0.0, -2.2)),
+)
 
 
 def picture_drive() -> SimulatedRecording:
-    """Half a lap of `floor4`; in its hall the left wheel is lifted for 3 s."""
+    """Half a lap of `floor4`, on which the left wheel is lifted for 3 s."""
     settings = SimulationSettings("floor4", size=SIZE, rate_hz=RATE_HZ, seed=_SEED, robot=robot_of(_SEED))
+    settings = replace(settings, speed_m_s=_SPEED_M_S, duration_s=_DURATION_S)
     return recorded_along(_ROUTE, replace(settings, faults=WheelFaults(lifted_s=(_LIFTED_S,))))
 
 
@@ -82,9 +89,9 @@ def _picture(recording: SimulatedRecording, answers: Mapping[str, Answers]) -> b
     told = {name: _in_world(answers[name], truth.T_world_body[0]) for name in _COLOURS}
     low, high = _window(recording.world, told)
     size = (high - low) * _INCHES / (high - low)[0]
-    figure = Figure(figsize=(size[0], size[1] + 0.9), dpi=_DOTS_PER_INCH, facecolor="white")
+    figure = Figure(figsize=(size[0], size[1] + _LEGEND_INCHES), dpi=_DOTS_PER_INCH, facecolor="white")
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0.9 / (size[1] + 0.9), 1, size[1] / (size[1] + 0.9)))
+    axes = figure.add_axes((0, 1 - size[1] / (size[1] + _LEGEND_INCHES), 1, size[1] / (size[1] + _LEGEND_INCHES)))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set_axis_off()
     _draw_world(axes, recording.world)
@@ -96,13 +103,14 @@ def _picture(recording: SimulatedRecording, answers: Mapping[str, Answers]) -> b
     _draw_ends(axes, told, truth.positions_m)
     _draw_bar(axes, low, high)
     lines = [Line2D([], [], color=_TRUTH, lw=4.5, alpha=0.30, label=f"truth, {truth.length_m:.0f} m")]
-    lines += [_line(name, accuracy_of(answers[name], truth).rmse_m) for name in _COLOURS]
-    figure.legend(handles=lines, loc="lower center", ncols=3, frameon=False, fontsize=10, labelcolor=_INK)
+    lines += [_line(name, accuracy_of(answers[name], truth)) for name in _COLOURS]
+    figure.legend(handles=lines, loc="lower center", ncols=2, frameon=False, fontsize=10, labelcolor=_INK)
     return _png(figure)
 
 
-def _line(name: str, rmse_m: float) -> Line2D:
-    return Line2D([], [], color=_COLOURS[name], lw=2.4, label=f"{_WORDS[name]}: {rmse_m:.2f} m off (RMSE)")
+def _line(name: str, accuracy: Accuracy) -> Line2D:
+    rmse_m, till = accuracy.rmse_m, " until lost" if accuracy.coverage < _COVERAGE else ""
+    return Line2D([], [], color=_COLOURS[name], lw=2.4, label=f"{_WORDS[name]}, {rmse_m:.2f} m off (RMSE{till})")
 
 
 def _in_world(answers: Answers, T_world_start: FloatArray) -> FloatArray:
@@ -114,11 +122,10 @@ def _in_world(answers: Answers, T_world_start: FloatArray) -> FloatArray:
 
 
 def _window(world: World, told: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Corners (2,) of what the picture shows: all that was told, and what stands near by."""
-    xy = np.concatenate(list(told.values()))
-    low, high = np.reshape(world.size_m, (2, 2))
-    low = np.minimum(np.nanmin(xy, axis=0), low + _UNSEEN_M)
-    return low - _MARGIN_M, np.maximum(np.nanmax(xy, axis=0), high) + _MARGIN_M
+    """Corners (2,) of what the picture shows: the world, and all that was told."""
+    xy = np.concatenate([*told.values(), np.reshape(world.size_m, (2, 2))])
+    low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
+    return low - _MARGIN_M, high + _MARGIN_M
 
 
 def _draw_world(axes: Axes, world: World) -> None:
@@ -139,8 +146,7 @@ def _draw_fault(axes: Axes, fault: _Fault, positions_m: FloatArray) -> None:
     """A broad band along the way, and what it means."""
     axes.plot(*positions_m[:, :2].T, color=_FAULT, lw=16, alpha=0.22, zorder=4, solid_capstyle="round")
     middle = positions_m[len(positions_m) // 2, :2]
-    inward = np.array([0.0, 1.3 if middle[1] < 10 else -1.3])
-    _write(axes, middle + inward, fault.words, _FAULT, "center")
+    _write(axes, middle + np.array(fault.aside_m), fault.words, _FAULT, "left" if fault.aside_m[0] > 0 else "center")
 
 
 def _write(axes: Axes, place: FloatArray, words: str, colour: str, align: str) -> None:

@@ -1,0 +1,50 @@
+"""Images kept are those rendered; an hour's quarters are counted, and judged from the second on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.joined_hour import Quarter, hour_sheet, judge_hour, memory_mb, quarters_of
+from benchmarks.joined_images import kept_events
+from wheelsight.events import RgbdFrame
+
+
+@pytest.fixture(scope="module")
+def recording():
+    pytest.importorskip("mujoco")
+    from wheelsight.simulation import SimulationSettings, simulate
+
+    return simulate(SimulationSettings("flat", size=(64, 48), rate_hz=5, duration_s=2.0, seed=1))
+
+
+@pytest.mark.slow
+def test_images_kept_are_those_rendered(recording, tmp_path):
+    rendered = list(recording.events())
+    for _ in range(2):
+        kept = list(kept_events(recording, tmp_path))
+        assert [type(event) for event in kept] == [type(event) for event in rendered]
+        for event, other in zip(kept, rendered, strict=True):
+            assert event.stamp_s == other.stamp_s
+            if isinstance(event, RgbdFrame):
+                assert event.index == other.index
+                np.testing.assert_array_equal(event.color, other.color)
+                np.testing.assert_array_equal(event.depth_m, other.depth_m)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.slow
+def test_every_quarter_is_measured(recording):
+    quarters = quarters_of(recording, "features")
+    assert len(quarters) == 4
+    assert all(q.frame_ms > q.reading_ms > 0 for q in quarters)
+    assert 10 < memory_mb() < 1e5
+
+
+def test_growth_counts_from_the_second_quarter_on():
+    quarters = [Quarter(5.0, 0.1, 300.0, 1.0), Quarter(10.0, 0.2, 400.0, 1.0)]
+    quarters += [Quarter(30.0, 0.2, 400.0, 1.0), Quarter(10.5, 0.3, 500.0, 0.5)]
+    assert [target.is_met for target in judge_hour(quarters, 60)] == [True, False, False]
+    sheet = hour_sheet(quarters, 60)
+    assert [len(row) for row in sheet.rows] == [len(sheet.header)] * 4
+    assert sheet.rows[3] == ("4.", "10.5 ms", "0.30 ms", "500 MB", "50.0 %")
