@@ -109,8 +109,8 @@ def _picture(recording: SimulatedRecording, answers: Mapping[str, Answers]) -> b
 
 
 def _line(name: str, accuracy: Accuracy) -> Line2D:
-    rmse_m, till = accuracy.rmse_m, " until lost" if accuracy.coverage < _COVERAGE else ""
-    return Line2D([], [], color=_COLOURS[name], lw=2.4, label=f"{_WORDS[name]}, {rmse_m:.2f} m off (RMSE{till})")
+    rmse_m, told = accuracy.rmse_m, " of its few poses" if accuracy.coverage < _COVERAGE else ""
+    return Line2D([], [], color=_COLOURS[name], lw=2.4, label=f"{_WORDS[name]}, {rmse_m:.2f} m off (RMSE{told})")
 
 
 def _in_world(answers: Answers, T_world_start: FloatArray) -> FloatArray:
