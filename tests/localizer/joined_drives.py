@@ -234,9 +234,9 @@ def of_frames(answers: Iterable[tuple[Event, FusedEstimate]]) -> list[FusedEstim
 
 
 def off_m(answer: Estimate, truth: Trajectory, stamp_s: float | None = None) -> float:
-    """Metres between the answer's pose and the truth."""
+    """Metres between the answer's pose and the truth, which ends where the robot stands."""
     assert answer.T_world_body is not None, f"no pose: {answer.reason}"
-    T = truth.at([answer.stamp_s if stamp_s is None else stamp_s])[0]
+    T = truth.at([min(answer.stamp_s if stamp_s is None else stamp_s, truth.stamps_s[-1])])[0]
     return float(np.linalg.norm(answer.T_world_body[:3, 3] - T[:3, 3]))
 
 

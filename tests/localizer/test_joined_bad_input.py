@@ -120,6 +120,15 @@ def test_a_frame_whose_stamp_is_no_number_may_be_the_first_event(monkeypatch: py
     assert (odd.status, odd.T_world_body) == (Status.INITIALIZING, None)
 
 
+def test_one_frame_from_the_far_future_does_not_end_the_camera(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    subject, _ = joined(monkeypatch, made.eye())
+    events = made.events()
+    events.insert(61, frame(0, made.begin_s + 1e6))
+    answers = answers_to(subject, events)
+    assert {answer.status for answer in of_frames(answers)[-10:]} == {Status.TRACKING}
+
+
 def test_a_skipped_frame_is_answered_by_the_wheels_with_what_was_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(SHORT)
     subject, kept = joined(monkeypatch, made.eye())
