@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from localizer.joined_drives import (
     CALIBRATION,
+    T_BASE_CAMERA,
     WHEELS,
     Drive,
     answers_to,
@@ -51,6 +52,16 @@ def test_a_calibration_without_the_cameras_place_is_refused(fusion: str) -> None
 def test_a_calibration_without_a_camera_is_refused(fusion: str) -> None:
     with pytest.raises(CalibrationError, match="camera"):
         joined_by(fusion, replace(CALIBRATION, color=None, depth=None))
+
+
+def test_a_mount_that_was_written_with_five_digits_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A calibration is taken with a rotation that is one to four digits; a filter is stricter."""
+    T = T_BASE_CAMERA.copy()
+    T[:3, :3] += 2e-5
+    made, rough = drive(SHORT), replace(CALIBRATION, T_base_camera=T)
+    answers = of_frames(answers_to(joined(monkeypatch, made.eye(), calibration=rough)[0], made.events()))
+    assert {answer.status for answer in answers[1:]} == {Status.TRACKING}
+    assert off_m(answers[-1], made.truth) < 0.01
 
 
 def with_clock(made: Drive, ahead_s: float, *, frames_first: bool) -> list[Event]:

@@ -45,6 +45,7 @@ class ByFusion:
         if T_base_camera is None:
             problem = f"the calibration ({calibration.source}) does not say where the camera sits on the base"
             raise CalibrationError(problem, fix="wheelsight calibrate base finds T_base_camera; or --fusion none")
+        T_base_camera = se3.nearest(T_base_camera)  # files have few digits
         # The filter knows the gyroscope's bias; had the wheels used it too, it would count twice.
         self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
         self._uses_gyro = settings.wheels.gyro
