@@ -198,6 +198,15 @@ def spinning(made: Drive, begin_s: float, end_s: float, speed_m_s: float) -> Dri
     return replace(made, readings=replace(made.readings, left=left, right=right))
 
 
+def pushed(made: Drive, at_s: float, left_m: float) -> Drive:
+    """The same drive, but somebody moves the robot aside within a sixth of a second, of which no wheel tells."""
+    truth = made.truth
+    aside = np.zeros((len(truth), 6))
+    aside[:, 1] = left_m * np.clip((truth.stamps_s - made.begin_s - at_s) / 0.16, 0, 1)
+    moved = Trajectory(truth.stamps_s, truth.T_world_body @ se3.exp(aside), body="base")
+    return replace(made, readings=replace(made.readings, truth=moved))
+
+
 def yaw_rates(made: Drive, bias_rad_s: float = 0.0) -> list[Event]:
     """What a gyroscope tells at each reading but the first, a little before it."""
     T, stamps_s = made.truth.T_world_body, made.truth.stamps_s

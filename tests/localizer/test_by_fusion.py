@@ -18,6 +18,7 @@ from localizer.joined_drives import (
     joined,
     of_frames,
     off_m,
+    pushed,
     spinning,
     spread_m,
     yaw_rates,
@@ -189,6 +190,16 @@ def test_wheels_that_spin_are_told_and_the_camera_leads(ran: Callable[..., Run],
     after = between(run, 4.0, 99)
     assert not any(a.slip or a.doubtful for a in after)
     assert off_m(after[-1], run[0].truth) < 0.03
+
+
+@pytest.mark.parametrize("kind", ["dense", "features"])
+def test_a_robot_that_is_pushed_aside_soon_believes_its_camera_again(ran: Callable[..., Run], kind: str) -> None:
+    """Who was right then nobody tells, and both are covered; a camera that goes on well is not left out for it."""
+    run = ran(pushed(drive(), 2.0, 0.25), kind)
+    assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in between(run, 2.2, 99))
+    assert {a.status for a in between(run, 2.7, 99)} == {Status.TRACKING}
+    if kind == "dense":
+        assert len(fused_between(run, 2.7, 4.0)) > 10
 
 
 def test_directions_that_the_camera_does_not_show_are_the_wheels(ran: Callable[..., Run]) -> None:

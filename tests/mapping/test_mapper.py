@@ -13,6 +13,7 @@ from odometry.dense.scenes import SMALL, Plane, frame_of
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Status
 from wheelsight.events import RgbdFrame
+from wheelsight.geometry import se3
 from wheelsight.mapping.mapper import SurfelMapper
 
 TRUTH = synthetic.wobbling_trajectory(6)
@@ -84,3 +85,21 @@ def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
     assert fused[0]
     assert not any(fused[1:])
     assert subject.odometry.last_motion.degenerate is not None
+
+
+def test_a_frame_goes_to_where_others_have_it(frames: list[RgbdFrame]) -> None:
+    """Odometry tells what the frame shows; where that is, who joins it with wheels may know better."""
+    subject, T_told = mapper(), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])
+    subject.odometry.process(frames[0])
+    assert (len(subject.map), subject.last_fused) == (0, None)
+    subject.fuse(frames[0], T_told)
+    assert subject.last_fused is not None
+    assert subject.last_fused.added == len(subject.map) > 10_000
+    assert subject.odometry.stage_seconds["fuse"] > 0
+    surfels = subject.map.surfels()
+    seen = se3.apply(se3.invert(T_told), surfels.position)
+    u, v = (subject.odometry.intrinsics[:2] * seen[:, :2] / seen[:, 2:] + subject.odometry.intrinsics[2:]).T
+    inside = (u > 2) & (u < 317) & (v > 2) & (v < 237)
+    there = frames[0].depth_m[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)]
+    assert inside.mean() > 0.9
+    assert np.median(np.abs(seen[inside, 2] - there)) < 2e-3
