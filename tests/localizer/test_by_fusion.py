@@ -277,6 +277,31 @@ def test_the_camera_goes_on_when_wheels_fall_silent(monkeypatch: pytest.MonkeyPa
     assert max(off_m(answer, made.truth) for answer in alone) < 0.05
 
 
+def test_frames_that_come_late_end_where_those_in_time_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a live robot readings come at once, and frames when they are decoded."""
+    made = drive()
+
+    def came_s(event: Event, late_s: float) -> float:
+        return event.stamp_s + (late_s if isinstance(event, RgbdFrame) else 0.0)
+
+    ends = []
+    for late_s in (0.0, 0.065):
+        events = sorted(made.events(), key=lambda event: came_s(event, late_s))
+        answers = of_frames(answers_to(joined(monkeypatch, made.eye())[0], events))
+        assert {answer.status for answer in answers[5:]} == {Status.TRACKING}
+        assert all((answer.reason, answer.doubtful, answer.slip) == (None, False, False) for answer in answers[5:])
+        assert off_m(answers[-1], made.truth) < 0.01
+        ends.append(spread_m(answers[-1]))
+    assert ends[1] == pytest.approx(ends[0], rel=0.05)
+
+
+def test_the_same_events_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    one, other = (answers_to(joined(monkeypatch, made.eye())[0], made.events())[-1][1] for _ in range(2))
+    np.testing.assert_array_equal(one.T_world_body, other.T_world_body)
+    np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
 def test_what_the_last_event_did_to_the_map_is_of_that_event(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(SHORT)
     subject, kept = joined(monkeypatch, made.eye())
