@@ -13,9 +13,9 @@ from pipeline.made import OF_ONE, metrics_in, names_in, status_in
 from stand_ins import MemoryRecording
 
 from wheelsight.config import load_config
-from wheelsight.errors import CalibrationError
+from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.pipeline import run_each
 from wheelsight.report import RunRecord
 from wheelsight.trajectory import read_tum
@@ -141,5 +141,15 @@ def test_ligockis_answers_frames_alone(ran: Runner) -> None:
 def test_what_cannot_be_joined_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     given = replace(recording(drive()), calibration=replace(CALIBRATION, T_base_camera=None))
     with pytest.raises(CalibrationError, match="wheelsight calibrate base"):
+        run_each(given, JOINED, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("kept", "problem"), [(RgbdFrame, "no wheel readings .*--odometry features"), (WheelTicks, "no images .*wheels")]
+)
+def test_a_recording_without_one_of_both_is_refused(tmp_path: Path, kept: type, problem: str) -> None:
+    given = replace(recording(drive()), given=[event for event in drive().events() if isinstance(event, kept)])
+    with pytest.raises(ConfigError, match=problem):
         run_each(given, JOINED, tmp_path / "out")
     assert not (tmp_path / "out").exists()
