@@ -19,6 +19,8 @@ _COLORED_EVERY = 3
 class SurfelMapper:
     """Aligns each frame with what the map predicts, then averages it into the map; a frame that fails never gets there.
 
+    Without `tracks` frames are aligned with keyframes, and the map is only built.
+
     The camera that a robot's base carries starts at `T_base_camera`, so that the map's world is where the base was,
     z up; a camera alone starts at identity.
 
@@ -29,10 +31,15 @@ class SurfelMapper:
     """
 
     def __init__(
-        self, calibration: Calibration, dense: DenseSettings | None = None, surfels: SurfelSettings | None = None
+        self,
+        calibration: Calibration,
+        dense: DenseSettings | None = None,
+        surfels: SurfelSettings | None = None,
+        *,
+        tracks: bool = True,
     ) -> None:
         self.map = SurfelMap(surfels)
-        self.odometry = DenseOdometry(calibration, dense, self.map, calibration.T_base_camera)
+        self.odometry = DenseOdometry(calibration, dense, self.map if tracks else None, calibration.T_base_camera)
         self._noise = calibration.depth_noise
         self.last_fused: FusedFrame | None = None
         self._fused = 0
