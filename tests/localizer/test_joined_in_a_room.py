@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from localizer.joined_drives import off_m, spread_m
-from room_drive import make_room_drive
+from room_drive import T_BASE_CAMERA, make_room_drive
+from synthetic import render_room
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
@@ -108,3 +109,28 @@ def test_wheels_that_spin_before_a_room(room: Room) -> None:
     assert all(a.slip or a.doubtful for a in told)
     assert off_m(answers[-1][1], way, answers[-1][0].stamp_s) < 0.05  # the wheels are 0.8 m off
     assert not answers[-1][1].slip
+
+
+def test_after_a_blackout_the_map_goes_on_where_nothing_is_known(room: Room) -> None:
+    """The robot is covered for a moment, and then sees another part of the room than it should: a map has to begin."""
+    calibration, events, truth = room
+    way, T_other_here = since_begin(truth), se3.exp([0, 0, 0, 0, 0, np.pi])
+
+    def elsewhere(frame: RgbdFrame) -> RgbdFrame:
+        T_world_base = truth.at([min(frame.stamp_s - 0.001, truth.stamps_s[-1])])[0]
+        color, depth_m = render_room(T_other_here @ T_world_base @ T_BASE_CAMERA)
+        return replace(frame, color=color, depth_m=depth_m)
+
+    settings = load_config(
+        overrides={"odometry": "wheels,dense", "dense.threads": 1, "map": "surfels", "surfels.stable_confidence": 2.0}
+    )
+    given = seen_as(elsewhere, seen_as(covered, events, (1.2, 1.6)), (1.6, 99.0))
+    answers = answers_of(Localizer(calibration, settings), given)
+    begin_s = events[0].stamp_s
+    strange = [a for a in answers if a[0].stamp_s - begin_s > 1.6]
+    unseen = [a.reason is not None for _, a, _ in strange]
+    assert unseen == [True] * 5 + [False] * (len(unseen) - 5)
+    assert {a.status for _, a, _ in strange[5:]} == {Status.TRACKING}
+    assert strange[3][2] == answers[len(answers) - len(strange) - 5][2]
+    assert strange[-1][2] > 1.3 * strange[3][2]
+    assert max(off_m(a, way, frame.stamp_s) for frame, a, _ in answers) < 0.03

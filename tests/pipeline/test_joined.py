@@ -153,3 +153,11 @@ def test_a_recording_without_one_of_both_is_refused(tmp_path: Path, kept: type, 
     with pytest.raises(ConfigError, match=problem):
         run_each(given, JOINED, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_ligockis_poses_while_coasting_are_part_of_the_trajectory(ran: Runner) -> None:
+    made = drive(faults=dark_between(2.0, 3.5))
+    records = ran(made, fusion="ligocki")
+    frames_s = [event.stamp_s for event in made.events() if isinstance(event, RgbdFrame)]
+    assert {f.status for f in records["joined"].frames if 2.0 < f.stamp_s - made.begin_s < 3.5} == {Status.COASTING}
+    assert records["joined"].estimate.stamps_s.tolist() == frames_s

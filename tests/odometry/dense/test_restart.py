@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from odometry.dense.scenes import Plane, apart, bench, dense, frame_of
+from odometry.dense.scenes import SMALL, Plane, apart, bench, dense, frame_of
 from odometry.views import covered_frame, from_start, room_frame, run
 from synthetic import wobbling_trajectory
 
+from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
@@ -143,3 +144,17 @@ def test_an_alignment_that_runs_away_ends_where_it_began_and_tells_nothing(
     answers = run(subject, corner[:3])  # which has no keypoints either
     assert [answer.T_world_body is None for answer in answers] == [False, True, True]
     assert {answer.reason for answer in answers[1:]} == {Reason.TOO_LITTLE_OVERLAP}
+
+
+def test_a_restart_right_after_the_first_frame_forgets_to_straighten_that(frames: list[RgbdFrame]) -> None:
+    """A rolling shutter's first frame is straightened once the second tells the speed; that is not one far away."""
+    calibration = Calibration.registered_camera(SMALL, rolling_shutter_s=0.02)
+    subject = dense(calibration)
+    elsewhere = [frame_of(CORNER, on_the_way(k), frames[0].stamp_s + 0.1 * k, noise_seed=k) for k in range(1, 5)]
+    run(subject, [frames[0]])
+    T_told = se3.exp([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    subject.restart(elsewhere[0], T_told, 1e-4 * np.eye(6))
+    for k, frame in enumerate(elsewhere[1:], 1):
+        answer = subject.process(frame, WAY)
+        assert answer.status is Status.TRACKING
+        assert apart(T_told @ on_the_way(k), answer.T_world_body)[0] < 0.02

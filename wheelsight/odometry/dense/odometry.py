@@ -151,6 +151,7 @@ class DenseOdometry:
     def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
         self.watch.restart()
+        self._first, self._unseen_s = None, 0.0
         with self.watch.stage("prepare"):
             grid = self._gridder.on_grid(frame, np.zeros(6))
         if not self._has_depth(grid):
@@ -264,9 +265,9 @@ class DenseOdometry:
         """
         seconds = grid.stamp_s - last.frame.stamp_s
         if isinstance(found, Tracked):
-            if not has_prior:
+            if not has_prior and self._failures == 0:
                 self._count_unseen(seconds)
-            if self._unseen_s > self._settings.max_unseen_s:
+            if not has_prior and self._unseen_s > self._settings.max_unseen_s:
                 return MotionEstimate.failed(Reason.DEGENERATE)
             leaps = (has_prior or last.twist.any()) and _is_leap(found, seconds)
             if seconds <= LONGEST_STEP_S and not leaps and (has_prior or self._failures == 0):
