@@ -9,6 +9,8 @@ dense      dense tracking alone, on one thread too
 mapping    tracking, fusion and prediction together, beside Open3D's dense SLAM
 growth     whether a longer way makes that slower or larger; longdrive, a command of its own, drives 20 minutes
 flat       a simulated flat: errors of tracking, and of models given true poses (known_poses) against true_surface
+bad_input  a command of its own: what trackers make of cameras that fail (bad_drives), and whether they say so
+joined     a command of its own: wheels and camera joined, against each alone, with faults; its parts are joined_*
 kernels    how long the first mapped frames take, with kernels to be compiled and with kernels kept
 wheels     how quick dead reckoning is
 link       how quick the serial link is, and what bad lines (bad_lines) do to it

@@ -11,7 +11,6 @@ from benchmarks.dense import ON_ONE_THREAD, judge_dense, measure_one_thread, one
 from benchmarks.firmware import measure_firmware
 from benchmarks.flat import judge_flat, measure_flat, model_sheet, tracking_sheet
 from benchmarks.growth import growth_sheet, judge_growth, measure_growth
-from benchmarks.joined import joined_sheet, judge_joined, measure_joined
 from benchmarks.kernels import judge_kernels, kernels_sheet, measure_kernels
 from benchmarks.link import measure_link
 from benchmarks.mapping import judge_mapping, mapping_sheet, measure_mapping
@@ -115,11 +114,6 @@ def _kernels(_: Scope) -> Judged:
     return Judged((kernels_sheet(times),), judge_kernels(times))
 
 
-def _joined(_: Scope) -> Judged:
-    figures = measure_joined()
-    return Judged((joined_sheet(figures),), judge_joined(figures))
-
-
 ALL = (
     Part("mapping", _mapping, MAPPERS),
     Part("one-thread", _one_thread, ON_ONE_THREAD),
@@ -132,5 +126,4 @@ ALL = (
     Part("simulator", _simulation),
     Part("places", _places),
     Part("start-up", _startup),
-    Part("joined", _joined),
 )
