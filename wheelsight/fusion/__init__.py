@@ -8,6 +8,7 @@ from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion.area_filter import AreaFilter, AreaFilterSettings
 from wheelsight.fusion.error_state import ErrorStateFilter, FusedEstimate
 from wheelsight.fusion.kalman import JoinedEstimate, LigockiFilter, LigockiSettings
+from wheelsight.fusion.place_meter import PlaceMeter
 from wheelsight.fusion.probabilistic import AreaRectifier, AreaRectifierSettings, RectifiedEstimate
 from wheelsight.fusion.rectifier import (
     AxisWeights,
@@ -34,6 +35,7 @@ __all__ = [
     "LigockiSettings",
     "OdometryTerm",
     "PaperRectifier",
+    "PlaceMeter",
     "RectifiedEstimate",
     "TrainingDrive",
     "Weights",

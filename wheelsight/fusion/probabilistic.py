@@ -107,7 +107,7 @@ class AreaRectifier:
         area_shares: ArrayLike | None = None,
     ) -> None:
         self.settings = settings or AreaRectifierSettings()
-        self._shares = _checked_shares(areas, area_shares)
+        self._shares = checked_shares(areas, area_shares)
         self._corrected, self._alone = (_start(T_world_base, self.settings) for _ in range(2))
         self._floor = FloorShares(areas, self.settings.border_m)
         self._filter = AreaFilter(areas, self.settings.forest, self._parts()[0][:, 0])
@@ -159,7 +159,7 @@ class AreaRectifier:
         Raises:
             ConfigError: not one probability an area, negative, not finite, or all zero.
         """
-        evidence = None if probabilities is None else self._evidence(probabilities)
+        evidence = None if probabilities is None else evidence_of(probabilities, self._shares)
         self._filter.predict(self._way_m, self._turn_rad)
         self._way_m = self._turn_rad = 0.0
         parts, axes = self._parts()
@@ -179,16 +179,6 @@ class AreaRectifier:
 
     def _parts(self) -> tuple[FloatArray, FloatArray]:
         return self._floor.parts_of(self._corrected.mean[:2], self._corrected.covariance[:2, :2])
-
-    def _evidence(self, probabilities: ArrayLike) -> FloatArray:
-        probabilities = np.asarray(probabilities, float)
-        if probabilities.shape != self._shares.shape:
-            raise ConfigError(
-                f"a frame has {probabilities.size} probabilities", fix=f"{len(self._shares)}, one an area"
-            )
-        if not (np.isfinite(probabilities).all() and (probabilities >= 0).all() and probabilities.any()):
-            raise ConfigError("a frame's probabilities are not", fix="0 to 1, finite, not all 0; None where unknown")
-        return np.asarray(probabilities / self._shares)
 
     def _estimate(self, stamp_s: float, support: float) -> RectifiedEstimate:
         pose, spread = pose_of(self._corrected, self._alone, self._filter.worth)
@@ -229,7 +219,8 @@ def _step_between(
     return T_before_odom @ T_odom_now, (grown + grown.T) / 2
 
 
-def _checked_shares(areas: AreaMap, area_shares: ArrayLike | None) -> FloatArray:
+def checked_shares(areas: AreaMap, area_shares: ArrayLike | None) -> FloatArray:
+    """(A,) that sum to 1; of None, all alike. Raises ConfigError."""
     n = len(areas)
     if n == 0:
         raise ConfigError("there is no area to rectify by", fix="give areas")
@@ -237,3 +228,13 @@ def _checked_shares(areas: AreaMap, area_shares: ArrayLike | None) -> FloatArray
     if shares.shape != (n,) or not (np.isfinite(shares).all() and (shares > 0).all()):
         raise ConfigError("area_shares are not one positive number an area", fix=f"give {n}")
     return np.asarray(shares / shares.sum())
+
+
+def evidence_of(probabilities: ArrayLike, shares: FloatArray) -> FloatArray:
+    """(A,) what a frame says for each area, from the forest's probabilities (A,). Raises ConfigError."""
+    probabilities = np.asarray(probabilities, float)
+    if probabilities.shape != shares.shape:
+        raise ConfigError(f"a frame has {probabilities.size} probabilities", fix=f"{len(shares)}, one an area")
+    if not (np.isfinite(probabilities).all() and (probabilities >= 0).all() and probabilities.any()):
+        raise ConfigError("a frame's probabilities are not", fix="0 to 1, finite, not all 0; None where unknown")
+    return np.asarray(probabilities / shares)
