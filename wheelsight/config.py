@@ -236,6 +236,8 @@ class Config(_Settings):
                 raise _conflict(f"places.{given[0]}", "is given without a model of places", "add --places MODEL")
         elif "wheels" not in self.odometry:
             raise _conflict("places.model", "rectifies wheels, and there are none", "add --odometry wheels")
+        elif self.fusion == "ligocki":
+            raise _conflict("places.model", "is a measurement of the default filter alone", "no --fusion ligocki")
         elif places.rectify != "paper":
             for name in ("odometry_term", "weights"):
                 if getattr(places, name) is not None:

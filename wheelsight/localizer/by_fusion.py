@@ -16,9 +16,12 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer._anchor import Anchor
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
+from wheelsight.localizer._place_sense import PlaceSense
+from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import MatchedPixels
+from wheelsight.places import PlaceMatch
 
 # What the filter remembers: the last frame that was tracked, and the anchor of the camera's motions.
 _FRAME, _ANCHOR = "frame", "anchor"
@@ -30,6 +33,8 @@ _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOIN
 class ByFusion:
     """Wheel readings and frames answered by the default filter; dense odometry builds its map where all agree.
 
+    With places, the world is that of the areas, and the area that a frame shows is one more measurement.
+
     Attributes:
         odometry: the camera's.
         filter: what joins it with the wheels.
@@ -40,7 +45,7 @@ class ByFusion:
 
     body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
 
-    def __init__(self, calibration: Calibration, settings: Config) -> None:
+    def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
         T_base_camera = calibration.T_base_camera
         if T_base_camera is None:
             problem = f"the calibration ({calibration.source}) does not say where the camera sits on the base"
@@ -50,8 +55,10 @@ class ByFusion:
         self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
         self._uses_gyro = settings.wheels.gyro
         self.odometry, self.mapper = camera_odometry(calibration, settings)
-        self.filter = ErrorStateFilter(T_base_camera)
+        self._places = None if places is None else PlaceSense(places)
+        self.filter = ErrorStateFilter(T_base_camera, *(() if self._places is None else self._places.start))
         self.T_world_map: FloatArray = np.eye(4)
+        self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._T_base_camera = T_base_camera
         self._anchor: Anchor | None = None
         self._gate = FrameGate()
@@ -65,30 +72,42 @@ class ByFusion:
     @property
     def stage_seconds(self) -> dict[str, float]:
         """How long each stage of the last frame took."""
-        return self.odometry.stage_seconds
+        return self.odometry.stage_seconds | ({} if self._places is None else self._places.stage_seconds)
+
+    @property
+    def last_place(self) -> PlaceMatch | None:
+        """What the model of places said of the last frame, where there is one and it was asked."""
+        return None if self._places is None else self._places.last_place
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """The estimate right after a reading or frame, None at any other event, and what was wrong with a frame."""
         if self.mapper is not None:
             self.mapper.last_fused = None
-        if isinstance(event, YawRate) and self._uses_gyro:
+        if isinstance(event, YawRate) and self._uses_gyro and not self._is_early(event.stamp_s):
             self.filter.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
         if isinstance(event, WheelTicks | WheelSpeeds):
             return self._reading(event)
+        if not isinstance(event, RgbdFrame | SkippedFrame):
+            return None, ""
+        if self._places is not None:
+            self._places.forget()
+        if self._is_early(event.stamp_s):
+            note = event.reason if isinstance(event, SkippedFrame) else ""
+            return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), note
         if isinstance(event, SkippedFrame):
             return self._miss(event.stamp_s), event.reason
-        if not isinstance(event, RgbdFrame):
-            return None, ""
         expected = self.filter.expect(event.stamp_s, _FRAME)
         why_not = self._gate.why_not(event, None if expected is None else expected[0])
         if why_not:
             return self._miss(event.stamp_s), why_not
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
-        return self._frame(event, None if expected is None else expected[0]), self._deaf
+        return self._placed(event, self._frame(event, None if expected is None else expected[0])), self._deaf
 
     def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate | None, str]:
         wheels, note = self._wheels.process(reading)
+        if wheels is not None and self._is_early(wheels.stamp_s):
+            return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body), note
         self._gate.wheels_are_heard = True
         if wheels is None:
             return None, note
@@ -97,8 +116,21 @@ class ByFusion:
         self._deaf = f"the wheels are not heard: {answer.reason}" if apart else ""
         return answer, note
 
-    def _frame(self, frame: RgbdFrame, T_last_frame: FloatArray | None) -> Estimate:
+    def _is_early(self, stamp_s: float) -> bool:
+        """Whether it is not known yet where the base starts in the world of the areas."""
+        return self._places is not None and stamp_s < self._places.begin_s
+
+    def _placed(self, frame: RgbdFrame, answer: FusedEstimate) -> FusedEstimate:
+        """The answer after the area that the frame shows; where the camera was believed, its map comes along."""
+        if self._places is None:
+            return answer
+        placed = self._places.tell(frame, answer, self.filter)
+        self._lay_map(placed)
+        return placed
+
+    def _frame(self, frame: RgbdFrame, T_last_frame: FloatArray | None) -> FusedEstimate:
         """Expect, look, judge, and remember what was believed."""
+        self._T_map_camera = None
         seen = self.odometry.process(frame, T_last_frame)
         if seen.T_world_body is None:
             return self._unseen(frame, seen)
@@ -121,29 +153,35 @@ class ByFusion:
         """Camera odometry goes on in a world of its own, that of its map, of which the filter knows where it lies."""
         if answer.T_world_body is None or answer.status is not Status.TRACKING:
             return
-        self.T_world_map = se3.nearest(answer.T_world_body @ self._T_base_camera @ se3.invert(T_map_camera))
+        self._T_map_camera = T_map_camera
+        self._lay_map(answer)
         if self.mapper is not None:
             self.mapper.fuse(frame, T_map_camera)
+
+    def _lay_map(self, answer: FusedEstimate) -> None:
+        """To where the camera's pose in it is the one that is answered."""
+        if self._T_map_camera is not None and answer.T_world_body is not None:
+            T_world_camera = answer.T_world_body @ self._T_base_camera
+            self.T_world_map = se3.nearest(T_world_camera @ se3.invert(self._T_map_camera))
 
     def _anchor_at(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
         """From here on the camera's motions are told against this frame."""
         self._anchor = Anchor.at(T_map_camera, self.odometry.last_motion)
         self.filter.clone(frame.stamp_s, _ANCHOR, self._anchor.covariance)
 
-    def _begun(self, frame: RgbdFrame, seen: Estimate, reason: Reason | None = None) -> Estimate:
+    def _begun(self, frame: RgbdFrame, seen: Estimate, reason: Reason | None = None) -> FusedEstimate:
         """The answer at a frame at which the camera starts, where the wheels have it."""
         assert seen.T_world_body is not None
         answer = self.filter.clone(frame.stamp_s, _FRAME)
-        if answer.T_world_body is not None:
-            T_world_camera = answer.T_world_body @ self._T_base_camera
-            self.T_world_map = se3.nearest(T_world_camera @ se3.invert(seen.T_world_body))
+        self._T_map_camera = seen.T_world_body
+        self._lay_map(answer)
         self._anchor_at(frame, seen.T_world_body)
         return _with_counts(replace(answer, reason=reason or answer.reason), seen)
 
     def _in_map(self, T_world_base: FloatArray) -> FloatArray:
         return np.asarray(se3.nearest(se3.invert(self.T_world_map) @ T_world_base @ self._T_base_camera))
 
-    def _unseen(self, frame: RgbdFrame, seen: Estimate) -> Estimate:
+    def _unseen(self, frame: RgbdFrame, seen: Estimate) -> FusedEstimate:
         """The wheels' pose; after some frames that show nothing known, the camera starts again from there."""
         answer = self.filter.update_relative(frame.stamp_s, self.odometry.last_motion, _ANCHOR)
         self._unknown += seen.reason not in _BLIND

@@ -35,7 +35,8 @@ class Localizer:
     readings and frames with a `FusedEstimate`, whose status and flags say how far to trust it; Ligocki's answers
     frames. The body is the base, the world is where it was at the first event (Ligocki: at the first tracked frame).
     With `places` beside wheels, both are answered: wheels lead from frame to frame, each frame corrects them by the
-    area it shows; the world is that of the areas.
+    area it shows; the world is that of the areas. Beside joined wheels and camera the area is one more measurement of
+    the default filter.
 
     Args:
         calibration: of the sensors.
@@ -61,7 +62,7 @@ class Localizer:
             raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
         self._way: ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki
         if settings.fusion != "none":
-            self._way = (ByLigocki if settings.fusion == "ligocki" else ByFusion)(calibration, settings)
+            self._way = _joined(calibration, settings, places)
         elif settings.places.model is not None:
             self._way = ByPlaces(calibration, settings, places or load_places(settings.places))
         elif settings.odometry == ("wheels",):
@@ -84,7 +85,7 @@ class Localizer:
     @property
     def last_place(self) -> PlaceMatch | None:
         """What places said of the last frame, where they were asked."""
-        return self._way.last_place if isinstance(self._way, ByPlaces) else None
+        return self._way.last_place if isinstance(self._way, ByPlaces | ByFusion) else None
 
     @property
     def map(self) -> SurfelMap | None:
@@ -126,3 +127,11 @@ class Localizer:
         """
         estimate, self.note = self._way.process(event)
         return estimate
+
+
+def _joined(calibration: Calibration, settings: Config, places: Places | None) -> ByFusion | ByLigocki:
+    if settings.fusion == "ligocki":
+        return ByLigocki(calibration, settings)
+    if settings.places.model is None:
+        return ByFusion(calibration, settings)
+    return ByFusion(calibration, settings, places or load_places(settings.places))

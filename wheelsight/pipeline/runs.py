@@ -99,6 +99,7 @@ def _check(recording: Recording, config: Config) -> PlacesOfRun | None:
         if UNITS[odometry] == "frame" and recording.wheel_count and not recording.frame_count:
             raise ConfigError(f"{recording.path}: the recording has no images", fix="--odometry wheels")
         Localizer(recording.calibration, config.alone(odometry))
+    places = places_of(recording, config)
     if config.fusion != "none":
-        Localizer(recording.calibration, config)
-    return places_of(recording, config)
+        Localizer(recording.calibration, config, None if places is None else places.places)
+    return places
