@@ -51,6 +51,11 @@ class History(Generic[Event, State]):
         """The state after the last event."""
         return self._states[-1] if self._states else self._begin
 
+    def known_at(self, stamp_s: float) -> State:
+        """The state after the last event up to a stamp; of one before the window, the oldest."""
+        place = bisect_right(self._keys, (stamp_s, _LAST_RANK))
+        return self._states[place - 1] if place else self._begin
+
     @property
     def newest_s(self) -> float | None:
         """The stamp of the last event."""

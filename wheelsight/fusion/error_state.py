@@ -175,6 +175,11 @@ class ErrorStateFilter:
             return self._refused(Reason.INVALID)
         return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s)))
 
+    def remembered(self, name: str) -> FloatArray | None:
+        """T_world_base (4, 4) at the instant remembered as `name`, by all that is known now; None where none is."""
+        belief = self._history.newest.court.answer()
+        return belief.T[belief.reference(name)].copy() if name in belief.names else None
+
     @property
     def estimate(self) -> FusedEstimate:
         """As of the newest event."""
@@ -183,15 +188,17 @@ class ErrorStateFilter:
     def expect(self, stamp_s: float, name: str) -> tuple[FloatArray, FloatArray] | None:
         """T_reference_current (4, 4) of the camera that is to be expected, and its covariance (6, 6).
 
-        By what is known up to the stamp, from the newest event on; None where `name` is not remembered. Where vision
+        By what is known up to the stamp; None where `name` is not remembered. Where vision
         sees a direction not at all, this is what stands there.
         """
-        newest = self._history.newest
-        if name not in newest.court.belief.names or not np.isfinite(stamp_s):
+        if not np.isfinite(stamp_s):
+            return None
+        known = self._history.known_at(stamp_s)
+        if name not in known.court.belief.names:
             return None
         steps = [event.wheels for event in self._history.events if event.wheels is not None]
-        late = newest.stamp_s is not None and stamp_s < newest.stamp_s
-        belief = (newest if late else moved_to(newest, stamp_s, steps, self.settings)).court.answer()
+        late = known.stamp_s is not None and stamp_s < known.stamp_s
+        belief = (known if late else moved_to(known, stamp_s, steps, self.settings)).court.answer()
         place = belief.reference(name)
         T_camera_reference = se3.invert(belief.T[place] @ self._T_base_camera)
         A, at = kernels.adjoint(T_camera_reference), slice(6 * place, 6 * place + 6)
