@@ -50,6 +50,21 @@ def test_wheels_are_followed_alone_and_rectified(tmp_path: Path) -> None:
     assert len(written) == readings + len(area_drive().frames)
 
 
+def test_beside_a_camera_they_are_rectified_and_joined(tmp_path: Path) -> None:
+    given = {"odometry": "wheels,features", "places.model": by_areas(tmp_path).places.model}
+    out, config = tmp_path / "out", load_config(overrides=given)
+    records = run_each(area_recording(tmp_path), config, out)
+    assert [record.odometry for record in records] == ["wheels", "features", "rectified", "joined"]
+    assert names_in(out / "joined") == OF_ONE
+    wheels, joined = records[0].estimate, records[3].estimate
+    assert (joined.world, joined.body) == ("world", "base")
+    np.testing.assert_allclose(joined.T_world_body[0], T_WORLD_START, atol=1e-9)
+    end, T_world_end = area_drive().truth.stamps_s[-1:], area_drive().truth.T_world_body[-1]
+    off_m = [np.hypot(*(path.at(end)[0] - T_world_end)[:2, 3]) for path in (wheels.moved(T_WORLD_START), joined)]
+    assert off_m[1] < 0.3 * off_m[0]
+    assert {"name the area", "measure by the area"} <= metrics_in(out / "joined")["timing"]["stages_median_ms"].keys()
+
+
 def test_errors_in_the_world_are_of_paths_where_they_say_they_are(tmp_path: Path) -> None:
     records = run_each(area_recording(tmp_path), by_areas(tmp_path), tmp_path / "out")
     errors = rectified(records).errors

@@ -50,7 +50,12 @@ Gyro = Annotated[
 ]
 Model = Annotated[
     str | None,
-    typer.Option("--places", metavar="MODEL", help="Rectify wheels by the areas that frames show.", show_default=False),
+    typer.Option(
+        "--places",
+        metavar="MODEL",
+        help="Rectify wheels, joined or alone, by the areas that frames show.",
+        show_default=False,
+    ),
 ]
 Rectify = Annotated[
     str | None,
