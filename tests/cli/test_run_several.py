@@ -67,7 +67,7 @@ def test_what_joining_came_to_is_said(wheelsight: Command, drive: Path, tmp_path
     assert result.exit_code == 0, result.output
     rows = {words[0]: words[1:] for words in map(str.split, result.stdout.splitlines()) if words}
     assert rows["error"][1:] in (["times", "that", "of", of, "alone"] for of in ("wheels", "features"))
-    assert rows["end"][1:3] == ["m", "off,"]
+    assert rows["end"][1:3] == ["m", "off"]
     assert "joined" in rows
     result = wheelsight("run", drive, "--odometry", "wheels,features", "--fusion", "none", "--out", tmp_path / "none")
     assert "what joining came to" not in result.stdout

@@ -115,6 +115,7 @@ class Court:
         nis: of the measurement just taken, and its degrees of freedom; or None.
         gyro_s: of the last yaw rate.
         turn_slip_s: when the gyroscope last contradicted the wheels.
+        looked_s: of the last look that told anything.
     """
 
     belief: PoseBelief
@@ -129,6 +130,7 @@ class Court:
     nis: tuple[float, int] | None = None
     gyro_s: float | None = None
     turn_slip_s: float = -np.inf
+    looked_s: float = -np.inf
 
     @property
     def rival_share(self) -> float:
@@ -163,7 +165,7 @@ def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) 
     usual = court.belief.innovation(look, without_doubt=True)
     agrees = usual.nis <= most
     agreed, nis = court.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
-    heard = replace(court, glance=glance, travel=Travel(), agreed=agreed, nis=nis)
+    heard = replace(court, glance=glance, travel=Travel(), agreed=agreed, nis=nis, looked_s=stamp_s)
     if court.trust is Trust.BOTH:
         heard = replace(heard, evidence=court.evidence * _LEAK + evidence)
         return _together(heard, stamp_s, look, usual, most, settings)
@@ -191,7 +193,7 @@ def end_doubt(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Cou
         return court
     if court.trust is Trust.DOUBT:
         return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.answer(), evidence=0.0)
-    lone = court.glance is None or stamp_s - court.glance.stamp_s > settings.longest_doubt_s
+    lone = stamp_s - court.looked_s > settings.longest_doubt_s
     if court.trust is not Trust.CAMERA or not lone:
         return court
     return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.belief.believed())

@@ -125,7 +125,7 @@ class ByFusion:
         if self._places is None:
             return answer
         placed = self._places.tell(frame, answer, self.filter)
-        self._lay_map(placed)
+        self._lay_map()
         return placed
 
     def _frame(self, frame: RgbdFrame, T_last_frame: FloatArray | None) -> FusedEstimate:
@@ -140,12 +140,11 @@ class ByFusion:
         answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR)
         self._unknown = 0
         self.filter.clone(frame.stamp_s, _FRAME)
-        if answer.doubtful:
-            return _with_counts(answer, seen)
-        if answer.reason is None:
+        is_believed = answer.reason is None and not answer.doubtful
+        if is_believed:
             self._believe(frame, answer, seen.T_world_body)
-        # What was not believed is no anchor's concern: the camera may be right again from here on.
-        if answer.reason is not None or self._anchor.is_far_from(seen.T_world_body):
+        # One mistake of the camera is none of the next frame's, and slip is told by contradicting again and again.
+        if not is_believed or self._anchor.is_far_from(seen.T_world_body):
             self._anchor_at(frame, seen.T_world_body)
         return _with_counts(answer, seen)
 
@@ -154,14 +153,15 @@ class ByFusion:
         if answer.T_world_body is None or answer.status is not Status.TRACKING:
             return
         self._T_map_camera = T_map_camera
-        self._lay_map(answer)
+        self._lay_map()
         if self.mapper is not None:
             self.mapper.fuse(frame, T_map_camera)
 
-    def _lay_map(self, answer: FusedEstimate) -> None:
-        """To where the camera's pose in it is the one that is answered."""
-        if self._T_map_camera is not None and answer.T_world_body is not None:
-            T_world_camera = answer.T_world_body @ self._T_base_camera
+    def _lay_map(self) -> None:
+        """To where the camera's pose in it is the one that is known of its frame by now."""
+        T_world_base = self.filter.remembered(_FRAME)
+        if self._T_map_camera is not None and T_world_base is not None:
+            T_world_camera = T_world_base @ self._T_base_camera
             self.T_world_map = se3.nearest(T_world_camera @ se3.invert(self._T_map_camera))
 
     def _anchor_at(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
@@ -174,7 +174,7 @@ class ByFusion:
         assert seen.T_world_body is not None
         answer = self.filter.clone(frame.stamp_s, _FRAME)
         self._T_map_camera = seen.T_world_body
-        self._lay_map(answer)
+        self._lay_map()
         self._anchor_at(frame, seen.T_world_body)
         return _with_counts(replace(answer, reason=reason or answer.reason), seen)
 
