@@ -71,6 +71,7 @@ class DenseOdometry:
         self._first: RgbdFrame | None = None
         self._last: Tracked | None = None
         self._failures = 0
+        self._is_helped = False
         self._unseen_s = 0.0
         self._prediction: tuple[Keyframe | None, int] = None, 0
         self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
@@ -111,6 +112,7 @@ class DenseOdometry:
         last = self._last
         if last is None:
             return self._start(frame)
+        self._is_helped = T_previous_current_prior is not None
         found = self._find(frame, last, T_previous_current_prior)
         if not isinstance(found, Tracked) and found.reason is not Reason.TOO_LITTLE_DEPTH:
             # Wheels that spin expect what is not so, and lead astray.
@@ -328,7 +330,9 @@ class DenseOdometry:
     def _is_new(self, found: Tracked) -> bool:
         """Whether a frame is to become a keyframe: the last one shows too little of it; beside a map, by the way."""
         if self._model is None:
-            return found.overlap < self._settings.keyframe_overlap or not found.is_by_keyframe
+            # Alone, a frame that only the one before could place is none: people's backs would carry the camera along.
+            is_settled = found.is_by_keyframe or not self._is_helped
+            return found.overlap < self._settings.keyframe_overlap or not is_settled
         return self._nearest(found.T_world_camera).distance_m(found.T_world_camera) > self._settings.keyframe_way_m
 
     def _seen_from_before(self, found: Tracked) -> Tracked | None:
