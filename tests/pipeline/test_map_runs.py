@@ -80,7 +80,7 @@ def test_the_record_shows_the_map_from_above_and_along_the_way(room: Path, tmp_p
 def test_of_several_odometries_the_map_is_in_the_folder_of_its_own(tmp_path: Path) -> None:
     make_room_drive(tmp_path / "drive", frames=4)
     out = tmp_path / "out"
-    records = run_each(open_recording(tmp_path / "drive"), mapped(odometry="wheels,dense"), out)
+    records = run_each(open_recording(tmp_path / "drive"), mapped(odometry="wheels,dense", fusion="none"), out)
     assert (out / "dense" / MAP_FILE).is_file()
     assert not (out / MAP_FILE).exists()
     assert not (out / "wheels" / MAP_FILE).exists()
