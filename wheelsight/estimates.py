@@ -5,7 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
+
 from wheelsight.geometry import FloatArray
+
+# Of (v, ω) in `MotionEstimate.degenerate`: turns count as the way of a point 2 m off, to be compared with ways.
+DEGENERATE_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 
 
 class Reason(StrEnum):

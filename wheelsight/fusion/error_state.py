@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.estimates import DEGENERATE_SCALE, Estimate, MotionEstimate, Reason, Status
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._fusion_events import FusionState, Happening, after, moved_to
 from wheelsight.fusion._history import History
@@ -34,8 +34,6 @@ from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
 from wheelsight.geometry import FloatArray, se3
 
-_TURN_LEVER_M = 2.0  # of `MotionEstimate.degenerate`
-_SCALE = np.array([1.0, 1.0, 1.0, _TURN_LEVER_M, _TURN_LEVER_M, _TURN_LEVER_M])
 _UNSEEN_SIGMA_M = 10.0
 _RESTART_AFTER = 5  # events in a row that are all far ahead: it is not one clock that is wrong, all sensors had paused
 
@@ -236,8 +234,8 @@ class ErrorStateFilter:
         seen, unseen = _split(hidden)
         if len(seen) == 0:
             return Reason.DEGENERATE
-        to_camera = np.diag(_SCALE) @ kernels.inverse_adjoint(self._T_base_camera)
-        scaled = R * np.outer(_SCALE, _SCALE)
+        to_camera = np.diag(DEGENERATE_SCALE) @ kernels.inverse_adjoint(self._T_base_camera)
+        scaled = R * np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
         shown = seen @ scaled @ seen.T
         if not _is_definite(shown):
             return Reason.INVALID

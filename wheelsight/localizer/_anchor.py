@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.estimates import MotionEstimate
+from wheelsight.estimates import DEGENERATE_SCALE, MotionEstimate
 from wheelsight.geometry import FloatArray, se3, so3
 
 # Against an anchor that is held for a while, errors of single frames do not add up.
 _FAR_M, _METRES_A_RADIAN = 0.3, 1.5
-_LEVER = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # of `MotionEstimate.degenerate`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +45,7 @@ class Anchor:
         covariance = Ad @ covariance @ Ad.T
         hidden = None
         if motion.degenerate is not None and len(motion.degenerate):
-            turned = (motion.degenerate / _LEVER) @ (Ad @ to_world).T * _LEVER
+            turned = (motion.degenerate / DEGENERATE_SCALE) @ (Ad @ to_world).T * DEGENERATE_SCALE
             hidden = np.linalg.qr(turned.T)[0].T
         T_anchor_camera = se3.nearest(T_anchor_world @ T_world_camera)
         return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden)

@@ -1,12 +1,22 @@
-"""The camera odometry that the settings name."""
+"""The camera odometry that the settings name, and where the camera sits."""
 
 from __future__ import annotations
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
+from wheelsight.errors import CalibrationError
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.mapping import SurfelMapper
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
+
+
+def mount_of(calibration: Calibration) -> FloatArray:
+    """T_base_camera (4, 4), made rigid, since files have few digits. Raises CalibrationError where it is not known."""
+    if calibration.T_base_camera is None:
+        problem = f"the calibration ({calibration.source}) does not say where the camera sits on the base"
+        raise CalibrationError(problem, fix="wheelsight calibrate base finds T_base_camera; or --fusion none")
+    return se3.nearest(calibration.T_base_camera)
 
 
 def camera_odometry(

@@ -8,13 +8,12 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.errors import CalibrationError
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer._anchor import Anchor
-from wheelsight.localizer._camera import camera_odometry
+from wheelsight.localizer._camera import camera_odometry, mount_of
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
@@ -46,20 +45,15 @@ class ByFusion:
     body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
-        T_base_camera = calibration.T_base_camera
-        if T_base_camera is None:
-            problem = f"the calibration ({calibration.source}) does not say where the camera sits on the base"
-            raise CalibrationError(problem, fix="wheelsight calibrate base finds T_base_camera; or --fusion none")
-        T_base_camera = se3.nearest(T_base_camera)  # files have few digits
+        self._T_base_camera = mount_of(calibration)
         # The filter knows the gyroscope's bias; had the wheels used it too, it would count twice.
         self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
         self._uses_gyro = settings.wheels.gyro
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         self._places = None if places is None else PlaceSense(places)
-        self.filter = ErrorStateFilter(T_base_camera, *(() if self._places is None else self._places.start))
+        self.filter = ErrorStateFilter(self._T_base_camera, *(() if self._places is None else self._places.start))
         self.T_world_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
-        self._T_base_camera = T_base_camera
         self._anchor: Anchor | None = None
         self._gate = FrameGate()
         self._unknown, self._deaf = 0, ""

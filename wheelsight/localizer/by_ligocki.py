@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.errors import CalibrationError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.fusion import LigockiFilter
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.localizer._camera import mount_of
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.features import MatchedPixels
@@ -28,9 +28,7 @@ class ByLigocki:
     body, world, answers = "base", "world", (RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
-        if calibration.T_base_camera is None:
-            problem = f"the calibration ({calibration.source}) does not say where the camera sits on the base"
-            raise CalibrationError(problem, fix="wheelsight calibrate base finds T_base_camera; or --fusion none")
+        mount_of(calibration)  # the camera answers for the base
         self._wheels = ByWheels(calibration, settings.wheels)
         self._camera = ByFrames(calibration, settings)
         self.odometry, self.mapper = self._camera.odometry, self._camera.mapper
@@ -52,7 +50,7 @@ class ByLigocki:
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """The joined estimate at a frame, None at any other event, and what was wrong with a frame."""
-        rolled, note = self._wheels.process(event)
+        rolled, _ = self._wheels.process(event)
         if rolled is not None:
             self._rolled = rolled
         seen, note = self._camera.process(event)
@@ -76,6 +74,5 @@ class ByLigocki:
         """T_odom_base by the wheels, moved on from the last reading by their speed, as far as a gap may be bridged."""
         if self._rolled is None or self._rolled.T_world_body is None:
             return None
-        speed, yaw_rate = self._wheels.odometry.twist
         seconds = min(max(stamp_s - self._rolled.stamp_s, 0.0), self._max_gap_s)
-        return self._rolled.T_world_body @ se3.exp([speed * seconds, 0, 0, 0, 0, yaw_rate * seconds])
+        return self._rolled.T_world_body @ self._wheels.odometry.motion_in(seconds)

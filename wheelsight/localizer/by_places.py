@@ -137,9 +137,7 @@ class ByPlaces:
     def _moved_on(self, estimate: Estimate) -> Estimate:
         """The estimate, which stands at the last reading, by the wheels' speed at the stamp of its frame."""
         assert estimate.T_world_body is not None  # rectifiers always tell one
-        speed, yaw_rate = self.odometry.twist
-        dt_s = max(estimate.stamp_s - self._reading_s, 0.0)
-        T_reading_frame = se3.exp([speed * dt_s, 0, 0, 0, 0, yaw_rate * dt_s])
+        T_reading_frame = self.odometry.motion_in(max(estimate.stamp_s - self._reading_s, 0.0))
         return replace(estimate, T_world_body=estimate.T_world_body @ T_reading_frame)
 
 

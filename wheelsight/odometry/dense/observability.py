@@ -6,14 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.estimates import Reason
+from wheelsight.estimates import DEGENERATE_SCALE, Reason
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.dense.alignment import DenseAlignment
 from wheelsight.odometry.dense.settings import DenseSettings
-
-# Turns count as the way of a point at this distance, so that they can be compared with ways.
-_LEVER_M = 2.0
-_SCALE = np.array([1, 1, 1, _LEVER_M, _LEVER_M, _LEVER_M])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,17 +47,17 @@ def judge(found: DenseAlignment, prior: Prior, settings: DenseSettings) -> Judge
 
     Eigenvectors of the information tell them (Zhang, Kaess & Singh, ICRA 2016: solution remapping).
     """
-    information = found.information / np.outer(_SCALE, _SCALE) / settings.correlation
+    information = found.information / np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE) / settings.correlation
     strength, directions = np.linalg.eigh(information)
     strength = np.maximum(strength, 0.0)
     weak = strength < settings.degenerate_sigma_m**-2
     variances = np.where(weak, prior.sigma_m**2, 1 / np.maximum(strength, 1e-12))
-    covariance = (directions * variances) @ directions.T / np.outer(_SCALE, _SCALE)
+    covariance = (directions * variances) @ directions.T / np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
     T = found.T_reference_frame
     if weak.any():
-        from_prior = _SCALE * se3.log(T @ se3.invert(prior.T_reference_frame))
+        from_prior = DEGENERATE_SCALE * se3.log(T @ se3.invert(prior.T_reference_frame))
         seen = directions[:, ~weak]
-        T = se3.exp(seen @ (seen.T @ from_prior) / _SCALE) @ prior.T_reference_frame
+        T = se3.exp(seen @ (seen.T @ from_prior) / DEGENERATE_SCALE) @ prior.T_reference_frame
     return Judgement(T, covariance, directions[:, weak].T, _reason(found, int(weak.sum()), settings))
 
 

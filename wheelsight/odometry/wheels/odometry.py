@@ -74,6 +74,11 @@ class WheelOdometry:
         """Forward speed in m/s and yaw rate in rad/s over the last step; zero after a reading that was refused."""
         return float(self._state[kernels.SPEED]), float(self._state[kernels.YAW_RATE])
 
+    def motion_in(self, seconds: float) -> FloatArray:
+        """T_now_then (4, 4) after so many seconds more at this twist."""
+        speed, yaw_rate = self.twist
+        return se3.exp([speed * seconds, 0, 0, 0, 0, yaw_rate * seconds])
+
     @property
     def gyro_bias_rad_s(self) -> float:
         """What the gyroscope is thought to show at rest, as far as it is known by now."""
