@@ -10,6 +10,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.mapping import SurfelMap
+from wheelsight.mapping._thinning import Thinning
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.dense.grid import Gridder, Rows
@@ -52,6 +53,7 @@ class KnownSurfels:
         settings = DenseSettings()
         rows = Rows(settings.threads)
         self.map = SurfelMap()
+        self._thinning = Thinning(self.map.settings)
         self._noise = calibration.depth_noise
         self._gridder = Gridder(calibration, settings, rows)
         self._maker = ReferenceMaker(calibration.depth_noise, settings, rows)
@@ -67,10 +69,12 @@ class KnownSurfels:
         return finest.depth_m, self._maker.normals(finest), finest.grey
 
     def step(self, prepared: tuple[Any, Any, Any], T_world_camera: FloatArray, stamp_s: float) -> None:
-        """What a map does for each frame: the view predicted, the frame fused."""
+        """What a map does for each frame: the view predicted, the frame fused unless it hardly moved."""
         intrinsics = self._gridder.intrinsics
         self.map.predict(T_world_camera, intrinsics, self._gridder.shape)
-        self.map.fuse(*prepared, None, intrinsics, T_world_camera, stamp_s, self._noise)
+        frames = self._thinning.count(T_world_camera, stamp_s)
+        if frames:
+            self.map.fuse(*prepared, None, intrinsics, T_world_camera, stamp_s, self._noise, frames)
 
 
 class KnownVolume:

@@ -227,3 +227,10 @@ def test_nearest_ends_what_inverses_double() -> None:
         kept = se3.nearest(kept @ se3.invert(kept) @ kept)
     assert not se3.is_valid(rough, tolerance=1e-3)
     np.testing.assert_allclose(kept, se3.nearest(T), atol=1e-12)
+
+
+@given(motions, motions)
+def test_view_shift_is_the_way_and_the_turn(T_a: np.ndarray, T_b: np.ndarray) -> None:
+    T = np.array([T_a, T_b])
+    turned = [Rotation.from_matrix(R).magnitude() for R in T[:, :3, :3]]
+    np.testing.assert_allclose(se3.view_shift_m(T), np.sqrt((T[:, :3, 3] ** 2).sum(axis=1)) + 1.5 * np.array(turned))

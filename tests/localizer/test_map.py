@@ -16,7 +16,7 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.localizer import Localizer
 from wheelsight.recordings import open_recording
 
-MAPPED = {"odometry": "dense", "map": "surfels", "surfels.stable_confidence": 2.0}
+MAPPED = {"odometry": "dense", "map": "surfels", "surfels.stable_confidence": 2.0, "surfels.fused_way_m": 0.0}
 
 
 def test_without_a_map_there_is_none(tmp_path: Path) -> None:

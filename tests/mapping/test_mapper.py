@@ -14,6 +14,8 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
+from wheelsight.mapping import SurfelSettings
+from wheelsight.mapping._thinning import Thinning
 from wheelsight.mapping.mapper import SurfelMapper
 
 TRUTH = synthetic.wobbling_trajectory(6)
@@ -26,7 +28,8 @@ def frames() -> list[RgbdFrame]:
 
 
 def mapper() -> SurfelMapper:
-    return SurfelMapper(Calibration.registered_camera(synthetic.CAMERA))
+    """That fuses every frame."""
+    return SurfelMapper(Calibration.registered_camera(synthetic.CAMERA), surfels=SurfelSettings(fused_way_m=0))
 
 
 def dark(frame: RgbdFrame) -> RgbdFrame:
@@ -103,3 +106,30 @@ def test_a_frame_goes_to_where_others_have_it(frames: list[RgbdFrame]) -> None:
     there = frames[0].depth_m[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)]
     assert inside.mean() > 0.9
     assert np.median(np.abs(seen[inside, 2] - there)) < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("way_m", "turn_rad", "step_s", "expected"),
+    [
+        (0.0, 0.0, 0.04, "1--3--3--3"),
+        (0.015, 0.0, 0.01, "1--3--3--3"),
+        (0.0, 0.015, 0.01, "1-2-2-2-2-"),
+        (0.05, 0.0, 0.01, "1111111111"),
+        (0.0, 0.0, 0.2, "1111111111"),
+    ],
+)
+def test_frames_that_hardly_move_are_thinned_out(way_m: float, turn_rad: float, step_s: float, expected: str) -> None:
+    """By the default settings: 4 cm, a turn by a radian as 1.5 m, and a frame in a tenth of a second at least."""
+    subject = Thinning(SurfelSettings())
+    poses = [se3.exp([0.0, k * way_m, 0.0, 0.0, 0.0, k * turn_rad]) for k in range(10)]
+    counts = [subject.count(T, 100.0 + k * step_s) for k, T in enumerate(poses)]
+    assert "".join(str(count) if count else "-" for count in counts) == expected
+
+
+def test_a_camera_that_stands_still_fuses_some_frames(frames: list[RgbdFrame]) -> None:
+    subject = SurfelMapper(Calibration.registered_camera(synthetic.CAMERA))
+    fused = 0
+    for k in range(30):
+        subject.process(replace(frames[0], stamp_s=k / 30))
+        fused += subject.last_fused is not None
+    assert 8 <= fused <= 11

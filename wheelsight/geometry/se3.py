@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike
 from wheelsight.geometry import so3
 from wheelsight.geometry._types import FloatArray
 
+# At this depth, usual indoors, a turn hides as much of a view as the way.
+_METRES_A_RADIAN = 1.5
+
 
 def from_parts(R: ArrayLike, t: ArrayLike) -> FloatArray:
     """Motions (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3) in metres."""
@@ -88,6 +91,12 @@ def interpolate(T_start: ArrayLike, T_end: ArrayLike, share: ArrayLike) -> Float
     T_start = np.asarray(T_start, float)
     xi = log(np.asarray(T_end, float) @ invert(T_start))
     return np.asarray(exp(np.asarray(share, float)[..., None] * xi) @ T_start)
+
+
+def view_shift_m(T: ArrayLike) -> FloatArray:
+    """How far motions (..., 4, 4) carry a camera's view, in metres (...); a turn by a radian counts as 1.5 m."""
+    T = np.asarray(T, float)
+    return np.asarray(np.linalg.norm(T[..., :3, 3], axis=-1) + _METRES_A_RADIAN * so3.angle(T[..., :3, :3]))
 
 
 def nearest(T: ArrayLike) -> FloatArray:

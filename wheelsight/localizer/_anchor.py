@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.estimates import DEGENERATE_SCALE, MotionEstimate
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.geometry import FloatArray, se3
 
 # Against an anchor that is held for a while, errors of single frames do not add up.
-_FAR_M, _METRES_A_RADIAN = 0.3, 1.5
+_FAR_M = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,8 +31,7 @@ class Anchor:
 
     def is_far_from(self, T_world_camera: FloatArray) -> bool:
         """Whether a pose (4, 4) is so far off that the next anchor is due; a turn by a radian counts as 1.5 m."""
-        T = se3.invert(self.T_world_camera) @ T_world_camera
-        return bool(np.linalg.norm(T[:3, 3]) + _METRES_A_RADIAN * so3.angle(T[:3, :3]) > _FAR_M)
+        return bool(se3.view_shift_m(se3.invert(self.T_world_camera) @ T_world_camera) > _FAR_M)
 
     def motion_to(self, T_world_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
         """The motion from here to a pose that odometry found by `motion` against a reference of its own.

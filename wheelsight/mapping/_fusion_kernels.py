@@ -110,6 +110,7 @@ def update(
     color: Any,
     grey: Any,
     stamp_s: Any,
+    frames: Any,
     candidates: Any,
     counts: Any,
 ) -> None:
@@ -123,6 +124,7 @@ def update(
 
     Args:
         color: (h·w, 3), or (0, 3) where the frame has none.
+        frames: how many the frame counts as.
         candidates: (pages, 2) how many, and something else.
         counts: (pages, 2) matched and died.
     """
@@ -149,7 +151,7 @@ def update(
             cell = page_cell[slot // PAGE]
             cell_seen_s[cell] = stamp_s
             has_left = _has_left(geometry, slot, cell_xyz, cell, block_m)
-            geometry[slot, CONFIDENCE] = _ZERO if has_left else min(confidence + _ONE, MOST_CONFIDENCE)
+            geometry[slot, CONFIDENCE] = _ZERO if has_left else min(confidence + frames, MOST_CONFIDENCE)
             died += has_left
         counts[k, 0], counts[k, 1] = matched, died
 
@@ -237,6 +239,7 @@ def make_new(
     color: Any,
     grey: Any,
     stamp_s: Any,
+    frames: Any,
     geometry: Any,
     look: Any,
     seen_s: Any,
@@ -249,7 +252,7 @@ def make_new(
             continue
         for k in range(READING):
             geometry[i, k] = reading[p, k]
-        geometry[i, RADIUS], geometry[i, CONFIDENCE] = radius[p], _ONE
+        geometry[i, RADIUS], geometry[i, CONFIDENCE] = radius[p], frames
         for k in range(3):
             look[i, k] = color[p, k] if len(color) > 0 else -_ONE
         look[i, 3] = grey[p]

@@ -160,7 +160,8 @@ def blend(
     near[begin:end, :, _RANK] = np.inf
     for k in range(len(count)):
         for entry in range(k * PAGE, k * PAGE + count[k, 0]):
-            _add_disk(entry, _ZERO, disk, bound, begin, end, ray_x, ray_y, near, sums)
+            if bound[entry, 0] < end and bound[entry, 1] >= begin:
+                _add_disk(entry, _ZERO, disk, bound, begin, end, ray_x, ray_y, near, sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -174,7 +175,7 @@ def fill_in(
     for k in range(len(count)):
         for entry in range((k + 1) * PAGE - count[k, 1], (k + 1) * PAGE):
             r, c = (bound[entry, 0] + bound[entry, 1]) // 2, (bound[entry, 2] + bound[entry, 3]) // 2
-            if near[r, c, _RANK] >= BEHIND_M:
+            if bound[entry, 0] < end and bound[entry, 1] >= begin and near[r, c, _RANK] >= BEHIND_M:
                 _add_disk(entry, BEHIND_M, disk, bound, begin, end, ray_x, ray_y, near, sums)
 
 

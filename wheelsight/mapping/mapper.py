@@ -6,6 +6,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray
+from wheelsight.mapping._thinning import Thinning
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import FusedFrame
@@ -18,6 +19,8 @@ _COLORED_EVERY = 3
 
 class SurfelMapper:
     """Aligns each frame with what the map predicts, then averages it into the map; a frame that fails never gets there.
+
+    Of frames that hardly move, one in a tenth of a second is averaged in.
 
     Without `tracks` frames are aligned with keyframes, and the map is only built.
 
@@ -39,6 +42,7 @@ class SurfelMapper:
         tracks: bool = True,
     ) -> None:
         self.map = SurfelMap(surfels)
+        self._thinning = Thinning(self.map.settings)
         self.odometry = DenseOdometry(calibration, dense, self.map if tracks else None, calibration.T_base_camera)
         self._noise = calibration.depth_noise
         self.last_fused: FusedFrame | None = None
@@ -59,9 +63,15 @@ class SurfelMapper:
         return self.odometry.miss(stamp_s)
 
     def fuse(self, frame: RgbdFrame, T_world_camera: FloatArray) -> None:
-        """Average the frame that odometry tracked last into the map, at a pose (4, 4) that may be another's."""
+        """Average the frame that odometry tracked last into the map, at a pose (4, 4) that may be another's.
+
+        A frame that hardly moved since the last one fused is left out.
+        """
+        frames = self._thinning.count(T_world_camera, frame.stamp_s)
+        if not frames:
+            return
         with self.odometry.watch.stage("fuse"):
             surface = self.odometry.last_surface(frame, with_color=self._fused % _COLORED_EVERY == 0)
             self._fused += 1
-            where = (self.odometry.intrinsics, T_world_camera, frame.stamp_s, self._noise)
+            where = (self.odometry.intrinsics, T_world_camera, frame.stamp_s, self._noise, frames)
             self.last_fused = self.map.fuse(surface.depth_m, surface.normal, surface.grey, surface.color, *where)

@@ -14,6 +14,10 @@ class SurfelSettings(BaseModel):
     unstable_s: PositiveFloat = Field(3.0, description="a surfel not stable so long after it was first seen goes")
     unseen_s: PositiveFloat = Field(1.0, description="a surfel not stable goes sooner if not seen for so long")
     active_s: PositiveFloat = Field(60.0, description="surfels not seen for longer are kept, but not tracked against")
+    fused_way_m: NonNegativeFloat = Field(
+        0.04, description="frames nearer to the last one fused are left out, a turn by a radian as 1.5 m"
+    )
+    fused_after_s: PositiveFloat = Field(0.1, description="a frame so long after the last one fused is fused anyway")
     far_m: PositiveFloat = Field(6.0, description="depths beyond are not fused, surfels beyond not predicted")
     gate_sigmas: PositiveFloat = Field(3.0, description="distance along the normal at which readings still agree")
     gate_m: NonNegativeFloat = Field(0.01, description="added to it: poses err too")

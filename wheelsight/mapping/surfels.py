@@ -107,6 +107,7 @@ class SurfelMap:
         T_world_camera: FloatArray,
         stamp_s: float,
         noise: DepthNoise | None = None,
+        frames: int = 1,
     ) -> FusedFrame:
         """Average a frame on the grid of an ideal camera into the map.
 
@@ -119,6 +120,7 @@ class SurfelMap:
             T_world_camera: (4, 4) of this frame: one whose tracking failed has none, and cannot be fused.
             stamp_s: not before that of the last frame.
             noise: of depth; by default Kinect v1's.
+            frames: how many it counts as, with those alike that were left out.
 
         Raises:
             MapError: shapes that differ, a pose that is no rigid motion, or a stamp before the last.
@@ -130,8 +132,9 @@ class SurfelMap:
         sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
         dropped = self._blocks.dropped
         readings = self._readings(frame.depth_m, frame.normal, pose, sensor)
-        matched, removed, merged, is_new = self._average(frame, pose, readings, sensor)
-        added = self._add_new(frame, readings, is_new)
+        when = (self.stamp_s, np.float32(frames))
+        matched, removed, merged, is_new = self._average(frame, pose, readings, sensor, when)
+        added = self._add_new(frame, readings, is_new, when)
         self._frames += 1
         removed += self._blocks.sweep(self.stamp_s, self._rules)
         return FusedFrame(matched, added, removed, merged, self._blocks.dropped - dropped)
@@ -214,7 +217,12 @@ class SurfelMap:
         return self._scratch["weight"]
 
     def _average(
-        self, frame: Frame, pose: Pose, readings: tuple[Float32Array, Float32Array], sensor: Float32Array
+        self,
+        frame: Frame,
+        pose: Pose,
+        readings: tuple[Float32Array, Float32Array],
+        sensor: Float32Array,
+        when: tuple[float, np.float32],
     ) -> tuple[int, int, int, np.ndarray]:
         """Match, average and merge; how many were matched, removed and merged, and which pixels (h, w) are new."""
         blocks, share, settings = self._blocks, self._rows.share, self._kernel_settings
@@ -229,7 +237,7 @@ class SurfelMap:
         counts = np.zeros((len(pages), 2), np.int64)
         surfels = (blocks.geometry, blocks.look, blocks.seen_s, blocks.variance)
         cells = (blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
-        looks = (*readings, frame.color.reshape(-1, 3), frame.grey.reshape(-1), self.stamp_s)
+        looks = (*readings, frame.color.reshape(-1, 3), frame.grey.reshape(-1), *when)
         given = (slots, pixel, chosen, *surfels, *cells, *looks, found, counts)
         share(len(pages), lambda a, b: fusion.update(a, b, *given))
         is_due, matches = self._frames % _MERGED_EVERY == 1, (slots, pixel, found, chosen)
@@ -259,10 +267,16 @@ class SurfelMap:
         self._rows.share(len(pages), lambda a, b: match.find_candidates(a, b, *given))
         return slots, pixel, rank, found
 
-    def _add_new(self, frame: Frame, readings: tuple[Float32Array, Float32Array], is_new: np.ndarray) -> int:
+    def _add_new(
+        self,
+        frame: Frame,
+        readings: tuple[Float32Array, Float32Array],
+        is_new: np.ndarray,
+        when: tuple[float, np.float32],
+    ) -> int:
         n = int(np.count_nonzero(is_new))
         new = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2)), np.empty(n, np.float32)
-        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1), self.stamp_s)
+        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1), *when)
         fusion.make_new(is_new.reshape(-1), *readings, *looks, *new)
         return self._blocks.append(new, self.stamp_s, self._rules)
 

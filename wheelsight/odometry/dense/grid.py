@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,6 +20,8 @@ from wheelsight.odometry.dense.settings import DenseSettings
 
 # Images lower than this are done sooner by one thread than handed to several.
 _FEWEST_ROWS = 100
+# A thread that is done early takes another part: rows are not all the same work, nor are threads there at once.
+_PARTS_A_THREAD = 2
 _NO_IMAGE = np.empty((0, 0), np.float32)
 # An image is dark if fewer of its pixels than this share are brighter than this: what is left in the dark is noise.
 _DARK_SHARE, _DARK_GREY = 0.01, 12
@@ -37,11 +41,17 @@ class Rows:
         if self._pool is None or height < _FEWEST_ROWS:
             work(0, height)
             return
-        borders = [height * part // self._threads for part in range(self._threads + 1)]
-        parts = [self._pool.submit(work, *borders[part : part + 2]) for part in range(1, self._threads)]
-        work(borders[0], borders[1])
-        for part in parts:
-            part.result()
+        todo, parts = itertools.count(), _PARTS_A_THREAD * self._threads
+
+        def take() -> None:
+            while (part := next(todo)) < parts:
+                work(height * part // parts, height * (part + 1) // parts)
+
+        others = [self._pool.submit(take) for _ in range(1, self._threads)]
+        take()
+        for other in others:
+            if not other.cancel():
+                other.result()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

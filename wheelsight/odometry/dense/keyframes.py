@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,8 +21,6 @@ from wheelsight.odometry.features.tracking import Fix, ViewTracker
 
 # Poses of one frame by its surfaces and by its keypoints that lie no farther apart say the same.
 _AGREE_M, _AGREE_RAD = 0.04, 0.035
-# A turn by a radian hides as much of a view as this many metres of way.
-_TYPICAL_DEPTH_M = 1.5
 
 
 @dataclass(eq=False)
@@ -35,8 +33,13 @@ class Keyframe:
 
     def distance_m(self, T_world_camera: FloatArray) -> float:
         """How far a view from there (4, 4) is from this one; a turn by a radian counts as 1.5 m."""
-        T = se3.invert(self.reference.T_world_reference) @ T_world_camera
-        return float(np.linalg.norm(T[:3, 3]) + _TYPICAL_DEPTH_M * so3.angle(T[:3, :3]))
+        return float(se3.view_shift_m(se3.invert(self.reference.T_world_reference) @ T_world_camera))
+
+
+def nearest_keyframe(keyframes: Sequence[Keyframe], T_world_camera: FloatArray) -> Keyframe:
+    """The keyframe whose view is nearest to one from there (4, 4)."""
+    T_world_keyframe = np.array([keyframe.reference.T_world_reference for keyframe in keyframes])
+    return keyframes[int(np.argmin(se3.view_shift_m(se3.invert(T_world_keyframe) @ T_world_camera)))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense._tracked import Surface, Tracked, expected
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
-from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness
+from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness, nearest_keyframe
 from wheelsight.odometry.dense.observability import Prior, judge
 from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -226,7 +226,7 @@ class DenseOdometry:
         return known
 
     def _nearest(self, T_world_camera: FloatArray) -> Keyframe:
-        return min(self._keyframes, key=lambda keyframe: keyframe.distance_m(T_world_camera))
+        return nearest_keyframe(self._keyframes, T_world_camera)
 
     def _align(
         self, grid: GridFrame, keyframe: Keyframe, last: Tracked, guess: FloatArray, T_prior: FloatArray
