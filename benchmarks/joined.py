@@ -22,6 +22,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 
@@ -40,6 +41,7 @@ from benchmarks.joined_cases import (
 from benchmarks.joined_figures import BACK_S, JoinedFigures, figures_of
 from benchmarks.joined_hour import drive_long
 from benchmarks.joined_images import kept_events
+from benchmarks.joined_kept import KeptFigures
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, run_all
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
@@ -59,6 +61,7 @@ def measure_joined(
     odometry: str = "dense",
     images: Path | None = None,
     on_figures: Callable[[JoinedFigures], None] | None = None,
+    keep: Path | None = None,
 ) -> list[JoinedFigures]:
     """Every case on the drives of all seeds; takes hours, and 250 MB for the images of a drive that cases share.
 
@@ -68,12 +71,17 @@ def measure_joined(
         odometry: the camera's, "dense" (with a map) or "features".
         images: a folder that keeps images for another time, or None.
         on_figures: is told each result as it comes.
+        keep: a folder that keeps results; what it has is not measured again.
     """
-    figures = []
+    kept = KeptFigures(keep, {"duration_s": duration_s, "odometry": odometry})
+    figures = [found for seed in seeds for case in cases if (found := kept.of(case, seed)) is not None]
+    known = {(found.case, found.seed) for found in figures}
     for seed in seeds:
-        for way, group in groupby(sorted(cases, key=lambda case: case.way.value), key=lambda case: case.way):
+        wanted = sorted((case for case in cases if (case, seed) not in known), key=lambda case: case.way.value)
+        for way, group in groupby(wanted, key=lambda case: case.way):
             for found in _measure_drive(drive_of(way, seed, duration_s), list(group), seed, odometry, images):
                 figures.append(found)
+                kept.keep(found)
                 if on_figures is not None:
                     on_figures(found)
     return figures
@@ -201,6 +209,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--duration", type=float, default=DURATION_S, metavar="S", help="of a drive")
     parser.add_argument("--odometry", choices=("dense", "features"), default="dense")
     parser.add_argument("--images", type=Path, metavar="DIR", help="keeps rendered images, 0.5 MB each, for next time")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps results; those kept are not measured again")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw one drive with faults instead")
     parser.add_argument("--hour", type=float, nargs="?", const=60.0, metavar="MINUTES", help="drive so long instead")
     parser.add_argument("--out", type=Path, help="Markdown file for the tables")
@@ -221,7 +230,8 @@ def main() -> None:
     cases = _named(arguments.cases.split(",")) if arguments.cases else CASES
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     given = (cases, seeds, arguments.duration, arguments.odometry, arguments.images)
-    figures = measure_joined(*given, on_figures=lambda f: print(told(f), file=sys.stderr))
+    tell = partial(print, file=sys.stderr, flush=True)
+    figures = measure_joined(*given, lambda found: tell(told(found)), arguments.keep)
     sheets = joined_sheet(figures), targets_sheet(judge_joined(figures))
     console = Console(width=None if sys.stdout.isatty() else 180)
     for sheet in sheets:
