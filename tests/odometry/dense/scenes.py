@@ -87,8 +87,8 @@ def bench(calibration: Calibration | None = None, **settings: object) -> Bench:
     chosen = DenseSettings(**{"threads": 1, **settings})
     rows = Rows(chosen.threads)
     gridder = Gridder(calibration, chosen, rows)
-    aligner = Aligner(calibration, chosen, rows, gridder.late_s, gridder.halvings)
-    return Bench(gridder, ReferenceMaker(calibration.depth_noise, chosen, rows), aligner)
+    maker = ReferenceMaker(calibration.depth_noise, chosen, rows)
+    return Bench(gridder, maker, Aligner(calibration, chosen, rows, gridder, maker))
 
 
 def dense(calibration: Calibration | None = None, **settings: object) -> DenseOdometry:

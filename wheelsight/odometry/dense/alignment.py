@@ -13,12 +13,14 @@ from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import _alignment_kernels as kernels
 from wheelsight.odometry.dense import _step_kernels as steps
 from wheelsight.odometry.dense._turn_kernels import find_turn
-from wheelsight.odometry.dense.grid import GridFrame, Level, Rows
-from wheelsight.odometry.dense.reference import Reference
+from wheelsight.odometry.dense.grid import Gridder, GridFrame, Level, Rows
+from wheelsight.odometry.dense.reference import Reference, ReferenceMaker, Shown
 from wheelsight.odometry.dense.settings import DenseSettings
 
 _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
+# Of the whole, so that directions of which nothing is known can be compared too.
+_LEAST_INFORMATION = 1e-9
 _SMALL_STEP = 1e-4
 _GREY_SIGMA = 8.0
 # A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
@@ -63,12 +65,12 @@ class Aligner:
     """Aligns frames with references."""
 
     def __init__(
-        self, calibration: Calibration, settings: DenseSettings, rows: Rows, late_s: FloatArray, halvings: int
+        self, calibration: Calibration, settings: DenseSettings, rows: Rows, gridder: Gridder, maker: ReferenceMaker
     ) -> None:
         noise = calibration.depth_noise
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
-        self._settings, self._rows, self._late_s = settings, rows, late_s
-        self._color_sigma_px = calibration.color_sigma_px / (1 << halvings)
+        self._settings, self._rows, self._late_s, self._maker = settings, rows, gridder.late_s, maker
+        self._color_sigma_px = calibration.color_sigma_px / (1 << gridder.halvings)
 
     def turn(self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
         """T_reference_frame with its rotation bettered by grey values alone, at the two coarsest levels."""
@@ -123,13 +125,22 @@ class Aligner:
 
         Noise makes the normals of a wall point every way, and its grey has slopes that are not there, so that a plain
         wall seems to tell what it does not. Both are negligible where many pixels have been averaged.
+
+        What only one of both views shows tells nothing: in a plain corridor a reference from its entrance shows the
+        way, and the frame does not.
         """
         cautious = how.copy()
         cautious[steps.LEAST_SLOPE] = self._settings.min_gradient
+        by_reference = self._told(frame, reference.shown, T, pairs, cautious)
+        by_frame = self._told(frame, self._maker.shown_by(frame), np.eye(4), pairs, cautious)
+        Ad_inverse = se3.adjoint(se3.invert(T))
+        return _least_of(by_reference, Ad_inverse.T @ by_frame @ Ad_inverse)
+
+    def _told(self, frame: GridFrame, by: Shown, T: FloatArray, pairs: int, how: FloatArray) -> FloatArray:
+        """What so many pairs would tell (6, 6) by what one view shows, the frame being at a motion (4, 4) from it."""
         coarsest = self._settings.levels - 1
-        of_planes = self._total(frame.levels[coarsest], reference.steep.pixels, T, cautious)
-        second = min(1, coarsest)
-        of_grey = self._total(frame.levels[second], reference.levels[second].pixels, T, cautious)[kernels.GREY_SUMS :]
+        of_planes = self._total(frame.levels[coarsest], by.planes.pixels, T, how)
+        of_grey = self._total(frame.levels[min(1, coarsest)], by.slopes.pixels, T, how)[kernels.GREY_SUMS :]
         shares = [pairs / max(count, 1.0) for count in (of_planes[kernels.PAIRS], of_grey[_GREY_PAIRS])]
         return _symmetric(of_planes) * float(shares[0]) + _symmetric(of_grey) * float(shares[1])
 
@@ -175,3 +186,12 @@ def _symmetric(sums: FloatArray) -> FloatArray:
     H = np.zeros((6, 6))
     H[_UPPER] = sums[:21]
     return H + np.triu(H, 1).T
+
+
+def _least_of(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Of two informations (6, 6), in each of the directions that diagonalise both the lesser."""
+    L = np.linalg.cholesky(A + _LEAST_INFORMATION * max(float(np.trace(A)), 1.0) * np.eye(6))
+    L_inverse = np.linalg.inv(L)
+    shares, directions = np.linalg.eigh(L_inverse @ B @ L_inverse.T)
+    whole = L @ directions
+    return np.asarray((whole * np.clip(shares, 0.0, 1.0)) @ whole.T)

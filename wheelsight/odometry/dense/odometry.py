@@ -62,7 +62,7 @@ class DenseOdometry:
         rows = Rows(self._settings.threads)
         self._gridder = Gridder(calibration, self._settings, rows)
         self._maker = ReferenceMaker(calibration.depth_noise, self._settings, rows)
-        self._aligner = Aligner(calibration, self._settings, rows, self._gridder.late_s, self._gridder.halvings)
+        self._aligner = Aligner(calibration, self._settings, rows, self._gridder, self._maker)
         self._witness = Witness(calibration)
         self._model = model
         self._T_world_first = np.eye(4) if T_world_first is None else np.asarray(T_world_first, float)

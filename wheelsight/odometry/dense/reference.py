@@ -56,6 +56,19 @@ class ReferenceLevel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """By what it is judged which motions a view shows, where noise is averaged out.
+
+    Attributes:
+        planes: of the coarsest level for alignment.
+        slopes: of grey, of the second level.
+    """
+
+    planes: ReferenceLevel
+    slopes: ReferenceLevel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Reference:
     """What frames are aligned with, and where it was seen from.
 
@@ -69,6 +82,11 @@ class Reference:
     T_world_reference: FloatArray
     levels: tuple[ReferenceLevel, ...]
     steep: ReferenceLevel
+
+    @property
+    def shown(self) -> Shown:
+        """What tells motions apart in this view."""
+        return Shown(self.steep, self.levels[min(1, len(self.levels) - 2)])
 
 
 class ReferenceMaker:
@@ -89,6 +107,12 @@ class ReferenceMaker:
         levels = coarser(finest, self._settings, self._rows)
         fitted = (self._level(level) for level in levels[1:])
         return Reference(T_world_camera, (self._level(finest, view.normal), *fitted), self._steep(levels))
+
+    def shown_by(self, frame: GridFrame) -> Shown:
+        """What a frame itself shows."""
+        number = min(1, self._settings.levels - 1)
+        no_planes = np.zeros((*frame.levels[number].depth_m.shape, 3), np.float32)
+        return Shown(self._steep(frame.levels), self._level(frame.levels[number], no_planes))
 
     def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
         number = self._settings.levels - 1
