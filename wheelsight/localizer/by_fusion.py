@@ -56,7 +56,7 @@ class ByFusion:
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
         self._gate = FrameGate()
-        self._unknown, self._deaf = 0, ""
+        self._unknown, self._deaf, self._slips = 0, "", False
 
     @property
     def last_matches(self) -> MatchedPixels | None:
@@ -96,7 +96,11 @@ class ByFusion:
             return self._miss(event.stamp_s), why_not
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
-        return self._placed(event, self._frame(event, None if expected is None else expected[0])), self._deaf
+        # Wheels that slip expect what is not so; the camera goes on by its own speed.
+        is_helped = expected is not None and not self._slips
+        answer = self._frame(event, expected[0] if is_helped and expected is not None else None)
+        self._slips = answer.slip
+        return self._placed(event, answer), self._deaf
 
     def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate | None, str]:
         wheels, note = self._wheels.process(reading)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,21 +12,19 @@ from wheelsight.calibration import Calibration
 from wheelsight.geometry import Float32Array, FloatArray, se3, so3
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import _alignment_kernels as kernels
+from wheelsight.odometry.dense import _shown_kernels as shown
 from wheelsight.odometry.dense import _step_kernels as steps
 from wheelsight.odometry.dense._turn_kernels import find_turn
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Level, Rows
-from wheelsight.odometry.dense.reference import Reference, ReferenceMaker, Shown
+from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 
 _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
-# Of the whole, so that directions of which nothing is known can be compared too.
-_LEAST_INFORMATION = 1e-9
 _SMALL_STEP = 1e-4
 _GREY_SIGMA = 8.0
 # A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
 _COLOR_ERROR_LEFT = 0.25
-_GREY_PAIRS = kernels.PAIRS - kernels.GREY_SUMS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,33 +122,23 @@ class Aligner:
     ) -> FloatArray:
         """What so many pairs tell (6, 6), by normals of the coarsest level and slopes of grey of the second.
 
-        Noise makes the normals of a wall point every way, and its grey has slopes that are not there, so that a plain
-        wall seems to tell what it does not. Both are negligible where many pixels have been averaged.
-
-        What only one of both views shows tells nothing: in a plain corridor a reference from its entrance shows the
-        way, and the frame does not.
+        Only what both views show counts: else a plain wall's noise, or what a reference from a corridor's entrance
+        shows and its middle does not, would tell what is not there. It may have negative eigenvalues where nothing is.
         """
-        cautious = how.copy()
-        cautious[steps.LEAST_SLOPE] = self._settings.min_gradient
-        by_reference = self._told(frame, reference.shown, T, pairs, cautious)
-        by_frame = self._told(frame, self._maker.shown_by(frame), np.eye(4), pairs, cautious)
-        Ad_inverse = se3.adjoint(se3.invert(T))
-        return _least_of(by_reference, Ad_inverse.T @ by_frame @ Ad_inverse)
-
-    def _told(self, frame: GridFrame, by: Shown, T: FloatArray, pairs: int, how: FloatArray) -> FloatArray:
-        """What so many pairs would tell (6, 6) by what one view shows, the frame being at a motion (4, 4) from it."""
-        coarsest = self._settings.levels - 1
-        of_planes = self._total(frame.levels[coarsest], by.planes.pixels, T, how)
-        of_grey = self._total(frame.levels[min(1, coarsest)], by.slopes.pixels, T, how)[kernels.GREY_SUMS :]
-        shares = [pairs / max(count, 1.0) for count in (of_planes[kernels.PAIRS], of_grey[_GREY_PAIRS])]
-        return _symmetric(of_planes) * float(shares[0]) + _symmetric(of_grey) * float(shares[1])
-
-    def _total(self, level: Level, pixels: Float32Array, T: FloatArray, how: FloatArray) -> FloatArray:
-        """Sums over a level at a motion (4, 4) of all rows."""
-        sums = np.empty((len(level.depth_m), kernels.SUMS))
-        T_rows = np.ascontiguousarray(np.broadcast_to(T[:3], (len(sums), 3, 4)), np.float32)
-        self._sum_up(level, pixels, T_rows, how, sums)
-        return np.asarray(sums.sum(axis=0))
+        own = self._maker.shown_by(frame)
+        rules = how[[steps.GATE, steps.PLANE_SCALE, steps.GREY_SIGMA, steps.GAIN, steps.HUBER, steps.GREY_WEIGHT]]
+        given = (T, self._noise.astype(float), np.append(rules, how[steps.COLOR_SIGMA]))
+        coarsest, second = self._settings.levels - 1, min(1, self._settings.levels - 1)
+        planes = (frame.levels[coarsest], own.planes.pixels, reference.steep.pixels)
+        slopes = (frame.levels[second], own.slopes.pixels, reference.levels[second].pixels)
+        information = np.zeros((6, 6))
+        for show, (level, here, there) in ((shown.show_planes, planes), (shown.show_slopes, slopes)):
+            sums = np.empty((len(level.depth_m), shown.SHOWN))
+            with_grid = (level.depth_m, here, there, level.intrinsics, *given)
+            self._rows.share(len(sums), partial(_in_rows, show, with_grid, sums))
+            total = sums.sum(axis=0)
+            information += _symmetric(total) * float(pairs / max(total[shown.POINTS], 1.0))
+        return information
 
     def _placer(self, frame: GridFrame, number: int, step: Step | None) -> Callable[[FloatArray], Float32Array]:
         """Gives T_reference_frame (h, 3, 4) of each row of a level, for T_reference_frame (4, 4) of the middle one."""
@@ -188,10 +177,5 @@ def _symmetric(sums: FloatArray) -> FloatArray:
     return H + np.triu(H, 1).T
 
 
-def _least_of(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Of two informations (6, 6), in each of the directions that diagonalise both the lesser."""
-    L = np.linalg.cholesky(A + _LEAST_INFORMATION * max(float(np.trace(A)), 1.0) * np.eye(6))
-    L_inverse = np.linalg.inv(L)
-    shares, directions = np.linalg.eigh(L_inverse @ B @ L_inverse.T)
-    whole = L @ directions
-    return np.asarray((whole * np.clip(shares, 0.0, 1.0)) @ whole.T)
+def _in_rows(show: Callable[..., None], given: tuple[object, ...], sums: FloatArray, begin: int, end: int) -> None:
+    show(*given, begin, end, sums)

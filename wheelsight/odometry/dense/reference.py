@@ -83,11 +83,6 @@ class Reference:
     levels: tuple[ReferenceLevel, ...]
     steep: ReferenceLevel
 
-    @property
-    def shown(self) -> Shown:
-        """What tells motions apart in this view."""
-        return Shown(self.steep, self.levels[min(1, len(self.levels) - 2)])
-
 
 class ReferenceMaker:
     """Makes references of frames and of predicted views."""
