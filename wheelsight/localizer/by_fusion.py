@@ -15,6 +15,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer._anchor import Anchor
 from wheelsight.localizer._camera import camera_odometry, mount_of
 from wheelsight.localizer._frame_gate import FrameGate
+from wheelsight.localizer._pace import Pace
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.by_wheels import ByWheels
@@ -56,6 +57,7 @@ class ByFusion:
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
         self._gate = FrameGate()
+        self._pace = Pace()
         self._unknown, self._deaf, self._slips = 0, "", False
 
     @property
@@ -96,9 +98,9 @@ class ByFusion:
             return self._miss(event.stamp_s), why_not
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
-        # Wheels that slip expect what is not so; the camera goes on by its own speed.
-        is_helped = expected is not None and not self._slips
-        answer = self._frame(event, expected[0] if is_helped and expected is not None else None)
+        # Wheels that slip expect what is not so.
+        T_last_frame = self._pace.expect(event.stamp_s) if self._slips else expected and expected[0]
+        answer = self._frame(event, T_last_frame)
         self._slips = answer.slip
         return self._placed(event, answer), self._deaf
 
@@ -132,6 +134,7 @@ class ByFusion:
         seen = self.odometry.process(frame, T_last_frame)
         if seen.T_world_body is None:
             return self._unseen(frame, seen)
+        self._pace.tell(frame.stamp_s, seen.T_world_body)
         if self._anchor is None:
             return self._begun(frame, seen)
         motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
