@@ -98,11 +98,18 @@ class ByFusion:
             return self._miss(event.stamp_s), why_not
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
-        # Wheels that slip expect what is not so.
-        T_last_frame = self._pace.expect(event.stamp_s) if self._slips else expected and expected[0]
-        answer = self._frame(event, T_last_frame)
-        self._slips = answer.slip
+        answer = self._frame(event, self._pace.expect(event.stamp_s) if self._slips else expected and expected[0])
+        self._lead(answer.slip)
         return self._placed(event, answer), self._deaf
+
+    def _lead(self, slips: bool) -> None:
+        """Who is asked what to expect of the next frame: the wheels; or, where these slip, the last motion and the map.
+
+        What slips expects what is not so, and a robot that spins by a lifted wheel faces walls that tell little.
+        """
+        self._slips = slips
+        if self.mapper is not None:
+            self.mapper.track_map(slips)
 
     def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate | None, str]:
         wheels, note = self._wheels.process(reading)

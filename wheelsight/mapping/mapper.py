@@ -57,6 +57,10 @@ class SurfelMapper:
             self.fuse(frame, estimate.T_world_body)
         return estimate
 
+    def track_map(self, tracks: bool) -> None:
+        """From now on align frames with what the map predicts, or with keyframes."""
+        self.odometry.refer_to(self.map if tracks else None)
+
     def miss(self, stamp_s: float) -> Estimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
         self.last_fused = None

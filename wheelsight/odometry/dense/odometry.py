@@ -150,6 +150,11 @@ class DenseOdometry:
         self.last_frame = None
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
+    def refer_to(self, model: ReferenceModel | None) -> None:
+        """Align frames from now on with what a model predicts that stands in this world, or with keyframes alone."""
+        if model is not self._model:
+            self._model, self._prediction = model, (None, 0)
+
     def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
         self.watch.restart()

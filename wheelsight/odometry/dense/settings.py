@@ -40,7 +40,7 @@ class DenseSettings(BaseModel):
         5.0, description="mean residual in standard deviations of the sensor's noise beyond which none fits"
     )
     degenerate_sigma_m: PositiveFloat = Field(
-        0.005, description="a direction less certain than this after one frame is left to the prior"
+        0.01, description="a direction less certain than this after one frame is left to the prior"
     )
     correlation: PositiveFloat = Field(
         20.0, description="how many neighbouring residuals err as one; variances are that much larger"
