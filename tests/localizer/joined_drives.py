@@ -143,11 +143,15 @@ def _judged(T: FloatArray, T_prior: FloatArray | None, hidden: FloatArray | None
 
 @dataclass
 class MapOfFrames:
-    """Stands for a mapper: keeps which frames were fused, and where."""
+    """Stands for a mapper: keeps which frames were fused, and where, and whether the map is tracked against."""
 
     fused: dict[float, FloatArray] = field(default_factory=dict)
     last_fused: object | None = None
     map: None = None
+    is_tracked: bool = False
+
+    def track_map(self, tracks: bool) -> None:
+        self.is_tracked = tracks
 
     def fuse(self, frame: RgbdFrame, T_world_camera: FloatArray) -> None:
         self.fused[frame.stamp_s], self.last_fused = T_world_camera, object()

@@ -192,6 +192,28 @@ def test_wheels_that_spin_are_told_and_the_camera_leads(ran: Callable[..., Run],
     assert off_m(after[-1], run[0].truth) < 0.03
 
 
+def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And aligned with the map; both only until the wheels are believed again."""
+    made = spinning(drive(), 2.0, 3.5, 0.6)
+    eye = made.eye()
+    subject, kept = joined(monkeypatch, eye)
+    off_by_slip: dict[bool, list[float]] = {True: [], False: []}
+    slips = False
+    for event in made.events():
+        assert kept.is_tracked == slips
+        answer = subject.process(event)
+        if not isinstance(event, RgbdFrame) or not isinstance(answer, FusedEstimate):
+            continue
+        last_s, prior = eye.priors.get(event.stamp_s, (0.0, None))
+        if prior is not None and 2.1 < event.stamp_s - made.begin_s < 3.4:
+            T = se3.invert(eye.T_world_camera(last_s)) @ eye.T_world_camera(event.stamp_s)
+            off_by_slip[slips].append(float(np.linalg.norm((se3.invert(T) @ prior)[:3, 3])))
+        slips = answer.slip
+    assert len(off_by_slip[True]) > 30
+    assert np.median(off_by_slip[True]) < 0.005  # a spinning wheel says 2 cm a frame
+    assert not kept.is_tracked
+
+
 @pytest.mark.parametrize("kind", ["dense", "features"])
 def test_a_robot_that_is_pushed_aside_soon_believes_its_camera_again(ran: Callable[..., Run], kind: str) -> None:
     """Who was right then nobody tells, and both are covered; a camera that goes on well is not left out for it."""

@@ -6,15 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from numpy.testing import assert_allclose
 from odometry.dense.scenes import Plane, apart, bench, dense, frame_of
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.geometry import se3
 from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense.alignment import DenseAlignment, least_of
+from wheelsight.odometry.dense.alignment import DenseAlignment
 from wheelsight.odometry.dense.observability import Prior, judge
 
 WALL = [Plane((0.0, 0.0, -1.0), -1.6)]
@@ -119,20 +116,3 @@ def test_what_only_the_reference_shows_tells_nothing() -> None:
     degenerate = odometry.last_motion.degenerate
     assert len(degenerate) == 1
     assert abs(degenerate[0, 2]) > 0.95
-
-
-def information(seed: int, weak: float) -> np.ndarray:
-    """Of random directions, one of them as weak as that, and the strongest 10⁶."""
-    directions = np.linalg.qr(np.random.default_rng(seed).standard_normal((6, 6)))[0]
-    return (directions * [weak, 1e3, 2e3, 1e4, 1e5, 1e6]) @ directions.T
-
-
-@given(st.integers(0, 1000), st.sampled_from([0.0, 1.0, 500.0]), st.sampled_from([0.0, 1.0, 500.0]))
-def test_the_lesser_of_two_informations_exceeds_neither(seed: int, weak: float, other: float) -> None:
-    A, B = information(seed, weak), information(seed + 1, other)
-    least = least_of(A, B)
-    assert np.linalg.eigvalsh(A - least)[0] > -0.1
-    assert np.linalg.eigvalsh(B - least)[0] > -0.1
-    assert_allclose(least_of(A, 3 * A), A, atol=0.1)
-    if weak:
-        assert_allclose(least_of(A, 0.2 * A), 0.2 * A, atol=0.1)
