@@ -29,6 +29,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from benchmarks import machine
 from benchmarks.joined_cases import (
     CASES,
     DURATION_S,
@@ -237,7 +238,26 @@ def main() -> None:
     for sheet in sheets:
         console.print(sheet.to_rich())
     if arguments.out is not None:
-        write_text(arguments.out, "\n".join(sheet.to_markdown() for sheet in sheets))
+        write_text(arguments.out, _document(sheets, _command(arguments)))
+
+
+def _command(arguments: argparse.Namespace) -> str:
+    """The command that repeats this run, without this machine's paths."""
+    words = ["python -m benchmarks.joined"]
+    words += [f"--seeds {arguments.seeds}"] if arguments.seeds != SEEDS else []
+    words += [f"--first {arguments.first}"] if arguments.first != 1 else []
+    words += [f'--cases "{arguments.cases}"'] if arguments.cases else []
+    words += [f"--duration {arguments.duration:g}"] if arguments.duration != DURATION_S else []
+    words += [f"--odometry {arguments.odometry}"] if arguments.odometry != "dense" else []
+    return " ".join([*words, f"--out {arguments.out.name}"])
+
+
+def _document(sheets: Sequence[Sheet], command: str) -> str:
+    about = machine.description()
+    lines = (f"- {name}: {about[name]}" for name in ("Date", "System", "Versions"))
+    written = f"Written by `{command}`; how it measures: [docs/benchmarks.md](docs/benchmarks.md)."
+    body = [*lines, "", *(sheet.to_markdown() for sheet in sheets)]
+    return "\n".join(["# Wheels and camera joined", "", written, "", *body])
 
 
 if __name__ == "__main__":

@@ -8,11 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.joined import joined_sheet, judge_joined
+from benchmarks import joined as benchmark
+from benchmarks.joined import joined_sheet, judge_joined, measure_joined
 from benchmarks.joined_cases import CASES, Case, Expected, Way, robot_of
 from benchmarks.joined_figures import Accuracy, JoinedFigures, accuracy_of, figures_of, slip_spans_s
+from benchmarks.joined_kept import KeptFigures
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, Answers
 from wheelsight.calibration import Wheels
+from wheelsight.errors import InputError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import WheelTicks
 from wheelsight.fusion import FusedEstimate
@@ -172,3 +175,46 @@ def test_all_four_answer_and_the_paper_goes_by_the_camera_told():
     assert set(found.accuracy) == {WHEELS, CAMERA, PAPER, JOINED}
     # Were the paper's filter told no camera, it would have no pose.
     assert all(accuracy.rmse_m < 0.1 for accuracy in found.accuracy.values())
+
+
+def test_figures_that_are_kept_are_those_that_were_measured(tmp_path):
+    kept = KeptFigures(tmp_path / "kept", {"duration_s": 45.0})
+    case = next(case for case in CASES if case.name == "camera covered, 5 s")
+    found = figures(case, drive(), (4.0, 6.0))
+    assert kept.of(case, 1) is None
+    kept.keep(found)
+    again = kept.of(case, 1)
+    assert again == found
+    assert again.case is case
+    assert kept.of(case, 2) is None
+    with pytest.raises(InputError, match="measured otherwise"):
+        KeptFigures(tmp_path / "kept", {"duration_s": 30.0}).of(case, 1)
+
+
+def test_what_is_kept_is_not_measured_again(tmp_path, monkeypatch):
+    measured = []
+
+    def measure(recording, cases, seed, *_):
+        for case in cases:
+            measured.append((case.name, seed))
+            yield replace(figures(case, drive()), seed=seed)
+
+    monkeypatch.setattr(benchmark, "_measure_drive", measure)
+    monkeypatch.setattr(benchmark, "drive_of", lambda *_: None)
+    cases = CASES[:3]
+    first = measure_joined(cases[:2], [1, 2], keep=tmp_path)
+    assert len(first) == len(measured) == 4
+    every = measure_joined(cases, [1, 2, 3], keep=tmp_path)
+    assert {(f.case.name, f.seed) for f in every} == {(case.name, seed) for case in cases for seed in (1, 2, 3)}
+    assert sorted(measured) == sorted((case.name, seed) for case in cases for seed in (1, 2, 3))
+
+
+def test_the_file_names_the_command_that_repeats_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(benchmark, "measure_joined", lambda *_: [figures(CASES[0], drive())])
+    words = ["x", "--seeds", "1", "--cases", "ordinary", "--keep", str(tmp_path), "--out", str(tmp_path / "joined.md")]
+    monkeypatch.setattr("sys.argv", words)
+    benchmark.main()
+    text = (tmp_path / "joined.md").read_text()
+    assert '`python -m benchmarks.joined --seeds 1 --cases "ordinary" --out joined.md`' in text
+    assert str(tmp_path) not in text
+    assert "| ordinary |" in text
