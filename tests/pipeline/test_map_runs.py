@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("real_odometry")
 
 
 def mapped(**overrides: object) -> Config:
-    small = {"surfels.stable_confidence": 3.0, "report.pictures": 2}
+    small = {"surfels.stable_confidence": 3.0, "surfels.fused_way_m": 0.0, "report.pictures": 2}
     return load_config(overrides={"odometry": "dense", "map": "surfels", **small, **overrides})
 
 
