@@ -324,7 +324,7 @@ def _since(last: Glance, look: Look, belief: PoseBelief) -> tuple[FloatArray, Fl
 
 
 def _is_healthy(court: Court, look: Look, settings: ErrorStateSettings) -> bool:
-    """Whether a look that contradicts the wheels may be right: it shows all directions, with its usual inliers."""
+    """Whether a look that contradicts the wheels may be right: it has its usual share of inliers."""
     if look.inlier_share is None or court.usual_share is None:
         return True
     return look.inlier_share >= settings.healthy_share * court.usual_share
