@@ -115,8 +115,14 @@ def test_measurements_by_the_numeric_jacobian(rng, kind):
 def test_perturbing_all_poses_alike_changes_no_look(rng):
     belief = belief_somewhere(rng)
     look = look_at(belief, "clone 0", rng)
-    x = np.concatenate([np.tile(rng.normal(size=6), 3), np.zeros(7)])
+    x = np.concatenate([np.tile(rng.normal(size=6), 3), np.zeros_like(belief.rest)])
     np.testing.assert_allclose(perturbed(belief, x).apart(look), belief.apart(look), atol=1e-12)
+
+
+def test_a_shift_of_another_size_is_refused(rng):
+    belief = belief_somewhere(rng)
+    with pytest.raises(ValueError, match=r"25.*28"):
+        perturbed(belief, np.zeros(25))
 
 
 def test_many_looks_are_one_least_squares_fit(rng):

@@ -246,7 +246,9 @@ class PoseBelief:
         return replace(self, T=T, rest=rest, covariance=P)
 
     def moved(self, x: FloatArray, covariance: FloatArray) -> PoseBelief:
-        """All poses perturbed, and the rest shifted, by x (n,)."""
+        """All poses perturbed, and the rest shifted, by x (n,). Raises ValueError for another number."""
+        if len(x) != len(self.covariance):  # the kernel would read what lies behind x in memory
+            raise ValueError(f"a shift of {len(x)} numbers for a belief of {len(self.covariance)}")
         T, rest = self.T.copy(), self.rest.copy()
         kernels.perturb(T, rest, x)
         return replace(self, T=T, rest=rest, covariance=covariance)
