@@ -56,6 +56,15 @@ def test_turn_alone_brings_a_quick_turn_near() -> None:
     np.testing.assert_array_equal(turned[:3, 3], 0)
 
 
+def test_turn_alone_is_right_where_the_reference_lies_back() -> None:
+    """What is near does not turn as what is far does once there is a way, too."""
+    T, first, second = room_pair([0.35, 0.05, 0.3, 0.02, 0.05, -0.02])
+    parts, on_the_spot = bench(), np.eye(4)
+    on_the_spot[:3, 3] = T[:3, 3]
+    turned = parts.aligner.turn(parts.grid(second), parts.reference(first), on_the_spot)
+    assert apart(T, turned)[1] < 0.015
+
+
 @pytest.mark.parametrize(("gain", "offset"), [(0.6, 30.0), (1.4, 5.0)])
 def test_turn_does_not_depend_on_exposure(gain: float, offset: float) -> None:
     T, first, second = room_pair([0, 0, 0, 0.02, 0.05, -0.02])

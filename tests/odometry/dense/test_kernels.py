@@ -103,19 +103,23 @@ def test_unknown_pixels_take_no_part(pair: tuple) -> None:
     assert 0 < total[kernels.GREY_COUNT] < total[kernels.PLANE_COUNT] < total[kernels.PAIRS]
 
 
+@pytest.mark.parametrize("depth_m", [0.0, 2.0])
 @pytest.mark.parametrize("pixel", [(4, 5), (10, 12), (15, 17)])
-def test_jacobian_of_a_turn_is_the_numeric_one(pair: tuple, pixel: tuple[int, int]) -> None:
-    R, grey, sums = so3.exp([0.004, -0.003, 0.002]), np.full((TINY.height, TINY.width), -1.0, np.float32), np.empty(16)
+def test_jacobian_of_a_turn_is_the_numeric_one(pair: tuple, pixel: tuple[int, int], depth_m: float) -> None:
+    T, sums = se3.from_parts(so3.exp([0.004, -0.003, 0.002]), [0.03, -0.02, 0.04]), np.empty(16)
+    grey, depth = np.full((TINY.height, TINY.width), -1.0, np.float32), np.full(pair[0].shape, depth_m, np.float32)
     grey[pixel] = 60.0
     gain, offset = 1.2, 5.0
-    turns.accumulate_turn(grey, pair[2], GRID.astype(float), R, np.array([gain, offset]), 1e9, sums)
+    turns.accumulate_turn(depth, grey, pair[2], GRID.astype(float), T, np.array([gain, offset]), 1e9, sums)
     assert sums[9] == 1
 
     def seen(R: np.ndarray) -> float:
-        """The reference's grey, whose slopes are 3 and -2 a pixel, where the pixel's ray falls, as exposed here."""
+        """The reference's grey, whose slopes are 3 and -2 a pixel, where the pixel's point falls, as exposed here."""
         ray = R @ [(pixel[1] - TINY.cx) / TINY.fx, (pixel[0] - TINY.cy) / TINY.fy, 1.0]
-        return gain * (3 * TINY.fx * ray[0] / ray[2] - 2 * TINY.fy * ray[1] / ray[2])
+        point = ray + (T[:3, 3] / depth_m if depth_m else 0.0)
+        return gain * (3 * TINY.fx * point[0] / point[2] - 2 * TINY.fy * point[1] / point[2])
 
+    R = T[:3, :3]
     numeric = [(seen(so3.exp(d) @ R) - seen(so3.exp(-d) @ R)) / 2e-5 for d in 1e-5 * np.eye(3)]
     np.testing.assert_allclose(sums[6:9] / sums[10], numeric, rtol=1e-4, atol=1e-2)
     np.testing.assert_allclose(sums[:6], np.outer(numeric, numeric)[np.triu_indices(3)], rtol=1e-3, atol=0.1)

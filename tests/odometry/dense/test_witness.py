@@ -60,6 +60,22 @@ def test_a_plain_wall_is_a_pose_where_somebody_else_tells_the_motion() -> None:
         T = T @ way
 
 
+def test_what_was_unseen_for_too_long_is_forgotten_where_keypoints_tell_the_place(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A view that tells no motion for long ends tracking, but not for good: what comes after is a known place again."""
+    subject = dense(max_unseen_s=0.1)
+    run(subject, frames[:4])
+    monkeypatch.setattr(subject, "_unseen_s", 0.2)
+    with monkeypatch.context() as blind:
+        blind.setattr(Witness, "locate", lambda *_: None)
+        assert subject.process(frames[4]).reason is Reason.DEGENERATE
+    again = run(subject, frames[5:8])
+    assert [a.status for a in again] == [Status.TRACKING] * 3
+    assert subject.sees_all_motion
+    assert max(apart(IN_WORLD[5 + k], a.T_world_body)[0] for k, a in enumerate(again)) < 5e-3
+
+
 def test_after_a_gap_like_surfaces_are_no_place() -> None:
     """A corner shows all motion, so it is tracked; but one that is met again after a while may be any corner."""
     before, after = still(CORNER, 6), still(CORNER, 6, begin_s=2.0)

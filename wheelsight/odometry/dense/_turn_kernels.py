@@ -21,41 +21,45 @@ _LIMIT, _LEAST_SHARE = 20.0, 0.3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_turn(grey: Any, reference: Any, grid: Any, R: Any, exposure: Any) -> None:
-    """Better R_reference_frame (3, 3) and the frame's exposure (gain, offset) in place; the best on the way is kept.
+def find_turn(depth_m: Any, grey: Any, reference: Any, grid: Any, T: Any, exposure: Any) -> None:
+    """Better rotation of T_reference_frame and exposure (gain, offset) in place; the best on the way is kept.
 
     The exposure is found before the first step: a step of it looks like any motion else.
 
     Args: as of `accumulate_turn`.
     """
-    T, best, sums = np.eye(4), np.inf, np.empty(TURN_SUMS)
-    T[:3, :3] = R
-    accumulate_turn(grey, reference, grid, T, exposure, np.inf, sums)
+    best, sums, tried = np.inf, np.empty(TURN_SUMS), T.copy()
+    accumulate_turn(depth_m, grey, reference, grid, tried, exposure, np.inf, sums)
     _learn(sums, exposure)
     for _ in range(_STEPS):
-        accumulate_turn(grey, reference, grid, T, exposure, exposure[0] * _LIMIT, sums)
+        accumulate_turn(depth_m, grey, reference, grid, tried, exposure, exposure[0] * _LIMIT, sums)
         if sums[COUNT] < _LEAST_SHARE * grey.size or sums[ABSOLUTE] / sums[COUNT] > best:
             return
         best = sums[ABSOLUTE] / sums[COUNT]
-        R[:] = T[:3, :3]
+        T[:] = tried
         change = _solve(sums)
         if np.abs(change).max() < _SMALL_TURN:
             return
-        move(change, T)
+        move(change, tried)
+        tried[:3, 3] = T[:3, 3]
         _learn(sums, exposure)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def accumulate_turn(grey: Any, reference: Any, grid: Any, R: Any, exposure: Any, limit: float, sums: Any) -> None:
-    """Normal equations of a pure rotation R_reference_frame by grey values alone (Whelan et al. 2015, IV.B).
+def accumulate_turn(
+    depth_m: Any, grey: Any, reference: Any, grid: Any, T: Any, exposure: Any, limit: float, sums: Any
+) -> None:
+    """Normal equations of a rotation on the spot, R ← exp(ω) R, by grey values alone (Whelan et al. 2015, IV.B).
 
+    There the frame before is the reference, and images are turned as if all were far away. A keyframe may lie metres
+    back: points are therefore placed by their depth and the expected way, and only those without depth far away.
     The error is gain·I_reference + offset - I.
 
     Args:
-        grey: (h, w) of the frame, -1 where unknown.
+        depth_m, grey: (h, w) of the frame; depth 0 and grey -1 where unknown.
         reference: (h, w, CHANNELS).
         grid: fx, fy, cx, cy of both.
-        R: (3, 3) or larger.
+        T: (4, 4) T_reference_frame.
         exposure: (2,) gain and offset.
         limit: Huber's limit in grey levels.
         sums: (TURN_SUMS,).
@@ -66,9 +70,11 @@ def accumulate_turn(grey: Any, reference: Any, grid: Any, R: Any, exposure: Any,
     for r in range(height):
         for c in range(width):
             x, y = (c - grid[2]) / grid[0], (r - grid[3]) / grid[1]
-            px = R[0, 0] * x + R[0, 1] * y + R[0, 2]
-            py = R[1, 0] * x + R[1, 1] * y + R[1, 2]
-            pz = R[2, 0] * x + R[2, 1] * y + R[2, 2]
+            near = 1.0 / depth_m[r, c] if depth_m[r, c] > 0 else 0.0
+            qx = T[0, 0] * x + T[0, 1] * y + T[0, 2]
+            qy = T[1, 0] * x + T[1, 1] * y + T[1, 2]
+            qz = T[2, 0] * x + T[2, 1] * y + T[2, 2]
+            px, py, pz = qx + near * T[0, 3], qy + near * T[1, 3], qz + near * T[2, 3]
             if pz < 0.1:
                 continue
             u, v = grid[0] * px / pz + grid[2], grid[1] * py / pz + grid[3]
@@ -82,7 +88,7 @@ def accumulate_turn(grey: Any, reference: Any, grid: Any, R: Any, exposure: Any,
                 continue
             error = gain * there + offset - here
             weight = 1.0 if abs(error) <= limit else limit / abs(error)
-            _add(px, py, pz, gx, gy, error, weight, sums)
+            _add(qx, qy, qz, gx, gy, -(gx * px + gy * py) / pz, error, weight, sums)
             sums[FIT] += weight
             sums[FIT + 1] += weight * there
             sums[FIT + 2] += weight * here
@@ -91,10 +97,9 @@ def accumulate_turn(grey: Any, reference: Any, grid: Any, R: Any, exposure: Any,
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _add(px: Any, py: Any, pz: Any, gx: Any, gy: Any, error: Any, weight: Any, sums: Any) -> None:
-    """One pixel's share in the normal equations: J = p × g."""
-    gz = -(gx * px + gy * py) / pz
-    a, b, d = py * gz - pz * gy, pz * gx - px * gz, px * gy - py * gx
+def _add(qx: Any, qy: Any, qz: Any, gx: Any, gy: Any, gz: Any, error: Any, weight: Any, sums: Any) -> None:
+    """One pixel's share in the normal equations: J = q × g."""
+    a, b, d = qy * gz - qz * gy, qz * gx - qx * gz, qx * gy - qy * gx
     sums[0] += weight * a * a
     sums[1] += weight * a * b
     sums[2] += weight * a * d

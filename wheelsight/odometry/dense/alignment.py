@@ -73,10 +73,9 @@ class Aligner:
 
     def turn(self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
         """T_reference_frame with its rotation bettered by grey values alone, at the two coarsest levels."""
-        T, R, exposure = T_reference_frame.copy(), T_reference_frame[:3, :3].copy(), np.array([1.0, 0.0])
+        T, exposure = np.array(T_reference_frame, float), np.array([1.0, 0.0])
         for level, seen in zip(frame.levels[:-3:-1], reference.levels[:-3:-1], strict=True):
-            find_turn(level.grey, seen.pixels, level.intrinsics, R, exposure)
-        T[:3, :3] = R
+            find_turn(level.depth_m, level.grey, seen.pixels, level.intrinsics, T, exposure)
         return T
 
     def align(

@@ -267,30 +267,32 @@ class DenseOdometry:
     ) -> Tracked | MotionEstimate:
         """A pose that nothing but surfaces speak for is kept while they have shown all motion, and without a leap.
 
-        After a failure, a gap or a leap, keypoints must say the same; where they know better, theirs is the pose. A
+        Else, and after a failure or a gap, keypoints must say the same; where they know better, theirs is the pose. A
         prior stands in for what surfaces do not show, and for keypoints after a failure.
         """
-        seconds = grid.stamp_s - last.frame.stamp_s
+        seconds, unseen = grid.stamp_s - last.frame.stamp_s, False
         if isinstance(found, Tracked):
             if not has_prior and self._failures == 0:
                 self._count_unseen(seconds)
-            if not has_prior and self._unseen_s > self._settings.max_unseen_s:
-                return MotionEstimate.failed(Reason.DEGENERATE)
+            unseen = not has_prior and self._unseen_s > self._settings.max_unseen_s
             leaps = (has_prior or last.twist.any()) and _is_leap(found, seconds)
-            if seconds <= LONGEST_STEP_S and not leaps and (has_prior or self._failures == 0):
+            if seconds <= LONGEST_STEP_S and not (unseen or leaps) and (has_prior or self._failures == 0):
                 return found
         with self.watch.stage("recognise"):
             T_guess = found.T_world_camera if isinstance(found, Tracked) else last.T_world_camera
             told = self._witness.locate(self._witness.look(frame), self._familiar(T_guess), grid.twist)
         if told is None:
-            return MotionEstimate.failed(Reason.NOT_RECOGNISED) if isinstance(found, Tracked) else found
+            missing = Reason.DEGENERATE if unseen else Reason.NOT_RECOGNISED
+            return MotionEstimate.failed(missing) if isinstance(found, Tracked) else found
         if not isinstance(found, Tracked) or not told.agrees_with(found.T_world_camera):
             found = self._locate(grid, last, told.T_world_camera)
-        if isinstance(found, Tracked) and told.agrees_with(found.T_world_camera):
-            return found
-        if told.inliers < max(_CLEAR_INLIERS, _CLEAR_SHARE * told.matches):
-            return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED, told.matches, told.inliers)
-        return self._as_told(grid, told)
+        is_clear = told.inliers >= max(_CLEAR_INLIERS, _CLEAR_SHARE * told.matches)
+        if not (isinstance(found, Tracked) and told.agrees_with(found.T_world_camera)):
+            if not is_clear:
+                return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED, told.matches, told.inliers)
+            found = self._as_told(grid, told)
+        self._unseen_s = 0.0  # keypoints show all motion
+        return found
 
     def _as_told(self, grid: GridFrame, told: Sighting) -> Tracked:
         """The pose that keypoints tell."""
