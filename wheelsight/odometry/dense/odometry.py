@@ -254,7 +254,8 @@ class DenseOdometry:
         Ad = se3.adjoint(reference.T_world_reference)
         covariance = keyframe.covariance + Ad @ judged.covariance @ Ad.T
         twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
-        return Tracked(grid, T_world_camera, covariance, twist, found.planes / max(found.points, 1))
+        overlap = found.planes / max(found.points, 1) * _coarseness(grid, judged.T_reference_frame)
+        return Tracked(grid, T_world_camera, covariance, twist, overlap)
 
     def _implausible(self, last: Tracked, T_world_camera: FloatArray, seconds: float) -> Reason | None:
         T = se3.invert(last.T_world_camera) @ T_world_camera
@@ -388,6 +389,18 @@ class DenseOdometry:
         else:
             self._last = replace(self._last, twist=np.zeros(6))
         return Estimate(stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers)
+
+
+def _coarseness(grid: GridFrame, T_reference_frame: FloatArray) -> float:
+    """How much of a frame's pixel one of its reference's is, at most 1: who drives up to a wall sees ever more of it."""
+    depth_m = grid.levels[-1].depth_m
+    height, width = depth_m.shape
+    fx, fy, cx, cy = grid.levels[-1].intrinsics
+    rows, columns = np.nonzero(depth_m)
+    z = depth_m[rows, columns]
+    points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
+    there = points @ T_reference_frame[2, :3] + T_reference_frame[2, 3]
+    return float(min(np.median(z / np.maximum(there, 1e-3)) ** 2, 1.0)) if len(z) else 1.0
 
 
 def _is_leap(found: Tracked, seconds: float) -> bool:
