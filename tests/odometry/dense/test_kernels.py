@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from odometry.dense.scenes import Plane, bench, frame_of
@@ -123,6 +124,17 @@ def test_jacobian_of_a_turn_is_the_numeric_one(pair: tuple, pixel: tuple[int, in
     numeric = [(seen(so3.exp(d) @ R) - seen(so3.exp(-d) @ R)) / 2e-5 for d in 1e-5 * np.eye(3)]
     np.testing.assert_allclose(sums[6:9] / sums[10], numeric, rtol=1e-4, atol=1e-2)
     np.testing.assert_allclose(sums[:6], np.outer(numeric, numeric)[np.triu_indices(3)], rtol=1e-3, atol=0.1)
+
+
+@pytest.mark.parametrize("shift_px", [0, 1, 4])
+def test_exposure_is_found_in_images_that_do_not_lie_on_each_other(rng: np.random.Generator, shift_px: int) -> None:
+    there = cv2.GaussianBlur(rng.normal(100, 80, (200, 300)), None, 2.0)
+    here = 0.7 * np.roll(there, shift_px, axis=1) + 20
+    moments = there.size, there.sum(), here.sum(), (there**2).sum(), (here**2).sum()
+    gain, offset = steps.fit_exposure(moments, 1.0)
+    assert gain == pytest.approx(0.7, abs=0.01)
+    assert gain * there.mean() + offset == pytest.approx(here.mean())
+    assert steps.fit_exposure((9.0, 900.0, 450.0, 9e4, 2.25e4), 1.3) == pytest.approx((1.3, -80.0))
 
 
 def test_solve_is_numpys(rng: np.random.Generator) -> None:

@@ -16,7 +16,7 @@ GREY_SUMS = 27
 # Of each kind of residual: how many, the sum of |error| / σ, and of its weighted squares.
 PLANE_COUNT, GREY_COUNT, PAIRS = 54, 57, 60
 # Sums for the regression of exposure.
-FIT_N, FIT_X, FIT_Y, FIT_XX, FIT_XY = 61, 62, 63, 64, 65
+FIT_N, FIT_X, FIT_Y, FIT_XX, FIT_YY = 61, 62, 63, 64, 65
 SUMS = 66
 
 # Channels of a reference's pixel: the plane n·q = d and its depth, NaN where unknown; grey and its gradient a pixel.
@@ -163,7 +163,7 @@ def _compare_grey(pairs: Any, n: int, grid: Any, how: Any, out: Any, row: Any) -
     zero, one = np.float32(0), np.float32(1)
     fx, fy, gate, sigma2, gain, offset = grid[0], grid[1], how[0], how[2] * how[2], how[3], how[4]
     limit, weight_of, misplaced2, least2 = how[5], how[6], how[7] * how[7], how[8] * how[8]
-    s = sx = sy = sxx = sxy = zero
+    s = sx = sy = sxx = syy = zero
     for k in range(n):
         px, py, pz, qz, here = pairs[_PX, k], pairs[_PY, k], pairs[_PZ, k], pairs[_PARTNER + DEPTH, k], pairs[_HERE, k]
         du, dv = pairs[_PARTNER + ALONG_U, k], pairs[_PARTNER + ALONG_V, k]
@@ -182,12 +182,12 @@ def _compare_grey(pairs: Any, n: int, grid: Any, how: Any, out: Any, row: Any) -
         sx += weight * there
         sy += weight * here
         sxx += weight * there * there
-        sxy += weight * there * here
+        syy += weight * here * here
     row[FIT_N] += s
     row[FIT_X] += sx
     row[FIT_Y] += sy
     row[FIT_XX] += sxx
-    row[FIT_XY] += sxy
+    row[FIT_YY] += syy
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

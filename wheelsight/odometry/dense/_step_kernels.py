@@ -11,8 +11,8 @@ from wheelsight.odometry.dense._alignment_kernels import (
     FIT_N,
     FIT_X,
     FIT_XX,
-    FIT_XY,
     FIT_Y,
+    FIT_YY,
     GREY_COUNT,
     GREY_SUMS,
     PLANE_COUNT,
@@ -20,7 +20,7 @@ from wheelsight.odometry.dense._alignment_kernels import (
 )
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x3AD20410
+_COMPILED_IN = 0xCE3BCC03
 
 # Entries of `how`; see `accumulate`.
 GATE, PLANE_SCALE, GREY_SIGMA, GAIN, OFFSET, HUBER, GREY_WEIGHT, COLOR_SIGMA, LEAST_SLOPE = range(9)
@@ -162,18 +162,21 @@ def _learn(total: Any, how: Any) -> None:
         return
     ratio = total[GREY_COUNT + 1] / total[GREY_COUNT] / MEAN_ABS / how[GREY_WEIGHT]
     how[GREY_SIGMA] = min(max(how[GREY_SIGMA] * ratio, _GREY_SIGMAS[0]), _GREY_SIGMAS[1])
-    moments = total[FIT_N], total[FIT_X], total[FIT_Y], total[FIT_XX], total[FIT_XY]
+    moments = total[FIT_N], total[FIT_X], total[FIT_Y], total[FIT_XX], total[FIT_YY]
     how[GAIN], how[OFFSET] = fit_exposure(moments, how[GAIN])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fit_exposure(moments: Any, gain: float) -> Any:
-    """Gain and offset by which grey there becomes grey here: least squares, the gain as before if grey is all alike.
+    """Gain and offset by which grey there becomes grey here: as bright, and as rich in contrast.
 
-    `moments`: weighted sums of 1, there, here, there², there·here.
+    Not by least squares: these find less gain the worse the images lie on each other, down to where none of the
+    contrast is left that would bring them there. The gain stays as before if grey is all alike.
+
+    `moments`: weighted sums of 1, there, here, there², here².
     """
-    n, x, y, xx, xy = moments
-    spread = n * xx - x * x
-    if spread > 1e-3 * n * n:
-        gain = min(max((n * xy - x * y) / spread, _GAINS[0]), _GAINS[1])
+    n, x, y, xx, yy = moments
+    there, here = n * xx - x * x, n * yy - y * y
+    if min(there, here) > 1e-3 * n * n:
+        gain = min(max(np.sqrt(here / there), _GAINS[0]), _GAINS[1])
     return gain, (y - gain * x) / n
