@@ -23,6 +23,11 @@ _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
 _SMALL_STEP = 1e-4
 _GREY_SIGMA = 8.0
+# Depth and colour of one frame are seldom of one instant: a turn that is right for grey may put points so many times as
+# far from planes, and as many standard deviations at least.
+_NO_WORSE = 3.0
+# Standard deviations that a point is off which has no plane near.
+_ASTRAY = 5.0
 # A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
 _COLOR_ERROR_LEFT = 0.25
 
@@ -72,11 +77,26 @@ class Aligner:
         self._color_sigma_px = calibration.color_sigma_px / (1 << gridder.halvings)
 
     def turn(self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
-        """T_reference_frame with its rotation bettered by grey values alone, at the two coarsest levels."""
-        T, exposure = np.array(T_reference_frame, float), np.array([1.0, 0.0])
+        """T_reference_frame with its rotation bettered by grey values alone, at the two coarsest levels.
+
+        Where planes then lie worse than before, it stays as it was: grey of a plain wall is mostly noise.
+        """
+        start = np.array(T_reference_frame, float)
+        T, exposure = start.copy(), np.array([1.0, 0.0])
         for level, seen in zip(frame.levels[:-3:-1], reference.levels[:-3:-1], strict=True):
             find_turn(level.depth_m, level.grey, seen.pixels, level.intrinsics, T, exposure)
-        return T
+        before, after = (self._misfit(frame.levels[-1], reference.levels[-1].pixels, at) for at in (start, T))
+        return T if after <= _NO_WORSE * max(before, 1.0) else start
+
+    def _misfit(self, level: Level, pixels: Float32Array, T: FloatArray) -> float:
+        """Mean distance of points from planes in standard deviations; those without one near count as far away."""
+        how = np.array([self._settings.gate, 1, _GREY_SIGMA, 1, 0, self._settings.huber, 0, 0, 0], float)
+        sums = np.empty((len(level.depth_m), kernels.SUMS))
+        T_rows = np.ascontiguousarray(np.broadcast_to(T[:3].astype(np.float32), (len(sums), 3, 4)))
+        self._sum_up(level, pixels, T_rows, how, sums)
+        total = sums.sum(axis=0)
+        astray = total[kernels.PAIRS] - total[kernels.PLANE_COUNT]
+        return float((total[kernels.PLANE_COUNT + 1] + _ASTRAY * astray) / max(total[kernels.PAIRS], 1.0))
 
     def align(
         self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray, step: Step | None = None
