@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -28,6 +28,8 @@ _GREY_SIGMA = 8.0
 _NO_WORSE = 3.0
 # Standard deviations that a point is off which has no plane near.
 _ASTRAY = 5.0
+# Another guess than the first is begun with where points lie so many times as near to planes.
+_CLEARLY_BETTER = 1.5
 # A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
 _COLOR_ERROR_LEFT = 0.25
 
@@ -85,18 +87,33 @@ class Aligner:
         T, exposure = start.copy(), np.array([1.0, 0.0])
         for level, seen in zip(frame.levels[:-3:-1], reference.levels[:-3:-1], strict=True):
             find_turn(level.depth_m, level.grey, seen.pixels, level.intrinsics, T, exposure)
-        before, after = (self._misfit(frame.levels[-1], reference.levels[-1].pixels, at) for at in (start, T))
+        before, after = self._misfits(frame, reference, [start, T])
         return T if after <= _NO_WORSE * max(before, 1.0) else start
 
-    def _misfit(self, level: Level, pixels: Float32Array, T: FloatArray) -> float:
-        """Mean distance of points from planes in standard deviations; those without one near count as far away."""
+    def start(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
+        """Where to begin, of some guesses (4, 4): the first, turned; another where planes clearly lie better there."""
+        starts = [self.turn(frame, reference, guess) for guess in guesses]
+        if len(starts) == 1:
+            return starts[0]
+        misfits = self._misfits(frame, reference, starts)
+        best = int(np.argmin(misfits))
+        return starts[best] if _CLEARLY_BETTER * misfits[best] < misfits[0] else starts[0]
+
+    def _misfits(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
+        """How far (N,) points lie from planes in the mean, in standard deviations, if frames are where guesses say.
+
+        Points count that have a plane near by the guess that gives most of them one; without one they are far away.
+        """
         how = np.array([self._settings.gate, 1, _GREY_SIGMA, 1, 0, self._settings.huber, 0, 0, 0], float)
-        sums = np.empty((len(level.depth_m), kernels.SUMS))
-        T_rows = np.ascontiguousarray(np.broadcast_to(T[:3].astype(np.float32), (len(sums), 3, 4)))
-        self._sum_up(level, pixels, T_rows, how, sums)
-        total = sums.sum(axis=0)
-        astray = total[kernels.PAIRS] - total[kernels.PLANE_COUNT]
-        return float((total[kernels.PLANE_COUNT + 1] + _ASTRAY * astray) / max(total[kernels.PAIRS], 1.0))
+        level, pixels = frame.levels[-1], reference.levels[-1].pixels
+        sums, totals = np.empty((len(level.depth_m), kernels.SUMS)), []
+        for T in guesses:
+            T_rows = np.ascontiguousarray(np.broadcast_to(T[:3].astype(np.float32), (len(sums), 3, 4)))
+            self._sum_up(level, pixels, T_rows, how, sums)
+            totals.append(sums.sum(axis=0)[kernels.PLANE_COUNT : kernels.PLANE_COUNT + 2])
+        planes, off = np.transpose(totals)
+        most = max(planes.max(), 1.0)
+        return np.asarray((off + _ASTRAY * (most - planes)) / most)
 
     def align(
         self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray, step: Step | None = None

@@ -11,6 +11,9 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.dense.alignment import DenseAlignment
 from wheelsight.odometry.dense.settings import DenseSettings
 
+# Another motion than the one expected first is believed where it fits what is seen so many times as well.
+_CLEARLY = 0.5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
@@ -19,10 +22,12 @@ class Prior:
     Attributes:
         T_reference_frame: (4, 4).
         sigma_m: standard deviation in every direction, turns as ways at 2 m.
+        others: (N, 4, 4) what else may be expected, if the first turns out to be wrong.
     """
 
     T_reference_frame: FloatArray
     sigma_m: float
+    others: tuple[FloatArray, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +60,23 @@ def judge(found: DenseAlignment, prior: Prior, settings: DenseSettings) -> Judge
     covariance = (directions * variances) @ directions.T / np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
     T = found.T_reference_frame
     if weak.any():
-        from_prior = DEGENERATE_SCALE * se3.log(T @ se3.invert(prior.T_reference_frame))
         seen = directions[:, ~weak]
-        T = se3.exp(seen @ (seen.T @ from_prior) / DEGENERATE_SCALE) @ prior.T_reference_frame
+        T_prior, shift = _nearest_prior(T, prior, seen, settings)
+        T = se3.exp(seen @ shift / DEGENERATE_SCALE) @ T_prior
     return Judgement(T, covariance, directions[:, weak].T, _reason(found, int(weak.sum()), settings))
+
+
+def _nearest_prior(
+    T: FloatArray, prior: Prior, seen: FloatArray, settings: DenseSettings
+) -> tuple[FloatArray, FloatArray]:
+    """The prior (4, 4), and how far T is from it along what is `seen` (6, K): what is wrong there is nowhere right."""
+    priors = (prior.T_reference_frame, *prior.others)
+    shifts = [seen.T @ (DEGENERATE_SCALE * se3.log(T @ se3.invert(T_prior))) for T_prior in priors]
+    off_m = np.array([np.linalg.norm(shift) for shift in shifts])
+    best = int(np.argmin(off_m))
+    if off_m[0] < settings.degenerate_sigma_m or off_m[best] > _CLEARLY * off_m[0]:
+        best = 0
+    return priors[best], shifts[best]
 
 
 def _reason(found: DenseAlignment, unseen: int, settings: DenseSettings) -> Reason | None:

@@ -134,10 +134,12 @@ class DenseOdometry:
             grid = self._gridder.on_grid(frame, twist)
         if not self._has_depth(grid):
             return MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
-        T_prior = last.T_world_camera @ T_last_frame
-        found = self._locate(grid, last, T_prior)
+        T_priors = [last.T_world_camera @ T_last_frame]
+        if prior is not None and last.twist.any():
+            T_priors.append(last.T_world_camera @ expected(last, frame.stamp_s, None)[0])
+        found = self._locate(grid, last, T_priors)
         if isinstance(found, Tracked) and self._first is not None:
-            found = self._begin_again(found, T_prior)
+            found = self._begin_again(found, T_priors)
         found = self._doubted(frame, last, found, grid, has_prior=prior is not None)
         if isinstance(found, Tracked):
             with self.watch.stage("keyframe"):
@@ -180,21 +182,21 @@ class DenseOdometry:
         self._keyframes.append(keyframe)
         del self._keyframes[: -self._settings.kept_keyframes]
 
-    def _begin_again(self, found: Tracked, prior: FloatArray) -> Tracked | MotionEstimate:
+    def _begin_again(self, found: Tracked, T_priors: list[FloatArray]) -> Tracked | MotionEstimate:
         """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
         first, self._first = self._first, None
         if first is None or self._last is None or not self._gridder.late_s.any():
             return found
         self._last = replace(self._last, frame=self._gridder.on_grid(first, found.twist), twist=found.twist)
         self._keyframes = [self._keyframe(self._last, self._witness.look(first))]
-        return self._align(found.frame, self._keyframes[0], self._last, found.T_world_camera, prior)
+        return self._align(found.frame, self._keyframes[0], self._last, [found.T_world_camera], T_priors)
 
-    def _locate(self, grid: GridFrame, last: Tracked, T_prior: FloatArray) -> Tracked | MotionEstimate:
-        """Align with the first reference that fits, beginning at the expected pose T_world_camera (4, 4)."""
+    def _locate(self, grid: GridFrame, last: Tracked, T_priors: list[FloatArray]) -> Tracked | MotionEstimate:
+        """Align with the first reference that fits, beginning at the best of the expected poses T_world_camera."""
         failure: MotionEstimate | None = None
-        for place, reference in enumerate(self._references(T_prior)):
-            guess = T_prior if place == 0 or not self._is_lost else reference.reference.T_world_reference
-            found = self._align(grid, reference, last, guess, T_prior)
+        for place, reference in enumerate(self._references(T_priors[0])):
+            guesses = T_priors if place == 0 or not self._is_lost else [reference.reference.T_world_reference]
+            found = self._align(grid, reference, last, guesses, T_priors)
             if isinstance(found, Tracked):
                 return replace(found, is_by_keyframe=reference in self._keyframes)
             failure = failure or found
@@ -234,16 +236,22 @@ class DenseOdometry:
         return nearest_keyframe(self._keyframes, T_world_camera)
 
     def _align(
-        self, grid: GridFrame, keyframe: Keyframe, last: Tracked, guess: FloatArray, T_prior: FloatArray
+        self,
+        grid: GridFrame,
+        keyframe: Keyframe,
+        last: Tracked,
+        guesses: list[FloatArray],
+        T_priors: list[FloatArray],
     ) -> Tracked | MotionEstimate:
         reference = keyframe.reference
         T_reference_world = se3.invert(reference.T_world_reference)
         seconds = grid.stamp_s - last.frame.stamp_s
         step = Step(T_reference_world @ last.T_world_camera, seconds) if seconds <= LONGEST_STEP_S else None
         with self.watch.stage("align"):
-            turned = self._aligner.turn(grid, reference, T_reference_world @ guess)
-            found = self._aligner.align(grid, reference, turned, step)
-        prior = Prior(T_reference_world @ T_prior, self._settings.prior_sigma_m_s * max(seconds, 1e-3))
+            start = self._aligner.start(grid, reference, [T_reference_world @ guess for guess in guesses])
+            found = self._aligner.align(grid, reference, start, step)
+        first, *others = (T_reference_world @ T for T in T_priors)
+        prior = Prior(first, self._settings.prior_sigma_m_s * max(seconds, 1e-3), tuple(others))
         judged = judge(found, prior, self._settings)
         T_world_camera = se3.nearest(reference.T_world_reference @ judged.T_reference_frame)
         reason = judged.reason or self._implausible(last, T_world_camera, seconds)
@@ -286,7 +294,7 @@ class DenseOdometry:
             missing = Reason.DEGENERATE if unseen else Reason.NOT_RECOGNISED
             return MotionEstimate.failed(missing) if isinstance(found, Tracked) else found
         if not isinstance(found, Tracked) or not told.agrees_with(found.T_world_camera):
-            found = self._locate(grid, last, told.T_world_camera)
+            found = self._locate(grid, last, [told.T_world_camera])
         is_clear = told.inliers >= max(_CLEAR_INLIERS, _CLEAR_SHARE * told.matches)
         if not (isinstance(found, Tracked) and told.agrees_with(found.T_world_camera)):
             if not is_clear:
@@ -349,7 +357,7 @@ class DenseOdometry:
         if self._model is not None or nearest is self._keyframes[-1] or self._last is None:
             return None
         motion = self.last_motion
-        seen = self._align(found.frame, nearest, self._last, found.T_world_camera, found.T_world_camera)
+        seen = self._align(found.frame, nearest, self._last, *2 * ([found.T_world_camera],))
         if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
             self._keyframes.remove(nearest)
             self._keyframes.append(nearest)
