@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from odometry.dense.scenes import apart, bench, dense, rolled
+from odometry.dense.scenes import Plane, apart, bench, dense, frame_of, rolled
 from odometry.views import room_frame, run
 from synthetic import CAMERA, render_room, wobbling_trajectory
 
@@ -45,6 +46,30 @@ def test_motion_is_found_in_noise() -> None:
     found = bench().align(first, second)
     assert apart(T, found.T_reference_frame)[0] < 2e-3
     assert found.residual == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_guess_holds_what_only_noise_shows() -> None:
+    """Before a plain wall the noise of grey values would pull along it, step by step."""
+    wall, off_m = [Plane((0, 0, 1), 1.0)], []
+    for sigma_m in (np.inf, 0.02):
+        parts = bench(min_gradient=0.5)
+        reference, frame = (
+            parts.reference(frame_of(wall, np.eye(4), 0.0, 1)),
+            parts.grid(frame_of(wall, np.eye(4), 0.1, 2)),
+        )
+        found = parts.aligner.align(frame, reference, np.eye(4), sigma_m=sigma_m)
+        off_m.append(np.linalg.norm(found.T_reference_frame[:2, 3]))
+    assert off_m[1] < 0.005 < off_m[0]
+
+
+def test_alignment_begins_where_depth_fits() -> None:
+    T, first, second = room_pair(MOTIONS["all"])
+    wrong, near = T @ se3.exp([0.1, 0.0, -0.1, 0.0, 0.3, 0.0]), T @ se3.exp([0.002, 0.0, 0.0, 0.0, 0.001, 0.0])
+    parts = bench()
+    start = partial(parts.aligner.start, parts.grid(second), parts.reference(first))
+    for guesses in ([wrong, near], [near, wrong], [near]):
+        assert apart(T, start(guesses))[0] < 0.01
+    np.testing.assert_array_equal(start([near, T]), start([near]))  # where none is clearly better, it is the first
 
 
 def test_turn_alone_brings_a_quick_turn_near() -> None:

@@ -141,15 +141,25 @@ def test_solve_is_numpys(rng: np.random.Generator) -> None:
     J, total = rng.standard_normal((40, 6)), np.zeros(kernels.SUMS)
     H, b = J.T @ J, rng.standard_normal(6)
     total[:21], total[21:27] = H[UPPER], b
-    np.testing.assert_allclose(steps.solve(total), -np.linalg.solve(H, b), rtol=1e-6)
+    free, held = np.zeros((6, 6)), rng.standard_normal(6)
+    np.testing.assert_allclose(steps.solve(total, free, held), -np.linalg.solve(H, b), rtol=1e-6)
+    A = rng.standard_normal((6, 6))
+    np.testing.assert_allclose(
+        steps.solve(total, A.T @ A, held), -np.linalg.solve(H + A.T @ A, b + A.T @ A @ held), rtol=1e-6
+    )
+
+
+def test_offset_is_the_tangent_to_first_order(rng: np.random.Generator) -> None:
+    T_held, xi = se3.exp(rng.standard_normal(6)), 1e-3 * rng.standard_normal(6)
+    np.testing.assert_allclose(steps.offset(se3.exp(xi) @ T_held, T_held), xi, atol=1e-5)
 
 
 def test_solve_stays_finite_where_nothing_is_seen() -> None:
     total = np.zeros(kernels.SUMS)
-    assert not steps.solve(total).any()
+    assert not steps.solve(total, np.zeros((6, 6)), np.zeros(6)).any()
     total[0] = 4.0
     total[21] = 2.0
-    np.testing.assert_allclose(steps.solve(total), [-0.5, 0, 0, 0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(steps.solve(total, np.zeros((6, 6)), np.zeros(6)), [-0.5, 0, 0, 0, 0, 0], atol=1e-6)
 
 
 @pytest.mark.parametrize("size", [1e-7, 1e-3, 0.8])

@@ -97,6 +97,17 @@ def test_judge_says_why_not(planes: int, residual: float, strength: float, reaso
     assert judge(found, Prior(np.eye(4), 0.01), DenseSettings()).reason is reason
 
 
+@pytest.mark.parametrize(("first_off_m", "is_kept"), [(0.002, True), (0.05, False)])
+def test_what_is_hidden_is_left_to_the_expectation_that_fits_what_is_seen(first_off_m: float, is_kept: bool) -> None:
+    """Wheels that slip expect too far a way ahead, which is seen, and aside, which is not."""
+    information = np.diag([0.0, 1e9, 1e9, 1e9, 1e9, 1e9])
+    found = DenseAlignment(np.eye(4), information, 1000, 900, 1000, 1.0)
+    first, other = se3.exp([0.3, 0, first_off_m, 0, 0, 0]), se3.exp([0.01, 0, 0.001, 0, 0, 0])
+    judged = judge(found, Prior(first, 0.05, (other,)), DenseSettings())
+    assert judged.T_reference_frame[0, 3] == pytest.approx(0.3 if is_kept else 0.01)
+    np.testing.assert_allclose(judged.T_reference_frame[1:3, 3], 0, atol=1e-12)
+
+
 def test_information_counts_independent_residuals_only() -> None:
     parts = bench()
     first, second = (frame_of(PAINTED_WALL, T, 0.0, noise_seed=seed) for seed, T in ((1, np.eye(4)), (2, MOTION)))

@@ -50,14 +50,15 @@ def test_a_plain_wall_is_no_pose_for_long(frames: list[RgbdFrame]) -> None:
 
 
 def test_a_plain_wall_is_a_pose_where_somebody_else_tells_the_motion() -> None:
-    subject = dense()
+    subject, missed = dense(), 0
     way = se3.exp([0.01, 0, 0, 0, 0, 0])
     T = np.eye(4)
     for k in range(40):
         answer = subject.process(frame_of(WALL, T, k / 30, noise_seed=k), way if k else None)
-        assert answer.status is Status.TRACKING
-        assert apart(T, answer.T_world_body)[0] < 0.05
+        missed += answer.status is not Status.TRACKING  # where noise would make a leap
+        assert answer.T_world_body is None or apart(T, answer.T_world_body)[0] < 0.02
         T = T @ way
+    assert missed <= 2
 
 
 def test_what_was_unseen_for_too_long_is_forgotten_where_keypoints_tell_the_place(

@@ -34,7 +34,7 @@ _FEWEST = 100
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def advance(sums: Any, T: Any, how: Any, total: Any) -> float:
+def advance(sums: Any, T: Any, how: Any, total: Any, T_held: Any, hold: Any) -> float:
     """One step: add up the rows' sums, move T (4, 4) in place, and adapt `how`. The largest part of the change.
 
     Args:
@@ -42,27 +42,46 @@ def advance(sums: Any, T: Any, how: Any, total: Any) -> float:
         T: (4, 4) T_reference_frame.
         how: as `accumulate` takes it; scales of residuals and exposure are learned from the residuals.
         total: (SUMS,) becomes the sum over rows.
+        T_held, hold: where T is held (4, 4), and by how much information (6, 6) of its tangent.
     """
     total[:] = 0.0
     for r in range(sums.shape[0]):
         for k in range(SUMS):
             total[k] += sums[r, k]
-    change = solve(total)
+    change = solve(total, hold, offset(T, T_held))
     move(change, T)
     _learn(total, how)
     return float(np.abs(change).max())
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solve(total: Any) -> Any:
-    """-H⁻¹ b (6,) by Cholesky; H is damped so slightly that only directions nobody saw feel it."""
+def offset(T: Any, T_held: Any) -> Any:
+    """The tangent (6,) from T_held to T, to first order."""
+    d, D = np.zeros(6), np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            D[i, j] = T[i, 0] * T_held[j, 0] + T[i, 1] * T_held[j, 1] + T[i, 2] * T_held[j, 2]
+    for i in range(3):
+        d[i] = T[i, 3] - D[i, 0] * T_held[0, 3] - D[i, 1] * T_held[1, 3] - D[i, 2] * T_held[2, 3]
+    d[3], d[4], d[5] = (D[2, 1] - D[1, 2]) / 2, (D[0, 2] - D[2, 0]) / 2, (D[1, 0] - D[0, 1]) / 2
+    return d
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve(total: Any, hold: Any, held: Any) -> Any:
+    """-H⁻¹ b (6,) by Cholesky, with information `hold` (6, 6) that says to undo `held` (6,).
+
+    H is damped so slightly that only directions nobody saw feel it.
+    """
     H, k, trace = np.empty((6, 6)), 0, 0.0
+    x = -total[21:27] - total[GREY_SUMS + 21 : GREY_SUMS + 27]
     for i in range(6):
         for j in range(i, 6):
-            H[i, j] = H[j, i] = total[k] + total[GREY_SUMS + k]
+            H[i, j] = H[j, i] = total[k] + total[GREY_SUMS + k] + hold[i, j]
             k += 1
+        for j in range(6):
+            x[i] -= hold[i, j] * held[j]
         trace += H[i, i]
-    x = -total[21:27] - total[GREY_SUMS + 21 : GREY_SUMS + 27]
     for i in range(6):
         H[i, i] += 1e-9 * trace + 1e-12
     for i in range(6):

@@ -15,7 +15,7 @@ from wheelsight.odometry.dense.grid import GridFrame
 class Tracked:
     """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame.
 
-    `overlap` is the share of the frame that its reference shows, and `is_by_keyframe` whether that is one.
+    `overlap` is the share of the frame that its reference shows as finely, and `is_by_keyframe` whether that is one.
     """
 
     frame: GridFrame
@@ -52,3 +52,16 @@ def expected(last: Tracked, stamp_s: float, prior: FloatArray | None) -> tuple[F
     if not 0 < seconds <= LONGEST_STEP_S:
         return prior, np.zeros(6)
     return prior, twist_between(np.eye(4), prior, seconds)
+
+
+def coarseness(frame: GridFrame, T_reference_frame: FloatArray) -> float:
+    """What share of a frame's pixels its reference has for the same, at most 1: who drives up to a wall sees more."""
+    level = frame.levels[-1]
+    fx, fy, cx, cy = level.intrinsics
+    rows, columns = np.nonzero(level.depth_m)
+    if not len(rows):
+        return 1.0
+    z = level.depth_m[rows, columns]
+    points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
+    there = points @ T_reference_frame[2, :3] + T_reference_frame[2, 3]
+    return float(min(np.median(z / np.maximum(there, 1e-3)) ** 2, 1.0))

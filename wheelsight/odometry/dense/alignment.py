@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from wheelsight.calibration import Calibration
+from wheelsight.estimates import DEGENERATE_SCALE
 from wheelsight.geometry import Float32Array, FloatArray, se3, so3
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import _alignment_kernels as kernels
@@ -116,10 +117,16 @@ class Aligner:
         return np.asarray((off + _ASTRAY * (most - planes)) / most)
 
     def align(
-        self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray, step: Step | None = None
+        self,
+        frame: GridFrame,
+        reference: Reference,
+        T_reference_frame: FloatArray,
+        step: Step | None = None,
+        sigma_m: float = np.inf,
     ) -> DenseAlignment:
-        """The motion of a frame against a reference, from a first guess (4, 4).
+        """The motion of a frame against a reference, from a first guess (4, 4) that is off by `sigma_m`.
 
+        The guess holds what hardly anything shows: else the noise of a plain wall would pull it along for decimetres.
         With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way.
         """
         settings = self._settings
@@ -127,6 +134,7 @@ class Aligner:
             [0, 1, _GREY_SIGMA, 1, 0, settings.huber, settings.color_weight, 0, settings.min_gradient], float
         )
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
+        T_held, hold = T.copy(), self._hold(T, sigma_m)
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
@@ -135,11 +143,16 @@ class Aligner:
             sums = np.empty((len(frame.levels[number].depth_m) // stride, kernels.SUMS))
             for _ in range(settings.iterations[min(number, len(settings.iterations) - 1)]):
                 self._sum_up(frame.levels[number], reference.levels[number].pixels, place(T), how, sums, stride)
-                if steps.advance(sums, T, how, total) < _SMALL_STEP * (1 << number):
+                if steps.advance(sums, T, how, total, T_held, hold) < _SMALL_STEP * (1 << number):
                     break
                 if not np.abs(T).max() < _DIVERGED_M:
                     return self._answer(frame, reference, np.array(T_reference_frame), np.zeros(kernels.SUMS), how)
         return self._answer(frame, reference, T, total, how)
+
+    def _hold(self, T: FloatArray, sigma_m: float) -> FloatArray:
+        """Information (6, 6) in T's left tangent that weighs like residuals; turns of the frame are ways at 2 m."""
+        A = DEGENERATE_SCALE[:, None] * se3.adjoint(se3.invert(T))
+        return np.asarray(self._settings.correlation * A.T @ A / sigma_m**2)
 
     def _answer(
         self, frame: GridFrame, reference: Reference, T: FloatArray, total: FloatArray, how: FloatArray

@@ -13,7 +13,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
-from wheelsight.odometry.dense._tracked import Surface, Tracked, expected
+from wheelsight.odometry.dense._tracked import Surface, Tracked, coarseness, expected
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
 from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness, nearest_keyframe
@@ -249,9 +249,10 @@ class DenseOdometry:
         step = Step(T_reference_world @ last.T_world_camera, seconds) if seconds <= LONGEST_STEP_S else None
         with self.watch.stage("align"):
             start = self._aligner.start(grid, reference, [T_reference_world @ guess for guess in guesses])
-            found = self._aligner.align(grid, reference, start, step)
+            sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
+            found = self._aligner.align(grid, reference, start, step, sigma_m)
         first, *others = (T_reference_world @ T for T in T_priors)
-        prior = Prior(first, self._settings.prior_sigma_m_s * max(seconds, 1e-3), tuple(others))
+        prior = Prior(first, sigma_m, tuple(others))
         judged = judge(found, prior, self._settings)
         T_world_camera = se3.nearest(reference.T_world_reference @ judged.T_reference_frame)
         reason = judged.reason or self._implausible(last, T_world_camera, seconds)
@@ -262,7 +263,7 @@ class DenseOdometry:
         Ad = se3.adjoint(reference.T_world_reference)
         covariance = keyframe.covariance + Ad @ judged.covariance @ Ad.T
         twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
-        overlap = found.planes / max(found.points, 1) * _coarseness(grid, judged.T_reference_frame)
+        overlap = found.planes / max(found.points, 1) * coarseness(grid, judged.T_reference_frame)
         return Tracked(grid, T_world_camera, covariance, twist, overlap)
 
     def _implausible(self, last: Tracked, T_world_camera: FloatArray, seconds: float) -> Reason | None:
@@ -397,18 +398,6 @@ class DenseOdometry:
         else:
             self._last = replace(self._last, twist=np.zeros(6))
         return Estimate(stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers)
-
-
-def _coarseness(grid: GridFrame, T_reference_frame: FloatArray) -> float:
-    """How much of a frame's pixel one of its reference's is, at most 1: who drives up to a wall sees ever more of it."""
-    depth_m = grid.levels[-1].depth_m
-    height, width = depth_m.shape
-    fx, fy, cx, cy = grid.levels[-1].intrinsics
-    rows, columns = np.nonzero(depth_m)
-    z = depth_m[rows, columns]
-    points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
-    there = points @ T_reference_frame[2, :3] + T_reference_frame[2, 3]
-    return float(min(np.median(z / np.maximum(there, 1e-3)) ** 2, 1.0)) if len(z) else 1.0
 
 
 def _is_leap(found: Tracked, seconds: float) -> bool:
