@@ -40,7 +40,7 @@ class Drive:
     steps_a_frame: int = 1
     speed_m_s: float = 0.8
     errors: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    camera_errors: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    camera_errors: tuple[float, ...] = (0.0, 0.0, 0.0)  # those that follow are 0
     slip_m_per_sqrt_m: float = SLIP_M_PER_SQRT_M
     wheel_fault: Callable[[float, FloatArray, FloatArray], tuple[FloatArray, FloatArray]] = field(
         default=lambda t, truth, wheels: (truth, wheels)
@@ -81,7 +81,8 @@ def simulate(drive: Drive, rng: np.random.Generator, settings: ErrorStateSetting
         T = T @ kernels.exp(rng.normal(size=6) * unseen * np.sqrt(way_m)) @ kernels.exp(xi)
         step = Step(begin_s, end_s, T, kernels.exp(measured), Q)
         if (i + 1) % drive.steps_a_frame == 0:
-            missed = kernels.by_camera_errors(T, seen_from) @ np.array(drive.camera_errors)
+            wrong = np.array(drive.camera_errors)
+            missed = kernels.by_camera_errors(T, seen_from)[:, : len(wrong)] @ wrong
             Z = kernels.exp(-missed) @ se3.invert(seen_from) @ T
             step = replace(step, look=drive.camera_fault(end_s, looked(rng, Z)))
             seen_from = T

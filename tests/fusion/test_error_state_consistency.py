@@ -30,7 +30,8 @@ def errors_of_wheels(rng, settings):
 
 def errors_of_camera(rng, settings):
     s = settings
-    return tuple(rng.normal(size=3) * [s.camera_scale_sigma, s.camera_drift_sigma_rad_per_m, s.camera_turn_sigma])
+    drift, mount = s.camera_drift_sigma_rad_per_m, [s.mount_sigma_rad] * 3
+    return tuple(rng.normal(size=7) * [s.camera_scale_sigma, drift, s.camera_turn_sigma, drift, *mount])
 
 
 def within(mean, degrees, runs, probability=0.99):

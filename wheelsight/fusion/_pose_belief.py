@@ -25,8 +25,8 @@ from wheelsight.geometry import FloatArray, IntArray
 
 PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 # Behind all poses stand, in this order: the twist, what is wrong with wheels and camera, and the gyroscope's bias.
-TWIST, ERRORS, CAMERA_ERRORS, BIAS = slice(0, 3), slice(3, 6), slice(6, 9), 9
-REST_SIZE = 10
+TWIST, ERRORS, CAMERA_ERRORS, BIAS = slice(0, 3), slice(3, 6), slice(6, 13), 13
+REST_SIZE = 14
 _LEVEL_EVERY_M = 0.25
 _RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
 _KNOWN_FOR_S = 0.25
@@ -81,8 +81,9 @@ class PoseBelief:
     Attributes:
         T: (1 + K, 4, 4) T_world_base now, and at the remembered instants.
         names, stamps_s: of these instants.
-        rest: (10,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's, the gyroscope's bias.
-        covariance: (6 + 6K + 10, 6 + 6K + 10) of all perturbations of poses, then of `rest`.
+        rest: (14,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's (the same, its drift in
+            pitch, its mount's rotation), the gyroscope's bias.
+        covariance: (6 + 6K + 14, 6 + 6K + 14) of all perturbations of poses, then of `rest`.
         doubted: (6, 6) part of the pose's covariance that is there because wheels were not trusted since vision was
             last believed; doubted_before: the same of each remembered pose, as of then.
         way_m: since the floor was last taken for level.
@@ -110,7 +111,8 @@ class PoseBelief:
         P[:6, :6] = covariance
         still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
         errors = [s.scale_sigma, s.drift_sigma_rad_per_m, s.turn_sigma]
-        camera = [s.camera_scale_sigma, s.camera_drift_sigma_rad_per_m, s.camera_turn_sigma]
+        drift_sigma = s.camera_drift_sigma_rad_per_m
+        camera = [s.camera_scale_sigma, drift_sigma, s.camera_turn_sigma, drift_sigma, *[s.mount_sigma_rad] * 3]
         P[6:, 6:] = np.diag(np.square([*still, *errors, *camera, s.gyro_bias_sigma_rad_s]))
         return cls(T_world_base[None].copy(), (), (), np.zeros(REST_SIZE), P, np.zeros((6, 6)))
 
@@ -137,9 +139,10 @@ class PoseBelief:
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         raw = step.xi * share
         way_m = s.lever_m * abs(raw[5]) + float(np.sqrt(raw[0] ** 2 + raw[1] ** 2))
-        wander = [s.camera_scale_walk, s.camera_drift_walk_rad_per_m, s.camera_turn_walk]
+        drift = s.camera_drift_walk_rad_per_m
+        wander = [s.camera_scale_walk, drift, s.camera_turn_walk, drift, *[s.mount_walk_rad] * 3]
         walks = np.square([s.scale_walk, s.drift_walk_rad_per_m, s.turn_walk, *wander, s.gyro_bias_walk_rad_s])
-        walks *= [*[way_m] * 6, dt_s]
+        walks *= [*[way_m] * 10, dt_s]
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
         Q = step.covariance * share + _unseen(way_m, s)
         kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)

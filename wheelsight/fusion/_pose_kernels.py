@@ -1,7 +1,7 @@
 """One rigid motion's exp, log, adjoint and left Jacobian, and the steps of a PoseBelief; numba over arrays and numbers.
 
 `geometry.se3` has the first four for batches of motions; one motion takes it a hundred times as long.
-The steps change the arrays they are given: T (1 + K, 4, 4), rest (10,) and P (n, n), as `_pose_belief` lays them out.
+The steps change the arrays they are given: T (1 + K, 4, 4), rest (14,) and P (n, n), as `_pose_belief` lays them out.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numba import njit
 from wheelsight.geometry import FloatArray
 
 _MOST_TERMS = 40
-_REST = 10  # twist 3, the wheels' errors 3, the camera's 3, the gyroscope's bias
+_REST, _CAMERA = 14, 7  # twist 3, the wheels' errors 3, the camera's 7, the gyroscope's bias
 
 
 @njit(cache=True, nogil=True)
@@ -153,7 +153,7 @@ def roll(
 ) -> None:
     """A step ξ (6,) of the wheels, which changes by `by_errors` (6, 3), with noise Q (6, 6) of its left perturbation.
 
-    `walks` (7,) is added to the variances of the errors of wheels and camera and the gyroscope's bias. A part of a
+    `walks` (11,) is added to the variances of the errors of wheels and camera and the gyroscope's bias. A part of a
     step, `share` below 1, has the twist of the whole, and is as uncertain of it.
     """
     n = len(P)
@@ -216,29 +216,35 @@ def inverse(T: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def by_camera_errors(T_now: FloatArray, T_reference: FloatArray) -> FloatArray:
-    """How a motion that the camera saw changes, as a left perturbation, with the camera's errors (6, 3).
+    """How a motion that the camera saw changes, as a left perturbation, with the camera's errors (6, 7).
 
-    They are the ratio by which its ways are too short, the turn a metre that it misses, and the ratio by which its
-    turns are too small. A turn that grows along the way moves the end by half of it. The motion is the one expected:
-    by its own numbers, one that is too long by chance would be one more that calls for a smaller scale.
+    They are the ratio by which its ways are too short, the turn a metre that it misses, the ratio by which its turns
+    are too small, the pitch a metre that it misses, and by what rotation (3,) of the base it is mounted otherwise: what
+    it takes for ahead may be aside or up. A turn that grows along the way moves the end by half of it. The motion is
+    the one expected: by its own numbers, one that is too long by chance would be one more that calls for a smaller
+    scale.
     """
     Z = times(inverse(T_reference), T_now)
-    B, turn = np.zeros((6, 3)), log(Z)[5]
+    B, turn = np.zeros((6, _CAMERA)), log(Z)[5]
+    B[:, 4:] = -adjoint(Z)[:, 3:]
+    for i in range(3):
+        B[3 + i, 4 + i] += 1.0
     x, y, z = Z[0, 3], Z[1, 3], Z[2, 3]
     way = math.sqrt(x * x + y * y + z * z)
     B[0, 0], B[1, 0], B[2, 0] = x, y, z
     B[0, 1], B[1, 1], B[5, 1] = way * y / 2, -way * x / 2, way
+    B[0, 3], B[2, 3], B[4, 3] = -way * z / 2, way * x / 2, way
     B[0, 2], B[1, 2], B[5, 2] = turn * y / 2, -turn * x / 2, turn
     return B
 
 
 @njit(cache=True, nogil=True)
 def apart(T_now: FloatArray, T_reference: FloatArray, Z: FloatArray, camera_errors: FloatArray) -> FloatArray:
-    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (3,), and the one that two poses tell."""
+    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (7,), and the one that two poses tell."""
     xi = log(times(Z, times(inverse(T_now), T_reference)))
     B = by_camera_errors(T_now, T_reference)
     for i in range(6):
-        for j in range(3):
+        for j in range(_CAMERA):
             xi[i] += B[i, j] * camera_errors[j]
     return xi
 
@@ -250,8 +256,8 @@ def look(
     """H (m, 6) of the pose now, the opposite of that of the pose at `place`; P Hᵀ (n, m); and H P Hᵀ (m, m)."""
     H, by_errors = times(seen, adjoint(inverse(T_reference))), times(seen, by_camera_errors(T_now, T_reference))
     camera = len(P) - _REST + 6
-    PHt = times(P[:, :6] - P[:, place : place + 6], H.T) - times(P[:, camera : camera + 3], by_errors.T)
-    return H, PHt, times(H, PHt[:6] - PHt[place : place + 6]) - times(by_errors, PHt[camera : camera + 3])
+    PHt = times(P[:, :6] - P[:, place : place + 6], H.T) - times(P[:, camera : camera + _CAMERA], by_errors.T)
+    return H, PHt, times(H, PHt[:6] - PHt[place : place + 6]) - times(by_errors, PHt[camera : camera + _CAMERA])
 
 
 @njit(cache=True, nogil=True)

@@ -20,8 +20,11 @@ class ErrorStateSettings:
         scale_sigma, drift_sigma_rad_per_m, turn_sigma: of the wheels' errors: the ratio by which ways are wrong, the
             turn a metre too much (unequal radii), the ratio by which turns are wrong (track width).
         scale_walk, drift_walk_rad_per_m, turn_walk: how these wander in one metre.
-        camera_scale_sigma, camera_drift_sigma_rad_per_m, camera_turn_sigma: likewise of the camera's errors.
+        camera_scale_sigma, camera_drift_sigma_rad_per_m, camera_turn_sigma: likewise of the camera's errors;
+            its drift is that of its pitch, too.
         camera_scale_walk, camera_drift_walk_rad_per_m, camera_turn_walk: how these wander in one metre.
+        mount_sigma_rad, mount_walk_rad: how far the camera is turned on the base from where it is said to be, about
+            each axis, and how that wanders in one metre.
         side_m_per_sqrt_m, rise_m_per_sqrt_m, tilt_rad_per_sqrt_m: of what wheels do not tell: sideways, up, roll and
             pitch; the way is that of a point `lever_m` beside the base.
         level_sigma_rad, level_m: floors are level up to this, one stretch of so many metres like another, or else are
@@ -62,11 +65,13 @@ class ErrorStateSettings:
     camera_scale_walk: float = 0.0005
     camera_drift_walk_rad_per_m: float = 0.0001
     camera_turn_walk: float = 0.0005
+    mount_sigma_rad: float = 0.005
+    mount_walk_rad: float = 0.0002
     side_m_per_sqrt_m: float = 0.005
     rise_m_per_sqrt_m: float = 0.003
     tilt_rad_per_sqrt_m: float = 0.05
     lever_m: float = 0.25
-    level_sigma_rad: float = 0.01
+    level_sigma_rad: float = 0.005
     level_m: float = 5.0
     clock_sigma_s: float = 0.01
     acceleration_m_s2: float = 1.0
