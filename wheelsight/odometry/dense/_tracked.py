@@ -54,14 +54,12 @@ def expected(last: Tracked, stamp_s: float, prior: FloatArray | None) -> tuple[F
     return prior, twist_between(np.eye(4), prior, seconds)
 
 
-def coarseness(frame: GridFrame, T_reference_frame: FloatArray) -> float:
-    """What share of a frame's pixels its reference has for the same, at most 1: who drives up to a wall sees more."""
+def fine_share(frame: GridFrame, T_reference_frame: FloatArray) -> float:
+    """The share of a frame's points that its reference saw at least half as finely: one level of a pyramid."""
     level = frame.levels[-1]
     fx, fy, cx, cy = level.intrinsics
     rows, columns = np.nonzero(level.depth_m)
-    if not len(rows):
-        return 1.0
     z = level.depth_m[rows, columns]
     points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
     there = points @ T_reference_frame[2, :3] + T_reference_frame[2, 3]
-    return float(min(np.median(z / np.maximum(there, 1e-3)) ** 2, 1.0))
+    return float(np.count_nonzero(2 * z >= there) / max(len(z), 1))

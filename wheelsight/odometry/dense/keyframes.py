@@ -21,6 +21,8 @@ from wheelsight.odometry.features.tracking import Fix, ViewTracker
 
 # Poses of one frame by its surfaces and by its keypoints that lie no farther apart say the same.
 _AGREE_M, _AGREE_RAD = 0.04, 0.035
+# Keypoints are believed against surfaces where so many agree, and such a share of all that were matched.
+_CLEAR_INLIERS, _CLEAR_SHARE = 60, 0.6
 
 
 @dataclass(eq=False)
@@ -56,6 +58,11 @@ class Sighting:
     covariance: FloatArray
     matches: int
     inliers: int
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether keypoints are to be believed even where surfaces say otherwise."""
+        return self.inliers >= max(_CLEAR_INLIERS, _CLEAR_SHARE * self.matches)
 
     def agrees_with(self, T_world_camera: FloatArray) -> bool:
         """Whether a pose (4, 4) is as near as two ways to find one leave them."""

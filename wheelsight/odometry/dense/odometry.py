@@ -13,7 +13,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
-from wheelsight.odometry.dense._tracked import Surface, Tracked, coarseness, expected
+from wheelsight.odometry.dense._tracked import Surface, Tracked, fine_share, expected
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
 from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness, nearest_keyframe
@@ -23,8 +23,6 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.features.extraction import Features
 
 _START_VARIANCE = 1e-12
-# Keypoints are believed against surfaces where so many agree, and such a share of all that were matched.
-_CLEAR_INLIERS, _CLEAR_SHARE = 60, 0.6
 # A change of velocity at once, and that many times a second, which is a leap rather than the camera's motion.
 _LEAP = np.array([0.5, 1.5])
 _LEAP_S = np.array([10.0, 30.0])
@@ -263,7 +261,7 @@ class DenseOdometry:
         Ad = se3.adjoint(reference.T_world_reference)
         covariance = keyframe.covariance + Ad @ judged.covariance @ Ad.T
         twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
-        overlap = found.planes / max(found.points, 1) * coarseness(grid, judged.T_reference_frame)
+        overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame)
         return Tracked(grid, T_world_camera, covariance, twist, overlap)
 
     def _implausible(self, last: Tracked, T_world_camera: FloatArray, seconds: float) -> Reason | None:
@@ -296,9 +294,8 @@ class DenseOdometry:
             return MotionEstimate.failed(missing) if isinstance(found, Tracked) else found
         if not isinstance(found, Tracked) or not told.agrees_with(found.T_world_camera):
             found = self._locate(grid, last, [told.T_world_camera])
-        is_clear = told.inliers >= max(_CLEAR_INLIERS, _CLEAR_SHARE * told.matches)
         if not (isinstance(found, Tracked) and told.agrees_with(found.T_world_camera)):
-            if not is_clear:
+            if not told.is_clear:
                 return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED, told.matches, told.inliers)
             found = self._as_told(grid, told)
         self._unseen_s = 0.0  # keypoints show all motion
@@ -339,7 +336,7 @@ class DenseOdometry:
         straight = self._straightened(frame, found)
         features = self._witness.look(frame)
         told = self._witness.locate(features, self._keyframes[-1:], found.twist)
-        if told is not None and not told.agrees_with(found.T_world_camera):
+        if told is not None and told.is_clear and not told.agrees_with(found.T_world_camera):
             return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED)
         self._keep(self._keyframe(straight, features))
         return straight
