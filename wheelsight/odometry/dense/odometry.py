@@ -13,7 +13,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
-from wheelsight.odometry.dense._tracked import Surface, Tracked, fine_share, expected
+from wheelsight.odometry.dense._tracked import Surface, Tracked, expected, fine_share
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
 from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness, nearest_keyframe
