@@ -10,6 +10,10 @@ from wheelsight.geometry import Float32Array, FloatArray, se3, so3
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.grid import GridFrame
 
+# A change of velocity at once, and that many times a second, which is a leap rather than the camera's motion.
+_LEAP = np.array([0.5, 1.5])
+_LEAP_S = np.array([10.0, 30.0])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
@@ -63,3 +67,10 @@ def fine_share(frame: GridFrame, T_reference_frame: FloatArray) -> float:
     points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
     there = points @ T_reference_frame[2, :3] + T_reference_frame[2, 3]
     return float(np.count_nonzero(2 * z >= there) / max(len(z), 1))
+
+
+def is_leap(found: Tracked, seconds: float) -> bool:
+    """Whether the camera would have had to gain more speed, or turning, against what was expected, than one does."""
+    change = found.twist - found.frame.twist
+    gained = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
+    return bool((gained > _LEAP + _LEAP_S * seconds).any())

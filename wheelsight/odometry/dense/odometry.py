@@ -13,7 +13,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
-from wheelsight.odometry.dense._tracked import Surface, Tracked, expected, fine_share
+from wheelsight.odometry.dense._tracked import Surface, Tracked, expected, fine_share, is_leap
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
 from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness, nearest_keyframe
@@ -23,9 +23,6 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.features.extraction import Features
 
 _START_VARIANCE = 1e-12
-# A change of velocity at once, and that many times a second, which is a leap rather than the camera's motion.
-_LEAP = np.array([0.5, 1.5])
-_LEAP_S = np.array([10.0, 30.0])
 # Rows placed more wrongly than this are worth preparing a frame twice.
 _STRAIGHT_ENOUGH_PX = 0.3
 
@@ -283,7 +280,7 @@ class DenseOdometry:
             if not has_prior and self._failures == 0:
                 self._count_unseen(seconds)
             unseen = not has_prior and self._unseen_s > self._settings.max_unseen_s
-            leaps = (has_prior or last.twist.any()) and _is_leap(found, seconds)
+            leaps = (has_prior or last.twist.any()) and is_leap(found, seconds)
             if seconds <= LONGEST_STEP_S and not (unseen or leaps) and (has_prior or self._failures == 0):
                 return found
         with self.watch.stage("recognise"):
@@ -395,10 +392,3 @@ class DenseOdometry:
         else:
             self._last = replace(self._last, twist=np.zeros(6))
         return Estimate(stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers)
-
-
-def _is_leap(found: Tracked, seconds: float) -> bool:
-    """Whether the camera would have had to gain more speed, or turning, against what was expected, than one does."""
-    change = found.twist - found.frame.twist
-    gained = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
-    return bool((gained > _LEAP + _LEAP_S * seconds).any())
