@@ -19,7 +19,8 @@ _LEAP_S = np.array([10.0, 30.0])
 class Tracked:
     """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame.
 
-    `overlap` is the share of the frame that its reference shows at least half as finely, and `is_by_keyframe` whether that is one.
+    `overlap` is the share of the frame that its reference shows at least half as finely, and `is_by_keyframe` whether
+    that is one.
     """
 
     frame: GridFrame
