@@ -20,12 +20,12 @@ def ahead(way_m: float) -> np.ndarray:
 @pytest.mark.parametrize(("way_m", "share"), [(-1.0, 1.0), (0.0, 1.0), (1.9, 1.0), (2.1, 0.0)])
 def test_a_reference_shows_finely_what_was_at_most_twice_as_far(way_m: float, share: float) -> None:
     frame = bench().grid(frame_of(WALL[:1], ahead(way_m), 0.0))
-    assert fine_share(frame, ahead(way_m)) == share
+    assert fine_share(frame, ahead(way_m), 0.5) == share
 
 
 def test_without_depth_nothing_is_shown() -> None:
     frame = bench().grid(frame_of([], np.eye(4), 0.0))
-    assert fine_share(frame, np.eye(4)) == 0.0
+    assert fine_share(frame, np.eye(4), 0.5) == 0.0
 
 
 def test_on_the_way_to_a_wall_keyframes_are_made_though_all_stays_in_sight() -> None:

@@ -19,8 +19,8 @@ _LEAP_S = np.array([10.0, 30.0])
 class Tracked:
     """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame.
 
-    `overlap` is the share of the frame that its reference shows at least half as finely, and `is_by_keyframe` whether
-    that is one.
+    `overlap` is the share of the frame that its reference shows finely enough, and `is_by_keyframe` whether that is
+    one.
     """
 
     frame: GridFrame
@@ -59,15 +59,15 @@ def expected(last: Tracked, stamp_s: float, prior: FloatArray | None) -> tuple[F
     return prior, twist_between(np.eye(4), prior, seconds)
 
 
-def fine_share(frame: GridFrame, T_reference_frame: FloatArray) -> float:
-    """The share of a frame's points that its reference saw at least half as finely: one level of a pyramid."""
+def fine_share(frame: GridFrame, T_reference_frame: FloatArray, least: float) -> float:
+    """The share of a frame's points that its reference saw at `least` so many times as finely."""
     level = frame.levels[-1]
     fx, fy, cx, cy = level.intrinsics
     rows, columns = np.nonzero(level.depth_m)
     z = level.depth_m[rows, columns]
     points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
     there = points @ T_reference_frame[2, :3] + T_reference_frame[2, 3]
-    return float(np.count_nonzero(2 * z >= there) / max(len(z), 1))
+    return float(np.count_nonzero(z >= least * there) / max(len(z), 1))
 
 
 def is_leap(found: Tracked, seconds: float) -> bool:

@@ -23,6 +23,8 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.features.extraction import Features
 
 _START_VARIANCE = 1e-12
+# Of a frame's resolution, what a keyframe must have to show it: alone, so that its keypoints are recognised.
+_FINE_ALONE, _FINE_HELPED = 0.8, 0.5
 # Rows placed more wrongly than this are worth preparing a frame twice.
 _STRAIGHT_ENOUGH_PX = 0.3
 
@@ -245,7 +247,8 @@ class DenseOdometry:
         with self.watch.stage("align"):
             start = self._aligner.start(grid, reference, [T_reference_world @ guess for guess in guesses])
             sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
-            found = self._aligner.align(grid, reference, start, step, sigma_m)
+            # Alone, the guess is one's own: what noise pulls off betrays itself by a leap, and is not to be kept small.
+            found = self._aligner.align(grid, reference, start, step, sigma_m if self._is_helped else np.inf)
         first, *others = (T_reference_world @ T for T in T_priors)
         prior = Prior(first, sigma_m, tuple(others))
         judged = judge(found, prior, self._settings)
@@ -258,7 +261,8 @@ class DenseOdometry:
         Ad = se3.adjoint(reference.T_world_reference)
         covariance = keyframe.covariance + Ad @ judged.covariance @ Ad.T
         twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
-        overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame)
+        least = _FINE_HELPED if self._is_helped else _FINE_ALONE
+        overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame, least)
         return Tracked(grid, T_world_camera, covariance, twist, overlap)
 
     def _implausible(self, last: Tracked, T_world_camera: FloatArray, seconds: float) -> Reason | None:
@@ -333,7 +337,7 @@ class DenseOdometry:
         straight = self._straightened(frame, found)
         features = self._witness.look(frame)
         told = self._witness.locate(features, self._keyframes[-1:], found.twist)
-        if told is not None and told.is_clear and not told.agrees_with(found.T_world_camera):
+        if told is not None and not told.agrees_with(found.T_world_camera) and (told.is_clear or not self._is_helped):
             return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED)
         self._keep(self._keyframe(straight, features))
         return straight
