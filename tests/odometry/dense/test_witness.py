@@ -92,16 +92,18 @@ def test_after_a_gap_a_place_is_recognised_by_its_keypoints(frames: list[RgbdFra
     assert max(apart(IN_WORLD[k], answers[k + 2].T_world_body)[0] for k in range(8, 12)) < 5e-3
 
 
-def test_keypoints_that_hardly_agree_gainsay_no_keyframe(
-    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("is_helped", [True, False])
+def test_keypoints_that_hardly_agree_gainsay_a_keyframe_where_nobody_else_tells_the_motion(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch, is_helped: bool
 ) -> None:
     told = Sighting(np.asarray(se3.from_parts(np.eye(3), [0.2, 0, 0]) @ IN_WORLD[7]), 1e-4 * np.eye(6), 90, 36)
     subject = dense(keyframe_overlap=0.999)
     run(subject, frames[:7])
     kept = len(subject._keyframes)
     monkeypatch.setattr(Witness, "locate", lambda *_: told)
-    assert subject.process(frames[7]).status is Status.TRACKING
-    assert len(subject._keyframes) == kept + 1
+    answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ IN_WORLD[7] if is_helped else None)
+    assert answer.status is (Status.TRACKING if is_helped else Status.FAILING)
+    assert len(subject._keyframes) == kept + is_helped
 
 
 @pytest.mark.parametrize("off_m", [0.2, 1.0])
