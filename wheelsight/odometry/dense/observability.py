@@ -22,7 +22,7 @@ class Prior:
     Attributes:
         T_reference_frame: (4, 4).
         sigma_m: standard deviation in every direction, turns as ways at 2 m.
-        others: (N, 4, 4) what else may be expected, if the first turns out to be wrong.
+        others: each (4, 4), what else may be expected if the first turns out to be wrong.
     """
 
     T_reference_frame: FloatArray

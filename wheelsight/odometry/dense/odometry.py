@@ -355,8 +355,8 @@ class DenseOdometry:
         nearest = self._nearest(found.T_world_camera)
         if self._model is not None or nearest is self._keyframes[-1] or self._last is None:
             return None
-        motion = self.last_motion
-        seen = self._align(found.frame, nearest, self._last, *2 * ([found.T_world_camera],))
+        motion, here = self.last_motion, [found.T_world_camera]
+        seen = self._align(found.frame, nearest, self._last, here, here)
         if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
             self._keyframes.remove(nearest)
             self._keyframes.append(nearest)
