@@ -10,10 +10,10 @@ import pytest
 from benchmarks.contenders import Contender, open3d_odometry, open3d_slam, opencv_odometry, wheelsight_dense
 from benchmarks.dense import judge_dense, one_thread_sheet
 from benchmarks.flat import FlatFigures, ModelFigures, judge_flat, model_figures, model_sheet, tracking_sheet, volume_of
-from benchmarks.growth import growth_of, growth_sheet, judge_growth
+from benchmarks.growth import Growth, growth_of, growth_sheet, judge_growth
 from benchmarks.kernels import KernelTimes, judge_kernels, kernels_sheet, map_two_frames
 from benchmarks.known_poses import KnownSurfels, TruePoses
-from benchmarks.longdrive import drive
+from benchmarks.longdrive import against, drive
 from benchmarks.mapping import judge_mapping, judge_whole, mapping_sheet
 from benchmarks.measure import Passage
 from benchmarks.run import Figures, Result
@@ -172,7 +172,14 @@ def test_a_true_pose_moves_as_its_twist_says(recording: SimulatedRecording) -> N
 
 def test_a_long_drive_times_every_frame(recording: SimulatedRecording) -> None:
     surfels = KnownSurfels(recording.calibration)
-    passage = drive(recording, surfels)
-    assert len(passage.seconds) == recording.frame_count
-    assert passage.stamps_s == sorted(passage.stamps_s)
+    for passage in drive(recording, surfels):
+        assert len(passage.seconds) == recording.frame_count
+        assert passage.stamps_s == sorted(passage.stamps_s)
+        assert min(passage.seconds) > 0
     assert len(surfels.map) > 1000
+
+
+def test_a_machine_that_gets_slower_is_not_blamed_on_the_map() -> None:
+    """All took half as long again; the map's share of it is what frames took beyond that."""
+    growth, yardstick = Growth("way", 100, 20.0, 33.0, 500.0), Growth("way", 100, 4.0, 6.0, 500.0)
+    assert against(growth, yardstick).percent == pytest.approx(10.0)
