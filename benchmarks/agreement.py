@@ -134,7 +134,10 @@ def main() -> None:
     parser.add_argument("--recording", default="red_kitchen", help="of those in the data's folder rgbd")
     arguments = parser.parse_args()
     keep_to(2)
-    sequence = next(s for s in find_sequences(default_data_folder()) if s.name == arguments.recording)
+    known = {sequence.name: sequence for sequence in find_sequences(default_data_folder())}
+    if arguments.recording not in known:
+        parser.error(f"--recording {arguments.recording} is none of {', '.join(known)}")
+    sequence = known[arguments.recording]
     Console(width=130).print(agreement_sheet(sequence.name, _of(sequence)).to_rich())
 
 

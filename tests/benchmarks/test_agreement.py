@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import synthetic
 
-from benchmarks.agreement import Agreement, DepthPairs, agreement, agreement_sheet
+from benchmarks.agreement import Agreement, DepthPairs, agreement, agreement_sheet, main
+from benchmarks.sequences import Sequence
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.trajectory import Trajectory
@@ -58,3 +61,15 @@ def test_a_row_a_trajectory() -> None:
     sheet = agreement_sheet("hall", {"its truth": [Agreement(gap, 3, 0.012, 0.01) for gap in (15, 30, 60)]})
     assert sheet.rows == (("its truth", *3 * ("12.0 mm, 0.57°",)),)
     assert {len(row) for row in sheet.rows} == {len(sheet.header)}
+
+
+def test_an_unknown_recording_is_one_line_that_names_those_there_are(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = [Sequence(name, Path(name), None) for name in ("hall", "kitchen")]
+    monkeypatch.setattr("benchmarks.agreement.find_sequences", lambda data: there)
+    monkeypatch.setattr("benchmarks.agreement.keep_to", lambda threads: None)
+    monkeypatch.setattr("sys.argv", ["agreement", "--recording", "cellar"])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert "--recording cellar is none of hall, kitchen" in capsys.readouterr().err
