@@ -21,6 +21,7 @@ from benchmarks import contenders
 from benchmarks.measure import Feed, keep_to, measure
 from benchmarks.sequences import Sequence, default_data_folder, find_sequences
 from benchmarks.table import Sheet
+from wheelsight.errors import CalibrationError
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
 from wheelsight.recordings import open_recording
@@ -59,6 +60,11 @@ class DepthPairs:
 
     def __init__(self, frames: Many[RgbdFrame], camera: PinholeCamera) -> None:
         import open3d
+
+        if camera.has_distortion:
+            raise CalibrationError(
+                "depth has a lens, which Open3D does not straighten", fix="ask for another recording"
+            )
 
         self._o3d: Any = open3d
         self._frames = frames
@@ -117,8 +123,7 @@ def agreement_sheet(name: str, found: dict[str, list[Agreement]]) -> Sheet:
 def _of(sequence: Sequence) -> dict[str, list[Agreement]]:
     recording = open_recording(sequence.path)
     frames = [event for event in recording.events() if isinstance(event, RgbdFrame)]
-    assert recording.calibration.depth is not None
-    pairs = DepthPairs(frames, recording.calibration.depth)
+    pairs = DepthPairs(frames, recording.calibration.cameras[1])
     trajectories = {} if sequence.truth is None else {"its truth": sequence.truth}
     for contender in track(contenders.ALL, description="track"):
         trajectories[contender.name] = measure(contender.start, recording, Feed.STREAMED)[1]
@@ -138,7 +143,10 @@ def main() -> None:
     if arguments.recording not in known:
         parser.error(f"--recording {arguments.recording} is none of {', '.join(known)}")
     sequence = known[arguments.recording]
-    Console(width=130).print(agreement_sheet(sequence.name, _of(sequence)).to_rich())
+    try:
+        Console(width=130).print(agreement_sheet(sequence.name, _of(sequence)).to_rich())
+    except CalibrationError as error:
+        parser.error(f"{sequence.name}: {error}")
 
 
 if __name__ == "__main__":

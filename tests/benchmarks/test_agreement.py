@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import synthetic
 
 from benchmarks.agreement import Agreement, DepthPairs, agreement, agreement_sheet, main
 from benchmarks.sequences import Sequence
+from wheelsight.errors import CalibrationError
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.trajectory import Trajectory
@@ -73,3 +75,8 @@ def test_an_unknown_recording_is_one_line_that_names_those_there_are(
     with pytest.raises(SystemExit, match="2"):
         main()
     assert "--recording cellar is none of hall, kitchen" in capsys.readouterr().err
+
+
+def test_depth_through_a_lens_is_refused(frames: list[RgbdFrame]) -> None:
+    with pytest.raises(CalibrationError, match="has a lens"):
+        DepthPairs(frames, replace(synthetic.CAMERA, distortion=(0.1, 0.0, 0.0, 0.0, 0.0)))
