@@ -65,7 +65,6 @@ class DepthPairs:
             raise CalibrationError(
                 "depth has a lens, which Open3D does not straighten", fix="ask for another recording"
             )
-
         self._o3d: Any = open3d
         self._frames = frames
         self._intrinsics = self._o3d.camera.PinholeCameraIntrinsic(
@@ -93,7 +92,7 @@ class DepthPairs:
         )
         if found.fitness < _LEAST_FITTING:
             return None
-        return se3.nearest(np.linalg.inv(T_first_second) @ found.transformation)
+        return se3.nearest(se3.invert(T_first_second) @ found.transformation)
 
 
 def agreement(pairs: DepthPairs, frames: Many[RgbdFrame], trajectory: Trajectory, gap: int) -> Agreement:

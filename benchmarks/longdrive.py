@@ -57,18 +57,20 @@ def drive(recording: SimulatedRecording, surfels: KnownSurfels) -> tuple[Passage
     Processor time of all threads together, since a drive takes long and other programs hardly change it; but machines
     get slower when they are warm, or their memory is full, and preparing a frame, of which the map is no part, tells.
     """
-    poses, stamps_s = TruePoses(recording), []
-    seconds: tuple[list[float], list[float]] = [], []
+    poses = TruePoses(recording)
+    stamps_s: list[float] = []
+    preparing_s: list[float] = []
+    mapping_s: list[float] = []
     for frame in _apart(recording):
-        begin = time.process_time()
+        T_world_camera, begin = poses.at(frame.stamp_s), time.process_time()
         prepared = surfels.prepare(frame, poses)
-        between, T_world_camera = time.process_time(), poses.at(frame.stamp_s)
+        between = time.process_time()
         surfels.step(prepared, T_world_camera, frame.stamp_s)
-        seconds[0].append(between - begin)
-        seconds[1].append(time.process_time() - between)
+        mapping_s.append(time.process_time() - between)
+        preparing_s.append(between - begin)
         stamps_s.append(frame.stamp_s)
     memory_mb = peak_memory_mb()
-    return Passage(stamps_s, seconds[0], memory_mb), Passage(stamps_s, seconds[1], memory_mb)
+    return Passage(stamps_s, preparing_s, memory_mb), Passage(stamps_s, mapping_s, memory_mb)
 
 
 def _apart(recording: SimulatedRecording) -> Iterator[RgbdFrame]:
