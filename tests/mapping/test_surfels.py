@@ -84,6 +84,23 @@ def test_from_nearer_surfels_become_finer_and_more():
     assert np.median(after.radius_m[middle]) < 0.75 * np.median(before.radius_m)
 
 
+def test_laps_of_the_same_place_do_not_fill_it_for_ever(rng):
+    """Nor do they leave it open: what is seen stays within the gap of a surfel."""
+    filled, settled, wall, count = made_map(gap_m=0.0), made_map(), Wall(1.2, slope=2.5), []
+    for lap in range(5):
+        way = [pose(*rng.uniform(-0.05, 0.05, 3)) @ step for step in swaying(40)]
+        for surfel_map in (filled, settled):
+            look_at(surfel_map, [wall], way, rng, start_s=10.0 * lap)
+        count.append([len(surfel_map.surfels("stable").grey) for surfel_map in (filled, settled)])
+    growth, growth_settled = np.array(count[-1]) / count[-3]
+    assert growth > 1.03
+    assert growth_settled < 1.01
+    depth_m = see([wall], pose()).depth_m
+    seen = (depth_m[..., None] * rays())[depth_m > 0]
+    far = [np.mean(KDTree(m.surfels("stable").position).query(seen)[0] > 0.02) for m in (filled, settled)]
+    assert far[1] < far[0] + 0.002
+
+
 def test_color_and_grey_are_means_of_what_was_seen():
     surfel_map, view = made_map(), see([Wall(2.0)], pose())
     for k, level in enumerate((100.0, 110.0, 120.0)):
@@ -133,7 +150,7 @@ def test_what_went_away_is_removed_and_what_is_behind_stays():
     left = surfel_map.surfels()
     # At the box's silhouette, pixels beside it belong to the wall: what is only half in free space may stay.
     assert np.count_nonzero(left.position[:, 2] < 2) == 0
-    assert np.count_nonzero(left.position[:, 2] > 2) > 0.99 * SHAPE[0] * SHAPE[1]
+    assert np.count_nonzero(left.position[:, 2] > 2) > 0.98 * SHAPE[0] * SHAPE[1]
 
 
 def test_missing_depth_removes_nothing():

@@ -31,7 +31,7 @@ from wheelsight.mapping._match_kernels import (
 )
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0xEB70777E
+_COMPILED_IN = 0x410D3CCF
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Beyond, more sightings change nothing: what is seen for long can still change.

@@ -23,12 +23,14 @@ _NEAREST_M = np.float32(0.1)
 # A surfel in front of free space loses half its confidence a frame, and is gone below this.
 _GONE = np.float32(0.4)
 _FREE_SIGMAS = np.float32(4.0)
+# A surfel so much larger than a reading's is too coarse to stand for it.
+_FINE_ENOUGH = np.float32(1.5)
 # What each entry of `since_s` is.
 _MADE, _SHOWN, _ACTIVE = range(3)
 # Rows of the buffer of a page's surfels: where they are (3), how deep, and how far off their pixel's middle, squared.
 _PLACE, _Z, _OFF, _OUTSIDE = 5, 3, 4, np.int32(-1)
 # What each entry of `settings` is.
-STABLE, GATE_SIGMAS, GATE_M, MIN_NORMAL_DOT, MIN_COSINE, FREE_M, DRIFT_M, FAR_M = range(8)
+STABLE, GATE_SIGMAS, GATE_M, MIN_NORMAL_DOT, MIN_COSINE, FREE_M, DRIFT_M, FAR_M, GAP_M = range(9)
 # What each entry of `noise` is.
 CONSTANT, QUADRATIC, NEAR, FAR = range(4)
 # What a reading is, in the world: point (3), variance along the normal, normal (3), weight; weight 0 is not fused.
@@ -120,8 +122,8 @@ def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, settin
     along = _ZERO
     for k in range(3):
         along += reading[p, 4 + k] * (geometry[slot, k] - reading[p, k])
-    reach = settings[GATE_SIGMAS] * np.sqrt(reading[p, VARIANCE] + variance[slot]) + settings[GATE_M]
-    return (reading[p, WEIGHT] > 0) & faces(geometry, slot, reading, p, settings) & (abs(along) <= reach)
+    is_near = abs(along) <= _gate(reading, p, variance, slot, settings)
+    return (reading[p, WEIGHT] > 0) & faces(geometry, slot, reading, p, settings) & is_near
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
@@ -155,37 +157,80 @@ def find_new(
     end: Any,
     slots: Any,
     geometry: Any,
+    variance: Any,
     chosen: Any,
     depth_m: Any,
     reading: Any,
+    radius: Any,
     pitch: Any,
     settings: Any,
     is_new: Any,
 ) -> None:
-    """Which pixels of rows `begin` to `end` saw something that no surfel stands for: (h, w) of bool."""
-    height, width = depth_m.shape
+    """Which pixels of rows `begin` to `end` saw something that no surfel stands for: (h, w) of bool.
+
+    Args:
+        radius: (h·w,) that a surfel of the pixel's reading would have: so far about it others are looked for.
+        pitch: 1 / f.
+    """
+    width = depth_m.shape[1]
     for r in range(begin, end):
         for c in range(width):
             p = r * width + c
-            wanted = chosen[p] < 0 and reading[p, WEIGHT] > 0
-            if wanted:
-                for i in range(max(r - 1, 0), min(r + 2, height)):
-                    for q in range(i * width + max(c - 1, 0), i * width + min(c + 2, width)):
-                        if wanted and chosen[q] >= 0:
-                            wanted = not _covers(
-                                geometry, slots[chosen[q]], reading, p, depth_m[r, c] * pitch, settings
-                            )
-            is_new[r, c] = wanted
+            is_new[r, c] = chosen[p] < 0 and reading[p, WEIGHT] > 0
+            if is_new[r, c]:
+                wide_m = depth_m[r, c] * pitch
+                near = (r, c, max(np.int64(radius[p] / wide_m), 1))
+                is_new[r, c] = not _is_covered(
+                    near, slots, geometry, variance, chosen, reading, radius[p], wide_m, depth_m.shape, settings
+                )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_covered(
+    near: Any,
+    slots: Any,
+    geometry: Any,
+    variance: Any,
+    chosen: Any,
+    reading: Any,
+    radius_m: Any,
+    wide_m: Any,
+    shape: Any,
+    settings: Any,
+) -> Any:
+    """Whether one of the surfels chosen for pixels near a reading's makes another one needless there."""
+    (r, c, reach), (height, width) = near, shape
+    for i in range(max(r - reach, 0), min(r + reach + 1, height)):
+        for j in range(max(c - reach, 0), min(c + reach + 1, width)):
+            entry = chosen[i * width + j]
+            if entry >= 0 and _covers(
+                geometry, slots[entry], variance, reading, r * width + c, radius_m, wide_m, settings
+            ):
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _covers(geometry: Any, slot: Any, reading: Any, p: Any, size_m: Any, settings: Any) -> Any:
-    """Whether a surfel faces as a reading does and lies on it within a pixel's size, so that no other is needed."""
+def _covers(
+    geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, radius_m: Any, wide_m: Any, settings: Any
+) -> Any:
+    """Whether a surfel agrees with a reading and has it on its disk, so near its middle that no other is needed.
+
+    Near is a pixel's width, and the gap that may stay if the surfel is stable and hardly coarser than what the
+    reading's would be: what one lap leaves between disks, laps of the same place would else fill for ever.
+    """
     radius = geometry[slot, RADIUS]
-    reach = min(max(size_m, _HALF * radius), radius)
+    is_settled = (geometry[slot, CONFIDENCE] >= settings[STABLE]) & (radius <= _FINE_ENOUGH * radius_m)
+    near_m = min(max(wide_m, _HALF * radius, settings[GAP_M] if is_settled else _ZERO), radius)
     along, across2 = apart(geometry, slot, reading, p)
-    is_near = (across2 <= reach * reach) & (abs(along) <= radius + radius)
-    return is_near & faces(geometry, slot, reading, p, settings)
+    is_on_it = (across2 <= near_m * near_m) & (abs(along) <= _gate(reading, p, variance, slot, settings))
+    return is_on_it & faces(geometry, slot, reading, p, settings)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _gate(reading: Any, p: Any, variance: Any, slot: Any, settings: Any) -> Any:
+    """How far from a surfel, along the normal, a reading still agrees with it."""
+    return settings[GATE_SIGMAS] * np.sqrt(reading[p, VARIANCE] + variance[slot]) + settings[GATE_M]
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")

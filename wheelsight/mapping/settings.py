@@ -23,6 +23,7 @@ class SurfelSettings(BaseModel):
     gate_m: NonNegativeFloat = Field(0.01, description="added to it: poses err too")
     max_angle_deg: float = Field(40.0, gt=0, lt=90, description="between normals that agree")
     max_slant_deg: float = Field(78.0, gt=0, lt=90, description="surfaces seen at a sharper angle are not fused")
+    gap_m: NonNegativeFloat = Field(0.02, description="so near a stable surfel's middle, its disk is not filled in")
     free_m: PositiveFloat = Field(0.05, description="a surfel so far in front of what is measured, and 4 σ, is gone")
     drift_m: NonNegativeFloat = Field(0.1, description="added to it for surfels outside the active window")
     max_surfels: PositiveInt = Field(3_000_000, ge=1024, description="bound on memory, about 70 bytes a surfel")

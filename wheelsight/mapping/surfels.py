@@ -182,7 +182,7 @@ class SurfelMap:
         s = self.settings
         turn, slant = np.cos(np.radians([s.max_angle_deg, s.max_slant_deg]))
         gates = [s.stable_confidence, s.gate_sigmas, s.gate_m, turn, slant]
-        return np.array([*gates, s.free_m, s.drift_m, s.far_m], np.float32)
+        return np.array([*gates, s.free_m, s.drift_m, s.far_m, s.gap_m], np.float32)
 
     def _readings(
         self, depth_m: Float32Array, normal: Float32Array, pose: Pose, sensor: Float32Array
@@ -232,8 +232,8 @@ class SurfelMap:
         best, chosen = self._room("best", (size,), np.float32), self._room("chosen", (size,), np.int32)
         share(height, lambda a, b: match.choose(a, b, width, pixel, rank, found, best, chosen))
         is_new = self._room("is_new", (height, width), np.bool_)
-        seen = (slots, blocks.geometry, chosen, frame.depth_m, readings[0], pose.pitch, settings, is_new)
-        share(height, lambda a, b: match.find_new(a, b, *seen))
+        seen = (slots, blocks.geometry, blocks.variance, chosen, frame.depth_m, *readings, pose.pitch)
+        share(height, lambda a, b: match.find_new(a, b, *seen, settings, is_new))
         counts = np.zeros((len(pages), 2), np.int64)
         surfels = (blocks.geometry, blocks.look, blocks.seen_s, blocks.variance)
         cells = (blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
