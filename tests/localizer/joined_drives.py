@@ -72,6 +72,7 @@ class Eye:
         self.last_matches = None
         self.stage_seconds = {"align": 0.001}
         self.priors: dict[float, tuple[float, FloatArray | None]] = {}
+        self.others: dict[float, tuple[FloatArray | None, ...]] = {}
         self.restarts: dict[float, FloatArray] = {}
 
     def T_world_camera(self, stamp_s: float) -> FloatArray:
@@ -79,13 +80,16 @@ class Eye:
         known_s = np.clip(np.nan_to_num(stamp_s), *self._truth.stamps_s[[0, -1]])
         return np.asarray(self._truth.at([known_s])[0] @ self._T_base_camera)
 
-    def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
+    def process(
+        self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None, *others: FloatArray | None
+    ) -> Estimate:
         shows = self._sight(frame.stamp_s)
         if self._last is None and shows.blind is None:
             return self._begin(frame.stamp_s, self._T_base_camera)
         if self._last is None or self._key is None or shows.blind is not None or shows.place != self._place:
             return self._fail(shows.blind or Reason.NOT_RECOGNISED, frame.stamp_s)
         self.priors[frame.stamp_s] = self._last[0], T_previous_current_prior
+        self.others[frame.stamp_s] = others
         T_key_now, T_world_key = self._look(shows, frame.stamp_s), self._key[1]
         T_prior = T_previous_current_prior
         T_key_prior = None if T_prior is None else se3.invert(T_world_key) @ self._last[1] @ T_prior

@@ -193,7 +193,7 @@ def test_wheels_that_spin_are_told_and_the_camera_leads(ran: Callable[..., Run],
 
 
 def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And aligned with the map; both only until the wheels are believed again."""
+    """And aligned with the map, and told what the wheels say second; all only until these are believed again."""
     made = spinning(drive(), 2.0, 3.5, 0.6)
     eye = made.eye()
     subject, kept = joined(monkeypatch, eye)
@@ -205,6 +205,7 @@ def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeyp
         if not isinstance(event, RgbdFrame) or not isinstance(answer, FusedEstimate):
             continue
         last_s, prior = eye.priors.get(event.stamp_s, (0.0, None))
+        assert len(eye.others.get(event.stamp_s, ())) == (slips and event.stamp_s in eye.priors)
         if prior is not None and 2.1 < event.stamp_s - made.begin_s < 3.4:
             T = se3.invert(eye.T_world_camera(last_s)) @ eye.T_world_camera(event.stamp_s)
             off_by_slip[slips].append(float(np.linalg.norm((se3.invert(T) @ prior)[:3, 3])))

@@ -98,7 +98,7 @@ class ByFusion:
             return self._miss(event.stamp_s), why_not
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
-        answer = self._frame(event, self._pace.expect(event.stamp_s) if self._slips else expected and expected[0])
+        answer = self._frame(event, self._expected(event.stamp_s, expected and expected[0]))
         self._lead(answer.slip)
         return self._placed(event, answer), self._deaf
 
@@ -110,6 +110,13 @@ class ByFusion:
         self._slips = slips
         if self.mapper is not None:
             self.mapper.track_map(slips)
+
+    def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
+        """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
+        if not self._slips:
+            return (by_wheels,)
+        by_pace = self._pace.expect(stamp_s)
+        return (by_pace, by_wheels) if isinstance(self.odometry, DenseOdometry) else (by_pace,)
 
     def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate | None, str]:
         wheels, note = self._wheels.process(reading)
@@ -135,10 +142,10 @@ class ByFusion:
         self._lay_map()
         return placed
 
-    def _frame(self, frame: RgbdFrame, T_last_frame: FloatArray | None) -> FusedEstimate:
-        """Expect, look, judge, and remember what was believed."""
+    def _frame(self, frame: RgbdFrame, expected: tuple[FloatArray | None, ...]) -> FusedEstimate:
+        """Look, judge, and remember what was believed."""
         self._T_map_camera = None
-        seen = self.odometry.process(frame, T_last_frame)
+        seen = self.odometry.process(frame, *expected)
         if seen.T_world_body is None:
             return self._unseen(frame, seen)
         self._pace.tell(frame.stamp_s, seen.T_world_body)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from odometry.dense.scenes import Plane, apart, bench, dense, frame_of, rolled
+from odometry.dense.scenes import SMALL, Plane, apart, bench, dense, frame_of, rolled
 from odometry.views import room_frame, run
 from synthetic import CAMERA, render_room, wobbling_trajectory
 
@@ -60,6 +60,47 @@ def test_a_guess_holds_what_only_noise_shows() -> None:
         found = parts.aligner.align(frame, reference, np.eye(4), sigma_m=sigma_m)
         off_m.append(np.linalg.norm(found.T_reference_frame[:2, 3]))
     assert off_m[1] < 0.005 < off_m[0]
+
+
+def test_on_wheels_a_guess_holds_most_what_would_leave_the_floor() -> None:
+    """A plain wall shows neither a rise nor a roll, and noise would have the camera climb it."""
+    T_base_camera = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 1.0], [0, 0, 0, 1.0]])
+    calibration, wall = (
+        replace(Calibration.registered_camera(SMALL), T_base_camera=T_base_camera),
+        [Plane((0, 0, 1), 1.0)],
+    )
+    climbed = {}
+    for share in (1.0, 0.15):
+        parts, motions = bench(calibration, min_gradient=0.5, level_share=share), []
+        for seed in range(3):
+            reference = parts.reference(frame_of(wall, np.eye(4), 0.0, 2 * seed + 1))
+            frame = parts.grid(frame_of(wall, np.eye(4), 0.1, 2 * seed + 2))
+            motions.append(se3.log(parts.aligner.align(frame, reference, np.eye(4), sigma_m=0.2).T_reference_frame))
+        climbed[share] = np.sqrt(np.mean(np.square(motions), axis=0))[[1, 5]]
+    assert (climbed[0.15] < 0.3 * climbed[1.0]).all()
+
+
+def test_along_a_wall_the_start_from_which_grey_fits_is_taken() -> None:
+    """Planes fit from either; from the wrong one, marks of the wall fit others' places."""
+    wall, true = [Plane((0, 0, 1), 1.0, is_painted=True)], se3.exp([0.02, 0.01, 0, 0, 0, 0])
+    parts, wrong = bench(), se3.exp([0.25, 0.1, 0, 0, 0, 0])
+    reference, frame = parts.reference(frame_of(wall, np.eye(4), 0.0, 1)), parts.grid(frame_of(wall, true, 0.1, 2))
+    lured = parts.aligner.align(frame, reference, wrong)
+    assert apart(true, lured.T_reference_frame)[0] > 0.1
+    assert lured.residual < 1
+    for starts in ([wrong, np.eye(4)], [np.eye(4), wrong]):
+        assert apart(true, parts.aligner.align_clearest(frame, reference, starts).T_reference_frame)[0] < 1e-3
+
+
+def test_odometry_takes_the_other_motion_where_the_one_expected_is_wrong() -> None:
+    wall, true = [Plane((0, 0, 1), 1.0, is_painted=True)], se3.exp([0.22, 0.09, 0, 0, 0, 0])
+    wrong, near = se3.exp([-0.03, -0.01, 0, 0, 0, 0]), se3.exp([0.2, 0.1, 0, 0, 0, 0])
+    for others, is_right in (((), False), ((near,), True)):
+        odometry = dense()
+        odometry.process(frame_of(wall, np.eye(4), 0.0, 1))
+        found = odometry.process(frame_of(wall, true, 0.1, 2), wrong, *others)
+        assert found.T_world_body is not None
+        assert (apart(true, found.T_world_body)[0] < 1e-3) == is_right
 
 
 def test_alignment_begins_where_depth_fits() -> None:

@@ -6,9 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wheelsight.estimates import Reason
 from wheelsight.geometry import Float32Array, FloatArray, se3, so3
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.grid import GridFrame
+from wheelsight.odometry.dense.settings import DenseSettings
 
 # A change of velocity at once, and that many times a second, which is a leap rather than the camera's motion.
 _LEAP = np.array([0.5, 1.5])
@@ -75,3 +77,11 @@ def is_leap(found: Tracked, seconds: float) -> bool:
     change = found.twist - found.frame.twist
     gained = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
     return bool((gained > _LEAP + _LEAP_S * seconds).any())
+
+
+def implausible(last: Tracked, T_world_camera: FloatArray, seconds: float, settings: DenseSettings) -> Reason | None:
+    """The reason against a pose (4, 4) that no camera comes to in so short a time, or None."""
+    T = se3.invert(last.T_world_camera) @ T_world_camera
+    fast = np.linalg.norm(T[:3, 3]) > settings.max_speed_m_s * seconds
+    turning = so3.angle(T[:3, :3]) > settings.max_turn_rad_s * seconds
+    return Reason.IMPLAUSIBLE_MOTION if fast or turning else None

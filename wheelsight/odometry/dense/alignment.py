@@ -20,6 +20,8 @@ from wheelsight.odometry.dense.grid import Gridder, GridFrame, Level, Rows
 from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 
+# Of a twist (v, ω) in the base's frame: up, roll and pitch.
+_OUT_OF_PLANE = [2, 3, 4]
 _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
 _SMALL_STEP = 1e-4
@@ -31,6 +33,8 @@ _NO_WORSE = 3.0
 _ASTRAY = 5.0
 # Another guess than the first is begun with where points lie so many times as near to planes.
 _CLEARLY_BETTER = 1.5
+# Where planes lie much as well in two alignments, so that it is grey that decides: shares of the first one's.
+_AS_MANY, _AS_NEAR, _CLEARER = 0.7, 1.1, 0.85
 # A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
 _COLOR_ERROR_LEFT = 0.25
 
@@ -46,6 +50,7 @@ class DenseAlignment:
         planes: of these, how many found a plane near them.
         points: of the frame's finest level, with depth.
         residual: mean absolute plane residual in standard deviations of the sensor, 1 for a perfect fit.
+        grey_sigma: spread of the grey residuals, in grey levels.
     """
 
     T_reference_frame: FloatArray
@@ -54,6 +59,7 @@ class DenseAlignment:
     planes: int
     points: int
     residual: float
+    grey_sigma: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +83,8 @@ class Aligner:
         noise = calibration.depth_noise
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
         self._settings, self._rows, self._late_s, self._maker = settings, rows, gridder.late_s, maker
+        T_base_camera = calibration.T_base_camera
+        self._Ad_base_camera = None if T_base_camera is None else se3.adjoint(se3.nearest(T_base_camera))
         self._color_sigma_px = calibration.color_sigma_px / (1 << gridder.halvings)
 
     def turn(self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
@@ -127,6 +135,7 @@ class Aligner:
         """The motion of a frame against a reference, from a first guess (4, 4) that is off by `sigma_m`.
 
         The guess holds what hardly anything shows: else the noise of a plain wall would pull it along for decimetres.
+        Of a base on wheels it is surer that it neither rises nor tilts.
         With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way.
         """
         settings = self._settings
@@ -149,10 +158,33 @@ class Aligner:
                     return self._answer(frame, reference, np.array(T_reference_frame), np.zeros(kernels.SUMS), how)
         return self._answer(frame, reference, T, total, how)
 
+    def align_clearest(
+        self,
+        frame: GridFrame,
+        reference: Reference,
+        starts: Sequence[FloatArray],
+        step: Step | None = None,
+        sigma_m: float = np.inf,
+    ) -> DenseAlignment:
+        """The alignment from the first guess (4, 4), unless grey values fit clearly better from another one.
+
+        Along a wall planes say nothing, and its few marks fit each other's places: what comes out is where one began.
+        """
+        best, *others = (self.align(frame, reference, start, step, sigma_m) for start in starts)
+        for other in others:
+            is_as_near = other.planes >= _AS_MANY * best.planes and other.residual < _AS_NEAR * best.residual
+            if is_as_near and other.grey_sigma < _CLEARER * best.grey_sigma:
+                best = other
+        return best
+
     def _hold(self, T: FloatArray, sigma_m: float) -> FloatArray:
         """Information (6, 6) in T's left tangent that weighs like residuals; turns of the frame are ways at 2 m."""
-        A = DEGENERATE_SCALE[:, None] * se3.adjoint(se3.invert(T))
-        return np.asarray(self._settings.correlation * A.T @ A / sigma_m**2)
+        A, sigmas = se3.adjoint(se3.invert(T)), np.full(6, sigma_m)
+        if self._Ad_base_camera is not None:
+            A = self._Ad_base_camera @ A
+            sigmas[_OUT_OF_PLANE] *= self._settings.level_share
+        A = (DEGENERATE_SCALE / sigmas)[:, None] * A
+        return np.asarray(self._settings.correlation * A.T @ A)
 
     def _answer(
         self, frame: GridFrame, reference: Reference, T: FloatArray, total: FloatArray, how: FloatArray
@@ -164,7 +196,7 @@ class Aligner:
         information = self._information(frame, reference, T, pairs, how)
         residual = float(how[steps.PLANE_SCALE] * mean_abs / steps.MEAN_ABS)
         T = se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
-        return DenseAlignment(T, information, pairs, planes, points, residual)
+        return DenseAlignment(T, information, pairs, planes, points, residual, float(how[steps.GREY_SIGMA]))
 
     def _information(
         self, frame: GridFrame, reference: Reference, T: FloatArray, pairs: int, how: FloatArray

@@ -10,10 +10,10 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
-from wheelsight.odometry.dense._tracked import Surface, Tracked, expected, fine_share, is_leap
+from wheelsight.odometry.dense._tracked import Surface, Tracked, expected, fine_share, implausible, is_leap
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
 from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness, nearest_keyframe
@@ -69,6 +69,7 @@ class DenseOdometry:
         self._last: Tracked | None = None
         self._failures = 0
         self._is_helped = False
+        self._T_last_other: FloatArray | None = None
         self._unseen_s = 0.0
         self._prediction: tuple[Keyframe | None, int] = None, 0
         self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
@@ -96,16 +97,22 @@ class DenseOdometry:
         color = self._gridder.color_on_grid(frame, self.last_frame) if with_color else None
         return Surface(finest.depth_m, self._maker.normals(finest), finest.grey, color)
 
-    def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
+    def process(
+        self,
+        frame: RgbdFrame,
+        T_previous_current_prior: FloatArray | None = None,
+        T_previous_current_other: FloatArray | None = None,
+    ) -> Estimate:
         """The camera's pose at a frame, T_world_camera, or why there is none.
 
         Args:
             frame: newer than the one before.
             T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
                 for instance; else constant velocity is expected.
+            T_previous_current_other: (4, 4) what may be so instead, and is taken where it fits clearly better.
         """
         self.watch.restart()
-        self.last_frame = None
+        self.last_frame, self._T_last_other = None, T_previous_current_other
         last = self._last
         if last is None:
             return self._start(frame)
@@ -245,15 +252,18 @@ class DenseOdometry:
         seconds = grid.stamp_s - last.frame.stamp_s
         step = Step(T_reference_world @ last.T_world_camera, seconds) if seconds <= LONGEST_STEP_S else None
         with self.watch.stage("align"):
-            start = self._aligner.start(grid, reference, [T_reference_world @ guess for guess in guesses])
+            starts = [self._aligner.start(grid, reference, [T_reference_world @ guess for guess in guesses])]
+            if self._T_last_other is not None:
+                T_reference_other = T_reference_world @ last.T_world_camera @ self._T_last_other
+                starts.append(self._aligner.turn(grid, reference, T_reference_other))
             sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
             # Alone, the guess is one's own: what noise pulls off betrays itself by a leap, and is not to be kept small.
-            found = self._aligner.align(grid, reference, start, step, sigma_m if self._is_helped else np.inf)
+            held_m = sigma_m if self._is_helped else np.inf
+            found = self._aligner.align_clearest(grid, reference, starts, step, held_m)
         first, *others = (T_reference_world @ T for T in T_priors)
-        prior = Prior(first, sigma_m, tuple(others))
-        judged = judge(found, prior, self._settings)
+        judged = judge(found, Prior(first, sigma_m, tuple(others)), self._settings)
         T_world_camera = se3.nearest(reference.T_world_reference @ judged.T_reference_frame)
-        reason = judged.reason or self._implausible(last, T_world_camera, seconds)
+        reason = judged.reason or implausible(last, T_world_camera, seconds, self._settings)
         if reason is not None:
             return MotionEstimate.failed(reason, found.pairs, found.planes)
         counts = (None, found.pairs, found.planes, judged.degenerate)
@@ -264,12 +274,6 @@ class DenseOdometry:
         least = _FINE_HELPED if self._is_helped else _FINE_ALONE
         overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame, least)
         return Tracked(grid, T_world_camera, covariance, twist, overlap)
-
-    def _implausible(self, last: Tracked, T_world_camera: FloatArray, seconds: float) -> Reason | None:
-        T = se3.invert(last.T_world_camera) @ T_world_camera
-        fast = np.linalg.norm(T[:3, 3]) > self._settings.max_speed_m_s * seconds
-        turning = so3.angle(T[:3, :3]) > self._settings.max_turn_rad_s * seconds
-        return Reason.IMPLAUSIBLE_MOTION if fast or turning else None
 
     def _doubted(
         self, frame: RgbdFrame, last: Tracked, found: Tracked | MotionEstimate, grid: GridFrame, *, has_prior: bool
@@ -378,14 +382,8 @@ class DenseOdometry:
 
     def _accept(self, found: Tracked) -> Estimate:
         self._last, self._failures, self.last_frame = found, 0, found.frame
-        return Estimate(
-            found.frame.stamp_s,
-            Status.TRACKING,
-            found.T_world_camera,
-            found.covariance,
-            matches=self.last_motion.matches,
-            inliers=self.last_motion.inliers,
-        )
+        motion, pose = self.last_motion, (found.T_world_camera, found.covariance)
+        return Estimate(found.frame.stamp_s, Status.TRACKING, *pose, matches=motion.matches, inliers=motion.inliers)
 
     def _fail(self, stamp_s: float, failure: MotionEstimate) -> Estimate:
         self._failures += 1
