@@ -72,7 +72,7 @@ def quarters_of(recording: SimulatedRecording, odometry: str = "dense") -> list[
     frames_s: list[float] = []
     readings_s: list[float] = []
     tracked = 0
-    for event in _apart(recording):
+    for event in events_apart(recording):
         begin = time.process_time()
         estimate = localizer.process(event)
         (frames_s if isinstance(event, RgbdFrame) else readings_s).append(time.process_time() - begin)
@@ -121,7 +121,7 @@ def memory_mb() -> float:
     return int(found[1]) * 1024 / 1e6 if found else float("nan")
 
 
-def _apart(recording: SimulatedRecording) -> Iterator[Event]:
+def events_apart(recording: SimulatedRecording) -> Iterator[Event]:
     """Frames made one by one, for none to be rendered while another is timed."""
     frames = map(recording.renderer.frame, range(recording.frame_count))
     return heapq.merge(recording.drive.ticks, frames, key=lambda event: event.stamp_s)

@@ -75,7 +75,7 @@ def spent_on(recording: SimulatedRecording) -> dict[str, Spent]:
         name: Localizer(recording.calibration, load_config(overrides=overrides)) for name, overrides in given.items()
     }
     spent = {name: Spent() for name in localizers}
-    warm_s = recording.ground_truth.start_s + _WARMING_S
+    warm_s = float(recording.ground_truth.stamps_s[0]) + _WARMING_S
     for event in events_apart(recording):
         for name, localizer in localizers.items():
             if event.stamp_s < warm_s:

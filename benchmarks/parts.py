@@ -11,6 +11,7 @@ from benchmarks.dense import ON_ONE_THREAD, judge_dense, measure_one_thread, one
 from benchmarks.firmware import measure_firmware
 from benchmarks.flat import judge_flat, measure_flat, model_sheet, tracking_sheet
 from benchmarks.growth import growth_sheet, judge_growth, measure_growth
+from benchmarks.joined_speed import joined_speed_sheet, judge_joined_speed, measure_joined_speed
 from benchmarks.kernels import judge_kernels, kernels_sheet, measure_kernels
 from benchmarks.link import measure_link
 from benchmarks.mapping import judge_mapping, mapping_sheet, measure_mapping
@@ -109,6 +110,11 @@ def _flat(_: Scope) -> Judged:
     return Judged((tracking_sheet(figures), model_sheet(figures)), judge_flat(figures))
 
 
+def _joined(_: Scope) -> Judged:
+    spent = measure_joined_speed()
+    return Judged((joined_speed_sheet(spent),), judge_joined_speed(spent))
+
+
 def _kernels(_: Scope) -> Judged:
     times = measure_kernels()
     return Judged((kernels_sheet(times),), judge_kernels(times))
@@ -119,6 +125,7 @@ ALL = (
     Part("one-thread", _one_thread, ON_ONE_THREAD),
     Part("growth", _growth),
     Part("flat", _flat),
+    Part("joined", _joined),
     Part("kernels", _kernels),
     Part("wheels", _wheels),
     Part("link", _link),
