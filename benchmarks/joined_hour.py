@@ -16,13 +16,12 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.joined_cases import SIZE, robot_of
+from benchmarks.joined_runs import JOINED, localizer_of
 from benchmarks.measure import keep_to
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
-from wheelsight.config import load_config
 from wheelsight.estimates import Status
 from wheelsight.events import Event, RgbdFrame
-from wheelsight.localizer import Localizer
 from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
 from wheelsight.simulation.robot import TICK_PERIOD_S
 
@@ -65,8 +64,7 @@ def drive_long(minutes: float, odometry: str = "dense") -> None:
 
 def quarters_of(recording: SimulatedRecording, odometry: str = "dense") -> list[Quarter]:
     """What the localizer's work took; rendering is not counted."""
-    has_map = {"map": "surfels"} if odometry == "dense" else {}
-    localizer = Localizer(recording.calibration, load_config(overrides={"odometry": f"wheels,{odometry}", **has_map}))
+    localizer = localizer_of(JOINED, recording.calibration, odometry)
     borders_s = recording.drive.duration_s * np.arange(1, _QUARTERS + 1) / _QUARTERS
     quarters: list[Quarter] = []
     frames_s: list[float] = []

@@ -48,19 +48,25 @@ class Answers:
         return np.array([f is not None and any(getattr(f, name) for name in names) for f in fused], bool)
 
 
+def localizer_of(name: str, calibration: Calibration, odometry: str = "dense") -> Localizer:
+    """A fresh localizer by its name; dense odometry has a map, alone and joined."""
+    has_map = {"map": "surfels"} if odometry == "dense" else {}
+    both = {"odometry": f"wheels,{odometry}", **has_map}
+    overrides = {
+        WHEELS: {"odometry": "wheels"},
+        CAMERA: {"odometry": odometry, **has_map},
+        PAPER: {**both, "fusion": "ligocki"},
+        JOINED: both,
+    }
+    return Localizer(calibration, load_config(overrides=overrides[name]))
+
+
 def run_all(events: Iterable[Event], calibration: Calibration, odometry: str = "dense") -> dict[str, Answers]:
-    """Each localizer's answers to the same events, by its name; dense odometry has a map, alone and joined.
+    """Each localizer's answers to the same events, by its name.
 
     The paper's filter is told the answers of the camera alone: it goes by these, and would find the same again.
     """
-    has_map = {"map": "surfels"} if odometry == "dense" else {}
-    both = {"odometry": f"wheels,{odometry}", **has_map}
-    localizers = {
-        WHEELS: Localizer(calibration, load_config(overrides={"odometry": "wheels"})),
-        CAMERA: Localizer(calibration, load_config(overrides={"odometry": odometry, **has_map})),
-        PAPER: Localizer(calibration, load_config(overrides={**both, "fusion": "ligocki"})),
-        JOINED: Localizer(calibration, load_config(overrides=both)),
-    }
+    localizers = {name: localizer_of(name, calibration, odometry) for name in (WHEELS, CAMERA, PAPER, JOINED)}
     again = _Again()
     vars(localizers[PAPER]._way)["_camera"] = again
     answers = {name: Answers() for name in localizers}

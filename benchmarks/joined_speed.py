@@ -9,13 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchmarks.joined_hour import events_apart
-from benchmarks.joined_runs import CAMERA, JOINED, WHEELS
+from benchmarks.joined_runs import CAMERA, JOINED, WHEELS, localizer_of
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
-from wheelsight.config import load_config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
-from wheelsight.localizer import Localizer
 from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
 
 FRAMES_HZ, OVERHEAD_MS = 30.0, 0.5
@@ -69,11 +67,7 @@ def measure_joined_speed(seconds: float = _SECONDS) -> dict[str, Spent]:
 
 def spent_on(recording: SimulatedRecording) -> dict[str, Spent]:
     """What each localizer took for a recording's events after the first second, one event after the other."""
-    camera = {"odometry": "dense", "map": "surfels"}
-    given = {WHEELS: {"odometry": "wheels"}, CAMERA: camera, JOINED: {**camera, "odometry": "wheels,dense"}}
-    localizers = {
-        name: Localizer(recording.calibration, load_config(overrides=overrides)) for name, overrides in given.items()
-    }
+    localizers = {name: localizer_of(name, recording.calibration) for name in (WHEELS, CAMERA, JOINED)}
     spent = {name: Spent() for name in localizers}
     warm_s = float(recording.ground_truth.stamps_s[0]) + _WARMING_S
     for event in events_apart(recording):
