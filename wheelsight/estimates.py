@@ -78,6 +78,11 @@ class MotionEstimate:
         """An estimate that says only why there is none."""
         return cls(None, None, reason, matches, inliers)
 
+    @property
+    def shows_all(self) -> bool:
+        """Whether no direction of motion is left to the prior."""
+        return self.degenerate is None or not len(self.degenerate)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:

@@ -43,7 +43,7 @@ class Anchor:
         to_world, covariance = _in_world(T_world_camera, motion)
         covariance = Ad @ covariance @ Ad.T
         hidden = None
-        if motion.degenerate is not None and len(motion.degenerate):
+        if motion.degenerate is not None and not motion.shows_all:
             turned = (motion.degenerate / DEGENERATE_SCALE) @ (Ad @ to_world).T * DEGENERATE_SCALE
             hidden = np.linalg.qr(turned.T)[0].T
         T_anchor_camera = se3.nearest(T_anchor_world @ T_world_camera)

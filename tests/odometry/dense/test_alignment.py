@@ -57,7 +57,7 @@ def test_a_guess_holds_what_only_noise_shows() -> None:
             parts.reference(frame_of(wall, np.eye(4), 0.0, 1)),
             parts.grid(frame_of(wall, np.eye(4), 0.1, 2)),
         )
-        found = parts.aligner.align(frame, reference, np.eye(4), sigma_m=sigma_m)
+        found = parts.aligner.align(frame, reference, np.eye(4), held_m=(sigma_m, sigma_m))
         off_m.append(np.linalg.norm(found.T_reference_frame[:2, 3]))
     assert off_m[1] < 0.005 < off_m[0]
 
@@ -70,14 +70,16 @@ def test_on_wheels_a_guess_holds_most_what_would_leave_the_floor() -> None:
         [Plane((0, 0, 1), 1.0)],
     )
     climbed = {}
-    for share in (1.0, 0.15):
-        parts, motions = bench(calibration, min_gradient=0.5, level_share=share), []
+    for held_m in ((0.2, 0.2), (0.2, 0.03), (np.inf, 0.03)):
+        parts, motions = bench(calibration, min_gradient=0.5), []
         for seed in range(3):
             reference = parts.reference(frame_of(wall, np.eye(4), 0.0, 2 * seed + 1))
             frame = parts.grid(frame_of(wall, np.eye(4), 0.1, 2 * seed + 2))
-            motions.append(se3.log(parts.aligner.align(frame, reference, np.eye(4), sigma_m=0.2).T_reference_frame))
-        climbed[share] = np.sqrt(np.mean(np.square(motions), axis=0))[[1, 5]]
-    assert (climbed[0.15] < 0.3 * climbed[1.0]).all()
+            found = parts.aligner.align(frame, reference, np.eye(4), held_m=held_m)
+            motions.append(se3.log(found.T_reference_frame))
+        climbed[held_m] = np.sqrt(np.mean(np.square(motions), axis=0))[[1, 5]]
+    assert (climbed[0.2, 0.03] < 0.3 * climbed[0.2, 0.2]).all()
+    assert (climbed[np.inf, 0.03] < 0.3 * climbed[0.2, 0.2]).all()
 
 
 def test_along_a_wall_the_start_from_which_grey_fits_is_taken() -> None:

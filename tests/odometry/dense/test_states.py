@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from odometry.dense.scenes import apart, dense
+from odometry.dense.scenes import SMALL, Plane, apart, bench, dense, frame_of, render
 from odometry.views import covered_frame, from_start, nees, room_frame, run
 from synthetic import wobbling_trajectory
 
+from wheelsight.calibration import Calibration
 from wheelsight.estimates import Reason, Status
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3, so3
-from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.geometry import PinholeCamera, se3, so3
+from wheelsight.odometry.dense import DenseOdometry, DenseSettings, PredictedView
+from wheelsight.odometry.dense.grid import Level
+from wheelsight.odometry.dense.keyframes import Witness
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_world_body))
@@ -141,24 +144,44 @@ class Remembered:
     def __init__(self, T_room_world: np.ndarray) -> None:
         self.T_room_world, self.calls = T_room_world, 0
 
-    def predict(self, T_world_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]):
-        from wheelsight.geometry import PinholeCamera
-        from wheelsight.odometry.dense import PredictedView
-
+    def predict(self, T_world_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]) -> PredictedView:
         self.calls += 1
         camera = PinholeCamera(shape[1], shape[0], *intrinsics.tolist())
         frame = room_frame(self.T_room_world @ T_world_camera, 0.0, camera)
         grey = (frame.color @ [0.299, 0.587, 0.114]).astype(np.float32)
-        return PredictedView(frame.depth_m, np.zeros((*shape, 3), np.float32), grey)
+        normal = bench().maker.normals(Level(intrinsics, frame.depth_m, grey))
+        return PredictedView(frame.depth_m, normal, grey)
 
 
 def test_a_model_is_tracked_against(frames: list[RgbdFrame]) -> None:
-    from odometry.dense.scenes import SMALL
-
-    from wheelsight.calibration import Calibration
-
     model = Remembered(np.array(TRUTH.T_world_body[0]))
     subject = DenseOdometry(Calibration.registered_camera(SMALL), model=model)
     answers = run(subject, frames)
     assert len(frames) / 3 - 1 < model.calls < len(frames)
+    assert subject._last is not None
+    assert not subject._last.is_by_keyframe
     assert max(apart(T, a.T_world_body)[0] for T, a in zip(IN_WORLD, answers, strict=True)) < 4e-3
+
+
+class Faded:
+    """A model of a wall in which nothing is left of what is painted on it."""
+
+    def predict(self, T_world_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]) -> PredictedView:
+        camera = PinholeCamera(shape[1], shape[0], *intrinsics.tolist())
+        depth_m = render([Plane((0, 0, 1), 1.5)], T_world_camera, camera)[1]
+        normal = np.tile(np.float32([0, 0, -1]), (*shape, 1))
+        return PredictedView(depth_m, normal, np.full(shape, 128, np.float32))
+
+
+@pytest.mark.parametrize("is_painted", [True, False])
+def test_what_faded_in_a_map_is_seen_by_the_frame_before(is_painted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Marks of a wall that the map has lost still tell the way along it; where there are none, tracking ends."""
+    monkeypatch.setattr(Witness, "locate", lambda *_: None)
+    poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(40)]
+    subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(threads=1), model=Faded())
+    wall = [Plane((0, 0, 1), 1.5, is_painted)]
+    answers = run(subject, [frame_of(wall, T, k / 30, noise_seed=k) for k, T in enumerate(poses)])
+    assert (answers[-1].status is Status.TRACKING) == is_painted
+    if is_painted:
+        assert subject.sees_all_motion
+        assert max(apart(T, a.T_world_body)[0] for T, a in zip(poses, answers, strict=True)) < 0.02

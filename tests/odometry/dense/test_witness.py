@@ -41,6 +41,20 @@ def test_keypoints_tell_where_a_frame_is_and_nothing_of_another_place(frames: li
     assert witness.locate(witness.look(elsewhere), keyframes, np.zeros(6)) is None
 
 
+def test_keypoints_agree_with_what_they_cannot_tell_from_their_own() -> None:
+    """Far keypoints hardly tell a way aside from a turn: where both may be so, they do not gainsay surfaces."""
+    vague = Sighting(np.eye(4), np.diag(np.square([0.06, 0.005, 0.005, 0.002, 0.01, 0.002])), 90, 80)
+    clear = Sighting(np.eye(4), 2.5e-5 * np.eye(6), 90, 80)
+    for way, is_like_vague, is_like_clear in (
+        ([0.01, 0, 0, 0, 0, 0], True, True),
+        ([0.1, 0, 0, 0, 0.02, 0], True, False),
+        ([0, 0.1, 0, 0, 0, 0], False, False),
+        ([0.17, 0, 0, 0, 0, 0], False, False),
+    ):
+        assert vague.agrees_with(se3.exp(way)) == is_like_vague
+        assert clear.agrees_with(se3.exp(way)) == is_like_clear
+
+
 def test_a_plain_wall_is_no_pose_for_long(frames: list[RgbdFrame]) -> None:
     answers = run(dense(), still(WALL, 40))
     said = [a for a in answers if a.status is Status.TRACKING]

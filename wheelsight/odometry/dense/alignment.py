@@ -22,6 +22,7 @@ from wheelsight.odometry.dense.settings import DenseSettings
 
 # Of a twist (v, ω) in the base's frame: up, roll and pitch.
 _OUT_OF_PLANE = [2, 3, 4]
+_FREE = (np.inf, np.inf)
 _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
 _SMALL_STEP = 1e-4
@@ -130,12 +131,12 @@ class Aligner:
         reference: Reference,
         T_reference_frame: FloatArray,
         step: Step | None = None,
-        sigma_m: float = np.inf,
+        held_m: tuple[float, float] = _FREE,
     ) -> DenseAlignment:
-        """The motion of a frame against a reference, from a first guess (4, 4) that is off by `sigma_m`.
+        """The motion of a frame against a reference, from a first guess (4, 4).
 
         The guess holds what hardly anything shows: else the noise of a plain wall would pull it along for decimetres.
-        Of a base on wheels it is surer that it neither rises nor tilts.
+        It is off by the first of `held_m`, turns as ways at 2 m; a base on wheels rises and tilts by the second.
         With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way.
         """
         settings = self._settings
@@ -143,7 +144,7 @@ class Aligner:
             [0, 1, _GREY_SIGMA, 1, 0, settings.huber, settings.color_weight, 0, settings.min_gradient], float
         )
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
-        T_held, hold = T.copy(), self._hold(T, sigma_m)
+        T_held, hold = T.copy(), self._hold(T, held_m)
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
@@ -164,25 +165,25 @@ class Aligner:
         reference: Reference,
         starts: Sequence[FloatArray],
         step: Step | None = None,
-        sigma_m: float = np.inf,
+        held_m: tuple[float, float] = _FREE,
     ) -> DenseAlignment:
         """The alignment from the first guess (4, 4), unless grey values fit clearly better from another one.
 
         Along a wall planes say nothing, and its few marks fit each other's places: what comes out is where one began.
         """
-        best, *others = (self.align(frame, reference, start, step, sigma_m) for start in starts)
+        best, *others = (self.align(frame, reference, start, step, held_m) for start in starts)
         for other in others:
             is_as_near = other.planes >= _AS_MANY * best.planes and other.residual < _AS_NEAR * best.residual
             if is_as_near and other.grey_sigma < _CLEARER * best.grey_sigma:
                 best = other
         return best
 
-    def _hold(self, T: FloatArray, sigma_m: float) -> FloatArray:
+    def _hold(self, T: FloatArray, held_m: tuple[float, float]) -> FloatArray:
         """Information (6, 6) in T's left tangent that weighs like residuals; turns of the frame are ways at 2 m."""
-        A, sigmas = se3.adjoint(se3.invert(T)), np.full(6, sigma_m)
+        A, sigmas = se3.adjoint(se3.invert(T)), np.full(6, held_m[0])
         if self._Ad_base_camera is not None:
             A = self._Ad_base_camera @ A
-            sigmas[_OUT_OF_PLANE] *= self._settings.level_share
+            sigmas[_OUT_OF_PLANE] = min(held_m)
         A = (DEGENERATE_SCALE / sigmas)[:, None] * A
         return np.asarray(self._settings.correlation * A.T @ A)
 

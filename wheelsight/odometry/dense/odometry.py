@@ -16,7 +16,7 @@ from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense._tracked import Surface, Tracked, expected, fine_share, implausible, is_leap
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
-from wheelsight.odometry.dense.keyframes import Keyframe, Sighting, Witness, nearest_keyframe
+from wheelsight.odometry.dense.keyframes import Keyframe, Witness, nearest_keyframe
 from wheelsight.odometry.dense.observability import Prior, judge
 from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -115,21 +115,14 @@ class DenseOdometry:
         self.last_frame, self._T_last_other = None, T_previous_current_other
         last = self._last
         if last is None:
-            return self._start(frame)
+            self._first = frame
+            return self._begin(frame, self._T_world_first, _START_VARIANCE * np.eye(6))
         self._is_helped = T_previous_current_prior is not None
         found = self._find(frame, last, T_previous_current_prior)
         if not isinstance(found, Tracked) and found.reason is not Reason.TOO_LITTLE_DEPTH:
             # Wheels that spin expect what is not so, and lead astray.
             found = found if T_previous_current_prior is None else self._find(frame, last, None)
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
-
-    def _start(self, frame: RgbdFrame) -> Estimate:
-        with self.watch.stage("prepare"):
-            grid = self._gridder.on_grid(frame, np.zeros(6))
-        if not self._has_depth(grid):
-            return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
-        self._first = frame
-        return self._begin(frame, Tracked(grid, self._T_world_first, _START_VARIANCE * np.eye(6)))
 
     def _find(self, frame: RgbdFrame, last: Tracked, prior: FloatArray | None) -> Tracked | MotionEstimate:
         """Where a frame is, from what the prior (4, 4) or constant velocity expects, or why that is not known."""
@@ -165,17 +158,18 @@ class DenseOdometry:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
         self.watch.restart()
         self._first, self._unseen_s = None, 0.0
-        with self.watch.stage("prepare"):
-            grid = self._gridder.on_grid(frame, np.zeros(6))
-        if not self._has_depth(grid):
-            return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
-        return self._begin(frame, Tracked(grid, T_world_camera, covariance))
+        return self._begin(frame, T_world_camera, covariance)
 
     def _has_depth(self, grid: GridFrame) -> bool:
         depth_m = grid.levels[0].depth_m
         return bool(np.count_nonzero(depth_m) >= self._settings.min_depth_share * depth_m.size)
 
-    def _begin(self, frame: RgbdFrame, start: Tracked) -> Estimate:
+    def _begin(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
+        with self.watch.stage("prepare"):
+            grid = self._gridder.on_grid(frame, np.zeros(6))
+        if not self._has_depth(grid):
+            return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
+        start = Tracked(grid, T_world_camera, covariance)
         with self.watch.stage("keyframe"):
             self._keep(self._keyframe(start, self._witness.look(frame)))
         self._prediction = None, 0
@@ -202,10 +196,22 @@ class DenseOdometry:
             guesses = T_priors if place == 0 or not self._is_lost else [reference.reference.T_world_reference]
             found = self._align(grid, reference, last, guesses, T_priors)
             if isinstance(found, Tracked):
-                return replace(found, is_by_keyframe=reference in self._keyframes)
+                found = replace(found, is_by_keyframe=reference in self._keyframes)
+                return found if self._model is None or self._failures else self._seen_sharper(found, last, T_priors)
             failure = failure or found
         assert failure is not None
         return failure
+
+    def _seen_sharper(self, found: Tracked, last: Tracked, T_priors: list[FloatArray]) -> Tracked:
+        """A pose by the map; by the frame before if only that shows all motion: a bare wall's marks fade in a map."""
+        motion = self.last_motion
+        if motion.shows_all:
+            return found
+        sharper = self._align(found.frame, self._keyframe(last), last, T_priors, T_priors)
+        if isinstance(sharper, Tracked) and self.last_motion.shows_all:
+            return sharper
+        self.last_motion = motion
+        return found
 
     @property
     def _is_lost(self) -> bool:
@@ -258,7 +264,7 @@ class DenseOdometry:
                 starts.append(self._aligner.turn(grid, reference, T_reference_other))
             sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
             # Alone, the guess is one's own: what noise pulls off betrays itself by a leap, and is not to be kept small.
-            held_m = sigma_m if self._is_helped else np.inf
+            held_m = (sigma_m if self._is_helped else np.inf, self._settings.level_share * sigma_m)
             found = self._aligner.align_clearest(grid, reference, starts, step, held_m)
         first, *others = (T_reference_world @ T for T in T_priors)
         judged = judge(found, Prior(first, sigma_m, tuple(others)), self._settings)
@@ -302,22 +308,14 @@ class DenseOdometry:
         if not (isinstance(found, Tracked) and told.agrees_with(found.T_world_camera)):
             if not told.is_clear:
                 return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED, told.matches, told.inliers)
-            found = self._as_told(grid, told)
+            found = Tracked(grid, se3.nearest(told.T_world_camera), told.covariance)
+            self.last_motion = told.motion_from(self._nearest(told.T_world_camera).reference.T_world_reference)
         self._unseen_s = 0.0  # keypoints show all motion
         return found
 
-    def _as_told(self, grid: GridFrame, told: Sighting) -> Tracked:
-        """The pose that keypoints tell."""
-        T_world_reference = self._nearest(told.T_world_camera).reference.T_world_reference
-        Ad = se3.adjoint(se3.invert(T_world_reference))
-        T_reference_frame = se3.invert(T_world_reference) @ told.T_world_camera
-        counts = (None, told.matches, told.inliers)
-        self.last_motion = MotionEstimate(T_reference_frame, Ad @ told.covariance @ Ad.T, *counts)
-        return Tracked(grid, se3.nearest(told.T_world_camera), told.covariance)
-
     def _count_unseen(self, seconds: float) -> None:
         """How long some direction of motion has not been seen; noise shows one now and then, which counts half."""
-        seen = self.last_motion.degenerate is None or not len(self.last_motion.degenerate)
+        seen = self.last_motion.shows_all
         self._unseen_s = max(self._unseen_s - 0.5 * seconds, 0.0) if seen else self._unseen_s + seconds
 
     def _familiar(self, T_world_camera: FloatArray) -> list[Keyframe]:
