@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from odometry.dense.scenes import SMALL, Plane, apart, bench, dense, frame_of, render
@@ -185,3 +187,34 @@ def test_what_faded_in_a_map_is_seen_by_the_frame_before(is_painted: bool, monke
     if is_painted:
         assert subject.sees_all_motion
         assert max(apart(T, a.T_world_body)[0] for T, a in zip(poses, answers, strict=True)) < 0.02
+
+
+def spot(color: np.ndarray) -> np.ndarray:
+    """Of a painted wall only what is in the middle of the view."""
+    plain, middle = np.full_like(color, 128), (slice(112, 128), slice(152, 168))
+    plain[middle] = color[middle]
+    return plain
+
+
+class Luring:
+    """A model of a wall with a spot on it that looks as if the camera were 3 cm aside."""
+
+    def predict(self, T_world_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]) -> PredictedView:
+        aside = T_world_camera @ se3.from_parts(np.eye(3), [-0.03, 0, 0])
+        color, depth_m = render([Plane((0, 0, 1), 1.5, is_painted=True)], aside)
+        normal = np.tile(np.float32([0, 0, -1]), (*shape, 1))
+        return PredictedView(depth_m, normal, spot(color)[..., 0].astype(np.float32))
+
+
+def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace() -> None:
+    """A spot is too little to tell the motion, yet enough to pull; it does so by as much in every frame."""
+    poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(20)]
+    wall = [Plane((0, 0, 1), 1.5, is_painted=True)]
+    frames = [frame_of(wall, T, k / 30, noise_seed=k) for k, T in enumerate(poses)]
+    subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(threads=1))
+    run(subject, frames[:10])
+    subject.refer_to(Luring())
+    answers = run(subject, [replace(frame, color=spot(frame.color)) for frame in frames[10:]])
+    assert not subject.sees_all_motion
+    lured_m = [abs(a.T_world_body[0, 3] - T[0, 3]) for T, a in zip(poses[10:], answers, strict=True)]
+    assert max(lured_m) < 0.006  # 0.0095 where it is not held

@@ -197,19 +197,23 @@ class DenseOdometry:
             found = self._align(grid, reference, last, guesses, T_priors)
             if isinstance(found, Tracked):
                 found = replace(found, is_by_keyframe=reference in self._keyframes)
-                return found if self._model is None or self._failures else self._seen_sharper(found, last, T_priors)
+                return self._seen_sharper(found, reference, last, T_priors)
             failure = failure or found
         assert failure is not None
         return failure
 
-    def _seen_sharper(self, found: Tracked, last: Tracked, T_priors: list[FloatArray]) -> Tracked:
-        """A pose by the map; by the frame before if only that shows all motion: a bare wall's marks fade in a map."""
+    def _seen_sharper(self, found: Tracked, by: Keyframe, last: Tracked, T_priors: list[FloatArray]) -> Tracked:
+        """A pose by the map; by the frame before if only that shows all motion: a bare wall's marks fade in a map.
+
+        Where neither does, constant velocity is held: a mark that fits another's place would pull along the wall.
+        """
         motion = self.last_motion
-        if motion.shows_all:
+        if self._model is None or self._failures or motion.shows_all:
             return found
-        sharper = self._align(found.frame, self._keyframe(last), last, T_priors, T_priors)
-        if isinstance(sharper, Tracked) and self.last_motion.shows_all:
-            return sharper
+        for keyframe, is_held in [(self._keyframe(last), False), (by, True)][: 1 if self._is_helped else 2]:
+            again = self._align(found.frame, keyframe, last, T_priors, T_priors, is_held)
+            if isinstance(again, Tracked) and (is_held or self.last_motion.shows_all):
+                return again
         self.last_motion = motion
         return found
 
@@ -252,6 +256,7 @@ class DenseOdometry:
         last: Tracked,
         guesses: list[FloatArray],
         T_priors: list[FloatArray],
+        is_held: bool = False,
     ) -> Tracked | MotionEstimate:
         reference = keyframe.reference
         T_reference_world = se3.invert(reference.T_world_reference)
@@ -264,7 +269,7 @@ class DenseOdometry:
                 starts.append(self._aligner.turn(grid, reference, T_reference_other))
             sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
             # Alone, the guess is one's own: what noise pulls off betrays itself by a leap, and is not to be kept small.
-            held_m = (sigma_m if self._is_helped else np.inf, self._settings.level_share * sigma_m)
+            held_m = (sigma_m if self._is_helped or is_held else np.inf, self._settings.level_share * sigma_m)
             found = self._aligner.align_clearest(grid, reference, starts, step, held_m)
         first, *others = (T_reference_world @ T for T in T_priors)
         judged = judge(found, Prior(first, sigma_m, tuple(others)), self._settings)
