@@ -183,7 +183,7 @@ class Aligner:
         A, sigmas = se3.adjoint(se3.invert(T)), np.full(6, held_m[0])
         if self._Ad_base_camera is not None:
             A = self._Ad_base_camera @ A
-            sigmas[_OUT_OF_PLANE] = min(held_m)
+            sigmas[_OUT_OF_PLANE] = held_m[1]
         A = (DEGENERATE_SCALE / sigmas)[:, None] * A
         return np.asarray(self._settings.correlation * A.T @ A)
 

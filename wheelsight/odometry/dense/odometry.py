@@ -196,7 +196,6 @@ class DenseOdometry:
             guesses = T_priors if place == 0 or not self._is_lost else [reference.reference.T_world_reference]
             found = self._align(grid, reference, last, guesses, T_priors)
             if isinstance(found, Tracked):
-                found = replace(found, is_by_keyframe=reference in self._keyframes)
                 return self._seen_sharper(found, reference, last, T_priors)
             failure = failure or found
         assert failure is not None
@@ -268,7 +267,7 @@ class DenseOdometry:
                 T_reference_other = T_reference_world @ last.T_world_camera @ self._T_last_other
                 starts.append(self._aligner.turn(grid, reference, T_reference_other))
             sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
-            # Alone, the guess is one's own: what noise pulls off betrays itself by a leap, and is not to be kept small.
+            # One's own guess is held only where nothing tells more: what noise pulls off is to betray itself by a leap.
             held_m = (sigma_m if self._is_helped or is_held else np.inf, self._settings.level_share * sigma_m)
             found = self._aligner.align_clearest(grid, reference, starts, step, held_m)
         first, *others = (T_reference_world @ T for T in T_priors)
@@ -284,7 +283,7 @@ class DenseOdometry:
         twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
         least = _FINE_HELPED if self._is_helped else _FINE_ALONE
         overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame, least)
-        return Tracked(grid, T_world_camera, covariance, twist, overlap)
+        return Tracked(grid, T_world_camera, covariance, twist, overlap, keyframe in self._keyframes)
 
     def _doubted(
         self, frame: RgbdFrame, last: Tracked, found: Tracked | MotionEstimate, grid: GridFrame, *, has_prior: bool
