@@ -101,6 +101,24 @@ def test_laps_of_the_same_place_do_not_fill_it_for_ever(rng):
     assert far[1] < far[0] + 0.002
 
 
+def test_a_wall_that_comes_into_reach_is_shown_where_it_is():
+    """A Kinect's depth has steps: of a wall at the limit only pixels a step too near are within it."""
+    surfel_map, wall, off_m = made_map(), Wall(7.0), []
+    for k in range(40):
+        T = pose(z=0.6 + 0.02 * k)
+        view = see([wall], T)
+        # Neighbouring readings lie a step to either side; the step is that of 1/z.
+        disparity = 0.0029 * np.rint(1 / view.depth_m / 0.0029 + np.tile([-0.5, 0.0, 0.5, 0.0], SHAPE[1] // 4))
+        quantised = replace(view, depth_m=(1 / disparity).astype(np.float32))
+        fuse(surfel_map, quantised, T, k * FRAME_S)
+        shown = surfel_map.predict(T, GRID, SHAPE).depth_m
+        if np.count_nonzero(shown) > 0.25 * shown.size:
+            off_m.append(float(np.mean((shown - view.depth_m)[shown > 0])))
+    assert len(off_m) > 5
+    assert np.abs(off_m[0]) < 0.08  # a step of the depth is 0.1 m there
+    assert np.abs(off_m[4:]).max() < 0.03
+
+
 def test_color_and_grey_are_means_of_what_was_seen():
     surfel_map, view = made_map(), see([Wall(2.0)], pose())
     for k, level in enumerate((100.0, 110.0, 120.0)):

@@ -31,7 +31,7 @@ from wheelsight.mapping._match_kernels import (
 )
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x410D3CCF
+_COMPILED_IN = 0xC67863F2
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Beyond, more sightings change nothing: what is seen for long can still change.
@@ -43,6 +43,9 @@ _COLOR_MEMORY = np.float32(4.0)
 _MOST_READINGS = np.float32(50.0)
 _LEAST_COSINE2, _LEAST_COSINE = np.float32(0.04), np.float32(0.35)
 _LEAST_VARIANCE = np.float32(1e-8)
+# Surfels are laid as far as the settings say, and averaged so many standard deviations farther: else of a wall there
+# only the readings that err towards the camera would count.
+_BEYOND_SIGMAS = np.float32(6.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -70,7 +73,8 @@ def read(
         weight: (h, w) of a reading by its place in the image. pitch: 1 / f.
         T: (4, 4) T_world_camera.
     """
-    far_m = min(noise[FAR], settings[FAR_M])
+    far_m = settings[FAR_M]
+    far_m = min(noise[FAR], far_m + _BEYOND_SIGMAS * (noise[CONSTANT] + noise[QUADRATIC] * far_m * far_m))
     for r in range(begin, end):
         y = ray_y[r]
         for c in range(depth_m.shape[1]):

@@ -176,7 +176,7 @@ def find_new(
     for r in range(begin, end):
         for c in range(width):
             p = r * width + c
-            is_new[r, c] = chosen[p] < 0 and reading[p, WEIGHT] > 0
+            is_new[r, c] = chosen[p] < 0 and reading[p, WEIGHT] > 0 and depth_m[r, c] <= settings[FAR_M]
             if is_new[r, c]:
                 wide_m = depth_m[r, c] * pitch
                 near = (r, c, max(np.int64(radius[p] / wide_m), 1))

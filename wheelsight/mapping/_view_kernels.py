@@ -47,6 +47,7 @@ def project_disks(
     geometry: Any,
     look: Any,
     seen_s: Any,
+    variance: Any,
     T: Any,
     grid: Any,
     width: Any,
@@ -54,6 +55,7 @@ def project_disks(
     far_m: Any,
     stable: Any,
     least: Any,
+    vague_m2: Any,
     since_s: Any,
     disk: Any,
     bound: Any,
@@ -66,6 +68,7 @@ def project_disks(
     Args:
         T: (4, 4) T_world_camera, float32. grid: fx, fy, cx, cy, float32.
         stable: confidence from which surfels are stable. least: confidence from which they are shown.
+        vague_m2: unstable surfels with a larger variance are left out.
         since_s: surfels not seen since are left out.
         disk: (entries, DISK) float32. bound: (entries, 4) int16 first and last row, first and last column.
         count: (pages, 2) of stable and unstable disks.
@@ -76,7 +79,8 @@ def project_disks(
         for i in range(fill):
             for j in range(_SURFEL):
                 surfel[j, i] = geometry[first + i, j]
-            if surfel[CONFIDENCE, i] < least or seen_s[first + i, 1] < since_s:
+            is_vague = surfel[CONFIDENCE, i] < stable and variance[first + i] > vague_m2
+            if surfel[CONFIDENCE, i] < least or seen_s[first + i, 1] < since_s or is_vague:
                 surfel[CONFIDENCE, i] = _ZERO
         _project(surfel, fill, T, grid, np.float32(width - 1), np.float32(height - 1), far_m, shown)
         for i in range(fill):

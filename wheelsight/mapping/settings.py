@@ -18,7 +18,10 @@ class SurfelSettings(BaseModel):
         0.04, description="frames nearer to the last one fused are left out, a turn by a radian as 1.5 m"
     )
     fused_after_s: PositiveFloat = Field(0.1, description="a frame so long after the last one fused is fused anyway")
-    far_m: PositiveFloat = Field(6.0, description="depths beyond are not fused, surfels beyond not predicted")
+    far_m: PositiveFloat = Field(6.0, description="no surfel is laid beyond, and none predicted")
+    vague_m: PositiveFloat = Field(
+        0.035, description="unstable surfels less surely placed are not predicted: a far wall's depth errs as one"
+    )
     gate_sigmas: PositiveFloat = Field(3.0, description="distance along the normal at which readings still agree")
     gate_m: NonNegativeFloat = Field(0.01, description="added to it: poses err too")
     max_angle_deg: float = Field(40.0, gt=0, lt=90, description="between normals that agree")

@@ -145,7 +145,8 @@ class SurfelMap:
         Args: as of `ReferenceModel.predict`. Raises MapError for a pose that is no rigid motion.
         """
         pose = checked_pose(T_world_camera, intrinsics)
-        return PredictedView(*self._show(pose, shape, self.settings.far_m, 0.0, self._active_since_s, False)[:3])
+        limits = (self.settings.far_m, 0.0, self.settings.vague_m**2)
+        return PredictedView(*self._show(pose, shape, limits, self._active_since_s, False)[:3])
 
     def render(
         self,
@@ -159,7 +160,8 @@ class SurfelMap:
         least = self.settings.stable_confidence if which == "stable" else 0.0
         far_m = self.settings.far_m if far_m is None else far_m
         since_s = self._active_since_s if which == "active" else -np.inf
-        return ColoredView(*self._show(checked_pose(T_world_camera, intrinsics), shape, far_m, least, since_s, True))
+        pose = checked_pose(T_world_camera, intrinsics)
+        return ColoredView(*self._show(pose, shape, (far_m, least, np.inf), since_s, True))
 
     def in_view(self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> int:
         """How many surfels may be in view, of the blocks that are: what a frame's time depends on."""
@@ -281,18 +283,19 @@ class SurfelMap:
         return self._blocks.append(new, self.stamp_s, self._rules)
 
     def _show(
-        self, pose: Pose, shape: tuple[int, int], far_m: float, least: float, since_s: float, with_color: bool
+        self, pose: Pose, shape: tuple[int, int], limits: tuple[float, float, float], since_s: float, with_color: bool
     ) -> tuple[Float32Array, ...]:
-        """Depth, normal, grey, and colour where it is asked for."""
+        """Depth, normal, grey, and colour if asked for; limits: how far, least confidence, largest variance."""
+        far_m, least, vague_m2 = limits
         blocks, (height, width) = self._blocks, shape
         pages = blocks.pages_in_view(pose.T, pose.grid, shape, far_m, since_s)
         entries = len(pages) * PAGE
         disk = self._room("disk", (entries, view.DISK), np.float32)
         bound = self._room("bound", (entries, 4), np.int16)
         count = self._room("count", (len(pages), 2), np.int32)
-        limits = tuple(np.float32(limit) for limit in (far_m, self.settings.stable_confidence, least))
-        surfels = (pages, blocks.page_fill, blocks.geometry, blocks.look, blocks.seen_s)
-        given = (*surfels, pose.T32, pose.grid32, width, height, *limits, since_s, disk, bound, count)
+        bounds = tuple(np.float32(bound) for bound in (far_m, self.settings.stable_confidence, least, vague_m2))
+        surfels = (pages, blocks.page_fill, blocks.geometry, blocks.look, blocks.seen_s, blocks.variance)
+        given = (*surfels, pose.T32, pose.grid32, width, height, *bounds, since_s, disk, bound, count)
         self._rows.share(len(pages), lambda a, b: view.project_disks(a, b, *given))
         near = self._room("near", (*shape, view.NEAR), np.float32)
         sums = self._room("sums", (*shape, view.SUMS), np.float32)

@@ -62,14 +62,16 @@ def test_a_guess_holds_what_only_noise_shows() -> None:
     assert off_m[1] < 0.005 < off_m[0]
 
 
+# A camera that looks ahead, a metre above the floor.
+ON_WHEELS = replace(
+    Calibration.registered_camera(SMALL),
+    T_base_camera=np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 1.0], [0, 0, 0, 1.0]]),
+)
+
+
 def test_on_wheels_a_guess_holds_most_what_would_leave_the_floor() -> None:
     """A plain wall shows neither a rise nor a roll, and noise would have the camera climb it."""
-    T_base_camera = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 1.0], [0, 0, 0, 1.0]])
-    calibration, wall = (
-        replace(Calibration.registered_camera(SMALL), T_base_camera=T_base_camera),
-        [Plane((0, 0, 1), 1.0)],
-    )
-    climbed = {}
+    calibration, wall, climbed = ON_WHEELS, [Plane((0, 0, 1), 1.0)], {}
     for held_m in ((0.2, 0.2), (0.2, 0.03), (np.inf, 0.03)):
         parts, motions = bench(calibration, min_gradient=0.5), []
         for seed in range(3):
@@ -80,6 +82,23 @@ def test_on_wheels_a_guess_holds_most_what_would_leave_the_floor() -> None:
         climbed[held_m] = np.sqrt(np.mean(np.square(motions), axis=0))[[1, 5]]
     assert (climbed[0.2, 0.03] < 0.3 * climbed[0.2, 0.2]).all()
     assert (climbed[np.inf, 0.03] < 0.3 * climbed[0.2, 0.2]).all()
+
+
+def test_on_wheels_a_guess_that_leaves_the_floor_does_not_lead_off_it() -> None:
+    """Nor is a tilt or rise held that the guess brings along: the floor is where the frame before was."""
+    wall, T_guess = [Plane((0, 0, 1), 1.0)], se3.exp([0.02, -0.03, 0, 0, 0, 0.05])
+    for calibration, step, is_level in (
+        (ON_WHEELS, Step(np.eye(4), 0.1), True),
+        (ON_WHEELS, None, False),
+        (Calibration.registered_camera(SMALL), Step(np.eye(4), 0.1), False),
+    ):
+        parts = bench(calibration, min_gradient=0.5)
+        reference = parts.reference(frame_of(wall, np.eye(4), 0.0, 1))
+        frame = parts.grid(frame_of(wall, np.eye(4), 0.1, 2))
+        found = parts.aligner.align(frame, reference, T_guess, step, held_m=(0.02, 0.005))
+        x, y, _, _, _, roll = se3.log(found.T_reference_frame)
+        assert x == pytest.approx(0.02, abs=0.01)
+        assert (y, roll) == pytest.approx((0.0, 0.0) if is_level else (-0.03, 0.05), abs=0.01)
 
 
 def test_along_a_wall_the_start_from_which_grey_fits_is_taken() -> None:

@@ -136,7 +136,8 @@ class Aligner:
         """The motion of a frame against a reference, from a first guess (4, 4).
 
         The guess holds what hardly anything shows: else the noise of a plain wall would pull it along for decimetres.
-        It is off by the first of `held_m`, turns as ways at 2 m; a base on wheels rises and tilts by the second.
+        It is off by the first of `held_m`, turns as ways at 2 m; a base on wheels rises and tilts by the second since
+        the frame before, whatever the guess says: a turn guessed by grey values before a plain wall tilts by degrees.
         With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way.
         """
         settings = self._settings
@@ -144,7 +145,8 @@ class Aligner:
             [0, 1, _GREY_SIGMA, 1, 0, settings.huber, settings.color_weight, 0, settings.min_gradient], float
         )
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
-        T_held, hold = T.copy(), self._hold(T, held_m)
+        T_held = self._level(T, step)
+        hold = self._hold(T_held, held_m)
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
@@ -177,6 +179,16 @@ class Aligner:
             if is_as_near and other.grey_sigma < _CLEARER * best.grey_sigma:
                 best = other
         return best
+
+    def _level(self, T_reference_frame: FloatArray, step: Step | None) -> FloatArray:
+        """A guess (4, 4) as it is if a base on wheels has stayed in its floor's plane since the frame before."""
+        if step is None or self._Ad_base_camera is None:
+            return T_reference_frame.copy()
+        R_base_camera = self._Ad_base_camera[:3, :3]
+        # The camera's own way, not the base's: of a turn about the camera, the base's would keep what tilting moved it.
+        moved = se3.log(se3.invert(step.T_reference_previous) @ T_reference_frame).reshape(2, 3) @ R_base_camera.T
+        moved.flat[_OUT_OF_PLANE] = 0.0
+        return step.T_reference_previous @ se3.exp((moved @ R_base_camera).ravel())
 
     def _hold(self, T: FloatArray, held_m: tuple[float, float]) -> FloatArray:
         """Information (6, 6) in T's left tangent that weighs like residuals; turns of the frame are ways at 2 m."""
