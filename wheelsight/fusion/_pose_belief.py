@@ -320,10 +320,15 @@ class PoseBelief:
             P += weight * (belief.covariance + np.outer(apart, apart))
         return replace(between, covariance=P).believed()
 
-    def covering(self, other: PoseBelief) -> PoseBelief:
-        """This belief, so much less certain that `other` lies within three standard deviations."""
+    def covering(self, other: PoseBelief, since_s: float) -> PoseBelief:
+        """This belief, so much less certain that `other` lies within three standard deviations.
+
+        They have gone apart since a stamp; of poses remembered later, all err as the one now does.
+        """
         apart = self._shift_to(other)
         apart[self._rest :] = 0.0  # twist and wheels are soon known again; they must not pull the pose along then
+        later = [0, *(place + 1 for place, stamp_s in enumerate(self.stamps_s) if stamp_s > since_s)]
+        apart[: self._rest].reshape(-1, 6)[later] = apart[:6]
         P = self.covariance + np.outer(apart, apart) / _COVERED_SIGMAS**2
         P[: self._rest, : self._rest] += other.covariance[: self._rest, : self._rest]
         return replace(self, covariance=P)

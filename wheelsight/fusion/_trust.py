@@ -10,7 +10,8 @@ by frame (Wald 1945) until one is settled:
   notice that they slip; one with fewer, or that fails, against itself.
 
 A look that even slipping wheels could not explain, because it leaves the floor's plane, is refused and speaks for
-nobody. Until it is settled both beliefs go on, and the answer lies between and covers both. Settled for the wheels, the
+nobody. Until it is settled both beliefs go on, and the answer lies between and covers both. Where both agree again
+before, the one for which more speaks goes on, and covers the other. Settled for the wheels, the
 answer is theirs, and covers the camera's as long as that looks well. Trust comes back with a row of looks that agree;
 or the camera gets it, when it has gone on looking well and contradicting for a second or two: what fails does not last.
 """
@@ -142,8 +143,18 @@ class Court:
         if self.rival is None:
             return self.belief
         if self.trust is Trust.WHEELS:
-            return self.belief.covering(self.rival)
+            return self.belief.covering(self.rival, self.since_s)
         return self.belief.mixed(self.rival, self.rival_share)
+
+    def likelier(self) -> PoseBelief:
+        """Where doubt ends unsettled: the belief for which more speaks, so much less certain that it covers the other.
+
+        Not what lies between: looks at poses remembered since tell so little of who was right that noise decided.
+        """
+        if self.rival is None:
+            return self.belief
+        first, second = (self.rival, self.belief) if self.evidence > 0 else (self.belief, self.rival)
+        return first.covering(second, self.since_s).believed()
 
 
 def gate(settings: ErrorStateSettings, degrees: int) -> float:
@@ -192,7 +203,7 @@ def end_doubt(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Cou
     if stamp_s - court.since_s <= settings.longest_doubt_s:
         return court
     if court.trust is Trust.DOUBT:
-        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.answer(), evidence=0.0)
+        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(), evidence=0.0)
     lone = stamp_s - court.looked_s > settings.longest_doubt_s
     if court.trust is not Trust.CAMERA or not lone:
         return court
@@ -223,7 +234,7 @@ def _in_doubt(
         evidence += settings.persistence if is_healthy else -settings.ill_health
     court = replace(court, rival=rival, evidence=court.evidence + evidence)
     if court.agreed >= settings.agreements:
-        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.answer(), evidence=0.0), None
+        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(), evidence=0.0), None
     return _verdict(_settled(court, stamp_s, settings))
 
 

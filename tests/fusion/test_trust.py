@@ -1,0 +1,64 @@
+"""Court: what is believed after doubt that nobody has settled."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wheelsight.fusion import ErrorStateSettings
+from wheelsight.fusion._pose_belief import Look, PoseBelief, WheelStep
+from wheelsight.fusion._trust import Court, Trust, see
+from wheelsight.geometry import se3
+
+SETTINGS = ErrorStateSettings()
+BEGUN_S, FRAME_S = 8.0, 0.1
+APART = np.array([0.02, -0.03, 0.0, 0.0, 0.0, np.radians(2.4)])
+
+
+def apart(T, other):
+    """Metres and degrees."""
+    xi = se3.log(se3.invert(T) @ other)
+    return np.array([np.linalg.norm(xi[:3]), np.degrees(np.linalg.norm(xi[3:]))])
+
+
+def in_doubt(evidence):
+    """At 10 s, when both agree again for the last time that is asked for: 2.4 degrees apart, nearly so a frame ago."""
+    begun = PoseBelief.begin(se3.exp([1.0, 2.0, 0, 0, 0, 0.3]), np.diag(np.square([0.05] * 3 + [0.01] * 3)), SETTINGS)
+    step = WheelStep(10.0 - FRAME_S, 10.0, np.array([0.08, 0, 0, 0, 0, 0.02]), np.diag([1e-6, 0, 0, 0, 0, 1e-6]))
+    belief = begun.cloned("frame", 10.0 - FRAME_S, 4).rolled(step, 1.0, SETTINGS, False)
+    off = np.zeros(len(belief.covariance))
+    off[:6], off[6:12] = APART, 0.99 * APART
+    rival = belief.moved(off, belief.covariance)
+    return Court(belief, rival, Trust.DOUBT, evidence, agreed=SETTINGS.agreements - 1, since_s=BEGUN_S)
+
+
+def looked(court, wrong):
+    """What the rival expects to be seen, wrong by a tangent (6,)."""
+    assert court.rival is not None
+    Z = se3.exp(wrong) @ se3.invert(court.rival.T[1]) @ court.rival.T[0]
+    return Look("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
+
+
+@pytest.mark.parametrize(("evidence", "by_camera"), [(1.5, True), (-2.0, False), (0.0, False)])
+def test_where_both_agree_again_the_likelier_goes_on_and_covers_the_other(evidence, by_camera):
+    court = in_doubt(evidence)
+    court_after, reason = see(court, 10.0, looked(court, np.zeros(6)), SETTINGS)
+    assert (court_after.trust, court_after.rival, reason) == (Trust.BOTH, None, None)
+    likelier, other = (court.rival, court.belief) if by_camera else (court.belief, court.rival)
+    now = court_after.belief
+    assert (apart(now.T[0], likelier.T[0]) < [0.01, 0.1]).all()
+    off = se3.log(other.T[0] @ se3.invert(now.T[0]))
+    assert off @ np.linalg.solve(now.covariance[:6, :6], off) < 9
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_of_the_looks_after_doubt_does_not_decide_who_was_right(seed):
+    court, rng = in_doubt(1.5), np.random.default_rng(seed)
+    assert court.rival is not None
+    for k in range(3):
+        look = looked(in_doubt(1.5), rng.normal(size=6) * 3e-4)
+        told, reason = see(court, 10.0 + k * 1e-3, look, SETTINGS)
+        assert reason is None
+        moved = apart(court.belief.T[0], told.belief.T[0])
+        court = told
+        assert k == 0 or (moved < [0.005, 0.1]).all()
