@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +11,8 @@ from benchmarks.joined_hour import events_apart
 from benchmarks.joined_runs import CAMERA, JOINED, WHEELS, localizer_of
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
-from wheelsight.estimates import Estimate, Status
+from wheelsight import Localizer
+from wheelsight.estimates import Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
 
@@ -28,19 +28,25 @@ class Spent:
 
     Attributes:
         frames_s, readings_s: of each frame and each wheel reading, seconds.
+        aside_s: of these for each frame, what no stage of camera or map took.
         tracked: how many were answered with `tracking`.
     """
 
     frames_s: list[float] = field(default_factory=list)
     readings_s: list[float] = field(default_factory=list)
+    aside_s: list[float] = field(default_factory=list)
     tracked: int = 0
 
-    def answer(self, event: Event, process: Callable[[Event], Estimate | None]) -> None:
+    def answer(self, event: Event, localizer: Localizer) -> None:
         """Time one event."""
         begin_s = time.perf_counter()
-        estimate = process(event)
+        estimate = localizer.process(event)
         spent_s = time.perf_counter() - begin_s
-        (self.frames_s if isinstance(event, RgbdFrame) else self.readings_s).append(spent_s)
+        if isinstance(event, RgbdFrame):
+            self.frames_s.append(spent_s)
+            self.aside_s.append(spent_s - sum(localizer.stage_seconds.values()))
+        else:
+            self.readings_s.append(spent_s)
         self.tracked += estimate is not None and estimate.status is Status.TRACKING
 
     @property
@@ -75,14 +81,20 @@ def spent_on(recording: SimulatedRecording) -> dict[str, Spent]:
             if event.stamp_s < warm_s:
                 localizer.process(event)
             else:
-                spent[name].answer(event, localizer.process)
+                spent[name].answer(event, localizer)
     return spent
 
 
 def overhead_ms(spent: dict[str, Spent]) -> float:
-    """What joining adds to an event's time, on average, beyond what wheels and camera take alone."""
-    alone_s = spent[WHEELS].seconds + spent[CAMERA].seconds
-    return 1e3 * (spent[JOINED].seconds - alone_s) / spent[JOINED].events
+    """What joining takes of an event, on average.
+
+    Of a frame, all but the stages of camera and map; of a reading, what wheels alone do not take.
+
+    Not frames beside the camera alone: that tracks against its map, which takes longer than keyframes do.
+    """
+    joined = spent[JOINED]
+    seconds = sum(joined.aside_s) + sum(joined.readings_s) - sum(spent[WHEELS].readings_s)
+    return 1e3 * seconds / joined.events
 
 
 def joined_speed_sheet(spent: dict[str, Spent]) -> Sheet:
@@ -92,7 +104,8 @@ def joined_speed_sheet(spent: dict[str, Spent]) -> Sheet:
             name,
             f"{1e3 * np.median(s.frames_s):.2f}",
             f"{1e3 * np.percentile(s.frames_s, 95):.2f}",
-            f"{1e3 * np.median(s.readings_s):.3f}",
+            f"{1e3 * np.mean(s.aside_s):.2f}",
+            f"{1e3 * np.mean(s.readings_s):.3f}",
             f"{s.frames_hz:.1f}",
             f"{100 * s.tracked / s.events:.1f} %",
         )
@@ -100,7 +113,7 @@ def joined_speed_sheet(spent: dict[str, Spent]) -> Sheet:
     )
     frames, readings = len(spent[JOINED].frames_s), len(spent[JOINED].readings_s)
     title = f"Joined: flat by kinect-v1, {frames:,} frames of 640×480 and {readings:,} wheel readings, two threads"
-    heads = ("localizer", "frame ms", "95 % below ms", "reading ms", "frames/s with readings", "tracking")
+    heads = ("localizer", "frame ms", "95 % below ms", "beside its stages ms", "reading ms, mean", "frames/s with readings", "tracking")
     return Sheet(title, heads, rows)
 
 
@@ -108,5 +121,5 @@ def judge_joined_speed(spent: dict[str, Spent]) -> list[Target]:
     """Frames a second of the joined system, and what joining adds to an event."""
     return [
         Target("joined, 640×480: frames/s", FRAMES_HZ, spent[JOINED].frames_hz, "/s", is_least=True),
-        Target("joined, 640×480: added to an event by joining, mean", OVERHEAD_MS, overhead_ms(spent), "ms", 2),
+        Target("joined, 640×480: time of joining, mean of all events", OVERHEAD_MS, overhead_ms(spent), "ms", 2),
     ]
