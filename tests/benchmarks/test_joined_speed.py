@@ -14,7 +14,7 @@ def made(frame_ms: float, reading_ms: float, aside_ms: float = 0.0) -> Spent:
 
 def test_what_joining_takes_is_shared_by_all_events() -> None:
     spent = {WHEELS: made(0.0, 0.1), CAMERA: made(30.0, 0.0, 0.5), JOINED: made(22.0, 0.3, 2.0)}
-    assert overhead_ms(spent) == pytest.approx((10 * 2.0 + 90 * 0.2) / 100)
+    assert overhead_ms(spent) == pytest.approx((10 * (2.0 - 0.5) + 90 * 0.2) / 100)
     assert spent[JOINED].frames_hz == pytest.approx(10 / (10 * 0.022 + 90 * 0.0003))
     assert [target.is_met for target in judge_joined_speed(spent)] == [True, True]
     spent[JOINED] = made(36.0, 0.3, 4.0)
