@@ -84,10 +84,10 @@ def test_on_wheels_a_guess_holds_most_what_would_leave_the_floor() -> None:
     assert (climbed[np.inf, 0.03] < 0.3 * climbed[0.2, 0.2]).all()
 
 
-def test_on_wheels_a_guess_that_leaves_the_floor_does_not_lead_off_it() -> None:
-    """Nor is a tilt or rise held that the guess brings along: the floor is where the frame before was."""
+def test_on_wheels_a_guess_is_not_followed_where_wheels_do_not_roll() -> None:
+    """Sideways, up, and rolled about the way ahead: the base is held where the frame before had it."""
     wall, T_guess = [Plane((0, 0, 1), 1.0)], se3.exp([0.02, -0.03, 0, 0, 0, 0.05])
-    for calibration, step, is_level in (
+    for calibration, step, is_rolling in (
         (ON_WHEELS, Step(np.eye(4), 0.1), True),
         (ON_WHEELS, None, False),
         (Calibration.registered_camera(SMALL), Step(np.eye(4), 0.1), False),
@@ -97,8 +97,22 @@ def test_on_wheels_a_guess_that_leaves_the_floor_does_not_lead_off_it() -> None:
         frame = parts.grid(frame_of(wall, np.eye(4), 0.1, 2))
         found = parts.aligner.align(frame, reference, T_guess, step, held_m=(0.02, 0.005))
         x, y, _, _, _, roll = se3.log(found.T_reference_frame)
-        assert x == pytest.approx(0.02, abs=0.01)
-        assert (y, roll) == pytest.approx((0.0, 0.0) if is_level else (-0.03, 0.05), abs=0.01)
+        assert (x, y, roll) == pytest.approx((0.0, 0.0, 0.0) if is_rolling else (0.02, -0.03, 0.05), abs=0.01)
+
+
+def test_a_base_that_turns_carries_a_camera_beside_it_along() -> None:
+    """What wheels roll is held as the guess has it: here a turn, which takes the camera sideways and ahead."""
+    T_base_camera = ON_WHEELS.T_base_camera.copy()
+    T_base_camera[:2, 3] = 0.4, 0.3
+    T_guess = se3.invert(T_base_camera) @ se3.exp([0.03, 0, 0, 0, 0, 0.08]) @ T_base_camera
+    wall, parts = [Plane((0, 0, 1), 1.0)], bench(replace(ON_WHEELS, T_base_camera=T_base_camera), min_gradient=0.5)
+    reference = parts.reference(frame_of(wall, np.eye(4), 0.0, 1))
+    frame = parts.grid(frame_of(wall, T_guess, 0.1, 2))
+    found = parts.aligner.align(frame, reference, T_guess, Step(np.eye(4), 0.1), held_m=(0.005, 0.001))
+    metres, radians = apart(T_guess, found.T_reference_frame)
+    assert np.linalg.norm(T_guess[:2, 3]) > 0.02
+    assert metres < 0.004
+    assert radians < 0.003
 
 
 def test_along_a_wall_the_start_from_which_grey_fits_is_taken() -> None:

@@ -20,8 +20,8 @@ from wheelsight.odometry.dense.grid import Gridder, GridFrame, Level, Rows
 from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 
-# Of a twist (v, ω) in the base's frame: up, roll and pitch.
-_OUT_OF_PLANE = [2, 3, 4]
+# Of a twist (v, ω) in the base's frame, what wheels do not roll: sideways, up, roll and pitch.
+_NOT_ROLLED = [1, 2, 3, 4]
 _FREE = (np.inf, np.inf)
 _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
@@ -85,7 +85,7 @@ class Aligner:
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
         self._settings, self._rows, self._late_s, self._maker = settings, rows, gridder.late_s, maker
         T_base_camera = calibration.T_base_camera
-        self._Ad_base_camera = None if T_base_camera is None else se3.adjoint(se3.nearest(T_base_camera))
+        self._T_base_camera = None if T_base_camera is None else se3.nearest(T_base_camera)
         self._color_sigma_px = calibration.color_sigma_px / (1 << gridder.halvings)
 
     def turn(self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
@@ -136,8 +136,8 @@ class Aligner:
         """The motion of a frame against a reference, from a first guess (4, 4).
 
         The guess holds what hardly anything shows: else the noise of a plain wall would pull it along for decimetres.
-        It is off by the first of `held_m`, turns as ways at 2 m; a base on wheels rises and tilts by the second since
-        the frame before, whatever the guess says: a turn guessed by grey values before a plain wall tilts by degrees.
+        It is off by the first of `held_m`, turns as ways at 2 m; a base on wheels goes sideways, rises and tilts by the
+        second since the frame before, whatever the guess says: one by grey values of a plain wall tilts by degrees.
         With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way.
         """
         settings = self._settings
@@ -145,7 +145,7 @@ class Aligner:
             [0, 1, _GREY_SIGMA, 1, 0, settings.huber, settings.color_weight, 0, settings.min_gradient], float
         )
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
-        T_held = self._level(T, step)
+        T_held = self._rolled(T, step)
         hold = self._hold(T_held, held_m)
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
@@ -180,22 +180,24 @@ class Aligner:
                 best = other
         return best
 
-    def _level(self, T_reference_frame: FloatArray, step: Step | None) -> FloatArray:
-        """A guess (4, 4) as it is if a base on wheels has stayed in its floor's plane since the frame before."""
-        if step is None or self._Ad_base_camera is None:
+    def _rolled(self, T_reference_frame: FloatArray, step: Step | None) -> FloatArray:
+        """A guess (4, 4) as it is if a base on wheels has but rolled ahead and turned since the frame before."""
+        if step is None or self._T_base_camera is None:
             return T_reference_frame.copy()
-        R_base_camera = self._Ad_base_camera[:3, :3]
-        # The camera's own way, not the base's: of a turn about the camera, the base's would keep what tilting moved it.
-        moved = se3.log(se3.invert(step.T_reference_previous) @ T_reference_frame).reshape(2, 3) @ R_base_camera.T
-        moved.flat[_OUT_OF_PLANE] = 0.0
-        return step.T_reference_previous @ se3.exp((moved @ R_base_camera).ravel())
+        T_base_camera = self._T_base_camera
+        twist = se3.log(se3.invert(step.T_reference_previous) @ T_reference_frame).reshape(2, 3)
+        way, turn = twist @ T_base_camera[:3, :3].T
+        # By the camera's own way: where the guess turns about the camera, the base's has what tilting moved it.
+        ahead_m = way[0] + turn[2] * T_base_camera[1, 3]
+        moved = se3.exp([ahead_m, 0.0, 0.0, 0.0, 0.0, turn[2]])
+        return step.T_reference_previous @ se3.invert(T_base_camera) @ moved @ T_base_camera
 
     def _hold(self, T: FloatArray, held_m: tuple[float, float]) -> FloatArray:
         """Information (6, 6) in T's left tangent that weighs like residuals; turns of the frame are ways at 2 m."""
         A, sigmas = se3.adjoint(se3.invert(T)), np.full(6, held_m[0])
-        if self._Ad_base_camera is not None:
-            A = self._Ad_base_camera @ A
-            sigmas[_OUT_OF_PLANE] = held_m[1]
+        if self._T_base_camera is not None:
+            A = se3.adjoint(self._T_base_camera) @ A
+            sigmas[_NOT_ROLLED] = held_m[1]
         A = (DEGENERATE_SCALE / sigmas)[:, None] * A
         return np.asarray(self._settings.correlation * A.T @ A)
 

@@ -268,7 +268,7 @@ class DenseOdometry:
                 starts.append(self._aligner.turn(grid, reference, T_reference_other))
             sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
             # One's own guess is held only where nothing tells more: what noise pulls off is to betray itself by a leap.
-            held_m = (sigma_m if self._is_helped or is_held else np.inf, self._settings.level_share * sigma_m)
+            held_m = (sigma_m if self._is_helped or is_held else np.inf, self._settings.nonholonomic_share * sigma_m)
             found = self._aligner.align_clearest(grid, reference, starts, step, held_m)
         first, *others = (T_reference_world @ T for T in T_priors)
         judged = judge(found, Prior(first, sigma_m, tuple(others)), self._settings)

@@ -48,8 +48,8 @@ class DenseSettings(BaseModel):
     prior_sigma_m_s: PositiveFloat = Field(
         0.5, description="how far off the expected speed may be, a second; what unseen directions are worth"
     )
-    level_share: float = Field(
-        0.15, gt=0, le=1, description="of that, how far a base on wheels may rise or tilt instead"
+    nonholonomic_share: float = Field(
+        0.15, gt=0, le=1, description="of that, how far a base on wheels may go sideways, rise or tilt instead"
     )
     min_depth_share: float = Field(0.05, gt=0, lt=1, description="of a frame's pixels that must have depth")
     kept_keyframes: PositiveInt = Field(60, description="held in memory; those used longest ago go first")
