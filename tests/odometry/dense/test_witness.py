@@ -32,7 +32,7 @@ def still(planes: list[Plane], count: int, begin_s: float = 0.0) -> list[RgbdFra
 def test_keypoints_tell_where_a_frame_is_and_nothing_of_another_place(frames: list[RgbdFrame]) -> None:
     subject = dense()
     run(subject, frames[:1])
-    witness, keyframes = subject._witness, subject._keyframes
+    witness, keyframes = subject._witness, subject._views.keyframes
     told = witness.locate(witness.look(frames[6]), keyframes, np.zeros(6))
     assert told is not None
     assert apart(IN_WORLD[6], told.T_world_camera)[0] < 0.02
@@ -81,7 +81,7 @@ def test_what_was_unseen_for_too_long_is_forgotten_where_keypoints_tell_the_plac
     """A view that tells no motion for long ends tracking, but not for good: what comes after is a known place again."""
     subject = dense(max_unseen_s=0.1)
     run(subject, frames[:4])
-    monkeypatch.setattr(subject, "_unseen_s", 0.2)
+    monkeypatch.setattr(subject._doubt, "unseen_s", 0.2)
     with monkeypatch.context() as blind:
         blind.setattr(Witness, "locate", lambda *_: None)
         assert subject.process(frames[4]).reason is Reason.DEGENERATE
@@ -113,11 +113,11 @@ def test_keypoints_that_hardly_agree_gainsay_a_keyframe_where_nobody_else_tells_
     told = Sighting(np.asarray(se3.from_parts(np.eye(3), [0.2, 0, 0]) @ IN_WORLD[7]), 1e-4 * np.eye(6), 90, 36)
     subject = dense(keyframe_overlap=0.999)
     run(subject, frames[:7])
-    kept = len(subject._keyframes)
+    kept = len(subject._views.keyframes)
     monkeypatch.setattr(Witness, "locate", lambda *_: told)
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ IN_WORLD[7] if is_helped else None)
     assert answer.status is (Status.TRACKING if is_helped else Status.FAILING)
-    assert len(subject._keyframes) == kept + is_helped
+    assert len(subject._views.keyframes) == kept + is_helped
 
 
 @pytest.mark.parametrize("off_m", [0.2, 1.0])
@@ -130,11 +130,11 @@ def test_a_keyframe_that_keypoints_contradict_is_none(
 
     subject = dense(keyframe_overlap=0.999)
     run(subject, frames[:7])
-    kept = len(subject._keyframes)
+    kept = len(subject._views.keyframes)
     monkeypatch.setattr(Witness, "locate", elsewhere)
     answer = subject.process(frames[7])
     assert (answer.status, answer.reason, answer.T_world_body) == (Status.FAILING, Reason.SURFACES_CONTRADICTED, None)
-    assert len(subject._keyframes) == kept
+    assert len(subject._views.keyframes) == kept
     again = subject.process(frames[8])
     assert again.status is Status.TRACKING
     np.testing.assert_allclose(again.T_world_body, elsewhere(subject._witness).T_world_camera, atol=1e-12)

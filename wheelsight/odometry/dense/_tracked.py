@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,17 +12,13 @@ from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.grid import GridFrame
 from wheelsight.odometry.dense.settings import DenseSettings
 
-# A change of velocity at once, and that many times a second, which is a leap rather than the camera's motion.
-_LEAP = np.array([0.5, 1.5])
-_LEAP_S = np.array([10.0, 30.0])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
     """A frame with its pose, the covariance (6, 6) of that, and its velocity (6,) in its own frame.
 
-    `overlap` is the share of the frame that its reference shows finely enough, and `is_by_keyframe` whether that is
-    one.
+    `overlap` is the share of the frame that its reference shows finely enough, `is_by_keyframe` whether that is one,
+    and `residual` how far off its planes are in the mean, 1 for a perfect fit.
     """
 
     frame: GridFrame
@@ -31,6 +27,7 @@ class Tracked:
     twist: FloatArray = field(default_factory=lambda: np.zeros(6))
     overlap: float = 1.0
     is_by_keyframe: bool = True
+    residual: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,15 +47,35 @@ class Surface:
     color: Float32Array | None = None
 
 
-def expected(last: Tracked, stamp_s: float, prior: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """T_last_frame (4, 4) by the prior, or else by constant velocity; and the velocity (6,) it means."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Expected:
+    """Where a frame is expected before it is compared with anything.
+
+    Attributes:
+        T_world_camera: each (4, 4); the first counts unless another fits clearly better.
+        T_world_other: (4, 4) where it may be instead, and is where grey values say so; or None.
+        is_helped: whether it is another sensor that expects the first, rather than constant velocity.
+    """
+
+    T_world_camera: tuple[FloatArray, ...]
+    T_world_other: FloatArray | None = None
+    is_helped: bool = False
+
+    def at(self, T_world_camera: FloatArray) -> Expected:
+        """The same, of a pose (4, 4) that is known better by now."""
+        return replace(self, T_world_camera=(T_world_camera,))
+
+
+def at_speed(last: Tracked, stamp_s: float) -> FloatArray:
+    """T_last_frame (4, 4) by constant velocity; after a longer gap, as if the camera had stood still."""
     seconds = stamp_s - last.frame.stamp_s
-    if prior is None:
-        twist = last.twist if 0 < seconds <= LONGEST_STEP_S else np.zeros(6)
-        return se3.from_parts(so3.exp(twist[3:] * seconds), twist[:3] * seconds), twist
-    if not 0 < seconds <= LONGEST_STEP_S:
-        return prior, np.zeros(6)
-    return prior, twist_between(np.eye(4), prior, seconds)
+    twist = last.twist if 0 < seconds <= LONGEST_STEP_S else np.zeros(6)
+    return se3.from_parts(so3.exp(twist[3:] * seconds), twist[:3] * seconds)
+
+
+def speed_of(T_last_frame: FloatArray, seconds: float) -> FloatArray:
+    """The velocity (6,) in its own frame that an expected motion (4, 4) means; 0 after a longer gap."""
+    return twist_between(np.eye(4), T_last_frame, seconds) if 0 < seconds <= LONGEST_STEP_S else np.zeros(6)
 
 
 def fine_share(frame: GridFrame, T_reference_frame: FloatArray, least: float) -> float:
@@ -70,13 +87,6 @@ def fine_share(frame: GridFrame, T_reference_frame: FloatArray, least: float) ->
     points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
     there = points @ T_reference_frame[2, :3] + T_reference_frame[2, 3]
     return float(np.count_nonzero(z >= least * there) / max(len(z), 1))
-
-
-def is_leap(found: Tracked, seconds: float) -> bool:
-    """Whether the camera would have had to gain more speed, or turning, against what was expected, than one does."""
-    change = found.twist - found.frame.twist
-    gained = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
-    return bool((gained > _LEAP + _LEAP_S * seconds).any())
 
 
 def implausible(last: Tracked, T_world_camera: FloatArray, seconds: float, settings: DenseSettings) -> Reason | None:

@@ -86,6 +86,7 @@ class Aligner:
         self._settings, self._rows, self._late_s, self._maker = settings, rows, gridder.late_s, maker
         T_base_camera = calibration.T_base_camera
         self._T_base_camera = None if T_base_camera is None else se3.nearest(T_base_camera)
+        self._Ad_base_camera = np.eye(6) if self._T_base_camera is None else se3.adjoint(self._T_base_camera)
         self._color_sigma_px = calibration.color_sigma_px / (1 << gridder.halvings)
 
     def turn(self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
@@ -145,8 +146,7 @@ class Aligner:
             [0, 1, _GREY_SIGMA, 1, 0, settings.huber, settings.color_weight, 0, settings.min_gradient], float
         )
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
-        T_held = self._rolled(T, step)
-        hold = self._hold(T_held, held_m)
+        T_held, hold = self._hold(T, step, held_m)
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
@@ -192,14 +192,18 @@ class Aligner:
         moved = se3.exp([ahead_m, 0.0, 0.0, 0.0, 0.0, turn[2]])
         return step.T_reference_previous @ se3.invert(T_base_camera) @ moved @ T_base_camera
 
-    def _hold(self, T: FloatArray, held_m: tuple[float, float]) -> FloatArray:
-        """Information (6, 6) in T's left tangent that weighs like residuals; turns of the frame are ways at 2 m."""
-        A, sigmas = se3.adjoint(se3.invert(T)), np.full(6, held_m[0])
+    def _hold(
+        self, T_reference_frame: FloatArray, step: Step | None, held_m: tuple[float, float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where a guess (4, 4) is held, and how firmly: information (6, 6) in the left tangent.
+
+        It weighs like residuals; turns of the frame are ways at 2 m.
+        """
+        T_held, sigmas = self._rolled(T_reference_frame, step), np.full(6, held_m[0])
         if self._T_base_camera is not None:
-            A = se3.adjoint(self._T_base_camera) @ A
             sigmas[_NOT_ROLLED] = held_m[1]
-        A = (DEGENERATE_SCALE / sigmas)[:, None] * A
-        return np.asarray(self._settings.correlation * A.T @ A)
+        A = (DEGENERATE_SCALE / sigmas)[:, None] * (self._Ad_base_camera @ se3.adjoint(se3.invert(T_held)))
+        return T_held, np.asarray(self._settings.correlation * A.T @ A)
 
     def _answer(
         self, frame: GridFrame, reference: Reference, T: FloatArray, total: FloatArray, how: FloatArray

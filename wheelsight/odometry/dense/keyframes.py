@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -35,15 +35,14 @@ class Keyframe:
     covariance: FloatArray
     view: View | None = None
 
+    def with_motion(self, covariance: FloatArray) -> FloatArray:
+        """The covariance (6, 6) of a pose that lies off this one by a motion with its covariance (6, 6)."""
+        Ad = se3.adjoint(self.reference.T_world_reference)
+        return np.asarray(self.covariance + Ad @ covariance @ Ad.T)
+
     def distance_m(self, T_world_camera: FloatArray) -> float:
         """How far a view from there (4, 4) is from this one; a turn by a radian counts as 1.5 m."""
         return float(se3.view_shift_m(se3.invert(self.reference.T_world_reference) @ T_world_camera))
-
-
-def nearest_keyframe(keyframes: Sequence[Keyframe], T_world_camera: FloatArray) -> Keyframe:
-    """The keyframe whose view is nearest to one from there (4, 4)."""
-    T_world_keyframe = np.array([keyframe.reference.T_world_reference for keyframe in keyframes])
-    return keyframes[int(np.argmin(se3.view_shift_m(se3.invert(T_world_keyframe) @ T_world_camera)))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

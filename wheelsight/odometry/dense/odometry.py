@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +13,12 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
-from wheelsight.odometry.dense._tracked import Surface, Tracked, expected, fine_share, implausible, is_leap
+from wheelsight.odometry.dense._doubt import Doubt
+from wheelsight.odometry.dense._tracked import Expected, Surface, Tracked, at_speed, fine_share, implausible, speed_of
+from wheelsight.odometry.dense._views import Views
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
-from wheelsight.odometry.dense.keyframes import Keyframe, Witness, nearest_keyframe
+from wheelsight.odometry.dense.keyframes import Keyframe, Witness
 from wheelsight.odometry.dense.observability import Prior, judge
 from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -25,8 +27,8 @@ from wheelsight.odometry.features.extraction import Features
 _START_VARIANCE = 1e-12
 # Of a frame's resolution, what a keyframe must have to show it: alone, so that its keypoints are recognised.
 _FINE_ALONE, _FINE_HELPED = 0.8, 0.5
-# Rows placed more wrongly than this are worth preparing a frame twice.
-_STRAIGHT_ENOUGH_PX = 0.3
+# Rows placed more wrongly than this are worth preparing a frame twice; of one that is no keyframe, than the second.
+_STRAIGHT_ENOUGH_PX = 0.3, 1.0
 
 
 class DenseOdometry:
@@ -61,17 +63,13 @@ class DenseOdometry:
         self._maker = ReferenceMaker(calibration.depth_noise, self._settings, rows)
         self._aligner = Aligner(calibration, self._settings, rows, self._gridder, self._maker)
         self._witness = Witness(calibration)
-        self._model = model
-        self._T_world_first = np.eye(4) if T_world_first is None else np.asarray(T_world_first, float)
-        self._keyframes: list[Keyframe] = []
         self.watch = Stopwatch()
+        self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
+        self._doubt = Doubt(self._settings)
+        self._T_world_first = np.eye(4) if T_world_first is None else np.asarray(T_world_first, float)
         self._first: RgbdFrame | None = None
         self._last: Tracked | None = None
         self._failures = 0
-        self._is_helped = False
-        self._T_last_other: FloatArray | None = None
-        self._unseen_s = 0.0
-        self._prediction: tuple[Keyframe | None, int] = None, 0
         self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
         self.last_frame: GridFrame | None = None
 
@@ -88,7 +86,7 @@ class DenseOdometry:
     @property
     def sees_all_motion(self) -> bool:
         """Whether the last frames showed every direction of motion; else part of the pose is only what was expected."""
-        return self._unseen_s == 0
+        return self._doubt.unseen_s == 0
 
     def last_surface(self, frame: RgbdFrame, with_color: bool = True) -> Surface:
         """What `frame`, which was the last one tracked, adds to a map."""
@@ -112,35 +110,39 @@ class DenseOdometry:
             T_previous_current_other: (4, 4) what may be so instead, and is taken where it fits clearly better.
         """
         self.watch.restart()
-        self.last_frame, self._T_last_other = None, T_previous_current_other
+        self.last_frame = None
         last = self._last
         if last is None:
             self._first = frame
             return self._begin(frame, self._T_world_first, _START_VARIANCE * np.eye(6))
-        self._is_helped = T_previous_current_prior is not None
-        found = self._find(frame, last, T_previous_current_prior)
+        found = self._find(frame, last, T_previous_current_prior, T_previous_current_other)
         if not isinstance(found, Tracked) and found.reason is not Reason.TOO_LITTLE_DEPTH:
             # Wheels that spin expect what is not so, and lead astray.
-            found = found if T_previous_current_prior is None else self._find(frame, last, None)
+            is_alone = T_previous_current_prior is None
+            found = found if is_alone else self._find(frame, last, None, T_previous_current_other)
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
 
-    def _find(self, frame: RgbdFrame, last: Tracked, prior: FloatArray | None) -> Tracked | MotionEstimate:
-        """Where a frame is, from what the prior (4, 4) or constant velocity expects, or why that is not known."""
+    def _find(
+        self, frame: RgbdFrame, last: Tracked, prior: FloatArray | None, other: FloatArray | None
+    ) -> Tracked | MotionEstimate:
+        """Where a frame is, from what a prior (4, 4) or constant velocity expects, or why that is not known."""
+        T_last_frame = at_speed(last, frame.stamp_s)
+        poses = [last.T_world_camera @ T_last_frame] if prior is None or last.twist.any() else []
+        if prior is not None:
+            poses, T_last_frame = [last.T_world_camera @ prior, *poses], prior
+        T_world_other = None if other is None else last.T_world_camera @ other
+        ahead = Expected(tuple(poses), T_world_other, is_helped=prior is not None)
         with self.watch.stage("prepare"):
-            T_last_frame, twist = expected(last, frame.stamp_s, prior)
-            grid = self._gridder.on_grid(frame, twist)
+            grid = self._gridder.on_grid(frame, speed_of(T_last_frame, frame.stamp_s - last.frame.stamp_s))
         if not self._has_depth(grid):
             return MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
-        T_priors = [last.T_world_camera @ T_last_frame]
-        if prior is not None and last.twist.any():
-            T_priors.append(last.T_world_camera @ expected(last, frame.stamp_s, None)[0])
-        found = self._locate(grid, last, T_priors)
+        found = self._locate(grid, last, ahead)
         if isinstance(found, Tracked) and self._first is not None:
-            found = self._begin_again(found, T_priors)
-        found = self._doubted(frame, last, found, grid, has_prior=prior is not None)
+            found = self._begin_again(found, ahead)
+        found = self._doubted(frame, last, found, grid, ahead)
         if isinstance(found, Tracked):
             with self.watch.stage("keyframe"):
-                found = self._remember(frame, found)
+                found = self._remember(frame, found, ahead)
         return found
 
     def miss(self, stamp_s: float) -> Estimate:
@@ -151,13 +153,12 @@ class DenseOdometry:
 
     def refer_to(self, model: ReferenceModel | None) -> None:
         """Align frames from now on with what a model predicts that stands in this world, or with keyframes alone."""
-        if model is not self._model:
-            self._model, self._prediction = model, (None, 0)
+        self._views.refer_to(model)
 
     def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
         self.watch.restart()
-        self._first, self._unseen_s = None, 0.0
+        self._first, self._doubt.unseen_s = None, 0.0
         return self._begin(frame, T_world_camera, covariance)
 
     def _has_depth(self, grid: GridFrame) -> bool:
@@ -171,46 +172,49 @@ class DenseOdometry:
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
         start = Tracked(grid, T_world_camera, covariance)
         with self.watch.stage("keyframe"):
-            self._keep(self._keyframe(start, self._witness.look(frame)))
-        self._prediction = None, 0
+            self._views.begin(self._keyframe(start, self._witness.look(frame)))
         self.last_motion = MotionEstimate(np.eye(4), _START_VARIANCE * np.eye(6))
         return self._accept(start)
 
-    def _keep(self, keyframe: Keyframe) -> None:
-        self._keyframes.append(keyframe)
-        del self._keyframes[: -self._settings.kept_keyframes]
-
-    def _begin_again(self, found: Tracked, T_priors: list[FloatArray]) -> Tracked | MotionEstimate:
+    def _begin_again(self, found: Tracked, ahead: Expected) -> Tracked | MotionEstimate:
         """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
         first, self._first = self._first, None
         if first is None or self._last is None or not self._gridder.late_s.any():
             return found
         self._last = replace(self._last, frame=self._gridder.on_grid(first, found.twist), twist=found.twist)
-        self._keyframes = [self._keyframe(self._last, self._witness.look(first))]
-        return self._align(found.frame, self._keyframes[0], self._last, [found.T_world_camera], T_priors)
+        keyframe = self._keyframe(self._last, self._witness.look(first))
+        self._views.keyframes[:] = [keyframe]
+        return self._align(found.frame, keyframe, self._last, ahead, [found.T_world_camera])
 
-    def _locate(self, grid: GridFrame, last: Tracked, T_priors: list[FloatArray]) -> Tracked | MotionEstimate:
+    def _locate(self, grid: GridFrame, last: Tracked, ahead: Expected) -> Tracked | MotionEstimate:
         """Align with the first reference that fits, beginning at the best of the expected poses T_world_camera."""
         failure: MotionEstimate | None = None
-        for place, reference in enumerate(self._references(T_priors[0])):
-            guesses = T_priors if place == 0 or not self._is_lost else [reference.reference.T_world_reference]
-            found = self._align(grid, reference, last, guesses, T_priors)
+        for place, view in enumerate(self._references(last, ahead)):
+            is_elsewhere = place > 0 and self._is_lost
+            begun = (view.reference.T_world_reference,) if is_elsewhere else ahead.T_world_camera
+            found = self._align(grid, view, last, ahead, begun)
             if isinstance(found, Tracked):
-                return self._seen_sharper(found, reference, last, T_priors)
+                return self._seen_sharper(found, view, last, ahead)
             failure = failure or found
         assert failure is not None
         return failure
 
-    def _seen_sharper(self, found: Tracked, by: Keyframe, last: Tracked, T_priors: list[FloatArray]) -> Tracked:
+    def _references(self, last: Tracked, ahead: Expected) -> Iterator[Keyframe]:
+        """Views from about there; while no frame has failed, the frame before too."""
+        yield from self._views.around(ahead.T_world_camera[0], self._failures)
+        if self._failures == 0:
+            yield self._keyframe(last)
+
+    def _seen_sharper(self, found: Tracked, by: Keyframe, last: Tracked, ahead: Expected) -> Tracked:
         """A pose by the map; by the frame before if only that shows all motion: a bare wall's marks fade in a map.
 
         Where neither does, constant velocity is held: a mark that fits another's place would pull along the wall.
         """
         motion = self.last_motion
-        if self._model is None or self._failures or motion.shows_all:
+        if not self._views.has_model or self._failures or motion.shows_all:
             return found
-        for keyframe, is_held in [(self._keyframe(last), False), (by, True)][: 1 if self._is_helped else 2]:
-            again = self._align(found.frame, keyframe, last, T_priors, T_priors, is_held)
+        for keyframe, is_held in [(self._keyframe(last), False), (by, True)][: 1 if ahead.is_helped else 2]:
+            again = self._align(found.frame, keyframe, last, ahead, ahead.T_world_camera, is_held=is_held)
             if isinstance(again, Tracked) and (is_held or self.last_motion.shows_all):
                 return again
         self.last_motion = motion
@@ -220,57 +224,29 @@ class DenseOdometry:
     def _is_lost(self) -> bool:
         return self._failures >= self._settings.lost_after
 
-    def _references(self, T_world_camera: FloatArray) -> Iterator[Keyframe]:
-        """What the model predicts, else the newest keyframe; while frames fail, the nearest; once lost, others too."""
-        newest = self._keyframes[-1]
-        if self._model is not None:
-            yield self._predicted(self._model, T_world_camera)
-        yield newest
-        if self._failures == 0 and self._last is not None:
-            yield self._keyframe(self._last)
-        if self._failures:
-            yield self._nearest(T_world_camera)
-        if self._is_lost:
-            yield self._keyframes[-1 - self._failures % len(self._keyframes)]
-
-    def _predicted(self, model: ReferenceModel, T_world_camera: FloatArray) -> Keyframe:
-        """What the model looks like from there; one view serves for some frames, while the camera is near."""
-        known, served = self._prediction
-        is_near = known is not None and known.distance_m(T_world_camera) < self._settings.predicted_way_m
-        if known is None or self._failures or not is_near or served >= self._settings.predicted_frames:
-            with self.watch.stage("predict"):
-                view = model.predict(T_world_camera, self.intrinsics, self._gridder.shape)
-                reference = self._maker.of_view(view, T_world_camera, self.intrinsics)
-            known, served = Keyframe(reference, self._nearest(T_world_camera).covariance), 0
-        self._prediction = known, served + 1
-        return known
-
-    def _nearest(self, T_world_camera: FloatArray) -> Keyframe:
-        return nearest_keyframe(self._keyframes, T_world_camera)
-
     def _align(
         self,
         grid: GridFrame,
         keyframe: Keyframe,
         last: Tracked,
-        guesses: list[FloatArray],
-        T_priors: list[FloatArray],
+        ahead: Expected,
+        begun: Sequence[FloatArray],
+        *,
         is_held: bool = False,
     ) -> Tracked | MotionEstimate:
-        reference = keyframe.reference
+        """Where a frame is by one view, begun at the best of some poses T_world_camera; or why that is not known."""
+        reference, seconds = keyframe.reference, grid.stamp_s - last.frame.stamp_s
         T_reference_world = se3.invert(reference.T_world_reference)
-        seconds = grid.stamp_s - last.frame.stamp_s
         step = Step(T_reference_world @ last.T_world_camera, seconds) if seconds <= LONGEST_STEP_S else None
+        sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
+        # One's own guess is held only where nothing tells more: what noise pulls off is to betray itself by a leap.
+        held_m = sigma_m if ahead.is_helped or is_held else np.inf, self._settings.nonholonomic_share * sigma_m
         with self.watch.stage("align"):
-            starts = [self._aligner.start(grid, reference, [T_reference_world @ guess for guess in guesses])]
-            if self._T_last_other is not None:
-                T_reference_other = T_reference_world @ last.T_world_camera @ self._T_last_other
-                starts.append(self._aligner.turn(grid, reference, T_reference_other))
-            sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
-            # One's own guess is held only where nothing tells more: what noise pulls off is to betray itself by a leap.
-            held_m = (sigma_m if self._is_helped or is_held else np.inf, self._settings.nonholonomic_share * sigma_m)
+            starts = [self._aligner.start(grid, reference, [T_reference_world @ T for T in begun])]
+            if ahead.T_world_other is not None:
+                starts.append(self._aligner.turn(grid, reference, T_reference_world @ ahead.T_world_other))
             found = self._aligner.align_clearest(grid, reference, starts, step, held_m)
-        first, *others = (T_reference_world @ T for T in T_priors)
+        first, *others = (T_reference_world @ T for T in ahead.T_world_camera)
         judged = judge(found, Prior(first, sigma_m, tuple(others)), self._settings)
         T_world_camera = se3.nearest(reference.T_world_reference @ judged.T_reference_frame)
         reason = judged.reason or implausible(last, T_world_camera, seconds, self._settings)
@@ -278,102 +254,101 @@ class DenseOdometry:
             return MotionEstimate.failed(reason, found.pairs, found.planes)
         counts = (None, found.pairs, found.planes, judged.degenerate)
         self.last_motion = MotionEstimate(judged.T_reference_frame, judged.covariance, *counts)
-        Ad = se3.adjoint(reference.T_world_reference)
-        covariance = keyframe.covariance + Ad @ judged.covariance @ Ad.T
         twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
-        least = _FINE_HELPED if self._is_helped else _FINE_ALONE
+        least = _FINE_HELPED if ahead.is_helped else _FINE_ALONE
         overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame, least)
-        return Tracked(grid, T_world_camera, covariance, twist, overlap, keyframe in self._keyframes)
+        fit = (overlap, keyframe in self._views.keyframes, found.residual)
+        return Tracked(grid, T_world_camera, keyframe.with_motion(judged.covariance), twist, *fit)
 
     def _doubted(
-        self, frame: RgbdFrame, last: Tracked, found: Tracked | MotionEstimate, grid: GridFrame, *, has_prior: bool
+        self, frame: RgbdFrame, last: Tracked, found: Tracked | MotionEstimate, grid: GridFrame, ahead: Expected
     ) -> Tracked | MotionEstimate:
-        """A pose that nothing but surfaces speak for is kept while they have shown all motion, and without a leap.
+        """A pose by surfaces alone is kept while they show all motion and fit as usual, and without a leap.
 
         Else, and after a failure or a gap, keypoints must say the same; where they know better, theirs is the pose. A
         prior stands in for what surfaces do not show, and for keypoints after a failure.
         """
-        seconds, unseen = grid.stamp_s - last.frame.stamp_s, False
+        seconds, is_alone = grid.stamp_s - last.frame.stamp_s, not ahead.is_helped
         if isinstance(found, Tracked):
-            if not has_prior and self._failures == 0:
-                self._count_unseen(seconds)
-            unseen = not has_prior and self._unseen_s > self._settings.max_unseen_s
-            leaps = (has_prior or last.twist.any()) and is_leap(found, seconds)
-            if seconds <= LONGEST_STEP_S and not (unseen or leaps) and (has_prior or self._failures == 0):
+            if is_alone and self._failures == 0:
+                self._doubt.count(seconds, shows_all=self.last_motion.shows_all)
+            is_steady = ahead.is_helped or bool(last.twist.any())
+            is_doubtful = self._doubt.falls_on(found, seconds, is_alone=is_alone, is_steady=is_steady)
+            if not is_doubtful and (ahead.is_helped or self._failures == 0):
                 return found
+        return self._witnessed(frame, last, found, grid, ahead)
+
+    def _witnessed(
+        self, frame: RgbdFrame, last: Tracked, found: Tracked | MotionEstimate, grid: GridFrame, ahead: Expected
+    ) -> Tracked | MotionEstimate:
+        """A pose that keypoints agree with: as it was found, found again from where they say, or theirs."""
         with self.watch.stage("recognise"):
             T_guess = found.T_world_camera if isinstance(found, Tracked) else last.T_world_camera
-            told = self._witness.locate(self._witness.look(frame), self._familiar(T_guess), grid.twist)
+            features, familiar = self._witness.look(frame), self._views.familiar(T_guess, self._failures)
+            told = self._witness.locate(features, familiar, grid.twist)
         if told is None:
-            missing = Reason.DEGENERATE if unseen else Reason.NOT_RECOGNISED
+            missing = Reason.DEGENERATE if self._doubt.is_blind and not ahead.is_helped else Reason.NOT_RECOGNISED
             return MotionEstimate.failed(missing) if isinstance(found, Tracked) else found
         if not isinstance(found, Tracked) or not told.agrees_with(found.T_world_camera):
-            found = self._locate(grid, last, [told.T_world_camera])
+            found = self._locate(grid, last, ahead.at(told.T_world_camera))
+            if isinstance(found, Tracked) and not told.agrees_with(found.T_world_camera):
+                # The rolling shutter bends keypoints by the speed expected; surfaces have corrected it.
+                told = self._witness.locate(features, familiar, found.twist) or told
         if not (isinstance(found, Tracked) and told.agrees_with(found.T_world_camera)):
             if not told.is_clear:
                 return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED, told.matches, told.inliers)
-            found = Tracked(grid, se3.nearest(told.T_world_camera), told.covariance)
-            self.last_motion = told.motion_from(self._nearest(told.T_world_camera).reference.T_world_reference)
-        self._unseen_s = 0.0  # keypoints show all motion
+            # Between two frames keypoints err by more than a camera's speed changes.
+            found = Tracked(grid, se3.nearest(told.T_world_camera), told.covariance, grid.twist)
+            self.last_motion = told.motion_from(self._views.nearest(told.T_world_camera).reference.T_world_reference)
+        self._doubt.unseen_s = 0.0  # keypoints show all motion
         return found
 
-    def _count_unseen(self, seconds: float) -> None:
-        """How long some direction of motion has not been seen; noise shows one now and then, which counts half."""
-        seen = self.last_motion.shows_all
-        self._unseen_s = max(self._unseen_s - 0.5 * seconds, 0.0) if seen else self._unseen_s + seconds
-
-    def _familiar(self, T_world_camera: FloatArray) -> list[Keyframe]:
-        """Keyframes that a frame may show: the nearest, the newest, and once lost an older one in turn."""
-        keyframes = [self._nearest(T_world_camera), self._keyframes[-1]]
-        if self._is_lost:
-            keyframes.append(self._keyframes[-1 - self._failures % len(self._keyframes)])
-        return list(dict.fromkeys(keyframes))
-
-    def _remember(self, frame: RgbdFrame, found: Tracked) -> Tracked | MotionEstimate:
+    def _remember(self, frame: RgbdFrame, found: Tracked, ahead: Expected) -> Tracked | MotionEstimate:
         """Keep the frame as a keyframe where it shows much that the last one did not; keypoints must not gainsay it."""
-        if self._settings.reference == "previous" and self._model is None:
+        if self._settings.reference == "previous" and not self._views.has_model:
             straight = self._straightened(frame, found)
-            self._keyframes = [self._keyframe(straight, self._witness.look(frame))]
+            self._views.keyframes[:] = [self._keyframe(straight, self._witness.look(frame))]
             return straight
-        if not self._is_new(found):
-            return found
-        seen = self._seen_from_before(found)
+        if not self._is_new(found, ahead):
+            return self._straightened(frame, found, is_kept=False)
+        seen = self._seen_from_before(found, ahead)
         if seen is not None:
             return seen
         straight = self._straightened(frame, found)
         features = self._witness.look(frame)
-        told = self._witness.locate(features, self._keyframes[-1:], found.twist)
-        if told is not None and not told.agrees_with(found.T_world_camera) and (told.is_clear or not self._is_helped):
+        told = self._witness.locate(features, self._views.keyframes[-1:], found.twist)
+        if told is not None and not told.agrees_with(found.T_world_camera) and (told.is_clear or not ahead.is_helped):
             return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED)
-        self._keep(self._keyframe(straight, features))
+        self._views.keep(self._keyframe(straight, features))
         return straight
 
-    def _is_new(self, found: Tracked) -> bool:
+    def _is_new(self, found: Tracked, ahead: Expected) -> bool:
         """Whether a frame is to become a keyframe: the last one shows too little of it; beside a map, by the way."""
-        if self._model is None:
+        if not self._views.has_model:
             # Alone, a frame that only the one before could place is none: people's backs would carry the camera along.
-            is_settled = found.is_by_keyframe or not self._is_helped
+            is_settled = found.is_by_keyframe or not ahead.is_helped
             return found.overlap < self._settings.keyframe_overlap or not is_settled
-        return self._nearest(found.T_world_camera).distance_m(found.T_world_camera) > self._settings.keyframe_way_m
+        nearest = self._views.nearest(found.T_world_camera)
+        return nearest.distance_m(found.T_world_camera) > self._settings.keyframe_way_m
 
-    def _seen_from_before(self, found: Tracked) -> Tracked | None:
+    def _seen_from_before(self, found: Tracked, ahead: Expected) -> Tracked | None:
         """The frame by an older keyframe that is nearer and shows the same, which ends the drift, if there is one."""
-        nearest = self._nearest(found.T_world_camera)
-        if self._model is not None or nearest is self._keyframes[-1] or self._last is None:
+        nearest = self._views.nearest(found.T_world_camera)
+        if self._views.has_model or nearest is self._views.keyframes[-1] or self._last is None:
             return None
-        motion, here = self.last_motion, [found.T_world_camera]
-        seen = self._align(found.frame, nearest, self._last, here, here)
+        motion = self.last_motion
+        here = ahead.at(found.T_world_camera)
+        seen = self._align(found.frame, nearest, self._last, here, here.T_world_camera)
         if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
-            self._keyframes.remove(nearest)
-            self._keyframes.append(nearest)
+            self._views.keep(nearest)
             return seen
         self.last_motion = motion
         return None
 
-    def _straightened(self, frame: RgbdFrame, found: Tracked) -> Tracked:
+    def _straightened(self, frame: RgbdFrame, found: Tracked, *, is_kept: bool = True) -> Tracked:
         """The same frame, its rows straightened by the speed that was found rather than the one expected."""
         wrong = np.abs(found.twist - found.frame.twist)[3:].max() * np.abs(self._gridder.late_s).max()
-        if wrong * self.intrinsics[0] < _STRAIGHT_ENOUGH_PX:
+        if wrong * self.intrinsics[0] < _STRAIGHT_ENOUGH_PX[0 if is_kept else 1]:
             return found
         return replace(found, frame=self._gridder.on_grid(frame, found.twist))
 
@@ -384,6 +359,7 @@ class DenseOdometry:
 
     def _accept(self, found: Tracked) -> Estimate:
         self._last, self._failures, self.last_frame = found, 0, found.frame
+        self._doubt.learn(found)
         motion, pose = self.last_motion, (found.T_world_camera, found.covariance)
         return Estimate(found.frame.stamp_s, Status.TRACKING, *pose, matches=motion.matches, inliers=motion.inliers)
 

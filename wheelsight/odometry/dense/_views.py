@@ -1,0 +1,98 @@
+"""Views that a frame may be aligned with: keyframes, and what a map looks like from where the camera is expected."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.odometry.dense.grid import Gridder
+from wheelsight.odometry.dense.keyframes import Keyframe
+from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
+from wheelsight.odometry.dense.settings import DenseSettings
+
+
+class Views:
+    """What is known of the place, as views to align with.
+
+    Args:
+        settings: how many keyframes are kept, and for how long one prediction serves.
+        gridder, maker: give the ideal grid, and references on it.
+        watch: counts the time of "predict".
+        model: what predicts a view, if anything does.
+
+    Attributes:
+        keyframes: the one used longest ago first.
+    """
+
+    def __init__(
+        self,
+        settings: DenseSettings,
+        gridder: Gridder,
+        maker: ReferenceMaker,
+        watch: Stopwatch,
+        model: ReferenceModel | None = None,
+    ) -> None:
+        self._settings, self._gridder, self._maker, self._watch = settings, gridder, maker, watch
+        self._model = model
+        self._prediction: tuple[Keyframe | None, int] = None, 0
+        self.keyframes: list[Keyframe] = []
+
+    @property
+    def has_model(self) -> bool:
+        """Whether a map predicts what is to be seen."""
+        return self._model is not None
+
+    def refer_to(self, model: ReferenceModel | None) -> None:
+        """From now on, have a model predict views, or none."""
+        if model is not self._model:
+            self._model, self._prediction = model, (None, 0)
+
+    def begin(self, keyframe: Keyframe) -> None:
+        """Keep a keyframe from where all begins anew; what was predicted for elsewhere is forgotten."""
+        self._prediction = None, 0
+        self.keep(keyframe)
+
+    def keep(self, keyframe: Keyframe) -> None:
+        """Keep a keyframe, or let it count as the newest again; the oldest ones go."""
+        if keyframe in self.keyframes:
+            self.keyframes.remove(keyframe)
+        self.keyframes.append(keyframe)
+        del self.keyframes[: -self._settings.kept_keyframes]
+
+    def nearest(self, T_world_camera: FloatArray) -> Keyframe:
+        """The keyframe whose view is nearest to one from there (4, 4)."""
+        T_world_keyframe = np.array([keyframe.reference.T_world_reference for keyframe in self.keyframes])
+        return self.keyframes[int(np.argmin(se3.view_shift_m(se3.invert(T_world_keyframe) @ T_world_camera)))]
+
+    def around(self, T_world_camera: FloatArray, failures: int) -> Iterator[Keyframe]:
+        """What the model predicts, then the newest keyframe; after failures the nearest; once lost, others in turn."""
+        if self._model is not None:
+            yield self._predicted(self._model, T_world_camera, afresh=failures > 0)
+        yield self.keyframes[-1]
+        if failures:
+            yield self.nearest(T_world_camera)
+        yield from self._in_turn(failures)
+
+    def familiar(self, T_world_camera: FloatArray, failures: int) -> list[Keyframe]:
+        """Keyframes that a frame may show: the nearest, the newest, and once lost an older one in turn."""
+        keyframes = [self.nearest(T_world_camera), self.keyframes[-1], *self._in_turn(failures)]
+        return list(dict.fromkeys(keyframes))
+
+    def _in_turn(self, failures: int) -> Iterator[Keyframe]:
+        if failures >= self._settings.lost_after:
+            yield self.keyframes[-1 - failures % len(self.keyframes)]
+
+    def _predicted(self, model: ReferenceModel, T_world_camera: FloatArray, *, afresh: bool) -> Keyframe:
+        """What the model looks like from there; one view serves for some frames, while the camera is near."""
+        known, served = self._prediction
+        is_near = known is not None and known.distance_m(T_world_camera) < self._settings.predicted_way_m
+        if known is None or afresh or not is_near or served >= self._settings.predicted_frames:
+            with self._watch.stage("predict"):
+                view = model.predict(T_world_camera, self._gridder.intrinsics, self._gridder.shape)
+                reference = self._maker.of_view(view, T_world_camera, self._gridder.intrinsics)
+            known, served = Keyframe(reference, self.nearest(T_world_camera).covariance), 0
+        self._prediction = known, served + 1
+        return known
