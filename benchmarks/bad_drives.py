@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -86,9 +87,9 @@ def _spoilt(_: SimulatedRecording) -> tuple[Case, ...]:
     )
 
 
-def _crowd() -> SimulatedRecording:
+def _crowd(seed: int) -> SimulatedRecording:
     """The same room with four people in it, seldom out of the way."""
-    return _driven("flat", 10, lambda route: follow_route(route, is_loop=True, speed_m_s=0.5), 13.0, people=4)
+    return _driven("flat", seed, lambda route: follow_route(route, is_loop=True, speed_m_s=0.5), 13.0, people=4)
 
 
 def _crossed(recording: SimulatedRecording) -> tuple[Case, ...]:
@@ -97,7 +98,7 @@ def _crossed(recording: SimulatedRecording) -> tuple[Case, ...]:
     people = Passersby(recording.world, recording.drive, settings.passersby, settings.seed, settings.robot)
     hidden = np.array([_hidden_share(recording, people, float(stamp_s)) for stamp_s in stamps_s])
     in_the_way_s = stamps_s[hidden > _IN_THE_WAY]
-    name = f"people walk by, up to {100 * hidden.max():.0f} % of the view"
+    name = f"people walk by, up to {100 * hidden.max():.0f} % of the view, crowd {settings.seed}"
     return (Case(name, float(in_the_way_s[0]), float(in_the_way_s[-1])),)
 
 
@@ -115,19 +116,26 @@ def _filled(_: SimulatedRecording) -> tuple[Case, ...]:
     return (Case("plain wall fills the view", 5.4, 11.8),)
 
 
-def _spin() -> SimulatedRecording:
+def _spin(seed: int) -> SimulatedRecording:
     """On the spot in `flat`: a quarter to and fro, then half a turn each way, at 90°/s."""
     rate = _RIGHT_ANGLE_S
     stamps_s, yaw_rates = (0, 1, 2, 3, 4, 5, 7, 8, 10, 11), (0, rate, 0, -rate, 0, rate, 0, -rate, 0, 0)
-    return _driven("flat", 1, lambda _: ManualVelocities(stamps_s, np.zeros(10), yaw_rates), 11.0)
+    return _driven("flat", seed, lambda _: ManualVelocities(stamps_s, np.zeros(10), yaw_rates), 11.0)
 
 
-def _turning(_: SimulatedRecording) -> tuple[Case, ...]:
-    slow = (LowRate(),)
-    return Case("turns of 90°/s", 1.0, 10.0), Case("turns of 90°/s at 5 frames a second", 1.0, 10.0, slow)
+def _turning(recording: SimulatedRecording) -> tuple[Case, ...]:
+    slow, where = (LowRate(),), f"flat {recording.settings.seed}"
+    return Case(f"turns of 90°/s, {where}", 1.0, 10.0), Case(f"the same at 5 frames a second, {where}", 1.0, 10.0, slow)
 
 
-DRIVES = (BadDrive(_home, _spoilt), BadDrive(_crowd, _crossed), BadDrive(_wall, _filled), BadDrive(_spin, _turning))
+# What people and quick turns do to a tracker is chance: three of each.
+_CROWDS, _SPINS = (10, 12, 15), (1, 2, 5)
+DRIVES = (
+    BadDrive(_home, _spoilt),
+    *(BadDrive(partial(_crowd, seed), _crossed) for seed in _CROWDS),
+    BadDrive(_wall, _filled),
+    *(BadDrive(partial(_spin, seed), _turning) for seed in _SPINS),
+)
 
 
 class _Given(ManualVelocities):

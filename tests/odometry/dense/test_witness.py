@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from odometry.dense.scenes import Plane, apart, dense, frame_of
 from odometry.views import covered_frame, from_start, room_frame, run
-from synthetic import wobbling_trajectory
+from synthetic import CAMERA, wobbling_trajectory
 
+from wheelsight.calibration import Calibration
 from wheelsight.estimates import Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.odometry.dense.keyframes import Sighting, Witness
+from wheelsight.simulation import Robot
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_world_body))
@@ -149,3 +153,35 @@ def test_a_leap_is_believed_only_with_keypoints(frames: list[RgbdFrame], monkeyp
     assert seen.process(leapt).status is Status.TRACKING
     monkeypatch.setattr(Witness, "locate", lambda *_: None)
     assert blind.process(leapt).reason is Reason.NOT_RECOGNISED
+
+
+@pytest.mark.parametrize("degrees", [-25, -20, -16, 16, 20, 25])
+def test_a_turn_too_wide_to_follow_is_no_wrong_pose(degrees: float) -> None:
+    """On a slow camera: surfaces slide to where something fits, and only how badly it does tells."""
+    start = np.array(TRUTH.T_world_body[0])
+    turned = start @ se3.exp([0, 0, 0, 0, np.deg2rad(degrees), 0])
+    calibration = replace(Calibration.registered_camera(CAMERA), T_base_camera=Robot().T_base_camera)
+    subject = dense(calibration)
+    run(subject, [room_frame(start, k / 5, depth_noise=True) for k in range(3)])
+    answer = subject.process(room_frame(turned, 0.6, depth_noise=True))
+    assert answer.T_world_body is None or apart(se3.invert(start) @ turned, answer.T_world_body)[0] < 0.01
+
+
+def test_keypoints_are_asked_again_at_the_speed_that_surfaces_found(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rolling shutter bends keypoints by the speed expected before: a leap is where that was wrong."""
+    leap = np.array(TRUTH.T_world_body[6]) @ se3.exp([0.06, 0, 0, 0, 0.02, 0])
+    T_there = se3.invert(np.array(TRUTH.T_world_body[0])) @ leap
+    subject, asked = dense(), []
+    run(subject, frames[:7])
+
+    def locate(self: Witness, features: object, keyframes: object, twist: np.ndarray) -> Sighting:
+        asked.append(twist)
+        off = se3.exp([0.05, 0, 0, 0, 0.03, 0]) if len(asked) == 1 else np.eye(4)
+        return Sighting(off @ T_there, 1e-4 * np.eye(6), 90, 80)
+
+    monkeypatch.setattr(Witness, "locate", locate)
+    answer = subject.process(room_frame(leap, frames[7].stamp_s, depth_noise=True))
+    assert apart(T_there, answer.T_world_body)[0] < 5e-3
+    assert np.abs(asked[1] - asked[0])[0] > 1.0

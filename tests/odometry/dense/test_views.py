@@ -1,0 +1,61 @@
+"""Views that are kept, and which of them a frame is aligned with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from odometry.dense.scenes import Plane, bench, frame_of
+
+from wheelsight.geometry import se3
+from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.odometry.dense import DenseSettings
+from wheelsight.odometry.dense._views import Views
+from wheelsight.odometry.dense.keyframes import Keyframe
+
+BENCH = bench()
+GRID = BENCH.grid(frame_of([Plane((0, 0, 1), 2.0)], np.eye(4), 0.0))
+
+
+def keyframe(x_m: float) -> Keyframe:
+    return Keyframe(BENCH.maker.of_frame(GRID, se3.from_parts(np.eye(3), [x_m, 0, 0])), x_m * np.eye(6))
+
+
+@pytest.fixture
+def views() -> Views:
+    """Four keyframes a metre apart, and room for no more."""
+    made = Views(DenseSettings(kept_keyframes=4, lost_after=3), BENCH.gridder, BENCH.maker, Stopwatch())
+    for x_m in range(4):
+        made.keep(keyframe(float(x_m)))
+    return made
+
+
+def at(x_m: float) -> np.ndarray:
+    return se3.from_parts(np.eye(3), [x_m, 0, 0])
+
+
+def places(keyframes: list[Keyframe]) -> list[float]:
+    return [float(each.reference.T_world_reference[0, 3]) for each in keyframes]
+
+
+def test_the_keyframe_used_longest_ago_goes_first(views: Views) -> None:
+    views.keep(views.keyframes[0])
+    assert places(views.keyframes) == [1, 2, 3, 0]
+    views.keep(keyframe(9.0))
+    assert places(views.keyframes) == [2, 3, 0, 9]
+
+
+def test_the_nearest_is_found_and_asked_after_a_failure(views: Views) -> None:
+    assert places([views.nearest(at(1.2))]) == [1]
+    assert places(list(views.around(at(1.2), failures=0))) == [3]
+    assert places(list(views.around(at(1.2), failures=1))) == [3, 1]
+
+
+def test_once_lost_every_keyframe_has_its_turn(views: Views) -> None:
+    asked = {places(list(views.around(at(1.2), failures)))[-1] for failures in range(3, 7)}
+    assert asked == {0, 1, 2, 3}
+    recognised = {place for failures in range(3, 7) for place in places(views.familiar(at(1.2), failures))}
+    assert recognised == {0, 1, 2, 3}
+
+
+def test_no_keyframe_is_asked_twice_for_one_frame(views: Views) -> None:
+    assert places(views.familiar(at(3.0), failures=4)) == [3]
