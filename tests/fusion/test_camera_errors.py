@@ -38,7 +38,7 @@ def travelled(
 def of_camera(fusion: ErrorStateFilter) -> tuple[np.ndarray, np.ndarray]:
     """The camera's errors (7,) as the filter has them, and their standard deviations."""
     belief = fusion._history.newest.court.belief
-    return belief.rest[CAMERA_ERRORS], np.sqrt(np.diag(belief.covariance)[belief.indices(CAMERA_ERRORS)])
+    return belief.rest[CAMERA_ERRORS], np.sqrt(np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)])
 
 
 def turned(before: Step, step: Step) -> float:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from wheelsight.estimates import Reason
 from wheelsight.fusion import _trust as trust
+from wheelsight.fusion._changed import changed
 from wheelsight.fusion._pose_belief import Look, PoseBelief, WheelStep
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court
 from wheelsight.geometry import FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class FusionState:
     """All that the filter knows after an event.
 
@@ -81,22 +82,22 @@ def after(
     """The state after an event, of all those known: the whole step of the filter."""
     steps = [known.wheels for known in events if known.wheels is not None]
     now = moved_to(state, event.stamp_s, steps, settings)
-    court = replace(trust.end_doubt(now.court, event.stamp_s, settings), nis=None)
-    now = replace(now, court=court, reason=None)
+    court = changed(trust.end_doubt(now.court, event.stamp_s, settings), nis=None)
+    now = changed(now, court=court, reason=None)
     if event.yaw_rate_rad_s is not None:
-        return replace(now, court=_turned(now.court, event.yaw_rate_rad_s, event.stamp_s, settings))
+        return changed(now, court=_turned(now.court, event.yaw_rate_rad_s, event.stamp_s, settings))
     if event.look is not None:
         return _looked(now, event.look, event.stamp_s, settings)
     if event.failure is not None:
-        return replace(now, court=trust.fail(now.court, event.stamp_s, settings), reason=event.failure)
+        return changed(now, court=trust.fail(now.court, event.stamp_s, settings), reason=event.failure)
     if event.position is not None:
         return _placed(now, *event.position, settings)
     if event.clone is not None:
         given = (event.clone, event.stamp_s, settings.max_clones, event.spread)
-        return replace(now, court=_each(now.court, lambda belief: belief.cloned(*given)))
+        return changed(now, court=_each(now.court, lambda belief: belief.cloned(*given)))
     if event.drop is not None:
         forgotten = event.drop
-        return replace(now, court=_each(now.court, lambda belief: belief.dropped(forgotten)))
+        return changed(now, court=_each(now.court, lambda belief: belief.dropped(forgotten)))
     return now
 
 
@@ -114,7 +115,7 @@ def moved_to(state: FusionState, stamp_s: float, steps: list[WheelStep], setting
         told_s = told_s if step is None else end_s
         if not is_lost and end_s - told_s > settings.lost_after_s:
             court, is_lost = _each(court, PoseBelief.scattered), True
-    return replace(state, court=court, stamp_s=stamp_s, told_s=told_s, is_lost=is_lost)
+    return changed(state, court=court, stamp_s=stamp_s, told_s=told_s, is_lost=is_lost)
 
 
 def _begin(step: WheelStep) -> float:
@@ -134,38 +135,38 @@ def _gone_on(court: Court, step: WheelStep | None, start_s: float, end_s: float,
         travel = travel.rolled(step, (end_s - start_s) / (step.end_s - step.begin_s))
     belief = on(court.belief, court.trust is trust.Trust.CAMERA)
     assert belief is not None
-    return replace(court, belief=belief, rival=on(court.rival, True), travel=travel)
+    return changed(court, belief=belief, rival=on(court.rival, True), travel=travel)
 
 
 def _looked(state: FusionState, look: Look, stamp_s: float, settings: ErrorStateSettings) -> FusionState:
     if look.name not in state.court.belief.names:
-        return replace(state, reason=Reason.UNKNOWN_REFERENCE)
+        return changed(state, reason=Reason.UNKNOWN_REFERENCE)
     is_degenerate = len(look.covariance) < 6
     court, reason = trust.see(state.court, stamp_s, look, settings)
-    heard = replace(state, court=court, reason=reason, is_degenerate=is_degenerate, told_s=stamp_s)
-    return heard if reason is not None else replace(heard, vision_s=stamp_s, is_lost=False)
+    heard = changed(state, court=court, reason=reason, is_degenerate=is_degenerate, told_s=stamp_s)
+    return heard if reason is not None else changed(heard, vision_s=stamp_s, is_lost=False)
 
 
 def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> FusionState:
     court = state.court
     by = court.belief.position(xy, covariance)
     rivals = None if court.rival is None else court.rival.position(xy, covariance)
-    most, court = trust.gate(settings, 2), replace(court, nis=(by.nis, 2))
+    most, court = trust.gate(settings, 2), changed(court, nis=(by.nis, 2))
     if by.nis > most and (rivals is None or rivals.nis > most):
-        return replace(state, court=court, reason=Reason.OUTLIER)
+        return changed(state, court=court, reason=Reason.OUTLIER)
     if court.rival is not None and rivals is not None:
         cap = settings.leap_cap
         evidence = court.evidence + (min(by.nis, cap) - min(rivals.nis, cap)) / 2
         rival = court.rival.corrected(rivals) if rivals.nis <= most else court.rival
-        court = replace(court, rival=rival, evidence=evidence)
+        court = changed(court, rival=rival, evidence=evidence)
     belief = court.belief.corrected(by) if by.nis <= most else court.belief
-    return replace(state, court=replace(court, belief=belief))
+    return changed(state, court=changed(court, belief=belief))
 
 
 def _turned(court: Court, rate_rad_s: float, stamp_s: float, settings: ErrorStateSettings) -> Court:
     seconds = stamp_s - court.gyro_s if court.gyro_s is not None else 0.0
     if not 0 < seconds <= settings.coast_after_s:
-        return replace(court, gyro_s=stamp_s)
+        return changed(court, gyro_s=stamp_s)
     variance = settings.gyro_noise_rad_per_sqrt_s**2 / seconds
 
     def turned(belief: PoseBelief) -> tuple[PoseBelief, float]:
@@ -176,13 +177,13 @@ def _turned(court: Court, rate_rad_s: float, stamp_s: float, settings: ErrorStat
         return freed.corrected(freed.yaw_rate(rate_rad_s, variance)).turn_known(), by.nis
 
     belief, nis = turned(court.belief)
-    told = replace(court, belief=belief, nis=(nis, 1), gyro_s=stamp_s)
-    told = replace(told, travel=court.travel.turned((rate_rad_s - belief.gyro_bias_rad_s) * seconds, seconds))
+    told = changed(court, belief=belief, nis=(nis, 1), gyro_s=stamp_s)
+    told = changed(told, travel=court.travel.turned((rate_rad_s - belief.gyro_bias_rad_s) * seconds, seconds))
     if court.rival is not None:
-        told = replace(told, rival=turned(court.rival)[0])
-    return replace(told, turn_slip_s=stamp_s) if nis > trust.gate(settings, 1) else told
+        told = changed(told, rival=turned(court.rival)[0])
+    return changed(told, turn_slip_s=stamp_s) if nis > trust.gate(settings, 1) else told
 
 
 def _each(court: Court, change: Callable[[PoseBelief], PoseBelief]) -> Court:
     """Both beliefs changed alike."""
-    return replace(court, belief=change(court.belief), rival=None if court.rival is None else change(court.rival))
+    return changed(court, belief=change(court.belief), rival=None if court.rival is None else change(court.rival))

@@ -15,15 +15,20 @@ each step answers a new one, so that a filter can go back to any it has kept.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import math
+from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
 from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion._changed import changed
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.geometry import FloatArray, IntArray
 
 PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
+IN_PLANE = np.ix_(PLANE, PLANE)
+_SIX = np.arange(6)
 # Behind all poses stand, in this order: the twist, what is wrong with wheels and camera, and the gyroscope's bias.
 TWIST, ERRORS, CAMERA_ERRORS, BIAS = slice(0, 3), slice(3, 6), slice(6, 13), 13
 REST_SIZE = 14
@@ -74,7 +79,7 @@ class Innovation:
     nis: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PoseBelief:
     """The belief; see the module.
 
@@ -130,19 +135,16 @@ class PoseBelief:
     def _rest(self) -> int:
         return len(self.covariance) - REST_SIZE
 
-    def indices(self, part: slice) -> IntArray:
+    def place(self, part: slice) -> slice:
         """Where a part of `rest` stands in the covariance."""
-        return np.arange(self._rest + part.start, self._rest + part.stop)
+        return slice(self._rest + part.start, self._rest + part.stop)
 
     def rolled(self, step: WheelStep, share: float, settings: ErrorStateSettings, is_slipping: bool) -> PoseBelief:
         """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         raw = step.xi * share
-        way_m = s.lever_m * abs(raw[5]) + float(np.sqrt(raw[0] ** 2 + raw[1] ** 2))
-        drift = s.camera_drift_walk_rad_per_m
-        wander = [s.camera_scale_walk, drift, s.camera_turn_walk, drift, *[s.mount_walk_rad] * 3]
-        walks = np.square([s.scale_walk, s.drift_walk_rad_per_m, s.turn_walk, *wander, s.gyro_bias_walk_rad_s])
-        walks *= [*[way_m] * 10, dt_s]
+        way_m = s.lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
+        walks = _walks(s) * [*[way_m] * 10, dt_s]
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
         Q = step.covariance * share + _unseen(way_m, s)
         kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)
@@ -172,7 +174,7 @@ class PoseBelief:
         q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
         way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
         kernels.glide(T, rest, P, q, _unseen(way_m, s), dt_s, s.gyro_bias_walk_rad_s**2 * dt_s)
-        return replace(self, T=T, rest=rest, covariance=P)
+        return changed(self, T=T, rest=rest, covariance=P)
 
     def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:
         """With the pose now remembered as `name`; a pose of that name before, or the oldest of too many, goes.
@@ -182,10 +184,10 @@ class PoseBelief:
         here = self.dropped(name)
         while len(here.names) >= most:
             here = here.dropped(here.names[0])
-        poses = np.r_[: len(here.T), 0]
+        poses = np.append(np.arange(len(here.T)), 0)
         names, stamps = (*here.names, name), (*here.stamps_s, stamp_s)
         doubts = (*here.doubted_before, self.doubted)
-        there = replace(here._selected(poses), names=names, stamps_s=stamps, doubted_before=doubts)
+        there = changed(here._selected(poses), names=names, stamps_s=stamps, doubted_before=doubts)
         if spread is not None:
             at, Ad = slice(6 * len(names), 6 * len(names) + 6), kernels.adjoint(self.T[0])
             there.covariance[at, at] += Ad @ spread @ Ad.T
@@ -200,11 +202,11 @@ class PoseBelief:
         stamps = self.stamps_s[:place] + self.stamps_s[place + 1 :]
         doubts = self.doubted_before[:place] + self.doubted_before[place + 1 :]
         without = self._selected(np.delete(np.arange(len(self.T)), place + 1))
-        return replace(without, names=names, stamps_s=stamps, doubted_before=doubts)
+        return changed(without, names=names, stamps_s=stamps, doubted_before=doubts)
 
     def _selected(self, poses: IntArray) -> PoseBelief:
-        rows = np.r_[(6 * poses[:, None] + np.arange(6)).ravel(), self._rest : len(self.covariance)]
-        return replace(self, T=self.T[poses], covariance=self.covariance[np.ix_(rows, rows)])
+        rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(self._rest, len(self.covariance))])
+        return changed(self, T=self.T[poses], covariance=self.covariance[rows[:, None], rows])
 
     def reference(self, name: str) -> int:
         """Which of `T` the remembered pose `name` is. Raises KeyError."""
@@ -237,7 +239,7 @@ class PoseBelief:
 
     def yaw_rate(self, rate_rad_s: float, variance: float) -> Innovation:
         """What a gyroscope's yaw rate says."""
-        place = self.indices(TWIST)[2]
+        place = self.place(TWIST).stop - 1
         PHt = self.covariance[:, [place]] + self.covariance[:, [-1]]
         residual = np.array([rate_rad_s - self.rest[2] - self.rest[BIAS]])
         return _innovation(residual, PHt[[place]] + PHt[[-1]] + variance, PHt)
@@ -246,7 +248,7 @@ class PoseBelief:
         """The Kalman update."""
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
         kernels.correct(T, rest, P, by.with_state, by.covariance, by.residual)
-        return replace(self, T=T, rest=rest, covariance=P)
+        return changed(self, T=T, rest=rest, covariance=P)
 
     def moved(self, x: FloatArray, covariance: FloatArray) -> PoseBelief:
         """All poses perturbed, and the rest shifted, by x (n,). Raises ValueError for another number."""
@@ -254,7 +256,7 @@ class PoseBelief:
             raise ValueError(f"a shift of {len(x)} numbers for a belief of {len(self.covariance)}")
         T, rest = self.T.copy(), self.rest.copy()
         kernels.perturb(T, rest, x)
-        return replace(self, T=T, rest=rest, covariance=covariance)
+        return changed(self, T=T, rest=rest, covariance=covariance)
 
     def distrusted(self, seconds: float, step: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
         """As if wheels had slipped for so long and come off by a step (3,), vx, vy, ωz in the base's frame.
@@ -269,35 +271,35 @@ class PoseBelief:
         grown = Ad @ (np.diag(q) + np.outer(off, off)) @ Ad.T
         P = self.covariance.copy()
         P[:6, :6] += grown
-        return replace(self, covariance=P, doubted=self.doubted + grown)
+        return changed(self, covariance=P, doubted=self.doubted + grown)
 
     def scattered(self) -> PoseBelief:
         """As if the base might be anywhere about, turned any way."""
         Ad, P = kernels.adjoint(self.T[0]), self.covariance.copy()
         P[:6, :6] += (Ad * np.square(_ANYWHERE)) @ Ad.T
-        return replace(self, covariance=P)
+        return changed(self, covariance=P)
 
     def turn_distrusted(self, settings: ErrorStateSettings) -> PoseBelief:
         """As if the wheels' last yaw rate, and the turn it made, were any."""
-        twist = self.indices(TWIST)[2]
+        twist = self.place(TWIST).stop - 1
         G = np.r_[kernels.adjoint(self.T[0])[:, 5] * self.part_s, 1.0]
         P = self.covariance.copy()
         P[np.ix_(*[np.r_[:6, twist]] * 2)] += np.outer(G, G) * settings.acceleration_rad_s2**2
-        return replace(self, covariance=P)
+        return changed(self, covariance=P)
 
     def believed(self) -> PoseBelief:
         """With all doubt since vision was last believed settled by what it said, and the twist known."""
         none = np.zeros((6, 6))
         doubts = (none,) * len(self.names)
         known = self.rest[TWIST]
-        return replace(self, doubted=none, doubted_before=doubts, known_twist=known, known_for_s=0.0)
+        return changed(self, doubted=none, doubted_before=doubts, known_twist=known, known_for_s=0.0)
 
     def turn_known(self) -> PoseBelief:
         """With the yaw rate known, by a gyroscope."""
-        return replace(self, known_twist=np.array([*self.known_twist[:2], self.rest[2]]))
+        return changed(self, known_twist=np.array([*self.known_twist[:2], self.rest[2]]))
 
     def _levelled(self, settings: ErrorStateSettings) -> PoseBelief:
-        here = replace(self, way_m=0.0)
+        here = changed(self, way_m=0.0)
         if not np.isfinite(settings.level_sigma_rad):
             return here
         # δω × up, where up = R e_z; level is where its x and y are 0.
@@ -318,7 +320,7 @@ class PoseBelief:
         for belief, weight in ((self, 1 - share), (other, share)):
             apart = between._shift_to(belief)
             P += weight * (belief.covariance + np.outer(apart, apart))
-        return replace(between, covariance=P).believed()
+        return changed(between, covariance=P).believed()
 
     def covering(self, other: PoseBelief, since_s: float) -> PoseBelief:
         """This belief, so much less certain that `other` lies within three standard deviations.
@@ -331,7 +333,7 @@ class PoseBelief:
         apart[: self._rest].reshape(-1, 6)[later] = apart[:6]
         P = self.covariance + np.outer(apart, apart) / _COVERED_SIGMAS**2
         P[: self._rest, : self._rest] += other.covariance[: self._rest, : self._rest]
-        return replace(self, covariance=P)
+        return changed(self, covariance=P)
 
     def _shift_to(self, other: PoseBelief) -> FloatArray:
         """The perturbation (n,) that, to first order, puts every pose where `other` has it, however they are turned."""
@@ -348,7 +350,18 @@ def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray) -> Innovat
 
 def _unseen(way_m: float, settings: ErrorStateSettings) -> FloatArray:
     """Covariance (6, 6) of what wheels do not tell of a step: sideways, up, roll and pitch."""
+    return np.asarray(_unseen_a_metre(settings) * way_m)
+
+
+@cache
+def _unseen_a_metre(settings: ErrorStateSettings) -> FloatArray:
     s = settings
-    return (
-        np.diag(np.square([0.0, s.side_m_per_sqrt_m, s.rise_m_per_sqrt_m, *[s.tilt_rad_per_sqrt_m] * 2, 0.0])) * way_m
-    )
+    return np.diag(np.square([0.0, s.side_m_per_sqrt_m, s.rise_m_per_sqrt_m, *[s.tilt_rad_per_sqrt_m] * 2, 0.0]))
+
+
+@cache
+def _walks(settings: ErrorStateSettings) -> FloatArray:
+    """Variances (11,) that the errors of wheels and camera gain in a metre, and the gyroscope's bias in a second."""
+    s, drift = settings, settings.camera_drift_walk_rad_per_m
+    wander = [s.camera_scale_walk, drift, s.camera_turn_walk, drift, *[s.mount_walk_rad] * 3]
+    return np.square([s.scale_walk, s.drift_walk_rad_per_m, s.turn_walk, *wander, s.gyro_bias_walk_rad_s])

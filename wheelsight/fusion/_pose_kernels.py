@@ -112,6 +112,46 @@ def inverse_adjoint(T: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
+def is_motion(T: FloatArray) -> bool:
+    """Whether T (4, 4) is a rigid motion, and finite."""
+    if not np.isfinite(T).all():
+        return False
+    worst = max(abs(T[3, 0]), abs(T[3, 1]), abs(T[3, 2]), abs(T[3, 3] - 1))
+    turned = 0.0  # the determinant
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        turned += T[0, i] * (T[1, j] * T[2, k] - T[1, k] * T[2, j])
+    for i in range(3):
+        for j in range(3):
+            product = T[i, 0] * T[j, 0] + T[i, 1] * T[j, 1] + T[i, 2] * T[j, 2]
+            worst = max(worst, abs(product - (1.0 if i == j else 0.0)))
+    return worst < 1e-6 and turned > 0
+
+
+@njit(cache=True, nogil=True)
+def is_covariance(C: FloatArray) -> bool:
+    """Whether C (n, n) is finite, symmetric, and has no negative eigenvalue, to rounding."""
+    if not np.isfinite(C).all():
+        return False
+    most = np.abs(C).max()
+    least: float = np.linalg.eigvalsh((C + C.T) / 2)[0]
+    is_symmetric: bool = np.abs(C - C.T).max() <= 1e-6 * most
+    return is_symmetric and least >= -1e-9 * most
+
+
+@njit(cache=True, nogil=True)
+def step_between(
+    T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """ξ (6,) from one pose to the next, and what their covariances (6, 6) grew by, in the frame before."""
+    T_before_odom = inverse(T_before)
+    Ad = adjoint(T_before_odom)
+    grown = times(times(Ad, C_now - C_before), Ad.T)
+    strength, axes = np.linalg.eigh((grown + grown.T) / 2)
+    return log(times(T_before_odom, T_now)), times(axes * np.maximum(strength, 0.0), axes.T)
+
+
+@njit(cache=True, nogil=True)
 def left_jacobian(xi: FloatArray) -> FloatArray:
     """J (6, 6) with exp(ξ + δ) ≈ exp(J δ) exp(ξ): the series of ad(ξ)ⁿ / (n + 1)!, which converges for every ξ."""
     ad = np.zeros((6, 6))

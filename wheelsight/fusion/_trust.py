@@ -18,7 +18,7 @@ or the camera gets it, when it has gone on looking well and contradicting for a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
 
@@ -26,7 +26,8 @@ import numpy as np
 
 from wheelsight.estimates import Reason
 from wheelsight.fusion import _pose_kernels as kernels
-from wheelsight.fusion._pose_belief import PLANE, Innovation, Look, PoseBelief, WheelStep
+from wheelsight.fusion._changed import changed
+from wheelsight.fusion._pose_belief import IN_PLANE, PLANE, Innovation, Look, PoseBelief, WheelStep
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.geometry import FloatArray
 
@@ -47,7 +48,7 @@ class Trust(Enum):
     WHEELS = "wheels"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Travel:
     """What wheels and gyroscope alone told since the last look: motion, its covariance (3, 3) in the plane; yaw."""
 
@@ -59,13 +60,13 @@ class Travel:
 
     def rolled(self, step: WheelStep, share: float) -> Travel:
         """After a share of a wheel step."""
-        covariance = self.covariance + step.covariance[np.ix_(PLANE, PLANE)] * share
+        covariance = self.covariance + step.covariance[IN_PLANE] * share
         T = self.T @ kernels.exp(step.xi * share)
-        return replace(self, T=T, covariance=covariance, wheels_s=self.wheels_s + share * (step.end_s - step.begin_s))
+        return changed(self, T=T, covariance=covariance, wheels_s=self.wheels_s + share * (step.end_s - step.begin_s))
 
     def turned(self, yaw_rad: float, seconds: float) -> Travel:
         """After a turn that the gyroscope told."""
-        return replace(self, gyro_rad=self.gyro_rad + yaw_rad, gyro_s=self.gyro_s + seconds)
+        return changed(self, gyro_rad=self.gyro_rad + yaw_rad, gyro_s=self.gyro_s + seconds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +100,7 @@ class Glance:
     wheels: Speed | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Court:
     """Beliefs, whom to trust, and why.
 
@@ -176,9 +177,9 @@ def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) 
     usual = court.belief.innovation(look, without_doubt=True)
     agrees = usual.nis <= most
     agreed, nis = court.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
-    heard = replace(court, glance=glance, travel=Travel(), agreed=agreed, nis=nis, looked_s=stamp_s)
+    heard = changed(court, glance=glance, travel=Travel(), agreed=agreed, nis=nis, looked_s=stamp_s)
     if court.trust is Trust.BOTH:
-        heard = replace(heard, evidence=court.evidence * _LEAK + evidence)
+        heard = changed(heard, evidence=court.evidence * _LEAK + evidence)
         return _together(heard, stamp_s, look, usual, most, settings)
     if court.trust is Trust.DOUBT:
         return _in_doubt(heard, stamp_s, look, evidence, agrees, settings)
@@ -192,10 +193,10 @@ def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) 
 
 def fail(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
     """The court after a frame in which the camera itself says that it sees nothing."""
-    blind = replace(court, glance=None, travel=Travel(), agreed=0)
+    blind = changed(court, glance=None, travel=Travel(), agreed=0)
     if court.trust is Trust.DOUBT:
-        return _settled(replace(blind, evidence=court.evidence - settings.ill_health), stamp_s, settings)
-    return replace(blind, rival=None)
+        return _settled(changed(blind, evidence=court.evidence - settings.ill_health), stamp_s, settings)
+    return changed(blind, rival=None)
 
 
 def end_doubt(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
@@ -203,22 +204,22 @@ def end_doubt(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Cou
     if stamp_s - court.since_s <= settings.longest_doubt_s:
         return court
     if court.trust is Trust.DOUBT:
-        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(), evidence=0.0)
+        return changed(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(), evidence=0.0)
     lone = stamp_s - court.looked_s > settings.longest_doubt_s
     if court.trust is not Trust.CAMERA or not lone:
         return court
-    return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.belief.believed())
+    return changed(_trusting(court, Trust.BOTH, stamp_s), belief=court.belief.believed())
 
 
 def _together(
     court: Court, stamp_s: float, look: Look, usual: Innovation, most: float, settings: ErrorStateSettings
 ) -> tuple[Court, Reason | None]:
     if usual.nis <= most:
-        return replace(_healthier(court, look), belief=court.belief.corrected(usual).believed()), None
+        return changed(_healthier(court, look), belief=court.belief.corrected(usual).believed()), None
     rival = _led_by_camera(court.belief, stamp_s, look, settings)
     if rival is None:
         return court, Reason.CONTRADICTION
-    split = replace(_trusting(court, Trust.DOUBT, stamp_s), rival=rival)
+    split = changed(_trusting(court, Trust.DOUBT, stamp_s), rival=rival)
     return _verdict(_settled(split, stamp_s, settings))
 
 
@@ -232,9 +233,9 @@ def _in_doubt(
     if not agrees:
         is_healthy = fits and _is_healthy(court, look, settings)
         evidence += settings.persistence if is_healthy else -settings.ill_health
-    court = replace(court, rival=rival, evidence=court.evidence + evidence)
+    court = changed(court, rival=rival, evidence=court.evidence + evidence)
     if court.agreed >= settings.agreements:
-        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(), evidence=0.0), None
+        return changed(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(), evidence=0.0), None
     return _verdict(_settled(court, stamp_s, settings))
 
 
@@ -246,7 +247,7 @@ def _by_camera(
         return court, Reason.CONTRADICTION
     if court.agreed >= settings.agreements:
         court = _trusting(court, Trust.BOTH, stamp_s)
-    return replace(court, belief=court.belief.corrected(by).believed()), None
+    return changed(court, belief=court.belief.corrected(by).believed()), None
 
 
 def _by_wheels(
@@ -255,14 +256,14 @@ def _by_wheels(
     if court.agreed >= settings.agreements:
         belief = court.answer().believed()
         belief = belief.corrected(belief.innovation(look)).believed()
-        return replace(_trusting(court, Trust.BOTH, stamp_s), belief=belief, evidence=0.0), None
+        return changed(_trusting(court, Trust.BOTH, stamp_s), belief=belief, evidence=0.0), None
     if not _is_healthy(court, look, settings):
-        return replace(court, rival=None), Reason.CONTRADICTION
+        return changed(court, rival=None), Reason.CONTRADICTION
     by = None if court.rival is None else court.rival.innovation(look)
     if court.rival is None or by is None or by.nis > gate(settings, len(look.covariance)):
-        return replace(court, rival=_led_by_camera(court.belief, stamp_s, look, settings)), Reason.CONTRADICTION
+        return changed(court, rival=_led_by_camera(court.belief, stamp_s, look, settings)), Reason.CONTRADICTION
     evidence = max(court.evidence + evidence, -settings.decisive)
-    court = replace(court, rival=court.rival.corrected(by).believed(), evidence=evidence)
+    court = changed(court, rival=court.rival.corrected(by).believed(), evidence=evidence)
     return _verdict(_settled(court, stamp_s, settings))
 
 
@@ -270,9 +271,9 @@ def _settled(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Cour
     """The court, with one of both beliefs alone where the evidence is decisive."""
     if court.evidence > settings.decisive:
         assert court.rival is not None
-        return replace(_trusting(court, Trust.CAMERA, stamp_s), belief=court.rival, evidence=0.0)
+        return changed(_trusting(court, Trust.CAMERA, stamp_s), belief=court.rival, evidence=0.0)
     if court.evidence < -settings.decisive:
-        return replace(_trusting(court, Trust.WHEELS, stamp_s), rival=court.rival, evidence=-settings.decisive)
+        return changed(_trusting(court, Trust.WHEELS, stamp_s), rival=court.rival, evidence=-settings.decisive)
     return court
 
 
@@ -281,7 +282,7 @@ def _verdict(court: Court) -> tuple[Court, Reason | None]:
 
 
 def _trusting(court: Court, trust: Trust, stamp_s: float) -> Court:
-    return replace(court, trust=trust, rival=None, agreed=0, since_s=stamp_s)
+    return changed(court, trust=trust, rival=None, agreed=0, since_s=stamp_s)
 
 
 def _led_by_camera(belief: PoseBelief, stamp_s: float, look: Look, settings: ErrorStateSettings) -> PoseBelief | None:
@@ -325,13 +326,13 @@ def _since(last: Glance, look: Look, belief: PoseBelief) -> tuple[FloatArray, Fl
     """The camera's own motion since the last look, and its covariance (3, 3); None where references differ."""
     reference_s = belief.stamps_s[belief.reference(look.name) - 1]
     if reference_s == last.stamp_s:
-        return look.Z, look.spread[np.ix_(PLANE, PLANE)]
+        return look.Z, look.spread[IN_PLANE]
     if reference_s > last.stamp_s or last.look.name != look.name:
         return None
     T_last_reference = kernels.inverse(last.look.Z)
     Ad = kernels.adjoint(T_last_reference)
     spread = Ad @ (look.spread + last.look.spread) @ Ad.T
-    return T_last_reference @ look.Z, spread[np.ix_(PLANE, PLANE)]
+    return T_last_reference @ look.Z, spread[IN_PLANE]
 
 
 def _is_healthy(court: Court, look: Look, settings: ErrorStateSettings) -> bool:
@@ -345,5 +346,5 @@ def _healthier(court: Court, look: Look) -> Court:
     if look.inlier_share is None:
         return court
     if court.usual_share is None:
-        return replace(court, usual_share=look.inlier_share)
-    return replace(court, usual_share=court.usual_share + _SHARE_MEMORY * (look.inlier_share - court.usual_share))
+        return changed(court, usual_share=look.inlier_share)
+    return changed(court, usual_share=court.usual_share + _SHARE_MEMORY * (look.inlier_share - court.usual_share))

@@ -19,7 +19,7 @@ is that of the events in order. The same events give the same answer to the last
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +32,7 @@ from wheelsight.fusion._history import History
 from wheelsight.fusion._pose_belief import PLANE, TWIST, Look, PoseBelief, WheelStep
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray
 
 _UNSEEN_SIGMA_M = 10.0
 _RESTART_AFTER = 5  # events in a row that are all far ahead: it is not one clock that is wrong, all sensors had paused
@@ -97,6 +97,8 @@ class ErrorStateFilter:
         if begin is None or spread is None or T_base_camera is None:
             raise ConfigError("a pose at the start, its covariance or T_base_camera is none", fix="(4, 4) and (6, 6)")
         self._T_base_camera, self._Ad_base_camera = T_base_camera, kernels.adjoint(T_base_camera)
+        self._to_camera = np.diag(DEGENERATE_SCALE) @ kernels.inverse_adjoint(T_base_camera)
+        self._from_camera = self._Ad_base_camera / DEGENERATE_SCALE
         state = FusionState(Court(PoseBelief.begin(begin, spread, self.settings)))
         self._history: History[Happening, FusionState] = History(state, self.settings.window_s, self._after)
         self._ahead = 0
@@ -116,17 +118,16 @@ class ErrorStateFilter:
 
     def predict_to(self, wheels: Estimate) -> FusedEstimate:
         """Take the next estimate of wheel odometry, in order: T_odom_base with covariance; the first is the start."""
-        before, T, C = self._wheels, wheels.T_world_body, wheels.covariance
+        before, T, C = self._wheels, _motion(wheels.T_world_body), _covariance(wheels.covariance, 6)
         if T is None or C is None or wheels.reason is Reason.CLOCK_BACKWARDS:
             return self._refused(wheels.reason or Reason.INVALID)
         self._wheels = wheels
         if before is None or before.T_world_body is None or before.covariance is None:
             return self._take(Happening(wheels.stamp_s, drop=""))  # which begins the clock
-        T_before_odom = se3.invert(before.T_world_body)
-        Ad = kernels.adjoint(T_before_odom)
-        strength, axes = np.linalg.eigh(Ad @ (C - before.covariance) @ Ad.T)
-        grown = (axes * np.maximum(strength, 0.0)) @ axes.T
-        return self.predict(wheels.stamp_s, T_before_odom @ T, grown, before.stamp_s)
+        if not before.stamp_s < wheels.stamp_s:
+            return self._refused(Reason.INVALID)
+        told = kernels.step_between(before.T_world_body, before.covariance, T, C)
+        return self._take(Happening(wheels.stamp_s, wheels=WheelStep(before.stamp_s, wheels.stamp_s, *told)))
 
     def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
         """Remember the pose at a stamp as `name`, for later looks; one of that name before is forgotten.
@@ -181,7 +182,8 @@ class ErrorStateFilter:
     @property
     def estimate(self) -> FusedEstimate:
         """As of the newest event."""
-        return self._answer(self._history.newest)
+        newest = self._history.newest
+        return self._answer(newest.reason, newest.court.nis)
 
     def expect(self, stamp_s: float, name: str) -> tuple[FloatArray, FloatArray] | None:
         """T_reference_current (4, 4) of the camera that is to be expected, and its covariance (6, 6).
@@ -198,7 +200,7 @@ class ErrorStateFilter:
         late = known.stamp_s is not None and stamp_s < known.stamp_s
         belief = (known if late else moved_to(known, stamp_s, steps, self.settings)).court.answer()
         place = belief.reference(name)
-        T_camera_reference = se3.invert(belief.T[place] @ self._T_base_camera)
+        T_camera_reference = kernels.inverse(belief.T[place] @ self._T_base_camera)
         A, at = kernels.adjoint(T_camera_reference), slice(6 * place, 6 * place + 6)
         P = belief.covariance
         apart = P[:6, :6] - P[:6, at] - P[at, :6] + P[at, at]
@@ -219,12 +221,10 @@ class ErrorStateFilter:
             return self._refused(Reason.TOO_LATE)
         self._ahead = 0
         state = self._history.take(event)
-        newest = self._history.newest
-        court = replace(newest.court, nis=state.court.nis)
-        return self._answer(replace(newest, court=court, reason=state.reason))
+        return self._answer(state.reason, state.court.nis)
 
     def _refused(self, reason: Reason) -> FusedEstimate:
-        return self._answer(replace(self._history.newest, reason=reason))
+        return self._answer(reason, self._history.newest.court.nis)
 
     def _look(self, motion: MotionEstimate, name: str) -> Look | Reason:
         T, R = _motion(motion.T_reference_current), _covariance(motion.covariance, 6)
@@ -234,35 +234,34 @@ class ErrorStateFilter:
         seen, unseen = _split(hidden)
         if len(seen) == 0:
             return Reason.DEGENERATE
-        to_camera = np.diag(DEGENERATE_SCALE) @ kernels.inverse_adjoint(self._T_base_camera)
         scaled = R * np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
         shown = seen @ scaled @ seen.T
         if not _is_definite(shown):
             return Reason.INVALID
-        wide = np.linalg.inv(to_camera) @ (seen.T @ shown @ seen + _UNSEEN_SIGMA_M**2 * unseen.T @ unseen)
-        spread = wide @ np.linalg.inv(to_camera).T
-        Z = self._T_base_camera @ T @ se3.invert(self._T_base_camera)
+        wide = seen.T @ shown @ seen + _UNSEEN_SIGMA_M**2 * unseen.T @ unseen
+        spread = self._from_camera @ wide @ self._from_camera.T
+        Z = self._T_base_camera @ T @ kernels.inverse(self._T_base_camera)
         share = motion.inliers / motion.matches if motion.matches > 0 else None
-        return Look(name, Z, seen @ to_camera, shown, spread, share)
+        return Look(name, Z, seen @ self._to_camera, shown, spread, share)
 
-    def _answer(self, state: FusionState) -> FusedEstimate:
+    def _answer(self, reason: Reason | None, nis: tuple[float, int] | None) -> FusedEstimate:
+        """What is known after the newest event, and what came of the one that is answered."""
+        state, s = self._history.newest, self.settings
         if state.stamp_s is None:
-            return FusedEstimate(-np.inf, Status.INITIALIZING, reason=state.reason, body="base")
-        s, court = self.settings, state.court
+            return FusedEstimate(-np.inf, Status.INITIALIZING, reason=reason, body="base")
+        court = state.court
         turns_off = state.stamp_s - court.turn_slip_s <= s.coast_after_s
         flags = (court.trust is Trust.CAMERA or turns_off, state.is_degenerate, court.trust is Trust.DOUBT)
         if state.is_lost:
-            return FusedEstimate(
-                state.stamp_s, Status.LOST, None, None, state.reason, "base", 0, 0, *flags, nis=court.nis
-            )
+            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", 0, 0, *flags, nis=nis)
         status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
         belief = court.answer()
-        twist = belief.indices(TWIST)
+        twist = belief.place(TWIST)
         late = kernels.adjoint(belief.T[0])[:, PLANE] @ belief.rest[TWIST] * s.clock_sigma_s
-        pose = (belief.T[0].copy(), belief.covariance[:6, :6] + np.outer(late, late), state.reason, "base", 0, 0)
-        moving = (belief.rest[TWIST].copy(), belief.covariance[np.ix_(twist, twist)])
+        pose = (belief.T[0].copy(), belief.covariance[:6, :6] + np.outer(late, late), reason, "base", 0, 0)
+        moving = (belief.rest[TWIST].copy(), belief.covariance[twist, twist].copy())
         learned = belief.wheel_errors
-        return FusedEstimate(state.stamp_s, status, *pose, *flags, *moving, nis=court.nis, wheel_errors=learned)
+        return FusedEstimate(state.stamp_s, status, *pose, *flags, *moving, nis=nis, wheel_errors=learned)
 
 
 def _split(hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -277,20 +276,13 @@ def _split(hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _motion(T: ArrayLike | None) -> FloatArray | None:
     """A rigid motion (4, 4), or None where it is none."""
     T = np.array(T, float)
-    if T.shape != (4, 4) or not np.isfinite(T).all():
-        return None
-    is_rigid = np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-6 and np.linalg.det(T[:3, :3]) > 0
-    return T if is_rigid and np.abs(T[3] - [0, 0, 0, 1]).max() < 1e-6 else None
+    return T if T.shape == (4, 4) and kernels.is_motion(T) else None
 
 
 def _covariance(C: ArrayLike | None, size: int) -> FloatArray | None:
     """A covariance (size, size), made exactly symmetric, or None where it is none."""
     C = np.array(C, float)
-    if C.shape != (size, size) or not np.isfinite(C).all():
-        return None
-    most = np.abs(C).max()
-    is_one = np.abs(C - C.T).max() <= 1e-6 * most and np.linalg.eigvalsh((C + C.T) / 2)[0] >= -1e-9 * most
-    return (C + C.T) / 2 if is_one else None
+    return (C + C.T) / 2 if C.shape == (size, size) and kernels.is_covariance(C) else None
 
 
 def _is_definite(C: FloatArray) -> bool:
