@@ -234,3 +234,24 @@ def test_view_shift_is_the_way_and_the_turn(T_a: np.ndarray, T_b: np.ndarray) ->
     T = np.array([T_a, T_b])
     turned = [Rotation.from_matrix(R).magnitude() for R in T[:, :3, :3]]
     np.testing.assert_allclose(se3.view_shift_m(T), np.sqrt((T[:, :3, 3] ** 2).sum(axis=1)) + 1.5 * np.array(turned))
+
+
+@pytest.mark.parametrize("angle", NEAR_ZERO + [1.0, 2.0] + NEAR_PI)
+@given(axis=unit_vectors)
+def test_one_rotation_is_as_the_same_in_a_batch(axis: np.ndarray, angle: float) -> None:
+    """Single ones take a way of their own: the batch goes through scipy."""
+    omega = angle * axis
+    R = Rotation.from_rotvec(omega).as_matrix()
+    one, batch = so3.log(R), so3.log(R[None])[0]
+    # Half a turn has two names.
+    assert min(np.abs(one - batch).max(), np.abs(one + batch).max() if angle > 3.14 else np.inf) < 1e-8
+    np.testing.assert_allclose(so3.angle(R), so3.angle(R[None])[0], atol=1e-12)
+    np.testing.assert_allclose(so3.hat(omega), so3.hat(omega[None])[0])
+    np.testing.assert_allclose(so3.left_jacobian(omega), so3.left_jacobian(omega[None])[0], atol=1e-12)
+
+
+def test_a_mirrored_matrix_is_no_rotation() -> None:
+    for R in (np.diag([1.0, 1.0, -1.0]), np.zeros((3, 3))):
+        for given_ in (R, R[None]):
+            with pytest.raises(ValueError, match=r"determinant|mirrored"):
+                so3.log(given_)

@@ -80,8 +80,10 @@ def after(
     state: FusionState, event: Happening, events: Sequence[Happening], settings: ErrorStateSettings
 ) -> FusionState:
     """The state after an event, of all those known: the whole step of the filter."""
-    steps = [known.wheels for known in events if known.wheels is not None]
-    now = moved_to(state, event.stamp_s, steps, settings)
+    now = state
+    if state.stamp_s != event.stamp_s:
+        steps = [known.wheels for known in events if known.wheels is not None]
+        now = moved_to(state, event.stamp_s, steps, settings)
     court = changed(trust.end_doubt(now.court, event.stamp_s, settings), nis=None)
     now = changed(now, court=court, reason=None)
     if event.yaw_rate_rad_s is not None:

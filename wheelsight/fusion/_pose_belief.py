@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cache
 
 import numpy as np
 
@@ -144,9 +143,9 @@ class PoseBelief:
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         raw = step.xi * share
         way_m = s.lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
-        walks = _walks(s) * [*[way_m] * 10, dt_s]
+        walks = s.walks * [*[way_m] * 10, dt_s]
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
-        Q = step.covariance * share + _unseen(way_m, s)
+        Q = step.covariance * share + s.unseen_a_metre * way_m
         kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)
         ways = (self.way_m + way_m, dt_s, self.known_twist, self.known_for_s + dt_s, self.doubted_before)
         after = PoseBelief(T, self.names, self.stamps_s, rest, P, self.doubted, *ways)
@@ -173,7 +172,7 @@ class PoseBelief:
         # A base moves sideways by what its wheels slip, no more.
         q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
         way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
-        kernels.glide(T, rest, P, q, _unseen(way_m, s), dt_s, s.gyro_bias_walk_rad_s**2 * dt_s)
+        kernels.glide(T, rest, P, q, s.unseen_a_metre * way_m, dt_s, s.gyro_bias_walk_rad_s**2 * dt_s)
         return changed(self, T=T, rest=rest, covariance=P)
 
     def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:
@@ -224,7 +223,7 @@ class PoseBelief:
         at = self.reference(look.name)
         H, PHt, HPHt = kernels.look(self.T[0], self.T[at], self.covariance, 6 * at, look.seen)
         S = HPHt + look.covariance
-        if without_doubt:
+        if without_doubt and (self.doubted.any() or self.doubted_before[at - 1].any()):
             certain = S - H @ (self.doubted - self.doubted_before[at - 1]) @ H.T
             # Corrections have made some of the doubt smaller than it was written down.
             S = certain if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0 else S
@@ -345,23 +344,4 @@ class PoseBelief:
 
 
 def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray) -> Innovation:
-    return Innovation(residual, S, PHt, float(residual @ np.linalg.solve(S, residual)))
-
-
-def _unseen(way_m: float, settings: ErrorStateSettings) -> FloatArray:
-    """Covariance (6, 6) of what wheels do not tell of a step: sideways, up, roll and pitch."""
-    return np.asarray(_unseen_a_metre(settings) * way_m)
-
-
-@cache
-def _unseen_a_metre(settings: ErrorStateSettings) -> FloatArray:
-    s = settings
-    return np.diag(np.square([0.0, s.side_m_per_sqrt_m, s.rise_m_per_sqrt_m, *[s.tilt_rad_per_sqrt_m] * 2, 0.0]))
-
-
-@cache
-def _walks(settings: ErrorStateSettings) -> FloatArray:
-    """Variances (11,) that the errors of wheels and camera gain in a metre, and the gyroscope's bias in a second."""
-    s, drift = settings, settings.camera_drift_walk_rad_per_m
-    wander = [s.camera_scale_walk, drift, s.camera_turn_walk, drift, *[s.mount_walk_rad] * 3]
-    return np.square([s.scale_walk, s.drift_walk_rad_per_m, s.turn_walk, *wander, s.gyro_bias_walk_rad_s])
+    return Innovation(residual, S, PHt, float(kernels.chi_squared(residual, S)))

@@ -140,6 +140,16 @@ def is_covariance(C: FloatArray) -> bool:
 
 
 @njit(cache=True, nogil=True)
+def chi_squared(residual: FloatArray, S: FloatArray) -> float:
+    """rᵀ S⁻¹ r of a residual (m,) with its covariance (m, m)."""
+    weighed = np.linalg.solve(S, residual)
+    chi2 = 0.0
+    for i in range(len(residual)):
+        chi2 += residual[i] * weighed[i]
+    return chi2
+
+
+@njit(cache=True, nogil=True)
 def step_between(
     T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

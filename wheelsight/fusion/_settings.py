@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
 from wheelsight.errors import ConfigError
+from wheelsight.geometry import FloatArray
 
 _MAY_BE_INFINITE = ("level_sigma_rad",)
 _SHARES = ("confidence", "healthy_share")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ErrorStateSettings:
     """What is believed before the drive. Walks are random, told by their standard deviations after a metre or second.
 
@@ -101,7 +103,7 @@ class ErrorStateSettings:
     max_clones: int = 4
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
+        for name in (field.name for field in fields(self)):
             value = getattr(self, name)
             if not value >= 0 or (value == np.inf and name not in _MAY_BE_INFINITE):
                 raise ConfigError(f"{name} is {value}", fix="0 or more")
@@ -110,3 +112,16 @@ class ErrorStateSettings:
                 raise ConfigError(f"{name} is {getattr(self, name)}", fix="between 0 and 1")
         if self.max_clones < 1 or self.level_m == 0 or self.level_sigma_rad == 0:
             raise ConfigError("max_clones, level_m or level_sigma_rad is 0", fix="more than 0")
+
+    @cached_property
+    def unseen_a_metre(self) -> FloatArray:
+        """Covariance (6, 6) of what wheels do not tell of a metre: sideways, up, roll and pitch."""
+        sigmas = [0.0, self.side_m_per_sqrt_m, self.rise_m_per_sqrt_m, *[self.tilt_rad_per_sqrt_m] * 2, 0.0]
+        return np.diag(np.square(sigmas))
+
+    @cached_property
+    def walks(self) -> FloatArray:
+        """Variances (11,) that the errors of wheels and camera gain in a metre, the gyroscope's bias in a second."""
+        wheels, drift = [self.scale_walk, self.drift_walk_rad_per_m, self.turn_walk], self.camera_drift_walk_rad_per_m
+        camera = [self.camera_scale_walk, drift, self.camera_turn_walk, drift, *[self.mount_walk_rad] * 3]
+        return np.square([*wheels, *camera, self.gyro_bias_walk_rad_s])

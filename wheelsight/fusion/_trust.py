@@ -84,9 +84,10 @@ class Speed:
     def leap_from(self, before: Speed, seconds: float, settings: ErrorStateSettings) -> float:
         """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
         s = settings
-        usual = np.square([s.leap_m_s2, s.leap_m_s2 * _SIDEWAYS, s.leap_rad_s2]) * seconds**2
-        change = self.mean - before.mean
-        chi_squared = float(change @ np.linalg.solve(self.covariance + before.covariance + np.diag(usual), change))
+        covariance = self.covariance + before.covariance
+        for axis, usual in enumerate((s.leap_m_s2, s.leap_m_s2 * _SIDEWAYS, s.leap_rad_s2)):
+            covariance[axis, axis] += (usual * seconds) ** 2
+        chi_squared = float(kernels.chi_squared(self.mean - before.mean, covariance))
         return min(chi_squared, s.leap_cap) if chi_squared > _quantile(_NO_WONDER, 3) else 0.0
 
 
