@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 
 import numpy as np
@@ -118,7 +118,7 @@ def test_what_nobody_tells_of_a_camera_is_covered() -> None:
     """Wheels and camera are both too short, by twice the camera's standard deviation: no event tells."""
     drive = Drive(seconds=40, camera_errors=(0.01, 0.0, 0.0), errors=(0.01, 0.0, 0.0))
     steps = simulate(drive, np.random.default_rng(1), SETTINGS)
-    none = dict.fromkeys((name for name in SETTINGS.__slots__ if name.startswith(("camera_", "mount_"))), 0.0)
+    none = dict.fromkeys((name for name in asdict(SETTINGS) if name.startswith(("camera_", "mount_"))), 0.0)
     knowing, trusting = (run(steps, settings)[-1] for settings in (SETTINGS, replace(SETTINGS, **none)))
     error = error_of(knowing, steps[-1].T_truth)
     sigma, too_sure = (np.sqrt(answer.covariance[0, 0]) for answer in (knowing, trusting))

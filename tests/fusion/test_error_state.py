@@ -297,3 +297,21 @@ def test_a_start_that_is_none_is_an_error(arguments):
 def test_settings_that_are_none_are_errors(wrong):
     with pytest.raises(ConfigError):
         ErrorStateSettings(**wrong)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_look_that_is_remembered_at_once_is_as_one_that_is_remembered_afterwards(seed: int) -> None:
+    """Nor does it matter that wheels come later than the frame, which is taken again then."""
+    answers = []
+    for at_once in (True, False):
+        fusion = ErrorStateFilter(T_BASE_CAMERA, settings=SETTINGS)
+        fusion.clone(0.0, "frame")
+        for s in drive(seed):
+            if s.look is not None:
+                fusion.update_relative(s.end_s, s.look, "frame", remember="frame" if at_once else None)
+            if s.look is not None and not at_once:
+                fusion.clone(s.end_s, "frame")
+            fusion.predict(s.end_s, s.wheels, s.wheel_covariance, s.begin_s)
+        answers.append(fusion.estimate)
+    assert answers[0].status is Status.TRACKING
+    same(*answers, atol=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -74,7 +74,7 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
     wheels = WheelStep(2.0, 2.1, rng.normal(size=6) * 0.1, np.zeros((6, 6)))
     quiet = {
         name: 0.0
-        for name in SETTINGS.__slots__
+        for name in asdict(SETTINGS)
         if name.endswith(("_walk", "_per_m", "_sqrt_m", "rad_s", "_s2", "walk_rad"))
     }
     settings = replace(SETTINGS, **quiet)
@@ -133,7 +133,7 @@ def test_many_looks_are_one_least_squares_fit(rng):
     """Poses joined by wheels, and looks between each and the last three: all at once, by scipy, and one by one."""
     steps = [WheelStep(i, i + 1.0, rng.normal(size=6) * 0.05, np.diag(rng.uniform(1, 2, 6) * 1e-6)) for i in range(4)]
     still = replace(SETTINGS, scale_sigma=0.0, drift_sigma_rad_per_m=0.0, turn_sigma=0.0, scale_walk=0.0)
-    still = replace(still, **{name: 0.0 for name in SETTINGS.__slots__ if name.startswith(("camera_", "mount_"))})
+    still = replace(still, **{name: 0.0 for name in asdict(SETTINGS) if name.startswith(("camera_", "mount_"))})
     settings = replace(
         still, drift_walk_rad_per_m=0, turn_walk=0, side_m_per_sqrt_m=0, rise_m_per_sqrt_m=0, tilt_rad_per_sqrt_m=0
     )

@@ -42,7 +42,7 @@ class FusionState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Happening:
-    """An event; the one field that is not None says which.
+    """An event; the one field that is not None says which, but that a look or its failure may be remembered at once.
 
     Attributes:
         stamp_s: when.
@@ -89,9 +89,9 @@ def after(
     if event.yaw_rate_rad_s is not None:
         return changed(now, court=_turned(now.court, event.yaw_rate_rad_s, event.stamp_s, settings))
     if event.look is not None:
-        return _looked(now, event.look, event.stamp_s, settings)
+        now = _looked(now, event.look, event.stamp_s, settings)
     if event.failure is not None:
-        return changed(now, court=trust.fail(now.court, event.stamp_s, settings), reason=event.failure)
+        now = changed(now, court=trust.fail(now.court, event.stamp_s, settings), reason=event.failure)
     if event.position is not None:
         return _placed(now, *event.position, settings)
     if event.clone is not None:

@@ -147,19 +147,22 @@ class ErrorStateFilter:
         """Forget a remembered pose: it is marginalised."""
         return self._take(Happening(stamp_s, drop=name))
 
-    def update_relative(self, stamp_s: float, motion: MotionEstimate, name: str) -> FusedEstimate:
+    def update_relative(
+        self, stamp_s: float, motion: MotionEstimate, name: str, remember: str | None = None
+    ) -> FusedEstimate:
         """Take what the camera saw of its motion since the pose remembered as `name`, or that it saw nothing.
 
         Args:
             motion: T_reference_current of the camera, with the covariance of its left perturbation; directions named
                 `degenerate` are left out.
+            remember: as what to remember the pose then, as `clone` would right afterwards.
         """
         if motion.T_reference_current is None or motion.covariance is None:
-            return self._take(Happening(stamp_s, failure=motion.reason or Reason.INVALID))
+            return self._take(Happening(stamp_s, failure=motion.reason or Reason.INVALID, clone=remember))
         look = self._look(motion, name)
         if isinstance(look, Reason):
-            return self._take(Happening(stamp_s, failure=look))
-        return self._take(Happening(stamp_s, look=look))
+            return self._take(Happening(stamp_s, failure=look, clone=remember))
+        return self._take(Happening(stamp_s, look=look, clone=remember))
 
     def update_position(self, stamp_s: float, xy: ArrayLike, covariance: ArrayLike) -> FusedEstimate:
         """Take a position (2,) in the world, metres, with its covariance (2, 2), as places tell."""

@@ -152,9 +152,8 @@ class ByFusion:
         if self._anchor is None:
             return self._begun(frame, seen)
         motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
-        answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR)
+        answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR, remember=_FRAME)
         self._unknown = 0
-        self.filter.clone(frame.stamp_s, _FRAME)
         is_believed = answer.reason is None and not answer.doubtful
         if is_believed:
             self._believe(frame, answer, seen.T_world_body)
