@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -80,10 +81,7 @@ def after(
     state: FusionState, event: Happening, events: Sequence[Happening], settings: ErrorStateSettings
 ) -> FusionState:
     """The state after an event, of all those known: the whole step of the filter."""
-    now = state
-    if state.stamp_s != event.stamp_s:
-        steps = [known.wheels for known in events if known.wheels is not None]
-        now = moved_to(state, event.stamp_s, steps, settings)
+    now = state if state.stamp_s == event.stamp_s else moved_to(state, event.stamp_s, events, settings)
     court = changed(trust.end_doubt(now.court, event.stamp_s, settings), nis=None)
     now = changed(now, court=court, reason=None)
     if event.yaw_rate_rad_s is not None:
@@ -103,12 +101,14 @@ def after(
     return now
 
 
-def moved_to(state: FusionState, stamp_s: float, steps: list[WheelStep], settings: ErrorStateSettings) -> FusionState:
-    """The state at a stamp: by the wheels where they tell, else by the speed there was."""
+def moved_to(
+    state: FusionState, stamp_s: float, events: Sequence[Happening], settings: ErrorStateSettings
+) -> FusionState:
+    """The state at a stamp: by the wheels where they tell, of all events known, else by the speed there was."""
     court, told_s, begin_s, is_lost = state.court, state.told_s, state.stamp_s, state.is_lost
     if begin_s is None:
-        begin_s = told_s = min([stamp_s, *(step.begin_s for step in steps)])
-    covering = sorted((step for step in steps if step.end_s > begin_s and step.begin_s < stamp_s), key=_begin)
+        begin_s = told_s = min([stamp_s, *(event.wheels.begin_s for event in events if event.wheels is not None)])
+    covering = sorted((step for step in _steps_after(begin_s, events) if step.begin_s < stamp_s), key=_begin)
     borders = {begin_s, stamp_s}
     borders.update(border for step in covering for border in (step.begin_s, step.end_s) if begin_s < border < stamp_s)
     for start_s, end_s in pairwise(sorted(borders)):
@@ -118,6 +118,16 @@ def moved_to(state: FusionState, stamp_s: float, steps: list[WheelStep], setting
         if not is_lost and end_s - told_s > settings.lost_after_s:
             court, is_lost = _each(court, PoseBelief.scattered), True
     return changed(state, court=court, stamp_s=stamp_s, told_s=told_s, is_lost=is_lost)
+
+
+def _steps_after(stamp_s: float, events: Sequence[Happening]) -> list[WheelStep]:
+    """Steps of the wheels that end after a stamp: as events stand in order, the last ones."""
+    first = bisect_right(events, stamp_s, key=_stamp)
+    return [event.wheels for event in events[first:] if event.wheels is not None]
+
+
+def _stamp(event: Happening) -> float:
+    return event.stamp_s
 
 
 def _begin(step: WheelStep) -> float:

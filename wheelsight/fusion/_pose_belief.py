@@ -158,11 +158,10 @@ class PoseBelief:
         By its own numbers, a step that is too long by chance would be one more that calls for a smaller scale, and the
         errors would be drawn towards those that leave no motion at all.
         """
-        moved = raw.copy()
-        if self.known_for_s < _KNOWN_FOR_S:
-            moved[PLANE] = self.known_twist * dt_s
+        ahead, left, turn = self.known_twist * dt_s if self.known_for_s < _KNOWN_FOR_S else raw[PLANE]
         by_errors = np.zeros((6, 3))
-        by_errors[:2, 0], by_errors[5, 1], by_errors[5, 2] = moved[:2], moved[0], moved[5]
+        by_errors[0, 0], by_errors[1, 0] = ahead, left
+        by_errors[5, 1], by_errors[5, 2] = ahead, turn
         return by_errors
 
     def glided(self, dt_s: float, settings: ErrorStateSettings) -> PoseBelief:

@@ -199,9 +199,8 @@ class ErrorStateFilter:
         known = self._history.known_at(stamp_s)
         if name not in known.court.belief.names:
             return None
-        steps = [event.wheels for event in self._history.events if event.wheels is not None]
         late = known.stamp_s is not None and stamp_s < known.stamp_s
-        belief = (known if late else moved_to(known, stamp_s, steps, self.settings)).court.answer()
+        belief = (known if late else moved_to(known, stamp_s, self._history.events, self.settings)).court.answer()
         place = belief.reference(name)
         T_camera_reference = kernels.inverse(belief.T[place] @ self._T_base_camera)
         A, at = kernels.adjoint(T_camera_reference), slice(6 * place, 6 * place + 6)
