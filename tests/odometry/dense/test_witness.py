@@ -185,3 +185,17 @@ def test_keypoints_are_asked_again_at_the_speed_that_surfaces_found(
     answer = subject.process(room_frame(leap, frames[7].stamp_s, depth_noise=True))
     assert apart(T_there, answer.T_world_body)[0] < 5e-3
     assert np.abs(asked[1] - asked[0])[0] > 1.0
+
+
+@pytest.mark.parametrize("inliers", [30, 50, 90])
+def test_after_a_while_most_keypoints_must_agree(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch, inliers: int
+) -> None:
+    """Another corridor with the same door: a fifth of 100 keypoints agreed on a place 7 m away, and surfaces too."""
+    subject, last_s = dense(), frames[6].stamp_s
+    run(subject, [*frames[:7], *(covered_frame(last_s + 0.1 * k) for k in range(1, 13))])
+    told = Sighting(IN_WORLD[7], 1e-4 * np.eye(6), 100, inliers)
+    monkeypatch.setattr(Witness, "locate", lambda *_: told)
+    answer = subject.process(room_frame(TRUTH.T_world_body[7], last_s + 1.3, depth_noise=True))
+    assert (answer.T_world_body is not None) == (inliers >= 50)
+    assert inliers >= 50 or answer.reason is Reason.NOT_RECOGNISED

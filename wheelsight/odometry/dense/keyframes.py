@@ -25,6 +25,7 @@ from wheelsight.odometry.features.tracking import Fix, ViewTracker
 _AGREE_M, _AGREE_RAD, _VAGUE, _CHI2 = 0.04, 0.035, 4.0, 16.8
 # Keypoints are believed against surfaces where so many agree, and such a share of all that were matched.
 _CLEAR_INLIERS, _CLEAR_SHARE = 60, 0.6
+_LIKELY_SHARE = 0.5
 
 
 @dataclass(eq=False)
@@ -59,6 +60,11 @@ class Sighting:
     covariance: FloatArray
     matches: int
     inliers: int
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it is a place that was seen before rather than one that looks alike in parts."""
+        return self.inliers >= _LIKELY_SHARE * self.matches
 
     @property
     def is_clear(self) -> bool:

@@ -27,6 +27,8 @@ from wheelsight.odometry.features.extraction import Features
 _START_VARIANCE = 1e-12
 # Of a frame's resolution, what a keyframe must have to show it: alone, so that its keypoints are recognised.
 _FINE_ALONE, _FINE_HELPED = 0.8, 0.5
+# After so long alone, most keypoints that match a view must agree on it: a part does in places that look alike.
+_LONG_S = 1.0
 # Rows placed more wrongly than this are worth preparing a frame twice; of one that is no keyframe, than the second.
 _STRAIGHT_ENOUGH_PX = 0.3, 1.0
 
@@ -286,7 +288,8 @@ class DenseOdometry:
             T_guess = found.T_world_camera if isinstance(found, Tracked) else last.T_world_camera
             features, familiar = self._witness.look(frame), self._views.familiar(T_guess, self._failures)
             told = self._witness.locate(features, familiar, grid.twist)
-        if told is None:
+        is_anywhere = grid.stamp_s - last.frame.stamp_s > _LONG_S and not ahead.is_helped
+        if told is None or (is_anywhere and not told.is_likely):
             missing = Reason.DEGENERATE if self._doubt.is_blind and not ahead.is_helped else Reason.NOT_RECOGNISED
             return MotionEstimate.failed(missing) if isinstance(found, Tracked) else found
         if not isinstance(found, Tracked) or not told.agrees_with(found.T_world_camera):
