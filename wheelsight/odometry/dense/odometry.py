@@ -28,7 +28,7 @@ _START_VARIANCE = 1e-12
 # Of a frame's resolution, what a keyframe must have to show it: alone, so that its keypoints are recognised.
 _FINE_ALONE, _FINE_HELPED = 0.8, 0.5
 # After so long alone, most keypoints that match a view must agree on it: a part does in places that look alike.
-_LONG_S = 1.0
+_LONG_S = 2.0
 # Rows placed more wrongly than this are worth preparing a frame twice; of one that is no keyframe, than the second.
 _STRAIGHT_ENOUGH_PX = 0.3, 1.0
 
