@@ -12,7 +12,7 @@ from odometry.dense.scenes import Plane, bench, frame_of
 
 from wheelsight.geometry import FloatArray
 from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense._doubt import Doubt
+from wheelsight.odometry.dense._doubt import Doubt, is_astray
 from wheelsight.odometry.dense._tracked import Tracked
 
 STEP_S = 1 / 30
@@ -85,3 +85,11 @@ def test_what_is_seen_now_and_then_counts_half_against_what_is_not():
     for _ in range(40):
         doubt.count(STEP_S, shows_all=True)
     assert doubt.unseen_s == 0
+
+
+def test_a_pose_is_astray_that_moves_or_turns_by_more_than_rolling_wheels_err():
+    """Wheels of 2 % too large a radius at 1 m/s, or of 3 % too wide a track at 90 degrees/s, are not."""
+    for twist in ([0.02, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0.05, 0]):
+        assert not is_astray(fitting(0.8, np.array(twist)))
+    for twist in ([0, 0, 0.25, 0, 0, 0], [0, 0, 0, 0, 0.25, 0]):
+        assert is_astray(fitting(0.8, np.array(twist)))

@@ -13,7 +13,7 @@ from synthetic import CAMERA, wobbling_trajectory
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Reason, Status
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.dense.keyframes import Sighting, Witness
 from wheelsight.simulation import Robot
 
@@ -143,6 +143,53 @@ def test_a_keyframe_that_keypoints_contradict_is_none(
     assert again.status is Status.TRACKING
     np.testing.assert_allclose(again.T_world_body, elsewhere(subject._witness).T_world_camera, atol=1e-12)
     np.testing.assert_allclose(again.covariance, 1e-4 * np.eye(6))
+
+
+SLIP = se3.exp([0.02, 0, 0, 0, 0, 0])  # in a thirtieth of a second
+
+
+def told_at(T_world_camera: FloatArray, inliers: int = 80) -> Sighting:
+    return Sighting(np.asarray(T_world_camera), 1e-4 * np.eye(6), 90, inliers)
+
+
+@pytest.mark.parametrize("told", [None, told_at(IN_WORLD[7] @ se3.exp([0.2, 0, 0, 0, 0, 0]), 30), told_at(IN_WORLD[7])])
+def test_a_pose_that_wheels_do_not_expect_stays_where_keypoints_do_not_gainsay_it(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch, told: Sighting | None
+) -> None:
+    """Wheels slip. Keypoints that know nothing, or of which few agree, gainsay nothing."""
+    subject = dense()
+    run(subject, frames[:7])
+    monkeypatch.setattr(Witness, "locate", lambda *_: told)
+    answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ IN_WORLD[7] @ SLIP)
+    assert answer.status is Status.TRACKING
+    assert apart(IN_WORLD[7], answer.T_world_body)[0] < 5e-3
+
+
+def test_a_pose_that_neither_wheels_nor_keypoints_expect_is_not_taken(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody who walks by carries the surfaces along: what keypoints clearly say is the pose."""
+    subject = dense()
+    run(subject, frames[:7])
+    by_wheels = IN_WORLD[7] @ se3.exp([0.06, 0, 0, 0, 0, 0])
+    monkeypatch.setattr(Witness, "locate", lambda *_: told_at(by_wheels))
+    monkeypatch.setattr("wheelsight.odometry.dense._doubt._LEAP", np.array([9.0, 9.0]))  # as smooth as any
+    answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ by_wheels)
+    assert answer.status is Status.TRACKING
+    np.testing.assert_allclose(answer.T_world_body, by_wheels, atol=1e-9)
+
+
+@pytest.mark.parametrize("is_off", [True, False])
+def test_after_a_failure_a_pose_that_wheels_do_not_expect_needs_keypoints(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch, is_off: bool
+) -> None:
+    subject = dense()
+    run(subject, frames[:7])
+    subject.miss(frames[7].stamp_s)
+    monkeypatch.setattr(Witness, "locate", lambda *_: None)
+    prior = se3.invert(IN_WORLD[6]) @ IN_WORLD[8]
+    answer = subject.process(frames[8], prior @ SLIP if is_off else prior)
+    assert answer.status is (Status.FAILING if is_off else Status.TRACKING)
 
 
 def test_a_leap_is_believed_only_with_keypoints(frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wheelsight.geometry import FloatArray
 from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense._tracked import Tracked
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -11,6 +12,8 @@ from wheelsight.odometry.dense.settings import DenseSettings
 # A change of velocity at once, and that many times a second, which is a leap rather than the camera's motion.
 _LEAP = np.array([0.5, 1.5])
 _LEAP_S = np.array([10.0, 30.0])
+# Off what another sensor expects by so much speed, m/s and rad/s: more than wheels err that do not slip.
+_ASTRAY = np.array([0.2, 0.2])
 # A pose fits poorly whose planes lie so many times as far off as usual; that is learned by so much a frame, and is no
 # less than a perfect fit's.
 _POORLY, _LEARNED, _PERFECT = 2.0, 0.1, 1.0
@@ -57,8 +60,16 @@ class Doubt:
         return seconds > LONGEST_STEP_S or is_unsure or (is_steady and _is_leap(found, seconds))
 
 
+def is_astray(found: Tracked) -> bool:
+    """Whether a pose is so far off the one expected that the sensor that expects it, or the surfaces, must be wrong."""
+    return bool((_gained(found) > _ASTRAY).any())
+
+
 def _is_leap(found: Tracked, seconds: float) -> bool:
     """Whether the camera would have had to gain more speed, or turning, against what was expected, than one does."""
+    return bool((_gained(found) > _LEAP + _LEAP_S * seconds).any())
+
+
+def _gained(found: Tracked) -> FloatArray:
     change = found.twist - found.frame.twist
-    gained = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
-    return bool((gained > _LEAP + _LEAP_S * seconds).any())
+    return np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])

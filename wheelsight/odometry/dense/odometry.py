@@ -13,7 +13,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
-from wheelsight.odometry.dense._doubt import Doubt
+from wheelsight.odometry.dense._doubt import Doubt, is_astray
 from wheelsight.odometry.dense._tracked import Expected, Surface, Tracked, at_speed, fine_share, implausible, speed_of
 from wheelsight.odometry.dense._views import Views
 from wheelsight.odometry.dense.alignment import Aligner, Step
@@ -268,7 +268,8 @@ class DenseOdometry:
         """A pose by surfaces alone is kept while they show all motion and fit as usual, and without a leap.
 
         Else, and after a failure or a gap, keypoints must say the same; where they know better, theirs is the pose. A
-        prior stands in for what surfaces do not show, and for keypoints after a failure.
+        prior stands in for what surfaces do not show, and for keypoints after a failure. Off the prior, they are asked
+        too, for people who walk by may carry a pose along; but wheels may slip where no keypoint tells anything.
         """
         seconds, is_alone = grid.stamp_s - last.frame.stamp_s, not ahead.is_helped
         if isinstance(found, Tracked):
@@ -276,18 +277,32 @@ class DenseOdometry:
                 self._doubt.count(seconds, shows_all=self.last_motion.shows_all)
             is_steady = ahead.is_helped or bool(last.twist.any())
             is_doubtful = self._doubt.falls_on(found, seconds, is_alone=is_alone, is_steady=is_steady)
+            if not is_doubtful and ahead.is_helped and is_astray(found):
+                return self._witnessed(frame, last, found, grid, ahead, is_needed=self._failures > 0)
             if not is_doubtful and (ahead.is_helped or self._failures == 0):
                 return found
         return self._witnessed(frame, last, found, grid, ahead)
 
     def _witnessed(
-        self, frame: RgbdFrame, last: Tracked, found: Tracked | MotionEstimate, grid: GridFrame, ahead: Expected
+        self,
+        frame: RgbdFrame,
+        last: Tracked,
+        found: Tracked | MotionEstimate,
+        grid: GridFrame,
+        ahead: Expected,
+        *,
+        is_needed: bool = True,
     ) -> Tracked | MotionEstimate:
-        """A pose that keypoints agree with: as it was found, found again from where they say, or theirs."""
+        """A pose that keypoints agree with: as it was found, found again from where they say, or theirs.
+
+        Unless they are needed, it is kept as well where too few of them tell anything.
+        """
         with self.watch.stage("recognise"):
             T_guess = found.T_world_camera if isinstance(found, Tracked) else last.T_world_camera
             features, familiar = self._witness.look(frame), self._views.familiar(T_guess, self._failures)
             told = self._witness.locate(features, familiar, grid.twist)
+        if not is_needed and (told is None or not told.is_likely):
+            return found
         is_anywhere = grid.stamp_s - last.frame.stamp_s > _LONG_S and not ahead.is_helped
         if told is None or (is_anywhere and not told.is_likely):
             missing = Reason.DEGENERATE if self._doubt.is_blind and not ahead.is_helped else Reason.NOT_RECOGNISED
