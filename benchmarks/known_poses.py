@@ -14,7 +14,7 @@ from wheelsight.mapping._thinning import Thinning
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.dense.grid import Gridder, Rows
-from wheelsight.odometry.dense.reference import ReferenceMaker
+from wheelsight.odometry.dense.reference import PredictedView, ReferenceMaker
 from wheelsight.simulation import SimulatedRecording
 
 VOXEL_M = 0.006
@@ -68,13 +68,14 @@ class KnownSurfels:
         finest = self._gridder.on_grid(frame, poses.twist(frame.stamp_s)).levels[0]
         return finest.depth_m, self._maker.normals(finest), finest.grey
 
-    def step(self, prepared: tuple[Any, Any, Any], T_world_camera: FloatArray, stamp_s: float) -> None:
-        """What a map does for each frame: the view predicted, the frame fused unless it hardly moved."""
+    def step(self, prepared: tuple[Any, Any, Any], T_world_camera: FloatArray, stamp_s: float) -> PredictedView:
+        """What a map does for each frame: a view predicted, which is returned, and the frame fused unless alike."""
         intrinsics = self._gridder.intrinsics
-        self.map.predict(T_world_camera, intrinsics, self._gridder.shape)
+        view = self.map.predict(T_world_camera, intrinsics, self._gridder.shape)
         frames = self._thinning.count(T_world_camera, stamp_s)
         if frames:
             self.map.fuse(*prepared, None, intrinsics, T_world_camera, stamp_s, self._noise, frames)
+        return view
 
 
 class KnownVolume:

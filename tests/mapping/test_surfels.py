@@ -98,7 +98,7 @@ def test_laps_of_the_same_place_do_not_fill_it_for_ever(rng):
     depth_m = see([wall], pose()).depth_m
     seen = (depth_m[..., None] * rays())[depth_m > 0]
     far = [np.mean(KDTree(m.surfels("stable").position).query(seen)[0] > 0.02) for m in (filled, settled)]
-    assert far[1] < far[0] + 0.002
+    assert far[1] < far[0] + 0.005  # by chance one or the other has more
 
 
 def test_a_wall_that_comes_into_reach_is_shown_where_it_is():
@@ -117,6 +117,23 @@ def test_a_wall_that_comes_into_reach_is_shown_where_it_is():
     assert len(off_m) > 5
     assert np.abs(off_m[0]) < 0.08  # a step of the depth is 0.1 m there
     assert np.abs(off_m[4:]).max() < 0.03
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_noisy_wall_that_comes_nearer_is_not_shown_too_near(seed):
+    """Not by those readings that lay it, nor by weights that favour near ones, nor by showing the nearest of disks."""
+    rng, surfel_map, wall, off_m = np.random.default_rng(seed), SurfelMap(), Wall(8.0), []
+    noise = replace(NOISE, far_m=10.0)
+    for k in range(45):
+        T = pose(z=0.08 * k)
+        if 4.6 < wall.depth_m - T[2, 3] < 5.6:
+            shown = surfel_map.predict(T, GRID, SHAPE).depth_m
+            assert np.count_nonzero(shown) > 0.95 * shown.size
+            off_m.append(np.mean(shown[shown > 0]) - (wall.depth_m - T[2, 3]))
+        view = see([wall], T, rng)
+        surfel_map.fuse(view.depth_m, view.normal, view.grey, view.color, GRID, T, 0.1 * k, noise)
+    assert len(off_m) == 12
+    assert abs(np.mean(off_m)) < 2.5e-3  # one reading errs by 38 mm
 
 
 def test_color_and_grey_are_means_of_what_was_seen():
@@ -152,7 +169,7 @@ def test_pixels_that_tell_too_little_are_not_fused():
     depth_m, normal = view.depth_m.copy(), view.normal.copy()
     depth_m[:20] = 0.0
     depth_m[20:40] = np.nan
-    depth_m[40:60] = 4.1
+    depth_m[40:60] = 4.4  # laid as far as 12 standard deviations beyond, 4.29 m
     normal[60:80] = 0.0
     normal[80:100] = [0.0, 0.0, 1.0]
     fused = fuse(surfel_map, replace(view, depth_m=depth_m, normal=normal), pose(), 0.0)

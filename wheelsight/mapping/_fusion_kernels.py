@@ -43,8 +43,8 @@ _COLOR_MEMORY = np.float32(4.0)
 _MOST_READINGS = np.float32(50.0)
 _LEAST_COSINE2, _LEAST_COSINE = np.float32(0.04), np.float32(0.35)
 _LEAST_VARIANCE = np.float32(1e-8)
-# Surfels are laid as far as the settings say, and averaged so many standard deviations farther: else of a wall there
-# only the readings that err towards the camera would count.
+# Surfels are averaged so many standard deviations farther than they are laid: else of a wall there only the readings
+# that err towards the camera would count.
 _BEYOND_SIGMAS = np.float32(6.0)
 
 
@@ -109,6 +109,8 @@ def update(
     cell_xyz: Any,
     cell_seen_s: Any,
     block_m: Any,
+    T: Any,
+    noise: Any,
     reading: Any,
     radius: Any,
     color: Any,
@@ -127,6 +129,7 @@ def update(
     passes along the rim would need four times as many.
 
     Args:
+        T: (4, 4) T_world_camera.
         color: (h·w, 3), or (0, 3) where the frame has none.
         frames: how many the frame counts as.
         candidates: (pages, 2) how many, and something else.
@@ -141,7 +144,7 @@ def update(
                 continue
             matched += 1
             confidence = geometry[slot, CONFIDENCE]
-            share = _learn(geometry, slot, variance, reading, p)
+            share = _learn(geometry, slot, variance, reading, p, T, noise)
             geometry[slot, RADIUS] += share * min(radius[p] - geometry[slot, RADIUS], _ZERO)
             paint = _ONE / (min(confidence, _COLOR_MEMORY) + _ONE)
             if has_color and color[p, 0] >= 0:
@@ -161,10 +164,19 @@ def update(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any) -> Any:
-    """Move and turn a surfel by the reading of pixel p; the share by which."""
-    before = max(variance[slot], reading[p, VARIANCE] / _MOST_READINGS)
-    share = before / (before + reading[p, VARIANCE] / reading[p, WEIGHT])
+def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any, noise: Any) -> Any:
+    """Move and turn a surfel by the reading of pixel p; the share by which.
+
+    The reading weighs as is usual at the surfel's depth: by its own, what errs towards the camera would weigh more.
+    """
+    there = here = _ZERO
+    for i in range(3):
+        there += T[i, 2] * (geometry[slot, i] - T[i, 3])
+        here += T[i, 2] * (reading[p, i] - T[i, 3])
+    usual = (noise[CONSTANT] + noise[QUADRATIC] * there * there) / (noise[CONSTANT] + noise[QUADRATIC] * here * here)
+    spread = usual * usual * reading[p, VARIANCE]
+    before = max(variance[slot], spread / _MOST_READINGS)
+    share = before / (before + spread / reading[p, WEIGHT])
     variance[slot] = before * (_ONE - share)
     off = length2 = _ZERO
     for i in range(3):

@@ -165,7 +165,7 @@ def blend(
     for k in range(len(count)):
         for entry in range(k * PAGE, k * PAGE + count[k, 0]):
             if bound[entry, 0] < end and bound[entry, 1] >= begin:
-                _add_disk(entry, _ZERO, disk, bound, begin, end, ray_x, ray_y, near, sums)
+                _add_disk(entry, _ZERO, False, disk, bound, begin, end, ray_x, ray_y, near, sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -174,20 +174,59 @@ def fill_in(
 ) -> None:
     """Once all rows are blended, add the unstable disks where no stable one is, but for those in whose middle one is.
 
+    They are noisy, and the nearest of some is too near: summed up once, they are again about the mean that comes out.
+
     Args: as of `blend`.
     """
+    _add_unstable(False, begin, end, ray_x, ray_y, disk, bound, count, near, sums)
+    for r in range(begin, end):
+        for c in range(near.shape[1]):
+            if near[r, c, _RANK] >= BEHIND_M and near[r, c, _TOTAL] > _ZERO:
+                near[r, c, _RANK] = BEHIND_M + near[r, c, _DEPTH] / near[r, c, _TOTAL]
+                near[r, c, _TOTAL] = near[r, c, _DEPTH] = _ZERO
+                for i in range(SUMS):
+                    sums[r, c, i] = _ZERO
+    _add_unstable(True, begin, end, ray_x, ray_y, disk, bound, count, near, sums)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _add_unstable(
+    is_known: Any,
+    begin: Any,
+    end: Any,
+    ray_x: Any,
+    ray_y: Any,
+    disk: Any,
+    bound: Any,
+    count: Any,
+    near: Any,
+    sums: Any,
+) -> None:
     for k in range(len(count)):
         for entry in range((k + 1) * PAGE - count[k, 1], (k + 1) * PAGE):
             r, c = (bound[entry, 0] + bound[entry, 1]) // 2, (bound[entry, 2] + bound[entry, 3]) // 2
             if bound[entry, 0] < end and bound[entry, 1] >= begin and near[r, c, _RANK] >= BEHIND_M:
-                _add_disk(entry, BEHIND_M, disk, bound, begin, end, ray_x, ray_y, near, sums)
+                _add_disk(entry, BEHIND_M, is_known, disk, bound, begin, end, ray_x, ray_y, near, sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _add_disk(
-    entry: Any, behind_m: Any, disk: Any, bound: Any, begin: Any, end: Any, ray_x: Any, ray_y: Any, near: Any, sums: Any
+    entry: Any,
+    behind_m: Any,
+    is_known: Any,
+    disk: Any,
+    bound: Any,
+    begin: Any,
+    end: Any,
+    ray_x: Any,
+    ray_y: Any,
+    near: Any,
+    sums: Any,
 ) -> None:
-    """Add a disk to its pixels' sums, unless they have what ranks before all that are so far behind."""
+    """Add a disk to its pixels' sums, unless they have what ranks before all that are so far behind.
+
+    Pixels take the nearest surface, or where that is known those disks that are about it.
+    """
     low, high = max(bound[entry, 0], begin), min(bound[entry, 1] + 1, end)
     left, right = max(bound[entry, 2], 0), bound[entry, 3] + 1
     middle_x, middle_y, plane, confidence = disk[entry, 0], disk[entry, 1], disk[entry, _PLANE], disk[entry, _WEIGHT]
@@ -205,11 +244,12 @@ def _add_disk(
             rim = dx * (xx * dx + xy * dy) + part
             z = plane / (nx * ray_x[c] + across)
             rank, reach = z + behind_m, _BLEND * z + _BLEND_M
-            if (rim > _ONE) | (rank > nearest + reach):
+            is_before = rank < nearest - reach
+            if (rim > _ONE) | (rank > nearest + reach) | (is_known & is_before):
                 continue
-            kept = _ZERO if rank < nearest - reach else _ONE
+            kept = _ZERO if is_before else _ONE
             weight = confidence * (_RIM - rim) * (_RIM - rim)
-            near[r, c, _RANK] = min(nearest, rank)
+            near[r, c, _RANK] = nearest if is_known else min(nearest, rank)
             near[r, c, _TOTAL] = kept * near[r, c, _TOTAL] + weight
             near[r, c, _DEPTH] = kept * near[r, c, _DEPTH] + weight * z
             s0, s1, s2, s3 = sums[r, c, 0], sums[r, c, 1], sums[r, c, 2], sums[r, c, 3]

@@ -18,14 +18,14 @@ class SurfelSettings(BaseModel):
         0.04, description="frames nearer to the last one fused are left out, a turn by a radian as 1.5 m"
     )
     fused_after_s: PositiveFloat = Field(0.1, description="a frame so long after the last one fused is fused anyway")
-    far_m: PositiveFloat = Field(6.0, description="no surfel is laid beyond, and none predicted")
+    far_m: PositiveFloat = Field(6.0, description="no surfel is predicted beyond, and hardly one laid")
     vague_m: PositiveFloat = Field(
         0.035, description="unstable surfels less surely placed are not predicted: a far wall's depth errs as one"
     )
     gate_sigmas: PositiveFloat = Field(3.0, description="distance along the normal at which readings still agree")
     gate_m: NonNegativeFloat = Field(0.01, description="added to it: poses err too")
     max_angle_deg: float = Field(40.0, gt=0, lt=90, description="between normals that agree")
-    max_slant_deg: float = Field(78.0, gt=0, lt=90, description="surfaces seen at a sharper angle are not fused")
+    max_slant_deg: float = Field(84.5, gt=0, lt=90, description="surfaces seen at a sharper angle are not fused")
     gap_m: NonNegativeFloat = Field(0.02, description="so near a stable surfel's middle, its disk is not filled in")
     free_m: PositiveFloat = Field(0.05, description="a surfel so far in front of what is measured, and 4 σ, is gone")
     drift_m: NonNegativeFloat = Field(0.1, description="added to it for surfels outside the active window")

@@ -26,6 +26,9 @@ from wheelsight.odometry.dense.reference import PredictedView
 # Duplicates are looked for in one of so many frames, and not in that which brings colour: those of a few frames can be
 # merged at once.
 _MERGED_EVERY = 3
+# Surfels are laid so many standard deviations farther than they are shown: where laying ends, the readings that err
+# towards the camera lay the surfels, and others are to mend that first.
+_LAID_SIGMAS = 12.0
 # Of the weight over the distance from the image's centre, which is 1 at its farthest corner (Keller et al. 2013).
 _RADIAL_SIGMA = 0.6
 
@@ -178,13 +181,17 @@ class SurfelMap:
         s = self.settings
         return np.array([s.stable_confidence, s.unstable_s, s.active_s, s.unseen_s])
 
-    @property
-    def _kernel_settings(self) -> Float32Array:
+    def _kernel_settings(self, sensor: Float32Array) -> Float32Array:
         """In the order of the fusion kernels' constants."""
         s = self.settings
         turn, slant = np.cos(np.radians([s.max_angle_deg, s.max_slant_deg]))
         gates = [s.stable_confidence, s.gate_sigmas, s.gate_m, turn, slant]
-        return np.array([*gates, s.free_m, s.drift_m, s.far_m, s.gap_m], np.float32)
+        return np.array([*gates, s.free_m, s.drift_m, self._laid_m(sensor), s.gap_m], np.float32)
+
+    def _laid_m(self, sensor: Float32Array) -> float:
+        """How far surfels are laid."""
+        far_m = self.settings.far_m
+        return far_m + _LAID_SIGMAS * float(sensor[0] + sensor[1] * far_m**2)
 
     def _readings(
         self, depth_m: Float32Array, normal: Float32Array, pose: Pose, sensor: Float32Array
@@ -202,7 +209,7 @@ class SurfelMap:
             *rays_of(pose.grid, shape),
             pose.pitch,
             sensor,
-            self._kernel_settings,
+            self._kernel_settings(sensor),
         )
         self._rows.share(shape[0], lambda a, b: fusion.read(a, b, *given, reading, radius))
         return reading, radius
@@ -227,9 +234,9 @@ class SurfelMap:
         when: tuple[float, np.float32],
     ) -> tuple[int, int, int, np.ndarray]:
         """Match, average and merge; how many were matched, removed and merged, and which pixels (h, w) are new."""
-        blocks, share, settings = self._blocks, self._rows.share, self._kernel_settings
+        blocks, share, settings = self._blocks, self._rows.share, self._kernel_settings(sensor)
         (height, width), size = frame.depth_m.shape, frame.depth_m.size
-        pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self.settings.far_m + 1, -np.inf)
+        pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._laid_m(sensor) + 1, -np.inf)
         slots, pixel, rank, found = self._candidates(frame, pose, pages, readings[0], sensor)
         best, chosen = self._room("best", (size,), np.float32), self._room("chosen", (size,), np.int32)
         share(height, lambda a, b: match.choose(a, b, width, pixel, rank, found, best, chosen))
@@ -239,19 +246,19 @@ class SurfelMap:
         counts = np.zeros((len(pages), 2), np.int64)
         surfels = (blocks.geometry, blocks.look, blocks.seen_s, blocks.variance)
         cells = (blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
-        looks = (*readings, frame.color.reshape(-1, 3), frame.grey.reshape(-1), *when)
+        looks = (pose.T32, sensor, *readings, frame.color.reshape(-1, 3), frame.grey.reshape(-1), *when)
         given = (slots, pixel, chosen, *surfels, *cells, *looks, found, counts)
         share(len(pages), lambda a, b: fusion.update(a, b, *given))
         is_due, matches = self._frames % _MERGED_EVERY == 1, (slots, pixel, found, chosen)
-        merged = self._merge((height, width), *matches) if is_due else 0
+        merged = self._merge((height, width), settings, *matches) if is_due else 0
         removed = int(found[:, 1].sum() + counts[:, 1].sum())
         blocks.count_deaths(removed + merged)
         return int(counts[:, 0].sum()), removed, merged, is_new
 
-    def _merge(self, shape: tuple[int, int], *matches: np.ndarray) -> int:
+    def _merge(self, shape: tuple[int, int], settings: Float32Array, *matches: np.ndarray) -> int:
         """Merge into the chosen surfels the candidates (slots, pixel, found, chosen) that are their like; how many."""
         merged, blocks = np.zeros(shape[0], np.int64), self._blocks
-        pairs = (*matches, blocks.geometry, blocks.seen_s, blocks.variance, self._kernel_settings, merged)
+        pairs = (*matches, blocks.geometry, blocks.seen_s, blocks.variance, settings, merged)
         self._rows.share(shape[0], lambda a, b: fusion.merge(a, b, shape[1], *pairs))
         return int(merged.sum())
 
@@ -263,7 +270,7 @@ class SurfelMap:
         slots, pixel = self._room("slots", entries, np.int32), self._room("pixel", entries, np.int32)
         rank, found = self._room("rank", entries, np.float32), self._room("found", (len(pages), 2), np.int32)
         surfels = (pages, blocks.page_fill, blocks.geometry, blocks.seen_s, blocks.variance)
-        about = (frame.depth_m, reading, pose.T32, pose.grid32, sensor, self._kernel_settings)
+        about = (frame.depth_m, reading, pose.T32, pose.grid32, sensor, self._kernel_settings(sensor))
         since_s = self.stamp_s - np.array([self.settings.unstable_s, self.settings.unseen_s, self.settings.active_s])
         given = (*surfels, *about, since_s, slots, pixel, rank, found)
         self._rows.share(len(pages), lambda a, b: match.find_candidates(a, b, *given))

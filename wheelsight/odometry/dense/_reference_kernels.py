@@ -14,8 +14,9 @@ _COMPILED_IN = 0xCE3BCC03
 
 _NAN = np.float32(np.nan)
 _FEWEST = np.float32(6)
-# Squared cosine to the ray below which neighbours are too far apart in depth for a normal.
-_GRAZED = np.float32(0.04)
+# Squared cosine to the ray below which neighbours are too far apart in depth for a normal. Beyond what sensors measure:
+# of a floor that were cut off nearer, only the places would be left that noise tilts, and lifts, towards the camera.
+_GRAZED = np.float32(0.01)
 # Normals of so many pixels side by side are fitted at once: no branches, and sums that stay close at hand.
 _STRETCH = 128
 # Sums over a window, of u, v beside its middle and d, by how much inverse depth is more than there.
