@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks import machine
-from benchmarks.known_poses import VOXEL_M, KnownSurfels, KnownVolume, TruePoses
+from benchmarks.known_poses import VOXEL_M, KnownSurfels, KnownVolume, TruePoses, frame_pairs
 from benchmarks.sequences import Sequence
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
@@ -75,7 +74,7 @@ def measure_flat(seconds: float = _SECONDS) -> FlatFigures:
     trackers = [_Tracker(recording) for recording in recordings]
     surfels, volume = KnownSurfels(kinect.calibration), volume_of(kinect)
     builder, count = SurfaceBuilder(ideal.calibration.cameras[1]), 0
-    for exact, noisy in _pairs(ideal, kinect):
+    for exact, noisy in frame_pairs(ideal, kinect):
         for tracker, frame in zip(trackers, (exact, noisy), strict=True):
             tracker.track(frame)
         surfels.fuse(noisy, poses)
@@ -162,11 +161,6 @@ class _Tracker:
 def _simulate(camera: str, seconds: float) -> SimulatedRecording:
     settings = SimulationSettings(world="flat", camera=camera, size=(640, 480), duration_s=seconds, seed=_SEED)
     return simulate(settings)
-
-
-def _pairs(ideal: SimulatedRecording, kinect: SimulatedRecording) -> Iterator[tuple[RgbdFrame, RgbdFrame]]:
-    """Frames of both cameras at the same moments; the rolling shutter's drive ends a little sooner."""
-    return zip(ideal.renderer.frames(), kinect.renderer.frames(), strict=False)
 
 
 def volume_of(recording: SimulatedRecording) -> KnownVolume | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,11 @@ _TRUNCATION_VOXELS = 8.0
 _LEAST_WEIGHT = 3.0
 _STEPS_PER_M = 5000.0
 _TWIST_S = 0.01
+
+
+def frame_pairs(ideal: SimulatedRecording, noisy: SimulatedRecording) -> Iterator[tuple[RgbdFrame, RgbdFrame]]:
+    """Frames of both cameras at the same moments; the rolling shutter's drive ends a little sooner."""
+    return zip(ideal.renderer.frames(), noisy.renderer.frames(), strict=False)
 
 
 class TruePoses:

@@ -8,15 +8,13 @@ are. Pixels whose neighbours are of another surface, by the true depth, do not c
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from rich.console import Console
 
-from benchmarks.known_poses import KnownSurfels, TruePoses
+from benchmarks.known_poses import KnownSurfels, TruePoses, frame_pairs
 from benchmarks.table import Sheet
-from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray
 from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
 
@@ -59,7 +57,7 @@ def measure_bias(ideal: SimulatedRecording, noisy: SimulatedRecording) -> tuple[
     """Of the floor, and of all else, along a drive that an ideal camera and a real one see."""
     poses, surfels = TruePoses(noisy), KnownSurfels(noisy.calibration)
     rays, floor, rest = ideal.calibration.cameras[1].rays(), Bias(), Bias()
-    for k, (exact, frame) in enumerate(_pairs(ideal, noisy)):
+    for k, (exact, frame) in enumerate(frame_pairs(ideal, noisy)):
         T_world_camera, prepared = poses.at(frame.stamp_s), surfels.prepare(frame, poses)
         view = surfels.step(prepared, T_world_camera, frame.stamp_s)
         if k < _FIRST:
@@ -94,11 +92,6 @@ def _on_planes(true_m: FloatArray) -> BoolArray:
     down = np.abs(near[:-6, 3:-3] + near[6:, 3:-3] - 2 * near[3:-3, 3:-3])
     is_flat[3:-3, 3:-3] = (across < _BENT_PER_M) & (down < _BENT_PER_M)
     return is_flat
-
-
-def _pairs(ideal: SimulatedRecording, noisy: SimulatedRecording) -> Iterator[tuple[RgbdFrame, RgbdFrame]]:
-    """Frames at the same moments; the rolling shutter's drive ends a little sooner."""
-    return zip(ideal.renderer.frames(), noisy.renderer.frames(), strict=False)
 
 
 def drives(world: str, seconds: float, size: tuple[int, int] = (320, 240)) -> list[SimulatedRecording]:

@@ -15,23 +15,22 @@ from numba import njit
 
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, STRAY_M
 from wheelsight.mapping._match_kernels import (
-    CONSTANT,
     FAR,
     FAR_M,
     GATE_M,
     GATE_SIGMAS,
     MIN_COSINE,
     NEAR,
-    QUADRATIC,
     READING,
     VARIANCE,
     WEIGHT,
     apart,
+    deviation,
     faces,
 )
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0xC67863F2
+_COMPILED_IN = 0xBC337156
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Beyond, more sightings change nothing: what is seen for long can still change.
@@ -74,7 +73,7 @@ def read(
         T: (4, 4) T_world_camera.
     """
     far_m = settings[FAR_M]
-    far_m = min(noise[FAR], far_m + _BEYOND_SIGMAS * (noise[CONSTANT] + noise[QUADRATIC] * far_m * far_m))
+    far_m = min(noise[FAR], far_m + _BEYOND_SIGMAS * deviation(noise, far_m))
     for r in range(begin, end):
         y = ray_y[r]
         for c in range(depth_m.shape[1]):
@@ -88,7 +87,7 @@ def read(
             for k in range(3):
                 reading[p, k] = (T[k, 0] * x + T[k, 1] * y + T[k, 2]) * z + T[k, 3]
                 reading[p, 4 + k] = T[k, 0] * nx + T[k, 1] * ny + T[k, 2] * nz
-            sigma = noise[CONSTANT] + noise[QUADRATIC] * z * z
+            sigma = deviation(noise, z)
             reading[p, VARIANCE] = max(sigma * sigma * max(along * along, _LEAST_COSINE2), _LEAST_VARIANCE)
             reading[p, WEIGHT] = weight[r, c]
             radius[p] = z * pitch / max(cosine, _LEAST_COSINE)
@@ -173,7 +172,7 @@ def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any
     for i in range(3):
         there += T[i, 2] * (geometry[slot, i] - T[i, 3])
         here += T[i, 2] * (reading[p, i] - T[i, 3])
-    usual = (noise[CONSTANT] + noise[QUADRATIC] * there * there) / (noise[CONSTANT] + noise[QUADRATIC] * here * here)
+    usual = deviation(noise, there) / deviation(noise, here)
     spread = usual * usual * reading[p, VARIANCE]
     before = max(variance[slot], spread / _MOST_READINGS)
     share = before / (before + spread / reading[p, WEIGHT])

@@ -29,7 +29,7 @@ _FINE_ENOUGH = np.float32(1.5)
 _MADE, _SHOWN, _ACTIVE = range(3)
 # Rows of the buffer of a page's surfels: where they are (3), how deep, and how far off their pixel's middle, squared.
 _PLACE, _Z, _OFF, _OUTSIDE = 5, 3, 4, np.int32(-1)
-# What each entry of `settings` is.
+# What each entry of `settings` is; FAR_M is how far surfels are laid.
 STABLE, GATE_SIGMAS, GATE_M, MIN_NORMAL_DOT, MIN_COSINE, FREE_M, DRIFT_M, FAR_M, GAP_M = range(9)
 # What each entry of `noise` is.
 CONSTANT, QUADRATIC, NEAR, FAR = range(4)
@@ -130,7 +130,7 @@ def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, settin
 def _is_free(depth_m: Any, p: Any, z: Any, aside_m: Any, noise: Any, settings: Any) -> Any:
     """Whether all that is seen about pixel p lies behind a depth z, clearly; `aside_m` more for what rests."""
     r, c, is_free = p // depth_m.shape[1], p % depth_m.shape[1], True
-    sigma = noise[CONSTANT] + noise[QUADRATIC] * depth_m[r, c] * depth_m[r, c]
+    sigma = deviation(noise, depth_m[r, c])
     beyond_m = z + settings[FREE_M] + aside_m + _FREE_SIGMAS * sigma
     for i in range(max(r - 1, 0), min(r + 2, depth_m.shape[0])):
         for j in range(max(c - 1, 0), min(c + 2, depth_m.shape[1])):
@@ -231,6 +231,12 @@ def _covers(
 def _gate(reading: Any, p: Any, variance: Any, slot: Any, settings: Any) -> Any:
     """How far from a surfel, along the normal, a reading still agrees with it."""
     return settings[GATE_SIGMAS] * np.sqrt(reading[p, VARIANCE] + variance[slot]) + settings[GATE_M]
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def deviation(noise: Any, z: Any) -> Any:
+    """The standard deviation of a depth z."""
+    return noise[CONSTANT] + noise[QUADRATIC] * z * z
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")

@@ -18,7 +18,7 @@ class SurfelSettings(BaseModel):
         0.04, description="frames nearer to the last one fused are left out, a turn by a radian as 1.5 m"
     )
     fused_after_s: PositiveFloat = Field(0.1, description="a frame so long after the last one fused is fused anyway")
-    far_m: PositiveFloat = Field(6.0, description="no surfel is predicted beyond, and hardly one laid")
+    far_m: PositiveFloat = Field(6.0, description="no surfel is predicted beyond; they are laid 12 σ farther")
     vague_m: PositiveFloat = Field(
         0.035, description="unstable surfels less surely placed are not predicted: a far wall's depth errs as one"
     )
