@@ -81,13 +81,23 @@ def simulate(drive: Drive, rng: np.random.Generator, settings: ErrorStateSetting
         T = T @ kernels.exp(rng.normal(size=6) * unseen * np.sqrt(way_m)) @ kernels.exp(xi)
         step = Step(begin_s, end_s, T, kernels.exp(measured), Q)
         if (i + 1) % drive.steps_a_frame == 0:
-            wrong = np.array(drive.camera_errors)
-            missed = kernels.by_camera_errors(T, seen_from)[:, : len(wrong)] @ wrong
-            Z = kernels.exp(-missed) @ se3.invert(seen_from) @ T
+            wrong, Z = np.array(drive.camera_errors), se3.invert(seen_from) @ T
+            missed = kernels.by_camera_errors(Z, by_ratios(Z))[:, : len(wrong)] @ wrong
+            Z = kernels.exp(-missed) @ Z
             step = replace(step, look=drive.camera_fault(end_s, looked(rng, Z)))
             seen_from = T
         steps.append(step)
     return steps
+
+
+def by_ratios(Z: FloatArray) -> FloatArray:
+    """How a motion (4, 4) changes with ways too short, a turn missed a metre, and turns too small: (6, 3)."""
+    B, turn, (x, y, z) = np.zeros((6, 3)), kernels.log(Z)[5], Z[:3, 3]
+    way_m = np.linalg.norm(Z[:3, 3])
+    B[:3, 0] = x, y, z
+    B[:, 1] = way_m * y / 2, -way_m * x / 2, 0, 0, 0, way_m
+    B[:, 2] = turn * y / 2, -turn * x / 2, 0, 0, 0, turn
+    return B
 
 
 def looked(rng: np.random.Generator, Z: FloatArray, covariance: FloatArray = CAMERA_COVARIANCE) -> MotionEstimate:

@@ -93,6 +93,8 @@ class PoseBelief:
         way_m: since the floor was last taken for level.
         part_s: length of the last part of a wheel step.
         known_twist: (3,) the twist when a measurement last told it; `known_for_s` ago.
+        told: (6, 3) how the wheels' errors moved the pose since the begin, as left perturbations in the world;
+            told_before: the same of each remembered pose.
     """
 
     T: FloatArray
@@ -106,6 +108,8 @@ class PoseBelief:
     known_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
     known_for_s: float = np.inf
     doubted_before: tuple[FloatArray, ...] = ()
+    told: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
+    told_before: tuple[FloatArray, ...] = ()
 
     @classmethod
     def begin(cls, T_world_base: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
@@ -146,9 +150,9 @@ class PoseBelief:
         walks = s.walks * [*[way_m] * 10, dt_s]
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
         Q = step.covariance * share + s.unseen_a_metre * way_m
-        kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)
-        ways = (self.way_m + way_m, dt_s, self.known_twist, self.known_for_s + dt_s, self.doubted_before)
-        after = PoseBelief(T, self.names, self.stamps_s, rest, P, self.doubted, *ways)
+        told = self.told + kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)
+        ways = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s, "told": told}
+        after = changed(self, T=T, rest=rest, covariance=P, **ways)
         after = after.distrusted(dt_s, np.zeros(3), s) if is_slipping else after
         return after._levelled(s) if after.way_m > _LEVEL_EVERY_M else after
 
@@ -184,8 +188,8 @@ class PoseBelief:
             here = here.dropped(here.names[0])
         poses = np.append(np.arange(len(here.T)), 0)
         names, stamps = (*here.names, name), (*here.stamps_s, stamp_s)
-        doubts = (*here.doubted_before, self.doubted)
-        there = changed(here._selected(poses), names=names, stamps_s=stamps, doubted_before=doubts)
+        since = {"doubted_before": (*here.doubted_before, self.doubted), "told_before": (*here.told_before, self.told)}
+        there = changed(here._selected(poses), names=names, stamps_s=stamps, **since)
         if spread is not None:
             at, Ad = slice(6 * len(names), 6 * len(names) + 6), kernels.adjoint(self.T[0])
             there.covariance[at, at] += Ad @ spread @ Ad.T
@@ -196,11 +200,10 @@ class PoseBelief:
         if name not in self.names:
             return self
         place = self.names.index(name)
-        names = self.names[:place] + self.names[place + 1 :]
-        stamps = self.stamps_s[:place] + self.stamps_s[place + 1 :]
-        doubts = self.doubted_before[:place] + self.doubted_before[place + 1 :]
         without = self._selected(np.delete(np.arange(len(self.T)), place + 1))
-        return changed(without, names=names, stamps_s=stamps, doubted_before=doubts)
+        of_poses = ("names", "stamps_s", "doubted_before", "told_before")
+        left = {field: (*getattr(self, field)[:place], *getattr(self, field)[place + 1 :]) for field in of_poses}
+        return changed(without, **left)
 
     def _selected(self, poses: IntArray) -> PoseBelief:
         rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(self._rest, len(self.covariance))])
@@ -214,19 +217,23 @@ class PoseBelief:
 
     def apart(self, look: Look) -> FloatArray:
         """log(Z Ẑ⁻¹) (6,): how far the camera's motion, mended by what is known of its errors, is from the expected."""
-        T_reference = self.T[self.reference(look.name)]
-        return np.asarray(kernels.apart(self.T[0], T_reference, look.Z, self.rest[CAMERA_ERRORS]))
+        since = self.since(self.reference(look.name))
+        return np.asarray(kernels.apart(*since, look.Z, self.rest[CAMERA_ERRORS]))
 
     def innovation(self, look: Look, *, without_doubt: bool = False) -> Innovation:
         """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed."""
         at = self.reference(look.name)
-        H, PHt, HPHt = kernels.look(self.T[0], self.T[at], self.covariance, 6 * at, look.seen)
+        H, PHt, HPHt = kernels.look(*self.since(at), self.covariance, 6 * at, look.seen)
         S = HPHt + look.covariance
         if without_doubt and (self.doubted.any() or self.doubted_before[at - 1].any()):
             certain = S - H @ (self.doubted - self.doubted_before[at - 1]) @ H.T
             # Corrections have made some of the doubt smaller than it was written down.
             S = certain if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0 else S
         return _innovation(look.seen @ self.apart(look), S, PHt)
+
+    def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The pose now, the one at a place, and how the wheels' errors moved the one since the other."""
+        return self.T[0], self.T[at], self.told - self.told_before[at - 1]
 
     def position(self, xy: FloatArray, covariance: FloatArray) -> Innovation:
         """What a position (2,) in the world with its covariance (2, 2) says."""

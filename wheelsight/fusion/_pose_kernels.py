@@ -200,11 +200,13 @@ def roll(
     dt_s: float,
     share: float,
     walks: FloatArray,
-) -> None:
+) -> FloatArray:
     """A step ξ (6,) of the wheels, which changes by `by_errors` (6, 3), with noise Q (6, 6) of its left perturbation.
 
     `walks` (11,) is added to the variances of the errors of wheels and camera and the gyroscope's bias. A part of a
     step, `share` below 1, has the twist of the whole, and is as uncertain of it.
+
+    Returns (6, 3) how the errors move the pose by this step, as a left perturbation.
     """
     n = len(P)
     twist, errors = n - _REST, n - _REST + 3
@@ -227,6 +229,7 @@ def roll(
         P[errors + i, errors + i] += walks[i]
     T[0] = times(T[0], exp(xi))
     rest[0], rest[1], rest[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
+    return to_pose
 
 
 @njit(cache=True, nogil=True)
@@ -265,34 +268,44 @@ def inverse(T: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def by_camera_errors(T_now: FloatArray, T_reference: FloatArray) -> FloatArray:
-    """How a motion that the camera saw changes, as a left perturbation, with the camera's errors (6, 7).
+def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
+    """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 7).
 
     They are the ratio by which its ways are too short, the turn a metre that it misses, the ratio by which its turns
     are too small, the pitch a metre that it misses, and by what rotation (3,) of the base it is mounted otherwise: what
-    it takes for ahead may be aside or up. A turn that grows along the way moves the end by half of it. The motion is
-    the one expected: by its own numbers, one that is too long by chance would be one more that calls for a smaller
-    scale.
+    it takes for ahead may be aside or up. A pitch that grows along the way moves the end by half of it.
+
+    The first three are as those of the wheels, so they change it as these do, which is what `told` (6, 3) says. Told
+    from each other by how steps are reckoned, and not by the drive, they would drift: what both err by alike nobody
+    sees, so nothing would ever mend it.
     """
-    Z = times(inverse(T_reference), T_now)
-    B, turn = np.zeros((6, _CAMERA)), log(Z)[5]
-    B[:, 4:] = -adjoint(Z)[:, 3:]
+    B = np.zeros((6, _CAMERA))
+    B[:, :3], B[:, 4:] = told, -adjoint(Z)[:, 3:]
     for i in range(3):
         B[3 + i, 4 + i] += 1.0
-    x, y, z = Z[0, 3], Z[1, 3], Z[2, 3]
-    way = math.sqrt(x * x + y * y + z * z)
-    B[0, 0], B[1, 0], B[2, 0] = x, y, z
-    B[0, 1], B[1, 1], B[5, 1] = way * y / 2, -way * x / 2, way
-    B[0, 3], B[2, 3], B[4, 3] = -way * z / 2, way * x / 2, way
-    B[0, 2], B[1, 2], B[5, 2] = turn * y / 2, -turn * x / 2, turn
+    way = math.sqrt(Z[0, 3] ** 2 + Z[1, 3] ** 2 + Z[2, 3] ** 2)
+    B[0, 3], B[2, 3], B[4, 3] = -way * Z[2, 3] / 2, way * Z[0, 3] / 2, way
     return B
 
 
 @njit(cache=True, nogil=True)
-def apart(T_now: FloatArray, T_reference: FloatArray, Z: FloatArray, camera_errors: FloatArray) -> FloatArray:
+def expected(T_now: FloatArray, T_reference: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The motion (4, 4) between two poses, and how the camera's errors change it (6, 7).
+
+    `told` (6, 3) is how the wheels' errors moved the pose now since the other, as left perturbations in the world.
+    """
+    T_reference_world = inverse(T_reference)
+    Z = times(T_reference_world, T_now)
+    return Z, by_camera_errors(Z, times(adjoint(T_reference_world), told))
+
+
+@njit(cache=True, nogil=True)
+def apart(
+    T_now: FloatArray, T_reference: FloatArray, told: FloatArray, Z: FloatArray, camera_errors: FloatArray
+) -> FloatArray:
     """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (7,), and the one that two poses tell."""
-    xi = log(times(Z, times(inverse(T_now), T_reference)))
-    B = by_camera_errors(T_now, T_reference)
+    Z_expected, B = expected(T_now, T_reference, told)
+    xi = log(times(Z, inverse(Z_expected)))
     for i in range(6):
         for j in range(_CAMERA):
             xi[i] += B[i, j] * camera_errors[j]
@@ -301,10 +314,10 @@ def apart(T_now: FloatArray, T_reference: FloatArray, Z: FloatArray, camera_erro
 
 @njit(cache=True, nogil=True)
 def look(
-    T_now: FloatArray, T_reference: FloatArray, P: FloatArray, place: int, seen: FloatArray
+    T_now: FloatArray, T_reference: FloatArray, told: FloatArray, P: FloatArray, place: int, seen: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """H (m, 6) of the pose now, the opposite of that of the pose at `place`; P Hᵀ (n, m); and H P Hᵀ (m, m)."""
-    H, by_errors = times(seen, adjoint(inverse(T_reference))), times(seen, by_camera_errors(T_now, T_reference))
+    H, by_errors = times(seen, adjoint(inverse(T_reference))), times(seen, expected(T_now, T_reference, told)[1])
     camera = len(P) - _REST + 6
     PHt = times(P[:, :6] - P[:, place : place + 6], H.T) - times(P[:, camera : camera + _CAMERA], by_errors.T)
     return H, PHt, times(H, PHt[:6] - PHt[place : place + 6]) - times(by_errors, PHt[camera : camera + _CAMERA])

@@ -23,7 +23,7 @@ class ErrorStateSettings:
             turn a metre too much (unequal radii), the ratio by which turns are wrong (track width).
         scale_walk, drift_walk_rad_per_m, turn_walk: how these wander in one metre.
         camera_scale_sigma, camera_drift_sigma_rad_per_m, camera_turn_sigma: likewise of the camera's errors;
-            its drift is that of its pitch, too.
+            its drift is that of its pitch, too. A focal length is known to a pixel of five hundred.
         camera_scale_walk, camera_drift_walk_rad_per_m, camera_turn_walk: how these wander in one metre.
         mount_sigma_rad, mount_walk_rad: how far the camera is turned on the base from where it is said to be, about
             each axis, and how that wanders in one metre.
@@ -63,10 +63,10 @@ class ErrorStateSettings:
     turn_walk: float = 0.0005
     camera_scale_sigma: float = 0.005
     camera_drift_sigma_rad_per_m: float = 0.0003
-    camera_turn_sigma: float = 0.005
+    camera_turn_sigma: float = 0.002
     camera_scale_walk: float = 0.0005
     camera_drift_walk_rad_per_m: float = 0.0001
-    camera_turn_walk: float = 0.0005
+    camera_turn_walk: float = 0.0001
     mount_sigma_rad: float = 0.005
     mount_walk_rad: float = 0.0002
     side_m_per_sqrt_m: float = 0.005
