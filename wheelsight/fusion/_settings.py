@@ -41,7 +41,8 @@ class ErrorStateSettings:
         confidence: share of good measurements that a gate lets pass.
         decisive: evidence, in nats, that settles whether wheels slip or vision fails.
         leap_cap: most that one leap counts, as χ².
-        persistence: evidence of slip in each further frame in which a healthy camera contradicts the wheels.
+        persistence: evidence of slip in each further frame in which a healthy camera contradicts the wheels, and in
+            the first one within `slippery_s` of slip.
         perseverance_per_s: likewise in each second, once the wheels are believed.
         ill_health: evidence of visual failure in one in which the camera is not healthy.
         healthy_share: a camera is healthy whose share of inliers is at least this part of its usual share.
@@ -91,6 +92,7 @@ class ErrorStateSettings:
     decisive: float = 6.0
     leap_cap: float = 16.0
     persistence: float = 1.5
+    slippery_s: float = 5.0
     perseverance_per_s: float = 8.0
     ill_health: float = 2.0
     healthy_share: float = 0.6

@@ -119,6 +119,7 @@ class Court:
         gyro_s: of the last yaw rate.
         turn_slip_s: when the gyroscope last contradicted the wheels.
         looked_s: of the last look that told anything.
+        slipped_s: when wheels were last known to slip.
     """
 
     belief: PoseBelief
@@ -134,6 +135,7 @@ class Court:
     gyro_s: float | None = None
     turn_slip_s: float = -np.inf
     looked_s: float = -np.inf
+    slipped_s: float = -np.inf
 
     @property
     def rival_share(self) -> float:
@@ -220,7 +222,9 @@ def _together(
     rival = _led_by_camera(court.belief, stamp_s, look, settings)
     if rival is None:
         return court, Reason.CONTRADICTION
-    split = changed(_trusting(court, Trust.DOUBT, stamp_s), rival=rival)
+    # Where wheels slipped a moment ago, they do so again sooner than the camera fails.
+    again = settings.persistence if stamp_s - court.slipped_s <= settings.slippery_s else 0.0
+    split = changed(_trusting(court, Trust.DOUBT, stamp_s), rival=rival, evidence=court.evidence + again)
     return _verdict(_settled(split, stamp_s, settings))
 
 
@@ -283,7 +287,8 @@ def _verdict(court: Court) -> tuple[Court, Reason | None]:
 
 
 def _trusting(court: Court, trust: Trust, stamp_s: float) -> Court:
-    return changed(court, trust=trust, rival=None, agreed=0, since_s=stamp_s)
+    slipped_s = stamp_s if court.trust is Trust.CAMERA else court.slipped_s
+    return changed(court, trust=trust, rival=None, agreed=0, since_s=stamp_s, slipped_s=slipped_s)
 
 
 def _led_by_camera(belief: PoseBelief, stamp_s: float, look: Look, settings: ErrorStateSettings) -> PoseBelief | None:

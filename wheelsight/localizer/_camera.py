@@ -24,8 +24,7 @@ def camera_odometry(
 ) -> tuple[FeatureOdometry | DenseOdometry, SurfelMapper | None]:
     """Feature or dense odometry, whose world is where the base was where that is known; and what builds a map.
 
-    Beside wheels keyframes are tracked against, which reach as far as the camera sees: the map ends at
-    `surfels.far_m`, and in a hall shows little but floor.
+    Beside wheels, tracking begins against keyframes; who joins both says when the map shows more.
     """
     if settings.map == "surfels":
         tracks = settings.fusion != "default"

@@ -103,13 +103,15 @@ class ByFusion:
         return self._placed(event, answer), self._deaf
 
     def _lead(self, slips: bool) -> None:
-        """Who is asked what to expect of the next frame: the wheels; or, where these slip, the last motion and the map.
+        """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion; and the map.
 
-        What slips expects what is not so, and a robot that spins by a lifted wheel faces walls that tell little.
+        What slips expects what is not so, and a robot that spins by a lifted wheel faces walls that tell little. The
+        map also shows it best wherever hardly anything lies beyond its end; else keyframes do, which reach as far as
+        the camera sees.
         """
         self._slips = slips
         if self.mapper is not None:
-            self.mapper.track_map(slips)
+            self.mapper.track_map(slips or self.mapper.shows_most)
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import RgbdFrame
@@ -15,6 +17,8 @@ from wheelsight.odometry.dense import DenseOdometry, DenseSettings
 # Tracking takes grey from each frame; colour, which is only looked at, is brought onto the grid for one of so many. A
 # surfel is stable after more.
 _COLORED_EVERY = 3
+# Where more of a frame's depths than this lie beyond the map's end, keyframes show more than the map does.
+_BEYOND_SHARE = 0.05
 
 
 class SurfelMapper:
@@ -60,6 +64,15 @@ class SurfelMapper:
     def track_map(self, tracks: bool) -> None:
         """From now on align frames with what the map predicts, or with keyframes."""
         self.odometry.refer_to(self.map if tracks else None)
+
+    @property
+    def shows_most(self) -> bool:
+        """Whether hardly anything of what the last frame saw lies beyond where the map ends; False if it failed."""
+        if self.odometry.last_frame is None:
+            return False
+        depth_m = self.odometry.last_frame.levels[-1].depth_m
+        beyond = np.count_nonzero(depth_m > self.map.settings.far_m)
+        return bool(beyond <= _BEYOND_SHARE * np.count_nonzero(depth_m))
 
     def miss(self, stamp_s: float) -> Estimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
