@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wheelsight.estimates import Reason
 from wheelsight.fusion import ErrorStateSettings
+from wheelsight.fusion._changed import changed
 from wheelsight.fusion._pose_belief import Look, PoseBelief, WheelStep
 from wheelsight.fusion._trust import Court, Trust, see
 from wheelsight.geometry import se3
@@ -62,3 +64,29 @@ def test_noise_of_the_looks_after_doubt_does_not_decide_who_was_right(seed):
         assert reason is None
         assert (apart(court.belief.T[0], told.belief.T[0]) < [0.005, 0.1]).all()
         court = told
+
+
+def contradicted(slipped_s):
+    """Both believed at 10 s, where wheels last slipped at a stamp, and the camera sees them 2.4 degrees off."""
+    court = changed(in_doubt(0.0), rival=None, trust=Trust.BOTH, agreed=0, slipped_s=slipped_s)
+    Z = se3.invert(court.belief.T[1]) @ se3.exp(APART) @ court.belief.T[0]
+    return see(court, 10.0, Look("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6)), SETTINGS)
+
+
+@pytest.mark.parametrize(("ago_s", "by_camera"), [(1.0, True), (30.0, False)])
+def test_wheels_that_slipped_a_moment_ago_are_taken_to_slip_again(ago_s, by_camera):
+    """One frame contradicts the wheels, and all that follow agree."""
+    court, reason = contradicted(10.0 - ago_s)
+    assert (court.trust, reason) == (Trust.DOUBT, Reason.CONTRADICTION)
+    wheels_say, camera_says = court.belief.T[0], court.rival.T[0]
+    assert apart(wheels_say, camera_says)[1] > 2
+    now = court.likelier().T[0]
+    assert (apart(now, camera_says if by_camera else wheels_say) < [0.005, 0.1]).all()
+
+
+def test_when_wheels_last_slipped_is_kept_once_they_are_believed_again():
+    court = changed(in_doubt(0.0), rival=None, trust=Trust.CAMERA, slipped_s=-np.inf)
+    Z = se3.invert(court.belief.T[1]) @ court.belief.T[0]
+    agrees = Look("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
+    court, _ = see(court, 10.0, agrees, SETTINGS)
+    assert (court.trust, court.slipped_s) == (Trust.BOTH, 10.0)

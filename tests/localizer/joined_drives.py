@@ -147,12 +147,16 @@ def _judged(T: FloatArray, T_prior: FloatArray | None, hidden: FloatArray | None
 
 @dataclass
 class MapOfFrames:
-    """Stands for a mapper: keeps which frames were fused, and where, and whether the map is tracked against."""
+    """Stands for a mapper: keeps which frames were fused, and where, and whether the map is tracked against.
+
+    `shows_most`: whether it says that the map shows what frames see.
+    """
 
     fused: dict[float, FloatArray] = field(default_factory=dict)
     last_fused: object | None = None
     map: None = None
     is_tracked: bool = False
+    shows_most: bool = False
 
     def track_map(self, tracks: bool) -> None:
         self.is_tracked = tracks

@@ -215,6 +215,16 @@ def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeyp
     assert not kept.is_tracked
 
 
+def test_the_map_is_tracked_where_it_shows_what_frames_see(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive()
+    subject, kept = joined(monkeypatch, made.eye())
+    for event in made.events():
+        kept.shows_most = event.stamp_s < made.begin_s + 1.0
+        subject.process(event)
+        if isinstance(event, RgbdFrame):
+            assert kept.is_tracked == kept.shows_most
+
+
 @pytest.mark.parametrize("kind", ["dense", "features"])
 def test_a_robot_that_is_pushed_aside_soon_believes_its_camera_again(ran: Callable[..., Run], kind: str) -> None:
     """Who was right then nobody tells, and both are covered; a camera that goes on well is not left out for it."""

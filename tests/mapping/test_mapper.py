@@ -93,6 +93,25 @@ def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
     assert all(directions is not None and len(directions) for directions in unseen)
 
 
+@pytest.mark.parametrize(("far_m", "expected"), [(4.0, True), (8.0, False)])
+def test_a_map_shows_most_where_hardly_anything_lies_beyond_its_end(far_m: float, expected: bool) -> None:
+    subject = SurfelMapper(Calibration.registered_camera(SMALL))
+    assert not subject.shows_most  # nothing was seen
+    scene = [Plane((0, 0, 1), far_m), Plane((0, 1, 0), 1.0)]
+    for k in range(2):
+        subject.process(frame_of(scene, np.eye(4), k / 30, noise_seed=k))
+    assert subject.odometry.last_frame is not None
+    assert subject.shows_most == expected
+
+
+def test_of_a_frame_that_failed_no_map_shows_anything(frames: list[RgbdFrame]) -> None:
+    subject = mapper()
+    subject.process(frames[0])
+    assert subject.shows_most
+    subject.process(replace(frames[1], depth_m=np.zeros_like(frames[1].depth_m)))
+    assert not subject.shows_most
+
+
 def test_a_frame_goes_to_where_others_have_it(frames: list[RgbdFrame]) -> None:
     """Odometry tells what the frame shows; where that is, who joins it with wheels may know better."""
     subject, T_told = mapper(), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])
