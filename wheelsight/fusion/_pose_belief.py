@@ -202,7 +202,7 @@ class PoseBelief:
         place = self.names.index(name)
         without = self._selected(np.delete(np.arange(len(self.T)), place + 1))
         of_poses = ("names", "stamps_s", "doubted_before", "told_before")
-        left = {field: (*getattr(self, field)[:place], *getattr(self, field)[place + 1 :]) for field in of_poses}
+        left = {part: (*getattr(self, part)[:place], *getattr(self, part)[place + 1 :]) for part in of_poses}
         return changed(without, **left)
 
     def _selected(self, poses: IntArray) -> PoseBelief:
