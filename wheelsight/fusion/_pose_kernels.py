@@ -289,14 +289,16 @@ def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def expected(T_now: FloatArray, T_reference: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The motion (4, 4) between two poses, and how the camera's errors change it (6, 7).
+def expected(
+    T_now: FloatArray, T_reference: FloatArray, told: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The motion (4, 4) between two poses, how the camera's errors change it (6, 7), and how perturbations do (6, 6).
 
     `told` (6, 3) is how the wheels' errors moved the pose now since the other, as left perturbations in the world.
     """
     T_reference_world = inverse(T_reference)
-    Z = times(T_reference_world, T_now)
-    return Z, by_camera_errors(Z, times(adjoint(T_reference_world), told))
+    Z, Ad = times(T_reference_world, T_now), adjoint(T_reference_world)
+    return Z, by_camera_errors(Z, times(Ad, told)), Ad
 
 
 @njit(cache=True, nogil=True)
@@ -304,7 +306,7 @@ def apart(
     T_now: FloatArray, T_reference: FloatArray, told: FloatArray, Z: FloatArray, camera_errors: FloatArray
 ) -> FloatArray:
     """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (7,), and the one that two poses tell."""
-    Z_expected, B = expected(T_now, T_reference, told)
+    Z_expected, B, _ = expected(T_now, T_reference, told)
     xi = log(times(Z, inverse(Z_expected)))
     for i in range(6):
         for j in range(_CAMERA):
@@ -317,7 +319,8 @@ def look(
     T_now: FloatArray, T_reference: FloatArray, told: FloatArray, P: FloatArray, place: int, seen: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """H (m, 6) of the pose now, the opposite of that of the pose at `place`; P Hᵀ (n, m); and H P Hᵀ (m, m)."""
-    H, by_errors = times(seen, adjoint(inverse(T_reference))), times(seen, expected(T_now, T_reference, told)[1])
+    _, B, Ad = expected(T_now, T_reference, told)
+    H, by_errors = times(seen, Ad), times(seen, B)
     camera = len(P) - _REST + 6
     PHt = times(P[:, :6] - P[:, place : place + 6], H.T) - times(P[:, camera : camera + _CAMERA], by_errors.T)
     return H, PHt, times(H, PHt[:6] - PHt[place : place + 6]) - times(by_errors, PHt[camera : camera + _CAMERA])
