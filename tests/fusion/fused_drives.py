@@ -82,7 +82,7 @@ def simulate(drive: Drive, rng: np.random.Generator, settings: ErrorStateSetting
         step = Step(begin_s, end_s, T, kernels.exp(measured), Q)
         if (i + 1) % drive.steps_a_frame == 0:
             wrong, Z = np.array(drive.camera_errors), se3.invert(seen_from) @ T
-            missed = kernels.by_camera_errors(Z, by_ratios(Z))[:, : len(wrong)] @ wrong
+            missed = kernels.by_camera_errors(Z, by_ratios(Z), np.zeros((2, 3)))[:, : len(wrong)] @ wrong
             Z = kernels.exp(-missed) @ Z
             step = replace(step, look=drive.camera_fault(end_s, looked(rng, Z)))
             seen_from = T

@@ -125,7 +125,7 @@ def test_perturbing_all_poses_alike_changes_no_look(rng):
 
 def test_a_shift_of_another_size_is_refused(rng):
     belief = belief_somewhere(rng)
-    with pytest.raises(ValueError, match=r"25.*32"):
+    with pytest.raises(ValueError, match=r"25.*33"):
         perturbed(belief, np.zeros(25))
 
 

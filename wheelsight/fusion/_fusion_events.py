@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +15,7 @@ from wheelsight.fusion._changed import changed
 from wheelsight.fusion._pose_belief import Look, PoseBelief, WheelStep
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court
+from wheelsight.fusion._wheel_noise import Ride
 from wheelsight.geometry import FloatArray
 
 
@@ -93,8 +94,7 @@ def after(
     if event.position is not None:
         return _placed(now, *event.position, settings)
     if event.clone is not None:
-        given = (event.clone, event.stamp_s, settings.max_clones, event.spread)
-        return changed(now, court=_each(now.court, lambda belief: belief.cloned(*given)))
+        return changed(now, court=_remembered(now.court, event.clone, event.stamp_s, event.spread, settings))
     if event.drop is not None:
         forgotten = event.drop
         return changed(now, court=_each(now.court, lambda belief: belief.dropped(forgotten)))
@@ -142,12 +142,34 @@ def _gone_on(court: Court, step: WheelStep | None, start_s: float, end_s: float,
             return belief.glided(end_s - start_s, settings)
         return belief.rolled(step, (end_s - start_s) / (step.end_s - step.begin_s), settings, is_slipping)
 
-    travel = court.travel
+    travel, ride = court.travel, court.ride
     if step is not None:
-        travel = travel.rolled(step, (end_s - start_s) / (step.end_s - step.begin_s))
+        share = (end_s - start_s) / (step.end_s - step.begin_s)
+        ride = None if ride is None else ride.rolled(step, share)
+        step = replace(step, covariance=step.covariance * court.noise.ratio)
+        travel = travel.rolled(step, share)
     belief = on(court.belief, court.trust is trust.Trust.CAMERA)
     assert belief is not None
-    return changed(court, belief=belief, rival=on(court.rival, True), travel=travel)
+    return changed(court, belief=belief, rival=on(court.rival, True), travel=travel, ride=ride)
+
+
+def _remembered(
+    court: Court, name: str, stamp_s: float, spread: FloatArray | None, settings: ErrorStateSettings
+) -> Court:
+    """With the pose now remembered, against which the wheels' next ride is then judged if the camera looks at it."""
+    look = None if court.glance is None or court.glance.look.name != name else court.glance.look
+    agrees = court.glance is not None and court.glance.stamp_s == stamp_s and court.agreed > 0
+    agrees = agrees and court.trust is trust.Trust.BOTH and name in court.belief.names
+    ride, noise = court.ride, court.noise
+    if agrees and look is not None and ride is not None and ride.name == name and ride.is_whole(stamp_s):
+        noise = noise.after(ride, look, court.belief, settings.wheel_noise_memory_m)
+    if look is not None or ride is None or ride.name == name:
+        ride = Ride.begin(name, stamp_s, spread, court.belief)
+    court = changed(court, noise=noise, ride=ride)
+    if agrees and look is not None and spread is not None and len(look.covariance) == 6:
+        return changed(court, belief=court.belief.chained(look, stamp_s, spread))
+    given = (name, stamp_s, settings.max_clones, spread)
+    return _each(court, lambda belief: belief.cloned(*given))
 
 
 def _looked(state: FusionState, look: Look, stamp_s: float, settings: ErrorStateSettings) -> FusionState:

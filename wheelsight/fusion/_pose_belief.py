@@ -16,7 +16,7 @@ each step answers a new one, so that a filter can go back to any it has kept.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,14 +27,17 @@ from wheelsight.geometry import FloatArray, IntArray
 
 PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 IN_PLANE = np.ix_(PLANE, PLANE)
+_IS_PLANE = np.array([1.0, 1, 0, 0, 0, 1])
 _SIX = np.arange(6)
 # Behind all poses stand, in this order: the twist, what is wrong with wheels and camera, and the gyroscope's bias.
-TWIST, ERRORS, CAMERA_ERRORS, BIAS = slice(0, 3), slice(3, 6), slice(6, 13), 13
-REST_SIZE = 14
+TWIST, ERRORS, CAMERA_ERRORS, BIAS = slice(0, 3), slice(3, 6), slice(6, 14), 14
+REST_SIZE = 15
 _LEVEL_EVERY_M = 0.25
 _RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
 _KNOWN_FOR_S = 0.25
 _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
+# Of what each alignment leaves uncertain, what adds up along a way: of turns less than half (3 to 18 m, ten drives).
+_CHAIN_KEEPS = np.array([1.0, 1, 1, 1, 1, 0.4])
 _COVERED_SIGMAS = 2.5  # so that the other's own error, too, has room within three
 
 
@@ -78,28 +81,37 @@ class Innovation:
     nis: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Remembered:
+    """What belongs to a remembered pose: its name and stamp, and the base's twist (3,), `doubted` and `told` then."""
+
+    name: str
+    stamp_s: float
+    twist: FloatArray
+    doubted: FloatArray
+    told: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class PoseBelief:
     """The belief; see the module.
 
     Attributes:
         T: (1 + K, 4, 4) T_world_base now, and at the remembered instants.
-        names, stamps_s: of these instants.
-        rest: (14,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's (the same, its drift in
-            pitch, its mount's rotation), the gyroscope's bias.
-        covariance: (6 + 6K + 14, 6 + 6K + 14) of all perturbations of poses, then of `rest`.
+        remembered: these instants.
+        rest: (15,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's (the same, its drift in
+            pitch, its mount's rotation, how late its stamps are), the gyroscope's bias.
+        covariance: (6 + 6K + 15, 6 + 6K + 15) of all perturbations of poses, then of `rest`.
         doubted: (6, 6) part of the pose's covariance that is there because wheels were not trusted since vision was
-            last believed; doubted_before: the same of each remembered pose, as of then.
+            last believed.
         way_m: since the floor was last taken for level.
         part_s: length of the last part of a wheel step.
         known_twist: (3,) the twist when a measurement last told it; `known_for_s` ago.
-        told: (6, 3) how the wheels' errors moved the pose since the begin, as left perturbations in the world;
-            told_before: the same of each remembered pose.
+        told: (6, 3) how the wheels' errors moved the pose since the begin, as left perturbations in the world.
     """
 
     T: FloatArray
-    names: tuple[str, ...]
-    stamps_s: tuple[float, ...]
+    remembered: tuple[Remembered, ...]
     rest: FloatArray
     covariance: FloatArray
     doubted: FloatArray
@@ -107,9 +119,7 @@ class PoseBelief:
     part_s: float = 0.0
     known_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
     known_for_s: float = np.inf
-    doubted_before: tuple[FloatArray, ...] = ()
     told: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
-    told_before: tuple[FloatArray, ...] = ()
 
     @classmethod
     def begin(cls, T_world_base: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
@@ -120,9 +130,16 @@ class PoseBelief:
         still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
         errors = [s.scale_sigma, s.drift_sigma_rad_per_m, s.turn_sigma]
         drift_sigma = s.camera_drift_sigma_rad_per_m
-        camera = [s.camera_scale_sigma, drift_sigma, s.camera_turn_sigma, drift_sigma, *[s.mount_sigma_rad] * 3]
+        camera = [
+            s.camera_scale_sigma,
+            drift_sigma,
+            s.camera_turn_sigma,
+            drift_sigma,
+            *[s.mount_sigma_rad] * 3,
+            s.camera_lag_sigma_s,
+        ]
         P[6:, 6:] = np.diag(np.square([*still, *errors, *camera, s.gyro_bias_sigma_rad_s]))
-        return cls(T_world_base[None].copy(), (), (), np.zeros(REST_SIZE), P, np.zeros((6, 6)))
+        return cls(T_world_base[None].copy(), (), np.zeros(REST_SIZE), P, np.zeros((6, 6)))
 
     @property
     def gyro_bias_rad_s(self) -> float:
@@ -133,6 +150,11 @@ class PoseBelief:
     def wheel_errors(self) -> FloatArray:
         """(3,) scale of ways, turn a metre, scale of turns: what is thought to be wrong with the wheels."""
         return self.rest[ERRORS].copy()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the remembered poses."""
+        return tuple(pose.name for pose in self.remembered)
 
     @property
     def _rest(self) -> int:
@@ -147,7 +169,7 @@ class PoseBelief:
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         raw = step.xi * share
         way_m = s.lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
-        walks = s.walks * [*[way_m] * 10, dt_s]
+        walks = s.walks * [*[way_m] * 11, dt_s]
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
         Q = step.covariance * share + s.unseen_a_metre * way_m
         told = self.told + kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)
@@ -187,11 +209,9 @@ class PoseBelief:
         while len(here.names) >= most:
             here = here.dropped(here.names[0])
         poses = np.append(np.arange(len(here.T)), 0)
-        names, stamps = (*here.names, name), (*here.stamps_s, stamp_s)
-        since = {"doubted_before": (*here.doubted_before, self.doubted), "told_before": (*here.told_before, self.told)}
-        there = changed(here._selected(poses), names=names, stamps_s=stamps, **since)
+        there = changed(here._selected(poses), remembered=(*here.remembered, self._as(name, stamp_s)))
         if spread is not None:
-            at, Ad = slice(6 * len(names), 6 * len(names) + 6), kernels.adjoint(self.T[0])
+            at, Ad = slice(6 * len(here.T), 6 * len(here.T) + 6), kernels.adjoint(self.T[0])
             there.covariance[at, at] += Ad @ spread @ Ad.T
         return there
 
@@ -201,9 +221,33 @@ class PoseBelief:
             return self
         place = self.names.index(name)
         without = self._selected(np.delete(np.arange(len(self.T)), place + 1))
-        of_poses = ("names", "stamps_s", "doubted_before", "told_before")
-        left = {part: (*getattr(self, part)[:place], *getattr(self, part)[place + 1 :]) for part in of_poses}
-        return changed(without, **left)
+        return changed(without, remembered=(*self.remembered[:place], *self.remembered[place + 1 :]))
+
+    def chained(self, look: Look, stamp_s: float, spread: FloatArray) -> PoseBelief:
+        """With the pose now, seen just so against a remembered one, remembered in that one's place.
+
+        The camera has both in a world of its own, so in the plane what that has wrong of the one it has wrong of the
+        other: errors of single looks do not add up along a way. What its world gains by error on the way is `spread`
+        (6, 6), in the base's own frame. Height, roll and pitch are those of now, of which the floor knows more.
+        """
+        at = self.reference(look.name)
+        rows, errors = slice(6 * at, 6 * at + 6), self.place(CAMERA_ERRORS)
+        _, B, _ = kernels.expected(*self.since(at))
+        seen = self.T[at] @ kernels.exp(B @ self.rest[CAMERA_ERRORS]) @ look.Z
+        Ad = kernels.adjoint(self.T[0])
+        in_plane = (Ad * _IS_PLANE) @ kernels.inverse_adjoint(self.T[0])
+        aside = np.eye(6) - in_plane
+        there, T = np.eye(len(self.covariance)), self.T.copy()
+        there[rows, rows], there[rows, :6], there[rows, errors] = in_plane, aside, in_plane @ kernels.adjoint(T[at]) @ B
+        T[at] = kernels.exp(aside @ kernels.log(kernels.times(T[0], kernels.inverse(seen)))) @ seen
+        P = there @ self.covariance @ there.T
+        kept = Ad * _CHAIN_KEEPS
+        P[rows, rows] += kept @ spread @ kept.T
+        poses = (*self.remembered[: at - 1], self._as(look.name, stamp_s), *self.remembered[at:])
+        return changed(self, T=T, covariance=P, remembered=poses)
+
+    def _as(self, name: str, stamp_s: float) -> Remembered:
+        return Remembered(name, stamp_s, self.rest[TWIST].copy(), self.doubted, self.told)
 
     def _selected(self, poses: IntArray) -> PoseBelief:
         rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(self._rest, len(self.covariance))])
@@ -223,17 +267,18 @@ class PoseBelief:
     def innovation(self, look: Look, *, without_doubt: bool = False) -> Innovation:
         """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed."""
         at = self.reference(look.name)
-        H, PHt, HPHt = kernels.look(*self.since(at), self.covariance, 6 * at, look.seen)
-        S = HPHt + look.covariance
-        if without_doubt and (self.doubted.any() or self.doubted_before[at - 1].any()):
-            certain = S - H @ (self.doubted - self.doubted_before[at - 1]) @ H.T
+        of_look = (look.Z, look.seen, look.covariance)
+        residual, S, PHt, H = kernels.look(self.rest, self.covariance, 6 * at, *self.since(at), *of_look)
+        if without_doubt and (self.doubted.any() or self.remembered[at - 1].doubted.any()):
+            certain = S - H @ (self.doubted - self.remembered[at - 1].doubted) @ H.T
             # Corrections have made some of the doubt smaller than it was written down.
             S = certain if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0 else S
-        return _innovation(look.seen @ self.apart(look), S, PHt)
+        return _innovation(residual, S, PHt)
 
-    def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The pose now, the one at a place, and how the wheels' errors moved the one since the other."""
-        return self.T[0], self.T[at], self.told - self.told_before[at - 1]
+    def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """The pose now, the one at a place, how the wheels' errors moved the one since the other, and twists (2, 3)."""
+        before = self.remembered[at - 1]
+        return self.T[0], self.T[at], self.told - before.told, np.stack([before.twist, self.rest[TWIST]])
 
     def position(self, xy: FloatArray, covariance: FloatArray) -> Innovation:
         """What a position (2,) in the world with its covariance (2, 2) says."""
@@ -295,9 +340,8 @@ class PoseBelief:
     def believed(self) -> PoseBelief:
         """With all doubt since vision was last believed settled by what it said, and the twist known."""
         none = np.zeros((6, 6))
-        doubts = (none,) * len(self.names)
-        known = self.rest[TWIST]
-        return changed(self, doubted=none, doubted_before=doubts, known_twist=known, known_for_s=0.0)
+        poses = tuple(replace(pose, doubted=none) for pose in self.remembered)
+        return changed(self, doubted=none, remembered=poses, known_twist=self.rest[TWIST], known_for_s=0.0)
 
     def turn_known(self) -> PoseBelief:
         """With the yaw rate known, by a gyroscope."""
@@ -334,7 +378,7 @@ class PoseBelief:
         """
         apart = self._shift_to(other)
         apart[self._rest :] = 0.0  # twist and wheels are soon known again; they must not pull the pose along then
-        later = [0, *(place + 1 for place, stamp_s in enumerate(self.stamps_s) if stamp_s > since_s)]
+        later = [0, *(place + 1 for place, pose in enumerate(self.remembered) if pose.stamp_s > since_s)]
         apart[: self._rest].reshape(-1, 6)[later] = apart[:6]
         P = self.covariance + np.outer(apart, apart) / _COVERED_SIGMAS**2
         P[: self._rest, : self._rest] += other.covariance[: self._rest, : self._rest]

@@ -1,7 +1,7 @@
 """One rigid motion's exp, log, adjoint and left Jacobian, and the steps of a PoseBelief; numba over arrays and numbers.
 
 `geometry.se3` has the first four for batches of motions; one motion takes it a hundred times as long.
-The steps change the arrays they are given: T (1 + K, 4, 4), rest (14,) and P (n, n), as `_pose_belief` lays them out.
+The steps change the arrays they are given: T (1 + K, 4, 4), rest (15,) and P (n, n), as `_pose_belief` lays them out.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from numba import njit
 from wheelsight.geometry import FloatArray
 
 _MOST_TERMS = 40
-_REST, _CAMERA = 14, 7  # twist 3, the wheels' errors 3, the camera's 7, the gyroscope's bias
+_REST, _CAMERA = 15, 8  # twist 3, the wheels' errors 3, the camera's 8, the gyroscope's bias
+_PLANE = (0, 1, 5)
 
 
 @njit(cache=True, nogil=True)
@@ -203,7 +204,7 @@ def roll(
 ) -> FloatArray:
     """A step ξ (6,) of the wheels, which changes by `by_errors` (6, 3), with noise Q (6, 6) of its left perturbation.
 
-    `walks` (11,) is added to the variances of the errors of wheels and camera and the gyroscope's bias. A part of a
+    `walks` (12,) is added to the variances of the errors of wheels and camera and the gyroscope's bias. A part of a
     step, `share` below 1, has the twist of the whole, and is as uncertain of it.
 
     Returns (6, 3) how the errors move the pose by this step, as a left perturbation.
@@ -230,6 +231,13 @@ def roll(
     T[0] = times(T[0], exp(xi))
     rest[0], rest[1], rest[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
     return to_pose
+
+
+@njit(cache=True, nogil=True)
+def ride_on(T: FloatArray, C: FloatArray, xi: FloatArray, Q: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
+    """A motion (4, 4) and its covariance (6, 6) after a share of a step ξ (6,) with covariance Q (6, 6)."""
+    Ad = adjoint(T)
+    return times(T, exp(xi * share)), C + times(times(Ad, Q * share), Ad.T)
 
 
 @njit(cache=True, nogil=True)
@@ -268,21 +276,24 @@ def inverse(T: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
-    """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 7).
+def by_camera_errors(Z: FloatArray, told: FloatArray, twists: FloatArray) -> FloatArray:
+    """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 8).
 
     They are the ratio by which its ways are too short, the turn a metre that it misses, the ratio by which its turns
-    are too small, the pitch a metre that it misses, and by what rotation (3,) of the base it is mounted otherwise: what
-    it takes for ahead may be aside or up. A pitch that grows along the way moves the end by half of it.
+    are too small, the pitch a metre that it misses, by what rotation (3,) of the base it is mounted otherwise: what it
+    takes for ahead may be aside or up; and by how many seconds its stamps are late, of a base that moved by `twists`
+    (2, 3) at the begin and the end (Li & Mourikis, IJRR 2014). A pitch that grows along the way moves the end by half.
 
     The first three are as those of the wheels, so they change it as these do, which is what `told` (6, 3) says. Told
     from each other by how steps are reckoned, and not by the drive, they would drift: what both err by alike nobody
     sees, so nothing would ever mend it.
     """
-    B = np.zeros((6, _CAMERA))
-    B[:, :3], B[:, 4:] = told, -adjoint(Z)[:, 3:]
+    B, Ad = np.zeros((6, _CAMERA)), adjoint(Z)
+    B[:, :3], B[:, 4:7] = told, -Ad[:, 3:]
     for i in range(3):
         B[3 + i, 4 + i] += 1.0
+        B[_PLANE[i], 7] -= twists[0, i]
+        B[:, 7] += Ad[:, _PLANE[i]] * twists[1, i]
     way = math.sqrt(Z[0, 3] ** 2 + Z[1, 3] ** 2 + Z[2, 3] ** 2)
     B[0, 3], B[2, 3], B[4, 3] = -way * Z[2, 3] / 2, way * Z[0, 3] / 2, way
     return B
@@ -290,23 +301,29 @@ def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def expected(
-    T_now: FloatArray, T_reference: FloatArray, told: FloatArray
+    T_now: FloatArray, T_reference: FloatArray, told: FloatArray, twists: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The motion (4, 4) between two poses, how the camera's errors change it (6, 7), and how perturbations do (6, 6).
+    """The motion (4, 4) between two poses, how the camera's errors change it (6, 8), and how perturbations do (6, 6).
 
-    `told` (6, 3) is how the wheels' errors moved the pose now since the other, as left perturbations in the world.
+    `told` (6, 3) is how the wheels' errors moved the pose now since the other, as left perturbations in the world;
+    `twists` (2, 3) are the other's and that of now.
     """
     T_reference_world = inverse(T_reference)
     Z, Ad = times(T_reference_world, T_now), adjoint(T_reference_world)
-    return Z, by_camera_errors(Z, times(Ad, told)), Ad
+    return Z, by_camera_errors(Z, times(Ad, told), twists), Ad
 
 
 @njit(cache=True, nogil=True)
 def apart(
-    T_now: FloatArray, T_reference: FloatArray, told: FloatArray, Z: FloatArray, camera_errors: FloatArray
+    T_now: FloatArray,
+    T_reference: FloatArray,
+    told: FloatArray,
+    twists: FloatArray,
+    Z: FloatArray,
+    camera_errors: FloatArray,
 ) -> FloatArray:
-    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (7,), and the one that two poses tell."""
-    Z_expected, B, _ = expected(T_now, T_reference, told)
+    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (8,), and the one that two poses tell."""
+    Z_expected, B, _ = expected(T_now, T_reference, told, twists)
     xi = log(times(Z, inverse(Z_expected)))
     for i in range(6):
         for j in range(_CAMERA):
@@ -316,14 +333,55 @@ def apart(
 
 @njit(cache=True, nogil=True)
 def look(
-    T_now: FloatArray, T_reference: FloatArray, told: FloatArray, P: FloatArray, place: int, seen: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """H (m, 6) of the pose now, the opposite of that of the pose at `place`; P Hᵀ (n, m); and H P Hᵀ (m, m)."""
-    _, B, Ad = expected(T_now, T_reference, told)
-    H, by_errors = times(seen, Ad), times(seen, B)
-    camera = len(P) - _REST + 6
-    PHt = times(P[:, :6] - P[:, place : place + 6], H.T) - times(P[:, camera : camera + _CAMERA], by_errors.T)
-    return H, PHt, times(H, PHt[:6] - PHt[place : place + 6]) - times(by_errors, PHt[camera : camera + _CAMERA])
+    rest: FloatArray,
+    P: FloatArray,
+    place: int,
+    T_now: FloatArray,
+    T_reference: FloatArray,
+    told: FloatArray,
+    twists: FloatArray,
+    Z: FloatArray,
+    seen: FloatArray,
+    R: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """What a motion Z (4, 4) says of directions `seen` (m, 6), with noise R (m, m), against the pose at `place`.
+
+    Returns the residual (m,), its covariance S (m, m), that with the state P Hᵀ (n, m), and H (m, 6) of the pose now.
+    """
+    _, B, Ad = expected(T_now, T_reference, told, twists)
+    H, camera = times(seen, Ad), len(P) - _REST + 6
+    errors = rest[6 : 6 + _CAMERA]
+    residual = _shown(seen, apart(T_now, T_reference, told, twists, Z, errors))
+    by_poses = times(P[:, :6] - P[:, place : place + 6], H.T)
+    PHt, S = _with_errors(by_poses, P, place, camera, H, times(seen, B), R)
+    # What is late counts by the twist as this look tells it: the wheels' noise is in theirs and in the residual, and
+    # their product would go one way at every look.
+    told_twist = twists.copy()
+    weighed = np.linalg.solve(S, residual)
+    for i in range(3):
+        for j in range(len(residual)):
+            told_twist[1, i] += PHt[len(P) - _REST + i, j] * weighed[j]
+    B = by_camera_errors(Z, B[:, :3].copy(), told_twist)
+    PHt, S = _with_errors(by_poses, P, place, camera, H, times(seen, B), R)
+    return _shown(seen, apart(T_now, T_reference, told, told_twist, Z, errors)), S, PHt, H
+
+
+@njit(cache=True, nogil=True)
+def _shown(seen: FloatArray, xi: FloatArray) -> FloatArray:
+    shown = np.zeros(seen.shape[0])
+    for i in range(seen.shape[0]):
+        for j in range(6):
+            shown[i] += seen[i, j] * xi[j]
+    return shown
+
+
+@njit(cache=True, nogil=True)
+def _with_errors(
+    by_poses: FloatArray, P: FloatArray, place: int, camera: int, H: FloatArray, by_errors: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    PHt = by_poses - times(P[:, camera : camera + _CAMERA], by_errors.T)
+    HPHt = times(H, PHt[:6] - PHt[place : place + 6]) - times(by_errors, PHt[camera : camera + _CAMERA])
+    return PHt, HPHt + R
 
 
 @njit(cache=True, nogil=True)

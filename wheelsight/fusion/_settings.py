@@ -70,6 +70,9 @@ class ErrorStateSettings:
     camera_turn_walk: float = 0.0001
     mount_sigma_rad: float = 0.005
     mount_walk_rad: float = 0.0002
+    camera_lag_sigma_s: float = 0.02
+    camera_lag_walk_s: float = 0.0001
+    wheel_noise_memory_m: float = 10.0
     side_m_per_sqrt_m: float = 0.005
     rise_m_per_sqrt_m: float = 0.003
     tilt_rad_per_sqrt_m: float = 0.05
@@ -112,8 +115,8 @@ class ErrorStateSettings:
         for name in _SHARES:
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{name} is {getattr(self, name)}", fix="between 0 and 1")
-        if self.max_clones < 1 or self.level_m == 0 or self.level_sigma_rad == 0:
-            raise ConfigError("max_clones, level_m or level_sigma_rad is 0", fix="more than 0")
+        if self.max_clones < 1 or 0 in (self.level_m, self.level_sigma_rad, self.wheel_noise_memory_m):
+            raise ConfigError("max_clones, level_m, level_sigma_rad or wheel_noise_memory_m is 0", fix="more than 0")
 
     @cached_property
     def unseen_a_metre(self) -> FloatArray:
@@ -123,7 +126,14 @@ class ErrorStateSettings:
 
     @cached_property
     def walks(self) -> FloatArray:
-        """Variances (11,) that the errors of wheels and camera gain in a metre, the gyroscope's bias in a second."""
+        """Variances (12,) that the errors of wheels and camera gain in a metre, the gyroscope's bias in a second."""
         wheels, drift = [self.scale_walk, self.drift_walk_rad_per_m, self.turn_walk], self.camera_drift_walk_rad_per_m
-        camera = [self.camera_scale_walk, drift, self.camera_turn_walk, drift, *[self.mount_walk_rad] * 3]
+        camera = [
+            self.camera_scale_walk,
+            drift,
+            self.camera_turn_walk,
+            drift,
+            *[self.mount_walk_rad] * 3,
+            self.camera_lag_walk_s,
+        ]
         return np.square([*wheels, *camera, self.gyro_bias_walk_rad_s])

@@ -29,6 +29,7 @@ from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._pose_belief import IN_PLANE, PLANE, Innovation, Look, PoseBelief, WheelStep
 from wheelsight.fusion._settings import ErrorStateSettings
+from wheelsight.fusion._wheel_noise import Ride, WheelNoise
 from wheelsight.geometry import FloatArray
 
 _LONGEST_STEP_S = 0.25
@@ -120,6 +121,8 @@ class Court:
         turn_slip_s: when the gyroscope last contradicted the wheels.
         looked_s: of the last look that told anything.
         slipped_s: when wheels were last known to slip.
+        ride: of the wheels, since the pose was remembered that the camera looks at.
+        noise: of the wheels, as known by now.
     """
 
     belief: PoseBelief
@@ -136,6 +139,8 @@ class Court:
     turn_slip_s: float = -np.inf
     looked_s: float = -np.inf
     slipped_s: float = -np.inf
+    ride: Ride | None = None
+    noise: WheelNoise = field(default_factory=WheelNoise)
 
     @property
     def rival_share(self) -> float:
@@ -293,7 +298,7 @@ def _trusting(court: Court, trust: Trust, stamp_s: float) -> Court:
 
 def _led_by_camera(belief: PoseBelief, stamp_s: float, look: Look, settings: ErrorStateSettings) -> PoseBelief | None:
     """The belief if wheels slipped since the look's reference; None where not even that explains it."""
-    since_s = belief.stamps_s[belief.reference(look.name) - 1]
+    since_s = belief.remembered[belief.reference(look.name) - 1].stamp_s
     apart = look.seen.T @ np.linalg.pinv(look.seen @ look.seen.T) @ look.seen @ belief.apart(look)
     from_reference = kernels.inverse_adjoint(belief.T[0]) @ kernels.adjoint(belief.T[belief.reference(look.name)])
     distrusting = belief.distrusted(max(stamp_s - since_s, 0.0), (from_reference @ apart)[PLANE], settings)
@@ -330,7 +335,7 @@ def _turns_against(speed: Speed, rate_rad_s: float, seconds: float, settings: Er
 
 def _since(last: Glance, look: Look, belief: PoseBelief) -> tuple[FloatArray, FloatArray] | None:
     """The camera's own motion since the last look, and its covariance (3, 3); None where references differ."""
-    reference_s = belief.stamps_s[belief.reference(look.name) - 1]
+    reference_s = belief.remembered[belief.reference(look.name) - 1].stamp_s
     if reference_s == last.stamp_s:
         return look.Z, look.spread[IN_PLANE]
     if reference_s > last.stamp_s or last.look.name != look.name:

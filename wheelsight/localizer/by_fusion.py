@@ -27,6 +27,9 @@ from wheelsight.places import PlaceMatch
 _FRAME, _ANCHOR = "frame", "anchor"
 # After so many frames in a row that show nothing known, the camera goes on from where the wheels have it.
 _RESTART_AFTER = 5
+# After so long in the dark a look is believed only where it shows all directions: one that slides along a wall may have
+# taken one place for another, and wheels alone do not go astray so soon.
+_DARK_S = 1.0
 _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
 
 
@@ -58,7 +61,7 @@ class ByFusion:
         self._anchor: Anchor | None = None
         self._gate = FrameGate()
         self._pace = Pace()
-        self._unknown, self._deaf, self._slips = 0, "", False
+        self._unknown, self._deaf, self._slips, self._seen_s = 0, "", False, -np.inf
 
     @property
     def last_matches(self) -> MatchedPixels | None:
@@ -154,6 +157,8 @@ class ByFusion:
         if self._anchor is None:
             return self._begun(frame, seen)
         motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
+        if frame.stamp_s - self._seen_s > _DARK_S and not motion.shows_all:
+            return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR, remember=_FRAME)
         self._unknown = 0
         is_believed = answer.reason is None and not answer.doubtful
@@ -168,7 +173,7 @@ class ByFusion:
         """Camera odometry goes on in a world of its own, that of its map, of which the filter knows where it lies."""
         if answer.T_world_body is None or answer.status is not Status.TRACKING:
             return
-        self._T_map_camera = T_map_camera
+        self._T_map_camera, self._seen_s = T_map_camera, frame.stamp_s
         self._lay_map()
         if self.mapper is not None:
             self.mapper.fuse(frame, T_map_camera)
@@ -189,7 +194,7 @@ class ByFusion:
         """The answer at a frame at which the camera starts, where the wheels have it."""
         assert seen.T_world_body is not None
         answer = self.filter.clone(frame.stamp_s, _FRAME)
-        self._T_map_camera = seen.T_world_body
+        self._T_map_camera, self._seen_s = seen.T_world_body, frame.stamp_s
         self._lay_map()
         self._anchor_at(frame, seen.T_world_body)
         return _with_counts(replace(answer, reason=reason or answer.reason), seen)
@@ -197,11 +202,16 @@ class ByFusion:
     def _in_map(self, T_world_base: FloatArray) -> FloatArray:
         return np.asarray(se3.nearest(se3.invert(self.T_world_map) @ T_world_base @ self._T_base_camera))
 
-    def _unseen(self, frame: RgbdFrame, seen: Estimate) -> FusedEstimate:
-        """The wheels' pose; after some frames that show nothing known, the camera starts again from there."""
-        answer = self.filter.update_relative(frame.stamp_s, self.odometry.last_motion, _ANCHOR)
+    def _unseen(self, frame: RgbdFrame, seen: Estimate, *, restarts: bool = False) -> FusedEstimate:
+        """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera goes on there."""
+        nothing = MotionEstimate.failed(seen.reason or Reason.INVALID)
+        answer = self.filter.update_relative(frame.stamp_s, nothing, _ANCHOR)
         self._unknown += seen.reason not in _BLIND
-        if self._unknown >= _RESTART_AFTER and answer.T_world_body is not None and answer.covariance is not None:
+        if (
+            (restarts or self._unknown >= _RESTART_AFTER)
+            and answer.T_world_body is not None
+            and answer.covariance is not None
+        ):
             self._unknown = 0
             again = self.odometry.restart(frame, self._in_map(answer.T_world_body), answer.covariance)
             if again.T_world_body is not None:

@@ -1,0 +1,105 @@
+"""How noisy the wheels are: Ride, and WheelNoise, learned from how rides fit a camera that is believed.
+
+A calibration tells of wheels how far they slip in a metre on whatever floor (`slip_m_per_sqrt_m`); on the one that is
+driven they may hold ten times as well. What a filter thinks of them decides what it believes of the camera after the
+dark, and in a crowd. So the ratio ρ of their variance to the calibration's is part of what it knows, as a distribution
+over a few values (multiple models: Magill 1965): from one remembered pose to the next, camera and wheels differ in way
+and turn by d ~ N(0, R + ρ N), with N the wheels' covariance by the calibration and R all else that is uncertain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion._changed import changed
+from wheelsight.fusion._pose_belief import CAMERA_ERRORS, ERRORS, Look, PoseBelief, WheelStep
+from wheelsight.geometry import FloatArray
+
+# Not below a sixteenth, a quarter of the standard deviation: no floor is the next one.
+_RATIOS = np.geomspace(1 / 16, 4, 13)
+_BEFORE = -0.5 * np.abs(np.log2(_RATIOS))  # nats: the calibration may be wrong by a factor of four as well as by two
+_MOST_NATS = 4.0  # of one ride: one that the camera saw wrong is one
+_WAY_AND_TURN = np.array([0, 5])
+_IN_THESE = np.ix_(_WAY_AND_TURN, _WAY_AND_TURN)
+_HEARD = 0.95
+_ERRORS = slice(ERRORS.start, CAMERA_ERRORS.stop)
+
+
+@dataclass(frozen=True, eq=False)
+class Ride:
+    """What the wheels alone told since a pose was remembered.
+
+    Attributes:
+        name, begin_s: of that pose.
+        spread: (6, 6) by which the camera may have that pose elsewhere, in its frame.
+        errors, unsure: (11,) of wheels and camera as known then, and their covariance (11, 11).
+        T: (4, 4) the motion, and its covariance (6, 6) by the calibration, as a left perturbation.
+        way_m: of both wheels' middle, and heard_s: for how long they told anything.
+    """
+
+    name: str
+    begin_s: float
+    spread: FloatArray
+    errors: FloatArray
+    unsure: FloatArray
+    T: FloatArray = field(default_factory=lambda: np.eye(4))
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    way_m: float = 0.0
+    heard_s: float = 0.0
+
+    @classmethod
+    def begin(cls, name: str, stamp_s: float, spread: FloatArray | None, belief: PoseBelief) -> Ride:
+        """From a pose that is about to be remembered."""
+        rows = belief.place(_ERRORS)
+        unsure = belief.covariance[rows, rows].copy()
+        return cls(name, stamp_s, np.zeros((6, 6)) if spread is None else spread, belief.rest[_ERRORS].copy(), unsure)
+
+    def rolled(self, step: WheelStep, share: float) -> Ride:
+        """After a share of a wheel step."""
+        T, covariance = kernels.ride_on(self.T, self.covariance, step.xi, step.covariance, share)
+        way_m = self.way_m + abs(step.xi[0]) * share
+        return changed(
+            self, T=T, covariance=covariance, way_m=way_m, heard_s=self.heard_s + share * (step.end_s - step.begin_s)
+        )
+
+    def is_whole(self, stamp_s: float) -> bool:
+        """Whether the wheels moved, and told of all the time up to a stamp."""
+        return self.heard_s > _HEARD * (stamp_s - self.begin_s) and bool(self.covariance[5, 5] > 0)
+
+    def against(self, look: Look, belief: PoseBelief) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """D (2,), by what way and turn a look at that pose differs from the ride; R and N (2, 2), see the module."""
+        at = belief.reference(look.name)
+        since = belief.since(at)
+        _, B, Ad = kernels.expected(*since)
+        J = np.hstack([Ad @ since[2], -B])[_WAY_AND_TURN]
+        off = kernels.log(kernels.times(look.Z, kernels.inverse(self.T)))[_WAY_AND_TURN]
+        # By the errors as known before: what the look itself has taught of them would make it fit too well.
+        R = (look.spread + self.spread)[_IN_THESE] + J @ self.unsure @ J.T
+        return off - J @ self.errors, R, self.covariance[_IN_THESE]
+
+
+@dataclass(frozen=True, eq=False)
+class WheelNoise:
+    """The ratio of the wheels' variance to the calibration's.
+
+    Attributes:
+        nats: (13,) log of how likely each of `_RATIOS` is, up to a constant.
+        ratio: its mean.
+    """
+
+    nats: FloatArray = field(default_factory=lambda: _BEFORE)
+    ratio: float = 1.0
+
+    def after(self, ride: Ride, look: Look, belief: PoseBelief, memory_m: float) -> WheelNoise:
+        """After a ride that a look has told the end of; what was known fades along `memory_m`."""
+        d, R, N = ride.against(look, belief)
+        S = R + _RATIOS[:, None, None] * N
+        chi2 = (np.linalg.solve(S, np.broadcast_to(d[:, None], (len(S), 2, 1)))[..., 0] * d).sum(axis=1)
+        told = -0.5 * (chi2 + np.log(np.linalg.det(S)))
+        kept = _BEFORE + np.exp(-ride.way_m / memory_m) * (self.nats - _BEFORE)
+        nats = kept + np.maximum(told - told.max(), -_MOST_NATS)
+        weights = np.exp(nats - nats.max())
+        return WheelNoise(nats, float(weights @ _RATIOS / weights.sum()))
