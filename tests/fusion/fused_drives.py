@@ -9,6 +9,7 @@ import numpy as np
 
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
+from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.geometry import FloatArray, se3
 
@@ -41,6 +42,7 @@ class Drive:
     speed_m_s: float = 0.8
     errors: tuple[float, float, float] = (0.0, 0.0, 0.0)
     camera_errors: tuple[float, ...] = (0.0, 0.0, 0.0)  # those that follow are 0
+    lag_s: float = 0.0  # of the camera's stamps
     slip_m_per_sqrt_m: float = SLIP_M_PER_SQRT_M
     wheel_fault: Callable[[float, FloatArray, FloatArray], tuple[FloatArray, FloatArray]] = field(
         default=lambda t, truth, wheels: (truth, wheels)
@@ -69,7 +71,7 @@ def simulate(drive: Drive, rng: np.random.Generator, settings: ErrorStateSetting
         xi = np.zeros(6)
         xi[PLANE] = drive.twist(begin_s + drive.step_s / 2) * drive.step_s
         Q = wheel_covariance(xi, drive.slip_m_per_sqrt_m)
-        measured = kernels.log(kernels.exp(-rng.normal(size=6) * np.sqrt(np.diag(Q))) @ kernels.exp(xi))
+        measured = motions.log(motions.exp(-rng.normal(size=6) * np.sqrt(np.diag(Q))) @ motions.exp(xi))
         measured[0] /= 1 + drive.errors[0]
         measured[5] = (measured[5] - drive.errors[1] * measured[0]) / (1 + drive.errors[2])
         xi, measured = drive.wheel_fault(begin_s, xi, measured)
@@ -78,21 +80,22 @@ def simulate(drive: Drive, rng: np.random.Generator, settings: ErrorStateSetting
         if np.isfinite(settings.level_sigma_rad):  # a walk, unlike a floor, strays from level for ever
             tilt = settings.level_sigma_rad / 10
         unseen = np.array([0, settings.side_m_per_sqrt_m, settings.rise_m_per_sqrt_m, tilt, tilt, 0])
-        T = T @ kernels.exp(rng.normal(size=6) * unseen * np.sqrt(way_m)) @ kernels.exp(xi)
-        step = Step(begin_s, end_s, T, kernels.exp(measured), Q)
+        T = T @ motions.exp(rng.normal(size=6) * unseen * np.sqrt(way_m)) @ motions.exp(xi)
+        step = Step(begin_s, end_s, T, motions.exp(measured), Q)
         if (i + 1) % drive.steps_a_frame == 0:
-            wrong, Z = np.array(drive.camera_errors), se3.invert(seen_from) @ T
-            missed = kernels.by_camera_errors(Z, by_ratios(Z), np.zeros((2, 3)))[:, : len(wrong)] @ wrong
-            Z = kernels.exp(-missed) @ Z
+            wrong, T_imaged = np.array(drive.camera_errors), T @ motions.exp(-drive.lag_s / drive.step_s * xi)
+            Z = se3.invert(seen_from) @ T_imaged
+            missed = kernels.by_camera_errors(Z, by_ratios(Z))[:, : len(wrong)] @ wrong
+            Z = motions.exp(-missed) @ Z
             step = replace(step, look=drive.camera_fault(end_s, looked(rng, Z)))
-            seen_from = T
+            seen_from = T_imaged
         steps.append(step)
     return steps
 
 
 def by_ratios(Z: FloatArray) -> FloatArray:
     """How a motion (4, 4) changes with ways too short, a turn missed a metre, and turns too small: (6, 3)."""
-    B, turn, (x, y, z) = np.zeros((6, 3)), kernels.log(Z)[5], Z[:3, 3]
+    B, turn, (x, y, z) = np.zeros((6, 3)), motions.log(Z)[5], Z[:3, 3]
     way_m = np.linalg.norm(Z[:3, 3])
     B[:3, 0] = x, y, z
     B[:, 1] = way_m * y / 2, -way_m * x / 2, 0, 0, 0, way_m
@@ -103,7 +106,7 @@ def by_ratios(Z: FloatArray) -> FloatArray:
 def looked(rng: np.random.Generator, Z: FloatArray, covariance: FloatArray = CAMERA_COVARIANCE) -> MotionEstimate:
     """What the camera tells of a motion (4, 4) of the base."""
     eta = rng.multivariate_normal(np.zeros(6), covariance)
-    T = kernels.exp(eta) @ se3.invert(T_BASE_CAMERA) @ Z @ T_BASE_CAMERA
+    T = motions.exp(eta) @ se3.invert(T_BASE_CAMERA) @ Z @ T_BASE_CAMERA
     return MotionEstimate(T, covariance, matches=200, inliers=160)
 
 
@@ -113,7 +116,7 @@ def shifted(motion: MotionEstimate, twist: FloatArray, seconds: float) -> Motion
     xi = np.zeros(6)
     xi[PLANE] = np.asarray(twist) * seconds
     T_camera_base = se3.invert(T_BASE_CAMERA)
-    wrong = T_camera_base @ kernels.exp(xi) @ T_BASE_CAMERA
+    wrong = T_camera_base @ motions.exp(xi) @ T_BASE_CAMERA
     return replace(motion, T_reference_current=motion.T_reference_current @ wrong)
 
 
@@ -143,7 +146,7 @@ def run(
 def error_of(answer: FusedEstimate, T_truth: FloatArray) -> FloatArray:
     """Left perturbation (6,) from the answer to the truth."""
     assert answer.T_world_body is not None
-    return np.asarray(kernels.log(T_truth @ se3.invert(answer.T_world_body)))
+    return np.asarray(motions.log(T_truth @ se3.invert(answer.T_world_body)))
 
 
 def position_error(answer: FusedEstimate, T_truth: FloatArray) -> tuple[FloatArray, FloatArray]:

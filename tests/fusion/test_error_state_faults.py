@@ -148,7 +148,7 @@ def test_a_gyroscope_settles_who_is_right():
     """The camera creeps into a turn that is none, with all its inliers; by the camera alone it would pass for slip."""
 
     def turned(t, motion):
-        rate = 0.3 * min(max(t - BEGIN_S, 0.0) / 1.0, 1.0)
+        rate = 0.6 * min(max(t - BEGIN_S, 0.0) / 1.0, 1.0)
         return shifted(motion, (0, 0, rate), FRAME_S) if faulty(t) else motion
 
     drive = Drive(seconds=8.0, step_s=FRAME_S, camera_fault=turned)

@@ -8,7 +8,8 @@ import pytest
 from wheelsight.estimates import Reason
 from wheelsight.fusion import ErrorStateSettings
 from wheelsight.fusion._changed import changed
-from wheelsight.fusion._pose_belief import Look, PoseBelief, WheelStep
+from wheelsight.fusion._measurements import Look, WheelStep
+from wheelsight.fusion._pose_belief import PoseBelief
 from wheelsight.fusion._trust import Court, Trust, see
 from wheelsight.geometry import se3
 

@@ -12,7 +12,8 @@ import numpy as np
 from wheelsight.estimates import Reason
 from wheelsight.fusion import _trust as trust
 from wheelsight.fusion._changed import changed
-from wheelsight.fusion._pose_belief import Look, PoseBelief, WheelStep
+from wheelsight.fusion._measurements import Look, WheelStep
+from wheelsight.fusion._pose_belief import PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court
 from wheelsight.fusion._wheel_noise import Ride

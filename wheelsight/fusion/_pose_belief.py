@@ -20,8 +20,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._changed import changed
+from wheelsight.fusion._measurements import Innovation, Look, WheelStep
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.geometry import FloatArray, IntArray
 
@@ -30,7 +32,7 @@ IN_PLANE = np.ix_(PLANE, PLANE)
 _IS_PLANE = np.array([1.0, 1, 0, 0, 0, 1])
 _SIX = np.arange(6)
 # Behind all poses stand, in this order: the twist, what is wrong with wheels and camera, and the gyroscope's bias.
-TWIST, ERRORS, CAMERA_ERRORS, BIAS = slice(0, 3), slice(3, 6), slice(6, 14), 14
+TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 13), 13, 14
 REST_SIZE = 15
 _LEVEL_EVERY_M = 0.25
 _RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
@@ -38,47 +40,9 @@ _KNOWN_FOR_S = 0.25
 _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
 # Of what each alignment leaves uncertain, what adds up along a way: of turns less than half (3 to 18 m, ten drives).
 _CHAIN_KEEPS = np.array([1.0, 1, 1, 1, 1, 0.4])
+_SHOWS_LAG = 30.0  # χ² of a change of twist: noise alone has three, so nine tenths of it are motion
+_LEAST_TWIST = 1e-3  # m/s and rad/s: wheels that stand still tell no noise at all
 _COVERED_SIGMAS = 2.5  # so that the other's own error, too, has room within three
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WheelStep:
-    """What the wheels tell of an interval: ξ (6,), and the covariance (6, 6) of the left perturbation of exp(ξ)."""
-
-    begin_s: float
-    end_s: float
-    xi: FloatArray
-    covariance: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Look:
-    """A motion of the base as the camera saw it against the remembered pose `name`.
-
-    Attributes:
-        Z: (4, 4) T_reference_now of the base.
-        seen: (m, 6) rows that take a left perturbation of Z to the directions that the camera shows.
-        covariance: (m, m) in these.
-        spread: (6, 6) of the left perturbation of Z, very wide where nothing is shown.
-        inlier_share: of the matches, or None.
-    """
-
-    name: str
-    Z: FloatArray
-    seen: FloatArray
-    covariance: FloatArray
-    spread: FloatArray
-    inlier_share: float | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Innovation:
-    """A measurement against the belief: residual (m,), its covariance (m, m), that with the state (n, m), its NIS."""
-
-    residual: FloatArray
-    covariance: FloatArray
-    with_state: FloatArray
-    nis: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +61,7 @@ class PoseBelief:
     """The belief; see the module.
 
     Attributes:
-        T: (1 + K, 4, 4) T_world_base now, and at the remembered instants.
+        T: (1 + K, 4, 4) T_world_base now, and when the images were taken that have the remembered stamps.
         remembered: these instants.
         rest: (15,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's (the same, its drift in
             pitch, its mount's rotation, how late its stamps are), the gyroscope's bias.
@@ -210,10 +174,19 @@ class PoseBelief:
             here = here.dropped(here.names[0])
         poses = np.append(np.arange(len(here.T)), 0)
         there = changed(here._selected(poses), remembered=(*here.remembered, self._as(name, stamp_s)))
-        if spread is not None:
-            at, Ad = slice(6 * len(here.T), 6 * len(here.T) + 6), kernels.adjoint(self.T[0])
-            there.covariance[at, at] += Ad @ spread @ Ad.T
+        at, Ad = slice(6 * len(here.T), 6 * len(here.T) + 6), motions.adjoint(self.T[0])
+        there.T[-1], rows, spread_now = there.imaged()
+        there.covariance[at], there.covariance[:, at] = rows, rows.T
+        there.covariance[at, at] = spread_now if spread is None else spread_now + Ad @ spread @ Ad.T
         return there
+
+    def imaged(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The pose (4, 4) when the image of now was taken, its covariance with the state (6, n), and its own (6, 6).
+
+        The camera's stamps are late by what is known as little as all else (Li & Mourikis, IJRR 2014).
+        """
+        T = kernels.imaged_at(self.T[0], self.rest)
+        return T, *kernels.imaged(self.covariance, T, self.rest[LAG], self.rest[TWIST])
 
     def dropped(self, name: str) -> PoseBelief:
         """Without the remembered pose `name`: it is marginalised, all else stays as it is."""
@@ -232,14 +205,15 @@ class PoseBelief:
         """
         at = self.reference(look.name)
         rows, errors = slice(6 * at, 6 * at + 6), self.place(CAMERA_ERRORS)
-        _, B, _ = kernels.expected(*self.since(at))
-        seen = self.T[at] @ kernels.exp(B @ self.rest[CAMERA_ERRORS]) @ look.Z
-        Ad = kernels.adjoint(self.T[0])
-        in_plane = (Ad * _IS_PLANE) @ kernels.inverse_adjoint(self.T[0])
+        T_imaged, T = kernels.imaged_at(self.T[0], self.rest), self.T.copy()
+        _, B, _ = kernels.expected(T_imaged, T[at], self.told - self.remembered[at - 1].told)
+        seen = self.T[at] @ motions.exp(B @ self.rest[CAMERA_ERRORS]) @ look.Z
+        Ad = motions.adjoint(self.T[0])
+        in_plane = (Ad * _IS_PLANE) @ motions.inverse_adjoint(self.T[0])
         aside = np.eye(6) - in_plane
-        there, T = np.eye(len(self.covariance)), self.T.copy()
-        there[rows, rows], there[rows, :6], there[rows, errors] = in_plane, aside, in_plane @ kernels.adjoint(T[at]) @ B
-        T[at] = kernels.exp(aside @ kernels.log(kernels.times(T[0], kernels.inverse(seen)))) @ seen
+        there = np.eye(len(self.covariance))
+        there[rows, rows], there[rows, :6], there[rows, errors] = in_plane, aside, in_plane @ motions.adjoint(T[at]) @ B
+        T[at] = motions.exp(aside @ motions.log(motions.times(T_imaged, motions.inverse(seen)))) @ seen
         P = there @ self.covariance @ there.T
         kept = Ad * _CHAIN_KEEPS
         P[rows, rows] += kept @ spread @ kept.T
@@ -261,24 +235,33 @@ class PoseBelief:
 
     def apart(self, look: Look) -> FloatArray:
         """log(Z Ẑ⁻¹) (6,): how far the camera's motion, mended by what is known of its errors, is from the expected."""
-        since = self.since(self.reference(look.name))
-        return np.asarray(kernels.apart(*since, look.Z, self.rest[CAMERA_ERRORS]))
+        T_now, T_reference, told = self.since(self.reference(look.name))
+        T_imaged = kernels.imaged_at(T_now, self.rest)
+        return np.asarray(kernels.apart(T_imaged, T_reference, told, look.Z, self.rest[CAMERA_ERRORS]))
 
     def innovation(self, look: Look, *, without_doubt: bool = False) -> Innovation:
         """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed."""
         at = self.reference(look.name)
         of_look = (look.Z, look.seen, look.covariance)
-        residual, S, PHt, H = kernels.look(self.rest, self.covariance, 6 * at, *self.since(at), *of_look)
+        residual, S, PHt, H = kernels.look(*self.since(at), self.rest, self.covariance, 6 * at, *of_look)
         if without_doubt and (self.doubted.any() or self.remembered[at - 1].doubted.any()):
             certain = S - H @ (self.doubted - self.remembered[at - 1].doubted) @ H.T
             # Corrections have made some of the doubt smaller than it was written down.
             S = certain if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0 else S
-        return _innovation(residual, S, PHt)
+        return _innovation(residual, S, PHt, shows_lag=self._shows_lag(at))
 
-    def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The pose now, the one at a place, how the wheels' errors moved the one since the other, and twists (2, 3)."""
-        before = self.remembered[at - 1]
-        return self.T[0], self.T[at], self.told - before.told, np.stack([before.twist, self.rest[TWIST]])
+    def _shows_lag(self, at: int) -> bool:
+        """Whether the twist changed since a remembered pose by far more than the wheels' noise makes it seem.
+
+        Else it is their noise that would be correlated with the camera's, and taken for a lag of the stamps.
+        """
+        apart, twist = self.rest[TWIST] - self.remembered[at - 1].twist, self.place(TWIST)
+        noise = 2 * self.covariance[twist, twist] + _LEAST_TWIST**2 * np.eye(3)
+        return bool(motions.chi_squared(apart, noise) > _SHOWS_LAG)
+
+    def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The pose now, the one at a place, and how the wheels' errors moved the one since the other."""
+        return self.T[0], self.T[at], self.told - self.remembered[at - 1].told
 
     def position(self, xy: FloatArray, covariance: FloatArray) -> Innovation:
         """What a position (2,) in the world with its covariance (2, 2) says."""
@@ -297,7 +280,8 @@ class PoseBelief:
     def corrected(self, by: Innovation) -> PoseBelief:
         """The Kalman update."""
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
-        kernels.correct(T, rest, P, by.with_state, by.covariance, by.residual)
+        kept = -1 if by.shows_lag else self._rest + LAG
+        kernels.correct(T, rest, P, by.with_state, by.covariance, by.residual, kept)
         return changed(self, T=T, rest=rest, covariance=P)
 
     def moved(self, x: FloatArray, covariance: FloatArray) -> PoseBelief:
@@ -317,7 +301,7 @@ class PoseBelief:
         off[PLANE] = step
         aside = [s.slip_rise_m_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s]
         q = np.square([s.slip_m_per_sqrt_s, s.slip_m_per_sqrt_s, *aside, s.slip_rad_per_sqrt_s]) * seconds
-        Ad = kernels.adjoint(self.T[0])
+        Ad = motions.adjoint(self.T[0])
         grown = Ad @ (np.diag(q) + np.outer(off, off)) @ Ad.T
         P = self.covariance.copy()
         P[:6, :6] += grown
@@ -325,14 +309,14 @@ class PoseBelief:
 
     def scattered(self) -> PoseBelief:
         """As if the base might be anywhere about, turned any way."""
-        Ad, P = kernels.adjoint(self.T[0]), self.covariance.copy()
+        Ad, P = motions.adjoint(self.T[0]), self.covariance.copy()
         P[:6, :6] += (Ad * np.square(_ANYWHERE)) @ Ad.T
         return changed(self, covariance=P)
 
     def turn_distrusted(self, settings: ErrorStateSettings) -> PoseBelief:
         """As if the wheels' last yaw rate, and the turn it made, were any."""
         twist = self.place(TWIST).stop - 1
-        G = np.r_[kernels.adjoint(self.T[0])[:, 5] * self.part_s, 1.0]
+        G = np.r_[motions.adjoint(self.T[0])[:, 5] * self.part_s, 1.0]
         P = self.covariance.copy()
         P[np.ix_(*[np.r_[:6, twist]] * 2)] += np.outer(G, G) * settings.acceleration_rad_s2**2
         return changed(self, covariance=P)
@@ -363,7 +347,7 @@ class PoseBelief:
 
     def mixed(self, other: PoseBelief, share: float) -> PoseBelief:
         """One belief with the moments of both, where `other` is right with probability `share`: it covers both."""
-        way = [kernels.log(kernels.times(T, kernels.inverse(S))) for T, S in zip(other.T, self.T, strict=True)]
+        way = [motions.log(motions.times(T, motions.inverse(S))) for T, S in zip(other.T, self.T, strict=True)]
         between = self.moved(share * np.concatenate([*way, other.rest - self.rest]), self.covariance)
         P = np.zeros_like(self.covariance)
         for belief, weight in ((self, 1 - share), (other, share)):
@@ -381,17 +365,23 @@ class PoseBelief:
         later = [0, *(place + 1 for place, pose in enumerate(self.remembered) if pose.stamp_s > since_s)]
         apart[: self._rest].reshape(-1, 6)[later] = apart[:6]
         P = self.covariance + np.outer(apart, apart) / _COVERED_SIGMAS**2
-        P[: self._rest, : self._rest] += other.covariance[: self._rest, : self._rest]
+        P[: self._rest, : self._rest] += other._of_poses_alone()
         return changed(self, covariance=P)
+
+    def _of_poses_alone(self) -> FloatArray:
+        """Covariance (6 + 6K, 6 + 6K) of the poses if twist and lag were known, by which the camera has them apart."""
+        poses, given = slice(self._rest), self._rest + np.array([0, 1, 2, LAG])
+        C, V = self.covariance[poses, given], self.covariance[np.ix_(given, given)]
+        return np.asarray(self.covariance[poses, poses] - C @ np.linalg.pinv(V, hermitian=True) @ C.T)
 
     def _shift_to(self, other: PoseBelief) -> FloatArray:
         """The perturbation (n,) that, to first order, puts every pose where `other` has it, however they are turned."""
         shifts = np.zeros((len(self.T), 6))
         for shift, T, S in zip(shifts, other.T, self.T, strict=True):
-            shift[3:] = kernels.log(kernels.times(T, kernels.inverse(S)))[3:]
+            shift[3:] = motions.log(motions.times(T, motions.inverse(S)))[3:]
             shift[:3] = T[:3, 3] - S[:3, 3] - np.cross(shift[3:], S[:3, 3])
         return np.concatenate([shifts.ravel(), other.rest - self.rest])
 
 
-def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray) -> Innovation:
-    return Innovation(residual, S, PHt, float(kernels.chi_squared(residual, S)))
+def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray, *, shows_lag: bool = True) -> Innovation:
+    return Innovation(residual, S, PHt, float(motions.chi_squared(residual, S)), shows_lag)

@@ -1,7 +1,6 @@
-"""One rigid motion's exp, log, adjoint and left Jacobian, and the steps of a PoseBelief; numba over arrays and numbers.
+"""The steps of a PoseBelief; numba over arrays and numbers.
 
-`geometry.se3` has the first four for batches of motions; one motion takes it a hundred times as long.
-The steps change the arrays they are given: T (1 + K, 4, 4), rest (15,) and P (n, n), as `_pose_belief` lays them out.
+They change the arrays they are given: T (1 + K, 4, 4), rest (15,) and P (n, n), as `_pose_belief` lays them out.
 """
 
 from __future__ import annotations
@@ -11,171 +10,13 @@ import math
 import numpy as np
 from numba import njit
 
+from wheelsight.fusion._motion_kernels import adjoint, exp, inverse, left_jacobian, log, times
 from wheelsight.geometry import FloatArray
 
-_MOST_TERMS = 40
-_REST, _CAMERA = 15, 8  # twist 3, the wheels' errors 3, the camera's 8, the gyroscope's bias
+_COMPILED_IN = 0x59EE684E
+# Of `rest`: twist 3, the wheels' errors 3, the camera's 7, how late its stamps are, the gyroscope's bias.
+_REST, _CAMERA, _LAG = 15, 7, 13
 _PLANE = (0, 1, 5)
-
-
-@njit(cache=True, nogil=True)
-def times(A: FloatArray, B: FloatArray) -> FloatArray:
-    """The product of small matrices of any layout."""
-    C = np.zeros((A.shape[0], B.shape[1]))
-    for i in range(A.shape[0]):
-        for k in range(A.shape[1]):
-            for j in range(B.shape[1]):
-                C[i, j] += A[i, k] * B[k, j]
-    return C
-
-
-@njit(cache=True, nogil=True)
-def _hat(x: float, y: float, z: float) -> FloatArray:
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-@njit(cache=True, nogil=True)
-def _square(W: FloatArray, i: int, j: int) -> float:
-    """Entry of W @ W for W (3, 3)."""
-    entry: float = W[i, 0] * W[0, j] + W[i, 1] * W[1, j] + W[i, 2] * W[2, j]
-    return entry
-
-
-@njit(cache=True, nogil=True)
-def exp(xi: FloatArray) -> FloatArray:
-    """T (4, 4) of a tangent (6,), (v, ω)."""
-    W = _hat(xi[3], xi[4], xi[5])
-    angle = math.sqrt(xi[3] ** 2 + xi[4] ** 2 + xi[5] ** 2)
-    a, b, c = 1 - angle**2 / 6, 0.5 - angle**2 / 24, 1 / 6 - angle**2 / 120
-    if angle > 1e-3:
-        half = math.sin(angle / 2) / angle
-        a, b, c = math.sin(angle) / angle, 2 * half**2, (angle - math.sin(angle)) / angle**3
-    T = np.eye(4)
-    for i in range(3):
-        for j in range(3):
-            W2 = _square(W, i, j)
-            T[i, j] += a * W[i, j] + b * W2
-            T[i, 3] += (b * W[i, j] + c * W2 + (1.0 if i == j else 0.0)) * xi[j]
-    return T
-
-
-@njit(cache=True, nogil=True)
-def log(T: FloatArray) -> FloatArray:
-    """Tangent (6,) of T (4, 4); the angle is at most π."""
-    x, y, z, w = _quaternion(T)
-    sine = math.sqrt(x * x + y * y + z * z)
-    angle = 2 * math.atan2(sine, w)
-    scale = angle / sine if sine > 1e-12 else 2.0
-    xi = np.zeros(6)
-    xi[3], xi[4], xi[5] = scale * x, scale * y, scale * z
-    W = _hat(xi[3], xi[4], xi[5])
-    b = 1 / 12 + angle**2 / 720
-    if angle > 1e-2:
-        b = (1 - angle / 2 / math.tan(angle / 2)) / angle**2 if angle < math.pi else 1 / math.pi**2
-    for i in range(3):
-        for j in range(3):
-            xi[i] += ((1.0 if i == j else 0.0) - 0.5 * W[i, j] + b * _square(W, i, j)) * T[j, 3]
-    return xi
-
-
-@njit(cache=True, nogil=True)
-def _quaternion(T: FloatArray) -> tuple[float, float, float, float]:
-    """x, y, z, w with w ≥ 0 of the rotation of T, from its largest part (Shepperd 1978)."""
-    trace = T[0, 0] + T[1, 1] + T[2, 2]
-    if trace > max(T[0, 0], T[1, 1], T[2, 2]):
-        q = np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1], 1 + trace])
-    elif T[0, 0] >= T[1, 1] and T[0, 0] >= T[2, 2]:
-        q = np.array([1 + 2 * T[0, 0] - trace, T[0, 1] + T[1, 0], T[0, 2] + T[2, 0], T[2, 1] - T[1, 2]])
-    elif T[1, 1] >= T[2, 2]:
-        q = np.array([T[0, 1] + T[1, 0], 1 + 2 * T[1, 1] - trace, T[1, 2] + T[2, 1], T[0, 2] - T[2, 0]])
-    else:
-        q = np.array([T[0, 2] + T[2, 0], T[1, 2] + T[2, 1], 1 + 2 * T[2, 2] - trace, T[1, 0] - T[0, 1]])
-    q /= math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2) * (1.0 if q[3] >= 0 else -1.0)
-    return q[0], q[1], q[2], q[3]
-
-
-@njit(cache=True, nogil=True)
-def adjoint(T: FloatArray) -> FloatArray:
-    """Ad (6, 6) of T (4, 4)."""
-    Ad = np.zeros((6, 6))
-    W = _hat(T[0, 3], T[1, 3], T[2, 3])
-    for i in range(3):
-        for j in range(3):
-            Ad[i, j] = Ad[i + 3, j + 3] = T[i, j]
-            Ad[i, j + 3] = W[i, 0] * T[0, j] + W[i, 1] * T[1, j] + W[i, 2] * T[2, j]
-    return Ad
-
-
-@njit(cache=True, nogil=True)
-def inverse_adjoint(T: FloatArray) -> FloatArray:
-    """Ad (6, 6) of the inverse of T (4, 4)."""
-    return adjoint(inverse(T))
-
-
-@njit(cache=True, nogil=True)
-def is_motion(T: FloatArray) -> bool:
-    """Whether T (4, 4) is a rigid motion, and finite."""
-    if not np.isfinite(T).all():
-        return False
-    worst = max(abs(T[3, 0]), abs(T[3, 1]), abs(T[3, 2]), abs(T[3, 3] - 1))
-    turned = 0.0  # the determinant
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        turned += T[0, i] * (T[1, j] * T[2, k] - T[1, k] * T[2, j])
-    for i in range(3):
-        for j in range(3):
-            product = T[i, 0] * T[j, 0] + T[i, 1] * T[j, 1] + T[i, 2] * T[j, 2]
-            worst = max(worst, abs(product - (1.0 if i == j else 0.0)))
-    return worst < 1e-6 and turned > 0
-
-
-@njit(cache=True, nogil=True)
-def is_covariance(C: FloatArray) -> bool:
-    """Whether C (n, n) is finite, symmetric, and has no negative eigenvalue, to rounding."""
-    if not np.isfinite(C).all():
-        return False
-    most = np.abs(C).max()
-    least: float = np.linalg.eigvalsh((C + C.T) / 2)[0]
-    is_symmetric: bool = np.abs(C - C.T).max() <= 1e-6 * most
-    return is_symmetric and least >= -1e-9 * most
-
-
-@njit(cache=True, nogil=True)
-def chi_squared(residual: FloatArray, S: FloatArray) -> float:
-    """rᵀ S⁻¹ r of a residual (m,) with its covariance (m, m)."""
-    weighed = np.linalg.solve(S, residual)
-    chi2 = 0.0
-    for i in range(len(residual)):
-        chi2 += residual[i] * weighed[i]
-    return chi2
-
-
-@njit(cache=True, nogil=True)
-def step_between(
-    T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """ξ (6,) from one pose to the next, and what their covariances (6, 6) grew by, in the frame before."""
-    T_before_odom = inverse(T_before)
-    Ad = adjoint(T_before_odom)
-    grown = times(times(Ad, C_now - C_before), Ad.T)
-    strength, axes = np.linalg.eigh((grown + grown.T) / 2)
-    return log(times(T_before_odom, T_now)), times(axes * np.maximum(strength, 0.0), axes.T)
-
-
-@njit(cache=True, nogil=True)
-def left_jacobian(xi: FloatArray) -> FloatArray:
-    """J (6, 6) with exp(ξ + δ) ≈ exp(J δ) exp(ξ): the series of ad(ξ)ⁿ / (n + 1)!, which converges for every ξ."""
-    ad = np.zeros((6, 6))
-    ad[:3, :3] = _hat(xi[3], xi[4], xi[5])
-    ad[3:, 3:] = ad[:3, :3]
-    ad[:3, 3:] = _hat(xi[0], xi[1], xi[2])
-    J, term = np.eye(6), np.eye(6)
-    for n in range(1, _MOST_TERMS):
-        term = times(term, ad) / (n + 1)
-        J += term
-        if np.abs(term).max() < 1e-15:
-            break
-    return J
 
 
 @njit(cache=True, nogil=True)
@@ -265,65 +106,76 @@ def glide(
 
 
 @njit(cache=True, nogil=True)
-def inverse(T: FloatArray) -> FloatArray:
-    """T_b_a (4, 4) of T_a_b (4, 4)."""
-    back = np.eye(4)
-    for i in range(3):
-        for j in range(3):
-            back[i, j] = T[j, i]
-            back[i, 3] -= T[j, i] * T[j, 3]
-    return back
-
-
-@njit(cache=True, nogil=True)
-def by_camera_errors(Z: FloatArray, told: FloatArray, twists: FloatArray) -> FloatArray:
-    """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 8).
+def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
+    """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 7).
 
     They are the ratio by which its ways are too short, the turn a metre that it misses, the ratio by which its turns
-    are too small, the pitch a metre that it misses, by what rotation (3,) of the base it is mounted otherwise: what it
-    takes for ahead may be aside or up; and by how many seconds its stamps are late, of a base that moved by `twists`
-    (2, 3) at the begin and the end (Li & Mourikis, IJRR 2014). A pitch that grows along the way moves the end by half.
+    are too small, the pitch a metre that it misses, and by what rotation (3,) of the base it is mounted otherwise: what
+    it takes for ahead may be aside or up. A pitch that grows along the way moves the end by half.
 
     The first three are as those of the wheels, so they change it as these do, which is what `told` (6, 3) says. Told
     from each other by how steps are reckoned, and not by the drive, they would drift: what both err by alike nobody
     sees, so nothing would ever mend it.
     """
-    B, Ad = np.zeros((6, _CAMERA)), adjoint(Z)
-    B[:, :3], B[:, 4:7] = told, -Ad[:, 3:]
+    B = np.zeros((6, _CAMERA))
+    B[:, :3], B[:, 4:] = told, -adjoint(Z)[:, 3:]
     for i in range(3):
         B[3 + i, 4 + i] += 1.0
-        B[_PLANE[i], 7] -= twists[0, i]
-        B[:, 7] += Ad[:, _PLANE[i]] * twists[1, i]
     way = math.sqrt(Z[0, 3] ** 2 + Z[1, 3] ** 2 + Z[2, 3] ** 2)
     B[0, 3], B[2, 3], B[4, 3] = -way * Z[2, 3] / 2, way * Z[0, 3] / 2, way
     return B
 
 
 @njit(cache=True, nogil=True)
-def expected(
-    T_now: FloatArray, T_reference: FloatArray, told: FloatArray, twists: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The motion (4, 4) between two poses, how the camera's errors change it (6, 8), and how perturbations do (6, 6).
+def imaged_at(T_now: FloatArray, rest: FloatArray) -> FloatArray:
+    """The pose (4, 4) when the image was taken that has the stamp of now: the camera's stamps are late."""
+    xi = np.zeros(6)
+    for i in range(3):
+        xi[_PLANE[i]] = -rest[_LAG] * rest[i]
+    return times(T_now, exp(xi))
 
-    `told` (6, 3) is how the wheels' errors moved the pose now since the other, as left perturbations in the world;
-    `twists` (2, 3) are the other's and that of now.
+
+@njit(cache=True, nogil=True)
+def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariance (6, n) of the pose when the image was taken with the state, and its own (6, 6).
+
+    Lag and twist are both uncertain; what they do together, which no first order shows, is added to its own.
+    """
+    rest = len(P) - _REST
+    G = np.zeros((6, 3))
+    Ad = adjoint(T_imaged)
+    for j in range(3):
+        G[:, j] = Ad[:, _PLANE[j]]
+    by_lag = times(G, twist.reshape(3, 1))
+    rows = P[:6] - lag_s * times(G, P[rest : rest + 3]) - by_lag * P[rest + _LAG]
+    spread = (
+        rows[:, :6]
+        - lag_s * times(rows[:, rest : rest + 3], G.T)
+        - rows[:, rest + _LAG].copy().reshape(6, 1) * by_lag.T
+    )
+    together = P[rest + _LAG, rest + _LAG] * P[rest : rest + 3, rest : rest + 3]
+    return rows, spread + times(times(G, together), G.T)
+
+
+@njit(cache=True, nogil=True)
+def expected(
+    T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The motion (4, 4) between two poses, how the camera's errors change it (6, 7), and how perturbations do (6, 6).
+
+    `told` (6, 3) is how the wheels' errors moved the one since the other, as left perturbations in the world.
     """
     T_reference_world = inverse(T_reference)
-    Z, Ad = times(T_reference_world, T_now), adjoint(T_reference_world)
-    return Z, by_camera_errors(Z, times(Ad, told), twists), Ad
+    Z, Ad = times(T_reference_world, T_imaged), adjoint(T_reference_world)
+    return Z, by_camera_errors(Z, times(Ad, told)), Ad
 
 
 @njit(cache=True, nogil=True)
 def apart(
-    T_now: FloatArray,
-    T_reference: FloatArray,
-    told: FloatArray,
-    twists: FloatArray,
-    Z: FloatArray,
-    camera_errors: FloatArray,
+    T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray, Z: FloatArray, camera_errors: FloatArray
 ) -> FloatArray:
-    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (8,), and the one that two poses tell."""
-    Z_expected, B, _ = expected(T_now, T_reference, told, twists)
+    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (7,), and the one that two poses tell."""
+    Z_expected, B, _ = expected(T_imaged, T_reference, told)
     xi = log(times(Z, inverse(Z_expected)))
     for i in range(6):
         for j in range(_CAMERA):
@@ -333,13 +185,12 @@ def apart(
 
 @njit(cache=True, nogil=True)
 def look(
-    rest: FloatArray,
-    P: FloatArray,
-    place: int,
     T_now: FloatArray,
     T_reference: FloatArray,
     told: FloatArray,
-    twists: FloatArray,
+    rest: FloatArray,
+    P: FloatArray,
+    place: int,
     Z: FloatArray,
     seen: FloatArray,
     R: FloatArray,
@@ -348,22 +199,20 @@ def look(
 
     Returns the residual (m,), its covariance S (m, m), that with the state P Hᵀ (n, m), and H (m, 6) of the pose now.
     """
-    _, B, Ad = expected(T_now, T_reference, told, twists)
-    H, camera = times(seen, Ad), len(P) - _REST + 6
-    errors = rest[6 : 6 + _CAMERA]
-    residual = _shown(seen, apart(T_now, T_reference, told, twists, Z, errors))
-    by_poses = times(P[:, :6] - P[:, place : place + 6], H.T)
-    PHt, S = _with_errors(by_poses, P, place, camera, H, times(seen, B), R)
+    T_imaged = imaged_at(T_now, rest)
+    _, B, Ad = expected(T_imaged, T_reference, told)
+    H, by_errors = times(seen, Ad), times(seen, B)
+    residual = _shown(seen, apart(T_imaged, T_reference, told, Z, rest[6 : 6 + _CAMERA]))
+    twist = rest[:3].copy()
+    PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
     # What is late counts by the twist as this look tells it: the wheels' noise is in theirs and in the residual, and
     # their product would go one way at every look.
-    told_twist = twists.copy()
     weighed = np.linalg.solve(S, residual)
     for i in range(3):
         for j in range(len(residual)):
-            told_twist[1, i] += PHt[len(P) - _REST + i, j] * weighed[j]
-    B = by_camera_errors(Z, B[:, :3].copy(), told_twist)
-    PHt, S = _with_errors(by_poses, P, place, camera, H, times(seen, B), R)
-    return _shown(seen, apart(T_now, T_reference, told, told_twist, Z, errors)), S, PHt, H
+            twist[i] += PHt[len(P) - _REST + i, j] * weighed[j]
+    PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
+    return residual, S, PHt, H
 
 
 @njit(cache=True, nogil=True)
@@ -376,19 +225,31 @@ def _shown(seen: FloatArray, xi: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _with_errors(
-    by_poses: FloatArray, P: FloatArray, place: int, camera: int, H: FloatArray, by_errors: FloatArray, R: FloatArray
+def _innovation(
+    P: FloatArray,
+    place: int,
+    H: FloatArray,
+    by_errors: FloatArray,
+    R: FloatArray,
+    T_imaged: FloatArray,
+    lag_s: float,
+    twist: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    PHt = by_poses - times(P[:, camera : camera + _CAMERA], by_errors.T)
-    HPHt = times(H, PHt[:6] - PHt[place : place + 6]) - times(by_errors, PHt[camera : camera + _CAMERA])
-    return PHt, HPHt + R
+    errors, at = slice(len(P) - _REST + 6, len(P) - _REST + 6 + _CAMERA), slice(place, place + 6)
+    rows, spread = imaged(P, T_imaged, lag_s, twist)
+    apart = spread - rows[:, at] - rows[:, at].T + P[at, at]
+    PHt = times(H, rows - P[at]).T - times(P[:, errors], by_errors.T)
+    crossed = times(times(H, rows[:, errors] - P[at, errors]), by_errors.T)
+    of_errors = times(times(by_errors, P[errors, errors]), by_errors.T)
+    return PHt, times(times(H, apart), H.T) - crossed - crossed.T + of_errors + R
 
 
 @njit(cache=True, nogil=True)
 def correct(
-    T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray
+    T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: int
 ) -> None:
-    """The Kalman update."""
+    """The Kalman update, from which part `kept` of the state, or none if it is -1, learns nothing."""
+    variance = P[kept, kept]
     gain: FloatArray = np.linalg.solve(S, np.ascontiguousarray(PHt.T)).T.astype(np.float64)
     lost = times(gain, PHt.T)
     for i in range(len(P)):
@@ -399,6 +260,8 @@ def correct(
     for i in range(len(P)):
         for j in range(len(residual)):
             x[i] += gain[i, j] * residual[j]
+    if kept >= 0:
+        P[kept, kept], x[kept] = variance, 0.0
     perturb(T, rest, x)
 
 

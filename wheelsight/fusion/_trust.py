@@ -25,9 +25,10 @@ from functools import cache
 import numpy as np
 
 from wheelsight.estimates import Reason
-from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion._changed import changed
-from wheelsight.fusion._pose_belief import IN_PLANE, PLANE, Innovation, Look, PoseBelief, WheelStep
+from wheelsight.fusion._measurements import Innovation, Look, WheelStep
+from wheelsight.fusion._pose_belief import IN_PLANE, PLANE, PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._wheel_noise import Ride, WheelNoise
 from wheelsight.geometry import FloatArray
@@ -62,7 +63,7 @@ class Travel:
     def rolled(self, step: WheelStep, share: float) -> Travel:
         """After a share of a wheel step."""
         covariance = self.covariance + step.covariance[IN_PLANE] * share
-        T = self.T @ kernels.exp(step.xi * share)
+        T = self.T @ motions.exp(step.xi * share)
         return changed(self, T=T, covariance=covariance, wheels_s=self.wheels_s + share * (step.end_s - step.begin_s))
 
     def turned(self, yaw_rad: float, seconds: float) -> Travel:
@@ -80,7 +81,7 @@ class Speed:
     @classmethod
     def over(cls, T: FloatArray, covariance: FloatArray, seconds: float) -> Speed:
         """Of a motion (4, 4) with its covariance (3, 3)."""
-        return cls(np.asarray(kernels.log(T))[PLANE] / seconds, covariance / seconds**2)
+        return cls(np.asarray(motions.log(T))[PLANE] / seconds, covariance / seconds**2)
 
     def leap_from(self, before: Speed, seconds: float, settings: ErrorStateSettings) -> float:
         """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
@@ -88,7 +89,7 @@ class Speed:
         covariance = self.covariance + before.covariance
         for axis, usual in enumerate((s.leap_m_s2, s.leap_m_s2 * _SIDEWAYS, s.leap_rad_s2)):
             covariance[axis, axis] += (usual * seconds) ** 2
-        chi_squared = float(kernels.chi_squared(self.mean - before.mean, covariance))
+        chi_squared = float(motions.chi_squared(self.mean - before.mean, covariance))
         return min(chi_squared, s.leap_cap) if chi_squared > _quantile(_NO_WONDER, 3) else 0.0
 
 
@@ -300,7 +301,7 @@ def _led_by_camera(belief: PoseBelief, stamp_s: float, look: Look, settings: Err
     """The belief if wheels slipped since the look's reference; None where not even that explains it."""
     since_s = belief.remembered[belief.reference(look.name) - 1].stamp_s
     apart = look.seen.T @ np.linalg.pinv(look.seen @ look.seen.T) @ look.seen @ belief.apart(look)
-    from_reference = kernels.inverse_adjoint(belief.T[0]) @ kernels.adjoint(belief.T[belief.reference(look.name)])
+    from_reference = motions.inverse_adjoint(belief.T[0]) @ motions.adjoint(belief.T[belief.reference(look.name)])
     distrusting = belief.distrusted(max(stamp_s - since_s, 0.0), (from_reference @ apart)[PLANE], settings)
     by = distrusting.innovation(look)
     return distrusting.corrected(by).believed() if by.nis <= gate(settings, len(look.covariance)) else None
@@ -340,8 +341,8 @@ def _since(last: Glance, look: Look, belief: PoseBelief) -> tuple[FloatArray, Fl
         return look.Z, look.spread[IN_PLANE]
     if reference_s > last.stamp_s or last.look.name != look.name:
         return None
-    T_last_reference = kernels.inverse(last.look.Z)
-    Ad = kernels.adjoint(T_last_reference)
+    T_last_reference = motions.inverse(last.look.Z)
+    Ad = motions.adjoint(T_last_reference)
     spread = Ad @ (look.spread + last.look.spread) @ Ad.T
     return T_last_reference @ look.Z, spread[IN_PLANE]
 

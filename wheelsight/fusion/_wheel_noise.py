@@ -13,9 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._changed import changed
-from wheelsight.fusion._pose_belief import CAMERA_ERRORS, ERRORS, Look, PoseBelief, WheelStep
+from wheelsight.fusion._measurements import Look, WheelStep
+from wheelsight.fusion._pose_belief import ERRORS, LAG, PLANE, TWIST, PoseBelief
 from wheelsight.geometry import FloatArray
 
 # Not below a sixteenth, a quarter of the standard deviation: no floor is the next one.
@@ -25,7 +27,7 @@ _MOST_NATS = 4.0  # of one ride: one that the camera saw wrong is one
 _WAY_AND_TURN = np.array([0, 5])
 _IN_THESE = np.ix_(_WAY_AND_TURN, _WAY_AND_TURN)
 _HEARD = 0.95
-_ERRORS = slice(ERRORS.start, CAMERA_ERRORS.stop)
+_ERRORS = slice(ERRORS.start, LAG + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,7 @@ class Ride:
         name, begin_s: of that pose.
         spread: (6, 6) by which the camera may have that pose elsewhere, in its frame.
         errors, unsure: (11,) of wheels and camera as known then, and their covariance (11, 11).
+        twist: (3,) of the base then.
         T: (4, 4) the motion, and its covariance (6, 6) by the calibration, as a left perturbation.
         way_m: of both wheels' middle, and heard_s: for how long they told anything.
     """
@@ -45,6 +48,7 @@ class Ride:
     spread: FloatArray
     errors: FloatArray
     unsure: FloatArray
+    twist: FloatArray
     T: FloatArray = field(default_factory=lambda: np.eye(4))
     covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     way_m: float = 0.0
@@ -54,8 +58,8 @@ class Ride:
     def begin(cls, name: str, stamp_s: float, spread: FloatArray | None, belief: PoseBelief) -> Ride:
         """From a pose that is about to be remembered."""
         rows = belief.place(_ERRORS)
-        unsure = belief.covariance[rows, rows].copy()
-        return cls(name, stamp_s, np.zeros((6, 6)) if spread is None else spread, belief.rest[_ERRORS].copy(), unsure)
+        known = belief.rest[_ERRORS].copy(), belief.covariance[rows, rows].copy(), belief.rest[TWIST].copy()
+        return cls(name, stamp_s, np.zeros((6, 6)) if spread is None else spread, *known)
 
     def rolled(self, step: WheelStep, share: float) -> Ride:
         """After a share of a wheel step."""
@@ -74,8 +78,10 @@ class Ride:
         at = belief.reference(look.name)
         since = belief.since(at)
         _, B, Ad = kernels.expected(*since)
-        J = np.hstack([Ad @ since[2], -B])[_WAY_AND_TURN]
-        off = kernels.log(kernels.times(look.Z, kernels.inverse(self.T)))[_WAY_AND_TURN]
+        late = motions.adjoint(look.Z)[:, PLANE] @ belief.rest[TWIST]
+        late[PLANE] -= self.twist
+        J = np.column_stack([Ad @ since[2], -B, -late])[_WAY_AND_TURN]
+        off = motions.log(motions.times(look.Z, motions.inverse(self.T)))[_WAY_AND_TURN]
         # By the errors as known before: what the look itself has taught of them would make it fit too well.
         R = (look.spread + self.spread)[_IN_THESE] + J @ self.unsure @ J.T
         return off - J @ self.errors, R, self.covariance[_IN_THESE]

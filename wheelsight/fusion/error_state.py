@@ -26,10 +26,11 @@ from numpy.typing import ArrayLike
 
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import DEGENERATE_SCALE, Estimate, MotionEstimate, Reason, Status
-from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion._fusion_events import FusionState, Happening, after, moved_to
 from wheelsight.fusion._history import History
-from wheelsight.fusion._pose_belief import PLANE, TWIST, Look, PoseBelief, WheelStep
+from wheelsight.fusion._measurements import Look, WheelStep
+from wheelsight.fusion._pose_belief import PLANE, TWIST, PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
 from wheelsight.geometry import FloatArray
@@ -96,8 +97,8 @@ class ErrorStateFilter:
         T_base_camera = np.eye(4) if T_base_camera is None else _motion(T_base_camera)
         if begin is None or spread is None or T_base_camera is None:
             raise ConfigError("a pose at the start, its covariance or T_base_camera is none", fix="(4, 4) and (6, 6)")
-        self._T_base_camera, self._Ad_base_camera = T_base_camera, kernels.adjoint(T_base_camera)
-        self._to_camera = np.diag(DEGENERATE_SCALE) @ kernels.inverse_adjoint(T_base_camera)
+        self._T_base_camera, self._Ad_base_camera = T_base_camera, motions.adjoint(T_base_camera)
+        self._to_camera = np.diag(DEGENERATE_SCALE) @ motions.inverse_adjoint(T_base_camera)
         self._from_camera = self._Ad_base_camera / DEGENERATE_SCALE
         state = FusionState(Court(PoseBelief.begin(begin, spread, self.settings)))
         self._history: History[Happening, FusionState] = History(state, self.settings.window_s, self._after)
@@ -114,7 +115,7 @@ class ErrorStateFilter:
         T, Q = _motion(T_prev_now), _covariance(covariance, 6)
         if T is None or Q is None or not (np.isfinite(begin_s) and begin_s < stamp_s):
             return self._refused(Reason.INVALID)
-        return self._take(Happening(stamp_s, wheels=WheelStep(begin_s, stamp_s, kernels.log(T), Q)))
+        return self._take(Happening(stamp_s, wheels=WheelStep(begin_s, stamp_s, motions.log(T), Q)))
 
     def predict_to(self, wheels: Estimate) -> FusedEstimate:
         """Take the next estimate of wheel odometry, in order: T_odom_base with covariance; the first is the start."""
@@ -126,7 +127,7 @@ class ErrorStateFilter:
             return self._take(Happening(wheels.stamp_s, drop=""))  # which begins the clock
         if not before.stamp_s < wheels.stamp_s:
             return self._refused(Reason.INVALID)
-        told = kernels.step_between(before.T_world_body, before.covariance, T, C)
+        told = motions.step_between(before.T_world_body, before.covariance, T, C)
         return self._take(Happening(wheels.stamp_s, wheels=WheelStep(before.stamp_s, wheels.stamp_s, *told)))
 
     def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
@@ -178,7 +179,10 @@ class ErrorStateFilter:
         return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s)))
 
     def remembered(self, name: str) -> FloatArray | None:
-        """T_world_base (4, 4) at the instant remembered as `name`, by all that is known now; None where none is."""
+        """T_world_base (4, 4) at the instant remembered as `name`, by all that is known now; None where none is.
+
+        The camera's instant: when the image was taken that has the stamp, by what is known of how late its stamps are.
+        """
         belief = self._history.newest.court.answer()
         return belief.T[belief.reference(name)].copy() if name in belief.names else None
 
@@ -202,11 +206,11 @@ class ErrorStateFilter:
         late = known.stamp_s is not None and stamp_s < known.stamp_s
         belief = (known if late else moved_to(known, stamp_s, self._history.events, self.settings)).court.answer()
         place = belief.reference(name)
-        T_camera_reference = kernels.inverse(belief.T[place] @ self._T_base_camera)
-        A, at = kernels.adjoint(T_camera_reference), slice(6 * place, 6 * place + 6)
-        P = belief.covariance
-        apart = P[:6, :6] - P[:6, at] - P[at, :6] + P[at, at]
-        return T_camera_reference @ belief.T[0] @ self._T_base_camera, A @ apart @ A.T
+        T_camera_reference = motions.inverse(belief.T[place] @ self._T_base_camera)
+        A, at = motions.adjoint(T_camera_reference), slice(6 * place, 6 * place + 6)
+        T_imaged, rows, spread = belief.imaged()
+        apart = spread - rows[:, at] - rows[:, at].T + belief.covariance[at, at]
+        return T_camera_reference @ T_imaged @ self._T_base_camera, A @ apart @ A.T
 
     def _after(self, state: FusionState, event: Happening, events: Sequence[Happening]) -> FusionState:
         return after(state, event, events, self.settings)
@@ -242,7 +246,7 @@ class ErrorStateFilter:
             return Reason.INVALID
         wide = seen.T @ shown @ seen + _UNSEEN_SIGMA_M**2 * unseen.T @ unseen
         spread = self._from_camera @ wide @ self._from_camera.T
-        Z = self._T_base_camera @ T @ kernels.inverse(self._T_base_camera)
+        Z = self._T_base_camera @ T @ motions.inverse(self._T_base_camera)
         share = motion.inliers / motion.matches if motion.matches > 0 else None
         return Look(name, Z, seen @ self._to_camera, shown, spread, share)
 
@@ -259,7 +263,7 @@ class ErrorStateFilter:
         status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
         belief = court.answer()
         twist = belief.place(TWIST)
-        late = kernels.adjoint(belief.T[0])[:, PLANE] @ belief.rest[TWIST] * s.clock_sigma_s
+        late = motions.adjoint(belief.T[0])[:, PLANE] @ belief.rest[TWIST] * s.clock_sigma_s
         pose = (belief.T[0].copy(), belief.covariance[:6, :6] + np.outer(late, late), reason, "base", 0, 0)
         moving = (belief.rest[TWIST].copy(), belief.covariance[twist, twist].copy())
         learned = belief.wheel_errors
@@ -278,13 +282,13 @@ def _split(hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _motion(T: ArrayLike | None) -> FloatArray | None:
     """A rigid motion (4, 4), or None where it is none."""
     T = np.array(T, float)
-    return T if T.shape == (4, 4) and kernels.is_motion(T) else None
+    return T if T.shape == (4, 4) and motions.is_motion(T) else None
 
 
 def _covariance(C: ArrayLike | None, size: int) -> FloatArray | None:
     """A covariance (size, size), made exactly symmetric, or None where it is none."""
     C = np.array(C, float)
-    return (C + C.T) / 2 if C.shape == (size, size) and kernels.is_covariance(C) else None
+    return (C + C.T) / 2 if C.shape == (size, size) and motions.is_covariance(C) else None
 
 
 def _is_definite(C: FloatArray) -> bool:

@@ -203,7 +203,7 @@ class ByFusion:
         return np.asarray(se3.nearest(se3.invert(self.T_world_map) @ T_world_base @ self._T_base_camera))
 
     def _unseen(self, frame: RgbdFrame, seen: Estimate, *, restarts: bool = False) -> FusedEstimate:
-        """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera goes on there."""
+        """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera starts there."""
         nothing = MotionEstimate.failed(seen.reason or Reason.INVALID)
         answer = self.filter.update_relative(frame.stamp_s, nothing, _ANCHOR)
         self._unknown += seen.reason not in _BLIND

@@ -1,0 +1,52 @@
+"""What sensors tell, as a PoseBelief takes it: WheelStep, Look; and what it makes of it, Innovation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wheelsight.geometry import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WheelStep:
+    """What the wheels tell of an interval: ξ (6,), and the covariance (6, 6) of the left perturbation of exp(ξ)."""
+
+    begin_s: float
+    end_s: float
+    xi: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """A motion of the base as the camera saw it against the remembered pose `name`.
+
+    Attributes:
+        Z: (4, 4) T_reference_now of the base.
+        seen: (m, 6) rows that take a left perturbation of Z to the directions that the camera shows.
+        covariance: (m, m) in these.
+        spread: (6, 6) of the left perturbation of Z, very wide where nothing is shown.
+        inlier_share: of the matches, or None.
+    """
+
+    name: str
+    Z: FloatArray
+    seen: FloatArray
+    covariance: FloatArray
+    spread: FloatArray
+    inlier_share: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Innovation:
+    """A measurement against the belief: residual (m,), its covariance (m, m), that with the state (n, m), its NIS.
+
+    `shows_lag`: it may tell how late the camera's stamps are. Else they stay as uncertain as they are, and are reckoned
+    with (Schmidt 1966).
+    """
+
+    residual: FloatArray
+    covariance: FloatArray
+    with_state: FloatArray
+    nis: float
+    shows_lag: bool = True
