@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -16,7 +16,7 @@ from wheelsight.fusion._measurements import Look, WheelStep
 from wheelsight.fusion._pose_belief import PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court
-from wheelsight.fusion._wheel_noise import Ride
+from wheelsight.fusion._wheel_noise import Ride, WheelNoise
 from wheelsight.geometry import FloatArray
 
 
@@ -143,15 +143,13 @@ def _gone_on(court: Court, step: WheelStep | None, start_s: float, end_s: float,
             return belief.glided(end_s - start_s, settings)
         return belief.rolled(step, (end_s - start_s) / (step.end_s - step.begin_s), settings, is_slipping)
 
-    travel, ride = court.travel, court.ride
+    odometer = court.odometer
     if step is not None:
-        share = (end_s - start_s) / (step.end_s - step.begin_s)
-        ride = None if ride is None else ride.rolled(step, share)
-        step = replace(step, covariance=step.covariance * court.noise.ratio)
-        travel = travel.rolled(step, share)
+        odometer = odometer.rolled(step, (end_s - start_s) / (step.end_s - step.begin_s))
+        step = WheelStep(step.begin_s, step.end_s, step.xi, step.covariance * court.noise.ratio)
     belief = on(court.belief, court.trust is trust.Trust.CAMERA)
     assert belief is not None
-    return changed(court, belief=belief, rival=on(court.rival, True), travel=travel, ride=ride)
+    return changed(court, belief=belief, rival=on(court.rival, True), odometer=odometer)
 
 
 def _remembered(
@@ -159,18 +157,26 @@ def _remembered(
 ) -> Court:
     """With the pose now remembered, against which the wheels' next ride is then judged if the camera looks at it."""
     look = None if court.glance is None or court.glance.look.name != name else court.glance.look
-    agrees = court.glance is not None and court.glance.stamp_s == stamp_s and court.agreed > 0
-    agrees = agrees and court.trust is trust.Trust.BOTH and name in court.belief.names
-    ride, noise = court.ride, court.noise
-    if agrees and look is not None and ride is not None and ride.name == name and ride.is_whole(stamp_s):
-        noise = noise.after(ride, look, court.belief, settings.wheel_noise_memory_m)
-    if look is not None or ride is None or ride.name == name:
-        ride = Ride.begin(name, stamp_s, spread, court.belief)
-    court = changed(court, noise=noise, ride=ride)
+    is_of_now = court.glance is not None and court.glance.stamp_s == stamp_s and court.agreed > 0
+    agrees = look is not None and is_of_now and court.trust is trust.Trust.BOTH and name in court.belief.names
+    if look is not None or court.ride is None or court.ride.name == name:
+        noise = _noise_after(court, look, stamp_s, settings) if agrees and look is not None else court.noise
+        court = changed(court, noise=noise, ride=Ride.of(name, stamp_s, court.odometer, spread, court.belief))
     if agrees and look is not None and spread is not None and len(look.covariance) == 6:
         return changed(court, belief=court.belief.chained(look, stamp_s, spread))
     given = (name, stamp_s, settings.max_clones, spread)
     return _each(court, lambda belief: belief.cloned(*given))
+
+
+def _noise_after(court: Court, look: Look, stamp_s: float, settings: ErrorStateSettings) -> WheelNoise:
+    """The wheels' noise, after a look at the pose from which they rode."""
+    ride, noise = court.ride, court.noise
+    if ride is None or ride.name != look.name:
+        return noise
+    told = court.odometer.since(ride.begin)
+    if not ride.is_told(told, stamp_s):
+        return noise
+    return noise.after(ride, told, look, court.belief, settings.wheel_noise_memory_m)
 
 
 def _looked(state: FusionState, look: Look, stamp_s: float, settings: ErrorStateSettings) -> FusionState:
@@ -213,7 +219,7 @@ def _turned(court: Court, rate_rad_s: float, stamp_s: float, settings: ErrorStat
 
     belief, nis = turned(court.belief)
     told = changed(court, belief=belief, nis=(nis, 1), gyro_s=stamp_s)
-    told = changed(told, travel=court.travel.turned((rate_rad_s - belief.gyro_bias_rad_s) * seconds, seconds))
+    told = changed(told, odometer=court.odometer.turned((rate_rad_s - belief.gyro_bias_rad_s) * seconds, seconds))
     if court.rival is not None:
         told = changed(told, rival=turned(court.rival)[0])
     return changed(told, turn_slip_s=stamp_s) if nis > trust.gate(settings, 1) else told

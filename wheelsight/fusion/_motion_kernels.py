@@ -149,6 +149,13 @@ def is_covariance(C: FloatArray) -> bool:
 
 
 @njit(cache=True, nogil=True)
+def is_definite(C: FloatArray) -> bool:
+    """Whether C (n, n), symmetric, has positive eigenvalues alone."""
+    least: float = np.linalg.eigvalsh(C)[0]
+    return least > 0
+
+
+@njit(cache=True, nogil=True)
 def chi_squared(residual: FloatArray, S: FloatArray) -> float:
     """rᵀ S⁻¹ r of a residual (m,) with its covariance (m, m)."""
     weighed = np.linalg.solve(S, residual)
@@ -159,15 +166,23 @@ def chi_squared(residual: FloatArray, S: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True)
+def between(
+    T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """T (4, 4) from one pose to the next, and what their covariances (6, 6) grew by, in the frame before."""
+    T_before_odom = inverse(T_before)
+    Ad = adjoint(T_before_odom)
+    return times(T_before_odom, T_now), times(times(Ad, C_now - C_before), Ad.T)
+
+
+@njit(cache=True, nogil=True)
 def step_between(
     T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """ξ (6,) from one pose to the next, and what their covariances (6, 6) grew by, in the frame before."""
-    T_before_odom = inverse(T_before)
-    Ad = adjoint(T_before_odom)
-    grown = times(times(Ad, C_now - C_before), Ad.T)
+    """ξ (6,) from one pose to the next, and what their covariances grew by, where rounding may have made it less."""
+    T, grown = between(T_before, C_before, T_now, C_now)
     strength, axes = np.linalg.eigh((grown + grown.T) / 2)
-    return log(times(T_before_odom, T_now)), times(axes * np.maximum(strength, 0.0), axes.T)
+    return log(T), times(axes * np.maximum(strength, 0.0), axes.T)
 
 
 @njit(cache=True, nogil=True)

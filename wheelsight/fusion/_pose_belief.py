@@ -37,6 +37,7 @@ REST_SIZE = 15
 _LEVEL_EVERY_M = 0.25
 _RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
 _KNOWN_FOR_S = 0.25
+_NO_DOUBT = np.zeros((6, 6))
 _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
 # Of what each alignment leaves uncertain, what adds up along a way: of turns less than half (3 to 18 m, ten drives).
 _CHAIN_KEEPS = np.array([1.0, 1, 1, 1, 1, 0.4])
@@ -103,7 +104,7 @@ class PoseBelief:
             s.camera_lag_sigma_s,
         ]
         P[6:, 6:] = np.diag(np.square([*still, *errors, *camera, s.gyro_bias_sigma_rad_s]))
-        return cls(T_world_base[None].copy(), (), np.zeros(REST_SIZE), P, np.zeros((6, 6)))
+        return cls(T_world_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_DOUBT)
 
     @property
     def gyro_bias_rad_s(self) -> float:
@@ -169,16 +170,24 @@ class PoseBelief:
 
         `spread` (6, 6), in the base's own frame, is added to its covariance: by what the camera has it elsewhere.
         """
-        here = self.dropped(name)
-        while len(here.names) >= most:
-            here = here.dropped(here.names[0])
-        poses = np.append(np.arange(len(here.T)), 0)
-        there = changed(here._selected(poses), remembered=(*here.remembered, self._as(name, stamp_s)))
-        at, Ad = slice(6 * len(here.T), 6 * len(here.T) + 6), motions.adjoint(self.T[0])
-        there.T[-1], rows, spread_now = there.imaged()
+        there = self._at(name, stamp_s, most)
+        place = there.names.index(name) + 1
+        at, Ad = slice(6 * place, 6 * place + 6), motions.adjoint(self.T[0])
+        there.T[place], rows, spread_now = there.imaged()
         there.covariance[at], there.covariance[:, at] = rows, rows.T
         there.covariance[at, at] = spread_now if spread is None else spread_now + Ad @ spread @ Ad.T
         return there
+
+    def _at(self, name: str, stamp_s: float, most: int) -> PoseBelief:
+        """With a place for a pose of that name: the one it has, or one more, whatever stands there."""
+        if name in self.names:
+            poses = tuple(self._as(name, stamp_s) if pose.name == name else pose for pose in self.remembered)
+            return changed(self, T=self.T.copy(), covariance=self.covariance.copy(), remembered=poses)
+        here = self
+        while len(here.remembered) >= most:
+            here = here.dropped(min(here.remembered, key=lambda pose: pose.stamp_s).name)
+        poses = (*here.remembered, self._as(name, stamp_s))
+        return changed(here._selected(np.append(np.arange(len(here.T)), 0)), remembered=poses)
 
     def imaged(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The pose (4, 4) when the image of now was taken, its covariance with the state (6, n), and its own (6, 6).
@@ -244,8 +253,9 @@ class PoseBelief:
         at = self.reference(look.name)
         of_look = (look.Z, look.seen, look.covariance)
         residual, S, PHt, H = kernels.look(*self.since(at), self.rest, self.covariance, 6 * at, *of_look)
-        if without_doubt and (self.doubted.any() or self.remembered[at - 1].doubted.any()):
-            certain = S - H @ (self.doubted - self.remembered[at - 1].doubted) @ H.T
+        before = self.remembered[at - 1].doubted
+        if without_doubt and not (self.doubted is before is _NO_DOUBT):
+            certain = S - H @ (self.doubted - before) @ H.T
             # Corrections have made some of the doubt smaller than it was written down.
             S = certain if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0 else S
         return _innovation(residual, S, PHt, shows_lag=self._shows_lag(at))
@@ -323,9 +333,10 @@ class PoseBelief:
 
     def believed(self) -> PoseBelief:
         """With all doubt since vision was last believed settled by what it said, and the twist known."""
-        none = np.zeros((6, 6))
-        poses = tuple(replace(pose, doubted=none) for pose in self.remembered)
-        return changed(self, doubted=none, remembered=poses, known_twist=self.rest[TWIST], known_for_s=0.0)
+        poses = self.remembered
+        if any(pose.doubted is not _NO_DOUBT for pose in poses):
+            poses = tuple(replace(pose, doubted=_NO_DOUBT) for pose in poses)
+        return changed(self, doubted=_NO_DOUBT, remembered=poses, known_twist=self.rest[TWIST], known_for_s=0.0)
 
     def turn_known(self) -> PoseBelief:
         """With the yaw rate known, by a gyroscope."""

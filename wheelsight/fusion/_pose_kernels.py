@@ -13,7 +13,7 @@ from numba import njit
 from wheelsight.fusion._motion_kernels import adjoint, exp, inverse, left_jacobian, log, times
 from wheelsight.geometry import FloatArray
 
-_COMPILED_IN = 0x59EE684E
+_COMPILED_IN = 0xA4A57039
 # Of `rest`: twist 3, the wheels' errors 3, the camera's 7, how late its stamps are, the gyroscope's bias.
 _REST, _CAMERA, _LAG = 15, 7, 13
 _PLANE = (0, 1, 5)
@@ -75,7 +75,9 @@ def roll(
 
 
 @njit(cache=True, nogil=True)
-def ride_on(T: FloatArray, C: FloatArray, xi: FloatArray, Q: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
+def odometer(
+    T: FloatArray, C: FloatArray, xi: FloatArray, Q: FloatArray, share: float
+) -> tuple[FloatArray, FloatArray]:
     """A motion (4, 4) and its covariance (6, 6) after a share of a step ξ (6,) with covariance Q (6, 6)."""
     Ad = adjoint(T)
     return times(T, exp(xi * share)), C + times(times(Ad, Q * share), Ad.T)
@@ -242,6 +244,16 @@ def _innovation(
     crossed = times(times(H, rows[:, errors] - P[at, errors]), by_errors.T)
     of_errors = times(times(by_errors, P[errors, errors]), by_errors.T)
     return PHt, times(times(H, apart), H.T) - crossed - crossed.T + of_errors + R
+
+
+@njit(cache=True, nogil=True)
+def answered(T: FloatArray, rest: FloatArray, P: FloatArray, clock_s: float) -> tuple[FloatArray, FloatArray]:
+    """The pose now (4, 4) and its covariance (6, 6), with stamps that are uncertain by so much."""
+    Ad, late = adjoint(T[0]), np.zeros((6, 1))
+    for i in range(6):
+        for j in range(3):
+            late[i, 0] += Ad[i, _PLANE[j]] * rest[j] * clock_s
+    return T[0].copy(), P[:6, :6] + times(late, late.T)
 
 
 @njit(cache=True, nogil=True)

@@ -27,7 +27,8 @@ import numpy as np
 from wheelsight.estimates import Reason
 from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion._changed import changed
-from wheelsight.fusion._measurements import Innovation, Look, WheelStep
+from wheelsight.fusion._measurements import Innovation, Look
+from wheelsight.fusion._odometer import Odometer
 from wheelsight.fusion._pose_belief import IN_PLANE, PLANE, PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._wheel_noise import Ride, WheelNoise
@@ -48,27 +49,6 @@ class Trust(Enum):
     DOUBT = "doubt"
     CAMERA = "camera"
     WHEELS = "wheels"
-
-
-@dataclass(frozen=True, eq=False)
-class Travel:
-    """What wheels and gyroscope alone told since the last look: motion, its covariance (3, 3) in the plane; yaw."""
-
-    T: FloatArray = field(default_factory=lambda: np.eye(4))
-    covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
-    wheels_s: float = 0.0
-    gyro_rad: float = 0.0
-    gyro_s: float = 0.0
-
-    def rolled(self, step: WheelStep, share: float) -> Travel:
-        """After a share of a wheel step."""
-        covariance = self.covariance + step.covariance[IN_PLANE] * share
-        T = self.T @ motions.exp(step.xi * share)
-        return changed(self, T=T, covariance=covariance, wheels_s=self.wheels_s + share * (step.end_s - step.begin_s))
-
-    def turned(self, yaw_rad: float, seconds: float) -> Travel:
-        """After a turn that the gyroscope told."""
-        return changed(self, gyro_rad=self.gyro_rad + yaw_rad, gyro_s=self.gyro_s + seconds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,10 +75,11 @@ class Speed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Glance:
-    """The last look, kept to tell leaps at the next."""
+    """The last look, and the odometer then, kept to tell leaps at the next."""
 
     stamp_s: float
     look: Look
+    odometer: Odometer
     camera: Speed | None = None
     wheels: Speed | None = None
 
@@ -115,7 +96,7 @@ class Court:
         agreed: looks that agreed in a row.
         since_s: when `trust` last changed.
         glance: the last look.
-        travel: of wheels and gyroscope since.
+        odometer: of wheels and gyroscope.
         usual_share: of inliers, where looks tell it.
         nis: of the measurement just taken, and its degrees of freedom; or None.
         gyro_s: of the last yaw rate.
@@ -133,7 +114,7 @@ class Court:
     agreed: int = 0
     since_s: float = -np.inf
     glance: Glance | None = None
-    travel: Travel = field(default_factory=Travel)
+    odometer: Odometer = field(default_factory=Odometer)
     usual_share: float | None = None
     nis: tuple[float, int] | None = None
     gyro_s: float | None = None
@@ -186,7 +167,7 @@ def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) 
     usual = court.belief.innovation(look, without_doubt=True)
     agrees = usual.nis <= most
     agreed, nis = court.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
-    heard = changed(court, glance=glance, travel=Travel(), agreed=agreed, nis=nis, looked_s=stamp_s)
+    heard = changed(court, glance=glance, agreed=agreed, nis=nis, looked_s=stamp_s)
     if court.trust is Trust.BOTH:
         heard = changed(heard, evidence=court.evidence * _LEAK + evidence)
         return _together(heard, stamp_s, look, usual, most, settings)
@@ -202,7 +183,7 @@ def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) 
 
 def fail(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
     """The court after a frame in which the camera itself says that it sees nothing."""
-    blind = changed(court, glance=None, travel=Travel(), agreed=0)
+    blind = changed(court, glance=None, agreed=0)
     if court.trust is Trust.DOUBT:
         return _settled(changed(blind, evidence=court.evidence - settings.ill_health), stamp_s, settings)
     return changed(blind, rival=None)
@@ -309,23 +290,22 @@ def _led_by_camera(belief: PoseBelief, stamp_s: float, look: Look, settings: Err
 
 def _compare(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) -> tuple[Glance, float]:
     """This look as a glance, and the evidence of leaps and of the gyroscope."""
-    last, travel = court.glance, court.travel
+    last = court.glance
     seconds = np.inf if last is None else stamp_s - last.stamp_s
     step = None if last is None else _since(last, look, court.belief)
-    if step is None or not 0 < seconds <= _LONGEST_STEP_S:
-        return Glance(stamp_s, look), 0.0
-    assert last is not None
-    camera = Speed.over(step[0], step[1], seconds)
-    heard = travel.wheels_s > 0.5 * seconds
-    wheels = Speed.over(travel.T, travel.covariance, travel.wheels_s) if heard else None
-    evidence = 0.0
+    if last is None or step is None or not 0 < seconds <= _LONGEST_STEP_S:
+        return Glance(stamp_s, look, court.odometer), 0.0
+    told, evidence = court.odometer.since(last.odometer), 0.0
+    camera, wheels = Speed.over(step[0], step[1], seconds), None
+    if told.heard_s > 0.5 * seconds:
+        wheels = Speed.over(told.T, court.noise.ratio * told.covariance[IN_PLANE], told.heard_s)
     if wheels is not None and last.wheels is not None and last.camera is not None:
         evidence += 0.5 * wheels.leap_from(last.wheels, seconds, settings)
         evidence -= 0.5 * camera.leap_from(last.camera, seconds, settings)
-    if wheels is not None and travel.gyro_s > 0.5 * seconds:
-        rate = travel.gyro_rad / travel.gyro_s
+    if wheels is not None and told.turned_s > 0.5 * seconds:
+        rate = told.turn_rad / told.turned_s
         evidence += _turns_against(wheels, rate, seconds, settings) - _turns_against(camera, rate, seconds, settings)
-    return Glance(stamp_s, look, camera, wheels), evidence
+    return Glance(stamp_s, look, court.odometer, camera, wheels), evidence
 
 
 def _turns_against(speed: Speed, rate_rad_s: float, seconds: float, settings: ErrorStateSettings) -> float:

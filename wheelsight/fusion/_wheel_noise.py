@@ -15,8 +15,8 @@ import numpy as np
 
 from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion import _pose_kernels as kernels
-from wheelsight.fusion._changed import changed
-from wheelsight.fusion._measurements import Look, WheelStep
+from wheelsight.fusion._measurements import Look
+from wheelsight.fusion._odometer import Odometer
 from wheelsight.fusion._pose_belief import ERRORS, LAG, PLANE, TWIST, PoseBelief
 from wheelsight.geometry import FloatArray
 
@@ -32,59 +32,47 @@ _ERRORS = slice(ERRORS.start, LAG + 1)
 
 @dataclass(frozen=True, eq=False)
 class Ride:
-    """What the wheels alone told since a pose was remembered.
+    """Of the wheels alone, since a pose was remembered.
 
     Attributes:
         name, begin_s: of that pose.
+        begin: the odometer then.
         spread: (6, 6) by which the camera may have that pose elsewhere, in its frame.
         errors, unsure: (11,) of wheels and camera as known then, and their covariance (11, 11).
         twist: (3,) of the base then.
-        T: (4, 4) the motion, and its covariance (6, 6) by the calibration, as a left perturbation.
-        way_m: of both wheels' middle, and heard_s: for how long they told anything.
     """
 
     name: str
     begin_s: float
+    begin: Odometer
     spread: FloatArray
     errors: FloatArray
     unsure: FloatArray
     twist: FloatArray
-    T: FloatArray = field(default_factory=lambda: np.eye(4))
-    covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-    way_m: float = 0.0
-    heard_s: float = 0.0
 
     @classmethod
-    def begin(cls, name: str, stamp_s: float, spread: FloatArray | None, belief: PoseBelief) -> Ride:
+    def of(cls, name: str, stamp_s: float, odometer: Odometer, spread: FloatArray | None, belief: PoseBelief) -> Ride:
         """From a pose that is about to be remembered."""
-        rows = belief.place(_ERRORS)
+        rows, none = belief.place(_ERRORS), np.zeros((6, 6))
         known = belief.rest[_ERRORS].copy(), belief.covariance[rows, rows].copy(), belief.rest[TWIST].copy()
-        return cls(name, stamp_s, np.zeros((6, 6)) if spread is None else spread, *known)
+        return cls(name, stamp_s, odometer, none if spread is None else spread, *known)
 
-    def rolled(self, step: WheelStep, share: float) -> Ride:
-        """After a share of a wheel step."""
-        T, covariance = kernels.ride_on(self.T, self.covariance, step.xi, step.covariance, share)
-        way_m = self.way_m + abs(step.xi[0]) * share
-        return changed(
-            self, T=T, covariance=covariance, way_m=way_m, heard_s=self.heard_s + share * (step.end_s - step.begin_s)
-        )
+    def is_told(self, told: Odometer, stamp_s: float) -> bool:
+        """Whether the wheels moved since, and told of all the time up to a stamp."""
+        return told.heard_s > _HEARD * (stamp_s - self.begin_s) and bool(told.covariance[5, 5] > 0)
 
-    def is_whole(self, stamp_s: float) -> bool:
-        """Whether the wheels moved, and told of all the time up to a stamp."""
-        return self.heard_s > _HEARD * (stamp_s - self.begin_s) and bool(self.covariance[5, 5] > 0)
-
-    def against(self, look: Look, belief: PoseBelief) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """D (2,), by what way and turn a look at that pose differs from the ride; R and N (2, 2), see the module."""
+    def against(self, look: Look, told: Odometer, belief: PoseBelief) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """D (2,), by what way and turn a look at that pose differs from what was told since; R and N (2, 2)."""
         at = belief.reference(look.name)
         since = belief.since(at)
         _, B, Ad = kernels.expected(*since)
         late = motions.adjoint(look.Z)[:, PLANE] @ belief.rest[TWIST]
         late[PLANE] -= self.twist
         J = np.column_stack([Ad @ since[2], -B, -late])[_WAY_AND_TURN]
-        off = motions.log(motions.times(look.Z, motions.inverse(self.T)))[_WAY_AND_TURN]
+        off = motions.log(motions.times(look.Z, motions.inverse(told.T)))[_WAY_AND_TURN]
         # By the errors as known before: what the look itself has taught of them would make it fit too well.
         R = (look.spread + self.spread)[_IN_THESE] + J @ self.unsure @ J.T
-        return off - J @ self.errors, R, self.covariance[_IN_THESE]
+        return off - J @ self.errors, R, told.covariance[_IN_THESE]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +87,13 @@ class WheelNoise:
     nats: FloatArray = field(default_factory=lambda: _BEFORE)
     ratio: float = 1.0
 
-    def after(self, ride: Ride, look: Look, belief: PoseBelief, memory_m: float) -> WheelNoise:
+    def after(self, ride: Ride, told: Odometer, look: Look, belief: PoseBelief, memory_m: float) -> WheelNoise:
         """After a ride that a look has told the end of; what was known fades along `memory_m`."""
-        d, R, N = ride.against(look, belief)
+        d, R, N = ride.against(look, told, belief)
         S = R + _RATIOS[:, None, None] * N
         chi2 = (np.linalg.solve(S, np.broadcast_to(d[:, None], (len(S), 2, 1)))[..., 0] * d).sum(axis=1)
-        told = -0.5 * (chi2 + np.log(np.linalg.det(S)))
-        kept = _BEFORE + np.exp(-ride.way_m / memory_m) * (self.nats - _BEFORE)
-        nats = kept + np.maximum(told - told.max(), -_MOST_NATS)
+        likely = -0.5 * (chi2 + np.log(np.linalg.det(S)))
+        kept = _BEFORE + np.exp(-told.way_m / memory_m) * (self.nats - _BEFORE)
+        nats = kept + np.maximum(likely - likely.max(), -_MOST_NATS)
         weights = np.exp(nats - nats.max())
         return WheelNoise(nats, float(weights @ _RATIOS / weights.sum()))

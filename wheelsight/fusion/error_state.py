@@ -27,10 +27,11 @@ from numpy.typing import ArrayLike
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import DEGENERATE_SCALE, Estimate, MotionEstimate, Reason, Status
 from wheelsight.fusion import _motion_kernels as motions
+from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._fusion_events import FusionState, Happening, after, moved_to
 from wheelsight.fusion._history import History
 from wheelsight.fusion._measurements import Look, WheelStep
-from wheelsight.fusion._pose_belief import PLANE, TWIST, PoseBelief
+from wheelsight.fusion._pose_belief import TWIST, PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
 from wheelsight.geometry import FloatArray
@@ -168,7 +169,12 @@ class ErrorStateFilter:
     def update_position(self, stamp_s: float, xy: ArrayLike, covariance: ArrayLike) -> FusedEstimate:
         """Take a position (2,) in the world, metres, with its covariance (2, 2), as places tell."""
         position, spread = np.array(xy, float), _covariance(covariance, 2)
-        if spread is None or position.shape != (2,) or not np.isfinite(position).all() or not _is_definite(spread):
+        if (
+            spread is None
+            or position.shape != (2,)
+            or not np.isfinite(position).all()
+            or not motions.is_definite(spread)
+        ):
             return self._refused(Reason.INVALID)
         return self._take(Happening(stamp_s, position=(position, spread)))
 
@@ -242,7 +248,7 @@ class ErrorStateFilter:
             return Reason.DEGENERATE
         scaled = R * np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
         shown = seen @ scaled @ seen.T
-        if not _is_definite(shown):
+        if not motions.is_definite(shown):
             return Reason.INVALID
         wide = seen.T @ shown @ seen + _UNSEEN_SIGMA_M**2 * unseen.T @ unseen
         spread = self._from_camera @ wide @ self._from_camera.T
@@ -263,8 +269,8 @@ class ErrorStateFilter:
         status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
         belief = court.answer()
         twist = belief.place(TWIST)
-        late = motions.adjoint(belief.T[0])[:, PLANE] @ belief.rest[TWIST] * s.clock_sigma_s
-        pose = (belief.T[0].copy(), belief.covariance[:6, :6] + np.outer(late, late), reason, "base", 0, 0)
+        T, covariance = kernels.answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
+        pose = (T, covariance, reason, "base", 0, 0)
         moving = (belief.rest[TWIST].copy(), belief.covariance[twist, twist].copy())
         learned = belief.wheel_errors
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *moving, nis=nis, wheel_errors=learned)
@@ -289,7 +295,3 @@ def _covariance(C: ArrayLike | None, size: int) -> FloatArray | None:
     """A covariance (size, size), made exactly symmetric, or None where it is none."""
     C = np.array(C, float)
     return (C + C.T) / 2 if C.shape == (size, size) and motions.is_covariance(C) else None
-
-
-def _is_definite(C: FloatArray) -> bool:
-    return bool(np.linalg.eigvalsh(C)[0] > 0)
