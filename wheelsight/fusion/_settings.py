@@ -27,6 +27,8 @@ class ErrorStateSettings:
         camera_scale_walk, camera_drift_walk_rad_per_m, camera_turn_walk: how these wander in one metre.
         mount_sigma_rad, mount_walk_rad: how far the camera is turned on the base from where it is said to be, about
             each axis, and how that wanders in one metre.
+        camera_lag_sigma_s, camera_lag_walk_s: how late the camera's stamps are, and how that wanders in one metre.
+        wheel_noise_memory_m: along which way it fades how noisy the wheels were.
         side_m_per_sqrt_m, rise_m_per_sqrt_m, tilt_rad_per_sqrt_m: of what wheels do not tell: sideways, up, roll and
             pitch; the way is that of a point `lever_m` beside the base.
         level_sigma_rad, level_m: floors are level up to this, one stretch of so many metres like another, or else are
