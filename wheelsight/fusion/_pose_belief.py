@@ -265,9 +265,8 @@ class PoseBelief:
 
         Else it is their noise that would be correlated with the camera's, and taken for a lag of the stamps.
         """
-        apart, twist = self.rest[TWIST] - self.remembered[at - 1].twist, self.place(TWIST)
-        noise = 2 * self.covariance[twist, twist] + _LEAST_TWIST**2 * np.eye(3)
-        return bool(motions.chi_squared(apart, noise) > _SHOWS_LAG)
+        before = self.remembered[at - 1].twist
+        return bool(kernels.change_of_twist(self.rest, self.covariance, before, _LEAST_TWIST) > _SHOWS_LAG)
 
     def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The pose now, the one at a place, and how the wheels' errors moved the one since the other."""

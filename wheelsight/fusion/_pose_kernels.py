@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from wheelsight.fusion._motion_kernels import adjoint, exp, inverse, left_jacobian, log, times
+from wheelsight.fusion._motion_kernels import adjoint, chi_squared, exp, inverse, left_jacobian, log, times
 from wheelsight.geometry import FloatArray
 
 _COMPILED_IN = 0xA4A57039
@@ -157,6 +157,17 @@ def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray)
     )
     together = P[rest + _LAG, rest + _LAG] * P[rest : rest + 3, rest : rest + 3]
     return rows, spread + times(times(G, together), G.T)
+
+
+@njit(cache=True, nogil=True)
+def change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray, least: float) -> float:
+    """χ² of the change from a twist (3,) before, by the noise that both have of the wheels, and never less than so."""
+    at = len(P) - _REST
+    noise = 2 * P[at : at + 3, at : at + 3]
+    for i in range(3):
+        noise[i, i] += least**2
+    chi2: float = chi_squared(rest[:3] - before, noise)
+    return chi2
 
 
 @njit(cache=True, nogil=True)

@@ -321,10 +321,9 @@ def _since(last: Glance, look: Look, belief: PoseBelief) -> tuple[FloatArray, Fl
         return look.Z, look.spread[IN_PLANE]
     if reference_s > last.stamp_s or last.look.name != look.name:
         return None
-    T_last_reference = motions.inverse(last.look.Z)
-    Ad = motions.adjoint(T_last_reference)
-    spread = Ad @ (look.spread + last.look.spread) @ Ad.T
-    return T_last_reference @ look.Z, spread[IN_PLANE]
+    # What both looks have wrong adds up.
+    T, spread = motions.between(last.look.Z, -last.look.spread, look.Z, look.spread)
+    return T, spread[IN_PLANE]
 
 
 def _is_healthy(court: Court, look: Look, settings: ErrorStateSettings) -> bool:

@@ -36,6 +36,8 @@ from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
 from wheelsight.geometry import FloatArray
 
+_SCALED = np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
+_ALL, _NONE = np.eye(6), np.zeros((0, 6))
 _UNSEEN_SIGMA_M = 10.0
 _RESTART_AFTER = 5  # events in a row that are all far ahead: it is not one clock that is wrong, all sensors had paused
 
@@ -99,6 +101,7 @@ class ErrorStateFilter:
         if begin is None or spread is None or T_base_camera is None:
             raise ConfigError("a pose at the start, its covariance or T_base_camera is none", fix="(4, 4) and (6, 6)")
         self._T_base_camera, self._Ad_base_camera = T_base_camera, motions.adjoint(T_base_camera)
+        self._T_camera_base = motions.inverse(T_base_camera)
         self._to_camera = np.diag(DEGENERATE_SCALE) @ motions.inverse_adjoint(T_base_camera)
         self._from_camera = self._Ad_base_camera / DEGENERATE_SCALE
         state = FusionState(Court(PoseBelief.begin(begin, spread, self.settings)))
@@ -240,19 +243,18 @@ class ErrorStateFilter:
 
     def _look(self, motion: MotionEstimate, name: str) -> Look | Reason:
         T, R = _motion(motion.T_reference_current), _covariance(motion.covariance, 6)
-        hidden = np.zeros((0, 6)) if motion.degenerate is None else np.asarray(motion.degenerate, float)
+        hidden = _NONE if motion.degenerate is None else np.asarray(motion.degenerate, float)
         if T is None or R is None or hidden.ndim != 2 or hidden.shape[1] != 6 or not np.isfinite(hidden).all():
             return Reason.INVALID
         seen, unseen = _split(hidden)
         if len(seen) == 0:
             return Reason.DEGENERATE
-        scaled = R * np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
-        shown = seen @ scaled @ seen.T
+        shown = seen @ (R * _SCALED) @ seen.T
         if not motions.is_definite(shown):
             return Reason.INVALID
         wide = seen.T @ shown @ seen + _UNSEEN_SIGMA_M**2 * unseen.T @ unseen
         spread = self._from_camera @ wide @ self._from_camera.T
-        Z = self._T_base_camera @ T @ motions.inverse(self._T_base_camera)
+        Z = self._T_base_camera @ T @ self._T_camera_base
         share = motion.inliers / motion.matches if motion.matches > 0 else None
         return Look(name, Z, seen @ self._to_camera, shown, spread, share)
 
@@ -279,7 +281,7 @@ class ErrorStateFilter:
 def _split(hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Orthonormal rows (6 - K, 6) of the directions seen, and (K, 6) of those named in `hidden`."""
     if len(hidden) == 0:
-        return np.eye(6), np.zeros((0, 6))
+        return _ALL, _NONE
     _, strength, rows = np.linalg.svd(hidden)
     rank = int((strength > 1e-6).sum())
     return rows[rank:], rows[:rank]
