@@ -43,7 +43,6 @@ _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
 _CHAIN_KEEPS = np.array([1.0, 1, 1, 1, 1, 0.4])
 _SHOWS_LAG = 30.0  # χ² of a change of twist: noise alone has three, so nine tenths of it are motion
 _LEAST_TWIST = 1e-3  # m/s and rad/s: wheels that stand still tell no noise at all
-_COVERED_SIGMAS = 2.5  # so that the other's own error, too, has room within three
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,12 +121,13 @@ class PoseBelief:
         return tuple(pose.name for pose in self.remembered)
 
     @property
-    def _rest(self) -> int:
+    def rest_at(self) -> int:
+        """Where `rest` begins in the covariance."""
         return len(self.covariance) - REST_SIZE
 
     def place(self, part: slice) -> slice:
         """Where a part of `rest` stands in the covariance."""
-        return slice(self._rest + part.start, self._rest + part.stop)
+        return slice(self.rest_at + part.start, self.rest_at + part.stop)
 
     def rolled(self, step: WheelStep, share: float, settings: ErrorStateSettings, is_slipping: bool) -> PoseBelief:
         """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
@@ -233,7 +233,7 @@ class PoseBelief:
         return Remembered(name, stamp_s, self.rest[TWIST].copy(), self.doubted, self.told)
 
     def _selected(self, poses: IntArray) -> PoseBelief:
-        rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(self._rest, len(self.covariance))])
+        rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(self.rest_at, len(self.covariance))])
         return changed(self, T=self.T[poses], covariance=self.covariance[rows[:, None], rows])
 
     def reference(self, name: str) -> int:
@@ -289,7 +289,7 @@ class PoseBelief:
     def corrected(self, by: Innovation) -> PoseBelief:
         """The Kalman update."""
         T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
-        kept = -1 if by.shows_lag else self._rest + LAG
+        kept = -1 if by.shows_lag else self.rest_at + LAG
         kernels.correct(T, rest, P, by.with_state, by.covariance, by.residual, kept)
         return changed(self, T=T, rest=rest, covariance=P)
 
@@ -354,43 +354,6 @@ class PoseBelief:
             return here
         variance = one_sigma2 * settings.level_m / self.way_m
         return here.corrected(_innovation(-up[:2], spread + variance * np.eye(2), PHt))
-
-    def mixed(self, other: PoseBelief, share: float) -> PoseBelief:
-        """One belief with the moments of both, where `other` is right with probability `share`: it covers both."""
-        way = [motions.log(motions.times(T, motions.inverse(S))) for T, S in zip(other.T, self.T, strict=True)]
-        between = self.moved(share * np.concatenate([*way, other.rest - self.rest]), self.covariance)
-        P = np.zeros_like(self.covariance)
-        for belief, weight in ((self, 1 - share), (other, share)):
-            apart = between._shift_to(belief)
-            P += weight * (belief.covariance + np.outer(apart, apart))
-        return changed(between, covariance=P).believed()
-
-    def covering(self, other: PoseBelief, since_s: float) -> PoseBelief:
-        """This belief, so much less certain that `other` lies within three standard deviations.
-
-        They have gone apart since a stamp; of poses remembered later, all err as the one now does.
-        """
-        apart = self._shift_to(other)
-        apart[self._rest :] = 0.0  # twist and wheels are soon known again; they must not pull the pose along then
-        later = [0, *(place + 1 for place, pose in enumerate(self.remembered) if pose.stamp_s > since_s)]
-        apart[: self._rest].reshape(-1, 6)[later] = apart[:6]
-        P = self.covariance + np.outer(apart, apart) / _COVERED_SIGMAS**2
-        P[: self._rest, : self._rest] += other._of_poses_alone()
-        return changed(self, covariance=P)
-
-    def _of_poses_alone(self) -> FloatArray:
-        """Covariance (6 + 6K, 6 + 6K) of the poses if twist and lag were known, by which the camera has them apart."""
-        poses, given = slice(self._rest), self._rest + np.array([0, 1, 2, LAG])
-        C, V = self.covariance[poses, given], self.covariance[np.ix_(given, given)]
-        return np.asarray(self.covariance[poses, poses] - C @ np.linalg.pinv(V, hermitian=True) @ C.T)
-
-    def _shift_to(self, other: PoseBelief) -> FloatArray:
-        """The perturbation (n,) that, to first order, puts every pose where `other` has it, however they are turned."""
-        shifts = np.zeros((len(self.T), 6))
-        for shift, T, S in zip(shifts, other.T, self.T, strict=True):
-            shift[3:] = motions.log(motions.times(T, motions.inverse(S)))[3:]
-            shift[:3] = T[:3, 3] - S[:3, 3] - np.cross(shift[3:], S[:3, 3])
-        return np.concatenate([shifts.ravel(), other.rest - self.rest])
 
 
 def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray, *, shows_lag: bool = True) -> Innovation:

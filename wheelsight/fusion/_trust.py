@@ -31,6 +31,7 @@ from wheelsight.fusion._measurements import Innovation, Look
 from wheelsight.fusion._odometer import Odometer
 from wheelsight.fusion._pose_belief import IN_PLANE, PLANE, PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
+from wheelsight.fusion._two_beliefs import covering, mixed
 from wheelsight.fusion._wheel_noise import Ride, WheelNoise
 from wheelsight.geometry import FloatArray
 
@@ -134,8 +135,8 @@ class Court:
         if self.rival is None:
             return self.belief
         if self.trust is Trust.WHEELS:
-            return self.belief.covering(self.rival, self.since_s)
-        return self.belief.mixed(self.rival, self.rival_share)
+            return covering(self.belief, self.rival, self.since_s)
+        return mixed(self.belief, self.rival, self.rival_share)
 
     def likelier(self) -> PoseBelief:
         """Where doubt ends unsettled: the belief for which more speaks, so much less certain that it covers the other.
@@ -145,7 +146,7 @@ class Court:
         if self.rival is None:
             return self.belief
         first, second = (self.rival, self.belief) if self.evidence > 0 else (self.belief, self.rival)
-        return first.covering(second, self.since_s).believed()
+        return covering(first, second, self.since_s).believed()
 
 
 def gate(settings: ErrorStateSettings, degrees: int) -> float:

@@ -1,0 +1,53 @@
+"""Two beliefs, of which one is right, as one: what lies between both, or the one that covers the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wheelsight.fusion import _motion_kernels as motions
+from wheelsight.fusion._changed import changed
+from wheelsight.fusion._pose_belief import LAG, PoseBelief
+from wheelsight.geometry import FloatArray
+
+_COVERED_SIGMAS = 2.5  # so that the other's own error, too, has room within three
+
+
+def mixed(one: PoseBelief, other: PoseBelief, share: float) -> PoseBelief:
+    """One belief with the moments of both, where `other` is right with probability `share`: it covers both."""
+    way = [motions.log(motions.times(T, motions.inverse(S))) for T, S in zip(other.T, one.T, strict=True)]
+    between = one.moved(share * np.concatenate([*way, other.rest - one.rest]), one.covariance)
+    P = np.zeros_like(one.covariance)
+    for belief, weight in ((one, 1 - share), (other, share)):
+        apart = _shift(between, belief)
+        P += weight * (belief.covariance + np.outer(apart, apart))
+    return changed(between, covariance=P).believed()
+
+
+def covering(one: PoseBelief, other: PoseBelief, since_s: float) -> PoseBelief:
+    """The one, so much less certain that `other` lies within three standard deviations.
+
+    They have gone apart since a stamp; of poses remembered later, all err as the one now does.
+    """
+    apart = _shift(one, other)
+    apart[one.rest_at :] = 0.0  # twist and wheels are soon known again; they must not pull the pose along then
+    later = [0, *(place + 1 for place, pose in enumerate(one.remembered) if pose.stamp_s > since_s)]
+    apart[: one.rest_at].reshape(-1, 6)[later] = apart[:6]
+    P = one.covariance + np.outer(apart, apart) / _COVERED_SIGMAS**2
+    P[: one.rest_at, : one.rest_at] += _of_poses_alone(other)
+    return changed(one, covariance=P)
+
+
+def _of_poses_alone(belief: PoseBelief) -> FloatArray:
+    """Covariance (6 + 6K, 6 + 6K) of the poses if twist and lag were known, by which the camera has them apart."""
+    poses, given = slice(belief.rest_at), belief.rest_at + np.array([0, 1, 2, LAG])
+    C, V = belief.covariance[poses, given], belief.covariance[np.ix_(given, given)]
+    return np.asarray(belief.covariance[poses, poses] - C @ np.linalg.pinv(V, hermitian=True) @ C.T)
+
+
+def _shift(one: PoseBelief, other: PoseBelief) -> FloatArray:
+    """The perturbation (n,) that, to first order, puts every pose where `other` has it, however they are turned."""
+    shifts = np.zeros((len(one.T), 6))
+    for shift, T, S in zip(shifts, other.T, one.T, strict=True):
+        shift[3:] = motions.log(motions.times(T, motions.inverse(S)))[3:]
+        shift[:3] = T[:3, 3] - S[:3, 3] - np.cross(shift[3:], S[:3, 3])
+    return np.concatenate([shifts.ravel(), other.rest - one.rest])
