@@ -149,6 +149,12 @@ def is_covariance(C: FloatArray) -> bool:
 
 
 @njit(cache=True, nogil=True)
+def is_pose(T: FloatArray, C: FloatArray) -> bool:
+    """Whether T (4, 4) is a rigid motion and C (6, 6) a covariance."""
+    return is_motion(T) and is_covariance(C)
+
+
+@njit(cache=True, nogil=True)
 def is_definite(C: FloatArray) -> bool:
     """Whether C (n, n), symmetric, has positive eigenvalues alone."""
     least: float = np.linalg.eigvalsh(C)[0]

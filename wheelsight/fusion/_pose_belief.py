@@ -37,6 +37,8 @@ REST_SIZE = 15
 _LEVEL_EVERY_M = 0.25
 _RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
 _KNOWN_FOR_S = 0.25
+_NO_TWIST = np.full(3, np.nan)
+_IS_WAY = np.arange(12) < 11  # along which errors wander; the gyroscope's bias does with time
 _NO_DOUBT = np.zeros((6, 6))
 _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
 # Of what each alignment leaves uncertain, what adds up along a way: of turns less than half (3 to 18 m, ten drives).
@@ -134,36 +136,25 @@ class PoseBelief:
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         raw = step.xi * share
         way_m = s.lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
-        walks = s.walks * [*[way_m] * 11, dt_s]
-        T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
         Q = step.covariance * share + s.unseen_a_metre * way_m
-        told = self.told + kernels.roll(T, rest, P, raw, self._by_errors(raw, dt_s), Q, dt_s, share, walks)
-        ways = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s, "told": told}
-        after = changed(self, T=T, rest=rest, covariance=P, **ways)
+        known = self.known_twist if self.known_for_s < _KNOWN_FOR_S else _NO_TWIST
+        walks = s.walks * np.where(_IS_WAY, way_m, dt_s)
+        T, rest, P, told = kernels.roll(self.T, self.rest, self.covariance, raw, Q, dt_s, share, known, walks)
+        times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
+        after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
         after = after.distrusted(dt_s, np.zeros(3), s) if is_slipping else after
         return after._levelled(s) if after.way_m > _LEVEL_EVERY_M else after
-
-    def _by_errors(self, raw: FloatArray, dt_s: float) -> FloatArray:
-        """How a step (6,) changes with the wheels' errors (6, 3), by the twist known before it.
-
-        By its own numbers, a step that is too long by chance would be one more that calls for a smaller scale, and the
-        errors would be drawn towards those that leave no motion at all.
-        """
-        ahead, left, turn = self.known_twist * dt_s if self.known_for_s < _KNOWN_FOR_S else raw[PLANE]
-        by_errors = np.zeros((6, 3))
-        by_errors[0, 0], by_errors[1, 0] = ahead, left
-        by_errors[5, 1], by_errors[5, 2] = ahead, turn
-        return by_errors
 
     def glided(self, dt_s: float, settings: ErrorStateSettings) -> PoseBelief:
         """After a time of which the wheels tell nothing: the twist goes on, by white noise of acceleration."""
         s = settings
-        T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
+        rest = self.rest
         # A base moves sideways by what its wheels slip, no more.
         q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
         way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
-        kernels.glide(T, rest, P, q, s.unseen_a_metre * way_m, dt_s, s.gyro_bias_walk_rad_s**2 * dt_s)
-        return changed(self, T=T, rest=rest, covariance=P)
+        noise = (q, s.unseen_a_metre * way_m, dt_s, s.gyro_bias_walk_rad_s**2 * dt_s)
+        T, P = kernels.glide(self.T, rest, self.covariance, *noise)
+        return changed(self, T=T, covariance=P)
 
     def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:
         """With the pose now remembered as `name`; a pose of that name before, or the oldest of too many, goes.
@@ -288,17 +279,16 @@ class PoseBelief:
 
     def corrected(self, by: Innovation) -> PoseBelief:
         """The Kalman update."""
-        T, rest, P = self.T.copy(), self.rest.copy(), self.covariance.copy()
         kept = -1 if by.shows_lag else self.rest_at + LAG
-        kernels.correct(T, rest, P, by.with_state, by.covariance, by.residual, kept)
+        by_this = (by.with_state, by.covariance, by.residual, kept)
+        T, rest, P = kernels.correct(self.T, self.rest, self.covariance, *by_this)
         return changed(self, T=T, rest=rest, covariance=P)
 
     def moved(self, x: FloatArray, covariance: FloatArray) -> PoseBelief:
         """All poses perturbed, and the rest shifted, by x (n,). Raises ValueError for another number."""
         if len(x) != len(self.covariance):  # the kernel would read what lies behind x in memory
             raise ValueError(f"a shift of {len(x)} numbers for a belief of {len(self.covariance)}")
-        T, rest = self.T.copy(), self.rest.copy()
-        kernels.perturb(T, rest, x)
+        T, rest = kernels.perturb(self.T, self.rest, x)
         return changed(self, T=T, rest=rest, covariance=covariance)
 
     def distrusted(self, seconds: float, step: FloatArray, settings: ErrorStateSettings) -> PoseBelief:

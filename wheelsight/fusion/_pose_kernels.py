@@ -1,6 +1,6 @@
 """The steps of a PoseBelief; numba over arrays and numbers.
 
-They change the arrays they are given: T (1 + K, 4, 4), rest (15,) and P (n, n), as `_pose_belief` lays them out.
+T (1 + K, 4, 4), rest (15,) and P (n, n) are as `_pose_belief` lays them out.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numba import njit
 from wheelsight.fusion._motion_kernels import adjoint, chi_squared, exp, inverse, left_jacobian, log, times
 from wheelsight.geometry import FloatArray
 
-_COMPILED_IN = 0xA4A57039
+_COMPILED_IN = 0xE1E9DFE1
 # Of `rest`: twist 3, the wheels' errors 3, the camera's 7, how late its stamps are, the gyroscope's bias.
 _REST, _CAMERA, _LAG = 15, 7, 13
 _PLANE = (0, 1, 5)
@@ -32,30 +32,44 @@ def _depend(P: FloatArray, errors: int, to_pose: FloatArray, to_twist: FloatArra
 
 
 @njit(cache=True, nogil=True)
+def by_wheel_errors(raw: FloatArray, known_way: FloatArray) -> FloatArray:
+    """How a step (6,) changes with the wheels' errors (6, 3), by the way (3,) that its speed before makes; NaN: none.
+
+    By its own numbers, a step that is too long by chance would be one more that calls for a smaller scale, and the
+    errors would be drawn towards those that leave no motion at all.
+    """
+    by_errors = np.zeros((6, 3))
+    ahead, left, turn = raw[0], raw[1], raw[5]
+    if not np.isnan(known_way[0]):
+        ahead, left, turn = known_way[0], known_way[1], known_way[2]
+    by_errors[0, 0], by_errors[1, 0] = ahead, left
+    by_errors[5, 1], by_errors[5, 2] = ahead, turn
+    return by_errors
+
+
+@njit(cache=True, nogil=True)
 def roll(
     T: FloatArray,
     rest: FloatArray,
     P: FloatArray,
     raw: FloatArray,
-    by_errors: FloatArray,
     Q: FloatArray,
     dt_s: float,
     share: float,
+    known_twist: FloatArray,
     walks: FloatArray,
-) -> FloatArray:
-    """A step ξ (6,) of the wheels, which changes by `by_errors` (6, 3), with noise Q (6, 6) of its left perturbation.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """T, rest and P after a step ξ (6,) of the wheels, with noise Q (6, 6) of its left perturbation.
 
     `walks` (12,) is added to the variances of the errors of wheels and camera and the gyroscope's bias. A part of a
     step, `share` below 1, has the twist of the whole, and is as uncertain of it.
 
-    Returns (6, 3) how the errors move the pose by this step, as a left perturbation.
+    Returns (6, 3), too: how the wheels' errors move the pose by this step, as a left perturbation.
     """
-    n = len(P)
-    twist, errors = n - _REST, n - _REST + 3
-    xi = raw.copy()
-    for i in range(6):
-        for j in range(3):
-            xi[i] += by_errors[i, j] * rest[3 + j]
+    T, rest, P = T.copy(), rest.copy(), P.copy()
+    by_errors = by_wheel_errors(raw, known_twist * dt_s)
+    twist, errors = len(P) - _REST, len(P) - _REST + 3
+    xi = raw + times(by_errors, rest[3:6].copy().reshape(3, 1))[:, 0]
     Ad, J = adjoint(T[0]), left_jacobian(xi)
     to_pose, to_twist = times(times(Ad, J), by_errors), by_errors[np.array([0, 1, 5])] / dt_s
     _depend(P, errors, to_pose, to_twist)
@@ -71,7 +85,7 @@ def roll(
         P[errors + i, errors + i] += walks[i]
     T[0] = times(T[0], exp(xi))
     rest[0], rest[1], rest[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
-    return to_pose
+    return T, rest, P, to_pose
 
 
 @njit(cache=True, nogil=True)
@@ -86,8 +100,9 @@ def odometer(
 @njit(cache=True, nogil=True)
 def glide(
     T: FloatArray, rest: FloatArray, P: FloatArray, q: FloatArray, Q: FloatArray, dt_s: float, walk: float
-) -> None:
-    """The twist goes on for a time, with white noise of acceleration q (3,) and noise Q (6, 6) of the step besides."""
+) -> tuple[FloatArray, FloatArray]:
+    """T and P after the twist went on, with white noise of acceleration q (3,), and noise Q (6, 6) of the step."""
+    T, P = T.copy(), P.copy()
     n = len(P)
     twist, errors = n - _REST, n - _REST + 3
     xi = np.zeros(6)
@@ -105,6 +120,7 @@ def glide(
         P[twist + i, twist + i] += q[i] * dt_s
     P[n - 1, n - 1] += walk
     T[0] = times(T[0], exp(xi))
+    return T, P
 
 
 @njit(cache=True, nogil=True)
@@ -258,40 +274,39 @@ def _innovation(
 
 
 @njit(cache=True, nogil=True)
-def answered(T: FloatArray, rest: FloatArray, P: FloatArray, clock_s: float) -> tuple[FloatArray, FloatArray]:
-    """The pose now (4, 4) and its covariance (6, 6), with stamps that are uncertain by so much."""
-    Ad, late = adjoint(T[0]), np.zeros((6, 1))
+def answered(
+    T: FloatArray, rest: FloatArray, P: FloatArray, clock_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The pose now (4, 4) and its covariance (6, 6), the twist (3,) and its own, with stamps that are uncertain so."""
+    Ad, late, at = adjoint(T[0]), np.zeros((6, 1)), len(P) - _REST
     for i in range(6):
         for j in range(3):
             late[i, 0] += Ad[i, _PLANE[j]] * rest[j] * clock_s
-    return T[0].copy(), P[:6, :6] + times(late, late.T)
+    return T[0].copy(), P[:6, :6] + times(late, late.T), rest[:3].copy(), P[at : at + 3, at : at + 3].copy()
 
 
 @njit(cache=True, nogil=True)
 def correct(
     T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: int
-) -> None:
-    """The Kalman update, from which part `kept` of the state, or none if it is -1, learns nothing."""
-    variance = P[kept, kept]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """T, rest and P after the Kalman update, of which part `kept` of the state, or none if it is -1, learns nothing."""
     gain: FloatArray = np.linalg.solve(S, np.ascontiguousarray(PHt.T)).T.astype(np.float64)
     lost = times(gain, PHt.T)
-    for i in range(len(P)):
-        for j in range(i + 1):
-            P[i, j] -= (lost[i, j] + lost[j, i]) / 2
-            P[j, i] = P[i, j]
+    less = P - (lost + lost.T) / 2
     x = np.zeros(len(P))
     for i in range(len(P)):
         for j in range(len(residual)):
             x[i] += gain[i, j] * residual[j]
     if kept >= 0:
-        P[kept, kept], x[kept] = variance, 0.0
-    perturb(T, rest, x)
+        less[kept, kept], x[kept] = P[kept, kept], 0.0
+    T, rest = perturb(T, rest, x)
+    return T, rest, less
 
 
 @njit(cache=True, nogil=True)
-def perturb(T: FloatArray, rest: FloatArray, x: FloatArray) -> None:
-    """Perturb all poses, and shift the rest, by x (n,)."""
+def perturb(T: FloatArray, rest: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """All poses perturbed, and the rest shifted, by x (n,)."""
+    moved = np.empty_like(T)
     for i in range(len(T)):
-        T[i] = times(exp(x[6 * i : 6 * i + 6]), T[i])
-    for i in range(len(rest)):
-        rest[i] += x[6 * len(T) + i]
+        moved[i] = times(exp(x[6 * i : 6 * i + 6]), T[i])
+    return moved, rest + x[6 * len(T) :]

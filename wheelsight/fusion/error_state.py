@@ -31,7 +31,7 @@ from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._fusion_events import FusionState, Happening, after, moved_to
 from wheelsight.fusion._history import History
 from wheelsight.fusion._measurements import Look, WheelStep
-from wheelsight.fusion._pose_belief import TWIST, PoseBelief
+from wheelsight.fusion._pose_belief import PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
 from wheelsight.geometry import FloatArray
@@ -123,8 +123,9 @@ class ErrorStateFilter:
 
     def predict_to(self, wheels: Estimate) -> FusedEstimate:
         """Take the next estimate of wheel odometry, in order: T_odom_base with covariance; the first is the start."""
-        before, T, C = self._wheels, _motion(wheels.T_world_body), _covariance(wheels.covariance, 6)
-        if T is None or C is None or wheels.reason is Reason.CLOCK_BACKWARDS:
+        before, T, C = self._wheels, np.array(wheels.T_world_body, float), np.array(wheels.covariance, float)
+        is_one = T.shape == (4, 4) and C.shape == (6, 6) and motions.is_pose(T, C)
+        if not is_one or wheels.reason is Reason.CLOCK_BACKWARDS:
             return self._refused(wheels.reason or Reason.INVALID)
         self._wheels = wheels
         if before is None or before.T_world_body is None or before.covariance is None:
@@ -270,12 +271,9 @@ class ErrorStateFilter:
             return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", 0, 0, *flags, nis=nis)
         status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
         belief = court.answer()
-        twist = belief.place(TWIST)
-        T, covariance = kernels.answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
-        pose = (T, covariance, reason, "base", 0, 0)
-        moving = (belief.rest[TWIST].copy(), belief.covariance[twist, twist].copy())
-        learned = belief.wheel_errors
-        return FusedEstimate(state.stamp_s, status, *pose, *flags, *moving, nis=nis, wheel_errors=learned)
+        T, C, *moving = kernels.answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
+        pose, twist = (T, C, reason, "base", 0, 0), (moving[0], moving[1])
+        return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)
 
 
 def _split(hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
