@@ -150,6 +150,26 @@ def test_where_nothing_known_is_in_sight_the_camera_starts_again_where_wheels_ha
         assert len(fused_between(run, 3.17, 4.0)) > 15
 
 
+@pytest.mark.parametrize(("dark_s", "starts_again"), [(0.5, False), (1.5, True)])
+def test_after_the_dark_a_look_that_slides_along_a_wall_is_not_believed(
+    ran: Callable[..., Run], dark_s: float, starts_again: bool
+) -> None:
+    along = np.array([[0.0, 0, 1, 0, 0, 0]])
+
+    def faults(seconds: float) -> Sight:
+        if 2 < seconds < 2 + dark_s:
+            return Sight(Reason.TOO_LITTLE_DEPTH)
+        return Sight(hidden=along) if 2 + dark_s <= seconds < 4.5 else Sight()
+
+    run = ran(drive(faults=faults))
+    first = between(run, 2.0 + dark_s, 99)[0]
+    assert (first.reason is Reason.DEGENERATE) == starts_again
+    assert bool(run[1].restarts) == starts_again
+    assert {a.status for a in between(run, 2.1 + dark_s, 99)} == {Status.TRACKING}
+    last = between(run, 0, 99)[-1]
+    assert off_m(last, run[0].truth) < min(0.05, 3 * spread_m(last))
+
+
 def test_blind_frames_alone_never_start_the_camera_again(ran: Callable[..., Run]) -> None:
     run = ran(drive(SHORT, only((0.5, 2.0), Sight(Reason.FRAME_UNUSABLE))))
     assert not run[1].restarts
@@ -312,16 +332,31 @@ def test_the_camera_goes_on_when_wheels_fall_silent(monkeypatch: pytest.MonkeyPa
     assert max(off_m(answer, made.truth) for answer in alone) < 0.05
 
 
+def _delayed(made: Drive, late_s: float) -> list[Event]:
+    """Events as they come where frames come late."""
+    return sorted(made.events(), key=lambda e: e.stamp_s + (late_s if isinstance(e, RgbdFrame) else 0.0))
+
+
+def test_a_camera_starts_again_where_its_frame_was_taken_however_late_it_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    def faults(seconds: float) -> Sight:
+        return Sight(Reason.TOO_LITTLE_DEPTH) if 2 < seconds < 3 else Sight(place=int(seconds >= 3))
+
+    made, poses = drive(faults=faults), []
+    for late_s in (0.0, 0.13):
+        eye = made.eye()
+        answers_to(joined(monkeypatch, eye)[0], _delayed(made, late_s))
+        ((_, T_map_camera),) = eye.restarts.items()
+        poses.append(T_map_camera)
+    # In 0.13 s it went 0.06 m.
+    assert np.linalg.norm((poses[1] - poses[0])[:3, 3]) < 0.005
+
+
 def test_frames_that_come_late_end_where_those_in_time_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a live robot readings come at once, and frames when they are decoded."""
     made = drive()
-
-    def came_s(event: Event, late_s: float) -> float:
-        return event.stamp_s + (late_s if isinstance(event, RgbdFrame) else 0.0)
-
     ends = []
     for late_s in (0.0, 0.065):
-        events = sorted(made.events(), key=lambda event: came_s(event, late_s))
+        events = _delayed(made, late_s)
         answers = of_frames(answers_to(joined(monkeypatch, made.eye())[0], events))
         assert {answer.status for answer in answers[5:]} == {Status.TRACKING}
         assert all((answer.reason, answer.doubtful, answer.slip) == (None, False, False) for answer in answers[5:])

@@ -23,8 +23,8 @@ from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import MatchedPixels
 from wheelsight.places import PlaceMatch
 
-# What the filter remembers: the last frame that was tracked, and the anchor of the camera's motions.
-_FRAME, _ANCHOR = "frame", "anchor"
+# What the filter remembers: the last frame tracked, the anchor of the camera's motions, where it started again.
+_FRAME, _ANCHOR, _AGAIN = "frame", "anchor", "again"
 # After so many frames in a row that show nothing known, the camera goes on from where the wheels have it.
 _RESTART_AFTER = 5
 # After so long in the dark a look is believed only where it shows all directions: one that slides along a wall may have
@@ -207,13 +207,13 @@ class ByFusion:
         nothing = MotionEstimate.failed(seen.reason or Reason.INVALID)
         answer = self.filter.update_relative(frame.stamp_s, nothing, _ANCHOR)
         self._unknown += seen.reason not in _BLIND
-        if (
-            (restarts or self._unknown >= _RESTART_AFTER)
-            and answer.T_world_body is not None
-            and answer.covariance is not None
-        ):
+        if (restarts or self._unknown >= _RESTART_AFTER) and answer.covariance is not None:
             self._unknown = 0
-            again = self.odometry.restart(frame, self._in_map(answer.T_world_body), answer.covariance)
+            # Where the frame was taken: it may have come late, by its stamp and beside it.
+            self.filter.clone(frame.stamp_s, _AGAIN)
+            T_world_base = self.filter.remembered(_AGAIN)
+            assert T_world_base is not None
+            again = self.odometry.restart(frame, self._in_map(T_world_base), answer.covariance)
             if again.T_world_body is not None:
                 return self._begun(frame, again, seen.reason)
         return _with_counts(answer, seen)
