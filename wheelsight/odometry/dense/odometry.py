@@ -268,13 +268,16 @@ class DenseOdometry:
         """A pose by surfaces alone is kept while they show all motion and fit as usual, and without a leap.
 
         Else, and after a failure or a gap, keypoints must say the same; where they know better, theirs is the pose. A
-        prior stands in for what surfaces do not show, and for keypoints after a failure. Off the prior, they are asked
-        too, for people who walk by may carry a pose along; but wheels may slip where no keypoint tells anything.
+        prior stands in for what surfaces do not show, and for keypoints after a failure, or a gap that it bridges. Off
+        the prior, they are asked too, for people who walk by may carry a pose along; but wheels may slip where no
+        keypoint tells anything.
         """
         seconds, is_alone = grid.stamp_s - last.frame.stamp_s, not ahead.is_helped
         if isinstance(found, Tracked):
             if is_alone and self._failures == 0:
                 self._doubt.count(seconds, shows_all=self.last_motion.shows_all)
+            if ahead.is_helped and self.last_motion.shows_all and self._doubt.is_bridged(found, ahead, seconds):
+                return found
             is_steady = ahead.is_helped or bool(last.twist.any())
             is_doubtful = self._doubt.falls_on(found, seconds, is_alone=is_alone, is_steady=is_steady)
             if not is_doubtful and ahead.is_helped and is_astray(found):
