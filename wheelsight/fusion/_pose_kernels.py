@@ -292,7 +292,7 @@ def correct(
     """T, rest and P after the Kalman update, of which part `kept` of the state, or none if it is -1, learns nothing."""
     gain: FloatArray = np.linalg.solve(S, np.ascontiguousarray(PHt.T)).T.astype(np.float64)
     lost = times(gain, PHt.T)
-    less = P - (lost + lost.T) / 2
+    less = (P + P.T - lost - lost.T) / 2  # what rounding makes askew would grow
     x = np.zeros(len(P))
     for i in range(len(P)):
         for j in range(len(residual)):
