@@ -16,7 +16,7 @@ import wheelsight
 
 PACKAGE = Path(wheelsight.__file__).parent
 CHECKSUM = re.compile(r"^_COMPILED_IN = .*\n", re.MULTILINE)
-IMPORT = re.compile(r"^from wheelsight((?:\.\w+)*\._\w*kernels) import", re.MULTILINE)
+IMPORT = re.compile(r"^from wheelsight((?:\.\w+)*\.\w*kernels) import", re.MULTILINE)
 
 
 def imported(path: Path) -> set[Path]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
-from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import motion_kernels as motions
 
 T_BASE_CAMERA = se3.from_parts(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [0.1, 0.05, 0.8])
 PLANE = [0, 1, 5]

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from wheelsight.estimates import Reason
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
-from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._measurements import WheelStep
 from wheelsight.fusion._pose_belief import CAMERA_ERRORS, PoseBelief
+from wheelsight.geometry import motion_kernels as motions
 from wheelsight.geometry import se3
 
 SETTINGS = ErrorStateSettings()

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import WheelStep
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,17 +15,16 @@ each step answers a new one, so that a filter can go back to any it has kept.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import Innovation, Look, WheelStep
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.geometry import motion_kernels as motions
 
 PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 IN_PLANE = np.ix_(PLANE, PLANE)
@@ -38,7 +37,6 @@ _LEVEL_EVERY_M = 0.25
 _RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
 _KNOWN_FOR_S = 0.25
 _NO_TWIST = np.full(3, np.nan)
-_IS_WAY = np.arange(12) < 11  # along which errors wander; the gyroscope's bias does with time
 _NO_DOUBT = np.zeros((6, 6))
 _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
 # Of what each alignment leaves uncertain, what adds up along a way: of turns less than half (3 to 18 m, ten drives).
@@ -134,12 +132,9 @@ class PoseBelief:
     def rolled(self, step: WheelStep, share: float, settings: ErrorStateSettings, is_slipping: bool) -> PoseBelief:
         """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
         s, dt_s = settings, (step.end_s - step.begin_s) * share
-        raw = step.xi * share
-        way_m = s.lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
-        Q = step.covariance * share + s.unseen_a_metre * way_m
         known = self.known_twist if self.known_for_s < _KNOWN_FOR_S else _NO_TWIST
-        walks = s.walks * np.where(_IS_WAY, way_m, dt_s)
-        T, rest, P, told = kernels.roll(self.T, self.rest, self.covariance, raw, Q, dt_s, share, known, walks)
+        told_by = (step.xi, step.covariance, share, dt_s, known, s.unseen_a_metre, s.walks, s.lever_m)
+        T, rest, P, told, way_m = kernels.roll(self.T, self.rest, self.covariance, *told_by)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
         after = after.distrusted(dt_s, np.zeros(3), s) if is_slipping else after
@@ -232,6 +227,11 @@ class PoseBelief:
         if name not in self.names:
             raise KeyError(name)
         return self.names.index(name) + 1
+
+    def seen_from(self, name: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """T_reference_current (4, 4) of the camera since the pose remembered as `name`, and its covariance (6, 6)."""
+        T, C = kernels.seen_from(self.T, self.rest, self.covariance, self.reference(name), T_base_camera)
+        return T, C
 
     def apart(self, look: Look) -> FloatArray:
         """log(Z Ẑ⁻¹) (6,): how far the camera's motion, mended by what is known of its errors, is from the expected."""

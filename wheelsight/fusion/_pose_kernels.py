@@ -10,13 +10,14 @@ import math
 import numpy as np
 from numba import njit
 
-from wheelsight.fusion._motion_kernels import adjoint, chi_squared, exp, inverse, left_jacobian, log, times
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry.motion_kernels import adjoint, carried, chi_squared, exp, inverse, left_jacobian, log, times
 
-_COMPILED_IN = 0xE1E9DFE1
+_COMPILED_IN = 0x4BE1DB00
 # Of `rest`: twist 3, the wheels' errors 3, the camera's 7, how late its stamps are, the gyroscope's bias.
 _REST, _CAMERA, _LAG = 15, 7, 13
 _PLANE = (0, 1, 5)
+_UNSEEN_SIGMA_M = 10.0
 
 
 @njit(cache=True, nogil=True)
@@ -52,21 +53,27 @@ def roll(
     T: FloatArray,
     rest: FloatArray,
     P: FloatArray,
-    raw: FloatArray,
-    Q: FloatArray,
-    dt_s: float,
+    step: FloatArray,
+    noise: FloatArray,
     share: float,
+    dt_s: float,
     known_twist: FloatArray,
+    unseen: FloatArray,
     walks: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """T, rest and P after a step ξ (6,) of the wheels, with noise Q (6, 6) of its left perturbation.
+    lever_m: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """T, rest and P after a share, `dt_s` long, of a step ξ (6,) of the wheels; `noise` is of its left perturbation.
 
-    `walks` (12,) is added to the variances of the errors of wheels and camera and the gyroscope's bias. A part of a
-    step, `share` below 1, has the twist of the whole, and is as uncertain of it.
+    A metre of the way of a point `lever_m` aside adds `unseen` (6, 6) to the noise, and `walks` (12,) to the variances
+    of the errors of wheels and camera; the last of it is the gyroscope's bias's, in a second. A part of a step has the
+    twist of the whole, and is as uncertain of it.
 
-    Returns (6, 3), too: how the wheels' errors move the pose by this step, as a left perturbation.
+    Returns (6, 3), too: how the wheels' errors move the pose by this step, as a left perturbation; and the way.
     """
     T, rest, P = T.copy(), rest.copy(), P.copy()
+    raw = step * share
+    way_m = lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
+    Q = noise * share + unseen * way_m
     by_errors = by_wheel_errors(raw, known_twist * dt_s)
     twist, errors = len(P) - _REST, len(P) - _REST + 3
     xi = raw + times(by_errors, rest[3:6].copy().reshape(3, 1))[:, 0]
@@ -82,10 +89,10 @@ def roll(
     P[twist:errors, :6] += grown[6:, :6]
     P[twist:errors, twist:errors] += grown[6:, 6:]
     for i in range(len(walks)):
-        P[errors + i, errors + i] += walks[i]
+        P[errors + i, errors + i] += walks[i] * (way_m if errors + i < len(P) - 1 else dt_s)
     T[0] = times(T[0], exp(xi))
     rest[0], rest[1], rest[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
-    return T, rest, P, to_pose
+    return T, rest, P, to_pose, way_m
 
 
 @njit(cache=True, nogil=True)
@@ -93,8 +100,7 @@ def odometer(
     T: FloatArray, C: FloatArray, xi: FloatArray, Q: FloatArray, share: float
 ) -> tuple[FloatArray, FloatArray]:
     """A motion (4, 4) and its covariance (6, 6) after a share of a step ξ (6,) with covariance Q (6, 6)."""
-    Ad = adjoint(T)
-    return times(T, exp(xi * share)), C + times(times(Ad, Q * share), Ad.T)
+    return times(T, exp(xi * share)), C + carried(T, Q * share)
 
 
 @njit(cache=True, nogil=True)
@@ -176,6 +182,18 @@ def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray)
 
 
 @njit(cache=True, nogil=True)
+def seen_from(
+    T: FloatArray, rest: FloatArray, P: FloatArray, at: int, T_base_camera: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The camera's motion (4, 4) since the pose at a place, in that one's frame, and its covariance (6, 6)."""
+    T_imaged, here = imaged_at(T[0], rest), slice(6 * at, 6 * at + 6)
+    rows, spread = imaged(P, T_imaged, rest[_LAG], rest[:3].copy())
+    T_camera_world = inverse(times(T[at], T_base_camera))
+    apart = spread - rows[:, here] - rows[:, here].T + P[here, here]
+    return times(times(T_camera_world, T_imaged), T_base_camera), carried(T_camera_world, apart)
+
+
+@njit(cache=True, nogil=True)
 def change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray, least: float) -> float:
     """χ² of the change from a twist (3,) before, by the noise that both have of the wheels, and never less than so."""
     at = len(P) - _REST
@@ -183,6 +201,27 @@ def change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray, least: 
     for i in range(3):
         noise[i, i] += least**2
     chi2: float = chi_squared(rest[:3] - before, noise)
+    return chi2
+
+
+@njit(cache=True, nogil=True)
+def speed(T: FloatArray, covariance: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
+    """Mean velocity (3,) in the plane of a motion (4, 4) that took so long, and its covariance (3, 3)."""
+    xi, mean = log(T), np.zeros(3)
+    for i in range(3):
+        mean[i] = xi[_PLANE[i]] / seconds
+    return mean, covariance / seconds**2
+
+
+@njit(cache=True, nogil=True)
+def leap(
+    now: FloatArray, C_now: FloatArray, before: FloatArray, C_before: FloatArray, usual: tuple[float, float, float]
+) -> float:
+    """χ² of a change of velocity (3,), known so well, where changes of `usual` standard deviations happen."""
+    covariance = C_now + C_before
+    for i in range(3):
+        covariance[i, i] += usual[i] ** 2
+    chi2: float = chi_squared(now - before, covariance)
     return chi2
 
 
@@ -231,7 +270,7 @@ def look(
     T_imaged = imaged_at(T_now, rest)
     _, B, Ad = expected(T_imaged, T_reference, told)
     H, by_errors = times(seen, Ad), times(seen, B)
-    residual = _shown(seen, apart(T_imaged, T_reference, told, Z, rest[6 : 6 + _CAMERA]))
+    residual = _rows(seen, apart(T_imaged, T_reference, told, Z, rest[6 : 6 + _CAMERA]))
     twist = rest[:3].copy()
     PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
     # What is late counts by the twist as this look tells it: the wheels' noise is in theirs and in the residual, and
@@ -245,7 +284,29 @@ def look(
 
 
 @njit(cache=True, nogil=True)
-def _shown(seen: FloatArray, xi: FloatArray) -> FloatArray:
+def shown(
+    R: FloatArray,
+    seen: FloatArray,
+    unseen: FloatArray,
+    scale: FloatArray,
+    to_camera: FloatArray,
+    from_camera: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What a covariance R (6, 6) of the camera's motion is in the directions `seen` (m, 6) of it, scaled: (m, m).
+
+    Then these directions (m, 6) as the base's, and the covariance (6, 6) of the base's, very wide where it is `unseen`.
+    """
+    scaled = R.copy()
+    for i in range(6):
+        for j in range(6):
+            scaled[i, j] *= scale[i] * scale[j]
+    covariance = times(times(seen, scaled), seen.T)
+    wide = times(times(seen.T, covariance), seen) + _UNSEEN_SIGMA_M**2 * times(unseen.T, unseen)
+    return covariance, times(seen, to_camera), times(times(from_camera, wide), from_camera.T)
+
+
+@njit(cache=True, nogil=True)
+def _rows(seen: FloatArray, xi: FloatArray) -> FloatArray:
     shown = np.zeros(seen.shape[0])
     for i in range(seen.shape[0]):
         for j in range(6):

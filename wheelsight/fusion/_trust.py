@@ -25,7 +25,7 @@ from functools import cache
 import numpy as np
 
 from wheelsight.estimates import Reason
-from wheelsight.fusion import _motion_kernels as motions
+from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import Innovation, Look
 from wheelsight.fusion._odometer import Odometer
@@ -34,6 +34,7 @@ from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._two_beliefs import covering, mixed
 from wheelsight.fusion._wheel_noise import Ride, WheelNoise
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
 
 _LONGEST_STEP_S = 0.25
 _SHARE_MEMORY = 0.05
@@ -62,16 +63,14 @@ class Speed:
     @classmethod
     def over(cls, T: FloatArray, covariance: FloatArray, seconds: float) -> Speed:
         """Of a motion (4, 4) with its covariance (3, 3)."""
-        return cls(np.asarray(motions.log(T))[PLANE] / seconds, covariance / seconds**2)
+        return cls(*kernels.speed(T, covariance, seconds))
 
     def leap_from(self, before: Speed, seconds: float, settings: ErrorStateSettings) -> float:
         """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
         s = settings
-        covariance = self.covariance + before.covariance
-        for axis, usual in enumerate((s.leap_m_s2, s.leap_m_s2 * _SIDEWAYS, s.leap_rad_s2)):
-            covariance[axis, axis] += (usual * seconds) ** 2
-        chi_squared = float(motions.chi_squared(self.mean - before.mean, covariance))
-        return min(chi_squared, s.leap_cap) if chi_squared > _quantile(_NO_WONDER, 3) else 0.0
+        usual = (s.leap_m_s2 * seconds, s.leap_m_s2 * _SIDEWAYS * seconds, s.leap_rad_s2 * seconds)
+        leap = kernels.leap(self.mean, self.covariance, before.mean, before.covariance, usual)
+        return min(leap, s.leap_cap) if leap > _quantile(_NO_WONDER, 3) else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._pose_belief import LAG, PoseBelief
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
 
 _COVERED_SIGMAS = 2.5  # so that the other's own error, too, has room within three
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wheelsight.fusion import _motion_kernels as motions
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._measurements import Look
 from wheelsight.fusion._odometer import Odometer
 from wheelsight.fusion._pose_belief import ERRORS, LAG, PLANE, TWIST, PoseBelief
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
 
 # Not below a sixteenth, a quarter of the standard deviation: no floor is the next one.
 _RATIOS = np.geomspace(1 / 16, 4, 13)

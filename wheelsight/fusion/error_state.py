@@ -25,20 +25,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import ConfigError
-from wheelsight.estimates import DEGENERATE_SCALE, Estimate, MotionEstimate, Reason, Status
-from wheelsight.fusion import _motion_kernels as motions
+from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.fusion import _pose_kernels as kernels
 from wheelsight.fusion._fusion_events import FusionState, Happening, after, moved_to
 from wheelsight.fusion._history import History
-from wheelsight.fusion._measurements import Look, WheelStep
+from wheelsight.fusion._measurements import WheelStep
+from wheelsight.fusion._mount import Mount, covariance_of, motion_of
 from wheelsight.fusion._pose_belief import PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
 
-_SCALED = np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
-_ALL, _NONE = np.eye(6), np.zeros((0, 6))
-_UNSEEN_SIGMA_M = 10.0
 _RESTART_AFTER = 5  # events in a row that are all far ahead: it is not one clock that is wrong, all sensors had paused
 
 
@@ -95,19 +93,18 @@ class ErrorStateFilter:
         settings: ErrorStateSettings | None = None,
     ) -> None:
         self.settings = settings or ErrorStateSettings()
-        begin = np.eye(4) if T_world_base is None else _motion(T_world_base)
-        spread = np.zeros((6, 6)) if covariance is None else _covariance(covariance, 6)
-        T_base_camera = np.eye(4) if T_base_camera is None else _motion(T_base_camera)
+        begin = np.eye(4) if T_world_base is None else motion_of(T_world_base)
+        spread = np.zeros((6, 6)) if covariance is None else covariance_of(covariance, 6)
+        T_base_camera = np.eye(4) if T_base_camera is None else motion_of(T_base_camera)
         if begin is None or spread is None or T_base_camera is None:
             raise ConfigError("a pose at the start, its covariance or T_base_camera is none", fix="(4, 4) and (6, 6)")
-        self._T_base_camera, self._Ad_base_camera = T_base_camera, motions.adjoint(T_base_camera)
-        self._T_camera_base = motions.inverse(T_base_camera)
-        self._to_camera = np.diag(DEGENERATE_SCALE) @ motions.inverse_adjoint(T_base_camera)
-        self._from_camera = self._Ad_base_camera / DEGENERATE_SCALE
+        self._mount = Mount(T_base_camera)
         state = FusionState(Court(PoseBelief.begin(begin, spread, self.settings)))
         self._history: History[Happening, FusionState] = History(state, self.settings.window_s, self._after)
         self._ahead = 0
         self._wheels: Estimate | None = None
+        # The last state that was asked what to expect, and as it is by then: what is expected mostly comes.
+        self._moved: tuple[FusionState, FusionState] | None = None
 
     def predict(self, stamp_s: float, T_prev_now: ArrayLike, covariance: ArrayLike, begin_s: float) -> FusedEstimate:
         """Take a step of the wheels, from `begin_s` to `stamp_s`.
@@ -116,7 +113,7 @@ class ErrorStateFilter:
             T_prev_now: (4, 4) the base at its end, in the frame of the base at its begin.
             covariance: (6, 6) of its left perturbation, by the wheels' model.
         """
-        T, Q = _motion(T_prev_now), _covariance(covariance, 6)
+        T, Q = motion_of(T_prev_now), covariance_of(covariance, 6)
         if T is None or Q is None or not (np.isfinite(begin_s) and begin_s < stamp_s):
             return self._refused(Reason.INVALID)
         return self._take(Happening(stamp_s, wheels=WheelStep(begin_s, stamp_s, motions.log(T), Q)))
@@ -144,10 +141,10 @@ class ErrorStateFilter:
         """
         if covariance is None:
             return self._take(Happening(stamp_s, clone=name))
-        spread = _covariance(covariance, 6)
+        spread = covariance_of(covariance, 6)
         if spread is None:
             return self._refused(Reason.INVALID)
-        return self._take(Happening(stamp_s, clone=name, spread=self._Ad_base_camera @ spread @ self._Ad_base_camera.T))
+        return self._take(Happening(stamp_s, clone=name, spread=self._mount.spread(spread)))
 
     def drop(self, stamp_s: float, name: str) -> FusedEstimate:
         """Forget a remembered pose: it is marginalised."""
@@ -165,14 +162,14 @@ class ErrorStateFilter:
         """
         if motion.T_reference_current is None or motion.covariance is None:
             return self._take(Happening(stamp_s, failure=motion.reason or Reason.INVALID, clone=remember))
-        look = self._look(motion, name)
+        look = self._mount.look(motion, name)
         if isinstance(look, Reason):
             return self._take(Happening(stamp_s, failure=look, clone=remember))
         return self._take(Happening(stamp_s, look=look, clone=remember))
 
     def update_position(self, stamp_s: float, xy: ArrayLike, covariance: ArrayLike) -> FusedEstimate:
         """Take a position (2,) in the world, metres, with its covariance (2, 2), as places tell."""
-        position, spread = np.array(xy, float), _covariance(covariance, 2)
+        position, spread = np.array(xy, float), covariance_of(covariance, 2)
         if (
             spread is None
             or position.shape != (2,)
@@ -214,15 +211,13 @@ class ErrorStateFilter:
         if name not in known.court.belief.names:
             return None
         late = known.stamp_s is not None and stamp_s < known.stamp_s
-        belief = (known if late else moved_to(known, stamp_s, self._history.events, self.settings)).court.answer()
-        place = belief.reference(name)
-        T_camera_reference = motions.inverse(belief.T[place] @ self._T_base_camera)
-        A, at = motions.adjoint(T_camera_reference), slice(6 * place, 6 * place + 6)
-        T_imaged, rows, spread = belief.imaged()
-        apart = spread - rows[:, at] - rows[:, at].T + belief.covariance[at, at]
-        return T_camera_reference @ T_imaged @ self._T_base_camera, A @ apart @ A.T
+        then = known if late else moved_to(known, stamp_s, self._history.events, self.settings)
+        self._moved = known, then
+        return then.court.answer().seen_from(name, self._mount.T_base_camera)
 
     def _after(self, state: FusionState, event: Happening, events: Sequence[Happening]) -> FusionState:
+        if self._moved is not None and self._moved[0] is state and self._moved[1].stamp_s == event.stamp_s:
+            state = self._moved[1]
         return after(state, event, events, self.settings)
 
     def _take(self, event: Happening) -> FusedEstimate:
@@ -236,28 +231,13 @@ class ErrorStateFilter:
         if self._history.is_too_late(event):
             return self._refused(Reason.TOO_LATE)
         self._ahead = 0
+        if event.wheels is not None:
+            self._moved = None  # they may tell of that time
         state = self._history.take(event)
         return self._answer(state.reason, state.court.nis)
 
     def _refused(self, reason: Reason) -> FusedEstimate:
         return self._answer(reason, self._history.newest.court.nis)
-
-    def _look(self, motion: MotionEstimate, name: str) -> Look | Reason:
-        T, R = _motion(motion.T_reference_current), _covariance(motion.covariance, 6)
-        hidden = _NONE if motion.degenerate is None else np.asarray(motion.degenerate, float)
-        if T is None or R is None or hidden.ndim != 2 or hidden.shape[1] != 6 or not np.isfinite(hidden).all():
-            return Reason.INVALID
-        seen, unseen = _split(hidden)
-        if len(seen) == 0:
-            return Reason.DEGENERATE
-        shown = seen @ (R * _SCALED) @ seen.T
-        if not motions.is_definite(shown):
-            return Reason.INVALID
-        wide = seen.T @ shown @ seen + _UNSEEN_SIGMA_M**2 * unseen.T @ unseen
-        spread = self._from_camera @ wide @ self._from_camera.T
-        Z = self._T_base_camera @ T @ self._T_camera_base
-        share = motion.inliers / motion.matches if motion.matches > 0 else None
-        return Look(name, Z, seen @ self._to_camera, shown, spread, share)
 
     def _answer(self, reason: Reason | None, nis: tuple[float, int] | None) -> FusedEstimate:
         """What is known after the newest event, and what came of the one that is answered."""
@@ -274,24 +254,3 @@ class ErrorStateFilter:
         T, C, *moving = kernels.answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
         pose, twist = (T, C, reason, "base", 0, 0), (moving[0], moving[1])
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)
-
-
-def _split(hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal rows (6 - K, 6) of the directions seen, and (K, 6) of those named in `hidden`."""
-    if len(hidden) == 0:
-        return _ALL, _NONE
-    _, strength, rows = np.linalg.svd(hidden)
-    rank = int((strength > 1e-6).sum())
-    return rows[rank:], rows[:rank]
-
-
-def _motion(T: ArrayLike | None) -> FloatArray | None:
-    """A rigid motion (4, 4), or None where it is none."""
-    T = np.array(T, float)
-    return T if T.shape == (4, 4) and motions.is_motion(T) else None
-
-
-def _covariance(C: ArrayLike | None, size: int) -> FloatArray | None:
-    """A covariance (size, size), made exactly symmetric, or None where it is none."""
-    C = np.array(C, float)
-    return (C + C.T) / 2 if C.shape == (size, size) and motions.is_covariance(C) else None

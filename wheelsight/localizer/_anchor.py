@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.estimates import DEGENERATE_SCALE, MotionEstimate
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
 
 # Against an anchor that is held for a while, errors of single frames do not add up.
 _FAR_M = 0.3
@@ -26,33 +27,27 @@ class Anchor:
     @classmethod
     def at(cls, T_world_camera: FloatArray, motion: MotionEstimate) -> Anchor:
         """A frame at a pose, which `motion` against its own reference has told."""
-        Ad = se3.adjoint(se3.invert(T_world_camera))
-        return cls(T_world_camera, Ad @ _in_world(T_world_camera, motion)[1] @ Ad.T)
-
-    def is_far_from(self, T_world_camera: FloatArray) -> bool:
-        """Whether a pose (4, 4) is so far off that the next anchor is due; a turn by a radian counts as 1.5 m."""
-        return bool(se3.view_shift_m(se3.invert(self.T_world_camera) @ T_world_camera) > _FAR_M)
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        return cls(T_world_camera, motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
 
     def motion_to(self, T_world_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
         """The motion from here to a pose that odometry found by `motion` against a reference of its own.
 
         Its covariance is what the last alignment left uncertain; directions that this did not show are named.
         """
-        T_anchor_world = se3.invert(self.T_world_camera)
-        Ad = se3.adjoint(T_anchor_world)
-        to_world, covariance = _in_world(T_world_camera, motion)
-        covariance = Ad @ covariance @ Ad.T
-        hidden = None
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        T_anchor_camera = motions.mended(motions.times(motions.inverse(self.T_world_camera), T_world_camera))
+        T_anchor_reference = motions.times(T_anchor_camera, motions.inverse(motion.T_reference_current))
+        covariance, hidden = motions.carried(T_anchor_reference, motion.covariance), None
         if motion.degenerate is not None and not motion.shows_all:
-            turned = (motion.degenerate / DEGENERATE_SCALE) @ (Ad @ to_world).T * DEGENERATE_SCALE
-            hidden = np.linalg.qr(turned.T)[0].T
-        T_anchor_camera = se3.nearest(T_anchor_world @ T_world_camera)
+            Ad = motions.adjoint(T_anchor_reference)
+            hidden = np.linalg.qr(((motion.degenerate / DEGENERATE_SCALE) @ Ad.T * DEGENERATE_SCALE).T)[0].T
         return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden)
 
 
-def _in_world(T_world_camera: FloatArray, motion: MotionEstimate) -> tuple[FloatArray, FloatArray]:
-    """What takes perturbations (6,) in the motion's reference to the world, (6, 6), and its covariance (6, 6) there."""
-    assert motion.T_reference_current is not None
-    assert motion.covariance is not None
-    Ad = se3.adjoint(T_world_camera @ se3.invert(motion.T_reference_current))
-    return Ad, Ad @ motion.covariance @ Ad.T
+def is_far(motion: MotionEstimate) -> bool:
+    """Whether a motion against an anchor goes so far that the next one is due; a turn by a radian counts as 1.5 m."""
+    T = motion.T_reference_current
+    return T is not None and bool(motions.view_shift_m(T) > _FAR_M)

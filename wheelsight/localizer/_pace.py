@@ -7,22 +7,21 @@ from wheelsight.odometry._velocity import LONGEST_STEP_S
 
 
 class Pace:
-    """Remembers the last frame that was tracked and the velocity there."""
+    """Remembers the last two frames that were tracked."""
 
     def __init__(self) -> None:
+        self._before: tuple[float, FloatArray] | None = None
         self._last: tuple[float, FloatArray] | None = None
-        self._twist: FloatArray | None = None
 
     def tell(self, stamp_s: float, T_world_camera: FloatArray) -> None:
         """A tracked frame's pose (4, 4)."""
-        seconds = None if self._last is None else stamp_s - self._last[0]
-        self._twist = None
-        if self._last is not None and seconds is not None and 0 < seconds <= LONGEST_STEP_S:
-            self._twist = se3.log(se3.invert(self._last[1]) @ T_world_camera) / seconds
-        self._last = stamp_s, T_world_camera
+        self._before, self._last = self._last, (stamp_s, T_world_camera)
 
     def expect(self, stamp_s: float) -> FloatArray | None:
         """T_last_current (4, 4) at constant velocity; None where that is unknown or too long ago."""
-        if self._last is None or self._twist is None or not 0 < stamp_s - self._last[0] <= LONGEST_STEP_S:
+        if self._before is None or self._last is None:
             return None
-        return se3.exp(self._twist * (stamp_s - self._last[0]))
+        seconds, since_s = self._last[0] - self._before[0], stamp_s - self._last[0]
+        if not (0 < seconds <= LONGEST_STEP_S and 0 < since_s <= LONGEST_STEP_S):
+            return None
+        return se3.exp(se3.log(se3.invert(self._before[1]) @ self._last[1]) * (since_s / seconds))

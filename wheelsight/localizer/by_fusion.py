@@ -11,8 +11,9 @@ from wheelsight.config import Config
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer._anchor import Anchor
+from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
+from wheelsight.localizer._anchor import Anchor, is_far
 from wheelsight.localizer._camera import camera_odometry, mount_of
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer._pace import Pace
@@ -165,7 +166,7 @@ class ByFusion:
         if is_believed:
             self._believe(frame, answer, seen.T_world_body)
         # One mistake of the camera is none of the next frame's, and slip is told by contradicting again and again.
-        if not is_believed or self._anchor.is_far_from(seen.T_world_body):
+        if not is_believed or is_far(motion):
             self._anchor_at(frame, seen.T_world_body)
         return _with_counts(answer, seen)
 
@@ -182,8 +183,8 @@ class ByFusion:
         """To where the camera's pose in it is the one that is known of its frame by now."""
         T_world_base = self.filter.remembered(_FRAME)
         if self._T_map_camera is not None and T_world_base is not None:
-            T_world_camera = T_world_base @ self._T_base_camera
-            self.T_world_map = se3.nearest(T_world_camera @ se3.invert(self._T_map_camera))
+            T_world_camera = motions.times(T_world_base, self._T_base_camera)
+            self.T_world_map = motions.mended(motions.times(T_world_camera, motions.inverse(self._T_map_camera)))
 
     def _anchor_at(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
         """From here on the camera's motions are told against this frame."""
@@ -200,7 +201,8 @@ class ByFusion:
         return _with_counts(replace(answer, reason=reason or answer.reason), seen)
 
     def _in_map(self, T_world_base: FloatArray) -> FloatArray:
-        return np.asarray(se3.nearest(se3.invert(self.T_world_map) @ T_world_base @ self._T_base_camera))
+        T_map_base = motions.times(motions.inverse(self.T_world_map), T_world_base)
+        return np.asarray(motions.mended(motions.times(T_map_base, self._T_base_camera)))
 
     def _unseen(self, frame: RgbdFrame, seen: Estimate, *, restarts: bool = False) -> FusedEstimate:
         """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera starts there."""

@@ -13,6 +13,7 @@ from numba import njit
 from wheelsight.geometry import FloatArray
 
 _MOST_TERMS = 40
+_METRES_A_RADIAN = 1.5  # as `se3.view_shift_m` has it
 
 
 @njit(cache=True, nogil=True)
@@ -76,6 +77,14 @@ def log(T: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
+def view_shift_m(T: FloatArray) -> float:
+    """How far T (4, 4) carries a camera's view, metres; a turn by a radian counts as 1.5 m."""
+    x, y, z, w = _quaternion(T)
+    way_m = math.sqrt(T[0, 3] ** 2 + T[1, 3] ** 2 + T[2, 3] ** 2)
+    return way_m + _METRES_A_RADIAN * 2 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
+
+
+@njit(cache=True, nogil=True)
 def _quaternion(T: FloatArray) -> tuple[float, float, float, float]:
     """x, y, z, w with w ≥ 0 of the rotation of T, from its largest part (Shepperd 1978)."""
     trace = T[0, 0] + T[1, 1] + T[2, 2]
@@ -118,6 +127,26 @@ def inverse(T: FloatArray) -> FloatArray:
             back[i, j] = T[j, i]
             back[i, 3] -= T[j, i] * T[j, 3]
     return back
+
+
+@njit(cache=True, nogil=True)
+def mended(T: FloatArray) -> FloatArray:
+    """The rigid motion (4, 4) nearest to T (4, 4), which is nearly one: what is off by 1e-4 is 1e-15 then.
+
+    Two steps of Newton's for the polar decomposition (Higham 1986), which need no singular values.
+    """
+    near = T.copy()
+    for _ in range(2):
+        R = near[:3, :3].copy()
+        near[:3, :3] = 1.5 * R - 0.5 * times(times(R, R.T), R)
+    return near
+
+
+@njit(cache=True, nogil=True)
+def carried(T_a_b: FloatArray, covariance: FloatArray) -> FloatArray:
+    """The covariance (6, 6) in frame a of a left perturbation that has it in frame b."""
+    Ad = adjoint(T_a_b)
+    return times(times(Ad, covariance), Ad.T)
 
 
 @njit(cache=True, nogil=True)
@@ -177,8 +206,7 @@ def between(
 ) -> tuple[FloatArray, FloatArray]:
     """T (4, 4) from one pose to the next, and what their covariances (6, 6) grew by, in the frame before."""
     T_before_odom = inverse(T_before)
-    Ad = adjoint(T_before_odom)
-    return times(T_before_odom, T_now), times(times(Ad, C_now - C_before), Ad.T)
+    return times(T_before_odom, T_now), carried(T_before_odom, C_now - C_before)
 
 
 @njit(cache=True, nogil=True)

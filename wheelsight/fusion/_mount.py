@@ -1,0 +1,66 @@
+"""Mount: a motion that the camera saw, as the base's, checked for being one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.estimates import DEGENERATE_SCALE, MotionEstimate, Reason
+from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion._measurements import Look
+from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
+
+_ALL, _NONE = np.eye(6), np.zeros((0, 6))
+
+
+class Mount:
+    """Where the camera sits on the base: T_base_camera (4, 4)."""
+
+    def __init__(self, T_base_camera: FloatArray) -> None:
+        self.T_base_camera = T_base_camera
+        self._T_camera_base = motions.inverse(T_base_camera)
+        self._Ad_base_camera = motions.adjoint(T_base_camera)
+        self._to_camera = DEGENERATE_SCALE[:, None] * motions.inverse_adjoint(T_base_camera)
+        self._from_camera = self._Ad_base_camera / DEGENERATE_SCALE
+
+    def spread(self, covariance: FloatArray) -> FloatArray:
+        """Of a perturbation in the camera's frame (6, 6), in the base's."""
+        return np.asarray(self._Ad_base_camera @ covariance @ self._Ad_base_camera.T)
+
+    def look(self, motion: MotionEstimate, name: str) -> Look | Reason:
+        """What a motion against the pose remembered as `name` says, or why it says nothing."""
+        T, R = motion_of(motion.T_reference_current), covariance_of(motion.covariance, 6)
+        hidden = _NONE if motion.degenerate is None else np.asarray(motion.degenerate, float)
+        if T is None or R is None or hidden.ndim != 2 or hidden.shape[1] != 6 or not np.isfinite(hidden).all():
+            return Reason.INVALID
+        seen, unseen = _split(hidden)
+        if len(seen) == 0:
+            return Reason.DEGENERATE
+        shown, rows, spread = kernels.shown(R, seen, unseen, DEGENERATE_SCALE, self._to_camera, self._from_camera)
+        if not motions.is_definite(shown):
+            return Reason.INVALID
+        Z = motions.times(motions.times(self.T_base_camera, T), self._T_camera_base)
+        share = motion.inliers / motion.matches if motion.matches > 0 else None
+        return Look(name, Z, rows, shown, spread, share)
+
+
+def motion_of(T: ArrayLike | None) -> FloatArray | None:
+    """A rigid motion (4, 4), or None where it is none."""
+    T = np.array(T, float)
+    return T if T.shape == (4, 4) and motions.is_motion(T) else None
+
+
+def covariance_of(C: ArrayLike | None, size: int) -> FloatArray | None:
+    """A covariance (size, size), made exactly symmetric, or None where it is none."""
+    C = np.array(C, float)
+    return (C + C.T) / 2 if C.shape == (size, size) and motions.is_covariance(C) else None
+
+
+def _split(hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal rows (6 - K, 6) of the directions seen, and (K, 6) of those named in `hidden`."""
+    if len(hidden) == 0:
+        return _ALL, _NONE
+    _, strength, rows = np.linalg.svd(hidden)
+    rank = int((strength > 1e-6).sum())
+    return rows[rank:], rows[:rank]
