@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
-from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion import _look_kernels as looks
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 
@@ -85,7 +85,7 @@ def simulate(drive: Drive, rng: np.random.Generator, settings: ErrorStateSetting
         if (i + 1) % drive.steps_a_frame == 0:
             wrong, T_imaged = np.array(drive.camera_errors), T @ motions.exp(-drive.lag_s / drive.step_s * xi)
             Z = se3.invert(seen_from) @ T_imaged
-            missed = kernels.by_camera_errors(Z, by_ratios(Z))[:, : len(wrong)] @ wrong
+            missed = looks.by_camera_errors(Z, by_ratios(Z))[:, : len(wrong)] @ wrong
             Z = motions.exp(-missed) @ Z
             step = replace(step, look=drive.camera_fault(end_s, looked(rng, Z)))
             seen_from = T_imaged

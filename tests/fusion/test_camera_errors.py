@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from wheelsight.estimates import Reason
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
-from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion import _look_kernels as looks
 from wheelsight.fusion._measurements import WheelStep
 from wheelsight.fusion._pose_belief import CAMERA_ERRORS, PoseBelief
 from wheelsight.geometry import motion_kernels as motions
@@ -76,7 +76,7 @@ WAYS = [*product((STRAIGHT, ASIDE, BENT), (0, 1, 2)), (STRAIGHT, 3), (ASIDE, 3),
 def test_errors_add_up_as_steps_do(rng: np.random.Generator, xi: list[float], column: int) -> None:
     error = ("scale", "drift_rad_per_m", "turn", "pitch_rad_per_m")[column]
     belief = driven(se3.exp(rng.standard_normal(6)), np.array(xi))
-    B = kernels.expected(*belief.since(1))[1]
+    B = looks.expected(*belief.since(1))[1]
     ahead = xi[0] / np.hypot(xi[0], xi[1]) if column == 1 else 1.0  # a drift counts by the way ahead
     np.testing.assert_allclose(B[:, column], ahead * missed(error, np.array(xi)), atol=6e-3)
 
@@ -91,7 +91,7 @@ def test_the_simulators_errors_add_up_as_steps_do(xi: list[float], column: int) 
 @given(tangents)
 def test_a_camera_that_is_mounted_otherwise_sees_the_motion_turned(by: np.ndarray) -> None:
     h = 1e-6
-    B = kernels.by_camera_errors(se3.exp(by), np.zeros((6, 3)))
+    B = looks.by_camera_errors(se3.exp(by), np.zeros((6, 3)))
     for axis in range(3):
         mount = se3.exp(h * np.eye(6)[3 + axis])
         true = mount @ se3.exp(by) @ se3.invert(mount)
@@ -99,7 +99,7 @@ def test_a_camera_that_is_mounted_otherwise_sees_the_motion_turned(by: np.ndarra
 
 
 def test_a_turn_on_the_spot_is_wrong_by_its_ratio_alone() -> None:
-    B = kernels.expected(*driven(np.eye(4), np.array([0, 0, 0, 0, 0, 0.8])).since(1))[1]
+    B = looks.expected(*driven(np.eye(4), np.array([0, 0, 0, 0, 0, 0.8])).since(1))[1]
     np.testing.assert_allclose(B[:, 2], [0, 0, 0, 0, 0, 0.8], atol=1e-9)
     np.testing.assert_allclose(B[:, :2], 0, atol=1e-12)
 
@@ -112,9 +112,9 @@ def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
     T_reference = se3.exp(reference)
     told = se3.adjoint(T_reference) @ by_ratios(se3.exp(by))
     since = T_reference @ se3.exp(by), T_reference, told
-    seen = se3.exp(-kernels.expected(*since)[1] @ errors) @ se3.exp(by)
-    np.testing.assert_allclose(kernels.apart(*since, seen, errors), 0, atol=1e-9)
-    assert np.abs(kernels.apart(*since, seen, np.zeros(7))).max() <= 3e-3
+    seen = se3.exp(-looks.expected(*since)[1] @ errors) @ se3.exp(by)
+    np.testing.assert_allclose(looks.apart(*since, seen, errors), 0, atol=1e-9)
+    assert np.abs(looks.apart(*since, seen, np.zeros(7))).max() <= 3e-3
 
 
 def test_what_wheels_and_camera_err_by_alike_is_not_learned_from_noise() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.estimates import DEGENERATE_SCALE, MotionEstimate, Reason
-from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion import _look_kernels as looks
 from wheelsight.fusion._measurements import Look
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
@@ -30,14 +30,16 @@ class Mount:
 
     def look(self, motion: MotionEstimate, name: str) -> Look | Reason:
         """What a motion against the pose remembered as `name` says, or why it says nothing."""
-        T, R = motion_of(motion.T_reference_current), covariance_of(motion.covariance, 6)
-        hidden = _NONE if motion.degenerate is None else np.asarray(motion.degenerate, float)
-        if T is None or R is None or hidden.ndim != 2 or hidden.shape[1] != 6 or not np.isfinite(hidden).all():
+        if motion.T_reference_current is None or motion.covariance is None:
+            return motion.reason or Reason.INVALID
+        T, R = np.array(motion.T_reference_current, float), np.array(motion.covariance, float)
+        split = _split(motion.degenerate)
+        if T.shape != (4, 4) or R.shape != (6, 6) or split is None or not motions.is_pose(T, R):
             return Reason.INVALID
-        seen, unseen = _split(hidden)
+        seen, unseen = split
         if len(seen) == 0:
             return Reason.DEGENERATE
-        shown, rows, spread = kernels.shown(R, seen, unseen, DEGENERATE_SCALE, self._to_camera, self._from_camera)
+        shown, rows, spread = looks.shown(R, seen, unseen, DEGENERATE_SCALE, self._to_camera, self._from_camera)
         if not motions.is_definite(shown):
             return Reason.INVALID
         Z = motions.times(motions.times(self.T_base_camera, T), self._T_camera_base)
@@ -57,8 +59,13 @@ def covariance_of(C: ArrayLike | None, size: int) -> FloatArray | None:
     return (C + C.T) / 2 if C.shape == (size, size) and motions.is_covariance(C) else None
 
 
-def _split(hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal rows (6 - K, 6) of the directions seen, and (K, 6) of those named in `hidden`."""
+def _split(hidden: FloatArray | None) -> tuple[FloatArray, FloatArray] | None:
+    """Orthonormal rows (6 - K, 6) of the directions seen, and (K, 6) of those `hidden`; None where these are none."""
+    if hidden is None:
+        return _ALL, _NONE
+    hidden = np.asarray(hidden, float)
+    if hidden.ndim != 2 or hidden.shape[1] != 6 or not np.isfinite(hidden).all():
+        return None
     if len(hidden) == 0:
         return _ALL, _NONE
     _, strength, rows = np.linalg.svd(hidden)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion import _step_kernels as steps
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import WheelStep
 from wheelsight.geometry import FloatArray
@@ -33,7 +33,7 @@ class Odometer:
 
     def rolled(self, step: WheelStep, share: float) -> Odometer:
         """After a share of a wheel step."""
-        T, covariance = kernels.odometer(self.T, self.covariance, step.xi, step.covariance, share)
+        T, covariance = steps.odometer(self.T, self.covariance, step.xi, step.covariance, share)
         way_m, heard_s = abs(step.xi[0]) * share, (step.end_s - step.begin_s) * share
         return changed(self, T=T, covariance=covariance, way_m=self.way_m + way_m, heard_s=self.heard_s + heard_s)
 

@@ -19,7 +19,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from wheelsight.fusion import _look_kernels as looks
 from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion import _step_kernels as steps
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import Innovation, Look, WheelStep
 from wheelsight.fusion._settings import ErrorStateSettings
@@ -134,7 +136,7 @@ class PoseBelief:
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         known = self.known_twist if self.known_for_s < _KNOWN_FOR_S else _NO_TWIST
         told_by = (step.xi, step.covariance, share, dt_s, known, s.unseen_a_metre, s.walks, s.lever_m)
-        T, rest, P, told, way_m = kernels.roll(self.T, self.rest, self.covariance, *told_by)
+        T, rest, P, told, way_m = steps.roll(self.T, self.rest, self.covariance, *told_by)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
         after = after.distrusted(dt_s, np.zeros(3), s) if is_slipping else after
@@ -148,7 +150,7 @@ class PoseBelief:
         q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
         way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
         noise = (q, s.unseen_a_metre * way_m, dt_s, s.gyro_bias_walk_rad_s**2 * dt_s)
-        T, P = kernels.glide(self.T, rest, self.covariance, *noise)
+        T, P = steps.glide(self.T, rest, self.covariance, *noise)
         return changed(self, T=T, covariance=P)
 
     def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:
@@ -180,8 +182,8 @@ class PoseBelief:
 
         The camera's stamps are late by what is known as little as all else (Li & Mourikis, IJRR 2014).
         """
-        T = kernels.imaged_at(self.T[0], self.rest)
-        return T, *kernels.imaged(self.covariance, T, self.rest[LAG], self.rest[TWIST])
+        T = looks.imaged_at(self.T[0], self.rest)
+        return T, *looks.imaged(self.covariance, T, self.rest[LAG], self.rest[TWIST])
 
     def dropped(self, name: str) -> PoseBelief:
         """Without the remembered pose `name`: it is marginalised, all else stays as it is."""
@@ -200,8 +202,8 @@ class PoseBelief:
         """
         at = self.reference(look.name)
         rows, errors = slice(6 * at, 6 * at + 6), self.place(CAMERA_ERRORS)
-        T_imaged, T = kernels.imaged_at(self.T[0], self.rest), self.T.copy()
-        _, B, _ = kernels.expected(T_imaged, T[at], self.told - self.remembered[at - 1].told)
+        T_imaged, T = looks.imaged_at(self.T[0], self.rest), self.T.copy()
+        _, B, _ = looks.expected(T_imaged, T[at], self.told - self.remembered[at - 1].told)
         seen = self.T[at] @ motions.exp(B @ self.rest[CAMERA_ERRORS]) @ look.Z
         Ad = motions.adjoint(self.T[0])
         in_plane = (Ad * _IS_PLANE) @ motions.inverse_adjoint(self.T[0])
@@ -230,20 +232,20 @@ class PoseBelief:
 
     def seen_from(self, name: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
         """T_reference_current (4, 4) of the camera since the pose remembered as `name`, and its covariance (6, 6)."""
-        T, C = kernels.seen_from(self.T, self.rest, self.covariance, self.reference(name), T_base_camera)
+        T, C = looks.seen_from(self.T, self.rest, self.covariance, self.reference(name), T_base_camera)
         return T, C
 
     def apart(self, look: Look) -> FloatArray:
         """log(Z Ẑ⁻¹) (6,): how far the camera's motion, mended by what is known of its errors, is from the expected."""
         T_now, T_reference, told = self.since(self.reference(look.name))
-        T_imaged = kernels.imaged_at(T_now, self.rest)
-        return np.asarray(kernels.apart(T_imaged, T_reference, told, look.Z, self.rest[CAMERA_ERRORS]))
+        T_imaged = looks.imaged_at(T_now, self.rest)
+        return np.asarray(looks.apart(T_imaged, T_reference, told, look.Z, self.rest[CAMERA_ERRORS]))
 
     def innovation(self, look: Look, *, without_doubt: bool = False) -> Innovation:
         """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed."""
         at = self.reference(look.name)
         of_look = (look.Z, look.seen, look.covariance)
-        residual, S, PHt, H = kernels.look(*self.since(at), self.rest, self.covariance, 6 * at, *of_look)
+        residual, S, PHt, H = looks.look(*self.since(at), self.rest, self.covariance, 6 * at, *of_look)
         before = self.remembered[at - 1].doubted
         if without_doubt and not (self.doubted is before is _NO_DOUBT):
             certain = S - H @ (self.doubted - before) @ H.T
@@ -257,7 +259,7 @@ class PoseBelief:
         Else it is their noise that would be correlated with the camera's, and taken for a lag of the stamps.
         """
         before = self.remembered[at - 1].twist
-        return bool(kernels.change_of_twist(self.rest, self.covariance, before, _LEAST_TWIST) > _SHOWS_LAG)
+        return bool(looks.change_of_twist(self.rest, self.covariance, before, _LEAST_TWIST) > _SHOWS_LAG)
 
     def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The pose now, the one at a place, and how the wheels' errors moved the one since the other."""

@@ -25,7 +25,7 @@ from functools import cache
 import numpy as np
 
 from wheelsight.estimates import Reason
-from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion import _step_kernels as steps
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import Innovation, Look
 from wheelsight.fusion._odometer import Odometer
@@ -63,13 +63,13 @@ class Speed:
     @classmethod
     def over(cls, T: FloatArray, covariance: FloatArray, seconds: float) -> Speed:
         """Of a motion (4, 4) with its covariance (3, 3)."""
-        return cls(*kernels.speed(T, covariance, seconds))
+        return cls(*steps.speed(T, covariance, seconds))
 
     def leap_from(self, before: Speed, seconds: float, settings: ErrorStateSettings) -> float:
         """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
         s = settings
         usual = (s.leap_m_s2 * seconds, s.leap_m_s2 * _SIDEWAYS * seconds, s.leap_rad_s2 * seconds)
-        leap = kernels.leap(self.mean, self.covariance, before.mean, before.covariance, usual)
+        leap = steps.leap(self.mean, self.covariance, before.mean, before.covariance, usual)
         return min(leap, s.leap_cap) if leap > _quantile(_NO_WONDER, 3) else 0.0
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion import _look_kernels as looks
 from wheelsight.fusion._measurements import Look
 from wheelsight.fusion._odometer import Odometer
 from wheelsight.fusion._pose_belief import ERRORS, LAG, PLANE, TWIST, PoseBelief
@@ -65,7 +65,7 @@ class Ride:
         """D (2,), by what way and turn a look at that pose differs from what was told since; R and N (2, 2)."""
         at = belief.reference(look.name)
         since = belief.since(at)
-        _, B, Ad = kernels.expected(*since)
+        _, B, Ad = looks.expected(*since)
         late = motions.adjoint(look.Z)[:, PLANE] @ belief.rest[TWIST]
         late[PLANE] -= self.twist
         J = np.column_stack([Ad @ since[2], -B, -late])[_WAY_AND_TURN]

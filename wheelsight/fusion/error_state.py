@@ -160,22 +160,16 @@ class ErrorStateFilter:
                 `degenerate` are left out.
             remember: as what to remember the pose then, as `clone` would right afterwards.
         """
-        if motion.T_reference_current is None or motion.covariance is None:
-            return self._take(Happening(stamp_s, failure=motion.reason or Reason.INVALID, clone=remember))
         look = self._mount.look(motion, name)
         if isinstance(look, Reason):
-            return self._take(Happening(stamp_s, failure=look, clone=remember))
-        return self._take(Happening(stamp_s, look=look, clone=remember))
+            return self._take(Happening(stamp_s, failure=look, clone=remember), motion)
+        return self._take(Happening(stamp_s, look=look, clone=remember), motion)
 
     def update_position(self, stamp_s: float, xy: ArrayLike, covariance: ArrayLike) -> FusedEstimate:
         """Take a position (2,) in the world, metres, with its covariance (2, 2), as places tell."""
         position, spread = np.array(xy, float), covariance_of(covariance, 2)
-        if (
-            spread is None
-            or position.shape != (2,)
-            or not np.isfinite(position).all()
-            or not motions.is_definite(spread)
-        ):
+        is_one = position.shape == (2,) and bool(np.isfinite(position).all())
+        if not is_one or spread is None or not motions.is_definite(spread):
             return self._refused(Reason.INVALID)
         return self._take(Happening(stamp_s, position=(position, spread)))
 
@@ -220,7 +214,7 @@ class ErrorStateFilter:
             state = self._moved[1]
         return after(state, event, events, self.settings)
 
-    def _take(self, event: Happening) -> FusedEstimate:
+    def _take(self, event: Happening, motion: MotionEstimate | None = None) -> FusedEstimate:
         if not np.isfinite(event.stamp_s):
             return self._refused(Reason.INVALID)
         newest_s = self._history.newest_s
@@ -234,12 +228,15 @@ class ErrorStateFilter:
         if event.wheels is not None:
             self._moved = None  # they may tell of that time
         state = self._history.take(event)
-        return self._answer(state.reason, state.court.nis)
+        counts = (0, 0) if motion is None else (motion.matches, motion.inliers)
+        return self._answer(state.reason, state.court.nis, counts)
 
     def _refused(self, reason: Reason) -> FusedEstimate:
         return self._answer(reason, self._history.newest.court.nis)
 
-    def _answer(self, reason: Reason | None, nis: tuple[float, int] | None) -> FusedEstimate:
+    def _answer(
+        self, reason: Reason | None, nis: tuple[float, int] | None, counts: tuple[int, int] = (0, 0)
+    ) -> FusedEstimate:
         """What is known after the newest event, and what came of the one that is answered."""
         state, s = self._history.newest, self.settings
         if state.stamp_s is None:
@@ -248,9 +245,9 @@ class ErrorStateFilter:
         turns_off = state.stamp_s - court.turn_slip_s <= s.coast_after_s
         flags = (court.trust is Trust.CAMERA or turns_off, state.is_degenerate, court.trust is Trust.DOUBT)
         if state.is_lost:
-            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", 0, 0, *flags, nis=nis)
+            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
         status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
         belief = court.answer()
         T, C, *moving = kernels.answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
-        pose, twist = (T, C, reason, "base", 0, 0), (moving[0], moving[1])
+        pose, twist = (T, C, reason, "base", *counts), (moving[0], moving[1])
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)

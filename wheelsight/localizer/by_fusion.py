@@ -168,7 +168,7 @@ class ByFusion:
         # One mistake of the camera is none of the next frame's, and slip is told by contradicting again and again.
         if not is_believed or is_far(motion):
             self._anchor_at(frame, seen.T_world_body)
-        return _with_counts(answer, seen)
+        return answer
 
     def _believe(self, frame: RgbdFrame, answer: FusedEstimate, T_map_camera: FloatArray) -> None:
         """Camera odometry goes on in a world of its own, that of its map, of which the filter knows where it lies."""
@@ -198,7 +198,7 @@ class ByFusion:
         self._T_map_camera, self._seen_s = seen.T_world_body, frame.stamp_s
         self._lay_map()
         self._anchor_at(frame, seen.T_world_body)
-        return _with_counts(replace(answer, reason=reason or answer.reason), seen)
+        return replace(answer, reason=reason or answer.reason, matches=seen.matches, inliers=seen.inliers)
 
     def _in_map(self, T_world_base: FloatArray) -> FloatArray:
         T_map_base = motions.times(motions.inverse(self.T_world_map), T_world_base)
@@ -206,7 +206,7 @@ class ByFusion:
 
     def _unseen(self, frame: RgbdFrame, seen: Estimate, *, restarts: bool = False) -> FusedEstimate:
         """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera starts there."""
-        nothing = MotionEstimate.failed(seen.reason or Reason.INVALID)
+        nothing = MotionEstimate.failed(seen.reason or Reason.INVALID, seen.matches, seen.inliers)
         answer = self.filter.update_relative(frame.stamp_s, nothing, _ANCHOR)
         self._unknown += seen.reason not in _BLIND
         if (restarts or self._unknown >= _RESTART_AFTER) and answer.covariance is not None:
@@ -218,14 +218,10 @@ class ByFusion:
             again = self.odometry.restart(frame, self._in_map(T_world_base), answer.covariance)
             if again.T_world_body is not None:
                 return self._begun(frame, again, seen.reason)
-        return _with_counts(answer, seen)
+        return answer
 
     def _miss(self, stamp_s: float) -> Estimate:
         """The answer at a frame that came to nothing before anyone could look at it."""
         seen = self.odometry.miss(stamp_s)
-        nothing = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
-        return _with_counts(self.filter.update_relative(stamp_s, nothing, _ANCHOR), seen)
-
-
-def _with_counts(answer: FusedEstimate, seen: Estimate) -> FusedEstimate:
-    return replace(answer, matches=seen.matches, inliers=seen.inliers)
+        nothing = MotionEstimate.failed(Reason.FRAME_UNUSABLE, seen.matches, seen.inliers)
+        return self.filter.update_relative(stamp_s, nothing, _ANCHOR)
