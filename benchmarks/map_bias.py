@@ -16,7 +16,7 @@ from rich.console import Console
 from benchmarks.known_poses import KnownSurfels, TruePoses, frame_pairs
 from benchmarks.table import Sheet
 from wheelsight.geometry import BoolArray, FloatArray
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
+from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate, world_names
 
 EDGES_M = np.array([1.0, 2.0, 3.0, 4.0, 4.5, 5.0, 5.5, 6.0])
 # Deviations of a curve of 1/z from a line, which is what a plane makes, beyond which pixels span an edge.
@@ -105,7 +105,7 @@ def drives(world: str, seconds: float, size: tuple[int, int] = (320, 240)) -> li
 def main() -> None:
     """Drive, and print tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.map_bias", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--world", default="floor4")
+    parser.add_argument("--world", default="floor4", choices=world_names())
     parser.add_argument("--seconds", type=float, default=45.0)
     arguments = parser.parse_args()
     floor, rest = measure_bias(*drives(arguments.world, arguments.seconds))

@@ -93,6 +93,18 @@ def read(
             radius[p] = z * pitch / max(cosine, _LEAST_COSINE)
 
 
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _paint(look: Any, slot: Any, share: Any, color: Any, grey: Any, p: Any) -> None:
+    """Average a share of what a pixel saw of colour and grey into a surfel's, or all of it where that has none."""
+    if len(color) > 0 and color[p, 0] >= 0:
+        for i in range(3):
+            before = look[slot, i]
+            look[slot, i] = color[p, i] if before < 0 else before + share * (color[p, i] - before)
+    if grey[p] >= 0:
+        before = look[slot, 3]
+        look[slot, 3] = grey[p] if before < 0 else before + share * (grey[p] - before)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def update(
     begin: Any,
@@ -134,7 +146,6 @@ def update(
         candidates: (pages, 2) how many, and something else.
         counts: (pages, 2) matched and died.
     """
-    has_color = len(color) > 0
     for k in range(begin, end):
         matched = died = 0
         for entry in range(k * PAGE, k * PAGE + candidates[k, 0]):
@@ -145,14 +156,7 @@ def update(
             confidence = geometry[slot, CONFIDENCE]
             share = _learn(geometry, slot, variance, reading, p, T, noise)
             geometry[slot, RADIUS] += share * min(radius[p] - geometry[slot, RADIUS], _ZERO)
-            paint = _ONE / (min(confidence, _COLOR_MEMORY) + _ONE)
-            if has_color and color[p, 0] >= 0:
-                for i in range(3):
-                    before = look[slot, i]
-                    look[slot, i] = color[p, i] if before < 0 else before + paint * (color[p, i] - before)
-            if grey[p] >= 0:
-                before = look[slot, 3]
-                look[slot, 3] = grey[p] if before < 0 else before + paint * (grey[p] - before)
+            _paint(look, slot, _ONE / (min(confidence, _COLOR_MEMORY) + _ONE), color, grey, p)
             seen_s[slot, 1] = stamp_s
             cell = page_cell[slot // PAGE]
             cell_seen_s[cell] = stamp_s
