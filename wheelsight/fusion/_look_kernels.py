@@ -18,6 +18,7 @@ _COMPILED_IN = 0x4BE1DB00
 _REST, _CAMERA, _LAG = 15, 7, 13
 _PLANE = (0, 1, 5)
 _UNSEEN_SIGMA_M = 10.0
+_LEAST_TWIST = 1e-3  # m/s and rad/s: wheels that stand still tell no noise at all
 
 
 @njit(cache=True, nogil=True)
@@ -73,24 +74,32 @@ def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray)
 
 
 @njit(cache=True, nogil=True)
+def imaged_now(T_now: FloatArray, rest: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The pose (4, 4) when the image of now was taken, and its covariances as `imaged` has them."""
+    T_imaged = imaged_at(T_now, rest)
+    rows, spread = imaged(P, T_imaged, rest[_LAG], rest[:3].copy())
+    return T_imaged, rows, spread
+
+
+@njit(cache=True, nogil=True)
 def seen_from(
     T: FloatArray, rest: FloatArray, P: FloatArray, at: int, T_base_camera: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The camera's motion (4, 4) since the pose at a place, in that one's frame, and its covariance (6, 6)."""
-    T_imaged, here = imaged_at(T[0], rest), slice(6 * at, 6 * at + 6)
-    rows, spread = imaged(P, T_imaged, rest[_LAG], rest[:3].copy())
+    here = slice(6 * at, 6 * at + 6)
+    T_imaged, rows, spread = imaged_now(T[0], rest, P)
     T_camera_world = inverse(times(T[at], T_base_camera))
     apart = spread - rows[:, here] - rows[:, here].T + P[here, here]
     return times(times(T_camera_world, T_imaged), T_base_camera), carried(T_camera_world, apart)
 
 
 @njit(cache=True, nogil=True)
-def change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray, least: float) -> float:
+def _change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray) -> float:
     """χ² of the change from a twist (3,) before, by the noise that both have of the wheels, and never less than so."""
     at = len(P) - _REST
     noise = 2 * P[at : at + 3, at : at + 3]
     for i in range(3):
-        noise[i, i] += least**2
+        noise[i, i] += _LEAST_TWIST**2
     chi2: float = chi_squared(rest[:3] - before, noise)
     return chi2
 
@@ -129,13 +138,15 @@ def look(
     rest: FloatArray,
     P: FloatArray,
     place: int,
+    twist_then: FloatArray,
     Z: FloatArray,
     seen: FloatArray,
     R: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, float]:
     """What a motion Z (4, 4) says of directions `seen` (m, 6), with noise R (m, m), against the pose at `place`.
 
-    Returns the residual (m,), its covariance S (m, m), that with the state P Hᵀ (n, m), and H (m, 6) of the pose now.
+    Returns the residual (m,), its covariance S (m, m), that with the state P Hᵀ (n, m), H (m, 6) of the pose now, the
+    residual's χ², and that of how the twist changed since.
     """
     T_imaged = imaged_at(T_now, rest)
     _, B, Ad = expected(T_imaged, T_reference, told)
@@ -150,7 +161,7 @@ def look(
         for j in range(len(residual)):
             twist[i] += PHt[len(P) - _REST + i, j] * weighed[j]
     PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
-    return residual, S, PHt, H
+    return residual, S, PHt, H, chi_squared(residual, S), _change_of_twist(rest, P, twist_then)
 
 
 @njit(cache=True, nogil=True)

@@ -44,7 +44,6 @@ _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
 # Of what each alignment leaves uncertain, what adds up along a way: of turns less than half (3 to 18 m, ten drives).
 _CHAIN_KEEPS = np.array([1.0, 1, 1, 1, 1, 0.4])
 _SHOWS_LAG = 30.0  # χ² of a change of twist: noise alone has three, so nine tenths of it are motion
-_LEAST_TWIST = 1e-3  # m/s and rad/s: wheels that stand still tell no noise at all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,10 +159,10 @@ class PoseBelief:
         """
         there = self._at(name, stamp_s, most)
         place = there.names.index(name) + 1
-        at, Ad = slice(6 * place, 6 * place + 6), motions.adjoint(self.T[0])
+        at = slice(6 * place, 6 * place + 6)
         there.T[place], rows, spread_now = there.imaged()
         there.covariance[at], there.covariance[:, at] = rows, rows.T
-        there.covariance[at, at] = spread_now if spread is None else spread_now + Ad @ spread @ Ad.T
+        there.covariance[at, at] = spread_now if spread is None else spread_now + motions.carried(self.T[0], spread)
         return there
 
     def _at(self, name: str, stamp_s: float, most: int) -> PoseBelief:
@@ -182,8 +181,8 @@ class PoseBelief:
 
         The camera's stamps are late by what is known as little as all else (Li & Mourikis, IJRR 2014).
         """
-        T = looks.imaged_at(self.T[0], self.rest)
-        return T, *looks.imaged(self.covariance, T, self.rest[LAG], self.rest[TWIST])
+        T, rows, spread = looks.imaged_now(self.T[0], self.rest, self.covariance)
+        return T, rows, spread
 
     def dropped(self, name: str) -> PoseBelief:
         """Without the remembered pose `name`: it is marginalised, all else stays as it is."""
@@ -244,22 +243,16 @@ class PoseBelief:
     def innovation(self, look: Look, *, without_doubt: bool = False) -> Innovation:
         """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed."""
         at = self.reference(look.name)
-        of_look = (look.Z, look.seen, look.covariance)
-        residual, S, PHt, H = looks.look(*self.since(at), self.rest, self.covariance, 6 * at, *of_look)
-        before = self.remembered[at - 1].doubted
-        if without_doubt and not (self.doubted is before is _NO_DOUBT):
-            certain = S - H @ (self.doubted - before) @ H.T
+        then, of_look = self.remembered[at - 1], (look.Z, look.seen, look.covariance)
+        known = (*self.since(at), self.rest, self.covariance, 6 * at, then.twist)
+        residual, S, PHt, H, nis, change = looks.look(*known, *of_look)
+        if without_doubt and not (self.doubted is then.doubted is _NO_DOUBT):
+            certain = S - H @ (self.doubted - then.doubted) @ H.T
             # Corrections have made some of the doubt smaller than it was written down.
-            S = certain if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0 else S
-        return _innovation(residual, S, PHt, shows_lag=self._shows_lag(at))
-
-    def _shows_lag(self, at: int) -> bool:
-        """Whether the twist changed since a remembered pose by far more than the wheels' noise makes it seem.
-
-        Else it is their noise that would be correlated with the camera's, and taken for a lag of the stamps.
-        """
-        before = self.remembered[at - 1].twist
-        return bool(looks.change_of_twist(self.rest, self.covariance, before, _LEAST_TWIST) > _SHOWS_LAG)
+            if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0:
+                S, nis = certain, motions.chi_squared(residual, certain)
+        # Where the twist changed no more, it is the wheels' noise that would be taken for a lag of the stamps.
+        return Innovation(residual, S, PHt, nis, change > _SHOWS_LAG)
 
     def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The pose now, the one at a place, and how the wheels' errors moved the one since the other."""
@@ -348,5 +341,5 @@ class PoseBelief:
         return here.corrected(_innovation(-up[:2], spread + variance * np.eye(2), PHt))
 
 
-def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray, *, shows_lag: bool = True) -> Innovation:
-    return Innovation(residual, S, PHt, float(motions.chi_squared(residual, S)), shows_lag)
+def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray) -> Innovation:
+    return Innovation(residual, S, PHt, float(motions.chi_squared(residual, S)))
