@@ -68,7 +68,7 @@ def refuse_if_lost(sightings: Sightings) -> None:
     if tracked < max(_FEWEST_TRACKED, _LEAST_TRACKED_SHARE * total):
         raise CalibrationError(
             f"the camera could be followed in {tracked} of {total} frames only",
-            fix="drive slowly, in light, past things with texture one to four metres away",
+            fix="drive slowly, past things one to four metres away, not at bare walls alone",
         )
 
 

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.calibration import Wheels
-from wheelsight.estimates import Status
 from wheelsight.events import RgbdFrame, SkippedFrame
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.extrinsics.floor import FloorViews
-from wheelsight.odometry.features import FeatureOdometry
 from wheelsight.odometry.wheels import Drive, drive_of
 from wheelsight.recordings import Recording
 from wheelsight.trajectory import Trajectory
@@ -29,7 +28,8 @@ class Sightings:
 
     Attributes:
         drive: the wheels' readings.
-        camera: T_world_camera of the frames that were tracked, by features alone; its world is the first of them.
+        camera: T_world_camera of the frames that were tracked in all directions, by dense odometry; its world is the
+            first of them.
         frame_count: of all frames, lost ones included.
         span_s: stamps of the first and last of them; NaN without any.
         views: thinned depth images.
@@ -55,7 +55,7 @@ def watch(recording: Recording, wheels: Wheels, on_frame: Callable[[str], None] 
     """
     drive = drive_of(recording, wheels)
     _, depth_camera = recording.calibration.cameras
-    odometry = FeatureOdometry(recording.calibration)
+    odometry = DenseOdometry(recording.calibration)
     gatherer = _ViewGatherer(depth_camera)
     poses: list[tuple[float, FloatArray]] = []
     frame_count, span_s = 0, (math.nan, math.nan)
@@ -68,7 +68,7 @@ def watch(recording: Recording, wheels: Wheels, on_frame: Callable[[str], None] 
         else:
             continue
         frame_count, span_s = frame_count + 1, (event.stamp_s if not frame_count else span_s[0], event.stamp_s)
-        if estimate.status is Status.TRACKING and estimate.T_world_body is not None:
+        if estimate.T_world_body is not None and odometry.last_motion.shows_all:
             poses.append((estimate.stamp_s, estimate.T_world_body))
         on_frame(estimate.status)
     stamps_s = np.array([stamp_s for stamp_s, _ in poses])
