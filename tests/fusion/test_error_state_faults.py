@@ -186,3 +186,21 @@ def test_without_faults_nothing_is_flagged():
         _, answers = drive_with(seed)
         flags += [a.slip or a.doubtful or a.reason is not None for a in answers]
     assert np.mean(flags) < 0.02
+
+
+def test_frames_that_are_wrong_now_and_then_do_not_make_all_before_them_uncertain():
+    """What wheels and camera both were uncertain of before they contradicted each other, they are afterwards, once."""
+    wrong_s = np.arange(2.0, 40.0, 2.0)
+
+    def wrong(t, motion):
+        is_wrong = np.abs(wrong_s - t).min() < FRAME_S / 2
+        return shifted(motion, np.array([0.0, 0.0, 0.6]), FRAME_S) if is_wrong else motion
+
+    sigmas = []
+    for fault in ({}, {"camera_fault": wrong}):
+        drive = Drive(seconds=42.0, step_s=FRAME_S, **fault)
+        answers = run(simulate(drive, np.random.default_rng(3), FLAT))
+        assert any(answer.doubtful for answer in answers) == bool(fault)
+        sigmas.append(np.sqrt(answers[-1].covariance[5, 5]))
+    right, told_wrong = sigmas
+    assert told_wrong < 3 * right

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from fusion.test_pose_belief import belief_somewhere, difference, look_at
 
+from wheelsight.fusion._pose_belief import LAG
 from wheelsight.fusion._two_beliefs import covering, mixed
 
 
@@ -30,6 +31,28 @@ def test_covering_reaches_another_belief_however_it_is_turned(rng):
     J = np.concatenate([np.eye(3), -np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])], axis=1)
     C, off = (J @ found.covariance[:6, :6] @ J.T)[:2, :2], (other.T[0] - one.T[0])[:2, 3]
     assert np.sqrt(off @ np.linalg.solve(C, off)) < 3
+
+
+def test_what_both_are_uncertain_of_counts_once(rng):
+    one = belief_somewhere(rng)
+    np.testing.assert_allclose(covering(one, one, since_s=0.0).covariance, one.covariance, atol=1e-12)
+
+
+def test_covering_is_as_uncertain_as_another_belief_everywhere(rng):
+    """Of poses with the twist and the lag known, by which the camera has them apart."""
+    one = belief_somewhere(rng)
+    A = 0.1 * rng.normal(size=one.covariance.shape)
+    other = one.moved(np.zeros(len(A)), one.covariance / 2 + A @ A.T)
+    found, given = covering(one, other, since_s=0.0), one.rest_at + np.array([0, 1, 2, LAG])
+
+    def of_poses(P):
+        return P[: one.rest_at, : one.rest_at] - P[: one.rest_at, given] @ np.linalg.solve(
+            P[np.ix_(given, given)], P[given, : one.rest_at]
+        )
+
+    for belief in (one, other):
+        more = of_poses(found.covariance) - of_poses(belief.covariance)
+        assert np.linalg.eigvalsh(more)[0] > -1e-10
 
 
 def test_what_covers_another_belief_knows_the_way_since_a_clone_as_well_as_before(rng):

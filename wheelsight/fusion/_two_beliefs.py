@@ -33,8 +33,22 @@ def covering(one: PoseBelief, other: PoseBelief, since_s: float) -> PoseBelief:
     later = [0, *(place + 1 for place, pose in enumerate(one.remembered) if pose.stamp_s > since_s)]
     apart[: one.rest_at].reshape(-1, 6)[later] = apart[:6]
     P = one.covariance + np.outer(apart, apart) / _COVERED_SIGMAS**2
-    P[: one.rest_at, : one.rest_at] += _of_poses_alone(other)
+    P[: one.rest_at, : one.rest_at] += _less_known(one, other)
     return changed(one, covariance=P)
+
+
+def _less_known(one: PoseBelief, other: PoseBelief) -> FloatArray:
+    """Covariance (6 + 6K, 6 + 6K) that the one's poses lack to be as uncertain as those of `other`.
+
+    What both were uncertain of before they went apart counts once; where one is in the world is of no account, so they
+    are compared from where the base is.
+    """
+    same = np.eye(len(one.T))
+    to_base, to_world = np.kron(same, motions.inverse_adjoint(one.T[0])), np.kron(same, motions.adjoint(one.T[0]))
+    lacks = to_base @ (_of_poses_alone(other) - _of_poses_alone(one)) @ to_base.T
+    strength, axes = np.linalg.eigh((lacks + lacks.T) / 2)
+    axes = to_world @ axes
+    return np.asarray((axes * np.maximum(strength, 0.0)) @ axes.T)
 
 
 def _of_poses_alone(belief: PoseBelief) -> FloatArray:

@@ -91,6 +91,8 @@ class WheelNoise:
         """After a ride that a look has told the end of; what was known fades along `memory_m`."""
         d, R, N = ride.against(look, told, belief)
         S = R + _RATIOS[:, None, None] * N
+        if not (np.linalg.eigvalsh(S)[:, 0] > 0).all():  # rounding has left nothing of so small a difference
+            return self
         chi2 = (np.linalg.solve(S, np.broadcast_to(d[:, None], (len(S), 2, 1)))[..., 0] * d).sum(axis=1)
         likely = -0.5 * (chi2 + np.log(np.linalg.det(S)))
         kept = _BEFORE + np.exp(-told.way_m / memory_m) * (self.nats - _BEFORE)
