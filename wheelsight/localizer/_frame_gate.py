@@ -16,7 +16,7 @@ _AHEAD_S, _FOLLOWERS = 10.0, 5
 # Noise never repeats: a camera that gives the same images while the wheels have gone so far hangs.
 _MOVED_M, _MOVED_RAD = 0.005, 0.005
 _SAMPLE = slice(None, None, 8)
-_FIRST = (0, _SAMPLE)  # row
+_FIRST_ROW = (0, _SAMPLE)
 
 
 class FrameGate:
@@ -56,6 +56,6 @@ class FrameGate:
 def _repeats(before: RgbdFrame, frame: RgbdFrame) -> bool:
     """Whether the images are the same, by every eighth pixel of every eighth row."""
     pairs = ((before.color, frame.color), (before.depth_m, frame.depth_m))
-    if any(a.shape == b.shape and (a[_FIRST] != b[_FIRST]).any() for a, b in pairs):
+    if any(a.shape == b.shape and (a[_FIRST_ROW] != b[_FIRST_ROW]).any() for a, b in pairs):
         return False  # as nearly always
     return all(np.array_equal(a[_SAMPLE, _SAMPLE], b[_SAMPLE, _SAMPLE]) for a, b in pairs)
