@@ -40,7 +40,7 @@ def travelled(
 
 
 def of_camera(fusion: ErrorStateFilter) -> tuple[np.ndarray, np.ndarray]:
-    """The camera's errors (7,) as the filter has them, and their standard deviations."""
+    """The camera's errors (9,) as the filter has them, and their standard deviations."""
     belief = fusion._history.newest.court.belief
     return belief.rest[CAMERA_ERRORS], np.sqrt(np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)])
 
@@ -92,10 +92,10 @@ def test_the_simulators_errors_add_up_as_steps_do(xi: list[float], column: int) 
 def test_a_camera_that_is_mounted_otherwise_sees_the_motion_turned(by: np.ndarray) -> None:
     h = 1e-6
     B = looks.by_camera_errors(se3.exp(by), np.zeros((6, 3)))
-    for axis in range(3):
-        mount = se3.exp(h * np.eye(6)[3 + axis])
+    for column, axis in enumerate((0, 1, 3, 4, 5), start=4):
+        mount = se3.exp(h * np.eye(6)[axis])
         true = mount @ se3.exp(by) @ se3.invert(mount)
-        np.testing.assert_allclose(B[:, 4 + axis], se3.log(true @ se3.invert(se3.exp(by))) / h, atol=1e-4)
+        np.testing.assert_allclose(B[:, column], se3.log(true @ se3.invert(se3.exp(by))) / h, atol=1e-4)
 
 
 def test_a_turn_on_the_spot_is_wrong_by_its_ratio_alone() -> None:
@@ -105,7 +105,7 @@ def test_a_turn_on_the_spot_is_wrong_by_its_ratio_alone() -> None:
 
 
 @hypothesis_settings(max_examples=30)
-@given(tangents, tangents, st.lists(st.floats(-1e-4, 1e-4), min_size=7, max_size=7).map(np.array))
+@given(tangents, tangents, st.lists(st.floats(-1e-4, 1e-4), min_size=9, max_size=9).map(np.array))
 def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
     reference: np.ndarray, by: np.ndarray, errors: np.ndarray
 ) -> None:
@@ -114,7 +114,7 @@ def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
     since = T_reference @ se3.exp(by), T_reference, told
     seen = se3.exp(-looks.expected(*since)[1] @ errors) @ se3.exp(by)
     np.testing.assert_allclose(looks.apart(*since, seen, errors), 0, atol=1e-9)
-    assert np.abs(looks.apart(*since, seen, np.zeros(7))).max() <= 3e-3
+    assert np.abs(looks.apart(*since, seen, np.zeros(9))).max() <= 3e-3
 
 
 def test_what_wheels_and_camera_err_by_alike_is_not_learned_from_noise() -> None:
@@ -154,6 +154,41 @@ def test_a_gyroscope_tells_that_the_cameras_turns_are_too_small(rng: np.random.G
     learned, sigma = of_camera(fusion)
     assert learned[2] == pytest.approx(0.015, abs=0.006)
     assert sigma[2] < 0.5 * settings.camera_turn_sigma
+
+
+SHIFT = slice(4, 6)
+
+
+def turning(shift_m: tuple[float, float], slide_m_s: float = 0.0) -> list[Step]:
+    """A drive with a camera that sits so far ahead and aside of where it is said to; and ice on the way."""
+
+    def ice(t: float, truth: np.ndarray, wheels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        aside = np.array([0.0, slide_m_s * 0.05 if 3.0 < t < 4.0 else 0.0, 0, 0, 0, 0])
+        return truth + aside, wheels
+
+    drive = Drive(40.0, 0.05, 5, camera_errors=(0, 0, 0, 0, *shift_m), wheel_fault=ice)
+    return simulate(drive, np.random.default_rng(3), SETTINGS)
+
+
+@pytest.mark.parametrize("shift_m", [(0.01, -0.008), (-0.012, 0.0)])
+def test_where_a_camera_sits_is_learned_from_turns(shift_m: tuple[float, float]) -> None:
+    fusion = ErrorStateFilter(T_BASE_CAMERA)
+    run(turning(shift_m), fusion=fusion)
+    learned, sigma = of_camera(fusion)
+    assert (np.abs(learned[SHIFT] - shift_m) < 3 * sigma[SHIFT]).all()
+    assert (sigma[SHIFT] < 0.6 * SETTINGS.mount_sigma_m).all()
+    assert np.linalg.norm(learned[SHIFT] - shift_m) < 0.5 * np.linalg.norm(shift_m)
+
+
+def test_a_base_that_slides_aside_tells_nothing_of_where_the_camera_sits() -> None:
+    """A turn about a point before the wheels looks as a camera that sits farther back."""
+    steps, shifts = turning((0.0, 0.0), slide_m_s=0.4), []
+    for count in (60, 160):  # until it slides, and four seconds later
+        fusion = ErrorStateFilter(T_BASE_CAMERA)
+        answers = run(steps[:count], fusion=fusion)
+        shifts.append(of_camera(fusion)[0][SHIFT])
+    assert any(answer.doubtful for answer in answers)
+    np.testing.assert_allclose(*shifts, atol=1e-4)
 
 
 def test_what_nobody_tells_of_a_camera_is_covered() -> None:

@@ -82,7 +82,7 @@ def test_what_a_look_must_not_tell_stays_and_is_reckoned_with(rng: np.random.Gen
     S, PHt = H @ belief.covariance @ H.T + R, belief.covariance @ H.T
     gain = PHt @ np.linalg.inv(S)
     gain[at] = 0.0
-    after = belief.corrected(Innovation(np.full(3, 1e-3), S, PHt, 0.0, shows_lag=False))
+    after = belief.corrected(Innovation(np.full(3, 1e-3), S, PHt, 0.0, np.array([LAG])))
     kept = np.eye(n) - gain @ H
     np.testing.assert_allclose(after.covariance, kept @ belief.covariance @ kept.T + gain @ R @ gain.T, atol=1e-10)
     assert after.rest[LAG] == belief.rest[LAG]

@@ -30,8 +30,8 @@ def errors_of_wheels(rng, settings):
 
 def errors_of_camera(rng, settings):
     s = settings
-    drift, mount = s.camera_drift_sigma_rad_per_m, [s.mount_sigma_rad] * 3
-    return tuple(rng.normal(size=7) * [s.camera_scale_sigma, drift, s.camera_turn_sigma, drift, *mount])
+    drift, mount = s.camera_drift_sigma_rad_per_m, [*[s.mount_sigma_m] * 2, *[s.mount_sigma_rad] * 3]
+    return tuple(rng.normal(size=9) * [s.camera_scale_sigma, drift, s.camera_turn_sigma, drift, *mount])
 
 
 def bounds(degrees, runs, probability=0.99):

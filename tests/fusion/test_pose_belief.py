@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from wheelsight.fusion import ErrorStateSettings
 from wheelsight.fusion._measurements import Look, WheelStep
-from wheelsight.fusion._pose_belief import LAG, PLANE, REST_SIZE, TWIST, PoseBelief
+from wheelsight.fusion._pose_belief import CAMERA_ERRORS, LAG, PLANE, REST_SIZE, TWIST, PoseBelief
 from wheelsight.geometry import se3
 
 SETTINGS = ErrorStateSettings(level_sigma_rad=np.inf)
@@ -50,7 +50,7 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
     quiet = {
         name: 0.0
         for name in asdict(SETTINGS)
-        if name.endswith(("_walk", "_per_m", "_sqrt_m", "rad_s", "_s2", "walk_rad"))
+        if name.endswith(("_walk", "_per_m", "_sqrt_m", "rad_s", "_s2", "walk_rad", "walk_m"))
     }
     settings = replace(SETTINGS, **quiet)
 
@@ -124,9 +124,31 @@ def test_perturbing_all_poses_alike_changes_no_look(rng):
     np.testing.assert_allclose(perturbed(belief, x).apart(look), belief.apart(look), atol=1e-12)
 
 
+def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
+    """And what was learned of it fades, each by its own length, as a Gauss–Markov process."""
+    settings = replace(SETTINGS, camera_drift_sigma_rad_per_m=3e-4, camera_drift_walk_rad_per_m=1e-4, lever_m=0.0)
+    belief, drift = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings), CAMERA_ERRORS.start + 1
+    rest = belief.rest.copy()
+    rest[drift] = 2e-4
+    belief, start = replace(belief, rest=rest), np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)]
+    for k in range(500):
+        step = WheelStep(0.1 * k, 0.1 * (k + 1), np.array([0.1, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6))
+        belief = belief.rolled(step, 1.0, settings, is_slipping=False)
+    np.testing.assert_allclose(np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)], start, rtol=0.02)
+    length_m = 2 * 3e-4**2 / 1e-4**2
+    assert belief.rest[drift] == pytest.approx(2e-4 * np.exp(-50 / length_m), rel=1e-6)
+
+
+def test_an_error_that_was_certain_only_walks(rng):
+    settings = replace(SETTINGS, camera_scale_sigma=0.0, camera_scale_walk=1e-3)
+    belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings)
+    belief = belief.rolled(WheelStep(0, 1, np.array([1.0, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6)), 1.0, settings, False)
+    assert belief.covariance[belief.rest_at + CAMERA_ERRORS.start][belief.rest_at + CAMERA_ERRORS.start] == 1e-6
+
+
 def test_a_shift_of_another_size_is_refused(rng):
     belief = belief_somewhere(rng)
-    with pytest.raises(ValueError, match=r"25.*33"):
+    with pytest.raises(ValueError, match=r"25.*35"):
         perturbed(belief, np.zeros(25))
 
 

@@ -1,6 +1,6 @@
 """What the camera says of a PoseBelief; numba over arrays and numbers.
 
-T (1 + K, 4, 4), rest (15,) and P (n, n) are as `_pose_belief` lays them out.
+T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
 """
 
 from __future__ import annotations
@@ -14,29 +14,32 @@ from wheelsight.geometry import FloatArray
 from wheelsight.geometry.motion_kernels import adjoint, carried, chi_squared, exp, inverse, log, times
 
 _COMPILED_IN = 0x4BE1DB00
-# Of `rest`: twist 3, the wheels' errors 3, the camera's 7, how late its stamps are, the gyroscope's bias.
-_REST, _CAMERA, _LAG = 15, 7, 13
+# Of `rest`: twist 3, the wheels' errors 3, the camera's 9, how late its stamps are, the gyroscope's bias.
+_REST, _CAMERA, _LAG = 17, 9, 15
 _PLANE = (0, 1, 5)
+_MOUNT = (0, 1, 3, 4, 5)  # on a floor nothing tells how high a camera sits
 _UNSEEN_SIGMA_M = 10.0
 _LEAST_TWIST = 1e-3  # m/s and rad/s: wheels that stand still tell no noise at all
 
 
 @njit(cache=True, nogil=True)
 def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
-    """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 7).
+    """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 9).
 
     They are the ratio by which its ways are too short, the turn a metre that it misses, the ratio by which its turns
-    are too small, the pitch a metre that it misses, and by what rotation (3,) of the base it is mounted otherwise: what
-    it takes for ahead may be aside or up. A pitch that grows along the way moves the end by half.
+    are too small, the pitch a metre that it misses, and how it is mounted otherwise: so far ahead and to the left on
+    the base, which in turns it takes for a way, and by what rotation (3,), so that what it takes for ahead may be aside
+    or up. A pitch that grows along the way moves the end by half.
 
     The first three are as those of the wheels, so they change it as these do, which is what `told` (6, 3) says. Told
     from each other by how steps are reckoned, and not by the drive, they would drift: what both err by alike nobody
     sees, so nothing would ever mend it.
     """
     B = np.zeros((6, _CAMERA))
-    B[:, :3], B[:, 4:] = told, -adjoint(Z)[:, 3:]
-    for i in range(3):
-        B[3 + i, 4 + i] += 1.0
+    B[:, :3], Ad = told, adjoint(Z)
+    for i in range(len(_MOUNT)):
+        B[:, 4 + i] = -Ad[:, _MOUNT[i]]
+        B[_MOUNT[i], 4 + i] += 1.0
     way = math.sqrt(Z[0, 3] ** 2 + Z[1, 3] ** 2 + Z[2, 3] ** 2)
     B[0, 3], B[2, 3], B[4, 3] = -way * Z[2, 3] / 2, way * Z[0, 3] / 2, way
     return B
@@ -108,7 +111,7 @@ def _change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray) -> flo
 def expected(
     T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The motion (4, 4) between two poses, how the camera's errors change it (6, 7), and how perturbations do (6, 6).
+    """The motion (4, 4) between two poses, how the camera's errors change it (6, 9), and how perturbations do (6, 6).
 
     `told` (6, 3) is how the wheels' errors moved the one since the other, as left perturbations in the world.
     """
@@ -121,7 +124,7 @@ def expected(
 def apart(
     T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray, Z: FloatArray, camera_errors: FloatArray
 ) -> FloatArray:
-    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (7,), and the one that two poses tell."""
+    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (9,), and the one that two poses tell."""
     Z_expected, B, _ = expected(T_imaged, T_reference, told)
     xi = log(times(Z, inverse(Z_expected)))
     for i in range(6):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from wheelsight.geometry import FloatArray
+import numpy as np
+
+from wheelsight.geometry import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +43,12 @@ class Look:
 class Innovation:
     """A measurement against the belief: residual (m,), its covariance (m, m), that with the state (n, m), its NIS.
 
-    `shows_lag`: it may tell how late the camera's stamps are. Else they stay as uncertain as they are, and are reckoned
-    with (Schmidt 1966).
+    `unlearned` (k,): what of a belief's `rest` it cannot tell from noise. That stays as uncertain as it is, and is
+    reckoned with (Schmidt 1966).
     """
 
     residual: FloatArray
     covariance: FloatArray
     with_state: FloatArray
     nis: float
-    shows_lag: bool = True
+    unlearned: IntArray = field(default_factory=lambda: np.zeros(0, int))

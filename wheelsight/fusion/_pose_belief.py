@@ -33,8 +33,9 @@ IN_PLANE = np.ix_(PLANE, PLANE)
 _IS_PLANE = np.array([1.0, 1, 0, 0, 0, 1])
 _SIX = np.arange(6)
 # Behind all poses stand, in this order: the twist, what is wrong with wheels and camera, and the gyroscope's bias.
-TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 13), 13, 14
-REST_SIZE = 15
+TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 15), 15, 16
+REST_SIZE = 17
+MOUNT_SHIFT = (10, 11)  # of the camera's errors
 _LEVEL_EVERY_M = 0.25
 _RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
 _KNOWN_FOR_S = 0.25
@@ -64,9 +65,9 @@ class PoseBelief:
     Attributes:
         T: (1 + K, 4, 4) T_world_base now, and when the images were taken that have the remembered stamps.
         remembered: these instants.
-        rest: (15,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's (the same, its drift in
-            pitch, its mount's rotation, how late its stamps are), the gyroscope's bias.
-        covariance: (6 + 6K + 15, 6 + 6K + 15) of all perturbations of poses, then of `rest`.
+        rest: (17,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's (the same, its drift in
+            pitch, its mount's shift and rotation, how late its stamps are), the gyroscope's bias.
+        covariance: (6 + 6K + 17, 6 + 6K + 17) of all perturbations of poses, then of `rest`.
         doubted: (6, 6) part of the pose's covariance that is there because wheels were not trusted since vision was
             last believed.
         way_m: since the floor was last taken for level.
@@ -93,17 +94,7 @@ class PoseBelief:
         P = np.zeros((6 + REST_SIZE, 6 + REST_SIZE))
         P[:6, :6] = covariance
         still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
-        errors = [s.scale_sigma, s.drift_sigma_rad_per_m, s.turn_sigma]
-        drift_sigma = s.camera_drift_sigma_rad_per_m
-        camera = [
-            s.camera_scale_sigma,
-            drift_sigma,
-            s.camera_turn_sigma,
-            drift_sigma,
-            *[s.mount_sigma_rad] * 3,
-            s.camera_lag_sigma_s,
-        ]
-        P[6:, 6:] = np.diag(np.square([*still, *errors, *camera, s.gyro_bias_sigma_rad_s]))
+        P[6:, 6:] = np.diag([*np.square(still), *s.variances])
         return cls(T_world_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_DOUBT)
 
     @property
@@ -134,7 +125,7 @@ class PoseBelief:
         """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         known = self.known_twist if self.known_for_s < _KNOWN_FOR_S else _NO_TWIST
-        told_by = (step.xi, step.covariance, share, dt_s, known, s.unseen_a_metre, s.walks, s.lever_m)
+        told_by = (step.xi, step.covariance, share, dt_s, known, s.unseen_a_metre, s.walks, s.fades, s.lever_m)
         T, rest, P, told, way_m = steps.roll(self.T, self.rest, self.covariance, *told_by)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
@@ -240,8 +231,11 @@ class PoseBelief:
         T_imaged = looks.imaged_at(T_now, self.rest)
         return np.asarray(looks.apart(T_imaged, T_reference, told, look.Z, self.rest[CAMERA_ERRORS]))
 
-    def innovation(self, look: Look, *, without_doubt: bool = False) -> Innovation:
-        """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed."""
+    def innovation(self, look: Look, *, without_doubt: bool = False, shows_mount: bool = False) -> Innovation:
+        """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed.
+
+        A camera that sits elsewhere on the base has turns go aside, and so has slip: only where none is, looks show it.
+        """
         at = self.reference(look.name)
         then, of_look = self.remembered[at - 1], (look.Z, look.seen, look.covariance)
         known = (*self.since(at), self.rest, self.covariance, 6 * at, then.twist)
@@ -252,7 +246,8 @@ class PoseBelief:
             if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0:
                 S, nis = certain, motions.chi_squared(residual, certain)
         # Where the twist changed no more, it is the wheels' noise that would be taken for a lag of the stamps.
-        return Innovation(residual, S, PHt, nis, change > _SHOWS_LAG)
+        unlearned = [LAG] * (change <= _SHOWS_LAG) + [*MOUNT_SHIFT] * (not shows_mount)
+        return Innovation(residual, S, PHt, nis, np.array(unlearned, int))
 
     def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The pose now, the one at a place, and how the wheels' errors moved the one since the other."""
@@ -274,8 +269,7 @@ class PoseBelief:
 
     def corrected(self, by: Innovation) -> PoseBelief:
         """The Kalman update."""
-        kept = -1 if by.shows_lag else self.rest_at + LAG
-        by_this = (by.with_state, by.covariance, by.residual, kept)
+        by_this = (by.with_state, by.covariance, by.residual, self.rest_at + by.unlearned)
         T, rest, P = kernels.correct(self.T, self.rest, self.covariance, *by_this)
         return changed(self, T=T, rest=rest, covariance=P)
 

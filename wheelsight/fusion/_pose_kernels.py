@@ -1,6 +1,6 @@
 """A PoseBelief's answer, and how it is corrected; numba over arrays and numbers.
 
-T (1 + K, 4, 4), rest (15,) and P (n, n) are as `_pose_belief` lays them out.
+T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
 """
 
 from __future__ import annotations
@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.geometry.motion_kernels import adjoint, exp, times
 
 _COMPILED_IN = 0x4BE1DB00
-_REST, _PLANE = 15, (0, 1, 5)
+_REST, _PLANE = 17, (0, 1, 5)
 
 
 @njit(cache=True, nogil=True)
@@ -29,9 +29,9 @@ def answered(
 
 @njit(cache=True, nogil=True)
 def correct(
-    T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: int
+    T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """T, rest and P after the Kalman update, of which part `kept` of the state, or none if it is -1, learns nothing."""
+    """T, rest and P after the Kalman update, of which the numbers `kept` of the state (k,) learn nothing."""
     gain: FloatArray = np.linalg.solve(S, np.ascontiguousarray(PHt.T)).T.astype(np.float64)
     lost = times(gain, PHt.T)
     less = (P + P.T - lost - lost.T) / 2  # what rounding makes askew would grow
@@ -39,8 +39,10 @@ def correct(
     for i in range(len(P)):
         for j in range(len(residual)):
             x[i] += gain[i, j] * residual[j]
-    if kept >= 0:
-        less[kept, kept], x[kept] = P[kept, kept], 0.0
+    for i in kept:
+        x[i] = 0.0
+        for j in kept:
+            less[i, j] = P[i, j]
     T, rest = perturb(T, rest, x)
     return T, rest, less
 

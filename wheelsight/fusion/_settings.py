@@ -16,7 +16,8 @@ _SHARES = ("confidence", "healthy_share")
 
 @dataclass(frozen=True)
 class ErrorStateSettings:
-    """What is believed before the drive. Walks are random, told by their standard deviations after a metre or second.
+    """What is believed before the drive. Walks are random, told by their standard deviations after a metre or second;
+    an error that walks is drawn back, so that it stays within what was believed of it before the drive.
 
     Attributes:
         scale_sigma, drift_sigma_rad_per_m, turn_sigma: of the wheels' errors: the ratio by which ways are wrong, the
@@ -25,8 +26,9 @@ class ErrorStateSettings:
         camera_scale_sigma, camera_drift_sigma_rad_per_m, camera_turn_sigma: likewise of the camera's errors;
             its drift is that of its pitch, too. A focal length is known to a pixel of five hundred.
         camera_scale_walk, camera_drift_walk_rad_per_m, camera_turn_walk: how these wander in one metre.
-        mount_sigma_rad, mount_walk_rad: how far the camera is turned on the base from where it is said to be, about
-            each axis, and how that wanders in one metre.
+        mount_sigma_m, mount_walk_m: how far ahead and aside the camera sits on the base of where it is said to be, and
+            how that wanders in one metre. mount_sigma_rad, mount_walk_rad: likewise how far it is turned, about each
+            axis.
         camera_lag_sigma_s, camera_lag_walk_s: how late the camera's stamps are, and how that wanders in one metre.
         wheel_noise_memory_m: along which way it fades how noisy the wheels were.
         side_m_per_sqrt_m, rise_m_per_sqrt_m, tilt_rad_per_sqrt_m: of what wheels do not tell: sideways, up, roll and
@@ -70,6 +72,8 @@ class ErrorStateSettings:
     camera_scale_walk: float = 0.0005
     camera_drift_walk_rad_per_m: float = 0.0001
     camera_turn_walk: float = 0.0001
+    mount_sigma_m: float = 0.005
+    mount_walk_m: float = 0.0001
     mount_sigma_rad: float = 0.005
     mount_walk_rad: float = 0.0002
     camera_lag_sigma_s: float = 0.02
@@ -127,15 +131,27 @@ class ErrorStateSettings:
         return np.diag(np.square(sigmas))
 
     @cached_property
+    def variances(self) -> FloatArray:
+        """Of the errors of wheels and camera and of the gyroscope's bias (14,), before the drive."""
+        wheels = [self.scale_sigma, self.drift_sigma_rad_per_m, self.turn_sigma]
+        drift = self.camera_drift_sigma_rad_per_m
+        camera = [self.camera_scale_sigma, drift, self.camera_turn_sigma, drift]
+        mount = [*[self.mount_sigma_m] * 2, *[self.mount_sigma_rad] * 3]
+        return np.square([*wheels, *camera, *mount, self.camera_lag_sigma_s, self.gyro_bias_sigma_rad_s])
+
+    @cached_property
     def walks(self) -> FloatArray:
-        """Variances (12,) that the errors of wheels and camera gain in a metre, the gyroscope's bias in a second."""
-        wheels, drift = [self.scale_walk, self.drift_walk_rad_per_m, self.turn_walk], self.camera_drift_walk_rad_per_m
-        camera = [
-            self.camera_scale_walk,
-            drift,
-            self.camera_turn_walk,
-            drift,
-            *[self.mount_walk_rad] * 3,
-            self.camera_lag_walk_s,
-        ]
-        return np.square([*wheels, *camera, self.gyro_bias_walk_rad_s])
+        """What these (14,) gain in a metre, the gyroscope's bias in a second."""
+        wheels = [self.scale_walk, self.drift_walk_rad_per_m, self.turn_walk]
+        drift = self.camera_drift_walk_rad_per_m
+        camera = [self.camera_scale_walk, drift, self.camera_turn_walk, drift]
+        mount = [*[self.mount_walk_m] * 2, *[self.mount_walk_rad] * 3]
+        return np.square([*wheels, *camera, *mount, self.camera_lag_walk_s, self.gyro_bias_walk_rad_s])
+
+    @cached_property
+    def fades(self) -> FloatArray:
+        """The share (14,) of an error that is drawn back in a metre, or second; none of one that was certain.
+
+        Just so much that what nothing measures stays as uncertain as before the drive: a Gauss–Markov process.
+        """
+        return np.divide(self.walks, 2 * self.variances, out=np.zeros(14), where=self.variances > 0)

@@ -1,6 +1,6 @@
 """How a PoseBelief goes on with the wheels, or without them; numba over arrays and numbers.
 
-T (1 + K, 4, 4), rest (15,) and P (n, n) are as `_pose_belief` lays them out.
+T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.geometry.motion_kernels import adjoint, carried, chi_squared, exp, left_jacobian, log, times
 
 _COMPILED_IN = 0x4BE1DB00
-_REST, _PLANE = 15, (0, 1, 5)
+_REST, _PLANE = 17, (0, 1, 5)
 
 
 @njit(cache=True, nogil=True)
@@ -57,13 +57,14 @@ def roll(
     known_twist: FloatArray,
     unseen: FloatArray,
     walks: FloatArray,
+    fades: FloatArray,
     lever_m: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
     """T, rest and P after a share, `dt_s` long, of a step ξ (6,) of the wheels; `noise` is of its left perturbation.
 
-    A metre of the way of a point `lever_m` aside adds `unseen` (6, 6) to the noise, and `walks` (12,) to the variances
-    of the errors of wheels and camera; the last of it is the gyroscope's bias's, in a second. A part of a step has the
-    twist of the whole, and is as uncertain of it.
+    A metre of the way of a point `lever_m` aside adds `unseen` (6, 6) to the noise, and `walks` (14,) to the variances
+    of the errors of wheels and camera, of which it takes the share `fades` (14,) back; the last of these are of the
+    gyroscope's bias, in a second. A part of a step has the twist of the whole, and is as uncertain of it.
 
     Returns (6, 3), too: how the wheels' errors move the pose by this step, as a left perturbation; and the way.
     """
@@ -86,7 +87,12 @@ def roll(
     P[twist:errors, :6] += grown[6:, :6]
     P[twist:errors, twist:errors] += grown[6:, 6:]
     for i in range(len(walks)):
-        P[errors + i, errors + i] += walks[i] * (way_m if errors + i < len(P) - 1 else dt_s)
+        k, far = errors + i, way_m if errors + i < len(P) - 1 else dt_s
+        kept = math.exp(-fades[i] * far)
+        rest[3 + i] *= kept
+        P[k] *= kept
+        P[:, k] *= kept
+        P[k, k] += walks[i] * far
     T[0] = times(T[0], exp(xi))
     rest[0], rest[1], rest[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
     return T, rest, P, to_pose, way_m

@@ -164,7 +164,8 @@ def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) 
     """The court after a look, and why it was not believed, or None."""
     most = gate(settings, len(look.covariance))
     glance, evidence = _compare(court, stamp_s, look, settings)
-    usual = court.belief.innovation(look, without_doubt=True)
+    grips = court.trust is Trust.BOTH and stamp_s - court.since_s > settings.slippery_s
+    usual = court.belief.innovation(look, without_doubt=True, shows_mount=grips)
     agrees = usual.nis <= most
     agreed, nis = court.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
     heard = changed(court, glance=glance, agreed=agreed, nis=nis, looked_s=stamp_s)

@@ -38,7 +38,7 @@ class Ride:
         name, begin_s: of that pose.
         begin: the odometer then.
         spread: (6, 6) by which the camera may have that pose elsewhere, in its frame.
-        errors, unsure: (11,) of wheels and camera as known then, and their covariance (11, 11).
+        errors, unsure: (13,) of wheels and camera as known then, and their covariance (13, 13).
         twist: (3,) of the base then.
     """
 

@@ -31,6 +31,8 @@ _RESTART_AFTER = 5
 # After so long in the dark a look is believed only where it shows all directions: one that slides along a wall may have
 # taken one place for another, and wheels alone do not go astray so soon.
 _DARK_S = 1.0
+# From here on a base turns: the simulator's camera then turns 0.4 % too far against its map, 0.1 % against keyframes.
+_TURNS_RAD_S = 0.1
 _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
 
 
@@ -103,19 +105,21 @@ class ByFusion:
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
         answer = self._frame(event, self._expected(event.stamp_s, expected and expected[0]))
-        self._lead(answer.slip)
+        self._lead(answer)
         return self._placed(event, answer), self._deaf
 
-    def _lead(self, slips: bool) -> None:
+    def _lead(self, answer: FusedEstimate) -> None:
         """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion; and the map.
 
         What slips expects what is not so, and a robot that spins by a lifted wheel faces walls that tell little. The
-        map also shows it best wherever hardly anything lies beyond its end; else keyframes do, which reach as far as
-        the camera sees.
+        map also shows it best wherever hardly anything lies beyond its end, while the base goes straight; else
+        keyframes do. They reach as far as the camera sees, and in a turn they have whole what the map has learned from
+        a frame or two.
         """
-        self._slips = slips
+        self._slips = answer.slip
         if self.mapper is not None:
-            self.mapper.track_map(slips or self.mapper.shows_most)
+            turns = answer.twist is None or abs(answer.twist[2]) > _TURNS_RAD_S
+            self.mapper.track_map(answer.slip or (self.mapper.shows_most and not turns))
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
