@@ -235,14 +235,20 @@ def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeyp
     assert not kept.is_tracked
 
 
-def test_the_map_is_tracked_where_it_shows_what_frames_see(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = drive()
+def test_the_map_is_tracked_where_it_shows_what_frames_see_and_the_base_goes_straight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = drive([(2.0, 0.5, 0.0), (2.0, 0.5, 0.4), (2.0, 0.5, 0.0)])  # and a second's rest before and after
     subject, kept = joined(monkeypatch, made.eye())
+    tracked: dict[tuple[bool, bool], list[bool]] = {}
     for event in made.events():
-        kept.shows_most = event.stamp_s < made.begin_s + 1.0
+        since_s = event.stamp_s - made.begin_s
+        kept.shows_most = since_s < 6.0
         subject.process(event)
-        if isinstance(event, RgbdFrame):
-            assert kept.is_tracked == kept.shows_most
+        if isinstance(event, RgbdFrame) and min(abs(since_s - change_s) for change_s in (3.0, 5.0)) > 0.3:
+            tracked.setdefault((kept.shows_most, 3.0 < since_s < 5.0), []).append(kept.is_tracked)
+    assert np.mean(tracked[True, False]) > 0.9
+    assert not any(tracked[True, True] + tracked[False, False])
 
 
 @pytest.mark.parametrize("kind", ["dense", "features"])
