@@ -215,7 +215,9 @@ def pushed(made: Drive, at_s: float, left_m: float) -> Drive:
     truth = made.truth
     aside = np.zeros((len(truth), 6))
     aside[:, 1] = left_m * np.clip((truth.stamps_s - made.begin_s - at_s) / 0.16, 0, 1)
-    moved = Trajectory(truth.stamps_s, truth.T_world_body @ se3.exp(aside), body="base")
+    T_world_then = truth.at([made.begin_s + at_s])[0]
+    T_world_moved = T_world_then @ se3.exp(aside) @ se3.invert(T_world_then) @ truth.T_world_body
+    moved = Trajectory(truth.stamps_s, T_world_moved, body="base")
     return replace(made, readings=replace(made.readings, truth=moved))
 
 

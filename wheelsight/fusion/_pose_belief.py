@@ -16,6 +16,7 @@ each step answers a new one, so that a filter can go back to any it has kept.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from enum import Enum
 
 import numpy as np
 
@@ -35,7 +36,7 @@ _SIX = np.arange(6)
 # Behind all poses stand, in this order: the twist, what is wrong with wheels and camera, and the gyroscope's bias.
 TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 15), 15, 16
 REST_SIZE = 17
-MOUNT_SHIFT = (10, 11)  # of the camera's errors
+MOUNT_SHIFT = [10, 11]  # of the camera's errors
 _LEVEL_EVERY_M = 0.25
 _RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
 _KNOWN_FOR_S = 0.25
@@ -45,6 +46,28 @@ _ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
 # Of what each alignment leaves uncertain, what adds up along a way: of turns less than half (3 to 18 m, ten drives).
 _CHAIN_KEEPS = np.array([1.0, 1, 1, 1, 1, 0.4])
 _SHOWS_LAG = 30.0  # χ² of a change of twist: noise alone has three, so nine tenths of it are motion
+
+
+class Teaches(Enum):
+    """What a look tells beside motion: nothing, what is wrong with wheels and camera, and where the camera sits, too.
+
+    A camera that sits elsewhere on the base has turns go aside, and so has a base that still slides a little.
+    """
+
+    MOTION = 1
+    ERRORS = 2
+    MOUNT = 3
+
+
+_UNLEARNED = {
+    (teaches, shows_lag): np.array(places if shows_lag else sorted({*places, LAG}), int)
+    for teaches, places in {
+        Teaches.MOTION: [*range(ERRORS.start, BIAS)],
+        Teaches.ERRORS: MOUNT_SHIFT,
+        Teaches.MOUNT: [],
+    }.items()
+    for shows_lag in (True, False)
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,10 +254,10 @@ class PoseBelief:
         T_imaged = looks.imaged_at(T_now, self.rest)
         return np.asarray(looks.apart(T_imaged, T_reference, told, look.Z, self.rest[CAMERA_ERRORS]))
 
-    def innovation(self, look: Look, *, without_doubt: bool = False, shows_mount: bool = False) -> Innovation:
+    def innovation(self, look: Look, *, without_doubt: bool = False, teaches: Teaches = Teaches.MOTION) -> Innovation:
         """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed.
 
-        A camera that sits elsewhere on the base has turns go aside, and so has slip: only where none is, looks show it.
+        `teaches`: what else than motion. Where wheels may slip, what is off is no error of theirs or of the camera.
         """
         at = self.reference(look.name)
         then, of_look = self.remembered[at - 1], (look.Z, look.seen, look.covariance)
@@ -246,8 +269,8 @@ class PoseBelief:
             if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0:
                 S, nis = certain, motions.chi_squared(residual, certain)
         # Where the twist changed no more, it is the wheels' noise that would be taken for a lag of the stamps.
-        unlearned = [LAG] * (change <= _SHOWS_LAG) + [*MOUNT_SHIFT] * (not shows_mount)
-        return Innovation(residual, S, PHt, nis, np.array(unlearned, int))
+        unlearned = _UNLEARNED[teaches, bool(change > _SHOWS_LAG)]
+        return Innovation(residual, S, PHt, nis, unlearned)
 
     def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The pose now, the one at a place, and how the wheels' errors moved the one since the other."""

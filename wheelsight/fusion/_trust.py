@@ -29,7 +29,7 @@ from wheelsight.fusion import _step_kernels as steps
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import Innovation, Look
 from wheelsight.fusion._odometer import Odometer
-from wheelsight.fusion._pose_belief import IN_PLANE, PLANE, PoseBelief
+from wheelsight.fusion._pose_belief import IN_PLANE, PLANE, PoseBelief, Teaches
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._two_beliefs import covering, mixed
 from wheelsight.fusion._wheel_noise import Ride, WheelNoise
@@ -164,8 +164,8 @@ def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) 
     """The court after a look, and why it was not believed, or None."""
     most = gate(settings, len(look.covariance))
     glance, evidence = _compare(court, stamp_s, look, settings)
-    grips = court.trust is Trust.BOTH and stamp_s - court.since_s > settings.slippery_s
-    usual = court.belief.innovation(look, without_doubt=True, shows_mount=grips)
+    teaches = Teaches.MOUNT if stamp_s - court.since_s > settings.slippery_s else Teaches.ERRORS
+    usual = court.belief.innovation(look, without_doubt=True, teaches=teaches)
     agrees = usual.nis <= most
     agreed, nis = court.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
     heard = changed(court, glance=glance, agreed=agreed, nis=nis, looked_s=stamp_s)
