@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from wheelsight.fusion import ErrorStateSettings
 from wheelsight.fusion._measurements import Look, WheelStep
-from wheelsight.fusion._pose_belief import CAMERA_ERRORS, LAG, PLANE, REST_SIZE, TWIST, PoseBelief
+from wheelsight.fusion._pose_belief import CAMERA_ERRORS, ERRORS, LAG, PLANE, REST_SIZE, TWIST, PoseBelief, Teaches
 from wheelsight.geometry import se3
 
 SETTINGS = ErrorStateSettings(level_sigma_rad=np.inf)
@@ -115,6 +115,27 @@ def test_a_pose_is_remembered_as_of_when_its_image_was_taken(rng):
     expected[at, at] += lag_and_twist(now)
     # The pose then is some centimetres from now's: the Jacobian of its exponential is taken for one.
     np.testing.assert_allclose(now.covariance, expected, atol=2e-5)
+
+
+UNTAUGHT = {
+    Teaches.MOTION: [*range(ERRORS.start, LAG)],
+    Teaches.ERRORS: [CAMERA_ERRORS.start + 4, CAMERA_ERRORS.start + 5],
+    Teaches.MOUNT: [],
+}
+
+
+@pytest.mark.parametrize("teaches", Teaches)
+def test_a_look_teaches_no_more_than_it_can_tell(rng, teaches):
+    """What it does not teach stays as it is, and as uncertain; all else moves."""
+    belief = belief_somewhere(rng)
+    after = belief.corrected(belief.innovation(look_at(belief, "clone 0", rng), teaches=teaches))
+    untaught = UNTAUGHT[teaches]
+    taught = sorted({*range(LAG)} - {*untaught})
+    rows = belief.rest_at + np.array(untaught, int)
+    np.testing.assert_array_equal(after.rest[untaught], belief.rest[untaught])
+    np.testing.assert_allclose(after.covariance[np.ix_(rows, rows)], belief.covariance[np.ix_(rows, rows)], rtol=1e-12)
+    assert (after.rest[taught] != belief.rest[taught]).all()
+    assert np.linalg.eigvalsh(after.covariance)[0] > -1e-12
 
 
 def test_perturbing_all_poses_alike_changes_no_look(rng):
