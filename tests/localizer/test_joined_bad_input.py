@@ -86,7 +86,7 @@ def test_a_camera_whose_clock_is_in_another_epoch_is_never_called_tracking(
     moving = [answer for answer in told if answer.T_world_body is not None]
     assert len(moving) > 40
     assert max(off_m(answer, made.truth) for answer in moving) < 0.05
-    assert spread_m(moving[-1]) > 2 * spread_m(moving[len(moving) // 2])
+    assert spread_m(moving[-1]) > 1.8 * spread_m(moving[len(moving) // 2])
     assert not kept.fused
 
 

@@ -21,7 +21,8 @@ class ErrorStateSettings:
 
     Attributes:
         scale_sigma, drift_sigma_rad_per_m, turn_sigma: of the wheels' errors: the ratio by which ways are wrong, the
-            turn a metre too much (unequal radii), the ratio by which turns are wrong (track width).
+            turn a metre too much (unequal radii), the ratio by which turns are wrong (track width). Of a data sheet's
+            radius a tyre under load is off by some percent: more than a camera's ways are.
         scale_walk, drift_walk_rad_per_m, turn_walk: how these wander in one metre.
         camera_scale_sigma, camera_drift_sigma_rad_per_m, camera_turn_sigma: likewise of the camera's errors;
             its drift is that of its pitch, too. A focal length is known to a pixel of five hundred.
@@ -60,7 +61,7 @@ class ErrorStateSettings:
         ConfigError: a value that is negative or not finite, or a share that is none.
     """
 
-    scale_sigma: float = 0.02
+    scale_sigma: float = 0.04
     drift_sigma_rad_per_m: float = 0.02
     turn_sigma: float = 0.03
     scale_walk: float = 0.0005
