@@ -238,7 +238,7 @@ def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeyp
 def test_the_map_is_tracked_where_it_shows_what_frames_see_and_the_base_goes_straight(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    made = drive([(2.0, 0.5, 0.0), (2.0, 0.5, 0.4), (2.0, 0.5, 0.0)])  # and a second's rest before and after
+    made = drive([(2.0, 0.5, 0.0), (2.0, 0.5, 0.4), (2.0, 0.5, 0.0)], seed=4)  # and a second at rest before and after
     subject, kept = joined(monkeypatch, made.eye())
     tracked: dict[tuple[bool, bool], list[bool]] = {}
     for event in made.events():
@@ -249,6 +249,24 @@ def test_the_map_is_tracked_where_it_shows_what_frames_see_and_the_base_goes_str
             tracked.setdefault((kept.shows_most, 3.0 < since_s < 5.0), []).append(kept.is_tracked)
     assert np.mean(tracked[True, False]) > 0.9
     assert not any(tracked[True, True] + tracked[False, False])
+
+
+def test_the_map_is_tracked_in_turns_too_right_after_a_look_that_was_not_believed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """People who hid the view may be in the keyframe; the map has nobody in it."""
+    legs = [(2.0, 0.5, 0.0), (9.0, 0.5, 0.4)]
+    made = drive(legs, only((2.8, 2.95), Sight(blind=Reason.SURFACES_CONTRADICTED)))
+    subject, kept = joined(monkeypatch, made.eye())
+    kept.shows_most = True
+    tracked: dict[bool, list[bool]] = {True: [], False: []}
+    for event in made.events():
+        since_s = event.stamp_s - made.begin_s
+        subject.process(event)
+        if isinstance(event, RgbdFrame) and (3.3 < since_s < 7.8 or 8.1 < since_s < 11.5):
+            tracked[since_s < 8.0].append(kept.is_tracked)
+    assert np.mean(tracked[True]) == 1
+    assert not any(tracked[False])
 
 
 @pytest.mark.parametrize("kind", ["dense", "features"])

@@ -51,7 +51,7 @@ _SHOWS_LAG = 30.0  # χ² of a change of twist: noise alone has three, so nine t
 class Teaches(Enum):
     """What a look tells beside motion: nothing, what is wrong with wheels and camera, and where the camera sits, too.
 
-    A camera that sits elsewhere on the base has turns go aside, and so has a base that still slides a little.
+    To a camera that sits elsewhere on the base, turns seem to go aside; so they do where a base still slides a little.
     """
 
     MOTION = 1

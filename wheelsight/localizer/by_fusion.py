@@ -33,6 +33,8 @@ _RESTART_AFTER = 5
 _DARK_S = 1.0
 # From here on a base turns: a camera then turns 0.08 % too far against its map, 0.01 % against keyframes (five flats).
 _TURNS_RAD_S = 0.1
+# So long after a look that was not believed, something may go on that misleads: people, or ice.
+_UNCALM_S = 5.0
 _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
 
 
@@ -64,7 +66,8 @@ class ByFusion:
         self._anchor: Anchor | None = None
         self._gate = FrameGate()
         self._pace = Pace()
-        self._unknown, self._deaf, self._slips, self._seen_s = 0, "", False, -np.inf
+        self._unknown, self._deaf, self._slips = 0, "", False
+        self._seen_s = self._unbelieved_s = -np.inf
 
     @property
     def last_matches(self) -> MatchedPixels | None:
@@ -114,12 +117,15 @@ class ByFusion:
         What slips expects what is not so, and a robot that spins by a lifted wheel faces walls that tell little. The
         map also shows it best wherever hardly anything lies beyond its end, while the base goes straight; else
         keyframes do. They reach as far as the camera sees, and in a turn they have whole what the map has learned from
-        a frame or two.
+        a frame or two; but whom they show may walk on, so for a while after a look was not believed the map leads.
         """
         self._slips = answer.slip
+        if answer.reason is not None or answer.slip or answer.doubtful:
+            self._unbelieved_s = answer.stamp_s
         if self.mapper is not None:
             turns = answer.twist is None or abs(answer.twist[2]) > _TURNS_RAD_S
-            self.mapper.track_map(answer.slip or (self.mapper.shows_most and not turns))
+            is_calm = answer.stamp_s - self._unbelieved_s > _UNCALM_S
+            self.mapper.track_map(answer.slip or (self.mapper.shows_most and not (turns and is_calm)))
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
