@@ -106,24 +106,22 @@ def _measure_drive(
 def joined_sheet(figures: Sequence[JoinedFigures]) -> Sheet:
     """A row a case: medians over the drives, and in brackets the worst of them."""
     seeds = len({f.seed for f in figures})
-    title = (
-        f"Wheels and camera joined, {seeds} drive{'s' * (seeds != 1)} a case, {SIZE[0]}×{SIZE[1]} at {RATE_HZ:g} Hz: "
-        "median (worst)"
-    )
+    title = f"Wheels and camera joined, {_drives(seeds)} a case, {SIZE[0]}×{SIZE[1]} at {RATE_HZ:g} Hz: median (worst)"
     heads = ("wheels m", "camera m", "camera's poses", "paper's m", "joined m", "to the better", "at the end")
-    rows = tuple(_row(case, _of(case, figures)) for case in _cases(figures))
+    rows = tuple(_row(case, _of(case, figures), seeds) for case in _cases(figures))
     return Sheet(title, ("case", *heads, "right status", "within 3σ", "back after", "slip told, none"), rows)
 
 
-def _row(case: Case, figures: Sequence[JoinedFigures]) -> tuple[str, ...]:
+def _row(case: Case, figures: Sequence[JoinedFigures], seeds: int) -> tuple[str, ...]:
     def median(name: str) -> str:
         return f"{np.median([f.accuracy[name].rmse_m for f in figures]):.3f}"
 
     ratios = [f.ratio for f in figures]
     ends = [100 * f.accuracy[JOINED].end_share for f in figures]
     backs = [f.back_s for f in figures if f.back_s is not None]
+    fewer = f" ({_drives(len(figures))})" if len(figures) < seeds else ""
     return (
-        case.name,
+        case.name + fewer,
         median(WHEELS),
         median(CAMERA),
         f"{100 * np.median([f.accuracy[CAMERA].coverage for f in figures]):.0f} %",
@@ -136,6 +134,10 @@ def _row(case: Case, figures: Sequence[JoinedFigures]) -> tuple[str, ...]:
         f"{np.median(backs):.1f} s ({max(backs):.1f})" if backs else "—",
         f"{100 * np.mean([f.false_slip for f in figures]):.1f} %",
     )
+
+
+def _drives(count: int) -> str:
+    return f"{count} drive{'s' * (count != 1)}"
 
 
 def judge_joined(figures: Sequence[JoinedFigures]) -> list[Target]:

@@ -165,6 +165,15 @@ def test_a_row_a_case_and_its_targets():
     assert len({case.name for case in CASES}) == len(CASES)
 
 
+def test_a_case_that_was_measured_on_fewer_drives_says_so():
+    found = [replace(figures(ORDINARY, drive()), seed=seed) for seed in (1, 2)]
+    fewer = replace(figures(Case("long", Way.LONG), drive()), seed=1)
+    known = next(case for case in CASES if case.way is Way.LONG)
+    sheet = joined_sheet([*found, replace(fewer, case=known)])
+    assert "2 drives a case" in sheet.title
+    assert [row[0] for row in sheet.rows] == [ORDINARY.name, f"{known.name} (1 drive)"]
+
+
 @pytest.mark.slow
 def test_all_four_answer_and_the_paper_goes_by_the_camera_told():
     pytest.importorskip("mujoco")
