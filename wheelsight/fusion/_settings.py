@@ -12,6 +12,13 @@ from wheelsight.geometry import FloatArray
 
 _MAY_BE_INFINITE = ("level_sigma_rad",)
 _SHARES = ("confidence", "healthy_share")
+# As `PoseBelief.rest` has them, behind the twist; each has a sigma and a walk.
+_ERRORS = (
+    *("scale_{}", "drift_{}_rad_per_m", "turn_{}"),
+    *("camera_scale_{}", "camera_drift_{}_rad_per_m", "camera_turn_{}", "camera_drift_{}_rad_per_m"),
+    *("mount_{}_m", "mount_{}_m", "mount_{}_rad", "mount_{}_rad", "mount_{}_rad"),
+    *("camera_lag_{}_s", "gyro_bias_{}_rad_s"),
+)
 
 
 @dataclass(frozen=True)
@@ -134,20 +141,12 @@ class ErrorStateSettings:
     @cached_property
     def variances(self) -> FloatArray:
         """Of the errors of wheels and camera and of the gyroscope's bias (14,), before the drive."""
-        wheels = [self.scale_sigma, self.drift_sigma_rad_per_m, self.turn_sigma]
-        drift = self.camera_drift_sigma_rad_per_m
-        camera = [self.camera_scale_sigma, drift, self.camera_turn_sigma, drift]
-        mount = [*[self.mount_sigma_m] * 2, *[self.mount_sigma_rad] * 3]
-        return np.square([*wheels, *camera, *mount, self.camera_lag_sigma_s, self.gyro_bias_sigma_rad_s])
+        return self._squared("sigma")
 
     @cached_property
     def walks(self) -> FloatArray:
         """What these (14,) gain in a metre, the gyroscope's bias in a second."""
-        wheels = [self.scale_walk, self.drift_walk_rad_per_m, self.turn_walk]
-        drift = self.camera_drift_walk_rad_per_m
-        camera = [self.camera_scale_walk, drift, self.camera_turn_walk, drift]
-        mount = [*[self.mount_walk_m] * 2, *[self.mount_walk_rad] * 3]
-        return np.square([*wheels, *camera, *mount, self.camera_lag_walk_s, self.gyro_bias_walk_rad_s])
+        return self._squared("walk")
 
     @cached_property
     def fades(self) -> FloatArray:
@@ -155,4 +154,8 @@ class ErrorStateSettings:
 
         Just so much that what nothing measures stays as uncertain as before the drive: a Gauss–Markov process.
         """
-        return np.divide(self.walks, 2 * self.variances, out=np.zeros(14), where=self.variances > 0)
+        return np.divide(self.walks, 2 * self.variances, out=np.zeros(len(_ERRORS)), where=self.variances > 0)
+
+    def _squared(self, which: str) -> FloatArray:
+        """Of all errors (14,), in a belief's order, the "sigma" or the "walk"."""
+        return np.square([getattr(self, name.format(which)) for name in _ERRORS])
