@@ -206,12 +206,13 @@ def test_normals_have_the_slopes_that_least_squares_finds(rng: np.random.Generat
     for r, c in np.argwhere(depth_m[2:-2, 2:-2] > 0) + 2:
         window = slice(r - 2, r + 3), slice(c - 2, c + 3)
         known = (depth_m[window] > 0) & (np.abs(depth_m[window] - depth_m[r, c]) < jump * depth_m[r, c])
+        known[1:4, 1:4] = False
         if known.sum() >= 6:
-            places = np.stack([columns[window][known], rows[window][known], np.ones(known.sum())], axis=1)
-            slopes = np.linalg.lstsq(places, 1 / depth_m[window][known].astype(float), rcond=None)[0][:2] * grid[:2]
-            ray = (np.array([c, r]) - grid[2:]) / grid[:2]
-            normal = -np.array([*slopes, 1 / depth_m[r, c] - slopes @ ray])
-            cosine = np.abs(normal @ [*ray, 1]) / np.linalg.norm(normal) / np.hypot(1, np.linalg.norm(ray))
+            places = np.stack([columns[window][known] - c, rows[window][known] - r, np.ones(known.sum())], axis=1)
+            fit = np.linalg.lstsq(places, 1 / depth_m[window][known].astype(float), rcond=None)[0]
+            slopes, ray = fit[:2] * grid[:2], (np.array([c, r]) - grid[2:]) / grid[:2]
+            normal = -np.array([*slopes, fit[2] - slopes @ ray])
+            cosine = fit[2] / np.linalg.norm(normal) / np.hypot(1, np.linalg.norm(ray))
             expected[r, c] = normal / np.linalg.norm(normal) if cosine > 0.1 else 0
     assert np.count_nonzero(expected[..., 2]) > 600
     np.testing.assert_allclose(out, expected, atol=2e-5)
@@ -241,7 +242,7 @@ def test_of_a_grazed_floor_no_readings_are_picked_that_err_upwards(rng: np.rando
         is_far = (true_m > 4.0) & (true_m < 5.5)
         shares.append(is_used[is_far].mean())
         raised_m.append(((true_m - depth_m) * below)[is_far & is_used].mean())
-    assert np.mean(shares) > 0.95
+    assert np.mean(shares) > 0.94
     assert abs(np.mean(raised_m)) < 8e-5
 
 

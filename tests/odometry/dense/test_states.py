@@ -208,13 +208,14 @@ class Luring:
 
 def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace() -> None:
     """A spot is too little to tell the motion, yet enough to pull; it does so by as much in every frame."""
-    poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(20)]
-    wall = [Plane((0, 0, 1), 1.5, is_painted=True)]
-    frames = [frame_of(wall, T, k / 30, noise_seed=k) for k, T in enumerate(poses)]
-    subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(threads=1))
-    run(subject, frames[:10])
-    subject.refer_to(Luring())
-    answers = run(subject, [replace(frame, color=spot(frame.color)) for frame in frames[10:]])
-    assert not subject.sees_all_motion
-    lured_m = [abs(a.T_world_body[0, 3] - T[0, 3]) for T, a in zip(poses[10:], answers, strict=True)]
-    assert max(lured_m) < 0.006  # 0.0095 where it is not held
+    poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(15)]
+    wall, lured_m = [Plane((0, 0, 1), 1.5, is_painted=True)], []
+    for seed in range(5):  # in each the pace known before is off by what noise made of it, either way
+        frames = [frame_of(wall, T, k / 30, noise_seed=100 * seed + k) for k, T in enumerate(poses)]
+        subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(threads=1))
+        run(subject, frames[:10])
+        subject.refer_to(Luring())
+        answers = run(subject, [replace(frame, color=spot(frame.color)) for frame in frames[10:]])
+        assert not subject.sees_all_motion
+        lured_m.append(answers[-1].T_world_body[0, 3] - poses[-1][0, 3])
+    assert abs(np.mean(lured_m)) < 0.003  # -0.0065 where it is not held
