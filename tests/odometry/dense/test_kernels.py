@@ -18,6 +18,7 @@ from wheelsight.odometry.dense import _turn_kernels as turns
 TINY = PinholeCamera(24, 20, 22.0, 21.0, 11.3, 9.8)
 GRID = np.array([TINY.fx, TINY.fy, TINY.cx, TINY.cy], np.float32)
 NOISE = np.array([0.001, 0.0014, 0.3, 10.0], np.float32)
+NO_SPREAD, ANY_BEND = np.zeros(2, np.float32), np.full(2, np.inf, np.float32)
 UPPER = np.triu_indices(6)
 
 
@@ -40,7 +41,7 @@ def sums_of(pair: tuple, T: np.ndarray, weight: float, huber: float = 1e6, modul
     """The total of all rows."""
     depth_m, grey, pixels = pair
     T_rows = np.ascontiguousarray(np.broadcast_to(T[:3], (TINY.height, 3, 4)), np.float32)
-    how = np.array([0.5, 1.0, 5.0, 1.1, 2.0, huber, weight, 0.0, 0.0], np.float32)
+    how = np.array([0.5, 1.0, 5.0, 1.1, 2.0, huber, weight, 0.0, 0.0, 0.5], np.float32)
     sums = np.zeros((TINY.height, kernels.SUMS))
     module.accumulate(depth_m, grey, pixels, GRID, T_rows, NOISE, how, 1, 0, TINY.height, sums)
     return sums.sum(axis=0)
@@ -199,7 +200,7 @@ def test_normals_have_the_slopes_that_least_squares_finds(rng: np.random.Generat
     depth_m = np.where(rng.random(shape) < 0.3, 0, depth_m).astype(np.float32)
     grid, out = np.array([90.0, 91.0, 74.0, 5.0], np.float32), np.full((*shape, 3), np.nan, np.float32)
     for begin, end in ((0, 4), (4, 10)):
-        _reference_kernels.normals(depth_m, grid, 2, jump, np.full(2, np.inf, np.float32), begin, end, out)
+        _reference_kernels.normals(depth_m, grid, 2, jump, NO_SPREAD, ANY_BEND, begin, end, out)
     assert not out[:2].any()
     assert not out[:, :2].any()
     expected = np.zeros((*shape, 3))
@@ -222,7 +223,7 @@ def test_normals_do_not_reach_over_an_edge() -> None:
     depth_m = np.full((20, 20), 1.0, np.float32)
     depth_m[:, 10:] = 2.0
     out = np.empty((20, 20, 3), np.float32)
-    _reference_kernels.normals(depth_m, GRID, 2, np.float32(0.03), 2 * NOISE[:2], 0, 20, out)
+    _reference_kernels.normals(depth_m, GRID, 2, np.float32(0.03), NO_SPREAD, 2 * NOISE[:2], 0, 20, out)
     np.testing.assert_allclose(out[5, 9], [0, 0, -1], atol=1e-6)
     np.testing.assert_allclose(out[5, 10], [0, 0, -1], atol=1e-6)
 
@@ -237,7 +238,7 @@ def test_of_a_grazed_floor_no_readings_are_picked_that_err_upwards(rng: np.rando
     for _ in range(10):
         depth_m = (true_m + (1e-3 + 1.425e-3 * true_m**2) * rng.standard_normal(shape)).astype(np.float32)
         out = np.empty((*shape, 3), np.float32)
-        _reference_kernels.normals(depth_m, grid, 2, np.float32(0.03), np.full(2, np.inf, np.float32), 0, shape[0], out)
+        _reference_kernels.normals(depth_m, grid, 2, np.float32(0.03), NO_SPREAD, ANY_BEND, 0, shape[0], out)
         is_used = -(out * ray).sum(axis=-1) / np.linalg.norm(ray, axis=-1) >= least
         is_far = (true_m > 4.0) & (true_m < 5.5)
         shares.append(is_used[is_far].mean())
@@ -285,7 +286,7 @@ def test_a_crease_has_no_normal() -> None:
     planes = [Plane((1.0, 0.0, -1.0), -2.0), Plane((-1.0, 0.0, -1.0), -2.0)]  # meet at x = 0, 2 m away
     parts = bench()
     grid = parts.grid(frame_of(planes, np.eye(4), 0.0)).levels[2]
-    found, middle = parts.maker.normals(grid, 0.12, 2 * NOISE[:2])[30], round(grid.intrinsics[2])
+    found, middle = parts.maker._normals(grid, 0.12, 2 * NOISE[:2], 2 * NOISE[:2])[30], round(grid.intrinsics[2])
     assert not found[middle].any()
     assert found[middle - 8, 2] != 0
     assert found[middle + 8, 2] != 0

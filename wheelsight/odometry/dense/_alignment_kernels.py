@@ -30,7 +30,7 @@ _STRETCH = 320
 _MX, _MY, _MZ, _MU, _MV, _MOVED = range(6)
 _PX, _PY, _PZ, _HERE_Z, _HERE, _PARTNER, _PAIR = *range(6), 5 + CHANNELS
 # Rows of the buffer in which residuals of one kind are collected.
-_GX, _GY, _GZ, _J3, _J4, _J5, _ERROR, _ROOT, _RESIDUAL = range(9)
+_GX, _GY, _GZ, _J3, _J4, _J5, _ERROR, _ROOT, _LEVER, _RESIDUAL = range(10)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
@@ -61,8 +61,9 @@ def accumulate(
         T_rows: (h, 3, 4) T_reference_frame of each row, which differ where a rolling shutter's speed is refined.
         noise: depth's constant and quadratic σ, near and far limit in metres.
         how: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset, Huber's limit, weight
-            of grey (0: depth alone), σ of the colour camera's place in pixels, and the slope of grey a pixel below
-            which it may be the image's noise and tells nothing.
+            of grey (0: depth alone), σ of the colour camera's place in pixels, the slope of grey a pixel below which
+            it may be the image's noise and tells nothing, and how much of a residual is the frame's own noise: half
+            of it against another frame, all against a view that has averaged many.
         begin, end: of the rows' numbers; number k is row k · stride.
         sums: (h // stride, SUMS) of float64, written row by row, so that the total does not depend on who did which.
     """
@@ -135,25 +136,30 @@ def _pair(depth_m: Any, grey: Any, reference: Any, noise: Any, moved: Any, pairs
 def _meet_planes(pairs: Any, n: int, noise: Any, how: Any, out: Any) -> None:
     """Gradients g = ∂error/∂p', errors and 1 / σ of n pairs as to the partners' planes; 0 where there is none.
 
-    Both depths err along the ray; what counts of it is bounded where planes are grazed.
+    Both depths err along the ray; what counts of it is bounded where planes are grazed. How long a lever is, and how
+    much a pair weighs, goes by where the point is once its own share of the error is taken off. By its noisy depth, all
+    that are too far by chance would turn a frame more, and weigh less, than those that are too near.
     """
     zero, one, least = np.float32(0), np.float32(1), np.float32(0.04)
-    constant, quadratic, gate, scale = noise[0], noise[1], how[0], how[1]
+    constant, quadratic, gate, scale, own = noise[0], noise[1], how[0], how[1], how[9]
     for k in range(n):
         px, py, pz, z = pairs[_PX, k], pairs[_PY, k], pairs[_PZ, k], pairs[_HERE_Z, k]
         nx, ny, nz = pairs[_PARTNER + NX, k], pairs[_PARTNER + NY, k], pairs[_PARTNER + NZ, k]
         qz, along = pairs[_PARTNER + DEPTH, k], nx * px + ny * py + nz * pz
         error = along - pairs[_PARTNER + OFFSET, k]
-        here, there = constant + quadratic * z * z, constant + quadratic * qz * qz
         cosine2 = along * along / (px * px + py * py + pz * pz)
         cosine2 = cosine2 if cosine2 > least else least
         is_near = (abs(qz - pz) <= gate * (one + pz)) & (error == error)
+        share = own * error / along
+        lever = one - share if is_near & (abs(share) < gate) else one
+        z, pz = lever * z, lever * pz
+        here, there = constant + quadratic * z * z, constant + quadratic * pz * pz
         out[_GX, k], out[_GY, k], out[_GZ, k] = (
             nx if is_near else zero,
             ny if is_near else zero,
             nz if is_near else zero,
         )
-        out[_ERROR, k] = error if is_near else zero
+        out[_ERROR, k], out[_LEVER, k] = error if is_near else zero, lever
         out[_ROOT, k] = one / (scale * np.sqrt((here * here + there * there) * cosine2)) if is_near else zero
 
 
@@ -175,7 +181,7 @@ def _compare_grey(pairs: Any, n: int, grid: Any, how: Any, out: Any, row: Any) -
         error = gain * there + offset - here if is_known else zero
         root = weight_of / np.sqrt(sigma2 + misplaced2 * slope2) if is_known else zero
         out[_GX, k], out[_GY, k], out[_GZ, k] = gx, gy, -(gx * px + gy * py) / pz
-        out[_ERROR, k], out[_ROOT, k] = error, root
+        out[_ERROR, k], out[_ROOT, k], out[_LEVER, k] = error, root, one
         scaled = abs(error) * root
         weight = limit / (scaled if scaled > limit else limit) if is_known else zero
         s += weight
@@ -196,7 +202,8 @@ def _weigh(pairs: Any, residuals: Any, n: int, limit: Any, row: Any, place: int)
     zero, one = np.float32(0), np.float32(1)
     count = total = squares = zero
     for k in range(n):
-        px, py, pz, root = pairs[_PX, k], pairs[_PY, k], pairs[_PZ, k], residuals[_ROOT, k]
+        lever, root = residuals[_LEVER, k], residuals[_ROOT, k]
+        px, py, pz = lever * pairs[_PX, k], lever * pairs[_PY, k], lever * pairs[_PZ, k]
         scaled = abs(residuals[_ERROR, k]) * root
         weight = limit / (scaled if scaled > limit else limit)
         count += one if root > zero else zero

@@ -52,7 +52,9 @@ def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, begin: int, end: int, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def normals(depth_m: Any, grid: Any, radius: int, jump: Any, bend: Any, begin: int, end: int, out: Any) -> None:
+def normals(
+    depth_m: Any, grid: Any, radius: int, jump: Any, spread: Any, bend: Any, begin: int, end: int, out: Any
+) -> None:
     """Unit normals (h, w, 3) towards the camera by least squares of inverse depth over a window; 0 where none.
 
     On a plane inverse depth is linear in the pixel, 1/z = a·u + b·v + c, so the normal follows from its slopes
@@ -62,7 +64,8 @@ def normals(depth_m: Any, grid: Any, radius: int, jump: Any, bend: Any, begin: i
 
     Args:
         jump: share of a depth by which neighbours on one surface may differ.
-        bend: (2,) what a surface may be off its plane, RMS: metres, and metres a square metre of depth.
+        spread: (2,) by what noise may have them differ besides: metres, and metres a square metre of depth.
+        bend: (2,) what a surface may be off its plane, RMS: the same.
     """
     (height, width), core = depth_m.shape, radius // 2
     out[begin:end] = 0
@@ -76,7 +79,7 @@ def normals(depth_m: Any, grid: Any, radius: int, jump: Any, bend: Any, begin: i
                 for j in range(-radius, radius + 1):
                     if max(abs(i), abs(j)) <= core:
                         continue
-                    _sum_up(here, depth_m[r + i, first + j : first + j + n], jump, i, j, sums)
+                    _sum_up(here, depth_m[r + i, first + j : first + j + n], jump, spread, i, j, sums)
             _solve(here, sums, grid, bend, r, first, found)
             for c in range(n):
                 for k in range(3):
@@ -84,12 +87,15 @@ def normals(depth_m: Any, grid: Any, radius: int, jump: Any, bend: Any, begin: i
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sum_up(here: Any, there: Any, jump: Any, i: int, j: int, sums: Any) -> None:
-    """Add to the windows' sums what their pixels i rows and j columns from the middle, `there`, tell of its surface."""
+def _sum_up(here: Any, there: Any, jump: Any, spread: Any, i: int, j: int, sums: Any) -> None:
+    """Add to the windows' sums what their pixels i rows and j columns from the middle, `there`, tell of its surface.
+
+    A limit that noise reaches would pick those neighbours that err as the middle does.
+    """
     zero, one, u, v = np.float32(0), np.float32(1), np.float32(j), np.float32(i)
     for c in range(len(here)):
         z, near = here[c], there[c]
-        is_like = (near > 0) & (abs(near - z) < jump * z)
+        is_like = (near > 0) & (abs(near - z) < spread[0] + z * (jump + spread[1] * z))
         known = one if is_like else zero
         d = (z - near) / (z * near) if is_like else zero
         sums[_S, c] += known

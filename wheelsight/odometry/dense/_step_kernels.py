@@ -23,7 +23,7 @@ from wheelsight.odometry.dense._alignment_kernels import (
 _COMPILED_IN = 0xCE3BCC03
 
 # Entries of `how`; see `accumulate`.
-GATE, PLANE_SCALE, GREY_SIGMA, GAIN, OFFSET, HUBER, GREY_WEIGHT, COLOR_SIGMA, LEAST_SLOPE = range(9)
+GATE, PLANE_SCALE, GREY_SIGMA, GAIN, OFFSET, HUBER, GREY_WEIGHT, COLOR_SIGMA, LEAST_SLOPE, OWN_NOISE = range(10)
 
 # Mean absolute value of a standard normal variable.
 MEAN_ABS = 0.7978845608028654

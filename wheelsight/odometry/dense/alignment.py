@@ -115,7 +115,7 @@ class Aligner:
 
         Points count that have a plane near by the guess that gives most of them one; without one they are far away.
         """
-        how = np.array([self._settings.gate, 1, _GREY_SIGMA, 1, 0, self._settings.huber, 0, 0, 0], float)
+        how = np.array([self._settings.gate, 1, _GREY_SIGMA, 1, 0, self._settings.huber, 0, 0, 0, 0], float)
         level, pixels = frame.levels[-1], reference.levels[-1].pixels
         sums, totals = np.empty((len(level.depth_m), kernels.SUMS)), []
         for T in guesses:
@@ -142,9 +142,8 @@ class Aligner:
         With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way.
         """
         settings = self._settings
-        how = np.array(
-            [0, 1, _GREY_SIGMA, 1, 0, settings.huber, settings.color_weight, 0, settings.min_gradient], float
-        )
+        rules = settings.huber, settings.color_weight, 0, settings.min_gradient, reference.own_noise
+        how = np.array([0, 1, _GREY_SIGMA, 1, 0, *rules], float)
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
         T_held, hold = self._hold(T, step, held_m)
         for number in reversed(range(settings.levels)):

@@ -25,8 +25,9 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.features.extraction import Features
 
 _START_VARIANCE = 1e-12
-# Of a frame's resolution, what a keyframe must have to show it: alone, so that its keypoints are recognised.
-_FINE_ALONE, _FINE_HELPED = 0.8, 0.5
+# Of a frame's resolution, what a keyframe must have to show it: along a corridor a frame is 3 mm off at half of it, and
+# 1 mm at this; and keypoints are recognised.
+_FINE = 0.8
 # After so long alone, most keypoints that match a view must agree on it: a part does in places that look alike.
 _LONG_S = 2.0
 # Rows placed more wrongly than this are worth preparing a frame twice; of one that is no keyframe, than the second.
@@ -257,8 +258,7 @@ class DenseOdometry:
         counts = (None, found.pairs, found.planes, judged.degenerate)
         self.last_motion = MotionEstimate(judged.T_reference_frame, judged.covariance, *counts)
         twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
-        least = _FINE_HELPED if ahead.is_helped else _FINE_ALONE
-        overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame, least)
+        overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame, _FINE)
         fit = (overlap, keyframe in self._views.keyframes, found.residual)
         return Tracked(grid, T_world_camera, keyframe.with_motion(judged.covariance), twist, *fit)
 
