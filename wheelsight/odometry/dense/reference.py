@@ -120,7 +120,9 @@ class ReferenceMaker:
         number = self._settings.levels - 1
         # The same slope is a larger step from pixel to pixel where pixels are larger.
         jump = self._settings.depth_jump * (1 << number)
-        return self._level(levels[number], self._normals(levels[number], jump, _SPREAD * self._noise, _BENT * self._noise))
+        return self._level(
+            levels[number], self._normals(levels[number], jump, _SPREAD * self._noise, _BENT * self._noise)
+        )
 
     def _level(self, level: Level, normal: Float32Array | None = None) -> ReferenceLevel:
         if normal is None:
