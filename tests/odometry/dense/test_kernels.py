@@ -286,7 +286,7 @@ def test_a_crease_has_no_normal() -> None:
     planes = [Plane((1.0, 0.0, -1.0), -2.0), Plane((-1.0, 0.0, -1.0), -2.0)]  # meet at x = 0, 2 m away
     parts = bench()
     grid = parts.grid(frame_of(planes, np.eye(4), 0.0)).levels[2]
-    found, middle = parts.maker._normals(grid, 0.12, 2 * NOISE[:2], 2 * NOISE[:2])[30], round(grid.intrinsics[2])
+    found, middle = parts.maker._fitted(grid, 4.2, 4, 2.0)[30], round(grid.intrinsics[2])
     assert not found[middle].any()
     assert found[middle - 8, 2] != 0
     assert found[middle + 8, 2] != 0

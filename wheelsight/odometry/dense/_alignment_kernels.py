@@ -62,8 +62,8 @@ def accumulate(
         noise: depth's constant and quadratic σ, near and far limit in metres.
         how: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset, Huber's limit, weight
             of grey (0: depth alone), σ of the colour camera's place in pixels, the slope of grey a pixel below which
-            it may be the image's noise and tells nothing, and how much of a residual is the frame's own noise: half
-            of it against another frame, all against a view that has averaged many.
+            it may be the image's noise and tells nothing, and how much of a residual is taken for the frame's own
+            noise.
         begin, end: of the rows' numbers; number k is row k · stride.
         sums: (h // stride, SUMS) of float64, written row by row, so that the total does not depend on who did which.
     """

@@ -15,13 +15,13 @@ from wheelsight.odometry.dense.grid import GridFrame, Level, Rows, coarser
 from wheelsight.odometry.dense.settings import DenseSettings
 
 _ANY_BEND = np.full(2, np.inf, np.float32)
-_NO_SPREAD = np.zeros(2, np.float32)
-# Standard deviations of depth by which neighbours differ at most by noise: √2 times three.
+# Standard deviations of depth by which neighbours in a frame differ at most by noise: √2 times three.
 _SPREAD = 4.2
 # At creases, bent by more than so many standard deviations of depth, a fitted plane is no plane of the scene.
 _BENT = 2.0
-# Own noise against another frame, which has as much, and against a map, where it is averaged out.
-_AS_NOISY, _AVERAGED = 0.5, 1.0
+# Own noise against another frame, which has as much. Against a map, where it is averaged out, it should be all; but two
+# of ten cameras alone were lost with it after 170 m, and no drive was better.
+_AS_NOISY, _MAPPED = 0.5, 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,50 +100,51 @@ class ReferenceMaker:
 
     def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
-        levels = tuple(self._level(level) for level in frame.levels)
-        return Reference(T_world_camera, levels, self._steep(frame.levels), _AS_NOISY)
+        levels = tuple(self._level(level, self._fitted(level, _SPREAD)) for level in frame.levels)
+        return Reference(T_world_camera, levels, self._steep(frame.levels, _SPREAD), _AS_NOISY)
 
     def of_view(self, view: PredictedView, T_world_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
         finest = Level(intrinsics, view.depth_m, view.grey)
         levels = coarser(finest, self._settings, self._rows)
-        fitted = (self._level(level) for level in levels[1:])
-        return Reference(T_world_camera, (self._level(finest, view.normal), *fitted), self._steep(levels), _AVERAGED)
+        fitted = (self._level(level, self.normals(level)) for level in levels[1:])
+        pyramid = (self._level(finest, view.normal), *fitted)
+        return Reference(T_world_camera, pyramid, self._steep(levels, 0.0), _MAPPED)
 
     def shown_by(self, frame: GridFrame) -> Shown:
         """What a frame itself shows."""
         number = min(1, self._settings.levels - 1)
         no_planes = np.zeros((*frame.levels[number].depth_m.shape, 3), np.float32)
-        return Shown(self._steep(frame.levels), self._level(frame.levels[number], no_planes))
+        return Shown(self._steep(frame.levels, _SPREAD), self._level(frame.levels[number], no_planes))
 
-    def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
+    def normals(self, level: Level) -> Float32Array:
+        """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown.
+
+        Only of neighbours that differ by `depth_jump`, whatever the noise: a map whose far floor had all of its normals
+        was tracked 60 mm too high after 35 m of corridor.
+        """
+        return self._fitted(level, 0.0)
+
+    def _steep(self, levels: tuple[Level, ...], spread: float) -> ReferenceLevel:
         number = self._settings.levels - 1
         # The same slope is a larger step from pixel to pixel where pixels are larger.
-        jump = self._settings.depth_jump * (1 << number)
-        return self._level(
-            levels[number], self._normals(levels[number], jump, _SPREAD * self._noise, _BENT * self._noise)
-        )
+        return self._level(levels[number], self._fitted(levels[number], spread, 1 << number, _BENT))
 
-    def _level(self, level: Level, normal: Float32Array | None = None) -> ReferenceLevel:
-        if normal is None:
-            normal = self._normals(level, self._settings.depth_jump, _SPREAD * self._noise, _ANY_BEND)
+    def _level(self, level: Level, normal: Float32Array) -> ReferenceLevel:
         pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
         given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32))
         self._rows.share(len(pixels), lambda begin, end: kernels.pack(*given, begin, end, pixels))
         return ReferenceLevel(normal, pixels)
 
-    def normals(self, level: Level) -> Float32Array:
-        """Unit normals (h, w, 3) float32 of a level's surfaces for a map, towards the camera; 0 where unknown.
+    def _fitted(self, level: Level, spread: float, steepness: int = 1, bend: float = np.inf) -> Float32Array:
+        """Normals (h, w, 3) of surfaces whose neighbours differ by `depth_jump`, and by noise, each so many times.
 
-        Only of neighbours that differ by `depth_jump`, whatever the noise: a map whose far floor had all of its normals
-        was tracked 60 mm too high after 35 m of corridor.
+        `bend` is by how many standard deviations of depth a surface may be off its plane.
         """
-        return self._normals(level, self._settings.depth_jump, _NO_SPREAD, _ANY_BEND)
-
-    def _normals(self, level: Level, jump: float, spread: Float32Array, bend: Float32Array) -> Float32Array:
-        """See the kernel."""
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
-        limits = (self._settings.normal_radius_px, np.float32(jump), spread, bend)
+        jump = np.float32(steepness * self._settings.depth_jump)
+        off = _ANY_BEND if np.isinf(bend) else np.float32(bend) * self._noise
+        limits = (self._settings.normal_radius_px, jump, np.float32(spread) * self._noise, off)
         given = (level.depth_m, level.intrinsics.astype(np.float32), *limits)
         self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
         return normal
