@@ -10,7 +10,7 @@ from numba import njit
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, NY, NZ, OFFSET
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0xCE3BCC03
+_COMPILED_IN = 0x1C98811C
 
 _NAN = np.float32(np.nan)
 _FEWEST = np.float32(6)

@@ -15,7 +15,7 @@ from numba import njit
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, NY, NZ, OFFSET
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0xCE3BCC03
+_COMPILED_IN = 0x1C98811C
 
 # Columns of the sums of a row: upper triangle of the information, and how many points fell into the reference.
 POINTS = 21

@@ -20,7 +20,7 @@ from wheelsight.odometry.dense._alignment_kernels import (
 )
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0xCE3BCC03
+_COMPILED_IN = 0x1C98811C
 
 # Entries of `how`; see `accumulate`.
 GATE, PLANE_SCALE, GREY_SIGMA, GAIN, OFFSET, HUBER, GREY_WEIGHT, COLOR_SIGMA, LEAST_SLOPE, OWN_NOISE = range(10)

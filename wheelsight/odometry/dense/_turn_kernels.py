@@ -11,7 +11,7 @@ from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, GREY
 from wheelsight.odometry.dense._step_kernels import fit_exposure, move
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x6673B7D5
+_COMPILED_IN = 0x7936890B
 
 # Sums over pixels: H's upper triangle, b, how many and the sum of absolute errors, then the regression of exposure.
 B, COUNT, ABSOLUTE, FIT, TURN_SUMS = 6, 9, 10, 11, 16
