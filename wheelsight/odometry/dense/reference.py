@@ -19,8 +19,8 @@ _ANY_BEND = np.full(2, np.inf, np.float32)
 _SPREAD = 4.2
 # At creases, bent by more than so many standard deviations of depth, a fitted plane is no plane of the scene.
 _BENT = 2.0
-# Own noise against another frame, which has as much. Against a map, where it is averaged out, it should be all; but two
-# of ten cameras alone were lost with it after 170 m, and no drive was better.
+# Own noise against another frame, which has as much. Against a map, where it is averaged out, it should be all; but a
+# camera alone was lost with it after 170 m that was not without, and drives joined were better by no more than 0.4 mm.
 _AS_NOISY, _MAPPED = 0.5, 0.0
 
 
