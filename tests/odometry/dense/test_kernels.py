@@ -285,8 +285,8 @@ def test_grid_kernels_are_plain_python(rng: np.random.Generator, name: str) -> N
 def test_a_crease_has_no_normal() -> None:
     planes = [Plane((1.0, 0.0, -1.0), -2.0), Plane((-1.0, 0.0, -1.0), -2.0)]  # meet at x = 0, 2 m away
     parts = bench()
-    grid = parts.grid(frame_of(planes, np.eye(4), 0.0)).levels[2]
-    found, middle = parts.maker._fitted(grid, 4.2, 4, 2.0)[30], round(grid.intrinsics[2])
+    frame = frame_of(planes, np.eye(4), 0.0)
+    found, middle = parts.reference(frame).steep.normal[30], round(parts.grid(frame).levels[2].intrinsics[2])
     assert not found[middle].any()
     assert found[middle - 8, 2] != 0
     assert found[middle + 8, 2] != 0

@@ -14,11 +14,10 @@ from wheelsight.odometry.dense._alignment_kernels import CHANNELS
 from wheelsight.odometry.dense.grid import GridFrame, Level, Rows, coarser
 from wheelsight.odometry.dense.settings import DenseSettings
 
-_ANY_BEND = np.full(2, np.inf, np.float32)
 # Standard deviations of depth by which neighbours in a frame differ at most by noise: √2 times three.
 _SPREAD = 4.2
 # At creases, bent by more than so many standard deviations of depth, a fitted plane is no plane of the scene.
-_BENT = 2.0
+_BENT, _ANY_BEND = 2.0, 1e6
 # Own noise against another frame, which has as much. Against a map, where it is averaged out, it should be all; but a
 # camera alone was lost with it after 170 m that was not without, and drives joined were better by no more than 0.4 mm.
 _AS_NOISY, _MAPPED = 0.5, 0.0
@@ -136,15 +135,19 @@ class ReferenceMaker:
         self._rows.share(len(pixels), lambda begin, end: kernels.pack(*given, begin, end, pixels))
         return ReferenceLevel(normal, pixels)
 
-    def _fitted(self, level: Level, spread: float, steepness: int = 1, bend: float = np.inf) -> Float32Array:
+    def _fitted(self, level: Level, spread: float, steepness: int = 1, bend: float = _ANY_BEND) -> Float32Array:
         """Normals (h, w, 3) of surfaces whose neighbours differ by `depth_jump`, and by noise, each so many times.
 
         `bend` is by how many standard deviations of depth a surface may be off its plane.
         """
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
         jump = np.float32(steepness * self._settings.depth_jump)
-        off = _ANY_BEND if np.isinf(bend) else np.float32(bend) * self._noise
-        limits = (self._settings.normal_radius_px, jump, np.float32(spread) * self._noise, off)
+        limits = (
+            self._settings.normal_radius_px,
+            jump,
+            np.float32(spread) * self._noise,
+            np.float32(bend) * self._noise,
+        )
         given = (level.depth_m, level.intrinsics.astype(np.float32), *limits)
         self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
         return normal
