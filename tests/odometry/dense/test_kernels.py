@@ -19,6 +19,7 @@ TINY = PinholeCamera(24, 20, 22.0, 21.0, 11.3, 9.8)
 GRID = np.array([TINY.fx, TINY.fy, TINY.cx, TINY.cy], np.float32)
 NOISE = np.array([0.001, 0.0014, 0.3, 10.0], np.float32)
 NO_SPREAD, ANY_BEND = np.zeros(2, np.float32), np.full(2, np.inf, np.float32)
+NO_HEM = np.array([np.inf, 0, 0], np.float32)
 UPPER = np.triu_indices(6)
 
 
@@ -32,7 +33,7 @@ def pair(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     there = (100 + 3.0 * columns - 2.0 * rows).astype(np.float32)
     pixels = np.empty((*depth_m.shape, kernels.CHANNELS), np.float32)
     normals = np.broadcast_to(normal, (*depth_m.shape, 3)).astype(np.float32)
-    _reference_kernels.pack(depth_m, normals, there, GRID, 0, TINY.height, pixels)
+    _reference_kernels.pack(depth_m, normals, there, GRID, NO_HEM, 0, TINY.height, pixels)
     here = there + rng.normal(0, 3, there.shape)
     return (depth_m + 0.01).astype(np.float32), here.astype(np.float32), pixels
 
@@ -226,6 +227,36 @@ def test_normals_do_not_reach_over_an_edge() -> None:
     _reference_kernels.normals(depth_m, GRID, 2, np.float32(0.03), NO_SPREAD, 2 * NOISE[:2], 0, 20, out)
     np.testing.assert_allclose(out[5, 9], [0, 0, -1], atol=1e-6)
     np.testing.assert_allclose(out[5, 10], [0, 0, -1], atol=1e-6)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_grey_has_no_gradient_beside_what_stands_out_before_it(turned: bool) -> None:
+    """There the rim of what is nearer is spread over it, and moves as that does; on that itself it is as it seems."""
+    rows, columns = np.mgrid[: TINY.height, : TINY.width]
+    slope = 1 / (0.5 + 0.01 * rows + 0.004 * columns)  # a slanted surface: inverse depth is linear
+    depth_m = np.where(columns < 10, 0.9 * slope, slope).astype(np.float32)
+    grey, normal = (100 + 3.0 * columns + 2.0 * rows).astype(np.float32), np.zeros((*depth_m.shape, 3), np.float32)
+    expected = (columns >= 10) & (columns < 12) & (rows >= 2) & (rows < TINY.height - 2)
+    if turned:
+        depth_m, grey, expected = (np.ascontiguousarray(a.T) for a in (depth_m, grey, expected))
+        normal = np.ascontiguousarray(normal.transpose(1, 0, 2))
+    hem, out = np.array([0.0, 0.02, 0.0], np.float32), np.empty((*depth_m.shape, kernels.CHANNELS), np.float32)
+    _reference_kernels.pack(depth_m, normal, grey, GRID, hem, 0, len(depth_m), out)
+    inner = slice(1, -1), slice(1, -1)
+    np.testing.assert_array_equal(np.isnan(out[..., kernels.ALONG_U])[inner], expected[inner])
+    np.testing.assert_array_equal(np.isnan(out[..., kernels.ALONG_V])[inner], expected[inner])
+    assert np.isfinite(out[..., kernels.GREY]).all()
+
+
+def test_noise_tilts_no_normals_of_a_wall_that_is_passed(rng: np.random.Generator) -> None:
+    """Of neighbours within 3 % of a depth alone, those would be picked that err alike."""
+    wall, parts, tilts_deg = [Plane((1, 0, 0), 1.0)], bench(), []
+    for _ in range(4):
+        level = parts.grid(frame_of(wall, np.eye(4), 0.0, noise_seed=int(rng.integers(1000)))).levels[0]
+        normal = parts.maker.normals(level)
+        is_far = (level.depth_m > 3.0) & (level.depth_m < 5.0) & (normal[..., 0] != 0)
+        tilts_deg.append(np.degrees(np.arcsin(normal[is_far, 2])).mean())
+    assert abs(np.mean(tilts_deg)) < 0.3  # 1.5, towards the camera, of those
 
 
 def test_of_a_grazed_floor_no_readings_are_picked_that_err_upwards(rng: np.random.Generator) -> None:

@@ -14,6 +14,8 @@ _COMPILED_IN = 0x1C98811C
 
 _NAN = np.float32(np.nan)
 _FEWEST = np.float32(6)
+# So far a lens and a depth camera's window spread the rim of what stands out.
+_HEM_PX = 2
 # Squared cosine to the ray below which neighbours are too far apart in depth for a normal. Beyond what sensors measure:
 # of a floor that were cut off nearer, only the places would be left that noise tilts, and lifts, towards the camera.
 _GRAZED = np.float32(0.01)
@@ -25,12 +27,14 @@ _SUMS = 10
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, begin: int, end: int, out: Any) -> None:
+def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, hem: Any, begin: int, end: int, out: Any) -> None:
     """Rows `begin` to `end` of a reference's pixels (h, w, CHANNELS), NaN where something is unknown.
 
     Args:
         depth_m, normal, grey: (h, w), 0 where unknown; (h, w, 3), 0 where unknown; (h, w), -1 where unknown.
         grid: fx, fy, cx, cy.
+        hem: (3,) by how much what stands out before a surface must be nearer: metres, a share of the surface's depth,
+            and metres a square metre of it. Grey beside it has no gradient: it moves as what stands out does.
     """
     height, width = depth_m.shape
     half = np.float32(0.5)
@@ -49,6 +53,26 @@ def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, begin: int, end: int, 
                 out[r, c, ALONG_U] = half * (grey[r, c + 1] - grey[r, c - 1])
             if 0 < r < height - 1 and grey[r - 1, c] >= 0 and grey[r + 1, c] >= 0:
                 out[r, c, ALONG_V] = half * (grey[r + 1, c] - grey[r - 1, c])
+            if _is_hemmed(depth_m, r, c, hem):
+                out[r, c, ALONG_U] = out[r, c, ALONG_V] = _NAN
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _is_hemmed(depth_m: Any, r: int, c: int, hem: Any) -> Any:
+    """Whether something stands out before the surface within `_HEM_PX`, by more than hem[0] + z (hem[1] + hem[2] z).
+
+    On a plane inverse depth is linear: what is nearer on one side than it is farther on the other is another surface.
+    """
+    height, width = depth_m.shape
+    if min(r, c) < _HEM_PX or r >= height - _HEM_PX or c >= width - _HEM_PX:
+        return False
+    z, two, found = depth_m[r, c], np.float32(2), False
+    limit = hem[0] + z * (hem[1] + hem[2] * z)
+    for i, j in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        one = depth_m[r + _HEM_PX * i, c + _HEM_PX * j]
+        other = depth_m[r - _HEM_PX * i, c - _HEM_PX * j]
+        found |= (one > 0) & (other > 0) & (z * (z / one + z / other - two) > limit)
+    return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

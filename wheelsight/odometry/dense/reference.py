@@ -14,13 +14,15 @@ from wheelsight.odometry.dense._alignment_kernels import CHANNELS
 from wheelsight.odometry.dense.grid import GridFrame, Level, Rows, coarser
 from wheelsight.odometry.dense.settings import DenseSettings
 
-# Standard deviations of depth by which neighbours in a frame differ at most by noise: √2 times three.
+# Standard deviations of depth by which neighbours differ at most by noise: √2 times three.
 _SPREAD = 4.2
 # At creases, bent by more than so many standard deviations of depth, a fitted plane is no plane of the scene.
 _BENT, _ANY_BEND = 2.0, 1e6
-# Own noise against another frame, which has as much. Against a map, where it is averaged out, it should be all; but a
-# camera alone was lost with it after 170 m that was not without, and drives joined were better by no more than 0.4 mm.
-_AS_NOISY, _MAPPED = 0.5, 0.0
+# How much of a residual is the frame's own noise: against another frame, which has as much, half; against a map all.
+_AS_NOISY, _MAPPED = 0.5, 1.0
+# What stands out before a surface by this share of its depth and so many standard deviations hems it with its own grey,
+# which moves as what stands out does.
+_HEM, _HEM_SIGMAS = 0.02, 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,8 +101,8 @@ class ReferenceMaker:
 
     def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
-        levels = tuple(self._level(level, self._fitted(level, _SPREAD)) for level in frame.levels)
-        return Reference(T_world_camera, levels, self._steep(frame.levels, _SPREAD), _AS_NOISY)
+        levels = tuple(self._level(level, self.normals(level)) for level in frame.levels)
+        return Reference(T_world_camera, levels, self._steep(frame.levels), _AS_NOISY)
 
     def of_view(self, view: PredictedView, T_world_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
@@ -108,46 +110,39 @@ class ReferenceMaker:
         levels = coarser(finest, self._settings, self._rows)
         fitted = (self._level(level, self.normals(level)) for level in levels[1:])
         pyramid = (self._level(finest, view.normal), *fitted)
-        return Reference(T_world_camera, pyramid, self._steep(levels, 0.0), _MAPPED)
+        return Reference(T_world_camera, pyramid, self._steep(levels), _MAPPED)
 
     def shown_by(self, frame: GridFrame) -> Shown:
         """What a frame itself shows."""
         number = min(1, self._settings.levels - 1)
         no_planes = np.zeros((*frame.levels[number].depth_m.shape, 3), np.float32)
-        return Shown(self._steep(frame.levels, _SPREAD), self._level(frame.levels[number], no_planes))
+        return Shown(self._steep(frame.levels), self._level(frame.levels[number], no_planes))
 
     def normals(self, level: Level) -> Float32Array:
-        """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown.
+        """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown."""
+        return self._fitted(level)
 
-        Only of neighbours that differ by `depth_jump`, whatever the noise: a map whose far floor had all of its normals
-        was tracked 60 mm too high after 35 m of corridor.
-        """
-        return self._fitted(level, 0.0)
-
-    def _steep(self, levels: tuple[Level, ...], spread: float) -> ReferenceLevel:
+    def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
         number = self._settings.levels - 1
         # The same slope is a larger step from pixel to pixel where pixels are larger.
-        return self._level(levels[number], self._fitted(levels[number], spread, 1 << number, _BENT))
+        return self._level(levels[number], self._fitted(levels[number], 1 << number, _BENT))
 
     def _level(self, level: Level, normal: Float32Array) -> ReferenceLevel:
         pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
-        given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32))
+        constant, quadratic = _HEM_SIGMAS * self._noise
+        hem = np.array([constant, _HEM, quadratic], np.float32)
+        given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), hem)
         self._rows.share(len(pixels), lambda begin, end: kernels.pack(*given, begin, end, pixels))
         return ReferenceLevel(normal, pixels)
 
-    def _fitted(self, level: Level, spread: float, steepness: int = 1, bend: float = _ANY_BEND) -> Float32Array:
-        """Normals (h, w, 3) of surfaces whose neighbours differ by `depth_jump`, and by noise, each so many times.
+    def _fitted(self, level: Level, steepness: int = 1, bend: float = _ANY_BEND) -> Float32Array:
+        """Normals (h, w, 3) of surfaces whose neighbours differ by `depth_jump` so many times, and by noise.
 
         `bend` is by how many standard deviations of depth a surface may be off its plane.
         """
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
         jump = np.float32(steepness * self._settings.depth_jump)
-        limits = (
-            self._settings.normal_radius_px,
-            jump,
-            np.float32(spread) * self._noise,
-            np.float32(bend) * self._noise,
-        )
-        given = (level.depth_m, level.intrinsics.astype(np.float32), *limits)
+        limits = (jump, np.float32(_SPREAD) * self._noise, np.float32(bend) * self._noise)
+        given = (level.depth_m, level.intrinsics.astype(np.float32), self._settings.normal_radius_px, *limits)
         self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
         return normal
