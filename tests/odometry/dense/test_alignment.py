@@ -70,7 +70,7 @@ def test_the_noise_of_walls_does_not_pull_along_a_corridor(is_map: bool) -> None
     # 7 ± 2.8 mm nearer, always, with normals that turn with their pixel's own noise; turned by 0.005° with neighbours
     # that err as the pixel does, and levers as long as depth happens to be. Against a map 2.4 mm with these.
     assert abs(mean[2]) < 0.6e-3
-    assert spread[2] < 1.3e-3
+    assert spread[2] < (1.3e-3 if is_map else 1e-3)
     assert np.degrees(np.abs(mean[3:]).max()) < 2.5e-3
 
 

@@ -18,7 +18,7 @@ from wheelsight.odometry.dense import _turn_kernels as turns
 TINY = PinholeCamera(24, 20, 22.0, 21.0, 11.3, 9.8)
 GRID = np.array([TINY.fx, TINY.fy, TINY.cx, TINY.cy], np.float32)
 NOISE = np.array([0.001, 0.0014, 0.3, 10.0], np.float32)
-NO_SPREAD, ANY_BEND = np.zeros(2, np.float32), np.full(2, np.inf, np.float32)
+JUMP, ANY_BEND = np.array([0, 0.03, 0], np.float32), np.full(2, np.inf, np.float32)
 NO_HEM = np.array([np.inf, 0, 0], np.float32)
 UPPER = np.triu_indices(6)
 
@@ -195,13 +195,13 @@ def test_normals_of_a_plane_are_its_own() -> None:
 
 
 def test_normals_have_the_slopes_that_least_squares_finds(rng: np.random.Generator) -> None:
-    shape, jump = (10, 150), np.float32(0.03)  # wider than what is fitted at once
+    shape, jump = (10, 150), JUMP[1]  # wider than what is fitted at once
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     depth_m = 1.2 + 0.002 * columns - 0.004 * rows + 0.3 * (columns > 60) + rng.normal(0, 0.004, shape)
     depth_m = np.where(rng.random(shape) < 0.3, 0, depth_m).astype(np.float32)
     grid, out = np.array([90.0, 91.0, 74.0, 5.0], np.float32), np.full((*shape, 3), np.nan, np.float32)
     for begin, end in ((0, 4), (4, 10)):
-        _reference_kernels.normals(depth_m, grid, 2, jump, NO_SPREAD, ANY_BEND, begin, end, out)
+        _reference_kernels.normals(depth_m, grid, 2, JUMP, ANY_BEND, begin, end, out)
     assert not out[:2].any()
     assert not out[:, :2].any()
     expected = np.zeros((*shape, 3))
@@ -224,7 +224,7 @@ def test_normals_do_not_reach_over_an_edge() -> None:
     depth_m = np.full((20, 20), 1.0, np.float32)
     depth_m[:, 10:] = 2.0
     out = np.empty((20, 20, 3), np.float32)
-    _reference_kernels.normals(depth_m, GRID, 2, np.float32(0.03), NO_SPREAD, 2 * NOISE[:2], 0, 20, out)
+    _reference_kernels.normals(depth_m, GRID, 2, JUMP, 2 * NOISE[:2], 0, 20, out)
     np.testing.assert_allclose(out[5, 9], [0, 0, -1], atol=1e-6)
     np.testing.assert_allclose(out[5, 10], [0, 0, -1], atol=1e-6)
 
@@ -269,7 +269,7 @@ def test_of_a_grazed_floor_no_readings_are_picked_that_err_upwards(rng: np.rando
     for _ in range(10):
         depth_m = (true_m + (1e-3 + 1.425e-3 * true_m**2) * rng.standard_normal(shape)).astype(np.float32)
         out = np.empty((*shape, 3), np.float32)
-        _reference_kernels.normals(depth_m, grid, 2, np.float32(0.03), NO_SPREAD, ANY_BEND, 0, shape[0], out)
+        _reference_kernels.normals(depth_m, grid, 2, JUMP, ANY_BEND, 0, shape[0], out)
         is_used = -(out * ray).sum(axis=-1) / np.linalg.norm(ray, axis=-1) >= least
         is_far = (true_m > 4.0) & (true_m < 5.5)
         shares.append(is_used[is_far].mean())

@@ -33,8 +33,8 @@ def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, hem: Any, begin: int, 
     Args:
         depth_m, normal, grey: (h, w), 0 where unknown; (h, w, 3), 0 where unknown; (h, w), -1 where unknown.
         grid: fx, fy, cx, cy.
-        hem: (3,) by how much what stands out before a surface must be nearer: metres, a share of the surface's depth,
-            and metres a square metre of it. Grey beside it has no gradient: it moves as what stands out does.
+        hem: (3,) by how much what stands out before a surface must be nearer; see `_step`. Grey beside it has no
+            gradient: it moves as what stands out does.
     """
     height, width = depth_m.shape
     half = np.float32(0.5)
@@ -59,7 +59,7 @@ def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, hem: Any, begin: int, 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _is_hemmed(depth_m: Any, r: int, c: int, hem: Any) -> Any:
-    """Whether something stands out before the surface within `_HEM_PX`, by more than hem[0] + z (hem[1] + hem[2] z).
+    """Whether something stands out before the surface within `_HEM_PX`, by more than a step `hem`.
 
     On a plane inverse depth is linear: what is nearer on one side than it is farther on the other is another surface.
     """
@@ -67,7 +67,7 @@ def _is_hemmed(depth_m: Any, r: int, c: int, hem: Any) -> Any:
     if min(r, c) < _HEM_PX or r >= height - _HEM_PX or c >= width - _HEM_PX:
         return False
     z, two, found = depth_m[r, c], np.float32(2), False
-    limit = hem[0] + z * (hem[1] + hem[2] * z)
+    limit = _step(hem, z)
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1)):
         one = depth_m[r + _HEM_PX * i, c + _HEM_PX * j]
         other = depth_m[r - _HEM_PX * i, c - _HEM_PX * j]
@@ -75,10 +75,14 @@ def _is_hemmed(depth_m: Any, r: int, c: int, hem: Any) -> Any:
     return found
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _step(step: Any, z: Any) -> Any:
+    """A step (3,) in depth, in metres at a depth z: metres, a share of z, and metres a square metre of it."""
+    return step[0] + z * (step[1] + step[2] * z)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def normals(
-    depth_m: Any, grid: Any, radius: int, jump: Any, spread: Any, bend: Any, begin: int, end: int, out: Any
-) -> None:
+def normals(depth_m: Any, grid: Any, radius: int, step: Any, bend: Any, begin: int, end: int, out: Any) -> None:
     """Unit normals (h, w, 3) towards the camera by least squares of inverse depth over a window; 0 where none.
 
     On a plane inverse depth is linear in the pixel, 1/z = a·u + b·v + c, so the normal follows from its slopes
@@ -87,9 +91,8 @@ def normals(
     every wall pull towards the camera, by 2 to 4 mm in a corridor seen by a Kinect.
 
     Args:
-        jump: share of a depth by which neighbours on one surface may differ.
-        spread: (2,) by what noise may have them differ besides: metres, and metres a square metre of depth.
-        bend: (2,) what a surface may be off its plane, RMS: the same.
+        step: (3,) by which neighbours on one surface may differ; see `_step`.
+        bend: (2,) what a surface may be off its plane, RMS: metres, and metres a square metre of depth.
     """
     (height, width), core = depth_m.shape, radius // 2
     out[begin:end] = 0
@@ -103,7 +106,7 @@ def normals(
                 for j in range(-radius, radius + 1):
                     if max(abs(i), abs(j)) <= core:
                         continue
-                    _sum_up(here, depth_m[r + i, first + j : first + j + n], jump, spread, i, j, sums)
+                    _sum_up(here, depth_m[r + i, first + j : first + j + n], step, i, j, sums)
             _solve(here, sums, grid, bend, r, first, found)
             for c in range(n):
                 for k in range(3):
@@ -111,7 +114,7 @@ def normals(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sum_up(here: Any, there: Any, jump: Any, spread: Any, i: int, j: int, sums: Any) -> None:
+def _sum_up(here: Any, there: Any, step: Any, i: int, j: int, sums: Any) -> None:
     """Add to the windows' sums what their pixels i rows and j columns from the middle, `there`, tell of its surface.
 
     A limit that noise reaches would pick those neighbours that err as the middle does.
@@ -119,7 +122,7 @@ def _sum_up(here: Any, there: Any, jump: Any, spread: Any, i: int, j: int, sums:
     zero, one, u, v = np.float32(0), np.float32(1), np.float32(j), np.float32(i)
     for c in range(len(here)):
         z, near = here[c], there[c]
-        is_like = (near > 0) & (abs(near - z) < spread[0] + z * (jump + spread[1] * z))
+        is_like = (near > 0) & (abs(near - z) < _step(step, z))
         known = one if is_like else zero
         d = (z - near) / (z * near) if is_like else zero
         sums[_S, c] += known

@@ -98,6 +98,7 @@ class ReferenceMaker:
     def __init__(self, noise: DepthNoise, settings: DenseSettings, rows: Rows) -> None:
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m], np.float32)
         self._settings, self._rows = settings, rows
+        self._hem = self._step(_HEM, _HEM_SIGMAS)
 
     def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
@@ -118,31 +119,30 @@ class ReferenceMaker:
         no_planes = np.zeros((*frame.levels[number].depth_m.shape, 3), np.float32)
         return Shown(self._steep(frame.levels), self._level(frame.levels[number], no_planes))
 
-    def normals(self, level: Level) -> Float32Array:
-        """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown."""
-        return self._fitted(level)
+    def normals(self, level: Level, steepness: int = 1, bend: float = _ANY_BEND) -> Float32Array:
+        """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown.
+
+        Neighbours on one surface differ by `depth_jump` times `steepness`, and by noise; `bend` is by how many standard
+        deviations of depth a surface may be off its plane.
+        """
+        normal = np.empty((*level.depth_m.shape, 3), np.float32)
+        limits = (self._step(steepness * self._settings.depth_jump, _SPREAD), np.float32(bend) * self._noise)
+        given = (level.depth_m, level.intrinsics.astype(np.float32), self._settings.normal_radius_px, *limits)
+        self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
+        return normal
 
     def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
         number = self._settings.levels - 1
         # The same slope is a larger step from pixel to pixel where pixels are larger.
-        return self._level(levels[number], self._fitted(levels[number], 1 << number, _BENT))
+        return self._level(levels[number], self.normals(levels[number], 1 << number, _BENT))
 
     def _level(self, level: Level, normal: Float32Array) -> ReferenceLevel:
         pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
-        constant, quadratic = _HEM_SIGMAS * self._noise
-        hem = np.array([constant, _HEM, quadratic], np.float32)
-        given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), hem)
+        given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), self._hem)
         self._rows.share(len(pixels), lambda begin, end: kernels.pack(*given, begin, end, pixels))
         return ReferenceLevel(normal, pixels)
 
-    def _fitted(self, level: Level, steepness: int = 1, bend: float = _ANY_BEND) -> Float32Array:
-        """Normals (h, w, 3) of surfaces whose neighbours differ by `depth_jump` so many times, and by noise.
-
-        `bend` is by how many standard deviations of depth a surface may be off its plane.
-        """
-        normal = np.empty((*level.depth_m.shape, 3), np.float32)
-        jump = np.float32(steepness * self._settings.depth_jump)
-        limits = (jump, np.float32(_SPREAD) * self._noise, np.float32(bend) * self._noise)
-        given = (level.depth_m, level.intrinsics.astype(np.float32), self._settings.normal_radius_px, *limits)
-        self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
-        return normal
+    def _step(self, share: float, sigmas: float) -> Float32Array:
+        """A step in depth (3,), as kernels take it: a share of the depth and so many standard deviations of it."""
+        constant, quadratic = np.float32(sigmas) * self._noise
+        return np.array([constant, share, quadratic], np.float32)
