@@ -8,7 +8,8 @@ tenth of the drive is none.
 The right status of the joined estimate, told at wheel readings and frames:
 
 - camera covered: `coasting`, from 0.5 s after it is covered until it is not; `tracking` again within 2 s after.
-- corridor: `degenerate` or `coasting`, while the base is where neither walls nor floor nor ceiling show anything.
+- corridor: `degenerate` or `coasting`, while nothing but plain walls, floor and ceiling are within the depth camera's
+  reach (10 m).
 - lifted wheel, ice: `slip` or `doubtful`, while a wheel's rim runs more than 5 cm/s faster or slower than the ground
   under it, or the base slides sideways as fast, from 0.5 s after that has begun.
 - people: `tracking`, or `coasting` where they hide what does not move; never `slip`, since no wheel slips.

@@ -34,8 +34,6 @@ LIFT_S = 3.0
 PEOPLE = 4
 ICE_RADIUS_M = 0.8
 WRONG_RADII = 1.02
-# The camera sees the dressed end of the corridor from about so far away.
-_SIGHT_M = 6.0
 _STREAM = 0x701
 # A chair that one wheel turns about does not run into a wall from so slow a drive.
 _LIFTED_M_S = 0.4
@@ -94,9 +92,7 @@ class Case:
     def lasts_s(self, recording: SimulatedRecording) -> tuple[float, float]:
         """When it begins and ends."""
         if self.way is Way.BLANK:
-            x_m = recording.ground_truth.positions_m[:, 0]
-            inside_s = recording.ground_truth.stamps_s[(x_m > BLANK_M[0]) & (x_m < BLANK_M[1] - _SIGHT_M)]
-            return (float(inside_s[0]), float(inside_s[-1])) if len(inside_s) else (math.inf, math.inf)
+            return _blind_s(recording)
         begin_s = fault_begin_s(recording.settings.duration_s or DURATION_S)
         return (begin_s, begin_s + self.blackout_s) if self.blackout_s else (0.0, math.inf)
 
@@ -115,6 +111,16 @@ class Case:
         assert wheels is not None
         left, right = wheels.left_radius_m * self.radii, wheels.right_radius_m * self.radii
         return replace(calibration, wheels=replace(wheels, left_radius_m=left, right_radius_m=right))
+
+
+def _blind_s(recording: SimulatedRecording) -> tuple[float, float]:
+    """From when until when nothing but plain surfaces lies within the depth camera's reach."""
+    calibration, truth = recording.true_calibration, recording.ground_truth
+    assert calibration.T_base_camera is not None
+    sight_m = calibration.T_base_camera[0, 3] + calibration.depth_noise.far_m
+    x_m = truth.positions_m[:, 0]
+    blind_s = truth.stamps_s[(x_m > BLANK_M[0]) & (x_m < BLANK_M[1] - sight_m)]
+    return (float(blind_s[0]), float(blind_s[-1])) if len(blind_s) else (math.inf, math.inf)
 
 
 CASES = (

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.progress import track
 
 from benchmarks.joined_cases import SIZE, robot_of
 from benchmarks.joined_runs import JOINED, localizer_of
@@ -70,7 +71,8 @@ def quarters_of(recording: SimulatedRecording, odometry: str = "dense") -> list[
     frames_s: list[float] = []
     readings_s: list[float] = []
     tracked = 0
-    for event in events_apart(recording):
+    total = len(recording.drive.ticks) + recording.frame_count
+    for event in track(events_apart(recording), f"driving {recording.drive.duration_s / 60:g} minutes", total):
         begin = time.process_time()
         estimate = localizer.process(event)
         (frames_s if isinstance(event, RgbdFrame) else readings_s).append(time.process_time() - begin)

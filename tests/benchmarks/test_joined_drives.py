@@ -1,10 +1,11 @@
-"""Images kept are those rendered; an hour's quarters are counted, and judged from the second on."""
+"""Images kept are those rendered; where a corridor is blind; an hour's quarters, counted and judged."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from benchmarks.joined_cases import CASES, Way, drive_of
 from benchmarks.joined_hour import Quarter, hour_sheet, judge_hour, memory_mb, quarters_of
 from benchmarks.joined_images import kept_events
 from wheelsight.events import RgbdFrame
@@ -31,6 +32,33 @@ def test_images_kept_are_those_rendered(recording, tmp_path):
                 np.testing.assert_array_equal(event.color, other.color)
                 np.testing.assert_array_equal(event.depth_m, other.depth_m)
     assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.slow
+def test_a_corridor_counts_as_blind_only_where_nothing_but_paint_is_in_reach():
+    pytest.importorskip("mujoco")
+    from wheelsight.simulation.worlds.blank import BLANK_M
+
+    recording = drive_of(Way.BLANK, 1)
+    case = next(case for case in CASES if case.way is Way.BLANK)
+    begin_s, end_s = case.lasts_s(recording)
+    stamps_s = np.array([recording.renderer.stamp_s(index) for index in range(recording.frame_count)])
+    blind = np.flatnonzero((stamps_s >= begin_s) & (stamps_s <= end_s))
+    assert stamps_s[blind[-1]] - stamps_s[blind[0]] > 20
+    for index in blind[:: len(blind) // 5]:
+        x_m = _seen_x_m(recording, index)
+        assert BLANK_M[0] < x_m.min() < x_m.max() < BLANK_M[1]
+    seen = [np.count_nonzero(_seen_x_m(recording, blind[-1] + later) > BLANK_M[1]) for later in (20, 40)]
+    assert 0 < seen[0] < seen[1]
+
+
+def _seen_x_m(recording, index):
+    """How far along the corridor the points lie that a frame has depth of."""
+    frame, calibration = recording.renderer.frame(int(index)), recording.true_calibration
+    rows, columns = np.nonzero(frame.depth_m)
+    points = calibration.cameras[1].back_project(np.column_stack([columns, rows]), frame.depth_m[rows, columns])
+    T_world_camera = recording.ground_truth.at([frame.stamp_s])[0] @ calibration.T_base_camera
+    return points @ T_world_camera[0, :3] + T_world_camera[0, 3]
 
 
 @pytest.mark.slow
