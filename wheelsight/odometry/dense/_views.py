@@ -8,6 +8,7 @@ import numpy as np
 
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.odometry.dense._tracked import Tracked
 from wheelsight.odometry.dense.grid import Gridder
 from wheelsight.odometry.dense.keyframes import Keyframe
 from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
@@ -66,6 +67,15 @@ class Views:
         """The keyframe whose view is nearest to one from there (4, 4)."""
         T_world_keyframe = np.array([keyframe.reference.T_world_reference for keyframe in self.keyframes])
         return self.keyframes[int(np.argmin(se3.view_shift_m(se3.invert(T_world_keyframe) @ T_world_camera)))]
+
+    def lack(self, found: Tracked, *, is_helped: bool) -> bool:
+        """Whether a frame is to become a keyframe: the last one shows too little of it; beside a map, by the way."""
+        if not self.has_model:
+            # Alone, a frame that only the one before could place is none: people's backs would carry the camera along.
+            is_settled = found.is_by_keyframe or not is_helped
+            return found.overlap < self._settings.keyframe_overlap or not is_settled
+        nearest = self.nearest(found.T_world_camera)
+        return nearest.distance_m(found.T_world_camera) > self._settings.keyframe_way_m
 
     def around(self, T_world_camera: FloatArray, failures: int) -> Iterator[Keyframe]:
         """What the model predicts, then the newest keyframe; after failures the nearest; once lost, others in turn."""

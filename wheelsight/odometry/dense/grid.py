@@ -24,6 +24,7 @@ _PARTS_A_THREAD = 2
 _NO_IMAGE = np.empty((0, 0), np.float32)
 # An image is dark if fewer of its pixels than this share are brighter than this: what is left in the dark is noise.
 _DARK_SHARE, _DARK_GREY = 0.01, 12
+_BRIGHTEST = np.float32(255)
 # Of the pixels asked whether it is dark, the distance.
 _DARK_STRIDE = 8
 
@@ -76,11 +77,19 @@ class GridFrame:
         stamp_s: of the frame.
         levels: the pyramid; the last is for turns only.
         twist: (6,) the velocity (v, ω) a second in the camera's own frame by which rows were straightened.
+        falloff: the exponent by which its grey was evened; see `Gridder.even`.
     """
 
     stamp_s: float
     levels: tuple[Level, ...]
     twist: FloatArray
+    falloff: float = 0.0
+
+    @property
+    def depth_share(self) -> float:
+        """Of the finest level's pixels, those with depth."""
+        depth_m = self.levels[0].depth_m
+        return float(np.count_nonzero(depth_m) / depth_m.size)
 
 
 class Gridder:
@@ -100,6 +109,13 @@ class Gridder:
         height = self.shape[0]
         late_share = (np.arange(height) + 0.5) / height - 0.5
         self.late_s: FloatArray = late_share * calibration.rolling_shutter_s
+        self._fall = self._lens_falloff()
+        self.even(0.0)
+
+    def even(self, exponent: float) -> None:
+        """From now on, brighten grey by what the lens takes from it: cos⁴ to the axis, to the power of `exponent`."""
+        self._falloff = exponent
+        self._brighter: Float32Array = np.exp(-exponent * self._fall)
 
     def on_grid(self, frame: RgbdFrame, twist: FloatArray) -> GridFrame:
         """The frame's pyramid, straightened for a camera moving at `twist` (6,).
@@ -113,7 +129,7 @@ class Gridder:
         if not self._calibration.is_registered:
             grey = self._looked_up(grey, depth_m, twist)
         levels = coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
-        return GridFrame(frame.stamp_s, levels, twist)
+        return GridFrame(frame.stamp_s, levels, twist, self._falloff)
 
     def color_on_grid(self, frame: RgbdFrame, grid: GridFrame) -> Float32Array:
         """Red, green and blue (h, w, 3) from 0 to 255 of the frame that `grid` was made of, known where its grey is.
@@ -137,6 +153,15 @@ class Gridder:
         lens = replace(ideal, distortion=self._depth.distortion)
         return lens.denormalise(ideal.rays()[..., :2]).astype(np.float32)
 
+    def _lens_falloff(self) -> Float32Array:
+        """(H, W) `falloff_of` each pixel of the halved colour image."""
+        width, height = self._color.width >> self.halvings, self._color.height >> self.halvings
+        fx, fy, cx, cy = _scaled(
+            np.array([self._color.fx, self._color.fy, self._color.cx, self._color.cy]), self.halvings
+        )
+        small = replace(self._color, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+        return falloff_of((small.rays()[..., :2] ** 2).sum(axis=-1)).astype(np.float32)
+
     def _small_depth(self, frame: RgbdFrame) -> Float32Array:
         """Depth (h, w) as measured, halved."""
         depth_m = frame.depth_m
@@ -145,8 +170,8 @@ class Gridder:
         return depth_m
 
     def _small_grey(self, frame: RgbdFrame) -> Float32Array:
-        """Grey (H, W) as measured, halved; -1 in the dark."""
-        grey = self._small(_grey(frame.color)).astype(np.float32)
+        """Grey (H, W), halved and evened; -1 in the dark."""
+        grey = np.minimum(self._small(_grey(frame.color)) * self._brighter, _BRIGHTEST)
         return np.full_like(grey, -1) if _is_dark(frame.color) else grey
 
     def _small(self, image: ByteArray) -> ByteArray:
@@ -199,6 +224,11 @@ def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, 
         depth_m = _halved_depth(last.depth_m, settings.depth_jump * (1 << number), rows)
         levels.append(Level(_scaled(last.intrinsics, 1), depth_m, _halved_grey(last.grey, rows)))
     return tuple(levels)
+
+
+def falloff_of(squared_tangent: FloatArray) -> FloatArray:
+    """Logarithm of the fourth power of the cosine to the axis, by the squared tangent."""
+    return np.asarray(-2 * np.log1p(squared_tangent))
 
 
 def _is_dark(color: ByteArray) -> bool:

@@ -14,7 +14,9 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense._doubt import Doubt, is_astray
+from wheelsight.odometry.dense._falloff import Falloff
 from wheelsight.odometry.dense._tracked import Expected, Surface, Tracked, at_speed, fine_share, implausible, speed_of
+from wheelsight.odometry.dense._two_ways import met
 from wheelsight.odometry.dense._views import Views
 from wheelsight.odometry.dense.alignment import Aligner, Step
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
@@ -69,6 +71,7 @@ class DenseOdometry:
         self.watch = Stopwatch()
         self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
         self._doubt = Doubt(self._settings)
+        self._falloff = Falloff(self._gridder, self._settings)
         self._T_world_first = np.eye(4) if T_world_first is None else np.asarray(T_world_first, float)
         self._first: RgbdFrame | None = None
         self._last: Tracked | None = None
@@ -137,7 +140,7 @@ class DenseOdometry:
         ahead = Expected(tuple(poses), T_world_other, is_helped=prior is not None)
         with self.watch.stage("prepare"):
             grid = self._gridder.on_grid(frame, speed_of(T_last_frame, frame.stamp_s - last.frame.stamp_s))
-        if not self._has_depth(grid):
+        if grid.depth_share < self._settings.min_depth_share:
             return MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
         found = self._locate(grid, last, ahead)
         if isinstance(found, Tracked) and self._first is not None:
@@ -164,14 +167,10 @@ class DenseOdometry:
         self._first, self._doubt.unseen_s = None, 0.0
         return self._begin(frame, T_world_camera, covariance)
 
-    def _has_depth(self, grid: GridFrame) -> bool:
-        depth_m = grid.levels[0].depth_m
-        return bool(np.count_nonzero(depth_m) >= self._settings.min_depth_share * depth_m.size)
-
     def _begin(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
         with self.watch.stage("prepare"):
             grid = self._gridder.on_grid(frame, np.zeros(6))
-        if not self._has_depth(grid):
+        if grid.depth_share < self._settings.min_depth_share:
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
         start = Tracked(grid, T_world_camera, covariance)
         with self.watch.stage("keyframe"):
@@ -330,27 +329,19 @@ class DenseOdometry:
             straight = self._straightened(frame, found)
             self._views.keyframes[:] = [self._keyframe(straight, self._witness.look(frame))]
             return straight
-        if not self._is_new(found, ahead):
+        if not self._views.lack(found, is_helped=ahead.is_helped):
             return self._straightened(frame, found, is_kept=False)
         seen = self._seen_from_before(found, ahead)
         if seen is not None:
             return seen
-        straight = self._straightened(frame, found)
+        straight = self._straightened(frame, self._told_by_two(found, ahead))
         features = self._witness.look(frame)
         told = self._witness.locate(features, self._views.keyframes[-1:], found.twist)
         if told is not None and not told.agrees_with(found.T_world_camera) and (told.is_clear or not ahead.is_helped):
             return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED)
+        self._falloff.learn(straight.frame, straight.T_world_camera, self._views.keyframes[-1].reference)
         self._views.keep(self._keyframe(straight, features))
         return straight
-
-    def _is_new(self, found: Tracked, ahead: Expected) -> bool:
-        """Whether a frame is to become a keyframe: the last one shows too little of it; beside a map, by the way."""
-        if not self._views.has_model:
-            # Alone, a frame that only the one before could place is none: people's backs would carry the camera along.
-            is_settled = found.is_by_keyframe or not ahead.is_helped
-            return found.overlap < self._settings.keyframe_overlap or not is_settled
-        nearest = self._views.nearest(found.T_world_camera)
-        return nearest.distance_m(found.T_world_camera) > self._settings.keyframe_way_m
 
     def _seen_from_before(self, found: Tracked, ahead: Expected) -> Tracked | None:
         """The frame by an older keyframe that is nearer and shows the same, which ends the drift, if there is one."""
@@ -365,6 +356,18 @@ class DenseOdometry:
             return seen
         self.last_motion = motion
         return None
+
+    def _told_by_two(self, found: Tracked, ahead: Expected) -> Tracked:
+        """The frame by the keyframe before the last one, too, where no map ties keyframes together."""
+        before = self._views.keyframes[-2:-1]
+        if not before or self._views.has_model or self._last is None or not found.is_by_keyframe:
+            return found
+        short, here = self.last_motion, ahead.at(found.T_world_camera)
+        seen = self._align(found.frame, before[0], self._last, here, here.T_world_camera)
+        long, self.last_motion = self.last_motion, short
+        if not isinstance(seen, Tracked):
+            return found
+        return replace(found, T_world_camera=met(found.T_world_camera, short, seen.T_world_camera, long))
 
     def _straightened(self, frame: RgbdFrame, found: Tracked, *, is_kept: bool = True) -> Tracked:
         """The same frame, its rows straightened by the speed that was found rather than the one expected."""

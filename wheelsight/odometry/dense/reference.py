@@ -84,12 +84,14 @@ class Reference:
         steep: the coarsest level for alignment once more, with normals of steep surfaces but none at creases: what
             a view shows is told by all of its planes, and by nothing that is none.
         own_noise: how much of what a frame is off this is the frame's own noise.
+        falloff: the exponent by which its grey was evened.
     """
 
     T_world_reference: FloatArray
     levels: tuple[ReferenceLevel, ...]
     steep: ReferenceLevel
     own_noise: float
+    falloff: float = 0.0
 
 
 class ReferenceMaker:
@@ -103,7 +105,7 @@ class ReferenceMaker:
     def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
         levels = tuple(self._level(level, self.normals(level)) for level in frame.levels)
-        return Reference(T_world_camera, levels, self._steep(frame.levels), _AS_NOISY)
+        return Reference(T_world_camera, levels, self._steep(frame.levels), _AS_NOISY, frame.falloff)
 
     def of_view(self, view: PredictedView, T_world_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view, with the pose (4, 4) it was predicted for, as reference."""

@@ -1,0 +1,96 @@
+"""Where two ways to one pose meet: by least squares, never far off the short one, and with less drift."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from odometry.dense.scenes import Plane, dense, frame_of
+from odometry.views import run
+from scipy.optimize import least_squares
+
+from wheelsight.estimates import MotionEstimate
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.odometry.dense import odometry as dense_odometry
+from wheelsight.odometry.dense._two_ways import met
+
+T_SHORT = se3.exp([0.4, 0.1, 0.9, 0.1, -0.3, 0.2])
+T_LONG = T_SHORT @ se3.exp([1e-3, -2e-3, 2e-3, 4e-4, -6e-4, 3e-4])
+
+
+def told(T_reference_current: FloatArray, covariance: FloatArray) -> MotionEstimate:
+    return MotionEstimate(T_reference_current, covariance)
+
+
+def spread(rng: np.random.Generator) -> FloatArray:
+    """A covariance (6, 6) of millimetres and hundredths of degrees, with correlations."""
+    A = rng.standard_normal((6, 6)) * np.array([2e-3, 2e-3, 2e-3, 5e-4, 5e-4, 5e-4])[:, None]
+    return A @ A.T + np.diag([1e-6] * 3 + [1e-7] * 3)
+
+
+def test_ways_as_sure_as_each_other_meet_where_a_hop_counts_twice() -> None:
+    C = np.diag([1e-6] * 3 + [1e-7] * 3)
+    T = met(T_SHORT, told(np.eye(4), C), T_LONG, told(np.eye(4), C))
+    expected = T_SHORT @ se3.exp(2 / 3 * se3.log(se3.invert(T_SHORT) @ T_LONG))
+    np.testing.assert_allclose(T, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ways_meet_where_least_squares_has_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    motions = [told(se3.exp(rng.normal(0, 0.5, 6)), spread(rng)) for _ in range(2)]
+    # Each as a left perturbation in its reference's frame, which stands where the motion comes from.
+    roots = [np.linalg.inv(np.linalg.cholesky(hops * m.covariance)) for hops, m in zip((2, 1), motions, strict=True)]
+
+    def residuals(xi: FloatArray) -> FloatArray:
+        T = T_SHORT @ se3.exp(xi)
+        off = []
+        for T_told, motion, root in zip((T_SHORT, T_LONG), motions, roots, strict=True):
+            T_world_reference = T_told @ se3.invert(motion.T_reference_current)
+            there = se3.invert(T_world_reference) @ T
+            off.append(root @ se3.log(there @ se3.invert(motion.T_reference_current)))
+        return np.concatenate(off)
+
+    best = T_SHORT @ se3.exp(least_squares(residuals, np.zeros(6), x_scale=1e-3, xtol=1e-14, ftol=1e-14).x)
+    np.testing.assert_allclose(met(T_SHORT, motions[0], T_LONG, motions[1]), best, atol=2e-6)
+
+
+def test_ways_that_contradict_each_other_leave_the_short_one() -> None:
+    C = np.diag([1e-6] * 3 + [1e-7] * 3)
+    T_far = T_SHORT @ se3.exp([0.02, 0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(met(T_SHORT, told(np.eye(4), C), T_far, told(np.eye(4), C)), T_SHORT)
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_what_does_not_show_all_is_not_mixed_in(place: int) -> None:
+    motions = [told(np.eye(4), 1e-6 * np.eye(6))] * 2
+    motions[place] = replace(motions[place], degenerate=np.eye(6)[:1])
+    np.testing.assert_array_equal(met(T_SHORT, motions[0], T_LONG, motions[1]), T_SHORT)
+
+
+@pytest.mark.slow
+def test_hops_told_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    corridor = [
+        Plane((1, 0, 0), 1.2, is_painted=True),
+        Plane((-1, 0, 0), 1.2, is_painted=True),
+        Plane((0, 1, 0), 0.9, is_painted=True),
+    ]
+    poses = [se3.exp([0, 0, 0.1 * k, 0, 0, 0]) for k in range(36)]
+
+    def ends() -> FloatArray:
+        """(8, 6) how far off the last pose is in as many drives."""
+        off = []
+        for seed in range(8):
+            frames = [frame_of(corridor, T, 0.1 * k, noise_seed=1000 * seed + k) for k, T in enumerate(poses)]
+            odometry = dense()
+            found = run(odometry, frames)[-1].T_world_body
+            assert len(odometry._views.keyframes) > 3
+            off.append(se3.log(se3.invert(poses[-1]) @ found))
+        return np.array(off)
+
+    by_two = ends()
+    monkeypatch.setattr(dense_odometry, "met", lambda T_short, *_: T_short)
+    by_one = ends()
+    assert not np.array_equal(by_two, by_one)
+    assert (by_two[:, 3:] ** 2).mean() < 0.8 * (by_one[:, 3:] ** 2).mean()

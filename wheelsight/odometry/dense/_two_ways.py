@@ -1,0 +1,36 @@
+"""Two ways to one pose, by two references: where both meet, for hops from keyframe to keyframe drift less so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wheelsight.estimates import MotionEstimate
+from wheelsight.geometry import FloatArray, se3
+
+# Of the shorter way's certainty: where its reference is against the other's was found by a hop like it.
+_HOPS = 2.0
+# How far apart both may lie to say the same: χ² of 6, 99.9 %.
+_CHI2 = 22.5
+
+
+def met(T_world_short: FloatArray, short: MotionEstimate, T_world_long: FloatArray, long: MotionEstimate) -> FloatArray:
+    """T_world_camera (4, 4) by the motions against the last reference and the one before, each as sure as it says.
+
+    Where they contradict each other, or one does not show all directions, it is the short one's.
+    """
+    if not (short.shows_all and long.shows_all):
+        return T_world_short
+    C_short, C_long = _HOPS * _at_its_end(short), _at_its_end(long)
+    off = se3.log(se3.invert(T_world_short) @ T_world_long)
+    innovation = np.linalg.solve(C_short + C_long, off)
+    if not off @ innovation < _CHI2:
+        return T_world_short
+    return np.asarray(se3.nearest(T_world_short @ se3.exp(C_short @ innovation)))
+
+
+def _at_its_end(motion: MotionEstimate) -> FloatArray:
+    """Covariance (6, 6) of a motion's right perturbation, in the frame of the camera that moved."""
+    assert motion.T_reference_current is not None
+    assert motion.covariance is not None
+    Ad = se3.adjoint(se3.invert(motion.T_reference_current))
+    return np.asarray(Ad @ motion.covariance @ Ad.T)
