@@ -14,11 +14,18 @@ from simulation.boxes import SURFACES, albedo_painter, boxes, corridor, heading,
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
-from wheelsight.simulation import _light_kernels, _paint_kernels, _picture_kernels, _texture_kernels, _wall_kernels
+from wheelsight.simulation import (
+    _light_kernels,
+    _outline_kernels,
+    _paint_kernels,
+    _picture_kernels,
+    _texture_kernels,
+    _wall_kernels,
+)
 from wheelsight.simulation.appearance import Painter
 from wheelsight.simulation.color_sensor import ColorSensor
 from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.view import Geoms, View
+from wheelsight.simulation.view import Geoms, Outlines, View
 from wheelsight.simulation.world import Surface
 from wheelsight.simulation.worlds import build_world
 
@@ -38,9 +45,10 @@ def keypoints(geoms: Geoms, view: View, surfaces: Mapping[str, Surface] = SURFAC
 
 
 def plain_kernels() -> SimpleNamespace:
-    """The painter's kernels of all five modules as plain Python."""
+    """The painter's kernels of all six modules as plain Python."""
     everything = ModuleType("everything")
-    for module in (_texture_kernels, _light_kernels, _picture_kernels, _wall_kernels, _paint_kernels):
+    lower = _texture_kernels, _outline_kernels, _light_kernels, _picture_kernels, _wall_kernels
+    for module in (*lower, _paint_kernels):
         vars(everything).update({k: v for k, v in vars(module).items() if not k.startswith("__")})
     return plain(everything)
 
@@ -71,6 +79,22 @@ def test_compiled_painting_is_plain_painting(
     compiled = painter.paint(view)
     monkeypatch.setattr(_paint_kernels, "paint_rows", plainly.paint_rows)
     np.testing.assert_allclose(painter.paint(view), compiled, atol=1e-6)
+
+
+def test_compiled_outlines_are_plain_outlines(plainly: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    geoms, size = corridor(), (24, 18)
+    view, aside = (see(geoms, heading(0, 0, 1, yaw), size, 20) for yaw in (0.0, 0.05))
+    pixels = np.stack(np.meshgrid(np.arange(18), np.arange(24), indexing="ij"), -1).reshape(-1, 2).astype(np.int32)
+    samples = View(
+        *(image.reshape(-1, 1, *image.shape[2:]) for image in (aside.depth_m, aside.geom, aside.normal_world)),
+        aside.T_world_camera[pixels[:, 0]],
+        aside.rays.reshape(-1, 1, 3),
+    )
+    painter, outlines = Painter(geoms, SURFACES, 3, threads=1), Outlines(pixels, samples)
+    compiled = painter.paint(view, outlines=outlines)
+    monkeypatch.setattr(_paint_kernels, "paint_outlines", plainly.paint_outlines)
+    np.testing.assert_allclose(painter.paint(view, outlines=outlines), compiled, atol=1e-6)
+    assert (compiled != painter.paint(view)).any(axis=-1).mean() > 0.1
 
 
 @pytest.fixture(scope="module")

@@ -77,7 +77,7 @@ def light_row(v: int, view: Any, light: Any, out: Any) -> None:
         )
         shade, lamp, window = light_at(p, n, sun, grid, flux, clearance)
         for c in range(3):
-            out[v, u, c] = shade * (tints[0, c] + tints[1, c] * lamp + tints[2, c] * window)
+            out[v, u, c] = tinted(c, shade, lamp, window, tints)
         # What was left out since the last one lies between the two.
         for between in range(last + 1, u):
             k = (between - last) / (u - last)
@@ -85,6 +85,12 @@ def light_row(v: int, view: Any, light: Any, out: Any) -> None:
                 for c in range(3):
                     out[v, between, c] = (1 - k) * out[v, last, c] + k * out[v, u, c]
         last = u
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def tinted(c: int, shade: float, lamp: float, window: float, tints: Any) -> Any:
+    """What comes in one of three colours of the light that `light_at` tells."""
+    return shade * (tints[0, c] + tints[1, c] * lamp + tints[2, c] * window)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

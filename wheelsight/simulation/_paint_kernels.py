@@ -7,7 +7,8 @@ from typing import Any
 
 from numba import njit
 
-from wheelsight.simulation._light_kernels import lamp_at, light_row, nine, turned
+from wheelsight.simulation._light_kernels import lamp_at, light_at, light_row, nine, tinted, turned
+from wheelsight.simulation._outline_kernels import is_same_face, three
 from wheelsight.simulation._picture_kernels import books, door, notice_board, poster
 from wheelsight.simulation._texture_kernels import (
     carpet,
@@ -21,7 +22,7 @@ from wheelsight.simulation._texture_kernels import (
 from wheelsight.simulation._wall_kernels import used_wall
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x4A68EB8E
+_COMPILED_IN = 0x83C7F6E4
 PLAIN, PLASTER, CARPET, TILES, WOOD, CEILING, DOOR, POSTER, NOTICE_BOARD, FABRIC, BOOKS = range(11)
 _CURVED = 3
 _FLAT_THING_M = 0.12
@@ -128,36 +129,102 @@ def paint_rows(first: int, last: int, view: Any, geoms: Any, light: Any, lattice
     colour (G, 6), and scale in metres, contrast and glow (G, 3). `light` and `lattice` are `Lighting`'s.
     """
     depth_m, geom, normal_world, T_world_camera, rays = view
+    width = depth_m.shape[1]
     looks, numbers = geoms[5], geoms[7]
-    height, width = depth_m.shape
     for v in range(first, last):
-        R_world_camera = nine(T_world_camera[v])
-        x0, y0, z0 = T_world_camera[v, 0, 3], T_world_camera[v, 1, 3], T_world_camera[v, 2, 3]
-        below = v + 1 if v + 1 < height else v - 1
+        R_world_camera, origin = nine(T_world_camera[v]), place(T_world_camera, v)
         light_row(v, view, light, out)
         for u in range(width):
             g, z = geom[v, u], float(depth_m[v, u])
             if g < 0 or z <= 0:
                 out[v, u, 0] = out[v, u, 1] = out[v, u, 2] = 0.0
                 continue
-            beside = u + 1 if u + 1 < width else u - 1
-            ray = turned(R_world_camera, (rays[v, u, 0], rays[v, u, 1], rays[v, u, 2]))
-            right = (rays[v, beside, 0] - rays[v, u, 0], rays[v, beside, 1] - rays[v, u, 1], 0.0)
-            down = (rays[below, u, 0] - rays[v, u, 0], rays[below, u, 1] - rays[v, u, 1], 0.0)
-            n = (float(normal_world[v, u, 0]), float(normal_world[v, u, 1]), float(normal_world[v, u, 2]))
-            p = (x0 + z * ray[0], y0 + z * ray[1], z0 + z * ray[2])
-            step_u = pixel_step(n, ray, turned(R_world_camera, right), z)
-            step_v = pixel_step(n, ray, turned(R_world_camera, down), z)
+            ray, n = turned(R_world_camera, three(rays, v, u)), three(normal_world, v, u)
+            p = (origin[0] + z * ray[0], origin[1] + z * ray[1], origin[2] + z * ray[2])
+            beside, below = to_neighbours(v, u, rays, R_world_camera)
+            step_u, step_v = pixel_step(n, ray, beside, z), pixel_step(n, ray, below, z)
             r, e, b = albedo_on_geom(g, p, n, step_u, step_v, geoms)
-            glow = numbers[g, 2]
-            if looks[g, 0] == CEILING and n[2] < -0.9:
-                glow += lamp_at(p[0], p[1], abs(step_u[0]) + abs(step_v[0]), abs(step_u[1]) + abs(step_v[1]), lattice)
+            glow = glow_of(g, p, n, step_u, step_v, looks, numbers, lattice)
             out[v, u, 0] *= r
             out[v, u, 1] *= e
             out[v, u, 2] *= b
             if glow > 0:
                 for c in range(3):
                     out[v, u, c] += glow * light[0][1, c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def paint_outlines(
+    first: int, last: int, pixels: Any, samples: Any, view: Any, geoms: Any, light: Any, lattice: Any, out: Any
+) -> None:
+    """Put into `out` (H, W, 3) the mean radiance over each of the `pixels` (N, 2), from first up to last.
+
+    `samples` is `Outlines`'s view as arrays; the others are as for `paint_rows`, which has painted `out` by the ray
+    through each pixel's middle. Samples on the face which that ray met have its colour: textures are averaged over the
+    pixel already.
+    """
+    depth_m, geom, normal_world, T_world_camera, rays = samples
+    seen, facing, middles = view[1], view[2], view[4]
+    share = 1 / (depth_m.shape[1] + 1)
+    for i in range(first, last):
+        v, u = pixels[i]
+        R_world_camera, origin = nine(T_world_camera[i]), place(T_world_camera, i)
+        beside, below = to_neighbours(v, u, middles, R_world_camera)
+        own = three(out, v, u)
+        red, green, blue = own
+        for s in range(depth_m.shape[1]):
+            g, z, n = geom[i, s], float(depth_m[i, s]), three(normal_world, i, s)
+            r, e, b = 0.0, 0.0, 0.0
+            if is_same_face(seen[v, u], three(facing, v, u), g, n):
+                r, e, b = own
+            elif g >= 0 and z > 0:
+                ray = turned(R_world_camera, three(rays, i, s))
+                p = (origin[0] + z * ray[0], origin[1] + z * ray[1], origin[2] + z * ray[2])
+                step_u, step_v = pixel_step(n, ray, beside, z), pixel_step(n, ray, below, z)
+                r, e, b = radiance_of(g, p, n, step_u, step_v, geoms, light, lattice)
+            red, green, blue = red + r, green + e, blue + b
+        out[v, u, 0], out[v, u, 1], out[v, u, 2] = share * red, share * green, share * blue
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def radiance_of(
+    g: int, p: Any, n: Any, step_u: Any, step_v: Any, geoms: Any, light: Any, lattice: Any
+) -> tuple[Any, Any, Any]:
+    """What a geom sends from p with normal n, over a pixel whose edges there are two steps."""
+    tints, sun, grid, flux, clearance = light
+    r, e, b = albedo_on_geom(g, p, n, step_u, step_v, geoms)
+    glow = glow_of(g, p, n, step_u, step_v, geoms[5], geoms[7], lattice)
+    shade, lamp, window = light_at(p, n, sun, grid, flux, clearance)
+    return (
+        r * tinted(0, shade, lamp, window, tints) + glow * tints[1, 0],
+        e * tinted(1, shade, lamp, window, tints) + glow * tints[1, 1],
+        b * tinted(2, shade, lamp, window, tints) + glow * tints[1, 2],
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place(T_world_camera: Any, row: int) -> Any:
+    """Where the camera is as a row is read."""
+    return T_world_camera[row, 0, 3], T_world_camera[row, 1, 3], T_world_camera[row, 2, 3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def to_neighbours(v: int, u: int, rays: Any, R_world_camera: Any) -> Any:
+    """From a pixel's ray to the next one's in its row and in its column, in the world, at a depth of 1 m."""
+    height, width = rays.shape[:2]
+    beside, below = u + 1 if u + 1 < width else u - 1, v + 1 if v + 1 < height else v - 1
+    right = (rays[v, beside, 0] - rays[v, u, 0], rays[v, beside, 1] - rays[v, u, 1], 0.0)
+    down = (rays[below, u, 0] - rays[v, u, 0], rays[below, u, 1] - rays[v, u, 1], 0.0)
+    return turned(R_world_camera, right), turned(R_world_camera, down)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def glow_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, looks: Any, numbers: Any, lattice: Any) -> Any:
+    """How bright a geom shines by itself at p with normal n, over a pixel whose edges there are two steps."""
+    glow = numbers[g, 2]
+    if looks[g, 0] == CEILING and n[2] < -0.9:
+        glow += lamp_at(p[0], p[1], abs(step_u[0]) + abs(step_v[0]), abs(step_u[1]) + abs(step_v[1]), lattice)
+    return glow
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,13 +1,14 @@
 """Colours of a view: procedural textures on every geom under a building's lamps, as radiance before any camera.
 
 Textures are computed where a ray hits, from integer hashes (no images), in metres on the face hit, and averaged over
-the pixel's footprint. Light has no shadows: what is round about, a grid of lamps in the ceiling, windows on one side.
+the pixel's footprint; at the outlines of what is seen, so is the view. Light has no shadows: what is round about, a
+grid of lamps in the ceiling, windows on one side.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import get_args
@@ -15,10 +16,10 @@ from typing import get_args
 import numpy as np
 
 from wheelsight.errors import ConfigError
-from wheelsight.geometry import Float32Array
+from wheelsight.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight.simulation import _paint_kernels as kernels
 from wheelsight.simulation.lighting import Lighting
-from wheelsight.simulation.view import Geoms, View
+from wheelsight.simulation.view import Geoms, Outlines, View
 from wheelsight.simulation.world import Surface, SurfaceKind
 
 _KINDS: tuple[str, ...] = get_args(SurfaceKind)
@@ -59,31 +60,41 @@ class Painter:
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._threads = threads
 
-    def paint(self, view: View, geoms: Geoms | None = None) -> Float32Array:
+    def paint(self, view: View, geoms: Geoms | None = None, outlines: Outlines | None = None) -> Float32Array:
         """Linear radiance (H, W, 3) of a view: 1 is what white paper sends back in ordinary light; 0 where nothing is.
 
-        `geoms` tells where the geoms stand now, if any has moved since the painter was made.
+        `geoms` tells where the geoms stand now, if any has moved since the painter was made. With `outlines` of the
+        view, their pixels have the mean of all their rays; without, each pixel is what its middle shows.
         """
         geoms = geoms or self._geoms
         out = np.empty((*view.depth_m.shape, 3), np.float32)
-        height = len(out)
         light = self.lighting
         arguments = (
-            (view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays),
+            _arrays(view),
             (geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *self._painted),
             (light.tints, light.sun, light.grid, light.flux, light.clearance),
             light.lattice,
             out,
         )
+        self._in_parts(kernels.paint_rows, len(out), *arguments)
+        if outlines is not None:
+            samples = outlines.pixels, _arrays(outlines.samples)
+            self._in_parts(kernels.paint_outlines, len(outlines.pixels), *samples, *arguments)
+        return out
+
+    def _in_parts(self, kernel: Callable[..., None], count: int, *arguments: object) -> None:
         if self._pool is None:
-            kernels.paint_rows(0, height, *arguments)
-            return out
+            kernel(0, count, *arguments)
+            return
         # More parts than threads: floor and notice boards cost more than bare walls.
-        edges = np.linspace(0, height, 4 * self._threads + 1).astype(int)
-        parts = [self._pool.submit(kernels.paint_rows, a, b, *arguments) for a, b in pairwise(edges)]
+        edges = np.linspace(0, count, 4 * self._threads + 1).astype(int)
+        parts = [self._pool.submit(kernel, a, b, *arguments) for a, b in pairwise(edges)]
         for part in parts:
             part.result()
-        return out
+
+
+def _arrays(view: View) -> tuple[Float32Array, Int32Array, Float32Array, FloatArray, FloatArray]:
+    return view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays
 
 
 def _surface_of(geom: str, material: str, surfaces: Mapping[str, Surface]) -> Surface:

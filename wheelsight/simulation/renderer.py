@@ -20,7 +20,7 @@ from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.passersby import Passersby
 from wheelsight.simulation.scene import Scene
 from wheelsight.simulation.settings import SimulationSettings
-from wheelsight.simulation.view import View
+from wheelsight.simulation.view import Outlines, View
 from wheelsight.simulation.world import World
 
 Result = TypeVar("Result")
@@ -106,9 +106,10 @@ class Renderer:
         depth_rng, color_rng = np.random.default_rng([self._settings.seed, _STREAM, index]).spawn(2)
         exposure = self._exposure(index, eye)
         view = eye.look(self._camera.camera, self.row_poses(stamp_s), stamp_s)
+        radiance = eye.painter.paint(view, outlines=eye.outlines(view))
         depth_m = self._camera.depth.measure(view, self._camera.camera, eye.infrared, eye.shine, depth_rng)
         twist = self._twist(stamp_s) if self._sensor.motion_blur else None
-        color = self._sensor.expose(eye.painter.paint(view), view, exposure, color_rng, twist)
+        color = self._sensor.expose(radiance, view, exposure, color_rng, twist)
         return RgbdFrame(stamp_s, color, depth_m, index)
 
     def _exposure(self, index: int, eye: _Eye) -> Exposure:
@@ -155,6 +156,10 @@ class _Eye:
         """What a camera sees at a time."""
         self._scene.move_to(stamp_s)
         return self._scene.cast(camera, T_world_camera)
+
+    def outlines(self, view: View) -> Outlines:
+        """More rays through the pixels at outlines of the last look."""
+        return self._scene.outlines(view)
 
 
 def in_order(make: Callable[[int], Result], count: int, threads: int) -> Generator[Result]:

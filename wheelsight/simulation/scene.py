@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from numpy.typing import ArrayLike
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import BoolArray, FloatArray, Int32Array, IntArray, PinholeCamera
+from wheelsight.simulation import _outline_kernels as edges
 from wheelsight.simulation import _ray_kernels as kernels
-from wheelsight.simulation.view import Geoms, View
+from wheelsight.simulation.view import Geoms, Outlines, View
 from wheelsight.simulation.world import Surface, World
 
 if TYPE_CHECKING:
@@ -97,21 +99,34 @@ class Scene:
         """
         h, w = camera.height, camera.width
         T = np.ascontiguousarray(np.broadcast_to(np.asarray(T_world_camera_rows, float), (h, 4, 4)))
-        view = View(
-            depth_m=np.zeros((h, w), np.float32),
-            geom=np.full((h, w), -1, np.int32),
-            normal_world=np.zeros((h, w, 3), np.float32),
-            T_world_camera=T,
-            rays=_rays(camera),
-        )
+        view = _nothing(T, _rays(camera))
+        self._cast_tiles(view, _tiles(h, w), far_m)
+        return view
+
+    def outlines(self, view: View, far_m: float = np.inf) -> Outlines:
+        """What further rays hit in the pixels of a view beside which another face is seen.
+
+        They are cast by the rules of `cast`, at the geoms where they stand now, as seen from the poses of their rows.
+
+        Args:
+            view: what `cast` has returned, and people have not moved since.
+            far_m: hits beyond are none.
+        """
+        found = [edges.find(view.geom, view.normal_world, tile) for tile in _tiles(*view.geom.shape)]
+        pixels = np.concatenate(found)
+        rays = edges.spread(view.rays, pixels)
+        # Kernels that are compiled for a view's rays need not be compiled once more.
+        rays.setflags(write=view.rays.flags.writeable)
+        samples = _nothing(view.T_world_camera[pixels[:, 0]], rays)
+        ends = np.cumsum([0, *map(len, found)])
+        tiles = [np.array([a, b, 0, rays.shape[1]]) for a, b in pairwise(ends) if a < b]
+        self._cast_tiles(samples, tiles, far_m)
+        return Outlines(pixels, samples)
+
+    def _cast_tiles(self, view: View, tiles: list[IntArray], far_m: float) -> None:
         center = self.geoms.position_world + np.einsum(
             "gij,gj->gi", self.geoms.R_world_geom, self.model.geom_aabb[:, :3]
         )
-        tiles = [
-            np.array([top, min(top + _TILE_ROWS, h), left, min(left + _TILE_COLUMNS, w)])
-            for top in range(0, h, _TILE_ROWS)
-            for left in range(0, w, _TILE_COLUMNS)
-        ]
 
         def work(thread: int) -> None:
             for tile in tiles[thread :: self._threads]:
@@ -121,7 +136,6 @@ class Scene:
             work(0)
         else:
             list(self._pool.map(work, range(self._threads)))
-        return view
 
     def _cast_tile(self, view: View, tile: IntArray, center: FloatArray, far_m: float, targets: _Targets) -> None:
         geoms, T = self.geoms, view.T_world_camera
@@ -177,6 +191,27 @@ class _Targets:
             places = model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat, model.geom_group
             self._models[size] = model, data, places
         return self._models[size]
+
+
+def _nothing(T_world_camera: FloatArray, rays: FloatArray) -> View:
+    """A view (H, W) of rays (H, W, 3) that have not hit anything, from a pose for each row (H, 4, 4)."""
+    h, w, _ = rays.shape
+    return View(
+        depth_m=np.zeros((h, w), np.float32),
+        geom=np.full((h, w), -1, np.int32),
+        normal_world=np.zeros((h, w, 3), np.float32),
+        T_world_camera=T_world_camera,
+        rays=rays,
+    )
+
+
+def _tiles(h: int, w: int) -> list[IntArray]:
+    """First and last row and column, the last left out, of the rectangles that cover an image."""
+    return [
+        np.array([top, min(top + _TILE_ROWS, h), left, min(left + _TILE_COLUMNS, w)])
+        for top in range(0, h, _TILE_ROWS)
+        for left in range(0, w, _TILE_COLUMNS)
+    ]
 
 
 @lru_cache(maxsize=8)

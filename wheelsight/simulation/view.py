@@ -27,6 +27,20 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Outlines:
+    """More rays through the pixels of a view beside which another face is seen: edges run through them.
+
+    Attributes:
+        pixels: (N, 2) their rows and columns in the view.
+        samples: what each pixel's S further rays hit, in one row a pixel: (N, S) for (H, W). Poses are those of the
+            pixels' rows; what was hit through the pixel's middle is in the view alone.
+    """
+
+    pixels: Int32Array
+    samples: View
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Geoms:
     """The geoms of a scene in the MJCF's order, as arrays that kernels can read; those of moving bodies change.
 
