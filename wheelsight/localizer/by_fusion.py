@@ -33,7 +33,7 @@ _RESTART_AFTER = 5
 _DARK_S = 1.0
 # From here on a base turns: a camera then turns 0.08 % too far against its map, 0.01 % against keyframes (five flats).
 _TURNS_RAD_S = 0.1
-# So long after a look that was not believed, something may go on that misleads: people, or ice.
+# So long after a look that was not believed, people may go on to mislead.
 _UNCALM_S = 5.0
 _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
 
@@ -114,18 +114,20 @@ class ByFusion:
     def _lead(self, answer: FusedEstimate) -> None:
         """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion; and the map.
 
-        What slips expects what is not so, and a robot that spins by a lifted wheel faces walls that tell little. The
-        map also shows it best wherever hardly anything lies beyond its end, while the base goes straight; else
-        keyframes do. They reach as far as the camera sees, and in a turn they have whole what the map has learned from
-        a frame or two; but whom they show may walk on, so for a while after a look was not believed the map leads.
+        What slips expects what is not so. The map shows it best wherever hardly anything lies beyond its end, while
+        the base goes straight; else keyframes do. They reach as far as the camera sees, and in a turn they have whole
+        what the map has learned from a frame or two; but whom they show may walk on, so for a while after a look was
+        not believed the map leads in turns too, unless it turns out that the wheels slip.
         """
         self._slips = answer.slip
-        if answer.reason is not None or answer.slip or answer.doubtful:
+        if answer.slip:
+            self._unbelieved_s = -np.inf
+        elif answer.reason is not None or answer.doubtful:
             self._unbelieved_s = answer.stamp_s
         if self.mapper is not None:
             turns = answer.twist is None or abs(answer.twist[2]) > _TURNS_RAD_S
             is_calm = answer.stamp_s - self._unbelieved_s > _UNCALM_S
-            self.mapper.track_map(answer.slip or (self.mapper.shows_most and not (turns and is_calm)))
+            self.mapper.track_map(self.mapper.shows_most and not (turns and is_calm))
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
