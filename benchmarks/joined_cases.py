@@ -113,16 +113,6 @@ class Case:
         return replace(calibration, wheels=replace(wheels, left_radius_m=left, right_radius_m=right))
 
 
-def _blind_s(recording: SimulatedRecording) -> tuple[float, float]:
-    """From when until when nothing but plain surfaces lies within the depth camera's reach."""
-    calibration, truth = recording.true_calibration, recording.ground_truth
-    assert calibration.T_base_camera is not None
-    sight_m = calibration.T_base_camera[0, 3] + calibration.depth_noise.far_m
-    x_m = truth.positions_m[:, 0]
-    blind_s = truth.stamps_s[(x_m > BLANK_M[0]) & (x_m < BLANK_M[1] - sight_m)]
-    return (float(blind_s[0]), float(blind_s[-1])) if len(blind_s) else (math.inf, math.inf)
-
-
 CASES = (
     Case("ordinary", Way.CLEAN),
     Case("ordinary, 200 m", Way.LONG),
@@ -135,6 +125,16 @@ CASES = (
     Case("20 % of frames dropped", Way.CLEAN, faults=(FramesDropped(share=0.2),)),
     Case(f"{PEOPLE} people walk by", Way.PEOPLE, Expected.POSED),
 )
+
+
+def _blind_s(recording: SimulatedRecording) -> tuple[float, float]:
+    """From when until when nothing but plain surfaces lies within the depth camera's reach."""
+    calibration, truth = recording.true_calibration, recording.ground_truth
+    assert calibration.T_base_camera is not None
+    sight_m = calibration.T_base_camera[0, 3] + calibration.depth_noise.far_m
+    x_m = truth.positions_m[:, 0]
+    blind_s = truth.stamps_s[(x_m > BLANK_M[0]) & (x_m < BLANK_M[1] - sight_m)]
+    return (float(blind_s[0]), float(blind_s[-1])) if len(blind_s) else (math.inf, math.inf)
 
 
 def fault_begin_s(duration_s: float) -> float:

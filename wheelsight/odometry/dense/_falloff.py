@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.geometry import BoolArray, Float32Array, FloatArray, se3
+from wheelsight.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, falloff_of
 from wheelsight.odometry.dense.reference import Reference
@@ -62,22 +62,19 @@ class Falloff:
         """Grey and falloff (2, N) of points in a frame, and in a reference; and which (N,) are of one plain surface."""
         number = min(1, self._settings.levels - 1)
         level, pixels = frame.levels[number], reference.levels[number].pixels
-        (h, w), (fx, fy, cx, cy) = level.depth_m.shape, level.intrinsics
-        some = (slice(None, None, _STRIDE_PX),) * 2
-        v, u = (index.ravel() for index in np.mgrid[:h, :w][(slice(None), *some)])
+        (h, w), some = level.depth_m.shape, (slice(None, None, _STRIDE_PX),) * 2
+        camera = PinholeCamera(w, h, *level.intrinsics.tolist())
+        px = np.stack([index[some].ravel() for index in np.mgrid[:h, :w][::-1]], axis=-1)
         z, grey = level.depth_m[some].ravel(), level.grey[some].ravel()
-        x, y = (u - cx) / fx, (v - cy) / fy
-        px, py, pz = T[:3, :3] @ (np.stack([x, y, np.ones(len(z))]) * z) + T[:3, 3:]
-        is_before = (z > 0) & (pz > 0)
-        x_then, y_then = (p / np.where(is_before, pz, 1.0) for p in (px, py))
-        column, row = np.rint(fx * x_then + cx), np.rint(fy * y_then + cy)
-        is_inside = is_before & (column >= 0) & (column < w) & (row >= 0) & (row < h)
-        met = pixels[np.where(is_inside, row, 0).astype(int), np.where(is_inside, column, 0).astype(int)]
-        is_one = np.abs(met[:, DEPTH] - pz) < self._settings.gate * (1 + pz)
+        p_then = se3.apply(T, camera.back_project(px, z))
+        px_then, is_inside = camera.project(p_then)
+        column, row = np.where(is_inside[:, None], np.rint(px_then), 0).astype(int).T
+        met = pixels[row, column]
+        is_one = np.abs(met[:, DEPTH] - p_then[:, 2]) < self._settings.gate * (1 + p_then[:, 2])
         is_plain = met[:, ALONG_U] ** 2 + met[:, ALONG_V] ** 2 < self._settings.min_gradient**2
-        known = is_inside & is_one & is_plain & _is_exposed(grey) & _is_exposed(met[:, GREY])
-        here = np.stack([grey, falloff_of(x**2 + y**2)])
-        return here, np.stack([met[:, GREY], falloff_of(x_then**2 + y_then**2)]), known
+        known = (z > 0) & is_inside & is_one & is_plain & _is_exposed(grey) & _is_exposed(met[:, GREY])
+        fall, fall_then = (falloff_of((camera.normalise(seen) ** 2).sum(axis=-1)) for seen in (px, px_then))
+        return np.stack([grey, fall]), np.stack([met[:, GREY], fall_then]), known
 
 
 def _is_exposed(grey: Float32Array) -> BoolArray:

@@ -6,6 +6,7 @@ import numpy as np
 
 from wheelsight.estimates import MotionEstimate
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import motion_kernels as motions
 
 # Of the shorter way's certainty: where its reference is against the other's was found by a hop like it.
 _HOPS = 2.0
@@ -32,5 +33,4 @@ def _at_its_end(motion: MotionEstimate) -> FloatArray:
     """Covariance (6, 6) of a motion's right perturbation, in the frame of the camera that moved."""
     assert motion.T_reference_current is not None
     assert motion.covariance is not None
-    Ad = se3.adjoint(se3.invert(motion.T_reference_current))
-    return np.asarray(Ad @ motion.covariance @ Ad.T)
+    return np.asarray(motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))

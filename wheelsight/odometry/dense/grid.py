@@ -101,9 +101,7 @@ class Gridder:
         self.halvings = 0
         while self._depth.width >> self.halvings > settings.finest_width_px:
             self.halvings += 1
-        self.intrinsics = _scaled(
-            np.array([self._depth.fx, self._depth.fy, self._depth.cx, self._depth.cy]), self.halvings
-        )
+        self.intrinsics = self._halved(self._depth)
         self.shape = (self._depth.height >> self.halvings, self._depth.width >> self.halvings)
         self._source_px = self._lens()
         height = self.shape[0]
@@ -147,6 +145,10 @@ class Gridder:
     def _is_straight(self) -> bool:
         return not self._depth.has_distortion and not self._calibration.rolling_shutter_s
 
+    def _halved(self, camera: PinholeCamera) -> FloatArray:
+        """fx, fy, cx, cy (4,) of its halved images."""
+        return _scaled(np.array([camera.fx, camera.fy, camera.cx, camera.cy]), self.halvings)
+
     def _lens(self) -> Float32Array:
         """(h, w, 2) where each pixel of the ideal grid lies in the halved depth image."""
         ideal = PinholeCamera(self.shape[1], self.shape[0], *self.intrinsics.tolist())
@@ -156,9 +158,7 @@ class Gridder:
     def _lens_falloff(self) -> Float32Array:
         """(H, W) `falloff_of` each pixel of the halved colour image."""
         width, height = self._color.width >> self.halvings, self._color.height >> self.halvings
-        fx, fy, cx, cy = _scaled(
-            np.array([self._color.fx, self._color.fy, self._color.cx, self._color.cy]), self.halvings
-        )
+        fx, fy, cx, cy = self._halved(self._color)
         small = replace(self._color, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
         return falloff_of((small.rays()[..., :2] ** 2).sum(axis=-1)).astype(np.float32)
 
@@ -202,7 +202,7 @@ class Gridder:
     def _looked_up(self, image: Float32Array | ByteArray, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
         """What a colour camera of its own saw, in grey (H, W) or colour (H, W, 3), at the 3D point of each pixel."""
         color = self._color
-        lens = (*_scaled(np.array([color.fx, color.fy, color.cx, color.cy]), self.halvings), *color.distortion)
+        lens = (*self._halved(color), *color.distortion)
         T_color_camera = _numbers(np.asarray(self._calibration.T_color_depth)[:3])
         cameras = (_numbers(self.intrinsics), T_color_camera, _numbers(lens))
         given = (image, depth_m, *cameras, _numbers(twist), np.float32(self._shutter_s(twist)))
