@@ -1,0 +1,83 @@
+"""Real recordings: through Localizer they come out no worse than by the odometry that it goes by."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wheelsight.calibration import Calibration
+from wheelsight.config import load_config
+from wheelsight.estimates import Estimate, Status
+from wheelsight.evaluation import ate
+from wheelsight.events import RgbdFrame, WheelSpeeds, WheelTicks
+from wheelsight.localizer import Localizer
+from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.recordings import Recording, open_recording
+from wheelsight.trajectory import Trajectory
+
+pytestmark = pytest.mark.data
+# Looking ahead from 1 m above the floor.
+T_BASE_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 1], [0, 0, 0, 1]])
+
+
+def with_a_dark_camera(wheels: Calibration, camera: Calibration) -> Localizer:
+    """Wheels of a real drive joined with a camera that never sees anything."""
+    calibration = replace(camera, wheels=wheels.wheels, gyro=wheels.gyro, T_base_camera=T_BASE_CAMERA)
+    return Localizer(calibration, load_config(overrides={"odometry": ["wheels", "dense"]}))
+
+
+def answers_to(localizer: Localizer, recording: Recording) -> list[Estimate]:
+    return [found for event in recording.events() if (found := localizer.process(event)) is not None]
+
+
+def rmse_m(answers: list[Estimate], recording: Recording) -> float:
+    assert recording.ground_truth is not None
+    stamps, poses = zip(*((answer.stamp_s, answer.T_world_body) for answer in answers), strict=True)
+    return ate(Trajectory(np.array(stamps), np.array(poses), body="base"), recording.ground_truth).translation.rmse
+
+
+@pytest.mark.parametrize(
+    ("name", "has_gyro"), [("skid_steer_run20", True), ("mocap_floor", False), ("corridor_864m", False)]
+)
+def test_wheels_are_no_worse_joined_with_a_dark_camera_than_alone(data_folder: Path, name: str, has_gyro: bool) -> None:
+    recording = open_recording(data_folder / "wheels" / name)
+    camera = open_recording(data_folder / "rgbd" / "red_kitchen").calibration
+    alone = answers_to(Localizer(recording.calibration, load_config(overrides={"odometry": "wheels"})), recording)
+    joined = answers_to(with_a_dark_camera(recording.calibration, camera), recording)
+    assert {answer.status for answer in joined} == {Status.COASTING}
+    assert len(joined) == len(alone)
+    if has_gyro:  # the filter learns its bias on the way, dead reckoning does not
+        assert rmse_m(joined, recording) < rmse_m(alone, recording)
+        return
+    for ours, theirs in zip(joined, alone, strict=True):
+        np.testing.assert_allclose(ours.T_world_body, theirs.T_world_body, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["skid_steer_run20", "mocap_floor"])
+def test_wheels_through_a_localizer_are_wheel_odometry(data_folder: Path, name: str) -> None:
+    recording = open_recording(data_folder / "wheels" / name)
+    assert recording.calibration.wheels is not None
+    plain = WheelOdometry(recording.calibration.wheels)
+    settings = load_config(overrides={"odometry": "wheels", "wheels.gyro": False})
+    through = answers_to(Localizer(recording.calibration, settings), recording)
+    readings = [event for event in recording.events() if isinstance(event, WheelTicks | WheelSpeeds)]
+    for ours, reading in zip(through, readings, strict=True):
+        np.testing.assert_array_equal(ours.T_world_body, plain.process(reading).T_world_body)
+
+
+@pytest.mark.parametrize("name", ["freiburg1_rpy_part", "red_kitchen"])
+def test_a_camera_through_a_localizer_is_dense_odometry(data_folder: Path, name: str) -> None:
+    recording = open_recording(data_folder / "rgbd" / name)
+    plain = DenseOdometry(recording.calibration)
+    through = Localizer(recording.calibration, load_config(overrides={"odometry": "dense"}))
+    frames = (event for event in recording.events() if isinstance(event, RgbdFrame))
+    for frame in islice(frames, 60):
+        ours, theirs = through.process(frame), plain.process(frame)
+        assert ours is not None
+        np.testing.assert_array_equal(ours.T_world_body, theirs.T_world_body)
+        np.testing.assert_array_equal(ours.covariance, theirs.covariance)
