@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,21 @@ def test_its_trajectory_has_poses_at_frames_and_at_readings(ran: tuple[Path, tup
     assert found["poses_at_frames"] == metrics_in(out / "joined")["frames"]["with_pose"] == len(records[2].frames)
     readings = metrics_in(out / "wheels")["wheel_readings"]["with_pose"]
     assert readings - 1 <= found["poses_at_wheel_readings_alone"] <= readings  # the first may tell no pose yet
+
+
+@pytest.mark.usefixtures("real_odometry")
+def test_frames_that_readings_overtook_have_poses_too(tmp_path: Path) -> None:
+    """Calibrated wheels may be said to lead: their readings' stamps are then later than those of frames told after."""
+    make_room_drive(tmp_path / "room", frames=4)
+    recording = open_recording(tmp_path / "room")
+    assert recording.calibration.wheels is not None
+    early = replace(recording.calibration.wheels, delay_s=-0.008)
+    recording = replace(recording, calibration=replace(recording.calibration, wheels=early))
+    joined = run_each(recording, load_config(overrides={"odometry": "wheels,features"}), tmp_path / "out")[2]
+    assert all(frame.pose_s > frame.stamp_s for frame in joined.frames)
+    assert joined.evaluation is not None
+    assert joined.evaluation.frames_with_pose == 1
+    assert facts_of(joined).poses_at_frames == len(joined.frames)
 
 
 def test_frames_tell_their_flags(ran: tuple[Path, tuple[RunRecord, ...]]) -> None:

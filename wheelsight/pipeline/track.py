@@ -120,7 +120,8 @@ class Track:
         index = event.index if isinstance(event, RgbdFrame | SkippedFrame) else len(self.frames)
         flags = tuple(flag for flag in _FLAGS if getattr(estimate, flag, False))
         stamp_s = event.stamp_s if isinstance(event, RgbdFrame | SkippedFrame) else estimate.stamp_s
-        answer = FrameRecord(index, stamp_s, *outcome, seconds, localizer.note, *_size(localizer.map), flags)
+        told_s = None if estimate.T_world_body is None else estimate.stamp_s
+        answer = FrameRecord(index, stamp_s, *outcome, seconds, localizer.note, *_size(localizer.map), flags, told_s)
         is_frame = isinstance(event, RgbdFrame | SkippedFrame)
         if is_frame or UNITS[self.odometry] == "reading":
             self.frames.append(answer)

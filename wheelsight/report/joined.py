@@ -28,7 +28,7 @@ class JoinedFacts:
         seconds: for how long each status held, those that occurred.
         coasting_s: length of each stretch without a camera, seconds.
         flag_shares: share of the time, 0 to 1, in which each flag was up; empty of a filter that knows none.
-        poses_at_frames: how many poses of the trajectory are at frames.
+        poses_at_frames: how many poses of the trajectory answer frames.
         poses_at_readings: how many are at wheel readings alone.
         consistency: the errors beside what was stated of them, or None without truth or covariances.
     """
@@ -67,7 +67,7 @@ def facts_of(record: RunRecord) -> JoinedFacts:
     flagged = {flag: np.array([flag in frame.flags for frame in record.frames], bool) for flag in flags}
     whole_s = float(lasted_s.sum())
     coasting = ((i, j) for i, j, status in runs(statuses) if status == Status.COASTING)
-    at_frames = int(np.isin(record.estimate.stamps_s, [frame.stamp_s for frame in record.frames]).sum())
+    at_frames = int(np.isin(record.estimate.stamps_s, [frame.pose_s for frame in record.frames]).sum())
     return JoinedFacts(
         seconds={
             status.value: float(lasted_s[np.array(statuses) == status].sum()) for status in Status if status in statuses

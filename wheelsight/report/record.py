@@ -21,7 +21,8 @@ class FrameRecord:
     """One frame or wheel reading of a run: what was answered, and how long it took (image decoding not included).
 
     Of a run that builds a map also how many surfels it had then, and how many it had given up for want of room; of
-    joined sensors `flags`, words such as "slip" that say more than the status.
+    joined sensors `flags`, words such as "slip" that say more than the status, and `told_s`, the stamp of the pose it
+    was answered with: later than the frame's where newer readings were known by then.
     """
 
     index: int
@@ -35,6 +36,12 @@ class FrameRecord:
     surfels: int | None = None
     surfels_dropped: int = 0
     flags: tuple[str, ...] = ()
+    told_s: float | None = None
+
+    @property
+    def pose_s(self) -> float:
+        """The stamp at which the trajectory has its pose, if it has one."""
+        return self.stamp_s if self.told_s is None else self.told_s
 
     @property
     def is_skipped(self) -> bool:
