@@ -1,6 +1,6 @@
 # Each target sets up what it needs in .venv from a bare python3 with venv; a fresh clone needs nothing else.
 #
-#   make demo                      simulate a short drive, join wheels and camera over it, map it, report against truth
+#   make demo                      simulate a drive with mishaps, join wheels and camera over it, map it, report against truth
 #   make demo RECORDING=folder     the same of a recording you have; ODOMETRY=wheels where it has no images
 #   make test [SLOW=1]             all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
@@ -20,9 +20,11 @@ QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 .PHONY: demo test check bench docs firmware wheel clean
 
 ifeq ($(RECORDING),)
-# A square of 4 m at 320×240 by a wheelchair whose wheels are not quite what its owner measured, as wheels never are.
+# A square of 4 m at 320×240 by a wheelchair whose wheels are not quite what its owner measured, as wheels never are. On
+# the way something lies on the camera, and a wheel is lifted.
 demo: $(VENV)/.installed-sim
-	$(BIN)/wheelsight simulate square --rate 15 --right-radius 0.171 --track 0.525 --out "$(OUT)/drive" --force
+	$(BIN)/wheelsight simulate square --rate 15 --right-radius 0.171 --track 0.525 --cover 10:13 --lift 19:22 \
+		--out "$(OUT)/drive" --force
 	$(BIN)/wheelsight run "$(OUT)/drive" --odometry wheels,dense --map surfels --out "$(OUT)/results" --force
 else
 demo: $(VENV)/.installed-core

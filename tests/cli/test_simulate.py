@@ -15,6 +15,7 @@ import yaml
 from typer.testing import Result
 
 from wheelsight.cli._simulation import size_of
+from wheelsight.events import SkippedFrame
 from wheelsight.recordings import open_recording
 from wheelsight.simulation import camera_names, world_names
 
@@ -42,7 +43,7 @@ def test_options_reach_the_settings(wheelsight: Command, tmp_path: Path) -> None
     robot = ("--left-radius", 0.168, "--right-radius", 0.171, "--track", 0.53, "--no-slip")
     faults = ("--dropout", "0.1:0.2", "--dropout", "0.3:0.4", "--unplug", "0.2:0.25", "--ice", "-1,2,0.5")
     ways = ("--laps", 2, "--reverse", "--stop-and-turn", "--seed", 5, "--speed", 0.4, "--motion-blur")
-    more = (*ways, *robot, *faults, "--lift", "0.1:0.15", "--camera", "kinect-v2")
+    more = (*ways, *robot, *faults, "--lift", "0.1:0.15", "--cover", "0.15:0.25", "--camera", "kinect-v2")
     result = wheelsight("simulate", "square", *SMALL, *more, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     told = yaml.safe_load((tmp_path / "out" / "truth" / "settings.yaml").read_text())["settings"]
@@ -56,8 +57,11 @@ def test_options_reach_the_settings(wheelsight: Command, tmp_path: Path) -> None
         "patches": [{"x_m": -1.0, "y_m": 2.0, "radius_m": 0.5, "friction": 0.05}],
         "lifted_s": [[0.1, 0.15]],
     }
-    wheels = open_recording(tmp_path / "out").wheels
-    assert not [tick for tick in wheels if 0.1 < tick.stamp_s < 0.2]
+    recording = open_recording(tmp_path / "out")
+    assert not [tick for tick in recording.wheels if 0.1 < tick.stamp_s < 0.2]
+    assert told["covered_s"] == [[0.15, 0.25]]
+    skipped = {event.stamp_s: event.reason for event in recording.events() if isinstance(event, SkippedFrame)}
+    assert skipped == {0.2: "depth image measured nothing: no pixel is valid"}
 
 
 def test_the_list_tells_all_worlds_and_cameras(wheelsight: Command) -> None:
@@ -97,6 +101,7 @@ def test_help_shows_examples(wheelsight: Command) -> None:
         (("square", "--speed", 3), "--speed is 3 m/s (over 0, up to 1.2 m/s)"),
         (("square", "--dropout", "5"), "--dropout is '5' (FROM:TO in seconds, such as 12:15.5)"),
         (("square", "--lift", "5:4"), "--lift is '5:4' (FROM:TO in seconds, such as 12:15.5; the second after"),
+        (("square", "--cover", "now"), "--cover is 'now' (FROM:TO in seconds, such as 12:15.5)"),
         (("square", "--ice", "1,2"), "--ice is '1,2' (X,Y,R in metres, such as 4,2.5,0.6)"),
         (("square", "--ice", "1,2,0"), "--ice is '1,2,0' (the radius must be over 0)"),
         (("square", "--unplug", "nan:3"), "--unplug is 'nan:3' ("),

@@ -75,6 +75,10 @@ Lift = Annotated[
     list[str] | None,
     typer.Option(metavar="FROM:TO", help="Seconds with the left wheel in the air.", rich_help_panel=_FAULTS),
 ]
+Cover = Annotated[
+    list[str] | None,
+    typer.Option(metavar="FROM:TO", help="Seconds with something lying on the camera.", rich_help_panel=_FAULTS),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.")]
 
 

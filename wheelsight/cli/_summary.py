@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from wheelsight.report import RectificationRecord, RunRecord
 
 _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
+_SMALL = 0.1  # a ratio of which two decimals would tell little
 
 
 def print_summary(records: Sequence[RunRecord], out: Path) -> None:
@@ -78,7 +79,8 @@ def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
     assert joined is not None
     facts, rival = facts_of(joined), rival_of(records)
     if rival is not None:
-        yield "error", f"{rival.ratio:.2f} times that of {rival.odometry} alone"
+        ratio = f"{rival.ratio:.2f}" if rival.ratio >= _SMALL else f"{rival.ratio:.1g}"
+        yield "error", f"{ratio} times that of {rival.odometry} alone"
     for status, seconds in facts.seconds.items():
         times = f", {len(facts.coasting_s)} times" if status == "coasting" else ""
         yield status, f"{seconds:.2f} s{times}"

@@ -40,6 +40,7 @@ def simulate(
     unplug: options.Unplug = None,
     ice: options.Ice = None,
     lift: options.Lift = None,
+    cover: options.Cover = None,
     show_list: options.ShowList = False,
     force: options.Force = False,
 ) -> None:
@@ -59,6 +60,8 @@ def simulate(
 
     wheelsight simulate square --stop-and-turn --right-radius 0.1717 --track 0.53 --out square
 
+    wheelsight simulate flat --lift 12:15 --cover 20:25 --out mishaps
+
     wheelsight simulate --list
     """
     if show_list:
@@ -70,7 +73,8 @@ def simulate(
     settings = options.settings_from(
         {"world": world, "camera": camera, "laps": laps, "seed": seed, "speed_m_s": speed, "duration_s": duration}
         | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn}
-        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip},
+        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip}
+        | {"covered_s": options.times_of("--cover", cover)},
         size=size,
         robot={"left_radius_m": left_radius, "right_radius_m": right_radius, "track_width_m": track, "has_gyro": gyro},
         times={"--dropout": dropout, "--unplug": unplug, "--lift": lift},

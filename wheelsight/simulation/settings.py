@@ -37,6 +37,7 @@ class SimulationSettings:
         has_slip: whether wheels slip on the floor.
         robot: as it truly is; its owner believes in `Robot()`.
         faults: of the wheels.
+        covered_s: (from, to) times in which something lies on the camera.
 
     Raises:
         ConfigError: a value out of its range; names the option of `wheelsight simulate` that sets it.
@@ -58,6 +59,7 @@ class SimulationSettings:
     has_slip: bool = True
     robot: Robot = field(default_factory=Robot)
     faults: WheelFaults = field(default_factory=WheelFaults)
+    covered_s: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         _check_from("--laps", self.laps, 1)

@@ -20,7 +20,9 @@ from wheelsight.files import make_output_folder, write_bytes, write_text
 from wheelsight.geometry import se3
 from wheelsight.recordings import RecordingWriter
 from wheelsight.simulation._way import driver_of, expected_s, refuse_walls, route_of
+from wheelsight.simulation.camera_faults import Covered
 from wheelsight.simulation.cameras import camera_model
+from wheelsight.simulation.faulty_recording import with_camera_faults
 from wheelsight.simulation.physics import simulate_drive
 from wheelsight.simulation.renderer import Renderer
 from wheelsight.simulation.settings import SimulationSettings
@@ -66,7 +68,9 @@ def simulate(
         time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
         on_progress=None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s),
     )
-    return SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
+    recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
+    covers = (Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s)
+    return with_camera_faults(recording, *covers) if settings.covered_s else recording
 
 
 def need_mujoco() -> None:
