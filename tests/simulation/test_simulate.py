@@ -93,7 +93,7 @@ def test_all_that_is_needed_to_repeat_it_is_there(folder):
     given = told["settings"]
     robot, faults, size = Robot(**given.pop("robot")), WheelFaults(**given.pop("faults")), tuple(given.pop("size"))
     assert robot == ROBOT
-    assert (faults.dropouts_s, faults.patches) == ([], [])
+    assert (faults.dropouts_s, faults.patches, given.pop("covered_s")) == ([], [], [])
     assert SimulationSettings(**given, size=size, robot=robot) == SETTINGS
     assert {"wheelsight", "mujoco", "numpy"} <= set(told["versions"])
     model = mujoco.MjModel.from_xml_path(str(folder / "truth" / "world.xml"))
