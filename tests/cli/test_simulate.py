@@ -14,7 +14,7 @@ import pytest
 import yaml
 from typer.testing import Result
 
-from wheelsight.cli._simulation import size_of
+from wheelsight.cli._simulation_inputs import size_of
 from wheelsight.events import SkippedFrame
 from wheelsight.recordings import open_recording
 from wheelsight.simulation import camera_names, world_names

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from wheelsight.cli import _simulation as options
+from wheelsight.cli import _simulation_options as options
 from wheelsight.cli._console import INTERRUPTED
+from wheelsight.cli._simulation_inputs import settings_from, times_of
 from wheelsight.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -70,11 +71,11 @@ def simulate(
     if world is None or out is None:
         missing = "a WORLD" if world is None else "--out DIR"
         raise ConfigError(f"{missing} is missing", fix="wheelsight simulate floor4 --out DIR, or --list")
-    settings = options.settings_from(
+    settings = settings_from(
         {"world": world, "camera": camera, "laps": laps, "seed": seed, "speed_m_s": speed, "duration_s": duration}
         | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn}
         | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip}
-        | {"covered_s": options.times_of("--cover", cover)},
+        | {"covered_s": times_of("--cover", cover)},
         size=size,
         robot={"left_radius_m": left_radius, "right_radius_m": right_radius, "track_width_m": track, "has_gyro": gyro},
         times={"--dropout": dropout, "--unplug": unplug, "--lift": lift},
@@ -96,7 +97,7 @@ def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
     try:
         writer = _render(recording, out)
     except KeyboardInterrupt as interruption:
-        frames = options.frames_listed(out)
+        frames = _frames_listed(out)
         print_note(f"interrupted; {out} holds the drive up to there, {frames} frames" if frames else "interrupted")
         raise typer.Exit(INTERRUPTED) from interruption
     print_note(f"{writer.frames} frames and {writer.readings} wheel readings are in {out}; plan: {out / 'plan.png'}")
@@ -117,6 +118,13 @@ def _render(recording: SimulatedRecording, out: Path) -> RecordingWriter:
     # What make_output_folder has seen is the user's own wish, or empty.
     with FrameProgress("rendering", recording.frame_count) as progress:
         return write_simulation(recording, out, force=True, on_frame=lambda frame: progress.advance())
+
+
+def _frames_listed(folder: Path) -> int:
+    """How many frames a recording that broke off holds."""
+    path = folder / "depth.txt"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    return sum(not line.startswith("#") for line in lines)
 
 
 def _print_list() -> None:

@@ -1,0 +1,74 @@
+"""The options of `wheelsight simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_ROBOT, _FAULTS = "The true robot", "Faults"
+
+World = Annotated[
+    str | None, typer.Argument(metavar="WORLD", help="What to drive through; see --list.", show_default=False)
+]
+Out = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Folder of the recording; made if need be.", show_default=False)
+]
+ShowList = Annotated[bool, typer.Option("--list", help="Show all worlds and cameras, and exit.")]
+Laps = Annotated[int, typer.Option(help="How often the world's route is driven.")]
+Camera = Annotated[str, typer.Option(metavar="NAME", help="Which camera to carry; see --list.")]
+Size = Annotated[
+    str, typer.Option(metavar="WxH|half|full", help="Size of the images in pixels, or by the camera's own.")
+]
+Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Images a second.", show_default="the camera's own")]
+Seed = Annotated[int, typer.Option(help="Of everything random; the same seed makes the same bytes.")]
+Speed = Annotated[float, typer.Option(metavar="M/S", help="Speed on straights, up to 1.2 m/s.")]
+Duration = Annotated[
+    float | None, typer.Option(metavar="SECONDS", help="Stop after so long.", show_default="the whole route")
+]
+Reverse = Annotated[bool, typer.Option("--reverse", help="Drive the route from its end to its start.")]
+DriveFile = Annotated[
+    Path | None,
+    typer.Option("--drive", metavar="CSV", help="Velocities to drive in place of the route.", show_default=False),
+]
+StopAndTurn = Annotated[
+    bool, typer.Option("--stop-and-turn", help="Stop at each waypoint and turn on the spot, as UMBmark asks.")
+]
+PassersBy = Annotated[int, typer.Option("--passers-by", metavar="N", help="How many people walk about.")]
+MotionBlur = Annotated[bool, typer.Option("--motion-blur", help="Smear colour by the motion during exposure.")]
+Gyro = Annotated[bool, typer.Option("--gyro", help="Carry a gyroscope; DIR gets gyro.csv.")]
+LeftRadius = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Of the left wheel.", show_default="0.17", rich_help_panel=_ROBOT),
+]
+RightRadius = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Of the right wheel.", show_default="0.17", rich_help_panel=_ROBOT),
+]
+Track = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Distance between the wheels.", show_default="0.52", rich_help_panel=_ROBOT),
+]
+NoSlip = Annotated[bool, typer.Option("--no-slip", help="Let wheels never slip.", rich_help_panel=_ROBOT)]
+Dropout = Annotated[
+    list[str] | None,
+    typer.Option(metavar="FROM:TO", help="Seconds without wheel readings.", rich_help_panel=_FAULTS),
+]
+Unplug = Annotated[
+    list[str] | None,
+    typer.Option(metavar="FROM:TO", help="Seconds whose pulses are lost.", rich_help_panel=_FAULTS),
+]
+Ice = Annotated[
+    list[str] | None,
+    typer.Option(metavar="X,Y,R", help="A round patch of ice, in metres.", rich_help_panel=_FAULTS),
+]
+Lift = Annotated[
+    list[str] | None,
+    typer.Option(metavar="FROM:TO", help="Seconds with the left wheel in the air.", rich_help_panel=_FAULTS),
+]
+Cover = Annotated[
+    list[str] | None,
+    typer.Option(metavar="FROM:TO", help="Seconds with something lying on the camera.", rich_help_panel=_FAULTS),
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.")]
