@@ -31,8 +31,10 @@ def settings_from(
         patches=tuple(Patch(*patch) for patch in patches_of("--ice", ice)),
         lifted_s=times_of("--lift", times["--lift"]),
     )
+    covered_s = times_of("--cover", times["--cover"])
+    image_px = size_of(size, given["camera"])
     true_robot = Robot(**{name: value for name, value in robot.items() if value is not None})
-    return SimulationSettings(**given, size=size_of(size, given["camera"]), robot=true_robot, faults=faults)
+    return SimulationSettings(**given, size=image_px, robot=true_robot, faults=faults, covered_s=covered_s)
 
 
 def size_of(text: str, camera: str) -> tuple[int, int] | None:

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 _ROBOT, _FAULTS = "The true robot", "Faults"
+
+
+def _times(what: str) -> Any:
+    """An option of the times of a fault."""
+    return typer.Option(metavar="FROM:TO", help=what, rich_help_panel=_FAULTS)
+
 
 World = Annotated[
     str | None, typer.Argument(metavar="WORLD", help="What to drive through; see --list.", show_default=False)
@@ -51,24 +57,12 @@ Track = Annotated[
     typer.Option(metavar="M", help="Distance between the wheels.", show_default="0.52", rich_help_panel=_ROBOT),
 ]
 NoSlip = Annotated[bool, typer.Option("--no-slip", help="Let wheels never slip.", rich_help_panel=_ROBOT)]
-Dropout = Annotated[
-    list[str] | None,
-    typer.Option(metavar="FROM:TO", help="Seconds without wheel readings.", rich_help_panel=_FAULTS),
-]
-Unplug = Annotated[
-    list[str] | None,
-    typer.Option(metavar="FROM:TO", help="Seconds whose pulses are lost.", rich_help_panel=_FAULTS),
-]
+Dropout = Annotated[list[str] | None, _times("Seconds without wheel readings.")]
+Unplug = Annotated[list[str] | None, _times("Seconds whose pulses are lost.")]
 Ice = Annotated[
     list[str] | None,
     typer.Option(metavar="X,Y,R", help="A round patch of ice, in metres.", rich_help_panel=_FAULTS),
 ]
-Lift = Annotated[
-    list[str] | None,
-    typer.Option(metavar="FROM:TO", help="Seconds with the left wheel in the air.", rich_help_panel=_FAULTS),
-]
-Cover = Annotated[
-    list[str] | None,
-    typer.Option(metavar="FROM:TO", help="Seconds with something lying on the camera.", rich_help_panel=_FAULTS),
-]
+Lift = Annotated[list[str] | None, _times("Seconds with the left wheel in the air.")]
+Cover = Annotated[list[str] | None, _times("Seconds with something lying on the camera.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.")]

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from wheelsight.report import RectificationRecord, RunRecord
 
 _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
-_SMALL = 0.1  # a ratio of which two decimals would tell little
 
 
 def print_summary(records: Sequence[RunRecord], out: Path) -> None:
@@ -79,8 +78,7 @@ def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
     assert joined is not None
     facts, rival = facts_of(joined), rival_of(records)
     if rival is not None:
-        ratio = f"{rival.ratio:.2f}" if rival.ratio >= _SMALL else f"{rival.ratio:.1g}"
-        yield "error", f"{ratio} times that of {rival.odometry} alone"
+        yield "error", f"{rival.times} times that of {rival.odometry} alone"
     for status, seconds in facts.seconds.items():
         times = f", {len(facts.coasting_s)} times" if status == "coasting" else ""
         yield status, f"{seconds:.2f} s{times}"

@@ -9,7 +9,7 @@ import typer
 
 from wheelsight.cli import _simulation_options as options
 from wheelsight.cli._console import INTERRUPTED
-from wheelsight.cli._simulation_inputs import settings_from, times_of
+from wheelsight.cli._simulation_inputs import settings_from
 from wheelsight.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -74,11 +74,10 @@ def simulate(
     settings = settings_from(
         {"world": world, "camera": camera, "laps": laps, "seed": seed, "speed_m_s": speed, "duration_s": duration}
         | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn}
-        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip}
-        | {"covered_s": times_of("--cover", cover)},
+        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip},
         size=size,
         robot={"left_radius_m": left_radius, "right_radius_m": right_radius, "track_width_m": track, "has_gyro": gyro},
-        times={"--dropout": dropout, "--unplug": unplug, "--lift": lift},
+        times={"--dropout": dropout, "--unplug": unplug, "--lift": lift, "--cover": cover},
         ice=ice,
     )
     _simulate(settings, out, force)

@@ -44,7 +44,7 @@ def tiles(record: RunRecord, facts: JoinedFacts, rival: Rival | None) -> Iterabl
     if record.evaluation is None:
         yield "ATE, joined", words.UNKNOWN, "not evaluated"
     else:
-        more = "RMSE" if rival is None else f"{words.number(rival.ratio, 2)} times that of {rival.odometry}"
+        more = "RMSE" if rival is None else f"{rival.times} times that of {rival.odometry}"
         yield "ATE, joined", words.length(record.evaluation.ate.translation.rmse), more
     found = facts.consistency
     if found is not None:
@@ -93,7 +93,7 @@ def _beside(rival: Rival | None) -> str:
     if rival is None:
         return ""
     better = ", which is better" if rival.ratio > 1 else ""
-    return f", {words.number(rival.ratio, 2)} times the error of {rival.odometry} alone{better}"
+    return f", {rival.times} times the error of {rival.odometry} alone{better}"
 
 
 def _tone(facts: JoinedFacts, rival: Rival | None) -> Tone:

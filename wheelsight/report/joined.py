@@ -12,6 +12,7 @@ from wheelsight.estimates import Status
 from wheelsight.evaluation import Consistency, consistency
 from wheelsight.report._drawing import frame_spans_s
 from wheelsight.report._series import runs
+from wheelsight.report._words import number
 from wheelsight.report.record import RunRecord
 
 JOINED = "joined"
@@ -52,6 +53,11 @@ class Rival:
 
     odometry: str
     ratio: float
+
+    @property
+    def times(self) -> str:
+        """The ratio as people read it."""
+        return number(self.ratio, 2)
 
 
 def joined_of(records: Sequence[RunRecord]) -> RunRecord | None:

@@ -57,6 +57,7 @@ def simulate(
     world = build_world(settings.world, settings.seed)
     driver = driver_of(settings, world)
     refuse_walls(settings, world, driver, refused)
+    covers = [Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s]
     total_s = expected_s(settings, world)
     drive = simulate_drive(
         world,
@@ -69,8 +70,7 @@ def simulate(
         on_progress=None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s),
     )
     recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
-    covers = (Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s)
-    return with_camera_faults(recording, *covers) if settings.covered_s else recording
+    return with_camera_faults(recording, *covers) if covers else recording
 
 
 def need_mujoco() -> None:
