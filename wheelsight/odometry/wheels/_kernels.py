@@ -1,9 +1,7 @@
 """One step of dead reckoning, and whole logs of them; numba over arrays and numbers.
 
-A state is an array of STATE_SIZE numbers, its places named below. The covariance is that of the left perturbation
-(vx, vy, ω) of T_odom_base: there, a step only adds to it, and what was uncertain before stays as it is.
-The gyroscope's bias is considered, not estimated, while the robot drives: `SENSITIVITY` is how far the pose would move
-per unit of it, so that its error counts for the whole way it lasts. It is estimated while the wheels stand still.
+A state is an array of STATE_SIZE numbers, its places named in `_state_kernels`. Steps move it by what the wheels tell;
+a gyroscope corrects it stretch by stretch (`_gyro_kernels`).
 """
 
 from __future__ import annotations
@@ -14,12 +12,28 @@ import numpy as np
 from numba import njit
 
 from wheelsight.geometry import ByteArray, FloatArray
+from wheelsight.odometry.wheels._gyro_kernels import add_rest, add_step, end_stretch
+from wheelsight.odometry.wheels._state_kernels import (
+    BIAS,
+    BIAS_VARIANCE,
+    COVARIANCE,
+    IS_REST,
+    IS_STILL,
+    RATIO,
+    SHARED_COVARIANCE,
+    SLIP_COVARIANCE,
+    SPEED,
+    STATE_SIZE,
+    STRETCH_S,
+    YAW,
+    YAW_RATE,
+    X,
+    Y,
+    add_outer,
+    add_shared,
+)
 
-X, Y, YAW = 0, 1, 2
-COVARIANCE = 3  # xx, xy, xω, yy, yω, ωω
-BIAS, BIAS_VARIANCE, SENSITIVITY, IS_STILL = 9, 10, 11, 14
-SPEED, YAW_RATE = 15, 16
-STATE_SIZE = 17
+_COMPILED_IN = 0x4A1C8200
 
 TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
 PARAMETERS_SIZE = 9
@@ -55,9 +69,10 @@ def fault(parameters: FloatArray, left_m: float, right_m: float, dt_s: float) ->
 @njit(cache=True, nogil=True)
 def widen(state: FloatArray, parameters: FloatArray, dt_s: float) -> None:
     """Let the covariance say that in `dt_s` the robot may have gone anywhere its wheels could take it, evenly so."""
+    end_stretch(state, parameters[GYRO_VARIANCE], _count_variance(parameters))
     reach_m = parameters[SPEED_LIMIT] * (dt_s + STAMP_JITTER_S)
     turn_rad = min(2 * reach_m / parameters[TRACK], math.pi)
-    _add_outer(state, turn_rad**2 / 3, state[Y], -state[X], 1.0)
+    add_outer(state, COVARIANCE, turn_rad**2 / 3, state[Y], -state[X], 1.0)
     state[COVARIANCE] += reach_m**2 / 3
     state[COVARIANCE + 3] += reach_m**2 / 3
     state[BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
@@ -79,43 +94,33 @@ def step(
     left_variance, right_variance = slip_squared * abs(left_m), slip_squared * abs(right_m)
     way_m, turn_rad = (left_m + right_m) / 2, (right_m - left_m) / track_m
     way_variance = (left_variance + right_variance) / 4
-    turn_variance = 4 * way_variance / track_m**2
     shared = (right_variance - left_variance) / (2 * track_m)
+    is_still, is_gyro_silent = left_m == 0 and right_m == 0, math.isnan(rate_rad_s)
+    was_still, state[IS_STILL] = state[IS_STILL] > 0, 1.0 if is_still else 0.0
+    of_gyro = (parameters[GYRO_VARIANCE], _count_variance(parameters))
     state[BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
-    is_still, turn_per_bias = left_m == 0 and right_m == 0, 0.0
-    if not math.isnan(rate_rad_s) and is_still and state[IS_STILL] > 0:
-        _learn_bias(state, rate_rad_s, parameters[GYRO_VARIANCE] / dt_s)
-    elif not math.isnan(rate_rad_s) and not is_still:
-        gyro_variance = parameters[GYRO_VARIANCE] * dt_s
-        gain = turn_variance / (turn_variance + gyro_variance + state[BIAS_VARIANCE] * dt_s**2)
-        # The way is left as it is, though it shares noise with the turn: how much it shares is told by the same
-        # noisy travels, and a gain that goes along with what it weighs shortens every way.
-        turn_rad += gain * ((rate_rad_s - state[BIAS]) * dt_s - turn_rad)
-        shared *= 1 - gain
-        turn_variance = (1 - gain) ** 2 * turn_variance + gain**2 * gyro_variance
-        turn_per_bias = -gain * dt_s
-    state[IS_STILL] = 1.0 if is_still else 0.0
     state[SPEED], state[YAW_RATE] = way_m / dt_s, turn_rad / dt_s
+    if is_gyro_silent and state[STRETCH_S] > 0:
+        end_stretch(state, *of_gyro)
     if is_still:
+        if was_still and not is_gyro_silent:
+            add_rest(state, *of_gyro, dt_s, rate_rad_s * dt_s)
         return
     (wx, wy), (tx, ty) = move(state, integration, way_m, turn_rad)
     # as left perturbations: a turn where the robot now stands is one about the origin, and a shift
-    tx, ty = tx + state[Y], ty - state[X]
-    _add_pair(state, way_variance, shared, turn_variance, wx, wy, tx, ty)
-    state[SENSITIVITY] += turn_per_bias * tx
-    state[SENSITIVITY + 1] += turn_per_bias * ty
-    state[SENSITIVITY + 2] += turn_per_bias
+    along, slip = (wx, wy, tx + state[Y], ty - state[X]), (4 * way_variance / track_m**2, shared)
+    add_outer(state, COVARIANCE, way_variance, wx, wy, 0.0)
+    if is_gyro_silent:
+        add_outer(state, COVARIANCE, slip[0], along[2], along[3], 1.0)
+        add_shared(state, COVARIANCE, shared, *along)
+    else:
+        add_step(state, *of_gyro, dt_s, rate_rad_s * dt_s - turn_rad, slip, along)
 
 
 @njit(cache=True, nogil=True)
-def _learn_bias(state: FloatArray, rate_rad_s: float, rate_variance: float) -> None:
-    variance = state[BIAS_VARIANCE]
-    x, y, yaw = state[SENSITIVITY : SENSITIVITY + 3]
-    _add_outer(state, variance, x, y, yaw)  # what the old bias did is done; the new one's error is another
-    state[SENSITIVITY : SENSITIVITY + 3] = 0.0
-    gain = variance / (variance + rate_variance)
-    state[BIAS] += gain * (rate_rad_s - state[BIAS])
-    state[BIAS_VARIANCE] = (1 - gain) * variance
+def _count_variance(parameters: FloatArray) -> float:
+    """Of a turn between two counts of both encoders: each may be anywhere within its count, at both ends."""
+    return (parameters[LEFT_M] ** 2 + parameters[RIGHT_M] ** 2) / 6 / parameters[TRACK] ** 2
 
 
 @njit(cache=True, nogil=True)
@@ -158,46 +163,13 @@ def move(
 
 
 @njit(cache=True, nogil=True)
-def _add_outer(state: FloatArray, variance: float, x: float, y: float, yaw: float) -> None:
-    state[COVARIANCE] += variance * x * x
-    state[COVARIANCE + 1] += variance * x * y
-    state[COVARIANCE + 2] += variance * x * yaw
-    state[COVARIANCE + 3] += variance * y * y
-    state[COVARIANCE + 4] += variance * y * yaw
-    state[COVARIANCE + 5] += variance * yaw * yaw
-
-
-@njit(cache=True, nogil=True)
-def _add_pair(
-    state: FloatArray,
-    way_variance: float,
-    shared: float,
-    turn_variance: float,
-    wx: float,
-    wy: float,
-    tx: float,
-    ty: float,
-) -> None:
-    """Add the noise of way and turn, that move the pose along (wx, wy, 0) and (tx, ty, 1)."""
-    _add_outer(state, turn_variance, tx, ty, 1.0)
-    state[COVARIANCE] += way_variance * wx * wx + 2 * shared * wx * tx
-    state[COVARIANCE + 1] += way_variance * wx * wy + shared * (wx * ty + wy * tx)
-    state[COVARIANCE + 2] += shared * wx
-    state[COVARIANCE + 3] += way_variance * wy * wy + 2 * shared * wy * ty
-    state[COVARIANCE + 4] += shared * wy
-
-
-@njit(cache=True, nogil=True)
 def read_covariance(state: FloatArray, six: FloatArray) -> None:
-    """Write xx, xy, xω, yy, yω, ωω into `six` (6,), the bias's part included."""
-    variance = state[BIAS_VARIANCE]
-    x, y, yaw = state[SENSITIVITY], state[SENSITIVITY + 1], state[SENSITIVITY + 2]
-    six[0] = state[COVARIANCE] + variance * x * x
-    six[1] = state[COVARIANCE + 1] + variance * x * y
-    six[2] = state[COVARIANCE + 2] + variance * x * yaw
-    six[3] = state[COVARIANCE + 3] + variance * y * y
-    six[4] = state[COVARIANCE + 4] + variance * y * yaw
-    six[5] = state[COVARIANCE + 5] + variance * yaw * yaw
+    """Write xx, xy, xω, yy, yω, ωω into `six` (6,), that of the stretch which the gyroscope has not joined included."""
+    root = math.sqrt(state[RATIO])
+    for i in range(6):
+        six[i] = state[COVARIANCE + i]
+        if state[STRETCH_S] > 0 and state[IS_REST] == 0:
+            six[i] += state[RATIO] * state[SLIP_COVARIANCE + i] + root * state[SHARED_COVARIANCE + i]
 
 
 @njit(cache=True, nogil=True)

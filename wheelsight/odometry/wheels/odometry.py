@@ -239,4 +239,5 @@ def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     parameters[kernels.LEFT_M], parameters[kernels.RIGHT_M] = wheels.left_m_per_tick, wheels.right_m_per_tick
     parameters[kernels.SPAN] = 2.0**wheels.counter_bits if wheels.counter_bits else 0.0
     state[kernels.BIAS], state[kernels.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
+    state[kernels.RATIO] = 1.0
     return parameters, state
