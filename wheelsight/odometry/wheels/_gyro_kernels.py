@@ -22,7 +22,7 @@ from wheelsight.geometry import FloatArray
 import wheelsight.odometry.wheels._state_kernels as at
 from wheelsight.odometry.wheels._state_kernels import add_outer, add_shared
 
-_COMPILED_IN = 0x3F14C06B
+_COMPILED_IN = 0x3F183CF3
 
 # Long enough that noise is more than a count, short enough that a turn is not far off meanwhile.
 PIECE_S = 0.2
@@ -33,6 +33,8 @@ LOWEST_OCTAVE = -10
 _NATS_AN_OCTAVE = 0.2  # by which a calibration that is wrong by a factor of two is less likely
 _MOST_NATS = 4.0  # of one pair: wheels that spun are one
 _KEPT = 0.98  # of what pairs have told, after the next: a floor is left behind in 20 s
+# The stamps of both may be so far apart, and a base follows its tyres late: where the rate changes, that is a turn.
+_LATE_S = 0.02
 _GATE = 10.83  # χ² of one number, 0.999: beyond it the wheels have slipped
 
 
@@ -42,20 +44,26 @@ def add_step(
     gyro_variance: float,
     count_variance: float,
     dt_s: float,
-    apart_rad: float,
+    turn_rad: float,
+    rate_rad_s: float,
     slip: tuple[float, float],
     along: tuple[float, float, float, float],
 ) -> None:
-    """Take a step into the stretch, of moving wheels whose turn the gyroscope contradicts by `apart_rad`.
+    """Take a step of moving wheels into the stretch, with their turn and the gyroscope's rate.
 
-    slip: variance of its turn, and what that shares with its way. along: wx, wy, tx, ty. The variances are those of the
+    slip: variance of the turn, and what it shares with the way. along: wx, wy, tx, ty. The variances are those of the
     gyroscope in one second, and of a turn between two counts of the encoders.
     """
     if state[at.STRETCH_S] > 0 and state[at.IS_REST] > 0:
         end_stretch(state, gyro_variance, count_variance)
     turn_variance, shared = slip
     wx, wy, tx, ty = along
-    state[at.IS_REST] = 0.0
+    apart_rad = rate_rad_s * dt_s - turn_rad
+    if state[at.STRETCH_S] == 0:
+        state[at.FIRST_RATE] = rate_rad_s
+    if state[at.PIECE_S] == 0:
+        state[at.PIECE_FIRST_RATE] = rate_rad_s
+    state[at.IS_REST], state[at.LAST_RATE] = 0.0, rate_rad_s
     state[at.STRETCH_S] += dt_s
     state[at.APART] += apart_rad
     state[at.SLIP] += turn_variance
@@ -70,7 +78,7 @@ def add_step(
     state[at.PIECE_APART] += apart_rad
     state[at.PIECE_SLIP] += turn_variance
     if state[at.PIECE_S] >= PIECE_S:
-        _end_piece(state, gyro_variance, count_variance)
+        _end_piece(state, _known(gyro_variance, count_variance, state[at.PIECE_S], rate_rad_s - state[at.PIECE_FIRST_RATE]))
         if state[at.PAIRS] >= ENOUGH_PAIRS:
             end_stretch(state, gyro_variance, count_variance)
 
@@ -96,7 +104,7 @@ def end_stretch(state: FloatArray, gyro_variance: float, count_variance: float) 
         _join(state, gyro_variance, count_variance)
     elif state[at.STRETCH_S] > 0:
         _settle(state, state[at.RATIO])
-    for i in range(at.STRETCH_S, at.IS_REST + 1):
+    for i in range(at.STRETCH_S, at.LAST_RATE + 1):
         state[i] = 0.0
 
 
@@ -122,7 +130,8 @@ def _settle(state: FloatArray, ratio: float) -> None:
 @njit(cache=True, nogil=True)
 def _join(state: FloatArray, gyro_variance: float, count_variance: float) -> None:
     seconds, variance, ratio = state[at.STRETCH_S], state[at.BIAS_VARIANCE], state[at.RATIO]
-    known = variance * seconds**2 + gyro_variance * seconds + count_variance
+    known = variance * seconds**2
+    known += _known(gyro_variance, count_variance, seconds, state[at.LAST_RATE] - state[at.FIRST_RATE])
     off = state[at.APART] - state[at.BIAS] * seconds
     if off**2 > _GATE * (known + ratio * state[at.SLIP]) and state[at.SLIP] > 0:
         # Wheels slip now and then by more than they do all the time: as far as they did here.
@@ -161,24 +170,31 @@ def _perturb(state: FloatArray, vx: float, vy: float, turn_rad: float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _end_piece(state: FloatArray, gyro_variance: float, count_variance: float) -> None:
-    if state[at.LAST_S] > 0 and state[at.PIECE_SLIP] > 0 and state[at.LAST_SLIP] > 0:
-        _learn_ratio(state, gyro_variance, count_variance)
-        state[at.LAST_S] = 0.0
+def _known(gyro_variance: float, count_variance: float, seconds: float, change_rad_s: float) -> float:
+    """Variance of what both turn apart, but for the bias and the wheels' slip, while the rate changes so much."""
+    return gyro_variance * seconds + count_variance + (_LATE_S * change_rad_s) ** 2
+
+
+@njit(cache=True, nogil=True)
+def _end_piece(state: FloatArray, known: float) -> None:
+    if state[at.BEFORE_S] > 0 and state[at.PIECE_SLIP] > 0 and state[at.BEFORE_SLIP] > 0:
+        _learn_ratio(state, known)
+        state[at.BEFORE_S] = 0.0
     else:
         for i in range(3):
-            state[at.LAST_S + i] = state[at.PIECE_S + i]
-    for i in range(3):
+            state[at.BEFORE_S + i] = state[at.PIECE_S + i]
+        state[at.BEFORE_KNOWN] = known
+    for i in range(4):
         state[at.PIECE_S + i] = 0.0
 
 
 @njit(cache=True, nogil=True)
-def _learn_ratio(state: FloatArray, gyro_variance: float, count_variance: float) -> None:
+def _learn_ratio(state: FloatArray, known: float) -> None:
     """By how two pieces differ in what seems to be the bias."""
-    one_s, other_s = state[at.PIECE_S], state[at.LAST_S]
-    off2 = (state[at.PIECE_APART] / one_s - state[at.LAST_APART] / other_s) ** 2
-    known = gyro_variance * (1 / one_s + 1 / other_s) + count_variance * (1 / one_s**2 + 1 / other_s**2)
-    slip = state[at.PIECE_SLIP] / one_s**2 + state[at.LAST_SLIP] / other_s**2
+    one_s, other_s = state[at.PIECE_S], state[at.BEFORE_S]
+    off2 = (state[at.PIECE_APART] / one_s - state[at.BEFORE_APART] / other_s) ** 2
+    known = known / one_s**2 + state[at.BEFORE_KNOWN] / other_s**2
+    slip = state[at.PIECE_SLIP] / one_s**2 + state[at.BEFORE_SLIP] / other_s**2
     likely = np.empty(at.RATIOS)
     for i in range(at.RATIOS):
         S = known + 2.0 ** (i + LOWEST_OCTAVE) * slip

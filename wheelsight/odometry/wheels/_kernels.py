@@ -33,7 +33,7 @@ from wheelsight.odometry.wheels._state_kernels import (
     add_shared,
 )
 
-_COMPILED_IN = 0x4A1C8200
+_COMPILED_IN = 0xEE9178DB
 
 TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
 PARAMETERS_SIZE = 9
@@ -114,7 +114,7 @@ def step(
         add_outer(state, COVARIANCE, slip[0], along[2], along[3], 1.0)
         add_shared(state, COVARIANCE, shared, *along)
     else:
-        add_step(state, *of_gyro, dt_s, rate_rad_s * dt_s - turn_rad, slip, along)
+        add_step(state, *of_gyro, dt_s, turn_rad, rate_rad_s, slip, along)
 
 
 @njit(cache=True, nogil=True)

@@ -20,11 +20,11 @@ IS_STILL, SPEED, YAW_RATE = 14, 15, 16
 STRETCH_S, APART, SLIP = 17, 18, 19  # seconds, the gyroscope's turn less the wheels', variance of the wheels' turn
 SLIP_COVARIANCE, SHARED_COVARIANCE = 20, 26  # of the pose by turns; by what turns and ways share
 SLIP_WITH_TURN, SHARED_WITH_TURN = 32, 35  # of x, y, ω (of x, y) with the wheels' turn
-IS_REST = 37
+IS_REST, FIRST_RATE, LAST_RATE = 37, 38, 39  # at its begin and end, by the gyroscope
 # Two pieces in a row, of which the bias is the same: how noisy wheels are that differ so from the gyroscope.
-PIECE_S, PIECE_APART, PIECE_SLIP = 38, 39, 40
-LAST_S, LAST_APART, LAST_SLIP = 41, 42, 43
-PAIRS, RATIO, NATS = 44, 45, 46
+PIECE_S, PIECE_APART, PIECE_SLIP, PIECE_FIRST_RATE = 40, 41, 42, 43
+BEFORE_S, BEFORE_APART, BEFORE_SLIP, BEFORE_KNOWN = 44, 45, 46, 47  # of the piece before, and its other variance
+PAIRS, RATIO, NATS = 48, 49, 50
 RATIOS = 15
 STATE_SIZE = NATS + RATIOS
 
