@@ -1,7 +1,7 @@
 """One step of dead reckoning, and whole logs of them; numba over arrays and numbers.
 
 A state is an array of STATE_SIZE numbers, its places named in `_state_kernels`. Steps move it by what the wheels tell;
-a gyroscope corrects it stretch by stretch (`_gyro_kernels`).
+a gyroscope corrects it stretch by stretch, and begins a second one beside it (`_gyro_kernels`).
 """
 
 from __future__ import annotations
@@ -12,14 +12,19 @@ import numpy as np
 from numba import njit
 
 from wheelsight.geometry import ByteArray, FloatArray
-from wheelsight.odometry.wheels._gyro_kernels import add_rest, add_step, end_stretch
+from wheelsight.odometry.wheels._gyro_kernels import add_rest, add_step, begin_off, end_stretch, likelier
 from wheelsight.odometry.wheels._state_kernels import (
     BIAS,
     BIAS_VARIANCE,
+    BEGUN,
     COVARIANCE,
+    DRIFT,
+    EXACT,
     IS_REST,
     IS_STILL,
+    OFF,
     RATIO,
+    SCALE,
     SHARED_COVARIANCE,
     SLIP_COVARIANCE,
     SPEED,
@@ -33,7 +38,7 @@ from wheelsight.odometry.wheels._state_kernels import (
     add_shared,
 )
 
-_COMPILED_IN = 0xEE9178DB
+_COMPILED_IN = 0x0CD99267
 
 TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
 PARAMETERS_SIZE = 9
@@ -95,6 +100,7 @@ def step(
     way_m, turn_rad = (left_m + right_m) / 2, (right_m - left_m) / track_m
     way_variance = (left_variance + right_variance) / 4
     shared = (right_variance - left_variance) / (2 * track_m)
+    turn_rad += state[DRIFT] * way_m + state[SCALE] * turn_rad
     is_still, is_gyro_silent = left_m == 0 and right_m == 0, math.isnan(rate_rad_s)
     was_still, state[IS_STILL] = state[IS_STILL] > 0, 1.0 if is_still else 0.0
     of_gyro = (parameters[GYRO_VARIANCE], _count_variance(parameters))
@@ -114,7 +120,31 @@ def step(
         add_outer(state, COVARIANCE, slip[0], along[2], along[3], 1.0)
         add_shared(state, COVARIANCE, shared, *along)
     else:
-        add_step(state, *of_gyro, dt_s, turn_rad, rate_rad_s, slip, along)
+        add_step(state, *of_gyro, dt_s, way_m, turn_rad, rate_rad_s, slip, along)
+
+
+@njit(cache=True, nogil=True)
+def _step_each(
+    states: FloatArray,
+    parameters: FloatArray,
+    integration: int,
+    left_m: float,
+    right_m: float,
+    dt_s: float,
+    rate_rad_s: float,
+) -> None:
+    """`step` of both states (2, STATE_SIZE); of one, where no gyroscope was heard yet."""
+    if states[OFF, BEGUN] == 0 and not math.isnan(rate_rad_s):
+        begin_off(states)
+    step(states[EXACT], parameters, integration, left_m, right_m, dt_s, rate_rad_s)
+    if states[OFF, BEGUN] > 0:
+        step(states[OFF], parameters, integration, left_m, right_m, dt_s, rate_rad_s)
+
+
+@njit(cache=True, nogil=True)
+def _widen_each(states: FloatArray, parameters: FloatArray, dt_s: float) -> None:
+    for i in range(len(states)):
+        widen(states[i], parameters, dt_s)
 
 
 @njit(cache=True, nogil=True)
@@ -174,7 +204,7 @@ def read_covariance(state: FloatArray, six: FloatArray) -> None:
 
 @njit(cache=True, nogil=True)
 def update(
-    state: FloatArray,
+    states: FloatArray,
     parameters: FloatArray,
     integration: int,
     left_ticks: float,
@@ -184,14 +214,18 @@ def update(
     T_odom_base: FloatArray,
     covariance: FloatArray,
 ) -> int:
-    """One reading of the stream: step, or widen and say why; fills T (4, 4) and covariance (6, 6)."""
+    """One reading of the stream: step, or widen and say why; fills T (4, 4) and covariance (6, 6).
+
+    `states` is (2, STATE_SIZE).
+    """
     left_m = parameters[LEFT_M] * unrolled(left_ticks, parameters[SPAN])
     right_m = parameters[RIGHT_M] * unrolled(right_ticks, parameters[SPAN])
     why = fault(parameters, left_m, right_m, dt_s)
     if why == OK:
-        step(state, parameters, integration, left_m, right_m, dt_s, rate_rad_s)
+        _step_each(states, parameters, integration, left_m, right_m, dt_s, rate_rad_s)
     elif why != BACKWARDS:
-        widen(state, parameters, dt_s)
+        _widen_each(states, parameters, dt_s)
+    state = states[likelier(states)]
     c, s = math.cos(state[YAW]), math.sin(state[YAW])
     T_odom_base[0, 0], T_odom_base[0, 1], T_odom_base[0, 3] = c, -s, state[X]
     T_odom_base[1, 0], T_odom_base[1, 1], T_odom_base[1, 3] = s, c, state[Y]
@@ -206,7 +240,7 @@ def update(
 
 @njit(cache=True, nogil=True)
 def integrate(
-    state: FloatArray,
+    states: FloatArray,
     parameters: FloatArray,
     integration: int,
     stamps_s: FloatArray,
@@ -227,10 +261,11 @@ def integrate(
             reasons[i] = fault(parameters, left_m, right_m, dt_s)
             if reasons[i] == OK:
                 rate = rates_rad_s[i] if len(rates_rad_s) else math.nan
-                step(state, parameters, integration, left_m, right_m, dt_s, rate)
+                _step_each(states, parameters, integration, left_m, right_m, dt_s, rate)
             elif reasons[i] != BACKWARDS:
-                widen(state, parameters, dt_s)
+                _widen_each(states, parameters, dt_s)
             if reasons[i] != BACKWARDS:
                 last = i
+        state = states[likelier(states)]
         poses[i, 0], poses[i, 1], poses[i, 2] = state[X], state[Y], state[YAW]
         read_covariance(state, covariances[i])

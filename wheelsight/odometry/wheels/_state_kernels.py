@@ -1,7 +1,7 @@
 """Where the numbers of a dead reckoning's state stand; numba over arrays.
 
 The covariance is that of the left perturbation (vx, vy, ω) of T_odom_base: there, a step only adds to it, and what was
-uncertain before stays as it is.
+uncertain before stays as it is. An error is what is true less what is thought.
 """
 
 from __future__ import annotations
@@ -12,21 +12,30 @@ from wheelsight.geometry import FloatArray
 
 X, Y, YAW = 0, 1, 2
 COVARIANCE = 3  # xx, xy, xω, yy, yω, ωω
-BIAS, BIAS_VARIANCE = 9, 10
-WITH_BIAS = 11  # covariance of the errors of x, y, ω with the bias's; an error is what is true less what is thought
-IS_STILL, SPEED, YAW_RATE = 14, 15, 16
-# A stretch: what wheels and gyroscope told since both were last joined, and the wheels' noise since, all by their
-# calibration. Its turns' noise moves the pose along (tx, ty, 1), that of its ways along (wx, wy, 0).
-STRETCH_S, APART, SLIP = 17, 18, 19  # seconds, the gyroscope's turn less the wheels', variance of the wheels' turn
-SLIP_COVARIANCE, SHARED_COVARIANCE = 20, 26  # of the pose by turns; by what turns and ways share
-SLIP_WITH_TURN, SHARED_WITH_TURN = 32, 35  # of x, y, ω (of x, y) with the wheels' turn
-IS_REST, FIRST_RATE, LAST_RATE = 37, 38, 39  # at its begin and end, by the gyroscope
-# Two pieces in a row, of which the bias is the same: how noisy wheels are that differ so from the gyroscope.
-PIECE_S, PIECE_APART, PIECE_SLIP, PIECE_FIRST_RATE = 40, 41, 42, 43
-BEFORE_S, BEFORE_APART, BEFORE_SLIP, BEFORE_KNOWN = 44, 45, 46, 47  # of the piece before, and its other variance
-PAIRS, RATIO, NATS = 48, 49, 50
-RATIOS = 15
+# What a gyroscope and wheels have wrong: its bias, the turn a metre that wheels miss, the ratio by which they turn too
+# little; the covariance (3, 3) of their errors, and that (3, 3) of the pose's errors with them.
+BIAS, DRIFT, SCALE = 9, 10, 11
+BIAS_VARIANCE, DRIFT_VARIANCE, SCALE_VARIANCE = 12, 16, 20
+ERRORS_COVARIANCE, WITH_ERRORS = 12, 21
+IS_STILL, SPEED, YAW_RATE = 30, 31, 32
+# A stretch: what wheels and gyroscope told since both were last joined; seconds, the gyroscope's turn less the wheels',
+# variance of the wheels' turn by their calibration, way and turn.
+STRETCH_S, APART, SLIP, WAY, TURN = 33, 34, 35, 36, 37
+# Noise of its turns moves the pose along (tx, ty, 1), that of its ways along (wx, wy, 0): covariance of the pose by
+# turns, and by what turns and ways share; covariance of (x, y, ω), (x, y) with the turn; what drift and scale move.
+SLIP_COVARIANCE, SHARED_COVARIANCE = 38, 44
+SLIP_WITH_TURN, SHARED_WITH_TURN = 50, 53
+BY_DRIFT, BY_SCALE = 55, 58
+IS_REST, FIRST_RATE, LAST_RATE = 61, 62, 63  # at its begin and end, by the gyroscope
+# Two pieces in a row, of which the bias is the same: they tell how noisy wheels are that differ from the gyroscope.
+PIECE_S, PIECE_APART, PIECE_SLIP, PIECE_WAY, PIECE_TURN, PIECE_FIRST_RATE = 64, 65, 66, 67, 68, 69
+BEFORE_S, BEFORE_APART, BEFORE_SLIP, BEFORE_WAY, BEFORE_TURN, BEFORE_KNOWN = 70, 71, 72, 73, 74, 75
+PAIRS, RATIO = 76, 77
+EVIDENCE, BEGUN = 78, 79
+NATS, RATIOS = 80, 15
 STATE_SIZE = NATS + RATIOS
+# One state for wheels that are as their calibration says, one for wheels whose drift and scale are off.
+EXACT, OFF = 0, 1
 
 
 @njit(cache=True, nogil=True)
@@ -48,3 +57,13 @@ def add_shared(state: FloatArray, at: int, shared: float, wx: float, wy: float, 
     state[at + 2] += shared * wx
     state[at + 3] += 2 * shared * wy * ty
     state[at + 4] += shared * wy
+
+
+@njit(cache=True, nogil=True)
+def add_product(state: FloatArray, factor: float, one: FloatArray, other: FloatArray) -> None:
+    """Add `factor` (one otherᵀ + other oneᵀ), of (3,) each, to the pose's covariance."""
+    place = COVARIANCE
+    for i in range(3):
+        for j in range(i, 3):
+            state[place] += factor * (one[i] * other[j] + other[i] * one[j])
+            place += 1

@@ -47,11 +47,15 @@ class WheelOdometry:
     def __init__(self, wheels: Wheels, integration: Integration = "arc", gyro: Gyro | None = None) -> None:
         self._wheels = wheels
         self._integration = _INTEGRATIONS[integration]
-        self._parameters, self._state = _prepare(wheels, gyro or Gyro())
+        self._parameters, self._states = _prepare(wheels, gyro or Gyro())
         self._span = self._parameters[kernels.SPAN]
         self._ticks_per_rad = wheels.ticks_per_turn / (2 * math.pi)
         self._T_odom_base, self._covariance = np.eye(4), np.zeros((6, 6))
         self._last: WheelTicks | WheelSpeeds | None = None
+
+    @property
+    def _state(self) -> FloatArray:
+        return np.asarray(self._states[kernels.likelier(self._states)])
 
     @property
     def T_odom_base(self) -> FloatArray:
@@ -114,7 +118,7 @@ class WheelOdometry:
         ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s)
         self._parameters[kernels.SPAN] = self._span if isinstance(reading, WheelTicks) else 0.0
         filled = (self._T_odom_base, self._covariance)
-        why: int = kernels.update(self._state, self._parameters, self._integration, *ticks, dt_s, rate_rad_s, *filled)
+        why: int = kernels.update(self._states, self._parameters, self._integration, *ticks, dt_s, rate_rad_s, *filled)
         if why != kernels.BACKWARDS:
             self._last = reading
         return why
@@ -189,9 +193,9 @@ def integrate_log(
     n = len(stamps)
     if any(side.shape != (n,) for side in (left, right)) or rates.shape not in ((0,), (n,)):
         raise ValueError(f"{n} stamps need as many ticks of each wheel, and as many yaw rates if any")
-    parameters, state = _prepare(wheels, gyro or Gyro())
+    parameters, states = _prepare(wheels, gyro or Gyro())
     poses, parts, codes = np.empty((n, 3)), np.empty((n, 6)), np.zeros(n, np.uint8)
-    kernels.integrate(state, parameters, _INTEGRATIONS[integration], stamps, left, right, rates, poses, parts, codes)
+    kernels.integrate(states, parameters, _INTEGRATIONS[integration], stamps, left, right, rates, poses, parts, codes)
     return WheelTrack(stamps - wheels.delay_s, poses, parts, codes)
 
 
@@ -228,7 +232,7 @@ def _ticks_between(
 
 
 def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
-    """Parameters and first state as the kernels take them."""
+    """Parameters and first states (2, STATE_SIZE) as the kernels take them."""
     parameters, state = np.zeros(kernels.PARAMETERS_SIZE), np.zeros(kernels.STATE_SIZE)
     parameters[kernels.TRACK] = wheels.track_width_m
     parameters[kernels.SLIP_SQUARED] = wheels.slip_m_per_sqrt_m**2
@@ -240,4 +244,4 @@ def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     parameters[kernels.SPAN] = 2.0**wheels.counter_bits if wheels.counter_bits else 0.0
     state[kernels.BIAS], state[kernels.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
     state[kernels.RATIO] = 1.0
-    return parameters, state
+    return parameters, np.stack([state, state])
