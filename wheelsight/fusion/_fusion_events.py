@@ -1,4 +1,10 @@
-"""What can happen to the default filter, and the state after each: FusionState, and `after`."""
+"""What can happen to the default filter, and the state after each: FusionState, and `after`.
+
+A gyroscope may tell a thousand times a second, of steps of the wheels that take a fiftieth. Its readings are summed up
+until such a step, or part of one, is over: there the mean is one measurement, of the twist that the wheels tell of just
+that time. Were each reading one, each would be tested, and some of a thousand are always outside a gate; each would
+count as if the wheels had erred anew.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +24,12 @@ from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court
 from wheelsight.fusion._wheel_noise import Ride, WheelNoise
 from wheelsight.geometry import FloatArray
+
+# Where no wheel tells, the mean over so long is one measurement.
+_TURN_S = 0.05
+# A gate refuses the share `1 - confidence` of good measurements. Of a gyroscope, of which there are many, it is that
+# share of every so many seconds: 0.3 % of frames then tell of slip that is none, for each does of the last 0.3 s.
+_TEST_S = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +95,11 @@ def after(
     state: FusionState, event: Happening, events: Sequence[Happening], settings: ErrorStateSettings
 ) -> FusionState:
     """The state after an event, of all those known: the whole step of the filter."""
+    if event.yaw_rate_rad_s is not None:
+        return _heard(state, event.yaw_rate_rad_s, event.stamp_s, events, settings)
     now = state if state.stamp_s == event.stamp_s else moved_to(state, event.stamp_s, events, settings)
     court = changed(trust.end_doubt(now.court, event.stamp_s, settings), nis=None)
     now = changed(now, court=court, reason=None)
-    if event.yaw_rate_rad_s is not None:
-        return changed(now, court=_turned(now.court, event.yaw_rate_rad_s, event.stamp_s, settings))
     if event.look is not None:
         now = _looked(now, event.look, event.stamp_s, settings)
     if event.failure is not None:
@@ -115,6 +127,8 @@ def moved_to(
     for start_s, end_s in pairwise(sorted(borders)):
         step = next((step for step in covering if step.begin_s <= start_s and end_s <= step.end_s), None)
         court = _gone_on(court, step, start_s, end_s, settings)
+        if step is not None:
+            court = _turned(court, end_s, settings)
         told_s = told_s if step is None else end_s
         if not is_lost and end_s - told_s > settings.lost_after_s:
             court, is_lost = _each(court, PoseBelief.scattered), True
@@ -204,25 +218,45 @@ def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings
     return changed(state, court=changed(court, belief=belief))
 
 
-def _turned(court: Court, rate_rad_s: float, stamp_s: float, settings: ErrorStateSettings) -> Court:
-    seconds = stamp_s - court.gyro_s if court.gyro_s is not None else 0.0
+def _heard(
+    state: FusionState, rate_rad_s: float, stamp_s: float, events: Sequence[Happening], settings: ErrorStateSettings
+) -> FusionState:
+    """After a reading of the gyroscope. Where no measurement comes of it yet, the state stays as of when it was."""
+    court = changed(state.court, nis=None, gyro_s=stamp_s)
+    seconds = stamp_s - state.court.gyro_s if state.court.gyro_s is not None else 0.0
     if not 0 < seconds <= settings.coast_after_s:
-        return changed(court, gyro_s=stamp_s)
-    variance = settings.gyro_noise_rad_per_sqrt_s**2 / seconds
+        court = changed(court, gyro_rad=0.0, gyro_told_s=0.0)
+    else:
+        turn_rad = rate_rad_s * seconds
+        odometer = court.odometer.turned(turn_rad - court.belief.gyro_bias_rad_s * seconds, seconds)
+        sums = {"gyro_rad": court.gyro_rad + turn_rad, "gyro_told_s": court.gyro_told_s + seconds}
+        court = changed(court, odometer=odometer, **sums)
+    heard = changed(state, court=court, reason=None)
+    if heard.stamp_s is not None and court.gyro_told_s < _TURN_S:
+        return heard
+    now = heard if heard.stamp_s == stamp_s else moved_to(heard, stamp_s, events, settings)
+    return changed(now, court=_turned(trust.end_doubt(now.court, stamp_s, settings), stamp_s, settings))
+
+
+def _turned(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+    """After the mean of what the gyroscope told since the last measurement, if anything."""
+    seconds = court.gyro_told_s
+    if not seconds > 0:
+        return court
+    rate_rad_s, variance = court.gyro_rad / seconds, settings.gyro_noise_rad_per_sqrt_s**2 / seconds
+    most = trust.gate_of((1 - settings.confidence) * min(seconds / _TEST_S, 1.0))
 
     def turned(belief: PoseBelief) -> tuple[PoseBelief, float]:
         by = belief.yaw_rate(rate_rad_s, variance)
-        if by.nis <= trust.gate(settings, 1):
+        if by.nis <= most:
             return belief.corrected(by).turn_known(), by.nis
         freed = belief.turn_distrusted(settings)
         return freed.corrected(freed.yaw_rate(rate_rad_s, variance)).turn_known(), by.nis
 
     belief, nis = turned(court.belief)
-    told = changed(court, belief=belief, nis=(nis, 1), gyro_s=stamp_s)
-    told = changed(told, odometer=court.odometer.turned((rate_rad_s - belief.gyro_bias_rad_s) * seconds, seconds))
-    if court.rival is not None:
-        told = changed(told, rival=turned(court.rival)[0])
-    return changed(told, turn_slip_s=stamp_s) if nis > trust.gate(settings, 1) else told
+    rival = None if court.rival is None else turned(court.rival)[0]
+    told = changed(court, belief=belief, rival=rival, nis=(nis, 1), gyro_rad=0.0, gyro_told_s=0.0)
+    return changed(told, turn_slip_s=stamp_s) if nis > most else told
 
 
 def _each(court: Court, change: Callable[[PoseBelief], PoseBelief]) -> Court:

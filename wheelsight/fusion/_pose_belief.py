@@ -122,7 +122,7 @@ class PoseBelief:
 
     @property
     def gyro_bias_rad_s(self) -> float:
-        """What the gyroscope is thought to show at rest."""
+        """What the gyroscope is thought to show at rest beyond what was said before the drive."""
         return float(self.rest[BIAS])
 
     @property

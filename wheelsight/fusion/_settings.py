@@ -11,6 +11,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray
 
 _MAY_BE_INFINITE = ("level_sigma_rad",)
+_MAY_BE_NEGATIVE = ("gyro_bias_rad_s",)
 _SHARES = ("confidence", "healthy_share")
 # As `PoseBelief.rest` has them, behind the twist; each has a sigma and a walk.
 _ERRORS = (
@@ -46,8 +47,8 @@ class ErrorStateSettings:
         clock_sigma_s: by which stamps of camera and wheels are apart; at speed, that is a way.
         acceleration_m_s2, acceleration_rad_s2: how speeds change in a second while no wheel tells.
         leap_m_s2, leap_rad_s2: standard deviation of what a robot's accelerations may be; more is a leap.
-        gyro_noise_rad_per_sqrt_s, gyro_bias_sigma_rad_s, gyro_bias_walk_rad_s: of the yaw rate, its bias at first, and
-            how the bias wanders in 1 s.
+        gyro_noise_rad_per_sqrt_s, gyro_bias_rad_s, gyro_bias_sigma_rad_s, gyro_bias_walk_rad_s: of the yaw rate, what
+            it shows at rest, how far off that may be, and how it wanders in 1 s.
         slip_m_per_sqrt_s, slip_rad_per_sqrt_s: where slipping wheels may have gone instead.
         slip_rise_m_per_sqrt_s, slip_tilt_rad_per_sqrt_s: likewise up, and to either side.
         confidence: share of good measurements that a gate lets pass.
@@ -99,6 +100,7 @@ class ErrorStateSettings:
     leap_m_s2: float = 2.0
     leap_rad_s2: float = 6.0
     gyro_noise_rad_per_sqrt_s: float = 1e-3
+    gyro_bias_rad_s: float = 0.0
     gyro_bias_sigma_rad_s: float = 0.02
     gyro_bias_walk_rad_s: float = 2e-5
     slip_m_per_sqrt_s: float = 0.3
@@ -124,7 +126,8 @@ class ErrorStateSettings:
     def __post_init__(self) -> None:
         for name in (field.name for field in fields(self)):
             value = getattr(self, name)
-            if not value >= 0 or (value == np.inf and name not in _MAY_BE_INFINITE):
+            least = -np.inf if name in _MAY_BE_NEGATIVE else 0
+            if not value >= least or (abs(value) == np.inf and name not in _MAY_BE_INFINITE):
                 raise ConfigError(f"{name} is {value}", fix="0 or more")
         for name in _SHARES:
             if not 0 < getattr(self, name) < 1:

@@ -100,6 +100,7 @@ class Court:
         usual_share: of inliers, where looks tell it.
         nis: of the measurement just taken, and its degrees of freedom; or None.
         gyro_s: of the last yaw rate.
+        gyro_rad, gyro_told_s: how far the gyroscope turned since it was last measured by, and in how long.
         turn_slip_s: when the gyroscope last contradicted the wheels.
         looked_s: of the last look that told anything.
         slipped_s: when wheels were last known to slip.
@@ -118,6 +119,8 @@ class Court:
     usual_share: float | None = None
     nis: tuple[float, int] | None = None
     gyro_s: float | None = None
+    gyro_rad: float = 0.0
+    gyro_told_s: float = 0.0
     turn_slip_s: float = -np.inf
     looked_s: float = -np.inf
     slipped_s: float = -np.inf
@@ -151,6 +154,14 @@ class Court:
 def gate(settings: ErrorStateSettings, degrees: int) -> float:
     """The largest NIS that a good measurement of so many degrees of freedom has, but for `1 - confidence` of them."""
     return _quantile(settings.confidence, degrees)
+
+
+@cache
+def gate_of(wrongly: float) -> float:
+    """The largest NIS of one degree of freedom that a good measurement has, but for such a share of them."""
+    from scipy.stats import chi2
+
+    return float(chi2.isf(wrongly, 1))
 
 
 @cache

@@ -174,10 +174,13 @@ class ErrorStateFilter:
         return self._take(Happening(stamp_s, position=(position, spread)))
 
     def update_yaw_rate(self, stamp_s: float, yaw_rate_rad_s: float) -> FusedEstimate:
-        """Take a gyroscope's yaw rate, counter-clockwise from above. Wheels must then be reckoned without it."""
+        """Take a gyroscope's yaw rate, counter-clockwise from above, the mean since its last one.
+
+        Wheels must then be reckoned without it. Measured by is the mean over a step of theirs, or 0.05 s.
+        """
         if not np.isfinite(yaw_rate_rad_s):
             return self._refused(Reason.INVALID)
-        return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s)))
+        return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s) - self.settings.gyro_bias_rad_s))
 
     def remembered(self, name: str) -> FloatArray | None:
         """T_world_base (4, 4) at the instant remembered as `name`, by all that is known now; None where none is.

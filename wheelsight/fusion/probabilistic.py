@@ -212,11 +212,12 @@ def _start(T_world_base: ArrayLike, settings: AreaRectifierSettings) -> PlaneBel
 def _step_between(
     T_odom_before: FloatArray, covariance_before: FloatArray, T_odom_now: FloatArray, covariance_now: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """T_before_now and its covariance from two poses of one odometry, whose covariance only grows along the way."""
+    """T_before_now and its covariance from two poses of one odometry: what it grew by; a gyroscope may make it less."""
     T_before_odom = se3.invert(T_odom_before)
     Ad = se3.adjoint(T_before_odom)
     grown = Ad @ (covariance_now - covariance_before) @ Ad.T
-    return T_before_odom @ T_odom_now, (grown + grown.T) / 2
+    strength, axes = np.linalg.eigh((grown + grown.T) / 2)
+    return T_before_odom @ T_odom_now, (axes * np.maximum(strength, 0.0)) @ axes.T
 
 
 def checked_shares(areas: AreaMap, area_shares: ArrayLike | None) -> FloatArray:

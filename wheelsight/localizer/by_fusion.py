@@ -10,7 +10,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.fusion import ErrorStateFilter, FusedEstimate
+from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._anchor import Anchor, is_far
@@ -22,6 +22,7 @@ from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import MatchedPixels
+from wheelsight.odometry.wheels import GyroCheck
 from wheelsight.places import PlaceMatch
 
 # What the filter remembers: the last frame tracked, the anchor of the camera's motions, where it started again.
@@ -58,9 +59,11 @@ class ByFusion:
         # The filter knows the gyroscope's bias; had the wheels used it too, it would count twice.
         self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
         self._uses_gyro = settings.wheels.gyro
+        self._check = GyroCheck()
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         self._places = None if places is None else PlaceSense(places)
-        self.filter = ErrorStateFilter(self._T_base_camera, *(() if self._places is None else self._places.start))
+        start = () if self._places is None else self._places.start
+        self.filter = ErrorStateFilter(self._T_base_camera, *start, settings=_settings_of(calibration))
         self.T_world_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
@@ -80,6 +83,11 @@ class ByFusion:
         return self.odometry.stage_seconds | ({} if self._places is None else self._places.stage_seconds)
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the gyroscope, as a sentence."""
+        return self._check.warnings
+
+    @property
     def last_place(self) -> PlaceMatch | None:
         """What the model of places said of the last frame, where there is one and it was asked."""
         return None if self._places is None else self._places.last_place
@@ -88,8 +96,10 @@ class ByFusion:
         """The estimate right after a reading or frame, None at any other event, and what was wrong with a frame."""
         if self.mapper is not None:
             self.mapper.last_fused = None
-        if isinstance(event, YawRate) and self._uses_gyro and not self._is_early(event.stamp_s):
-            self.filter.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
+        if isinstance(event, YawRate) and self._uses_gyro and not self._check.problem:
+            self._check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
+            if self._check.is_trusted and not self._is_early(event.stamp_s):
+                self.filter.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
         if isinstance(event, WheelTicks | WheelSpeeds):
             return self._reading(event)
         if not isinstance(event, RgbdFrame | SkippedFrame):
@@ -138,6 +148,7 @@ class ByFusion:
 
     def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate | None, str]:
         wheels, note = self._wheels.process(reading)
+        note = note if wheels is None else self._compared(wheels)
         if wheels is not None and self._is_early(wheels.stamp_s):
             return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body), note
         self._gate.wheels_are_heard = True
@@ -147,6 +158,12 @@ class ByFusion:
         apart = answer.reason in (Reason.CLOCKS_APART, Reason.TOO_LATE)
         self._deaf = f"the wheels are not heard: {answer.reason}" if apart else ""
         return answer, note
+
+    def _compared(self, wheels: Estimate) -> str:
+        """What to say of the gyroscope, whose turns are compared with those of the wheels."""
+        had_problem = self._check.problem
+        self._check.add_turn(wheels.stamp_s, self._wheels.odometry.turned_rad, wheels.reason is None)
+        return f"the gyroscope is left out: {self._check.problem}" if self._check.problem != had_problem else ""
 
     def _is_early(self, stamp_s: float) -> bool:
         """Whether it is not known yet where the base starts in the world of the areas."""
@@ -237,3 +254,14 @@ class ByFusion:
         seen = self.odometry.miss(stamp_s)
         nothing = MotionEstimate.failed(Reason.FRAME_UNUSABLE, seen.matches, seen.inliers)
         return self.filter.update_relative(stamp_s, nothing, _ANCHOR)
+
+
+def _settings_of(calibration: Calibration) -> ErrorStateSettings:
+    """The filter's own, with what the calibration tells of the gyroscope."""
+    gyro = calibration.gyro
+    return ErrorStateSettings(
+        gyro_noise_rad_per_sqrt_s=gyro.noise_rad_per_sqrt_s,
+        gyro_bias_rad_s=gyro.bias_rad_s,
+        gyro_bias_sigma_rad_s=gyro.bias_sigma_rad_s,
+        gyro_bias_walk_rad_s=gyro.bias_walk_rad_s_per_sqrt_s,
+    )

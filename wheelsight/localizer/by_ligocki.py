@@ -44,6 +44,11 @@ class ByLigocki:
         return self._camera.last_matches
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the gyroscope, as a sentence."""
+        return self._wheels.warnings
+
+    @property
     def stage_seconds(self) -> dict[str, float]:
         """How long each stage of the last frame took."""
         return self._camera.stage_seconds

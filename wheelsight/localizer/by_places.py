@@ -18,6 +18,7 @@ from wheelsight.fusion import AreaRectifier, PaperRectifier
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.places import PlaceMatch, PlaceModel, Unknown
 
 
@@ -75,7 +76,6 @@ class ByPlaces:
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
         self._wheels = ByWheels(calibration, settings.wheels)
-        self.odometry = self._wheels.odometry
         self.last_place: PlaceMatch | None = None
         self._model, self._begin_s = places.model, places.begin_s
         self._rectifier: _Rectifier = (_ByPaper if settings.places.rectify == "paper" else _ByProbability)(
@@ -85,6 +85,16 @@ class ByPlaces:
         self._max_gap_s = calibration.wheels.max_gap_s
         self._reading_s = self._frame_s = -np.inf
         self._stopwatch = Stopwatch()
+
+    @property
+    def odometry(self) -> WheelOdometry:
+        """Of the wheels, with the gyroscope where that is believed."""
+        return self._wheels.odometry
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the gyroscope, as a sentence."""
+        return self._wheels.warnings
 
     @property
     def stage_seconds(self) -> dict[str, float]:

@@ -7,11 +7,18 @@ from wheelsight.config import WheelSettings
 from wheelsight.errors import CalibrationError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.odometry.wheels import WheelOdometry, YawRateMeter
+from wheelsight.odometry.wheels import GyroCheck, WheelOdometry, YawRateMeter
+
+# Longer than it takes to notice that the gyroscope fails, so that what is kept has nothing of that.
+_KEPT_S = 2.0
 
 
 class ByWheels:
-    """Wheel readings answered by dead reckoning; a gyroscope's readings between them are averaged."""
+    """Wheel readings answered by dead reckoning; a gyroscope's readings between them are averaged.
+
+    What the gyroscope makes of the drive is answered once it has agreed with the wheels. Where it contradicts them
+    later, the way goes on by the wheels alone from where both last agreed.
+    """
 
     body, world, answers = "base", "odom", (WheelTicks, WheelSpeeds)
     last_matches = None
@@ -20,16 +27,54 @@ class ByWheels:
         if calibration.wheels is None:
             problem = f"the calibration ({calibration.source}) has no wheels"
             raise CalibrationError(problem, fix="give a calibration.yaml with wheels by --calibration")
-        self.odometry = WheelOdometry(calibration.wheels, settings.integration, calibration.gyro)
         self.stage_seconds: dict[str, float] = {}
+        self._alone = WheelOdometry(calibration.wheels, settings.integration, calibration.gyro)
+        self._joined: WheelOdometry | None = None
+        self._next: tuple[float, WheelOdometry] | None = None  # what will be kept if the gyroscope agrees until then
+        self._check = GyroCheck()
         self._rates = YawRateMeter()
         self._delay_s = calibration.wheels.delay_s
         self._uses_gyro = settings.gyro
 
+    @property
+    def odometry(self) -> WheelOdometry:
+        """What is answered by."""
+        return self._joined if self._joined is not None and self._check.is_trusted else self._alone
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the gyroscope, as a sentence."""
+        return self._check.warnings
+
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """The estimate at a reading, None at any other event, and a note."""
-        if isinstance(event, YawRate) and self._uses_gyro:
+        if isinstance(event, YawRate) and self._uses_gyro and not self._check.problem:
+            self._check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
             self._rates.add(event.stamp_s, event.yaw_rate_rad_s)
+            self._joined = self._joined or self._alone.copy()
         if not isinstance(event, WheelTicks | WheelSpeeds):
             return None, ""
-        return self.odometry.process(event, self._rates.mean_until(event.stamp_s - self._delay_s)), ""
+        return self._reading(event)
+
+    def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate, str]:
+        alone, rate_rad_s = self._alone.process(reading), self._rates.mean_until(reading.stamp_s - self._delay_s)
+        if self._next is not None:
+            self._next[1].process(reading)
+        self._check.add_turn(alone.stamp_s, self._alone.turned_rad, alone.reason is None)
+        if self._joined is None:
+            return alone, ""
+        joined = self._joined.process(reading, rate_rad_s)
+        if self._check.problem:
+            self._joined = self._next = None
+            return alone, f"the gyroscope is left out: {self._check.problem}"
+        self._keep(reading.stamp_s, self._joined)
+        return joined if self._check.is_trusted else alone, ""
+
+    def _keep(self, stamp_s: float, joined: WheelOdometry) -> None:
+        """Have something to go back to: what both came to, where they went on agreeing after."""
+        if not self._check.agrees_now:
+            self._next = None
+        elif self._next is None:
+            self._next = (stamp_s + _KEPT_S, joined.copy())
+        elif stamp_s > self._next[0]:
+            self._alone, self._next = self._next[1], (stamp_s + _KEPT_S, joined.copy())

@@ -111,6 +111,11 @@ class Localizer:
         return None if isinstance(self._way, ByWheels | ByPlaces) else self._way.mapper
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was found wrong with a sensor that is therefore left out, one sentence each."""
+        return () if isinstance(self._way, ByFrames) else self._way.warnings
+
+    @property
     def stage_seconds(self) -> dict[str, float]:
         """How long each stage of the last frame took; none of a wheel reading."""
         return self._way.stage_seconds

@@ -60,6 +60,7 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
         association=recording.association,
         warnings=(
             *recording.warnings,
+            *track.localizer.warnings,
             *_interruption(track, passage),
             *filter(None, [few]),
             *_map_warnings(track, passage, config),

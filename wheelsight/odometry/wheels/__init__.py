@@ -7,6 +7,7 @@ from wheelsight.odometry.wheels.drive import Drive, drive_from_ticks, drive_of, 
 from wheelsight.odometry.wheels.encoder import Encoder
 from wheelsight.odometry.wheels.fit import WheelFit, fit_wheels
 from wheelsight.odometry.wheels.gyro import YawRateMeter, mean_yaw_rates
+from wheelsight.odometry.wheels.gyro_check import GyroCheck
 from wheelsight.odometry.wheels.odometry import (
     Integration,
     WheelOdometry,
@@ -21,6 +22,7 @@ from wheelsight.odometry.wheels.umbmark import Umbmark, umbmark
 __all__ = [
     "Drive",
     "Encoder",
+    "GyroCheck",
     "Integration",
     "Umbmark",
     "WheelFit",

@@ -27,21 +27,21 @@ import wheelsight.odometry.wheels._state_kernels as at
 from wheelsight.geometry import FloatArray
 from wheelsight.odometry.wheels._state_kernels import add_outer, add_product, add_shared
 
-_COMPILED_IN = 0xF0A82F21
+_COMPILED_IN = 0xCBA240D1
 
 # Long enough that noise is more than a count, short enough that a turn is not far off meanwhile.
 PIECE_S = 0.2
 # So many pairs tell the ratio within a factor of two: 2.4 s of driving.
 ENOUGH_PAIRS = 6
-# 2^-10, a thirtieth of the deviation, to 2^4, four times it: the simulator's wheels hold thirty times as well as stated.
+# 2^-10, a thirtieth of the deviation, to 2^4, four times it: so much better than stated the simulator's wheels hold.
 LOWEST_OCTAVE = -10
 _NATS_AN_OCTAVE = 0.2  # by which a calibration that is wrong by a factor of two is less likely
 _MOST_NATS = 4.0  # of one pair: wheels that spun are one
 _KEPT = 0.98  # of what pairs have told, after the next: a floor is left behind in 20 s
 # The stamps of both may be so far apart, and a base follows its tyres late: where the rate changes, that is a turn.
-_LATE_S = 0.02
+_LATE_S = 0.01
 _GATE = 10.83  # χ² of one number, 0.999: beyond it the wheels have slipped
-# Of wheels that are off: what they miss in a metre, the ratio by which they turn too little, how both wander in a metre.
+# Of wheels that are off: the turn that they miss in a metre, the ratio they turn too little by, how both wander.
 _DRIFT_SIGMA_RAD_PER_M, _SCALE_SIGMA, _WALK = 0.02, 0.03, 0.0005  # as the default filter has it
 # Nats by which they must explain the drive better: less is what noise does, and exact wheels are the better for it.
 _DECISIVE = 4.0

@@ -14,9 +14,8 @@ from numba import njit
 from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.odometry.wheels._gyro_kernels import add_rest, add_step, begin_off, end_stretch, likelier
 from wheelsight.odometry.wheels._state_kernels import (
-    BIAS,
-    BIAS_VARIANCE,
     BEGUN,
+    BIAS_VARIANCE,
     COVARIANCE,
     DRIFT,
     EXACT,
@@ -28,8 +27,8 @@ from wheelsight.odometry.wheels._state_kernels import (
     SHARED_COVARIANCE,
     SLIP_COVARIANCE,
     SPEED,
-    STATE_SIZE,
     STRETCH_S,
+    TURNED,
     YAW,
     YAW_RATE,
     X,
@@ -38,7 +37,7 @@ from wheelsight.odometry.wheels._state_kernels import (
     add_shared,
 )
 
-_COMPILED_IN = 0x0CD99267
+_COMPILED_IN = 0x54EDC4C2
 
 TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
 PARAMETERS_SIZE = 9
@@ -100,6 +99,7 @@ def step(
     way_m, turn_rad = (left_m + right_m) / 2, (right_m - left_m) / track_m
     way_variance = (left_variance + right_variance) / 4
     shared = (right_variance - left_variance) / (2 * track_m)
+    state[TURNED] = turn_rad
     turn_rad += state[DRIFT] * way_m + state[SCALE] * turn_rad
     is_still, is_gyro_silent = left_m == 0 and right_m == 0, math.isnan(rate_rad_s)
     was_still, state[IS_STILL] = state[IS_STILL] > 0, 1.0 if is_still else 0.0

@@ -32,7 +32,8 @@ PIECE_S, PIECE_APART, PIECE_SLIP, PIECE_WAY, PIECE_TURN, PIECE_FIRST_RATE = 64, 
 BEFORE_S, BEFORE_APART, BEFORE_SLIP, BEFORE_WAY, BEFORE_TURN, BEFORE_KNOWN = 70, 71, 72, 73, 74, 75
 PAIRS, RATIO = 76, 77
 EVIDENCE, BEGUN = 78, 79
-NATS, RATIOS = 80, 15
+TURNED = 80  # in the last step, by the calibration
+NATS, RATIOS = 81, 15
 STATE_SIZE = NATS + RATIOS
 # One state for wheels that are as their calibration says, one for wheels whose drift and scale are off.
 EXACT, OFF = 0, 1

@@ -4,12 +4,14 @@ The robot drives differentially: from the travel of both wheels follow way and t
 the next pose by one of three integrations: "euler", along the old heading (Trinh et al., eq. 3); "midpoint", along the
 heading halfway (Ligocki, eq. 1); "arc", along the arc itself, exact for wheels that turn evenly. The variance of a
 wheel's travel grows with its way, independently of the other wheel's. A gyroscope's yaw rate, where there is one, is
-joined with the turn that the wheels tell of, by the variances of both.
+joined with the turn that the wheels tell of, five times a second (`_gyro_kernels`). It is believed as it is given:
+whether it contradicts the wheels says `GyroCheck`.
 """
 
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,6 +23,8 @@ from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import WheelSpeeds, WheelTicks
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.odometry.wheels import _kernels as kernels
+from wheelsight.odometry.wheels import _state_kernels as at
+from wheelsight.odometry.wheels._gyro_kernels import likelier
 from wheelsight.trajectory import Trajectory
 
 Integration = Literal["arc", "midpoint", "euler"]
@@ -55,7 +59,7 @@ class WheelOdometry:
 
     @property
     def _state(self) -> FloatArray:
-        return np.asarray(self._states[kernels.likelier(self._states)])
+        return np.asarray(self._states[likelier(self._states)])
 
     @property
     def T_odom_base(self) -> FloatArray:
@@ -76,7 +80,7 @@ class WheelOdometry:
     @property
     def twist(self) -> tuple[float, float]:
         """Forward speed in m/s and yaw rate in rad/s over the last step; zero after a reading that was refused."""
-        return float(self._state[kernels.SPEED]), float(self._state[kernels.YAW_RATE])
+        return float(self._state[at.SPEED]), float(self._state[at.YAW_RATE])
 
     def motion_in(self, seconds: float) -> FloatArray:
         """T_now_then (4, 4) after so many seconds more at this twist."""
@@ -84,9 +88,21 @@ class WheelOdometry:
         return se3.exp([speed * seconds, 0, 0, 0, 0, yaw_rate * seconds])
 
     @property
+    def turned_rad(self) -> float:
+        """By how much the wheels alone, by their calibration, turned the base in the last step that was not refused."""
+        return float(self._state[at.TURNED])
+
+    def copy(self) -> WheelOdometry:
+        """Another that goes on from here by itself."""
+        other = copy(self)
+        other._parameters, other._states = self._parameters.copy(), self._states.copy()
+        other._T_odom_base, other._covariance = self._T_odom_base.copy(), self._covariance.copy()
+        return other
+
+    @property
     def gyro_bias_rad_s(self) -> float:
         """What the gyroscope is thought to show at rest, as far as it is known by now."""
-        return float(self._state[kernels.BIAS])
+        return float(self._state[at.BIAS])
 
     def process(self, reading: WheelTicks | WheelSpeeds, yaw_rate_rad_s: float | None = None) -> Estimate:
         """The pose at a reading.
@@ -233,7 +249,7 @@ def _ticks_between(
 
 def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     """Parameters and first states (2, STATE_SIZE) as the kernels take them."""
-    parameters, state = np.zeros(kernels.PARAMETERS_SIZE), np.zeros(kernels.STATE_SIZE)
+    parameters, state = np.zeros(kernels.PARAMETERS_SIZE), np.zeros(at.STATE_SIZE)
     parameters[kernels.TRACK] = wheels.track_width_m
     parameters[kernels.SLIP_SQUARED] = wheels.slip_m_per_sqrt_m**2
     parameters[kernels.SPEED_LIMIT] = wheels.max_speed_m_s
@@ -242,6 +258,6 @@ def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     parameters[kernels.WALK_VARIANCE] = gyro.bias_walk_rad_s_per_sqrt_s**2
     parameters[kernels.LEFT_M], parameters[kernels.RIGHT_M] = wheels.left_m_per_tick, wheels.right_m_per_tick
     parameters[kernels.SPAN] = 2.0**wheels.counter_bits if wheels.counter_bits else 0.0
-    state[kernels.BIAS], state[kernels.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
-    state[kernels.RATIO] = 1.0
+    state[at.BIAS], state[at.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
+    state[at.RATIO] = 1.0
     return parameters, np.stack([state, state])

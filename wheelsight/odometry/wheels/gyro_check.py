@@ -1,0 +1,245 @@
+"""GyroCheck: whether a gyroscope tells of the turns that the wheels tell of, before it is believed and while it is.
+
+Both are cut into blocks of a quarter of a second. Over those of the last turns the gyroscope's rate is a line over the
+wheels', whose slope is 1 and which crosses 0 at the bias; so it is told by which factor they differ, how surely, how
+much is left, and by which lag they fit best. Blocks in which wheels spun lie off it and count little (Huber 1964).
+
+Wheels that slip in every turn, as those of a skid-steered robot, turn it less than they say and never twice alike. A
+factor that is always the same is none of slip: then a sensor's scale is wrong, and nobody knows whose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.geometry import FloatArray
+
+BLOCK_S = 0.25
+_LAGS_S = np.linspace(-0.4, 0.4, 17)
+_NO_LAG = len(_LAGS_S) // 2
+_LATEST_S = float(_LAGS_S[-1])
+_TURNING_RAD_S = 0.05  # of the wheels; slower, counts and noise are most of it
+_LAST_TURNS, _LAST_BLOCKS = 40, 400  # blocks that are looked at: 10 s of turning, within 100 s
+_ENOUGH_TO_TRUST, _ENOUGH_TO_ACCUSE = 8, 20  # turning blocks: 2 s and 5 s
+# Radii and tracks by tape measure, and gyroscopes by data sheet, are good to some percent.
+_SCALES = (0.85, 1.15)
+# Of wheels that slip in turns: a skid-steered robot's are off the line by 3 to 9 % of the rate, wheels that grip by
+# less than 1 % (the first is a real drive, the others the simulator's).
+_SLIPPING_SCALES, _SCATTER_OF_SLIP = (0.5, 1.3), 0.02
+_SIGMAS = 3.0  # by which a slope must lie outside
+_FOLLOWS, _DOES_NOT_FOLLOW = 0.8, 0.5  # share of the rates' variance that the line explains
+_LATE_S = 0.1  # wheels' stamps are late by some 0.05 s where nobody measured their delay
+_CLEARER = 2.0  # so many times less is left at the best lag
+_RECENT = 4  # blocks: one second
+_STUCK_S, _STUCK_RAD = 1.0, 0.1  # the same number for so long, while the wheels turned so far
+_DEGREES = 180 / math.pi
+_UNHEARD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """The gyroscope's rate over the wheels': slope with its standard deviation, rate at 0.
+
+    `left`: variance of what is off it; `share`: of the rates' variance that it explains; `scatter`: how far rates are
+    off it, as a share of the wheels' rates, by medians.
+    """
+
+    slope: float
+    sigma: float
+    bias_rad_s: float
+    left: float
+    share: float
+    scatter: float
+
+    @classmethod
+    def through(cls, wheels_rad_s: FloatArray, gyro_rad_s: FloatArray) -> Line:
+        """Of blocks (N,), at least three; those far off count little."""
+        x, y = wheels_rad_s, gyro_rad_s
+        weights, slope, bias = np.ones(len(x)), 0.0, 0.0
+        for _ in range(6):
+            total = weights.sum()
+            mean_x, mean_y = weights @ x / total, weights @ y / total
+            spread = weights @ (x - mean_x) ** 2
+            slope = float(weights @ ((x - mean_x) * (y - mean_y)) / max(spread, 1e-12))
+            bias = float(mean_y - slope * mean_x)
+            off = np.abs(y - bias - slope * x)
+            usual = max(1.5 * float(np.median(off)) * 1.4826, 1e-6)
+            weights = np.minimum(1.0, usual / np.maximum(off, 1e-12))
+        left = float(weights @ off**2 / weights.sum())
+        variance = float(weights @ (y - mean_y) ** 2 / weights.sum())
+        turning = np.abs(x) > _TURNING_RAD_S
+        scatter = math.inf
+        if turning.any():  # but for what is noise where nothing turns
+            noise = float(np.median(off[~turning])) if (~turning).sum() >= _ENOUGH_TO_TRUST else 0.0
+            beyond = max(float(np.median(off[turning])) ** 2 - noise**2, 0.0)
+            scatter = math.sqrt(beyond) / float(np.median(np.abs(x[turning])))
+        sigma = math.sqrt(left / max(spread, 1e-12))
+        return cls(slope, sigma, bias, left, 1 - left / variance if variance > 0 else 0.0, scatter)
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether such a factor is within what both are good to, or of wheels that slip."""
+        return self._lies_within(0.0)
+
+    @property
+    def is_implausible(self) -> bool:
+        """Whether it surely is not."""
+        return not self._lies_within(_SIGMAS * self.sigma)
+
+    def _lies_within(self, room: float) -> bool:
+        low, high = _SLIPPING_SCALES if self.scatter > _SCATTER_OF_SLIP else _SCALES
+        return low - room <= self.slope <= high + room
+
+
+class GyroCheck:
+    """What the readings of both come to, as they come in.
+
+    Attributes:
+        is_trusted: whether the gyroscope has agreed, and not contradicted the wheels since.
+        agrees_now: whether it does so in the last second, too.
+        problem: how it contradicts them, in one line without an end; empty where it does not. It stays.
+        readings: of the gyroscope.
+    """
+
+    def __init__(self) -> None:
+        self.is_trusted = self.agrees_now = False
+        self.problem = ""
+        self.readings = 0
+        self._gyro: deque[tuple[float, float]] = deque()  # stamp, angle turned until then
+        self._rate = self._angle_rad = 0.0
+        self._same_since_s, self._same_turn_rad = -math.inf, 0.0
+        self._spans_s: dict[str, tuple[float, float]] = {}
+        self._begin: tuple[float, float] | None = None  # of a block: stamp, and the wheels' turn until then
+        self._turn_rad = self._moved_s = 0.0
+        self._waiting: deque[tuple[float, float, float]] = deque()  # blocks: begin, end, the wheels' rate
+        self._wheels: deque[float] = deque(maxlen=_LAST_BLOCKS)  # rates of blocks
+        self._rates: deque[FloatArray] = deque(maxlen=_LAST_BLOCKS)  # the gyroscope's, at each lag
+
+    def add_rate(self, stamp_s: float, yaw_rate_rad_s: float) -> None:
+        """Take a reading of the gyroscope; one that is no number, or does not come after the last, is left out."""
+        if not (math.isfinite(stamp_s) and math.isfinite(yaw_rate_rad_s)):
+            return
+        self.readings += 1
+        self._spread("gyroscope", stamp_s)
+        if self._gyro and not stamp_s > self._gyro[-1][0]:
+            return
+        if self._gyro:
+            self._angle_rad += (stamp_s - self._gyro[-1][0]) * (self._rate + yaw_rate_rad_s) / 2
+        if yaw_rate_rad_s != self._rate or not self._gyro:
+            self._same_since_s, self._same_turn_rad = stamp_s, 0.0
+        self._rate = yaw_rate_rad_s
+        self._gyro.append((stamp_s, self._angle_rad))
+        while self._gyro[0][0] < stamp_s - 4 * _UNHEARD_S:
+            self._gyro.popleft()
+
+    def add_turn(self, stamp_s: float, turn_rad: float, is_sound: bool = True) -> None:
+        """Take a step of the wheels that ends at a stamp, or one that was refused."""
+        self._spread("wheels", stamp_s)
+        if not is_sound or (self._begin is not None and not stamp_s > self._begin[0]):
+            self._begin = None
+        if self._begin is None:
+            self._begin = (stamp_s, self._turn_rad)
+            return
+        self._turn_rad += turn_rad
+        self._same_turn_rad += abs(turn_rad)
+        begin_s, begin_rad = self._begin
+        if stamp_s - begin_s < BLOCK_S:
+            return
+        if stamp_s - begin_s < 2 * BLOCK_S:
+            self._waiting.append((begin_s, stamp_s, (self._turn_rad - begin_rad) / (stamp_s - begin_s)))
+        self._begin = (stamp_s, self._turn_rad)
+        self._take_blocks(stamp_s)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What there is to say once all has come in, one sentence each."""
+        if self.problem:
+            return (f"The gyroscope is left out: {self.problem}.",)
+        if not self.readings or self._rates or "wheels" not in self._spans_s:
+            return ()
+        (first_s, last_s), (begin_s, end_s) = self._spans_s["gyroscope"], self._spans_s["wheels"]
+        if last_s >= begin_s and first_s <= end_s:
+            return ()
+        return (
+            f"The gyroscope is left out: its stamps, {first_s:.10g} to {last_s:.10g} s, do not overlap those of the "
+            f"wheels, {begin_s:.10g} to {end_s:.10g} s.",
+        )
+
+    def _spread(self, whose: str, stamp_s: float) -> None:
+        if math.isfinite(stamp_s):
+            first_s, last_s = self._spans_s.get(whose, (stamp_s, stamp_s))
+            self._spans_s[whose] = (min(first_s, stamp_s), max(last_s, stamp_s))
+
+    def _take_blocks(self, now_s: float) -> None:
+        """Those that the gyroscope has told of by now, at all lags; of the others those that it may still."""
+        taken = False
+        while self._waiting and not self.problem:
+            begin_s, end_s, rate_rad_s = self._waiting[0]
+            is_told = bool(self._gyro) and self._gyro[-1][0] >= end_s + _LATEST_S
+            if not is_told and now_s < end_s + _UNHEARD_S:
+                break
+            self._waiting.popleft()
+            if is_told and self._gyro[0][0] <= begin_s - _LATEST_S:
+                self._add_block(begin_s, end_s, rate_rad_s)
+                taken = True
+        if taken:
+            self._judge()
+
+    def _add_block(self, begin_s: float, end_s: float, rate_rad_s: float) -> None:
+        stamps_s, angles_rad = np.array(self._gyro).T
+        turned = np.interp(end_s + _LAGS_S, stamps_s, angles_rad) - np.interp(begin_s + _LAGS_S, stamps_s, angles_rad)
+        self._wheels.append(rate_rad_s)
+        self._rates.append(turned / (end_s - begin_s))
+
+    def _judge(self) -> None:
+        if self._is_stuck():
+            self._accuse(f"it stays at {self._rate:.3g} rad/s while the wheels turn the robot")
+            return
+        wheels, rates = np.array(self._wheels), np.array(self._rates)
+        turning = np.flatnonzero(np.abs(wheels) > _TURNING_RAD_S)
+        if len(turning) < _ENOUGH_TO_TRUST:
+            return
+        first = turning[max(0, len(turning) - _LAST_TURNS)]
+        # What comes before a turn tells the bias apart from the slope.
+        begin = max(0, min(first, len(wheels) - 2 * _LAST_TURNS))
+        wheels, rates, turns = wheels[begin:], rates[begin:], len(turning)
+        lines = [Line.through(wheels, rates[:, lag]) for lag in range(len(_LAGS_S))]
+        best = int(np.argmax([line.share for line in lines]))
+        line, late_s = lines[best], float(_LAGS_S[best])
+        is_late = abs(late_s) > _LATE_S and lines[_NO_LAG].left > _CLEARER * line.left
+        if turns >= _ENOUGH_TO_ACCUSE:
+            self._accuse(_contradiction(line, late_s if is_late else 0.0))
+        now = lines[_NO_LAG]
+        if not self.problem and not is_late and now.share > _FOLLOWS and now.is_plausible and 3 * now.sigma < 0.15:
+            self.is_trusted = True
+        off = np.abs(rates[-_RECENT:, _NO_LAG] - now.bias_rad_s - now.slope * wheels[-_RECENT:])
+        usual = 4 * math.sqrt(now.left) + 0.1 * np.abs(wheels[-_RECENT:])
+        self.agrees_now = self.is_trusted and bool((off < usual).all())
+
+    def _is_stuck(self) -> bool:
+        return (
+            bool(self._gyro) and self._gyro[-1][0] - self._same_since_s > _STUCK_S and self._same_turn_rad > _STUCK_RAD
+        )
+
+    def _accuse(self, problem: str) -> None:
+        if problem:
+            self.problem, self.is_trusted, self.agrees_now = problem, False, False
+
+
+def _contradiction(line: Line, late_s: float) -> str:
+    """How it contradicts the wheels, or nothing."""
+    if line.share < _DOES_NOT_FOLLOW and abs(line.slope) < _SIGMAS * line.sigma + 0.3:
+        return "it does not tell of the turns that the wheels tell of"
+    if line.slope < 0 and line.share > _DOES_NOT_FOLLOW:
+        return "it turns the other way than the wheels (counter-clockwise from above is positive: mounted upside down?)"
+    if line.share > _DOES_NOT_FOLLOW and line.is_implausible:
+        in_degrees = abs(line.slope / _DEGREES - 1) < 0.3
+        why = "degrees instead of radians?" if in_degrees else "the scale of one of both is wrong"
+        return f"it tells of turns {line.slope:.3g} times as fast as the wheels ({why})"
+    if late_s:
+        return f"its stamps are {abs(late_s):.2g} s {'late' if late_s > 0 else 'early'} against those of the wheels"
+    return ""
