@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -37,6 +38,7 @@ def info(
     """
     from wheelsight.cli._console import console, facts_table, print_json, print_warning
     from wheelsight.cli._progress import FrameProgress
+    from wheelsight.odometry.wheels import gyro_warnings
     from wheelsight.recordings import open_recording
     from wheelsight.recordings.inspection import inspect_recording
 
@@ -45,6 +47,7 @@ def info(
     source = open_recording(recording, config.recording.open_options())
     with FrameProgress("reading", source.frame_count or source.wheel_count) as progress:
         inspection = inspect_recording(source, progress.advance)
+        inspection = replace(inspection, warnings=(*inspection.warnings, *gyro_warnings(source)))
     if as_json:
         print_json(inspection.to_dict())
         return

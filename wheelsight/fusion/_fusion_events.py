@@ -1,14 +1,14 @@
 """What can happen to the default filter, and the state after each: FusionState, and `after`.
 
 A gyroscope may tell a thousand times a second, of steps of the wheels that take a fiftieth. Its readings are summed up
-until such a step, or part of one, is over: there the mean is one measurement, of the twist that the wheels tell of just
-that time. Were each reading one, each would be tested, and some of a thousand are always outside a gate; each would
-count as if the wheels had erred anew.
+until the last within such a step, or a frame: there the mean is one measurement, of the twist that the wheels tell of
+just that time. Were each reading one, each would be tested, and some of a thousand are always outside a gate; and each
+would count as if the wheels had erred anew.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -27,6 +27,7 @@ from wheelsight.geometry import FloatArray
 
 # Where no wheel tells, the mean over so long is one measurement.
 _TURN_S = 0.05
+_SAME_S = 1e-6
 # A gate refuses the share `1 - confidence` of good measurements. Of a gyroscope, of which there are many, it is that
 # share of every so many seconds: 0.3 % of frames then tell of slip that is none, for each does of the last 0.3 s.
 _TEST_S = 0.1
@@ -98,6 +99,8 @@ def after(
     if event.yaw_rate_rad_s is not None:
         return _heard(state, event.yaw_rate_rad_s, event.stamp_s, events, settings)
     now = state if state.stamp_s == event.stamp_s else moved_to(state, event.stamp_s, events, settings)
+    if event.wheels is None:
+        now = changed(now, court=_turned(now.court, event.stamp_s, settings))
     court = changed(trust.end_doubt(now.court, event.stamp_s, settings), nis=None)
     now = changed(now, court=court, reason=None)
     if event.look is not None:
@@ -127,8 +130,6 @@ def moved_to(
     for start_s, end_s in pairwise(sorted(borders)):
         step = next((step for step in covering if step.begin_s <= start_s and end_s <= step.end_s), None)
         court = _gone_on(court, step, start_s, end_s, settings)
-        if step is not None:
-            court = _turned(court, end_s, settings)
         told_s = told_s if step is None else end_s
         if not is_lost and end_s - told_s > settings.lost_after_s:
             court, is_lost = _each(court, PoseBelief.scattered), True
@@ -232,10 +233,17 @@ def _heard(
         sums = {"gyro_rad": court.gyro_rad + turn_rad, "gyro_told_s": court.gyro_told_s + seconds}
         court = changed(court, odometer=odometer, **sums)
     heard = changed(state, court=court, reason=None)
-    if heard.stamp_s is not None and court.gyro_told_s < _TURN_S:
+    is_over = heard.stamp_s is None or heard.stamp_s == stamp_s or court.gyro_told_s > _TURN_S - _SAME_S
+    if not (is_over or _is_last_within(stamp_s, stamp_s + seconds, events)):
         return heard
     now = heard if heard.stamp_s == stamp_s else moved_to(heard, stamp_s, events, settings)
     return changed(now, court=_turned(trust.end_doubt(now.court, stamp_s, settings), stamp_s, settings))
+
+
+def _is_last_within(stamp_s: float, next_s: float, events: Sequence[Happening]) -> bool:
+    """Whether a step of the wheels goes on at a stamp, and not until the next."""
+    steps = (event.wheels for event in events[bisect_left(events, stamp_s, key=_stamp) :] if event.wheels is not None)
+    return any(step.begin_s < stamp_s <= step.end_s < next_s - _SAME_S for step in steps)
 
 
 def _turned(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:

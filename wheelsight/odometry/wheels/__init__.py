@@ -7,7 +7,7 @@ from wheelsight.odometry.wheels.drive import Drive, drive_from_ticks, drive_of, 
 from wheelsight.odometry.wheels.encoder import Encoder
 from wheelsight.odometry.wheels.fit import WheelFit, fit_wheels
 from wheelsight.odometry.wheels.gyro import YawRateMeter, mean_yaw_rates
-from wheelsight.odometry.wheels.gyro_check import GyroCheck
+from wheelsight.odometry.wheels.gyro_check import GyroCheck, gyro_warnings
 from wheelsight.odometry.wheels.odometry import (
     Integration,
     WheelOdometry,
@@ -34,6 +34,7 @@ __all__ = [
     "drive_of",
     "drive_path",
     "fit_wheels",
+    "gyro_warnings",
     "integrate_log",
     "mean_yaw_rates",
     "sides_of_four",

@@ -37,10 +37,10 @@ from wheelsight.odometry.wheels._state_kernels import (
     add_shared,
 )
 
-_COMPILED_IN = 0x54EDC4C2
+_COMPILED_IN = 0x10CCA502
 
 TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
-PARAMETERS_SIZE = 9
+COUNT_VARIANCE, PARAMETERS_SIZE = 9, 10  # of a turn between two counts; 0 where wheels tell no counts
 
 EULER, MIDPOINT, ARC = 0, 1, 2
 OK, BACKWARDS, GAP, AMBIGUOUS, IMPLAUSIBLE = 0, 1, 2, 3, 4
@@ -73,7 +73,7 @@ def fault(parameters: FloatArray, left_m: float, right_m: float, dt_s: float) ->
 @njit(cache=True, nogil=True)
 def widen(state: FloatArray, parameters: FloatArray, dt_s: float) -> None:
     """Let the covariance say that in `dt_s` the robot may have gone anywhere its wheels could take it, evenly so."""
-    end_stretch(state, parameters[GYRO_VARIANCE], _count_variance(parameters))
+    end_stretch(state, parameters[GYRO_VARIANCE], parameters[COUNT_VARIANCE])
     reach_m = parameters[SPEED_LIMIT] * (dt_s + STAMP_JITTER_S)
     turn_rad = min(2 * reach_m / parameters[TRACK], math.pi)
     add_outer(state, COVARIANCE, turn_rad**2 / 3, state[Y], -state[X], 1.0)
@@ -103,7 +103,7 @@ def step(
     turn_rad += state[DRIFT] * way_m + state[SCALE] * turn_rad
     is_still, is_gyro_silent = left_m == 0 and right_m == 0, math.isnan(rate_rad_s)
     was_still, state[IS_STILL] = state[IS_STILL] > 0, 1.0 if is_still else 0.0
-    of_gyro = (parameters[GYRO_VARIANCE], _count_variance(parameters))
+    of_gyro = (parameters[GYRO_VARIANCE], parameters[COUNT_VARIANCE])
     state[BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
     state[SPEED], state[YAW_RATE] = way_m / dt_s, turn_rad / dt_s
     if is_gyro_silent and state[STRETCH_S] > 0:
@@ -145,12 +145,6 @@ def _step_each(
 def _widen_each(states: FloatArray, parameters: FloatArray, dt_s: float) -> None:
     for i in range(len(states)):
         widen(states[i], parameters, dt_s)
-
-
-@njit(cache=True, nogil=True)
-def _count_variance(parameters: FloatArray) -> float:
-    """Of a turn between two counts of both encoders: each may be anywhere within its count, at both ends."""
-    return (parameters[LEFT_M] ** 2 + parameters[RIGHT_M] ** 2) / 6 / parameters[TRACK] ** 2
 
 
 @njit(cache=True, nogil=True)

@@ -33,7 +33,7 @@ BEFORE_S, BEFORE_APART, BEFORE_SLIP, BEFORE_WAY, BEFORE_TURN, BEFORE_KNOWN = 70,
 PAIRS, RATIO = 76, 77
 EVIDENCE, BEGUN = 78, 79
 TURNED = 80  # in the last step, by the calibration
-NATS, RATIOS = 81, 15
+NATS, RATIOS = 81, 21
 STATE_SIZE = NATS + RATIOS
 # One state for wheels that are as their calibration says, one for wheels whose drift and scale are off.
 EXACT, OFF = 0, 1

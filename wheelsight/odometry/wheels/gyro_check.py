@@ -16,7 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wheelsight.events import WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import FloatArray
+from wheelsight.odometry.wheels.odometry import WheelOdometry
+from wheelsight.recordings import Recording
 
 BLOCK_S = 0.25
 _LAGS_S = np.linspace(-0.4, 0.4, 17)
@@ -228,6 +231,24 @@ class GyroCheck:
     def _accuse(self, problem: str) -> None:
         if problem:
             self.problem, self.is_trusted, self.agrees_now = problem, False, False
+
+
+def gyro_warnings(recording: Recording) -> tuple[str, ...]:
+    """What is wrong with a recording's gyroscope against its wheels, one sentence each; no image is decoded.
+
+    Raises RecordingError when it cannot be read on.
+    """
+    wheels, check = recording.calibration.wheels, GyroCheck()
+    if wheels is None:
+        return ()
+    odometry = WheelOdometry(wheels)
+    for event in recording.events(images=False):
+        if isinstance(event, YawRate):
+            check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
+        elif isinstance(event, WheelTicks | WheelSpeeds):
+            answer = odometry.process(event)
+            check.add_turn(answer.stamp_s, odometry.turned_rad, answer.reason is None)
+    return check.warnings
 
 
 def _contradiction(line: Line, late_s: float) -> str:

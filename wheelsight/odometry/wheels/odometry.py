@@ -132,7 +132,9 @@ class WheelOdometry:
             return kernels.OK
         dt_s = reading.stamp_s - last.stamp_s
         ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s)
-        self._parameters[kernels.SPAN] = self._span if isinstance(reading, WheelTicks) else 0.0
+        counts = isinstance(reading, WheelTicks)
+        self._parameters[kernels.SPAN] = self._span if counts else 0.0
+        self._parameters[kernels.COUNT_VARIANCE] = _count_variance(self._wheels) if counts else 0.0
         filled = (self._T_odom_base, self._covariance)
         why: int = kernels.update(self._states, self._parameters, self._integration, *ticks, dt_s, rate_rad_s, *filled)
         if why != kernels.BACKWARDS:
@@ -210,6 +212,8 @@ def integrate_log(
     if any(side.shape != (n,) for side in (left, right)) or rates.shape not in ((0,), (n,)):
         raise ValueError(f"{n} stamps need as many ticks of each wheel, and as many yaw rates if any")
     parameters, states = _prepare(wheels, gyro or Gyro())
+    if not all(np.array_equal(side, np.rint(side)) for side in (left, right)):
+        parameters[kernels.COUNT_VARIANCE] = 0.0
     poses, parts, codes = np.empty((n, 3)), np.empty((n, 6)), np.zeros(n, np.uint8)
     kernels.integrate(states, parameters, _INTEGRATIONS[integration], stamps, left, right, rates, poses, parts, codes)
     return WheelTrack(stamps - wheels.delay_s, poses, parts, codes)
@@ -247,6 +251,11 @@ def _ticks_between(
     raise TypeError("a robot's wheels tell either ticks or speeds, not both")
 
 
+def _count_variance(wheels: Wheels) -> float:
+    """rad² of a turn between two readings: each count may stand for any angle within it, at both ends."""
+    return (wheels.left_m_per_tick**2 + wheels.right_m_per_tick**2) / 6 / wheels.track_width_m**2
+
+
 def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     """Parameters and first states (2, STATE_SIZE) as the kernels take them."""
     parameters, state = np.zeros(kernels.PARAMETERS_SIZE), np.zeros(at.STATE_SIZE)
@@ -258,6 +267,7 @@ def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     parameters[kernels.WALK_VARIANCE] = gyro.bias_walk_rad_s_per_sqrt_s**2
     parameters[kernels.LEFT_M], parameters[kernels.RIGHT_M] = wheels.left_m_per_tick, wheels.right_m_per_tick
     parameters[kernels.SPAN] = 2.0**wheels.counter_bits if wheels.counter_bits else 0.0
+    parameters[kernels.COUNT_VARIANCE] = _count_variance(wheels)
     state[at.BIAS], state[at.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
     state[at.RATIO] = 1.0
     return parameters, np.stack([state, state])
