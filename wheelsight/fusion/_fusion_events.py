@@ -66,6 +66,7 @@ class Happening:
         yaw_rate_rad_s: of a gyroscope.
         look: of the camera. `failure`: why it had none.
         position: x, y (2,) in the world, and covariance (2, 2).
+        gyro_bias: what the gyroscope shows at rest beyond what was said before the drive, and its variance.
         clone: the pose is remembered by that name; `spread` (6, 6) by which the camera may have it wrong. `drop`: it no
             longer is.
     """
@@ -76,6 +77,7 @@ class Happening:
     look: Look | None = None
     failure: Reason | None = None
     position: tuple[FloatArray, FloatArray] | None = None
+    gyro_bias: tuple[float, float] | None = None
     clone: str | None = None
     drop: str | None = None
     spread: FloatArray | None = None
@@ -83,7 +85,8 @@ class Happening:
     @property
     def rank(self) -> int:
         """What measures comes before what remembers."""
-        kinds = (self.wheels, self.yaw_rate_rad_s, self.look, self.failure, self.position, self.drop, self.clone)
+        of_gyro = (self.gyro_bias, self.yaw_rate_rad_s)
+        kinds = (self.wheels, *of_gyro, self.look, self.failure, self.position, self.drop, self.clone)
         return next(rank for rank, kind in enumerate(kinds) if kind is not None)
 
     @property
@@ -107,6 +110,9 @@ def after(
         now = _looked(now, event.look, event.stamp_s, settings)
     if event.failure is not None:
         now = changed(now, court=trust.fail(now.court, event.stamp_s, settings), reason=event.failure)
+    if event.gyro_bias is not None:
+        told = event.gyro_bias
+        return changed(now, court=_each(now.court, lambda belief: belief.corrected(belief.gyro_bias(*told))))
     if event.position is not None:
         return _placed(now, *event.position, settings)
     if event.clone is not None:

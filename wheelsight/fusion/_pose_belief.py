@@ -290,6 +290,11 @@ class PoseBelief:
         residual = np.array([rate_rad_s - self.rest[2] - self.rest[BIAS]])
         return _innovation(residual, PHt[[place]] + PHt[[-1]] + variance, PHt)
 
+    def gyro_bias(self, bias_rad_s: float, variance: float) -> Innovation:
+        """What is said elsewhere of the gyroscope's bias."""
+        PHt = self.covariance[:, [-1]]
+        return _innovation(np.array([bias_rad_s - self.rest[BIAS]]), PHt[[-1]] + variance, PHt)
+
     def corrected(self, by: Innovation) -> PoseBelief:
         """The Kalman update."""
         by_this = (by.with_state, by.covariance, by.residual, self.rest_at + by.unlearned)

@@ -182,6 +182,18 @@ class ErrorStateFilter:
             return self._refused(Reason.INVALID)
         return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s) - self.settings.gyro_bias_rad_s))
 
+    def update_gyro_bias(self, stamp_s: float, bias_rad_s: float, sigma_rad_s: float) -> FusedEstimate:
+        """Take what the gyroscope shows at rest, and its standard deviation, where they were found elsewhere.
+
+        The finder started from what the settings believe of it, which counts once.
+        """
+        first, told = self.settings.gyro_bias_sigma_rad_s**2, sigma_rad_s**2
+        if not (np.isfinite(bias_rad_s) and 0 < told < first):
+            return self._refused(Reason.INVALID)
+        more = first / (first - told)
+        bias = (more * (bias_rad_s - self.settings.gyro_bias_rad_s), more * told)
+        return self._take(Happening(stamp_s, gyro_bias=bias))
+
     def remembered(self, name: str) -> FloatArray | None:
         """T_world_base (4, 4) at the instant remembered as `name`, by all that is known now; None where none is.
 

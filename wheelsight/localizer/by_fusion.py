@@ -22,7 +22,6 @@ from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import MatchedPixels
-from wheelsight.odometry.wheels import GyroCheck
 from wheelsight.places import PlaceMatch
 
 # What the filter remembers: the last frame tracked, the anchor of the camera's motions, where it started again.
@@ -56,10 +55,11 @@ class ByFusion:
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
         self._T_base_camera = mount_of(calibration)
-        # The filter knows the gyroscope's bias; had the wheels used it too, it would count twice.
+        # The filter knows the gyroscope's bias; had the wheels used it too, it would count twice. Dead reckoning that does
+        # goes on beside it: it tells whether the gyroscope is to be believed, and what that shows at rest.
         self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
         self._uses_gyro = settings.wheels.gyro
-        self._check = GyroCheck()
+        self._with_gyro, self._was_trusted = ByWheels(calibration, settings.wheels), False
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         self._places = None if places is None else PlaceSense(places)
         start = () if self._places is None else self._places.start
@@ -85,7 +85,7 @@ class ByFusion:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the gyroscope, as a sentence."""
-        return self._check.warnings
+        return self._with_gyro.warnings
 
     @property
     def last_place(self) -> PlaceMatch | None:
@@ -96,10 +96,8 @@ class ByFusion:
         """The estimate right after a reading or frame, None at any other event, and what was wrong with a frame."""
         if self.mapper is not None:
             self.mapper.last_fused = None
-        if isinstance(event, YawRate) and self._uses_gyro and not self._check.problem:
-            self._check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
-            if self._check.is_trusted and not self._is_early(event.stamp_s):
-                self.filter.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
+        if isinstance(event, YawRate) and self._uses_gyro:
+            self._turn(event)
         if isinstance(event, WheelTicks | WheelSpeeds):
             return self._reading(event)
         if not isinstance(event, RgbdFrame | SkippedFrame):
@@ -148,7 +146,7 @@ class ByFusion:
 
     def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate | None, str]:
         wheels, note = self._wheels.process(reading)
-        note = note if wheels is None else self._compared(wheels)
+        note = self._with_gyro.process(reading)[1] if self._uses_gyro else note
         if wheels is not None and self._is_early(wheels.stamp_s):
             return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body), note
         self._gate.wheels_are_heard = True
@@ -159,11 +157,16 @@ class ByFusion:
         self._deaf = f"the wheels are not heard: {answer.reason}" if apart else ""
         return answer, note
 
-    def _compared(self, wheels: Estimate) -> str:
-        """What to say of the gyroscope, whose turns are compared with those of the wheels."""
-        had_problem = self._check.problem
-        self._check.add_turn(wheels.stamp_s, self._wheels.odometry.turned_rad, wheels.reason is None)
-        return f"the gyroscope is left out: {self._check.problem}" if self._check.problem != had_problem else ""
+    def _turn(self, rate: YawRate) -> None:
+        """A gyroscope counts once it has agreed with the wheels, and then with the bias it was found to have."""
+        self._with_gyro.process(rate)
+        if not self._with_gyro.trusts_gyro or self._is_early(rate.stamp_s):
+            return
+        if not self._was_trusted:
+            found = self._with_gyro.odometry
+            self.filter.update_gyro_bias(rate.stamp_s, found.gyro_bias_rad_s, found.gyro_bias_sigma_rad_s)
+        self._was_trusted = True
+        self.filter.update_yaw_rate(rate.stamp_s, rate.yaw_rate_rad_s)
 
     def _is_early(self, stamp_s: float) -> bool:
         """Whether it is not known yet where the base starts in the world of the areas."""

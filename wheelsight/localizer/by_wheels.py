@@ -39,7 +39,12 @@ class ByWheels:
     @property
     def odometry(self) -> WheelOdometry:
         """What is answered by."""
-        return self._joined if self._joined is not None and self._check.is_trusted else self._alone
+        return self._joined if self._joined is not None and self.trusts_gyro else self._alone
+
+    @property
+    def trusts_gyro(self) -> bool:
+        """Whether the gyroscope has agreed with the wheels, and not contradicted them since."""
+        return self._check.is_trusted
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -104,6 +104,11 @@ class WheelOdometry:
         """What the gyroscope is thought to show at rest, as far as it is known by now."""
         return float(self._state[at.BIAS])
 
+    @property
+    def gyro_bias_sigma_rad_s(self) -> float:
+        """How far off that may be, as a standard deviation."""
+        return math.sqrt(self._state[at.BIAS_VARIANCE])
+
     def process(self, reading: WheelTicks | WheelSpeeds, yaw_rate_rad_s: float | None = None) -> Estimate:
         """The pose at a reading.
 
