@@ -1,14 +1,14 @@
 """What can happen to the default filter, and the state after each: FusionState, and `after`.
 
 A gyroscope may tell a thousand times a second, of steps of the wheels that take a fiftieth. Its readings are summed up
-until the last within such a step, or a frame: there the mean is one measurement, of the twist that the wheels tell of
-just that time. Were each reading one, each would be tested, and some of a thousand are always outside a gate; and each
+until the end of such a step, or a frame: there the mean is one measurement, of the twist that the wheels tell of just
+that time. Were each reading one, each would be tested, and some of a thousand are always outside a gate; and each
 would count as if the wheels had erred anew.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -28,9 +28,10 @@ from wheelsight.geometry import FloatArray
 # Where no wheel tells, the mean over so long is one measurement.
 _TURN_S = 0.05
 _SAME_S = 1e-6
+_MOST = 0.5
 # A gate refuses the share `1 - confidence` of good measurements. Of a gyroscope, of which there are many, it is that
-# share of every so many seconds: 0.3 % of frames then tell of slip that is none, for each does of the last 0.3 s.
-_TEST_S = 0.1
+# share of every so many seconds: 0.15 % of frames then tell of slip that is none, for each tells of the last 0.3 s.
+_TEST_S = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +103,7 @@ def after(
     if event.yaw_rate_rad_s is not None:
         return _heard(state, event.yaw_rate_rad_s, event.stamp_s, events, settings)
     now = state if state.stamp_s == event.stamp_s else moved_to(state, event.stamp_s, events, settings)
-    if event.wheels is None:
-        now = changed(now, court=_turned(now.court, event.stamp_s, settings))
+    now = changed(now, court=_turned_until(now.court, event.stamp_s, settings))
     court = changed(trust.end_doubt(now.court, event.stamp_s, settings), nis=None)
     now = changed(now, court=court, reason=None)
     if event.look is not None:
@@ -228,28 +228,47 @@ def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings
 def _heard(
     state: FusionState, rate_rad_s: float, stamp_s: float, events: Sequence[Happening], settings: ErrorStateSettings
 ) -> FusionState:
-    """After a reading of the gyroscope. Where no measurement comes of it yet, the state stays as of when it was."""
-    court = changed(state.court, nis=None, gyro_s=stamp_s)
-    seconds = stamp_s - state.court.gyro_s if state.court.gyro_s is not None else 0.0
-    if not 0 < seconds <= settings.coast_after_s:
-        court = changed(court, gyro_rad=0.0, gyro_told_s=0.0)
-    else:
-        turn_rad = rate_rad_s * seconds
-        odometer = court.odometer.turned(turn_rad - court.belief.gyro_bias_rad_s * seconds, seconds)
-        sums = {"gyro_rad": court.gyro_rad + turn_rad, "gyro_told_s": court.gyro_told_s + seconds}
-        court = changed(court, odometer=odometer, **sums)
-    heard = changed(state, court=court, reason=None)
-    is_over = heard.stamp_s is None or heard.stamp_s == stamp_s or court.gyro_told_s > _TURN_S - _SAME_S
-    if not (is_over or _is_last_within(stamp_s, stamp_s + seconds, events)):
+    """After a reading of the gyroscope, of the time since the one before.
+
+    What of that was before the state is measured there; the rest waits for what the wheels tell of it, and the state
+    stays as of when it was.
+    """
+    court, before_s = changed(state.court, nis=None), state.court.gyro_s
+    state = changed(state, reason=None)
+    if before_s is None or not 0 < stamp_s - before_s <= settings.coast_after_s:
+        court = changed(court, gyro_s=stamp_s, gyro_rad=0.0, gyro_told_s=0.0)
+        heard = changed(state, court=court)
+        return heard if state.stamp_s is not None else moved_to(heard, stamp_s, events, settings)
+    if state.stamp_s is not None and before_s < state.stamp_s <= stamp_s:
+        court = _turned(_summed(court, rate_rad_s, state.stamp_s), state.stamp_s, settings)
+    court = court if court.gyro_s == stamp_s else _summed(court, rate_rad_s, stamp_s)
+    heard = changed(state, court=court)
+    if court.gyro_told_s < _TURN_S - _SAME_S or _is_told(stamp_s, events):
         return heard
-    now = heard if heard.stamp_s == stamp_s else moved_to(heard, stamp_s, events, settings)
+    now = moved_to(heard, stamp_s, events, settings)
     return changed(now, court=_turned(trust.end_doubt(now.court, stamp_s, settings), stamp_s, settings))
 
 
-def _is_last_within(stamp_s: float, next_s: float, events: Sequence[Happening]) -> bool:
-    """Whether a step of the wheels goes on at a stamp, and not until the next."""
-    steps = (event.wheels for event in events[bisect_left(events, stamp_s, key=_stamp) :] if event.wheels is not None)
-    return any(step.begin_s < stamp_s <= step.end_s < next_s - _SAME_S for step in steps)
+def _summed(court: Court, rate_rad_s: float, stamp_s: float) -> Court:
+    """With the turn until a stamp."""
+    assert court.gyro_s is not None
+    seconds = stamp_s - court.gyro_s
+    turn_rad = rate_rad_s * seconds
+    odometer = court.odometer.turned(turn_rad - court.belief.gyro_bias_rad_s * seconds, seconds)
+    sums = {"gyro_rad": court.gyro_rad + turn_rad, "gyro_told_s": court.gyro_told_s + seconds}
+    return changed(court, odometer=odometer, gyro_s=stamp_s, **sums)
+
+
+def _is_told(stamp_s: float, events: Sequence[Happening]) -> bool:
+    """Whether a step of the wheels goes on at a stamp."""
+    return any(step.begin_s < stamp_s for step in _steps_after(stamp_s, events))
+
+
+def _turned_until(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+    """Measured by the gyroscope where it told of most of the time until a stamp, as if of all of it."""
+    if court.gyro_s is None or not court.gyro_told_s > _MOST * (stamp_s - court.gyro_s + court.gyro_told_s):
+        return court
+    return changed(_turned(court, stamp_s, settings), gyro_s=stamp_s)
 
 
 def _turned(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:

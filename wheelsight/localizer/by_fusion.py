@@ -55,8 +55,8 @@ class ByFusion:
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
         self._T_base_camera = mount_of(calibration)
-        # The filter knows the gyroscope's bias; had the wheels used it too, it would count twice. Dead reckoning that does
-        # goes on beside it: it tells whether the gyroscope is to be believed, and what that shows at rest.
+        # The filter knows the gyroscope's bias; had the wheels used it too, it would count twice. Dead reckoning that
+        # does goes on beside it: it tells whether the gyroscope is to be believed, and what that shows at rest.
         self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
         self._uses_gyro = settings.wheels.gyro
         self._with_gyro, self._was_trusted = ByWheels(calibration, settings.wheels), False
