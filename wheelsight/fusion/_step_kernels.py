@@ -64,7 +64,8 @@ def roll(
 
     A metre of the way of a point `lever_m` aside adds `unseen` (6, 6) to the noise, and `walks` (14,) to the variances
     of the errors of wheels and camera, of which it takes the share `fades` (14,) back; the last of these are of the
-    gyroscope's bias, in a second. A part of a step has the twist of the whole, and is as uncertain of it.
+    gyroscope's bias, in a second. A part of a step has the twist of the whole, and is as uncertain of it; what is
+    learned of that goes back over the part alone.
 
     Returns (6, 3), too: how the wheels' errors move the pose by this step, as a left perturbation; and the way.
     """
@@ -83,8 +84,8 @@ def roll(
     G[6:] = np.linalg.inv(J)[np.array([0, 1, 5])] * (math.sqrt(share) / dt_s)
     grown = times(times(G, Q), G.T)
     P[:6, :6] += grown[:6, :6]
-    P[:6, twist:errors] += grown[:6, 6:]
-    P[twist:errors, :6] += grown[6:, :6]
+    P[:6, twist:errors] += grown[:6, 6:] * math.sqrt(share)
+    P[twist:errors, :6] += grown[6:, :6] * math.sqrt(share)
     P[twist:errors, twist:errors] += grown[6:, 6:]
     for i in range(len(walks)):
         k, far = errors + i, way_m if errors + i < len(P) - 1 else dt_s

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from wheelsight.calibration import Gyro, Wheels
 from wheelsight.events import WheelTicks
-from wheelsight.odometry.wheels import WheelOdometry, YawRateMeter, integrate_log, mean_yaw_rates
+from wheelsight.odometry.wheels import WheelOdometry, WheelTrack, YawRateMeter, integrate_log, mean_yaw_rates
 
 WHEELS = Wheels(0.1, 0.1, 0.5, 1000.0, slip_m_per_sqrt_m=0.02)
 
@@ -90,7 +92,8 @@ def test_a_gyroscope_helps_wheels_that_slip(rng: np.random.Generator) -> None:
         true, found = drive(rng, gyro)
         return float(np.sqrt(np.mean(np.sin(found - true) ** 2)))
 
-    assert error(Gyro(7e-4)) < 0.3 * error(None)
+    # Rates that leap by 0.8 rad/s from step to step are as much as stamps may be late for.
+    assert error(Gyro(7e-4)) < 0.35 * error(None)
 
 
 def test_the_bias_is_learnt_while_the_wheels_stand_still() -> None:
@@ -114,5 +117,78 @@ def test_the_reading_in_which_the_wheels_come_to_rest_tells_nothing_of_the_bias(
     odometry.process(WheelTicks(0.02, 5, 5), 9.0)
     odometry.process(WheelTicks(0.04, 5, 5), 9.0)
     assert odometry.gyro_bias_rad_s == 0.0
-    odometry.process(WheelTicks(0.06, 5, 5), 9.0)
-    assert odometry.gyro_bias_rad_s != 0.0
+    for i in range(3, 14):
+        odometry.process(WheelTicks(0.02 * i, 5, 5), 1.0)
+    assert odometry.gyro_bias_rad_s == pytest.approx(1.0, rel=0.02)
+
+
+def off_rad(track: WheelTrack, yaw: np.ndarray) -> np.ndarray:
+    """(N,) by how much the yaw is off."""
+    return np.asarray((track.poses[:, 2] - yaw + np.pi) % (2 * np.pi) - np.pi)
+
+
+def curves(
+    wheels: Wheels, slip: float, bias_rad_s: float, seed: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Stamps, ticks, mean rates and true yaw of 40 s through curves, at speeds that change, without a rest."""
+    rng, dt = np.random.default_rng(seed), 0.02
+    t = dt * np.arange(2000)
+    way, turn = dt * (0.5 + 0.3 * np.sin(t / 3)), dt * 0.6 * np.sin(t / 2)
+    travels = np.stack([way - turn * wheels.track_width_m / 2, way + turn * wheels.track_width_m / 2], axis=-1)
+    noisy = travels + rng.normal(0, slip * np.sqrt(np.abs(travels)))
+    ticks = np.concatenate([[[0, 0]], np.cumsum(noisy, axis=0)]) / [wheels.left_m_per_tick, wheels.right_m_per_tick]
+    rates = np.concatenate([[np.nan], turn / dt + bias_rad_s + rng.normal(0, 1e-3 / np.sqrt(dt), len(t))])
+    return dt * np.arange(2001), np.floor(ticks), rates, np.concatenate([[0.0], np.cumsum(turn)])
+
+
+@pytest.mark.parametrize("bias_rad_s", [0.0, -0.05, 0.2])
+def test_the_bias_is_learnt_while_driving(bias_rad_s: float) -> None:
+    """Against wheels that grip much better than stated; however far it is off of what was to be expected."""
+    for seed in range(5):
+        stamps, ticks, rates, yaw = curves(WHEELS, 0.0005, bias_rad_s, seed)
+        alone = off_rad(integrate_log(WHEELS, stamps, *ticks.T), yaw)
+        both = off_rad(integrate_log(WHEELS, stamps, *ticks.T, yaw_rates_rad_s=rates), yaw)
+        assert np.sqrt(np.mean(both**2)) < 1.2 * np.sqrt(np.mean(alone**2)) + 0.005
+        odometry = WheelOdometry(WHEELS)
+        for stamp, (left, right), rate in zip(stamps, ticks.astype(int), rates, strict=True):
+            odometry.process(WheelTicks(stamp, left, right), None if np.isnan(rate) else rate)
+        assert odometry.gyro_bias_rad_s == pytest.approx(bias_rad_s, abs=1.5e-3)
+        assert odometry.gyro_bias_sigma_rad_s < 5e-4
+
+
+def test_wheels_that_differ_from_their_calibration_do_not_turn_the_bias() -> None:
+    """Radii a percent apart are 0.7 rad off after 40 s; that goes with the way, and not with the time."""
+    true = replace(WHEELS, right_radius_m=0.101, track_width_m=0.51)
+    for seed in range(5):
+        stamps, ticks, rates, yaw = curves(true, 0.001, 0.03, seed)
+        alone = off_rad(integrate_log(WHEELS, stamps, *ticks.T), yaw)
+        both = off_rad(integrate_log(WHEELS, stamps, *ticks.T, yaw_rates_rad_s=rates), yaw)
+        assert abs(alone[-1]) > 0.3
+        assert abs(both[-1]) < 0.08
+
+
+def test_a_slip_is_the_wheels() -> None:
+    """One of them spins by half a metre within 0.3 s: a radian, of which the gyroscope knows nothing."""
+    stamps, ticks, rates, yaw = curves(WHEELS, 0.0005, 0.02, 1)
+    spun = ticks.copy()
+    spun[:, 1] += np.floor(np.clip((stamps - 20) / 0.3, 0, 1) * 0.5 / WHEELS.right_m_per_tick)
+    assert off_rad(integrate_log(WHEELS, stamps, *spun.T), yaw)[-1] == pytest.approx(1.0, abs=0.02)
+    assert abs(off_rad(integrate_log(WHEELS, stamps, *spun.T, yaw_rates_rad_s=rates), yaw)[-1]) < 0.02
+
+
+def test_reading_by_reading_is_as_the_whole_log() -> None:
+    stamps, ticks, rates, _ = curves(WHEELS, 0.01, 0.02, 3)
+    track, odometry = integrate_log(WHEELS, stamps, *ticks.T, yaw_rates_rad_s=rates), WheelOdometry(WHEELS)
+    for i, (stamp, (left, right), rate) in enumerate(zip(stamps, ticks.astype(int), rates, strict=True)):
+        odometry.process(WheelTicks(stamp, left, right), None if np.isnan(rate) else rate)
+        np.testing.assert_array_equal(odometry.pose, track.poses[i])
+    np.testing.assert_array_equal(odometry.covariance[np.ix_([0, 1, 5], [0, 1, 5])], track.covariances[-1])
+
+
+def test_a_copy_goes_on_by_itself() -> None:
+    one = WheelOdometry(WHEELS)
+    one.process(WheelTicks(0.0, 0, 0))
+    other = one.copy()
+    one.process(WheelTicks(0.1, 100, 150))
+    assert other.pose == (0.0, 0.0, 0.0)
+    np.testing.assert_array_equal(other.process(WheelTicks(0.1, 100, 150)).T_world_body, one.T_odom_base)

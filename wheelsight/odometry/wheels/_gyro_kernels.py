@@ -27,7 +27,7 @@ import wheelsight.odometry.wheels._state_kernels as at
 from wheelsight.geometry import FloatArray
 from wheelsight.odometry.wheels._state_kernels import add_outer, add_product, add_shared
 
-_COMPILED_IN = 0x0917929D
+_COMPILED_IN = 0x4A8DE807
 
 # Long enough that noise is more than a count, short enough that a turn is not far off meanwhile.
 PIECE_S = 0.2
@@ -42,6 +42,8 @@ _KEPT = 0.98  # of what pairs have told, after the next: a floor is left behind 
 # The stamps of both may be so far apart, and a base follows its tyres late: where the rate changes, that is a turn.
 _LATE_S = 0.01
 _GATE = 10.83  # χ² of one number, 0.999: beyond it the wheels have slipped
+_LONGEST_SLIP_S = 2.0  # to one side without a break
+_NATS_OF_LEAP = 12.0  # of a bias that is none of those expected: wheels that are a tenth off are likelier
 # Of wheels that are off: the turn that they miss in a metre, the ratio they turn too little by, how both wander.
 _DRIFT_SIGMA_RAD_PER_M, _SCALE_SIGMA, _WALK = 0.02, 0.03, 0.0005  # as the default filter has it
 # Nats by which they must explain the drive better: less is what noise does, and exact wheels are the better for it.
@@ -202,8 +204,19 @@ def _join(state: FloatArray, gyro_variance: float, count_variance: float) -> Non
     known += _unsure(state, H)
     off = state[at.APART] - state[at.BIAS] * seconds
     if off**2 > _GATE * (known + ratio * slip) and slip > 0:
-        # Wheels slip now and then by more than they do all the time: as far as they did here.
-        ratio = (off**2 - known) / slip
+        went = state[at.ASTRAY_S] if off * state[at.ASTRAY_S] > 0 else 0.0
+        state[at.ASTRAY_S] = went + math.copysign(seconds, off)
+        if abs(state[at.ASTRAY_S]) > _LONGEST_SLIP_S:
+            # That is no slip: a bias is but expected to be as small as stated.
+            state[at.BIAS_VARIANCE] += (off / seconds) ** 2
+            known += off**2
+            state[at.ASTRAY_S] = 0.0
+            state[at.EVIDENCE] -= _NATS_OF_LEAP
+        else:
+            # Wheels slip now and then by more than they do all the time: as far as they did here.
+            ratio = (off**2 - known) / slip
+    else:
+        state[at.ASTRAY_S] = 0.0
     S = known + ratio * slip
     state[at.EVIDENCE] -= 0.5 * (off**2 / S + math.log(S))
     _settle(state, ratio)

@@ -37,7 +37,7 @@ from wheelsight.odometry.wheels._state_kernels import (
     add_shared,
 )
 
-_COMPILED_IN = 0x10CCA502
+_COMPILED_IN = 0x2ED4D103
 
 TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
 COUNT_VARIANCE, PARAMETERS_SIZE = 9, 10  # of a turn between two counts; 0 where wheels tell no counts

@@ -33,7 +33,8 @@ BEFORE_S, BEFORE_APART, BEFORE_SLIP, BEFORE_WAY, BEFORE_TURN, BEFORE_KNOWN = 70,
 PAIRS, RATIO = 76, 77
 EVIDENCE, BEGUN = 78, 79
 TURNED = 80  # in the last step, by the calibration
-NATS, RATIOS = 81, 21
+ASTRAY_S = 81  # for so long in a row both were too far apart; its sign is which way
+NATS, RATIOS = 82, 21
 STATE_SIZE = NATS + RATIOS
 # One state for wheels that are as their calibration says, one for wheels whose drift and scale are off.
 EXACT, OFF = 0, 1

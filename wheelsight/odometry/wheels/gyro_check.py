@@ -32,13 +32,14 @@ _ENOUGH_TO_TRUST, _ENOUGH_TO_ACCUSE = 8, 20  # turning blocks: 2 s and 5 s
 _SCALES = (0.85, 1.15)
 # Of wheels that slip in turns: a skid-steered robot's are off the line by 3 to 9 % of the rate, wheels that grip by
 # less than 1 % (the first is a real drive, the others the simulator's).
-_SLIPPING_SCALES, _SCATTER_OF_SLIP = (0.5, 1.3), 0.02
+_SLIPPING_SCALES, _SCATTER_OF_SLIP = (0.5, 1.3), 0.015
 _SIGMAS = 3.0  # by which a slope must lie outside
 _FOLLOWS, _DOES_NOT_FOLLOW = 0.8, 0.5  # share of the rates' variance that the line explains
 _LATE_S = 0.1  # wheels' stamps are late by some 0.05 s where nobody measured their delay
 _CLEARER = 2.0  # so many times less is left at the best lag
 _RECENT = 4  # blocks: one second
-_STUCK_S, _STUCK_RAD = 1.0, 0.1  # the same number for so long, while the wheels turned so far
+# The same number for so long, while the wheels turned by so much else; more than they slip in the last 10 s.
+_STUCK_S, _STUCK_RAD, _SAME_BLOCKS = 1.0, 0.2, 40
 _DEGREES = 180 / math.pi
 _UNHEARD_S = 1.0
 
@@ -75,11 +76,7 @@ class Line:
         left = float(weights @ off**2 / weights.sum())
         variance = float(weights @ (y - mean_y) ** 2 / weights.sum())
         turning = np.abs(x) > _TURNING_RAD_S
-        scatter = math.inf
-        if turning.any():  # but for what is noise where nothing turns
-            noise = float(np.median(off[~turning])) if (~turning).sum() >= _ENOUGH_TO_TRUST else 0.0
-            beyond = max(float(np.median(off[turning])) ** 2 - noise**2, 0.0)
-            scatter = math.sqrt(beyond) / float(np.median(np.abs(x[turning])))
+        scatter = float(np.median(off[turning]) / np.median(np.abs(x[turning]))) if turning.any() else math.inf
         sigma = math.sqrt(left / max(spread, 1e-12))
         return cls(slope, sigma, bias, left, 1 - left / variance if variance > 0 else 0.0, scatter)
 
@@ -114,7 +111,7 @@ class GyroCheck:
         self.readings = 0
         self._gyro: deque[tuple[float, float]] = deque()  # stamp, angle turned until then
         self._rate = self._angle_rad = 0.0
-        self._same_since_s, self._same_turn_rad = -math.inf, 0.0
+        self._same: deque[tuple[float, float]] = deque(maxlen=_SAME_BLOCKS)  # of the wheels, while it told one number
         self._spans_s: dict[str, tuple[float, float]] = {}
         self._begin: tuple[float, float] | None = None  # of a block: stamp, and the wheels' turn until then
         self._turn_rad = self._moved_s = 0.0
@@ -133,7 +130,7 @@ class GyroCheck:
         if self._gyro:
             self._angle_rad += (stamp_s - self._gyro[-1][0]) * (self._rate + yaw_rate_rad_s) / 2
         if yaw_rate_rad_s != self._rate or not self._gyro:
-            self._same_since_s, self._same_turn_rad = stamp_s, 0.0
+            self._same.clear()
         self._rate = yaw_rate_rad_s
         self._gyro.append((stamp_s, self._angle_rad))
         while self._gyro[0][0] < stamp_s - 4 * _UNHEARD_S:
@@ -148,13 +145,13 @@ class GyroCheck:
             self._begin = (stamp_s, self._turn_rad)
             return
         self._turn_rad += turn_rad
-        self._same_turn_rad += abs(turn_rad)
         begin_s, begin_rad = self._begin
         if stamp_s - begin_s < BLOCK_S:
             return
         if stamp_s - begin_s < 2 * BLOCK_S:
             self._waiting.append((begin_s, stamp_s, (self._turn_rad - begin_rad) / (stamp_s - begin_s)))
         self._begin = (stamp_s, self._turn_rad)
+        self._same.append(self._begin)
         self._take_blocks(stamp_s)
 
     @property
@@ -200,7 +197,7 @@ class GyroCheck:
 
     def _judge(self) -> None:
         if self._is_stuck():
-            self._accuse(f"it stays at {self._rate:.3g} rad/s while the wheels turn the robot")
+            self._accuse(f"it stays at {self._rate + 0.0:.3g} rad/s while the wheels turn the robot")
             return
         wheels, rates = np.array(self._wheels), np.array(self._rates)
         turning = np.flatnonzero(np.abs(wheels) > _TURNING_RAD_S)
@@ -224,9 +221,12 @@ class GyroCheck:
         self.agrees_now = self.is_trusted and bool((off < usual).all())
 
     def _is_stuck(self) -> bool:
-        return (
-            bool(self._gyro) and self._gyro[-1][0] - self._same_since_s > _STUCK_S and self._same_turn_rad > _STUCK_RAD
-        )
+        """Whether it tells of one rate while the wheels changed theirs: by how far they are off an even turn."""
+        if len(self._same) < 2 or not self._same[-1][0] - self._same[0][0] > _STUCK_S:
+            return False
+        stamps_s, turned_rad = np.array(self._same).T
+        even = np.interp(stamps_s, stamps_s[[0, -1]], turned_rad[[0, -1]])
+        return bool(np.abs(turned_rad - even).max() > _STUCK_RAD)
 
     def _accuse(self, problem: str) -> None:
         if problem:
