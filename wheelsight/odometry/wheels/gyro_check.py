@@ -49,7 +49,7 @@ class Line:
     """The gyroscope's rate over the wheels': slope with its standard deviation, rate at 0.
 
     `left`: variance of what is off it; `share`: of the rates' variance that it explains; `scatter`: how far rates are
-    off it, as a share of the wheels' rates, by medians.
+    off it, as a share of its own, by medians.
     """
 
     slope: float
@@ -76,7 +76,8 @@ class Line:
         left = float(weights @ off**2 / weights.sum())
         variance = float(weights @ (y - mean_y) ** 2 / weights.sum())
         turning = np.abs(x) > _TURNING_RAD_S
-        scatter = float(np.median(off[turning]) / np.median(np.abs(x[turning]))) if turning.any() else math.inf
+        told = abs(slope) * np.median(np.abs(x[turning])) if turning.any() else 0.0
+        scatter = float(np.median(off[turning]) / told) if told > 0 else math.inf
         sigma = math.sqrt(left / max(spread, 1e-12))
         return cls(slope, sigma, bias, left, 1 - left / variance if variance > 0 else 0.0, scatter)
 
