@@ -1,0 +1,129 @@
+"""ByWheels: wheels with a gyroscope are hardly ever worse than wheels alone, whatever is wrong with the gyroscope."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wheelsight.calibration import Calibration, Wheels
+from wheelsight.config import load_config
+from wheelsight.estimates import Estimate
+from wheelsight.events import Event, WheelTicks, YawRate
+from wheelsight.geometry import se3
+from wheelsight.localizer import Localizer
+from wheelsight.simulation import Drive, Robot, SimulationSettings, simulate
+
+CALIBRATION = Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0), source="tape measure")
+Change = Callable[[YawRate], YawRate | None]
+
+
+@cache
+def driven(seed: int, **robot: float) -> Drive:
+    """25 s through a flat, without a rest; the gyroscope's bias is one of many."""
+    true = Robot(has_gyro=True, **robot)  # type: ignore[arg-type]
+    return simulate(SimulationSettings(world="flat", duration_s=25.0, seed=seed, robot=true)).drive
+
+
+def events_of(drive: Drive, change: Change = lambda rate: rate, rest_s: float = 0.0) -> list[Event]:
+    """Readings in order of time, the gyroscope's as they are changed; after a rest, if any."""
+    noise = np.random.default_rng(1).normal(0, 0.01, round(rest_s / 0.01))
+    at_rest = [YawRate(-0.01 * (i + 1), float(bias_of(drive) + off)) for i, off in enumerate(noise)]
+    rates = [given for rate in (*at_rest, *drive.yaw_rates) if (given := change(rate)) is not None]
+    first = drive.ticks[0]
+    standing = [WheelTicks(-0.02 * (i + 1), first.left, first.right) for i in range(round(rest_s / 0.02))]
+    return sorted([*rates, *standing, *drive.ticks], key=lambda event: event.stamp_s)
+
+
+def bias_of(drive: Drive) -> float:
+    """What the gyroscope shows on average beyond what the base turned."""
+    R = drive.truth.T_world_body[:, :2, :2]
+    yaw = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+    shown = np.mean([rate.yaw_rate_rad_s for rate in drive.yaw_rates])
+    return float(shown - (yaw[-1] - yaw[0]) / drive.truth.duration_s)
+
+
+def answers_to(events: Sequence[Event], **settings: Any) -> tuple[Localizer, list[Estimate], list[str]]:
+    subject, answers, notes = Localizer(CALIBRATION, load_config(overrides={"odometry": "wheels"} | settings)), [], []
+    for event in events:
+        answer = subject.process(event)
+        answers += [] if answer is None else [answer]
+        notes += [subject.note] if subject.note else []
+    return subject, answers, notes
+
+
+def rmse_m(answers: Sequence[Estimate], drive: Drive) -> float:
+    """Of the positions, from the true start."""
+    told = [answer for answer in answers if answer.stamp_s >= 0]
+    T_true = drive.truth.at([answer.stamp_s for answer in told])
+    T = np.array([answer.T_world_body for answer in told])
+    start = se3.invert(T_true[0]) @ T_true
+    return float(np.sqrt(np.mean(np.sum((T[:, :2, 3] - start[:, :2, 3]) ** 2, axis=1))))
+
+
+@pytest.mark.parametrize("rest_s", [0.0, 10.0])
+@pytest.mark.parametrize("seed", range(1, 11))
+def test_wheels_with_a_gyroscope_are_hardly_worse_than_wheels_alone(seed: int, rest_s: float) -> None:
+    events = events_of(driven(seed), rest_s=rest_s)
+    subject, both, notes = answers_to(events)
+    alone = answers_to(events, **{"wheels.gyro": False})[1]
+    assert rmse_m(both, driven(seed)) < 1.2 * rmse_m(alone, driven(seed)) + 0.005
+    assert both[-1].covariance[5, 5] < 0.05 * alone[-1].covariance[5, 5]  # type: ignore[index]
+    assert subject.warnings == ()
+    assert not notes
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_wheels_have_wrong_the_gyroscope_tells(seed: int) -> None:
+    """Radii a percent apart and a track 2 % wrong, of a robot that never rests."""
+    drive = driven(seed, right_radius_m=0.1717, track_width_m=0.53)
+    both, alone = (answers_to(events_of(drive), **{"wheels.gyro": gyro})[1] for gyro in (True, False))
+    assert rmse_m(alone, drive) > 0.3
+    assert rmse_m(both, drive) < 0.15
+
+
+FAULTS: dict[str, tuple[Change, str]] = {
+    "sign": (lambda rate: YawRate(rate.stamp_s, -rate.yaw_rate_rad_s), "turns the other way"),
+    "degrees": (lambda rate: YawRate(rate.stamp_s, float(np.degrees(rate.yaw_rate_rad_s))), "degrees instead of"),
+    "twice": (lambda rate: YawRate(rate.stamp_s, 2 * rate.yaw_rate_rad_s), "times as fast"),
+    "half": (lambda rate: YawRate(rate.stamp_s, rate.yaw_rate_rad_s / 2), "times as fast"),
+    "zeros": (lambda rate: YawRate(rate.stamp_s, 0.0), "stays at 0 rad/s"),
+    "stuck": (lambda rate: YawRate(rate.stamp_s, -0.0321), "stays at -0.0321 rad/s"),
+    "late": (lambda rate: YawRate(rate.stamp_s + 0.2, rate.yaw_rate_rad_s), "0.2 s late"),
+    "another clock": (lambda rate: YawRate(rate.stamp_s + 1.6e9, rate.yaw_rate_rad_s), "do not overlap"),
+    "an earlier clock": (lambda rate: YawRate(rate.stamp_s - 1000, rate.yaw_rate_rad_s), "do not overlap"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("rest_s", [0.0, 5.0])
+def test_a_gyroscope_that_contradicts_the_wheels_is_named_and_moves_nothing(fault: str, rest_s: float) -> None:
+    change, said = FAULTS[fault]
+    subject, both, notes = answers_to(events_of(driven(4), change, rest_s))
+    alone = answers_to(events_of(driven(4), change, rest_s), **{"wheels.gyro": False})[1]
+    (warning,) = subject.warnings
+    assert warning.startswith("The gyroscope is left out: ")
+    assert said in warning
+    assert len(notes) == (0 if "overlap" in said else 1)
+    for ours, theirs in zip(both, alone, strict=True):
+        np.testing.assert_array_equal(ours.T_world_body, theirs.T_world_body)
+        np.testing.assert_array_equal(ours.covariance, theirs.covariance)
+
+
+@pytest.mark.parametrize("rate_rad_s", [0.0, 0.4, -3.0])
+def test_where_it_fails_on_the_way_the_wheels_go_on_from_where_both_agreed(rate_rad_s: float) -> None:
+    """Unplugged after 12 s of 25: what it told until then stays, what it told since is as if it had never been told."""
+    broken = events_of(driven(4), lambda rate: rate if rate.stamp_s < 12 else YawRate(rate.stamp_s, rate_rad_s))
+    ended = events_of(driven(4), lambda rate: rate if rate.stamp_s < 12 else None)
+    subject, both, (note,) = answers_to(broken)
+    assert "left out" in note
+    assert subject.warnings
+    T, expected = both[-1].T_world_body, answers_to(ended)[1][-1].T_world_body
+    assert T is not None
+    assert expected is not None
+    off = se3.invert(expected) @ T
+    assert np.hypot(*off[:2, 3]) < 0.03
+    assert abs(np.arctan2(off[1, 0], off[0, 0])) < 0.005
