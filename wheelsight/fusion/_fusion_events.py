@@ -27,11 +27,11 @@ from wheelsight.geometry import FloatArray
 
 # Where no wheel tells, the mean over so long is one measurement.
 _TURN_S = 0.05
-_SAME_S = 1e-6
+_SAME_S = 1e-6  # by which stamps that were reckoned may differ
 _MOST = 0.5
 # A gate refuses the share `1 - confidence` of good measurements. Of a gyroscope, of which there are many, it is that
-# share of every so many seconds: 0.15 % of frames then tell of slip that is none, for each tells of the last 0.3 s.
-_TEST_S = 0.2
+# share of every so many seconds: 0.1 % of frames then tell of slip that is none, for each tells of the last 0.3 s.
+_TEST_S = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,14 +132,19 @@ def moved_to(
         begin_s = told_s = min([stamp_s, *(event.wheels.begin_s for event in events if event.wheels is not None)])
     covering = sorted((step for step in _steps_after(begin_s, events) if step.begin_s < stamp_s), key=_begin)
     borders = {begin_s, stamp_s}
-    borders.update(border for step in covering for border in (step.begin_s, step.end_s) if begin_s < border < stamp_s)
+    ends = (border for step in covering for border in (step.begin_s, step.end_s))
+    borders.update(border for border in ends if begin_s + _SAME_S < border < stamp_s - _SAME_S)
     for start_s, end_s in pairwise(sorted(borders)):
-        step = next((step for step in covering if step.begin_s <= start_s and end_s <= step.end_s), None)
+        step = next((step for step in covering if _covers(step, start_s, end_s)), None)
         court = _gone_on(court, step, start_s, end_s, settings)
         told_s = told_s if step is None else end_s
         if not is_lost and end_s - told_s > settings.lost_after_s:
             court, is_lost = _each(court, PoseBelief.scattered), True
     return changed(state, court=court, stamp_s=stamp_s, told_s=told_s, is_lost=is_lost)
+
+
+def _covers(step: WheelStep, start_s: float, end_s: float) -> bool:
+    return step.begin_s <= start_s + _SAME_S and end_s <= step.end_s + _SAME_S
 
 
 def _steps_after(stamp_s: float, events: Sequence[Happening]) -> list[WheelStep]:

@@ -95,7 +95,8 @@ class PoseBelief:
             last believed.
         way_m: since the floor was last taken for level.
         part_s: length of the last part of a wheel step.
-        known_twist: (3,) the twist when a measurement last told it; `known_for_s` ago.
+        known_twist: (3,) the twist when a measurement last told it; `known_for_s` ago, its yaw rate by a gyroscope
+            `turn_known_for_s` ago.
         told: (6, 3) how the wheels' errors moved the pose since the begin, as left perturbations in the world.
     """
 
@@ -108,6 +109,7 @@ class PoseBelief:
     part_s: float = 0.0
     known_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
     known_for_s: float = np.inf
+    turn_known_for_s: float = np.inf
     told: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
 
     @classmethod
@@ -147,13 +149,22 @@ class PoseBelief:
     def rolled(self, step: WheelStep, share: float, settings: ErrorStateSettings, is_slipping: bool) -> PoseBelief:
         """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
         s, dt_s = settings, (step.end_s - step.begin_s) * share
-        known = self.known_twist if self.known_for_s < _KNOWN_FOR_S else _NO_TWIST
+        known = self._known_before(step)
         told_by = (step.xi, step.covariance, share, dt_s, known, s.unseen_a_metre, s.walks, s.fades, s.lever_m)
         T, rest, P, told, way_m = steps.roll(self.T, self.rest, self.covariance, *told_by)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
+        times["turn_known_for_s"] = self.turn_known_for_s + dt_s
         after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
         after = after.distrusted(dt_s, np.zeros(3), s) if is_slipping else after
         return after._levelled(s) if after.way_m > _LEVEL_EVERY_M else after
+
+    def _known_before(self, step: WheelStep) -> FloatArray:
+        """The twist (3,) as known before a step, NaN where it is not: by its own numbers its noise would be learned."""
+        if self.known_for_s < _KNOWN_FOR_S:
+            return self.known_twist
+        if self.turn_known_for_s < _KNOWN_FOR_S:  # of ways, a gyroscope teaches nothing
+            return np.array([*step.xi[:2] / (step.end_s - step.begin_s), self.known_twist[2]])
+        return _NO_TWIST
 
     def glided(self, dt_s: float, settings: ErrorStateSettings) -> PoseBelief:
         """After a time of which the wheels tell nothing: the twist goes on, by white noise of acceleration."""
@@ -346,7 +357,7 @@ class PoseBelief:
 
     def turn_known(self) -> PoseBelief:
         """With the yaw rate known, by a gyroscope."""
-        return changed(self, known_twist=np.array([*self.known_twist[:2], self.rest[2]]))
+        return changed(self, known_twist=np.array([*self.known_twist[:2], self.rest[2]]), turn_known_for_s=0.0)
 
     def _levelled(self, settings: ErrorStateSettings) -> PoseBelief:
         here = changed(self, way_m=0.0)
