@@ -5,11 +5,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.trajectory import read_tum
 
 Command = Callable[..., Result]
@@ -59,6 +60,50 @@ def test_info_tells_of_wheels(wheelsight: Command, wheels: Path) -> None:
     assert "depth" not in result.stdout
     figures = json.loads(wheelsight("info", wheels, "--json").stdout)
     assert (figures["frames"], figures["wheel_readings"], figures["camera"]) == (0, 200, None)
+
+
+def turning_folder(folder: Path, factor: float, late_s: float = 0.0) -> Path:
+    """Wheels that turn to and fro for 20 s, and a gyroscope of which the rates and stamps are those, changed."""
+    folder.mkdir()
+    robot = Wheels(0.17, 0.17, 0.52, 3200.0)
+    save_calibration(Calibration(wheels=robot, source="our robot"), folder / "calibration.yaml")
+    rng, yaw = np.random.default_rng(1), 0.8 * np.sin(0.02 * np.arange(1000) / 1.5)
+    ticks = np.floor(yaw * robot.track_width_m / 2 / robot.left_m_per_tick).astype(int)
+    rows = [f"{0.02 * i:.2f},{900 * i // 20 - turned},{900 * i // 20 + turned}" for i, turned in enumerate(ticks)]
+    (folder / "wheels.csv").write_text("\n".join(["stamp_s,left,right", *rows]) + "\n")
+    rates = factor * (np.gradient(yaw, 0.02) + rng.normal(0, 0.007, 1000))
+    rows = [f"{0.02 * i + late_s:.3f},{rate:.6f}" for i, rate in enumerate(rates)]
+    (folder / "gyro.csv").write_text("\n".join(["stamp_s,yaw_rate_rad_s", *rows]) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("factor", "late_s", "said"),
+    [(-1.0, 0.0, "turns the other way"), (57.3, 0.0, "degrees instead of radians?"), (1.0, 1.6e9, "do not overlap")],
+)
+def test_a_gyroscope_that_contradicts_the_wheels_is_warned_of(
+    wheelsight: Command, tmp_path: Path, factor: float, late_s: float, said: str
+) -> None:
+    recording = turning_folder(tmp_path / "recording", factor, late_s)
+    told = wheelsight("info", recording)
+    run = wheelsight("run", recording, "--odometry", "wheels", "--out", tmp_path / "out")
+    without = wheelsight("run", recording, "--odometry", "wheels", "--no-gyro", "--out", tmp_path / "without")
+    assert (told.exit_code, run.exit_code, without.exit_code) == (0, 0, 0), run.output
+    for result in (told, run):
+        (warning,) = [line for line in result.stderr.splitlines() if line.startswith("warning:")]
+        assert warning.startswith("warning: The gyroscope is left out: ")
+        assert said in warning
+    assert json.loads(wheelsight("info", recording, "--json").stdout)["warnings"] == [warning.removeprefix("warning: ")]
+    assert "left out" not in without.output
+    assert (tmp_path / "out" / "trajectory.txt").read_bytes() == (tmp_path / "without" / "trajectory.txt").read_bytes()
+
+
+def test_a_gyroscope_that_agrees_is_not_spoken_of(wheelsight: Command, tmp_path: Path) -> None:
+    recording = turning_folder(tmp_path / "recording", 1.0)
+    for command in (("info", recording), ("run", recording, "--odometry", "wheels", "--out", tmp_path / "out")):
+        result = wheelsight(*command)
+        assert result.exit_code == 0, result.output
+        assert "left out" not in result.output
 
 
 def test_what_cannot_be_run_is_one_line(refusal: Callable[..., str], wheels: Path, room: Path, tmp_path: Path) -> None:

@@ -62,8 +62,8 @@ class ByFusion:
         self._with_gyro, self._was_trusted = ByWheels(calibration, settings.wheels), False
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         self._places = None if places is None else PlaceSense(places)
-        start = () if self._places is None else self._places.start
-        self.filter = ErrorStateFilter(self._T_base_camera, *start, settings=_settings_of(calibration))
+        T_start, spread = (None, None) if self._places is None else self._places.start
+        self.filter = ErrorStateFilter(self._T_base_camera, T_start, spread, _settings_of(calibration))
         self.T_world_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
