@@ -115,7 +115,9 @@ def step(
     (wx, wy), (tx, ty) = move(state, integration, way_m, turn_rad)
     # as left perturbations: a turn where the robot now stands is one about the origin, and a shift
     along, slip = (wx, wy, tx + state[Y], ty - state[X]), (4 * way_variance / track_m**2, shared)
-    add_outer(state, COVARIANCE, way_variance, wx, wy, 0.0)
+    state[COVARIANCE] += way_variance * wx * wx
+    state[COVARIANCE + 1] += way_variance * wx * wy
+    state[COVARIANCE + 3] += way_variance * wy * wy
     if is_gyro_silent:
         add_outer(state, COVARIANCE, slip[0], along[2], along[3], 1.0)
         add_shared(state, COVARIANCE, shared, *along)
@@ -246,7 +248,7 @@ def integrate(
     reasons: ByteArray,
 ) -> None:
     """A log of ticks (N,); `rates_rad_s` is (N,) or empty. Fills poses (N, 3), covariances (N, 6), reasons (N,)."""
-    last = 0
+    last, state = 0, states[EXACT]
     for i in range(len(stamps_s)):
         if i > 0:
             dt_s = stamps_s[i] - stamps_s[last]
@@ -260,6 +262,7 @@ def integrate(
                 _widen_each(states, parameters, dt_s)
             if reasons[i] != BACKWARDS:
                 last = i
-        state = states[likelier(states)]
+        if len(rates_rad_s):
+            state = states[likelier(states)]
         poses[i, 0], poses[i, 1], poses[i, 2] = state[X], state[Y], state[YAW]
         read_covariance(state, covariances[i])

@@ -217,7 +217,7 @@ def integrate_log(
     if any(side.shape != (n,) for side in (left, right)) or rates.shape not in ((0,), (n,)):
         raise ValueError(f"{n} stamps need as many ticks of each wheel, and as many yaw rates if any")
     parameters, states = _prepare(wheels, gyro or Gyro())
-    if not all(np.array_equal(side, np.rint(side)) for side in (left, right)):
+    if len(rates) and not all(np.array_equal(side, np.rint(side)) for side in (left, right)):
         parameters[kernels.COUNT_VARIANCE] = 0.0
     poses, parts, codes = np.empty((n, 3)), np.empty((n, 6)), np.zeros(n, np.uint8)
     kernels.integrate(states, parameters, _INTEGRATIONS[integration], stamps, left, right, rates, poses, parts, codes)
