@@ -1,0 +1,114 @@
+"""ByFusion with a gyroscope: believed once it has agreed with the wheels, with what the calibration says of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from localizer.joined_drives import CALIBRATION, WHEELS, Sight, answers_to, drive, joined, yaw_rates
+
+from wheelsight.calibration import Gyro
+from wheelsight.estimates import Reason
+from wheelsight.events import WheelTicks, YawRate
+from wheelsight.fusion import ErrorStateFilter
+from wheelsight.geometry import se3, so3
+from wheelsight.localizer.by_fusion import ByFusion
+from wheelsight.odometry.wheels import WheelOdometry
+
+SHORT = ((2.0, 0.6, 0.2),)
+
+
+def dark_after(begin_s: float, seconds: float) -> Sight:
+    """What a drive shows at so many seconds: nothing after some."""
+    return Sight(Reason.TOO_LITTLE_DEPTH) if seconds > begin_s else Sight()
+
+
+def test_the_gyroscope_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the filter alone, to the last bit, and not by the wheels before it as well."""
+    made = drive(SHORT)
+    monkeypatch.setattr("wheelsight.localizer.by_wheels.ByWheels.trusts_gyro", True)
+    readings = [event for event in made.events() if isinstance(event, WheelTicks)]
+    events = sorted([*readings, *yaw_rates(made, 0.01)], key=lambda event: event.stamp_s)
+    answers = answers_to(joined(monkeypatch, made.eye())[0], events)
+    assert len(answers) == len(readings)
+    wheels, by_hand = WheelOdometry(WHEELS), ErrorStateFilter(CALIBRATION.T_base_camera)
+    for event in events:
+        if isinstance(event, WheelTicks):
+            expected = by_hand.predict_to(wheels.process(event))
+        else:
+            by_hand.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
+    np.testing.assert_array_equal(answers[-1][1].T_world_body, expected.T_world_body)
+    np.testing.assert_array_equal(answers[-1][1].covariance, expected.covariance)
+
+
+def test_a_gyroscope_that_is_not_wanted_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(SHORT)
+    monkeypatch.setattr("wheelsight.localizer.by_wheels.ByWheels.trusts_gyro", True)
+    both = sorted([*made.events(), *yaw_rates(made, 0.5)], key=lambda event: event.stamp_s)
+    without = answers_to(joined(monkeypatch, made.eye())[0], made.events())
+    unwanted = answers_to(joined(monkeypatch, made.eye(), **{"wheels.gyro": False})[0], both)
+    wanted = answers_to(joined(monkeypatch, made.eye())[0], both)
+    np.testing.assert_array_equal(without[-1][1].covariance, unwanted[-1][1].covariance)
+    assert not np.array_equal(without[-1][1].covariance, wanted[-1][1].covariance)
+
+
+def test_a_gyroscope_carries_the_turn_through_a_blackout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From when on it has agreed with the wheels."""
+    made = drive(((5.0, 0.5, 0.4), (9.0, 0.6, -0.3)), partial(dark_after, 6.5))
+    both = sorted([*made.events(), *yaw_rates(made, 0.02)], key=lambda event: event.stamp_s)
+    yaw_sigma = [
+        np.sqrt(answers_to(joined(monkeypatch, made.eye())[0], events)[-1][1].covariance[5, 5])
+        for events in (made.events(), both)
+    ]
+    assert yaw_sigma[1] < 0.5 * yaw_sigma[0]
+
+
+def test_the_filter_knows_what_the_calibration_says_of_the_gyroscope(monkeypatch: pytest.MonkeyPatch) -> None:
+    gyro = Gyro(0.002, bias_rad_s=-0.1, bias_sigma_rad_s=0.003, bias_walk_rad_s_per_sqrt_s=1e-4)
+    subject, _ = joined(monkeypatch, drive().eye(), calibration=replace(CALIBRATION, gyro=gyro))
+    assert isinstance(subject._way, ByFusion)
+    s = subject._way.filter.settings
+    told = (s.gyro_noise_rad_per_sqrt_s, s.gyro_bias_rad_s, s.gyro_bias_sigma_rad_s, s.gyro_bias_walk_rad_s)
+    assert told == (0.002, -0.1, 0.003, 1e-4)
+
+
+@pytest.mark.parametrize("is_stated", [True, False])
+def test_straight_on_a_bias_does_not_turn_the_base(monkeypatch: pytest.MonkeyPatch, is_stated: bool) -> None:
+    """Ten seconds in the dark, after a turn by which the gyroscope has shown that it is one."""
+    made = drive(((6.0, 0.5, 0.5), (11.0, 0.6, 0.0)), partial(dark_after, 6.5))
+    gyro = Gyro(bias_rad_s=0.1, bias_sigma_rad_s=1e-3) if is_stated else Gyro(bias_sigma_rad_s=0.1)
+    subject, _ = joined(monkeypatch, made.eye(), calibration=replace(CALIBRATION, gyro=gyro))
+    events = sorted([*made.events(), *yaw_rates(made, 0.1)], key=lambda event: event.stamp_s)
+    answers = [answer for _, answer in answers_to(subject, events)]
+    assert isinstance(subject._way, ByFusion)
+    assert subject._way._was_trusted
+    begin = next(answer for answer in answers if answer.stamp_s > made.begin_s + 6.6)
+    assert begin.T_world_body is not None
+    turned = se3.invert(begin.T_world_body) @ answers[-1].T_world_body
+    truth = se3.invert(made.truth.at([begin.stamp_s])[0]) @ made.truth.at([answers[-1].stamp_s])[0]
+    assert so3.angle((se3.invert(truth) @ turned)[:3, :3]) < np.radians(0.3)
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"), [(-1.0, "turns the other way"), (180 / np.pi, "degrees"), (0.0, "stays at")]
+)
+def test_a_gyroscope_that_contradicts_the_wheels_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, factor: float, said: str
+) -> None:
+    made = drive(((5.0, 0.5, 0.4), (5.0, 0.6, -0.3)))
+    rates = [YawRate(event.stamp_s, factor * event.yaw_rate_rad_s) for event in yaw_rates(made, 0.01)]
+    without = answers_to(joined(monkeypatch, made.eye())[0], made.events())
+    subject, _ = joined(monkeypatch, made.eye())
+    answers, notes = [], []
+    for event in sorted([*made.events(), *rates], key=lambda event: event.stamp_s):
+        answers.append(subject.process(event))
+        notes += [subject.note] if subject.note else []
+    last = [answer for answer in answers if answer is not None][-1]
+    np.testing.assert_array_equal(last.T_world_body, without[-1][1].T_world_body)
+    np.testing.assert_array_equal(last.covariance, without[-1][1].covariance)
+    (note,), (warning,) = notes, subject.warnings
+    assert note.startswith("the gyroscope is left out: ")
+    assert said in note
+    assert said in warning
