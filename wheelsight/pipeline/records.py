@@ -136,7 +136,7 @@ def _compare(
     estimate: Trajectory, truth: Trajectory, config: Config, track: Track
 ) -> tuple[Evaluation | None, str | None]:
     """The evaluation, or why there is none."""
-    stamps_s = [frame.pose_s for frame in track.frames]
+    stamps_s = [frame.pose_s for frame in track.frames if not frame.is_repeat]
     try:
         return evaluate(estimate, truth, frame_stamps_s=stamps_s, **config.evaluation.model_dump()), None
     except EvaluationError as error:
