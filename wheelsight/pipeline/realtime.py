@@ -60,6 +60,11 @@ class RealTimeRecording:
         self._lately: deque[tuple[float, float]] = deque(maxlen=_LATELY)
 
     @property
+    def played(self) -> Recording:
+        """What is played."""
+        return self._recording
+
+    @property
     def name(self) -> str:
         """The recording's, as with most that follows."""
         return self._recording.name

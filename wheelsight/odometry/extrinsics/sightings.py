@@ -11,6 +11,7 @@ import numpy as np
 from wheelsight.calibration import Wheels
 from wheelsight.events import RgbdFrame, SkippedFrame
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight.odometry._repeats import Repeats
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.extrinsics.floor import FloorViews
 from wheelsight.odometry.wheels import Drive, drive_of
@@ -58,11 +59,14 @@ def watch(recording: Recording, wheels: Wheels, on_frame: Callable[[str], None] 
     odometry = DenseOdometry(recording.calibration)
     gatherer = _ViewGatherer(depth_camera)
     poses: list[tuple[float, FloatArray]] = []
+    repeats = Repeats()
     frame_count, span_s = 0, (math.nan, math.nan)
     for event in recording.events():
         if isinstance(event, SkippedFrame):
             estimate = odometry.miss(event.stamp_s)
         elif isinstance(event, RgbdFrame):
+            if repeats.lasting_s(event) > 0:
+                continue
             estimate = odometry.process(event)
             gatherer.add(event)
         else:
