@@ -16,8 +16,8 @@ from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
 from wheelsight.fusion import AreaRectifier, PaperRectifier
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry._repeats import Repeats
 from wheelsight.localizer.by_wheels import ByWheels
+from wheelsight.odometry._repeats import Repeats
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.places import PlaceMatch, PlaceModel, Unknown
 

@@ -1,4 +1,4 @@
-"""What a recording's stamps say of its sensors' clocks, before anything is decoded: their units, and whether they fit."""
+"""What a recording's stamps say of its clocks, before anything is decoded: their units, and whether they fit."""
 
 from __future__ import annotations
 
@@ -77,8 +77,8 @@ def _overlap_warning(stamps: Mapping[str, FloatArray]) -> list[str]:
     if shared_s >= _LEAST_SHARE * shorter_s:
         return []
     return [
-        f"Wheels ({_span(wheels_s)}) and camera ({_span(frames_s)}) share only {shared_s:.1f} s: one of them was cut, or "
-        "their clocks count from different moments."
+        f"Wheels ({_span(wheels_s)}) and camera ({_span(frames_s)}) share only {shared_s:.1f} s: one of them was "
+        "cut, or their clocks count from different moments."
     ]
 
 

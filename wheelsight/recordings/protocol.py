@@ -118,8 +118,8 @@ class OpenOptions:
         max_gap_s: largest distance in time between a colour and a depth image of one frame.
         depth_factor: depth units a metre, where it differs from the format's own.
         calibration: a calibration.yaml; what it tells of wheels or cameras stands in place of what the recording says.
-        rate_hz: how many a second the stamps of images count: the camera's rate, where they are numbers of frames; 1000,
-            where they are milliseconds. None where they are seconds.
+        rate_hz: how many a second the stamps of images count: the camera's rate, where they are numbers of frames;
+            1000, where they are milliseconds. None where they are seconds.
 
     Raises:
         ConfigError: a gap that is not finite and from 0 up, or a factor or rate that is not positive.
