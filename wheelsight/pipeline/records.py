@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
-from wheelsight.evaluation import Evaluation, evaluate, pairing_warning
+from wheelsight.evaluation import Evaluation, evaluate
 from wheelsight.pipeline.maps import map_record_of
 from wheelsight.pipeline.places import PlacesOfRun, rectification_of
 from wheelsight.pipeline.realtime import RealTimeRecording
@@ -46,9 +46,6 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
     evaluation = None
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
-    few = None
-    if truth is not None and evaluation is not None:
-        few = pairing_warning(estimate, truth, evaluation.pairs, evaluation.max_gap_s)
     surfels = _map(track, passage, recording)
     return RunRecord(
         recording=recording.name,
@@ -61,7 +58,7 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
         warnings=(
             *recording.warnings,
             *_interruption(track, passage),
-            *filter(None, [few]),
+            *(() if evaluation is None else evaluation.warnings),
             *_map_warnings(track, passage, config),
         ),
         evaluation_problem=problem,
