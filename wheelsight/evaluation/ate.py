@@ -53,8 +53,8 @@ def ate(estimate: Trajectory, truth: Trajectory, *, max_gap_s: float = 0.02, wit
 
     Poses are paired one to one within `max_gap_s` seconds, the estimate's positions are laid on the true ones by a
     rigid motion (with `with_scale`, also a scale), and the distances left are the error. Where positions lie on one
-    line or in one place, orientations settle the rotation that positions leave free; a path near one plane is never turned
-    over to fit better as its mirror image: orientations tell which side is up.
+    line or in one place, orientations settle the rotation that positions leave free; a path near one plane is never
+    turned over to fit better as its mirror image: orientations tell which side is up.
 
     Raises:
         EvaluationError: different bodies, fewer than three pairs, positions that determine no scale when asked, or none
@@ -93,8 +93,8 @@ def _alignment(estimate: Trajectory, truth: Trajectory, with_scale: bool) -> tup
     except DegenerateGeometryError as error:
         reach_m = np.linalg.norm(np.ptp(estimate.positions_m, axis=0))
         raise EvaluationError(
-            f"the estimate cannot be laid upon the truth: its {len(estimate)} poses reach over {reach_m:.3g} m, the true "
-            f"ones of the same time over {extent_m:.3g} m"
+            f"the estimate cannot be laid upon the truth: its {len(estimate)} poses reach over {reach_m:.3g} m, the "
+            f"true ones of the same time over {extent_m:.3g} m"
         ) from error
 
 

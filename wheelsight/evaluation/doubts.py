@@ -1,4 +1,4 @@
-"""What two trajectories say of a mistake in one of their files: stamps in another unit, quaternions in another order."""
+"""What two trajectories say of a mistake in one of their files: units of stamps, the order of quaternions."""
 
 from __future__ import annotations
 
