@@ -90,7 +90,7 @@ class RealTimeRecording:
         calibration = self._recording.calibration
         if not isinstance(self.wheels, LiveWheels) or calibration.wheels is None:
             return calibration
-        return replace(calibration, wheels=replace(calibration.wheels, counter_bits=0))
+        return replace(calibration, wheels=calibration.wheels.never_rolling_over)
 
     @property
     def frame_count(self) -> int:

@@ -9,6 +9,7 @@ from wheelsight.errors import RecordingError
 from wheelsight.recordings._image_recording import ImageRecording
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
+from wheelsight.recordings.counters import counter_warnings
 from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader
@@ -73,10 +74,12 @@ def _find(folder: Path, levels: int) -> list[Path]:
 
 
 def _with_doubts(recording: Recording) -> Recording:
-    """The recording, its warnings with what its stamps are unlikely to be."""
+    """The recording, its warnings with what its stamps and counters are unlikely to be."""
     if not isinstance(recording, ImageRecording | WheelRecording):
         return recording
-    return replace(recording, warnings=(*recording.warnings, *stamp_warnings(listed_stamps(recording))))
+    of_stamps = stamp_warnings(listed_stamps(recording))
+    of_counters = counter_warnings(recording.calibration.wheels, recording.wheels)
+    return replace(recording, warnings=(*recording.warnings, *of_stamps, *of_counters))
 
 
 def _reader_of(folder: Path) -> Reader | None:

@@ -29,6 +29,8 @@ OK, BACKWARDS, GAP, AMBIGUOUS, IMPLAUSIBLE = 0, 1, 2, 3, 4
 
 # Stamps given on arrival jitter: ticks of a long while may come stamped as those of a short one.
 STAMP_JITTER_S = 0.05
+# m/s², of wheels that spin up in the air.
+MOST_ACCELERATION = 20.0
 _SERIES_BELOW = 0.1
 
 
@@ -39,8 +41,12 @@ def unrolled(ticks: float, span: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def fault(parameters: FloatArray, left_m: float, right_m: float, dt_s: float) -> int:
-    """Why a step is refused, or OK."""
+def fault(state: FloatArray, parameters: FloatArray, left_m: float, right_m: float, dt_s: float) -> int:
+    """Why a step is refused, or OK.
+
+    More than the fastest wheel rolls in the time that stamps tell may still be the ticks of a longer while, if the
+    robot went about so fast before; else it is a counter that leaped.
+    """
     if not 0 < dt_s < math.inf:
         return BACKWARDS
     if dt_s > parameters[GAP_LIMIT]:
@@ -48,8 +54,12 @@ def fault(parameters: FloatArray, left_m: float, right_m: float, dt_s: float) ->
     half_m = 0.5 * parameters[SPAN] * min(parameters[LEFT_M], parameters[RIGHT_M])
     if half_m > 0 and parameters[SPEED_LIMIT] * dt_s >= half_m:
         return AMBIGUOUS
-    farthest_m = parameters[SPEED_LIMIT] * (dt_s + STAMP_JITTER_S)
-    return OK if max(abs(left_m), abs(right_m)) <= farthest_m else IMPLAUSIBLE
+    while_s, way_m = dt_s + STAMP_JITTER_S, max(abs(left_m), abs(right_m))
+    pace_m_s = abs(state[SPEED]) + 0.5 * parameters[TRACK] * abs(state[YAW_RATE])
+    by_pace_m = max(parameters[SPEED_LIMIT] * dt_s, (2 * pace_m_s + MOST_ACCELERATION * while_s) * while_s)
+    is_known = pace_m_s > 0 or state[IS_STILL] > 0
+    farthest_m = parameters[SPEED_LIMIT] * while_s
+    return OK if way_m <= (min(farthest_m, by_pace_m) if is_known else farthest_m) else IMPLAUSIBLE
 
 
 @njit(cache=True, nogil=True)
@@ -215,7 +225,7 @@ def update(
     """One reading of the stream: step, or widen and say why; fills T (4, 4) and covariance (6, 6)."""
     left_m = parameters[LEFT_M] * unrolled(left_ticks, parameters[SPAN])
     right_m = parameters[RIGHT_M] * unrolled(right_ticks, parameters[SPAN])
-    why = fault(parameters, left_m, right_m, dt_s)
+    why = fault(state, parameters, left_m, right_m, dt_s)
     if why == OK:
         step(state, parameters, integration, left_m, right_m, dt_s, rate_rad_s)
     elif why != BACKWARDS:
@@ -252,7 +262,7 @@ def integrate(
             dt_s = stamps_s[i] - stamps_s[last]
             left_m = parameters[LEFT_M] * unrolled(left[i] - left[last], parameters[SPAN])
             right_m = parameters[RIGHT_M] * unrolled(right[i] - right[last], parameters[SPAN])
-            reasons[i] = fault(parameters, left_m, right_m, dt_s)
+            reasons[i] = fault(state, parameters, left_m, right_m, dt_s)
             if reasons[i] == OK:
                 rate = rates_rad_s[i] if len(rates_rad_s) else math.nan
                 step(state, parameters, integration, left_m, right_m, dt_s, rate)

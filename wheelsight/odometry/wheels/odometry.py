@@ -21,12 +21,14 @@ from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import WheelSpeeds, WheelTicks
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.odometry.wheels import _kernels as kernels
+from wheelsight.odometry.wheels.drive import least_step
 from wheelsight.trajectory import Trajectory
 
 Integration = Literal["arc", "midpoint", "euler"]
 
 _INTEGRATIONS = {"euler": kernels.EULER, "midpoint": kernels.MIDPOINT, "arc": kernels.ARC}
 _REASONS = (None, Reason.CLOCK_BACKWARDS, Reason.GAP, Reason.COUNTER_AMBIGUOUS, Reason.IMPLAUSIBLE_MOTION)
+_WIDE = 2**53  # beyond, a roll-over as a float has lost counts
 _PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 
 
@@ -111,7 +113,7 @@ class WheelOdometry:
             self._last = reading
             return kernels.OK
         dt_s = reading.stamp_s - last.stamp_s
-        ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s)
+        ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s, self._wheels.counter_span)
         self._parameters[kernels.SPAN] = self._span if isinstance(reading, WheelTicks) else 0.0
         filled = (self._T_odom_base, self._covariance)
         why: int = kernels.update(self._state, self._parameters, self._integration, *ticks, dt_s, rate_rad_s, *filled)
@@ -218,10 +220,12 @@ def sides_of_four(
 
 
 def _ticks_between(
-    last: WheelTicks | WheelSpeeds, now: WheelTicks | WheelSpeeds, ticks_per_speed: float
+    last: WheelTicks | WheelSpeeds, now: WheelTicks | WheelSpeeds, ticks_per_speed: float, span: int
 ) -> tuple[float, float]:
     if isinstance(now, WheelTicks) and isinstance(last, WheelTicks):
-        return float(now.left - last.left), float(now.right - last.right)
+        steps = (now.left - last.left, now.right - last.right)
+        left, right = (least_step(step, span) if span > _WIDE else step for step in steps)
+        return float(left), float(right)
     if isinstance(last, WheelSpeeds) and isinstance(now, WheelSpeeds):
         return last.left_rad_s * ticks_per_speed, last.right_rad_s * ticks_per_speed
     raise TypeError("a robot's wheels tell either ticks or speeds, not both")
@@ -237,6 +241,6 @@ def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     parameters[kernels.GYRO_VARIANCE] = gyro.noise_rad_per_sqrt_s**2
     parameters[kernels.WALK_VARIANCE] = gyro.bias_walk_rad_s_per_sqrt_s**2
     parameters[kernels.LEFT_M], parameters[kernels.RIGHT_M] = wheels.left_m_per_tick, wheels.right_m_per_tick
-    parameters[kernels.SPAN] = 2.0**wheels.counter_bits if wheels.counter_bits else 0.0
+    parameters[kernels.SPAN] = float(wheels.counter_span)
     state[kernels.BIAS], state[kernels.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
     return parameters, state
