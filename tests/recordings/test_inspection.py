@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,8 @@ from wheelsight.calibration import Calibration, DepthNoise
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import ByteArray
 from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.recordings.inspection import Inspection, RegistrationOffset, inspect_recording
+from wheelsight.recordings._registration import RegistrationOffset
+from wheelsight.recordings.inspection import Inspection, inspect_recording
 
 REGISTERED = Calibration.registered_camera(CAMERA)
 
@@ -112,11 +114,56 @@ def test_an_offset_is_told_in_words() -> None:
 
 
 def test_a_calibration_that_knows_of_it_is_not_warned_of() -> None:
-    calibration = Calibration(CAMERA, CAMERA, T_color_depth=np.eye(4))
+    calibration = Calibration(replace(CAMERA, cx=CAMERA.cx + 9), CAMERA, T_color_depth=np.eye(4))
     inspection = inspect(room_frames(9), calibration)
     assert inspection.offset is not None
     assert inspection.offset.is_clear
     assert inspection.warnings == ()
+
+
+@pytest.mark.parametrize(("right", "told"), [(0, "colour and depth share pixels"), (-9, "colour lies 9 px left")])
+def test_a_calibration_that_images_contradict_is_probably_another_cameras(right: int, told: str) -> None:
+    calibration = Calibration(replace(CAMERA, cx=CAMERA.cx + 9), CAMERA, T_color_depth=np.eye(4), source="nominal")
+    (warning,) = inspect(room_frames(right), calibration).warnings
+    assert warning.startswith("The calibration (nominal) says that colour and depth are not registered, but by the")
+    assert told in warning
+    assert "--camera" in warning
+    near = Calibration(replace(CAMERA, cx=CAMERA.cx + 2), CAMERA, T_color_depth=np.eye(4))
+    assert inspect(room_frames(), near).warnings == ()
+
+
+@pytest.mark.parametrize("scale", [0.55, 0.71, 0.8, 1.25, 1.4, 1.8])
+def test_depth_of_another_lens_is_told_with_how_much_it_shows(scale: float) -> None:
+    inspection = inspect(room_frames(4, -3, scale))
+    assert inspection.offset is not None
+    assert inspection.offset.scale == pytest.approx(scale, rel=0.04)
+    assert inspection.offset.shift_px == pytest.approx((4, -3), abs=4)
+    (warning,) = inspection.warnings
+    assert "Colour and depth are not registered, though the calibration says so" in warning
+
+
+@pytest.mark.parametrize(
+    ("across", "along", "told"),
+    [(-1, 1, "mirrored left to right"), (1, -1, "upside down"), (-1, -1, "turned by 180°")],
+)
+@pytest.mark.parametrize("registered", [True, False])
+def test_images_that_are_mirrored_against_each_other_are_told(
+    across: int, along: int, told: str, registered: bool
+) -> None:
+    frames = [replace(f, color=f.color[::along, ::across].copy()) for f in room_frames() if isinstance(f, RgbdFrame)]
+    calibration = REGISTERED if registered else Calibration(CAMERA, CAMERA, T_color_depth=np.eye(4))
+    (warning,) = inspect([*frames], calibration).warnings
+    assert warning.startswith("Colour and depth are mirrored against each other")
+    assert told in warning
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.1, False), (0.3, True)])
+def test_much_depth_nearer_than_the_sensor_measures_is_a_wrong_scale(share: float, told: bool) -> None:
+    depth_m = np.full((240, 320), 0.6, np.float32)
+    depth_m[: int(240 * share)] = 0.2
+    (frame,) = [replace(flat(0, 0.0), depth_m=depth_m)]
+    warnings = inspect([frame], Calibration.registered_camera(CAMERA, depth_noise=DepthNoise(near_m=0.45))).warnings
+    assert any("--depth-factor 1000" in warning for warning in warnings) is told
 
 
 def test_truth_is_told_in_zhangs_figures(tmp_path: Path) -> None:
