@@ -125,3 +125,18 @@ def test_doubts_are_told_after_the_table_and_in_json(wheelsight: Command, files:
     (told, few) = json.loads(wheelsight("evaluate", estimate, truth, "--max-gap", "100", "--json").stdout)["warnings"]
     assert "look like milliseconds" in told
     assert few.startswith("Only ")
+
+
+def test_the_truth_of_the_estimates_body_is_taken_where_it_lies_beside(
+    wheelsight: Command, refusal: Callable[..., str], files: tuple[Path, Path]
+) -> None:
+    estimate, truth = files
+    of_base = estimate.read_text().replace("T_world_camera", "T_world_base")
+    estimate.write_text(of_base)
+    truth = truth.rename(truth.with_name("groundtruth.txt"))
+    assert "move differently" in refusal("evaluate", estimate, truth)
+    (beside := truth.with_name("groundtruth_base.txt")).write_text(of_base)
+    result = wheelsight("evaluate", estimate, truth)
+    assert result.exit_code == 0, result.output
+    assert "T_world_base: 90 pairs" in result.stdout
+    assert str(beside) in result.stderr.replace("\n", "")

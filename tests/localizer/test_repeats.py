@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from room_drive import make_room_drive
+from stand_ins import MemoryRecording
 from synthetic import make_tum_recording
 
 from wheelsight.config import load_config
@@ -17,6 +17,7 @@ from wheelsight.errors import InputError
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.localizer import Localizer
+from wheelsight.odometry.extrinsics.sightings import watch
 from wheelsight.recordings import Recording, open_recording
 
 CAMERAS: tuple[dict[str, Any], ...] = (
@@ -30,6 +31,14 @@ CAMERAS: tuple[dict[str, Any], ...] = (
 def room(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     folder = tmp_path_factory.mktemp("recordings") / "room"
     make_tum_recording(folder, frames=6)
+    return open_recording(folder)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Wheels and a camera, for 20 frames between two halts of a second."""
+    folder = tmp_path_factory.mktemp("recordings") / "drive"
+    make_room_drive(folder, frames=20)
     return open_recording(folder)
 
 
@@ -66,9 +75,7 @@ def test_images_listed_twice_are_tracked_as_if_listed_once(room: Recording, sett
         np.testing.assert_array_equal(both[stamp_s].T_world_body, answer.T_world_body)
 
 
-def test_beside_wheels_an_image_listed_twice_is_no_look(tmp_path: Path) -> None:
-    make_room_drive(tmp_path / "drive", frames=20)
-    drive = open_recording(tmp_path / "drive")
+def test_beside_wheels_an_image_listed_twice_is_no_look(drive: Recording) -> None:
     settings = {"odometry": "wheels,features"}
     once = answers(drive, drive.events(), settings)
     both = answers(drive, twice(drive.events(), 0.02), settings)
@@ -80,6 +87,28 @@ def test_beside_wheels_an_image_listed_twice_is_no_look(tmp_path: Path) -> None:
         assert both[stamp_s].status is answer.status
         assert answer.T_world_body is not None
         np.testing.assert_allclose(both[stamp_s].T_world_body, answer.T_world_body, atol=1e-3)
+
+
+def test_by_the_papers_filter_an_image_listed_twice_changes_nothing(drive: Recording) -> None:
+    settings = {"odometry": "wheels,features", "fusion": "ligocki"}
+    given = list(drive.events())
+    moving = [event for event in given if 1.0 < event.stamp_s - given[0].stamp_s < 2.6]  # at a halt no image is new
+    once, both = answers(drive, moving, settings), answers(drive, twice(moving, 0.02), settings)
+    assert len(once) > 10
+    assert {answer.reason for stamp_s, answer in both.items() if stamp_s not in once} == {Reason.REPEATED}
+    for stamp_s, answer in once.items():
+        assert both[stamp_s].status is answer.status
+        assert answer.T_world_body is not None
+        np.testing.assert_array_equal(both[stamp_s].T_world_body, answer.T_world_body)
+
+
+def test_a_mount_is_found_by_images_listed_twice_as_by_images_listed_once(drive: Recording) -> None:
+    assert drive.calibration.wheels is not None
+    given = MemoryRecording(list(twice(drive.events(), 0.02)), calibration=drive.calibration)
+    once, both = watch(drive, drive.calibration.wheels), watch(given, drive.calibration.wheels)
+    np.testing.assert_array_equal(both.camera.stamps_s, once.camera.stamps_s)
+    np.testing.assert_array_equal(both.camera.T_world_body, once.camera.T_world_body)
+    assert both.frame_count == once.frame_count == len(once.camera) < given.frame_count / 2 + 1
 
 
 @pytest.mark.parametrize("settings", CAMERAS, ids=["features", "dense", "map"])

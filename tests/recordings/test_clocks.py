@@ -84,6 +84,18 @@ def test_streams_that_share_little_are_told_of() -> None:
     assert not stamp_warnings({WHEELS: np.arange(0.0, 10.0, 0.02), FRAMES: np.arange(3.0, 13.0, 0.2)})
 
 
+def test_a_clock_that_leaps_is_told_of_once_for_each_stream() -> None:
+    stamps_s = np.arange(0.0, 10.0, 0.1)
+    leaping_s = stamps_s + 60.0 * (stamps_s >= 8.0)
+    told = stamp_warnings({FRAMES: leaping_s, WHEELS: leaping_s})
+    assert [warning.split(":")[0] for warning in told] == [
+        "The frames' stamps leap by 60.1 s after 7.900 s",
+        "The wheels' stamps leap by 60.1 s after 7.900 s",
+    ]
+    assert not stamp_warnings({FRAMES: stamps_s + 5.0 * (stamps_s >= 8.0)})
+    assert not stamp_warnings({FRAMES: 20.0 * np.arange(3.0)})
+
+
 def test_stamps_too_near_for_seconds_are_told_of() -> None:
     (told,) = stamp_warnings({FRAMES: np.arange(60) / 30 / 3600})
     assert "too near each other for seconds" in told

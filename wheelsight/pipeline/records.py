@@ -58,6 +58,7 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
         warnings=(
             *recording.warnings,
             *_interruption(track, passage),
+            *_repeats(track),
             *(() if evaluation is None else evaluation.warnings),
             *_map_warnings(track, passage, config),
         ),
@@ -102,6 +103,15 @@ def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
     why = "by the user" if isinstance(passage.interruption, KeyboardInterrupt) else f"by {passage.interruption}"
     of_all = f" of {track.listed}" if track.listed else ""  # nobody knows how many live wheels will give
     return (f"Interrupted {why} after {len(track.frames)}{of_all} {UNITS[track.odometry]}s.",)
+
+
+def _repeats(track: Track) -> tuple[str, ...]:
+    """A warning where images came more than once."""
+    count = sum(frame.is_repeat for frame in track.frames)
+    if not count:
+        return ()
+    told = f"{count} of {len(track.frames)} listed frames show the same image as the frame before and were skipped"
+    return (f"{told}: fewer images a second were taken than were recorded.",)
 
 
 def _trajectory(track: Track) -> Trajectory:

@@ -16,6 +16,8 @@ FRAMES, WHEELS = "frames", "wheels"
 # Streams of one drive overlap nearly wholly; one that is found in less of the other was cut, or its clock is another.
 _LEAST_SHARE = 0.5
 _SHOWN = 3
+# Longer than a stall of any sensor.
+_LEAST_LEAP_S, _LEAP_PERIODS = 10.0, 50
 _FASTEST_CAMERA_HZ = 2000.0
 
 
@@ -32,8 +34,8 @@ def listed_stamps(recording: Recording) -> dict[str, FloatArray]:
 
 
 def stamp_warnings(stamps: Mapping[str, FloatArray]) -> list[str]:
-    """A sentence for each of FRAMES and WHEELS whose stamps are no seconds, and one where they share little time."""
-    found = [_unit_warning(name, stamps_s) for name, stamps_s in stamps.items()]
+    """Sentences on FRAMES and WHEELS whose stamps are no seconds or leap, and one where they share little time."""
+    found = [tell(name, stamps_s) for tell in (_unit_warning, _leap_warning) for name, stamps_s in stamps.items()]
     return [*filter(None, found), *_overlap_warning(stamps)]
 
 
@@ -92,6 +94,20 @@ def _unit_warning(name: str, stamps_s: FloatArray) -> str | None:
     if name == FRAMES and len(stamps_s) > 2 and stamps_s[-1] - stamps_s[0] < (len(stamps_s) - 1) / _FASTEST_CAMERA_HZ:
         return f"{whose} {shown} are too near each other for seconds: no camera gives so many frames a second."
     return None
+
+
+def _leap_warning(name: str, stamps_s: FloatArray) -> str | None:
+    """That stamps go on much later all of a sudden, in seconds."""
+    steps_s = np.diff(stamps_s)
+    if not len(steps_s) or unit_of(stamps_s) is not None:
+        return None
+    usual_s, at = float(np.median(steps_s)), int(steps_s.argmax())
+    if steps_s[at] < max(_LEAST_LEAP_S, _LEAP_PERIODS * usual_s):
+        return None
+    return (
+        f"The {name}' stamps leap by {steps_s[at]:.1f} s after {stamps_s[at]:.3f} s: the clock was set, or the "
+        "recording paused; where the robot went meanwhile is not known."
+    )
 
 
 def _remedy(name: str, unit: StampUnit) -> str:
