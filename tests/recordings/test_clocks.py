@@ -15,7 +15,7 @@ from wheelsight.errors import ConfigError, InputError, RecordingError
 from wheelsight.odometry.extrinsics import calibrate_base
 from wheelsight.pipeline import in_real_time, run_each
 from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.recordings.clocks import FRAMES, WHEELS, listed_stamps, refuse_if_apart, stamp_warnings
+from wheelsight.recordings.clocks import FRAMES, TRUTH, WHEELS, apart, listed_stamps, refuse_if_apart, stamp_warnings
 
 APART = "share 0.0 s: their clocks count from different moments"
 LISTS, READINGS = ("rgb.txt", "depth.txt"), ("wheels.csv",)
@@ -94,6 +94,39 @@ def test_a_clock_that_leaps_is_told_of_once_for_each_stream() -> None:
     ]
     assert not stamp_warnings({FRAMES: stamps_s + 5.0 * (stamps_s >= 8.0)})
     assert not stamp_warnings({FRAMES: 20.0 * np.arange(3.0)})
+
+
+@pytest.mark.parametrize("beside", [WHEELS, TRUTH])
+def test_one_frame_a_second_is_no_number_where_others_last_as_long(beside: str) -> None:
+    whole_s = np.arange(12.0)
+    assert not stamp_warnings({FRAMES: whole_s, beside: np.arange(0.0, 12.0, 0.02)})
+    (told,) = stamp_warnings({FRAMES: whole_s, beside: np.arange(0.0, 12.0, 0.02) / 5})[:1]
+    assert "look like numbers of frames" in told
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda stamp_s: 1e9 * round(stamp_s - 0.001, 6), "the frames' stamps like nanoseconds (--rate-hz 1000000000)"),
+        (lambda stamp_s: 1e3 * stamp_s, "the frames' stamps like milliseconds (--rate-hz 1000)"),
+        (lambda stamp_s: round(stamp_s / 0.08), "the frames' stamps like numbers of frames (give the camera's rate"),
+    ],
+)
+def test_frames_that_begin_with_the_wheels_in_another_unit_are_not_joined(
+    drive: Path, tmp_path: Path, change: Callable[[float], float], told: str
+) -> None:
+    first_s = float(listed_stamps(open_recording(drive))[WHEELS][0])
+    restamp(drive, READINGS, lambda stamp_s: stamp_s - first_s)
+    restamp(drive, LISTS, lambda stamp_s: change(stamp_s - first_s))
+    (drive / "groundtruth_base.txt").unlink()
+    with pytest.raises(RecordingError, match="do not count one unit") as refused:
+        run_each(open_recording(drive), load_config(overrides={"odometry": "wheels,features"}), tmp_path / "out")
+    assert told in str(refused.value)
+
+
+def test_one_frame_among_the_readings_is_not_apart() -> None:
+    assert apart((0.0, 10.0), (5.0, 5.0)) is None
+    assert apart((0.0, 10.0), (10.1, 10.1)) is not None
 
 
 def test_stamps_too_near_for_seconds_are_told_of() -> None:

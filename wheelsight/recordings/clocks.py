@@ -12,9 +12,11 @@ from wheelsight.geometry import FloatArray
 from wheelsight.recordings.protocol import ListedFrame, ListsFrames, Recording
 from wheelsight.stamps import NUMBERS, StampUnit, unit_of
 
-FRAMES, WHEELS = "frames", "wheels"
+FRAMES, WHEELS, TRUTH = "frames", "wheels", "ground truth"
 # Streams of one drive overlap nearly wholly; one that is found in less of the other was cut, or its clock is another.
 _LEAST_SHARE = 0.5
+# A stream whose whole numbers span so much of what another's seconds do counts seconds too.
+_SAME_SPAN = 0.8
 _SHOWN = 3
 # Longer than a stall of any sensor.
 _LEAST_LEAP_S, _LEAP_PERIODS = 10.0, 50
@@ -22,7 +24,7 @@ _FASTEST_CAMERA_HZ = 2000.0
 
 
 def listed_stamps(recording: Recording) -> dict[str, FloatArray]:
-    """Stamps (N,) of FRAMES and of WHEELS, in the recording's own order; of those that it tells without decoding."""
+    """Stamps (N,) of FRAMES, WHEELS and TRUTH, in the recording's own order; of those it tells without decoding."""
     stamps: dict[str, list[float]] = {FRAMES: [], WHEELS: []}
     lists = recording.listed() if isinstance(recording, ListsFrames) else recording.events(images=False)
     for item in lists:
@@ -30,31 +32,62 @@ def listed_stamps(recording: Recording) -> dict[str, FloatArray]:
             stamps[FRAMES].append(item.stamp_s)
         elif isinstance(item, WheelTicks | WheelSpeeds):
             stamps[WHEELS].append(item.stamp_s)
+    if recording.ground_truth is not None:
+        stamps[TRUTH] = recording.ground_truth.stamps_s.tolist()
     return {name: np.array(found, float) for name, found in stamps.items() if found}
 
 
 def stamp_warnings(stamps: Mapping[str, FloatArray]) -> list[str]:
     """Sentences on FRAMES and WHEELS whose stamps are no seconds or leap, and one where they share little time."""
-    found = [tell(name, stamps_s) for tell in (_unit_warning, _leap_warning) for name, stamps_s in stamps.items()]
-    return [*filter(None, found), *_overlap_warning(stamps)]
+    units = _units(stamps)
+    of_units = [_unit_sentence(name, units[name], stamps[name]) for name in units]
+    leaps = [_leap_warning(name, stamps[name]) for name in _sensors(stamps) if name not in units]
+    return [*of_units, *filter(None, leaps), *_overlap_warning(stamps)]
 
 
 def refuse_if_apart(recording: Recording, least_s: float = 0.0) -> None:
-    """Raise RecordingError where frames and wheel readings share no time, or less than `least_s` seconds."""
+    """Raise RecordingError where frames and wheel readings share no time, less than `least_s`, or not their unit."""
     stamps = listed_stamps(recording)
-    if len(stamps) < 2:
+    if len(_sensors(stamps)) < 2:
         return
-    spans = [(stamps[name][0], stamps[name][-1]) for name in (WHEELS, FRAMES)]
-    told = apart(spans[0], spans[1], least_s)
+    units = _units(stamps)
+    remedy = "; ".join(_remedy(name, unit) for name, unit in units.items())
+    wheels_s, frames_s = ((float(stamps[name][0]), float(stamps[name][-1])) for name in (WHEELS, FRAMES))
+    told = apart(wheels_s, frames_s, least_s)
     if told is not None:
-        problem, fix = told
-        raise RecordingError(problem, path=recording.path, fix=_fix_of(stamps) or fix)
+        of_units = [_unit_sentence(name, unit, stamps[name]).rstrip(".") for name, unit in units.items()]
+        fix = "; ".join(f"{text[0].lower()}{text[1:]}" for text in of_units)
+        raise RecordingError(told[0], path=recording.path, fix=fix or told[1])
+    if units.get(WHEELS) != units.get(FRAMES):
+        looks = " and ".join(f"the {name}' stamps like {_kind(name, unit)}" for name, unit in units.items())
+        raise RecordingError(f"wheels and camera do not count one unit: {looks}", path=recording.path, fix=remedy)
+
+
+def _sensors(stamps: Mapping[str, FloatArray]) -> list[str]:
+    return [name for name in (FRAMES, WHEELS) if name in stamps]
+
+
+def _units(stamps: Mapping[str, FloatArray]) -> dict[str, StampUnit]:
+    """What FRAMES and WHEELS count that do not count seconds; whole seconds are told by what else lasts as long."""
+    units = {name: unit_of(found) for name, found in stamps.items()}
+    in_seconds = [stamps[name] for name, unit in units.items() if unit is None]
+    return {
+        name: unit
+        for name in _sensors(stamps)
+        if (unit := units[name]) is not None
+        and not (unit is NUMBERS and any(_last_alike(stamps[name], other) for other in in_seconds))
+    }
+
+
+def _last_alike(a_s: FloatArray, b_s: FloatArray) -> bool:
+    spans = [(float(stamps_s[0]), float(stamps_s[-1])) for stamps_s in (a_s, b_s)]
+    return _shared_s(*spans) >= _SAME_SPAN * max(end_s - begin_s for begin_s, end_s in spans)
 
 
 def apart(wheels_s: tuple[float, float], frames_s: tuple[float, float], least_s: float = 0.0) -> tuple[str, str] | None:
     """Problem and fix where two spans, first and last stamp in seconds, share no time, or less than `least_s`."""
     shared_s = _shared_s(wheels_s, frames_s)
-    if shared_s > 0 and shared_s >= least_s:
+    if shared_s >= least_s:
         return None
     spans = f"wheels ({_span(wheels_s)}) and camera ({_span(frames_s)}) share {max(shared_s, 0.0):.1f} s"
     return f"{spans}: their clocks count from different moments", "stamp both by one clock, to within half a second"
@@ -69,7 +102,7 @@ def _span(span_s: tuple[float, float]) -> str:
 
 
 def _overlap_warning(stamps: Mapping[str, FloatArray]) -> list[str]:
-    if len(stamps) < 2 or any(len(stamps_s) < 2 for stamps_s in stamps.values()):
+    if len(_sensors(stamps)) < 2 or any(len(stamps[name]) < 2 for name in (WHEELS, FRAMES)):
         return []
     wheels_s, frames_s = ((float(stamps[name][0]), float(stamps[name][-1])) for name in (WHEELS, FRAMES))
     told = apart(wheels_s, frames_s)
@@ -84,23 +117,22 @@ def _overlap_warning(stamps: Mapping[str, FloatArray]) -> list[str]:
     ]
 
 
-def _unit_warning(name: str, stamps_s: FloatArray) -> str | None:
-    unit = unit_of(stamps_s)
-    whose = "The frames' stamps" if name == FRAMES else "The wheels' stamps"
-    shown = f"({', '.join(f'{stamp_s:.6f}'.rstrip('0').rstrip('.') for stamp_s in stamps_s[:_SHOWN])}, …)"
-    if unit is not None:
-        kind = f"numbers of {'frames' if name == FRAMES else 'readings'}" if unit is NUMBERS else unit.name
-        return f"{whose} {shown} look like {kind}, not seconds: {_remedy(name, unit)}."
-    if name == FRAMES and len(stamps_s) > 2 and stamps_s[-1] - stamps_s[0] < (len(stamps_s) - 1) / _FASTEST_CAMERA_HZ:
-        return f"{whose} {shown} are too near each other for seconds: no camera gives so many frames a second."
-    return None
+def _unit_sentence(name: str, unit: StampUnit, stamps: FloatArray) -> str:
+    shown = f"({', '.join(f'{stamp:.6f}'.rstrip('0').rstrip('.') for stamp in stamps[:_SHOWN])}, …)"
+    return f"The {name}' stamps {shown} look like {_kind(name, unit)}, not seconds: {_remedy(name, unit)}."
+
+
+def _kind(name: str, unit: StampUnit) -> str:
+    return unit.name if unit is not NUMBERS else f"numbers of {'frames' if name == FRAMES else 'readings'}"
 
 
 def _leap_warning(name: str, stamps_s: FloatArray) -> str | None:
-    """That stamps go on much later all of a sudden, in seconds."""
+    """That stamps, seconds, go on much later all of a sudden; or that they are too near each other for seconds."""
     steps_s = np.diff(stamps_s)
-    if not len(steps_s) or unit_of(stamps_s) is not None:
+    if len(steps_s) < 2:
         return None
+    if name == FRAMES and steps_s.sum() < len(steps_s) / _FASTEST_CAMERA_HZ:
+        return "The frames' stamps are too near each other for seconds: no camera gives so many frames a second."
     usual_s, at = float(np.median(steps_s)), int(steps_s.argmax())
     if steps_s[at] < max(_LEAST_LEAP_S, _LEAP_PERIODS * usual_s):
         return None
@@ -115,9 +147,3 @@ def _remedy(name: str, unit: StampUnit) -> str:
         by = "the readings a second" if unit.per_second is None else f"{unit.per_second:.0f}"
         return f"divide them by {by}"
     return "give the camera's rate, such as --rate-hz 30" if unit is NUMBERS else f"--rate-hz {unit.per_second:.0f}"
-
-
-def _fix_of(stamps: Mapping[str, FloatArray]) -> str | None:
-    """What to do about streams that do not overlap because one does not count seconds."""
-    told = [_unit_warning(name, stamps_s) for name, stamps_s in stamps.items() if unit_of(stamps_s) is not None]
-    return "; ".join(f"{text[0].lower()}{text[1:].rstrip('.')}" for text in told if text) or None
