@@ -14,6 +14,7 @@ from wheelsight.calibration import Calibration, DepthNoise
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import ByteArray
 from wheelsight.recordings import OpenOptions, open_recording
+from wheelsight.recordings._images import DepthEncoding, read_depth
 from wheelsight.recordings._registration import RegistrationOffset
 from wheelsight.recordings.inspection import Inspection, inspect_recording
 
@@ -189,3 +190,48 @@ def test_real_recordings(data_folder: Path, name: str, is_clear: bool) -> None:
     else:
         assert np.abs(offset.shift_px).max() <= 4
         assert offset.scale == 1
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("turned", "told"),
+    [((1, 1), None), ((1, -1), "mirrored left to right"), ((-1, 1), "upside down"), ((-1, -1), "turned by 180°")],
+)
+def test_real_images_mirrored_against_each_other(data_folder: Path, turned: tuple[int, int], told: str | None) -> None:
+    recording = open_recording(data_folder / "rgbd" / "freiburg1_rpy_part")
+    along, across = turned
+    frames = [
+        replace(event, color=event.color[::along, ::across].copy(), index=number)
+        for number, event in enumerate(event for event in recording.events() if isinstance(event, RgbdFrame))
+        if number % 16 == 0
+    ]
+    events: list[Event] = [replace(frame, index=number) for number, frame in enumerate(frames)]
+    warnings = inspect(events, recording.calibration).warnings
+    assert not warnings if told is None else told in warnings[0]
+
+
+@pytest.mark.data
+def test_a_real_cameras_own_depth_is_not_its_depth_laid_on_colour(data_folder: Path) -> None:
+    """A D435i: 611 px of focal length for colour, about 425 px for depth."""
+    folder = data_folder / "rgbd" / "openloris_sample"
+    if not folder.is_dir():
+        pytest.skip("the recording is not there")
+    aligned = open_recording(folder)
+    assert inspect_recording(aligned).offset is not None
+    assert not inspect_recording(aligned).offset.is_clear  # type: ignore[union-attr]
+    raw = [
+        replace(event, depth_m=read_depth(path, DepthEncoding(1000.0)))
+        for event, path in zip(aligned.events(), sorted((folder / "depth").glob("*.png")), strict=False)
+        if isinstance(event, RgbdFrame)
+    ]
+    offset = inspect([*raw], aligned.calibration).offset
+    assert offset is not None
+    assert offset.is_clear
+    assert offset.scale == pytest.approx(611 / 425, abs=0.07)
+
+
+def test_images_that_came_before_are_counted() -> None:
+    frames = [frame for frame in room_frames() if isinstance(frame, RgbdFrame)]
+    twice = [frame for f in frames for frame in (f, replace(f, stamp_s=f.stamp_s + 0.5))]
+    (warning,) = inspect([replace(frame, index=number) for number, frame in enumerate(twice)]).warnings
+    assert warning.startswith("8 of 16 frames show the same image as the frame before")

@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, so3
-from wheelsight.odometry._repeats import Repeats
+from wheelsight.recordings.repeats import Repeats
 
 # Wheels are waited for so long at the start: they begin the clock.
 _WAIT_S = 1.0

@@ -17,9 +17,9 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, Wheel
 from wheelsight.fusion import AreaRectifier, PaperRectifier
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer.by_wheels import ByWheels
-from wheelsight.odometry._repeats import Repeats
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.places import PlaceMatch, PlaceModel, Unknown
+from wheelsight.recordings.repeats import Repeats
 
 
 @dataclass(frozen=True, slots=True, eq=False)

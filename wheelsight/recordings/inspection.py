@@ -15,6 +15,7 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, Wheel
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.recordings._registration import FAR_FROM_CALIBRATED, OffsetMeter, RegistrationOffset, off_calibrated
 from wheelsight.recordings.protocol import AssociationReport, Recording
+from wheelsight.recordings.repeats import Repeats
 
 _GAP_PERIODS = 3.0
 _DEPTH_STRIDE = 4
@@ -117,7 +118,12 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         offset=offset,
         association=recording.association,
         ground_truth=sequence_statistics(truth) if truth is not None and len(truth) > 1 else None,
-        warnings=(*recording.warnings, *_depth_warnings(tally, recording), *_offset_warnings(offset, tally, recording)),
+        warnings=(
+            *recording.warnings,
+            *_repeat_warnings(tally),
+            *_depth_warnings(tally, recording),
+            *_offset_warnings(offset, tally, recording),
+        ),
     )
 
 
@@ -145,6 +151,8 @@ class _Tally:
     skipped: Counter[str] = field(default_factory=Counter)
     wheel_readings: int = 0
     yaw_readings: int = 0
+    repeated: int = 0
+    repeats: Repeats = field(default_factory=Repeats)
     pixels: int = 0
     histogram: FloatArray = field(default_factory=lambda: np.zeros(len(_DEPTH_EDGES_M) - 1))
     offset_meter: OffsetMeter = field(default_factory=lambda: OffsetMeter())
@@ -165,6 +173,7 @@ class _Tally:
             self._add_frame(event)
 
     def _add_frame(self, event: RgbdFrame) -> None:
+        self.repeated += self.repeats.lasting_s(event) > 0
         self._add_depth(event.depth_m[::_DEPTH_STRIDE, ::_DEPTH_STRIDE])
         every = max(1, self.recording.frame_count // _OFFSET_FRAMES)
         if event.index % every == every // 2 and event.color.shape[:2] == event.depth_m.shape:
@@ -196,6 +205,13 @@ def _gaps(stamps_s: FloatArray, period_s: float) -> tuple[Gap, ...]:
     steps_s = np.diff(stamps_s)
     long = np.flatnonzero(steps_s > _GAP_PERIODS * period_s)
     return tuple(Gap(float(stamps_s[i]), float(steps_s[i])) for i in long)
+
+
+def _repeat_warnings(tally: _Tally) -> list[str]:
+    if not tally.repeated:
+        return []
+    told = f"{tally.repeated} of {tally.recording.frame_count} frames show the same image as the frame before"
+    return [f"{told}: fewer images a second were taken than recorded, or the camera hung. They are skipped."]
 
 
 def _depth_warnings(tally: _Tally, recording: Recording) -> list[str]:

@@ -11,11 +11,11 @@ import numpy as np
 from wheelsight.calibration import Wheels
 from wheelsight.events import RgbdFrame, SkippedFrame
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
-from wheelsight.odometry._repeats import Repeats
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.extrinsics.floor import FloorViews
 from wheelsight.odometry.wheels import Drive, drive_of
 from wheelsight.recordings import Recording
+from wheelsight.recordings.repeats import Repeats
 from wheelsight.trajectory import Trajectory
 
 _ROWS = 30
