@@ -138,17 +138,24 @@ def test_the_widest_counters_lose_no_count_where_they_roll_over(bits: int, befor
 SMALL = Wheels(0.033, 0.033, 0.16, 4096.0)  # whose absolute encoders count 0 … 4095
 
 
-def test_a_leap_of_a_whole_turn_is_no_motion() -> None:
-    stamps = 0.02 * np.arange(501)
+@pytest.mark.parametrize("period_s", [0.01, 0.02, 0.05, 0.1])
+def test_a_leap_of_a_whole_turn_is_no_motion(period_s: float) -> None:
+    stamps = period_s * np.arange(round(10 / period_s) + 1)
     true = np.rint(0.2 * stamps / SMALL.left_m_per_tick).astype(int) + 1000
-    right = integrate_log(replace(SMALL, counter_bits=12), stamps, true % 4096, true % 4096)
+    right = integrate_log(replace(SMALL, counter_bits=12, max_speed_m_s=1.0), stamps, true % 4096, true % 4096)
     assert not right.is_refused.any()
     assert right.poses[-1, 0] == pytest.approx(2.0, abs=1e-4)
     unsaid = integrate_log(SMALL, stamps, true % 4096, true % 4096)
     leaps = np.flatnonzero(np.diff(true % 4096) < 0) + 1
     np.testing.assert_array_equal(np.flatnonzero(unsaid.is_refused), leaps)
     assert {unsaid.reason(i) for i in leaps} == {Reason.IMPLAUSIBLE_MOTION}
-    assert unsaid.poses[-1, 0] == pytest.approx(2.0 - 0.004 * len(leaps), abs=1e-3)
+    assert unsaid.poses[-1, 0] == pytest.approx(2.0 - 0.2 * period_s * len(leaps), abs=1e-3)
+
+
+def test_a_robot_may_turn_back_at_once() -> None:
+    speeds_m_s = np.concatenate([np.full(50, 0.6), np.full(50, -0.6)])
+    counts = np.rint(np.cumsum(0.02 * speeds_m_s) / SMALL.left_m_per_tick)
+    assert not integrate_log(SMALL, 0.02 * np.arange(100), counts, counts).is_refused.any()
 
 
 @pytest.mark.parametrize("speed_m_s", [0.2, 1.0, 3.0])

@@ -31,6 +31,8 @@ OK, BACKWARDS, GAP, AMBIGUOUS, IMPLAUSIBLE = 0, 1, 2, 3, 4
 STAMP_JITTER_S = 0.05
 # m/s², of wheels that spin up in the air.
 MOST_ACCELERATION = 20.0
+# m/s², of a wheel that turns back: its whole way since it stood still, where a counter that wraps leaps at full speed.
+MOST_REVERSAL = 7.0
 _SERIES_BELOW = 0.1
 
 
@@ -59,7 +61,19 @@ def fault(state: FloatArray, parameters: FloatArray, left_m: float, right_m: flo
     by_pace_m = max(parameters[SPEED_LIMIT] * dt_s, (2 * pace_m_s + MOST_ACCELERATION * while_s) * while_s)
     is_known = pace_m_s > 0 or state[IS_STILL] > 0
     farthest_m = parameters[SPEED_LIMIT] * while_s
-    return OK if way_m <= (min(farthest_m, by_pace_m) if is_known else farthest_m) else IMPLAUSIBLE
+    if way_m > (min(farthest_m, by_pace_m) if is_known else farthest_m):
+        return IMPLAUSIBLE
+    turn_m_s = 0.5 * parameters[TRACK] * state[YAW_RATE]
+    is_leap = _leaps_back(state[SPEED] - turn_m_s, left_m, while_s) or _leaps_back(
+        state[SPEED] + turn_m_s, right_m, while_s
+    )
+    return IMPLAUSIBLE if is_leap else OK
+
+
+@njit(cache=True, nogil=True)
+def _leaps_back(before_m_s: float, way_m: float, while_s: float) -> bool:
+    """Whether a wheel that went at some speed rolled back much faster than that, and than it could within the while."""
+    return before_m_s * way_m < 0 and abs(way_m) > max(MOST_REVERSAL * while_s, 3 * abs(before_m_s)) * while_s
 
 
 @njit(cache=True, nogil=True)
