@@ -54,7 +54,7 @@ def _unit_by_span(given: dict[str, FloatArray]) -> dict[str, StampUnit]:
 
 def _unit_sentence(name: str, unit: StampUnit, stamps: FloatArray) -> str:
     by = "the poses a second" if unit.per_second is None else f"{unit.per_second:.0f}"
-    span = f"{stamps[0]:.6g} to {stamps[-1]:.6g}"
+    span = f"{stamps[0]:.15g} to {stamps[-1]:.15g}"
     return f"The {name}'s stamps ({span}) look like {_kind(unit)}, not seconds: divide them by {by}."
 
 
