@@ -92,7 +92,7 @@ class Wheels:
         for name, (least_m, most_m) in _SIZES.items():
             value = getattr(self, name)
             if not least_m <= value <= most_m:
-                fix = f"give metres: {value:g} mm are {value / 1000:g}"
+                fix = f"give metres: {value:g} mm are {value / 1000:g}" if value > most_m else "give metres"
                 raise CalibrationError(f"{name} is {value:g}, not {least_m:g} to {most_m:g} m", fix=fix)
         if not _TICKS_PER_TURN[0] <= self.ticks_per_turn <= _TICKS_PER_TURN[1]:
             problem = f"ticks_per_turn is {self.ticks_per_turn:g}, not 1 to 1e9"

@@ -118,13 +118,14 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         offset=offset,
         association=recording.association,
         ground_truth=sequence_statistics(truth) if truth is not None and len(truth) > 1 else None,
-        warnings=(
-            *recording.warnings,
-            *_repeat_warnings(tally),
-            *_depth_warnings(tally, recording),
-            *_offset_warnings(offset, tally, recording),
-        ),
+        warnings=(*recording.warnings, *_warnings(tally, offset, recording)),
     )
+
+
+def _warnings(tally: _Tally, offset: RegistrationOffset | None, recording: Recording) -> list[str]:
+    """What images tell."""
+    of_depth = [*_depth_warnings(tally, recording), *_offset_warnings(offset, tally, recording)]
+    return [*_repeat_warnings(tally), *of_depth]
 
 
 def _camera(calibration: Calibration) -> str | None:
