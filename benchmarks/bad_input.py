@@ -7,7 +7,8 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from rich.console import Console
@@ -17,9 +18,11 @@ from benchmarks.bad_drives import DRIVES, BadDrive, Case
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
 from wheelsight.calibration import Calibration
+from wheelsight.config import Config, load_config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, se3, so3
+from wheelsight.localizer import Localizer
 from wheelsight.recordings import express_for
 from wheelsight.simulation.camera_faults import events_with
 from wheelsight.trajectory import Trajectory
@@ -70,8 +73,24 @@ class BadInputFigures:
 
 
 def trackers() -> dict[str, Callable[[Calibration], Callable[[RgbdFrame], Answer]]]:
-    """Each by its name: given a calibration, what answers frames."""
-    return {"features": _features, "dense": _dense, MAPPER: _surfels}
+    """Each by its name: given a calibration, what answers frames, as a camera alone."""
+    by_name: dict[str, dict[str, object]] = {
+        "features": {"odometry": "features"},
+        "dense": {"odometry": "dense"},
+        MAPPER: {"odometry": "dense", "map": "surfels"},
+    }
+    return {name: partial(_tracker, load_config(overrides=settings)) for name, settings in by_name.items()}
+
+
+def _tracker(config: Config, calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
+    localizer = Localizer(replace(calibration, T_base_camera=None), config)
+
+    def answer(frame: RgbdFrame) -> Answer:
+        estimate = localizer.process(frame)
+        assert estimate is not None  # frames are answered
+        return Answer(estimate, localizer.last_fused is not None)
+
+    return answer
 
 
 def measure_bad_input(
@@ -163,32 +182,6 @@ def _back_s(stamps_s: FloatArray, case: Case) -> float | None:
     """From the end of the fault to the first pose after it."""
     after = stamps_s[stamps_s >= case.end_s]
     return float(after[0] - case.end_s) if len(after) else None
-
-
-def _features(calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
-    from wheelsight.odometry.features import FeatureOdometry
-
-    odometry = FeatureOdometry(calibration)
-    return lambda frame: Answer(odometry.process(frame))
-
-
-def _dense(calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
-    from wheelsight.odometry.dense import DenseOdometry
-
-    odometry = DenseOdometry(calibration)
-    return lambda frame: Answer(odometry.process(frame))
-
-
-def _surfels(calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
-    from wheelsight.mapping import SurfelMapper
-
-    mapper = SurfelMapper(calibration)
-
-    def answer(frame: RgbdFrame) -> Answer:
-        estimate = mapper.process(frame)
-        return Answer(estimate, mapper.last_fused is not None)
-
-    return answer
 
 
 def bad_input_sheet(figures: Sequence[BadInputFigures]) -> Sheet:

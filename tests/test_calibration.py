@@ -32,7 +32,8 @@ cameras = st.builds(
 motions = st.none() | st.tuples(*[small] * 6).map(se3.exp)
 wheels = st.none() | st.builds(
     Wheels,
-    *(positive, positive, positive, positive, st.sampled_from([0, 8, 16, 32]), small, positive, positive, positive),
+    *(st.floats(0.005, 2), st.floats(0.005, 2), st.floats(0.02, 10), st.floats(1, 1e9), st.integers(0, 64), small),
+    *(positive, positive, positive),
 )
 gyros = st.builds(Gyro, positive, small, st.floats(0, 1), st.floats(0, 1))
 noises = st.builds(DepthNoise, st.floats(0, 1), positive, st.floats(0, 1), st.floats(1.5, 100))
@@ -176,7 +177,19 @@ EYE = np.eye(4).tolist()
         (wheeled(track_width_m=float("inf")), "field wheels.track_width_m is inf, not a number"),
         (wheeled(ticks_per_turn=0), "field wheels: ticks_per_turn is 0.0, not positive"),
         (wheeled(ticks_per_turn=None), "field wheels.ticks_per_turn is None, not a number"),
-        (wheeled(counter_bits=12), "field wheels: counter_bits is 12 .8, 16, 32, or 0"),
+        (wheeled(left_radius_m=170), r"left_radius_m is 170, not 0.005 to 2 m \(give metres: 170 mm are 0.17\)"),
+        (wheeled(right_radius_m=17), r"right_radius_m is 17, not 0.005 to 2 m \(give metres"),
+        (wheeled(left_radius_m=0.0017), "left_radius_m is 0.0017, not 0.005 to 2 m"),
+        (wheeled(track_width_m=520), r"track_width_m is 520, not 0.02 to 10 m \(give metres: 520 mm are 0.52\)"),
+        (wheeled(track_width_m=0.001), "track_width_m is 0.001, not 0.02 to 10 m"),
+        (wheeled(ticks_per_turn=0.25), "ticks_per_turn is 0.25, not 1 to 1e9"),
+        (wheeled(ticks_per_turn=1e12), r"ticks_per_turn is 1e\+12, not 1 to 1e9"),
+        (wheeled(counter_bits=65), "field wheels: counter_bits is 65 .1 to 64, or 0"),
+        (wheeled(counter_bits=-8), "field wheels: counter_bits is -8 .1 to 64, or 0"),
+        (wheeled(counter_modulus=1), "field wheels: counter_modulus is 1 .9000 for a counter of 0 … 8999"),
+        (wheeled(counter_modulus=-9000), "field wheels: counter_modulus is -9000"),
+        (wheeled(counter_modulus=2.5), "field wheels.counter_modulus is 2.5, not a whole number$"),
+        (wheeled(counter_modulus=9000, counter_bits=12), "counter_bits and counter_modulus are both given"),
         (wheeled(counter_bits=8.5), "field wheels.counter_bits is 8.5, not a whole number$"),
         (wheeled(delay_s=float("nan")), "field wheels.delay_s is nan, not a number"),
         (wheeled(slip_m_per_sqrt_m=0), "field wheels: slip_m_per_sqrt_m is 0.0, not positive"),
@@ -322,3 +335,15 @@ def test_a_mount_updates_the_mount_alone(tmp_path: Path) -> None:
     np.testing.assert_array_equal(updated.T_color_depth, T_COLOR_DEPTH)
     assert updated.cameras == (COLOR, DEPTH)
     assert updated.wheels == replace(WHEELS, delay_s=0.02)
+
+
+@pytest.mark.parametrize(
+    ("counter", "span"), [({}, 0), ({"counter_bits": 12}, 4096), ({"counter_modulus": 9000}, 9000)]
+)
+def test_counters_of_any_width_or_modulus_keep_it_in_a_file(tmp_path: Path, counter: dict[str, int], span: int) -> None:
+    save_calibration(Calibration(wheels=Wheels(0.17, 0.17, 0.6, 3200.0, **counter)), tmp_path / "c.yaml")
+    read = load_calibration(tmp_path / "c.yaml").wheels
+    assert read is not None
+    assert read.counter_span == span
+    assert read.never_rolling_over.counter_span == 0
+    assert isinstance(yaml.safe_load((tmp_path / "c.yaml").read_text())["wheels"]["counter_modulus"], int)

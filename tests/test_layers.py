@@ -17,6 +17,7 @@ LAYERS = (
     "events",
     "calibration",
     "association",
+    "stamps",
     "trajectory",
     "areas",
     "estimates",

@@ -18,7 +18,10 @@ Part = TypeVar("Part")
 
 FORMAT = "wheelsight-calibration-1"
 _SLOWEST_SHUTTER_S = 0.2
-_COUNTER_BITS = (0, 8, 16, 32)
+_WIDEST_COUNTER_BITS = 64
+# From a toy's to a tractor's; counts a turn from those of speeds in place of ticks to fine encoders behind a gear.
+_SIZES = {"left_radius_m": (0.005, 2.0), "right_radius_m": (0.005, 2.0), "track_width_m": (0.02, 10.0)}
+_TICKS_PER_TURN = (1.0, 1e9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +58,13 @@ class Wheels:
         track_width_m: distance between the points where the wheels touch the ground. A skid-steered robot's
             effective one is wider than the robot.
         ticks_per_turn: counts of the encoder a turn of the wheel: counts a turn of the encoder × gear ratio.
-        counter_bits: width of the counters the ticks come from, 8, 16 or 32; 0 for ticks that never roll over.
+        counter_bits: width of the counters the ticks come from, 1 to 64; 0 for ticks that never roll over.
         delay_s: how late stamps are: a reading stamped t tells of the wheels at t - delay_s. May be negative.
         slip_m_per_sqrt_m: standard deviation of a wheel's travel over one metre; its square grows with the way.
         max_speed_m_s: fastest a wheel can roll; a step that needs more is a fault, no motion.
         max_gap_s: longest time between readings that can be bridged.
+        counter_modulus: how many values the counters count through before they roll over, where that is no power of
+            two, such as 9000 for 0 … 8999; 0 where `counter_bits` tells.
 
     Raises:
         CalibrationError: a value that no robot can have.
@@ -74,16 +79,44 @@ class Wheels:
     slip_m_per_sqrt_m: float = 0.01
     max_speed_m_s: float = 5.0
     max_gap_s: float = 0.5
+    counter_modulus: int = 0
 
     def __post_init__(self) -> None:
         for name in _WHEEL_FIELDS:
             value = getattr(self, name)
             if not np.isfinite(value):
                 raise CalibrationError(f"{name} is {value}, not a number")
-            if value <= 0 and name not in ("counter_bits", "delay_s"):
+            if value <= 0 and name not in (*_COUNTER_FIELDS, "delay_s"):
                 raise CalibrationError(f"{name} is {value}, not positive")
-        if self.counter_bits not in _COUNTER_BITS:
-            raise CalibrationError(f"counter_bits is {self.counter_bits}", fix="8, 16, 32, or 0: never rolls over")
+        self._check_counter()
+        for name, (least_m, most_m) in _SIZES.items():
+            value = getattr(self, name)
+            if not least_m <= value <= most_m:
+                fix = f"give metres: {value:g} mm are {value / 1000:g}" if value > most_m else "give metres"
+                raise CalibrationError(f"{name} is {value:g}, not {least_m:g} to {most_m:g} m", fix=fix)
+        if not _TICKS_PER_TURN[0] <= self.ticks_per_turn <= _TICKS_PER_TURN[1]:
+            problem = f"ticks_per_turn is {self.ticks_per_turn:g}, not 1 to 1e9"
+            raise CalibrationError(problem, fix="counts a turn of the encoder × gear ratio")
+
+    def _check_counter(self) -> None:
+        if self.counter_bits != int(self.counter_bits) or not 0 <= self.counter_bits <= _WIDEST_COUNTER_BITS:
+            raise CalibrationError(f"counter_bits is {self.counter_bits}", fix="1 to 64, or 0: never rolls over")
+        if self.counter_modulus != int(self.counter_modulus) or not (
+            self.counter_modulus == 0 or 2 <= self.counter_modulus <= 2**_WIDEST_COUNTER_BITS
+        ):
+            raise CalibrationError(f"counter_modulus is {self.counter_modulus}", fix="9000 for a counter of 0 … 8999")
+        if self.counter_bits and self.counter_modulus:
+            raise CalibrationError("counter_bits and counter_modulus are both given", fix="leave one out")
+
+    @property
+    def counter_span(self) -> int:
+        """How many values the counters count through before they roll over; 0 for ticks that never do."""
+        return int(self.counter_modulus) or (1 << int(self.counter_bits) if self.counter_bits else 0)
+
+    @property
+    def never_rolling_over(self) -> Wheels:
+        """The same, for ticks in which roll-overs have been undone."""
+        return replace(self, counter_bits=0, counter_modulus=0)
 
     @property
     def left_m_per_tick(self) -> float:
@@ -254,6 +287,7 @@ _NUMBERS = ("rolling_shutter_s", "color_sigma_px")
 _CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", *_NUMBERS)
 _TOP_FIELDS = ("format", "source", *_CAMERA_PART, "T_base_camera", "wheels", "gyro")
 _WHEEL_FIELDS = tuple(f.name for f in fields(Wheels))
+_COUNTER_FIELDS = ("counter_bits", "counter_modulus")
 _GYRO_FIELDS = tuple(f.name for f in fields(Gyro))
 
 
@@ -276,7 +310,7 @@ def _to_document(calibration: Calibration) -> dict[str, Any]:
     if calibration.T_base_camera is not None:
         document["T_base_camera"] = motion(calibration.T_base_camera)
     if calibration.wheels is not None:
-        counter = {"counter_bits": int(calibration.wheels.counter_bits)}
+        counter = {name: int(getattr(calibration.wheels, name)) for name in _COUNTER_FIELDS}
         document |= {"wheels": _plain(calibration.wheels) | counter, "gyro": _plain(calibration.gyro)}
     return document
 
@@ -320,8 +354,7 @@ def _wheels(value: Any) -> Wheels:
     if missing:
         raise CalibrationError(f"field wheels.{missing[0]} is missing")
     numbers: dict[str, Any] = {key: _number(number, f"wheels.{key}") for key, number in known.items()}
-    if "counter_bits" in known:
-        numbers["counter_bits"] = _whole(known["counter_bits"], "wheels.counter_bits", "")
+    numbers |= {name: _whole(known[name], f"wheels.{name}", "") for name in _COUNTER_FIELDS if name in known}
     return _made(Wheels, "wheels", numbers)
 
 

@@ -53,10 +53,13 @@ class RecordingSettings(_Settings):
     calibration: str | None = Field(
         None, description="a calibration.yaml whose wheels or cameras win over the recording's"
     )
+    rate_hz: PositiveFloat | None = Field(
+        None, description="how many a second the images' stamps count, where they are numbers of frames or no seconds"
+    )
 
     def open_options(self) -> OpenOptions:
         """The same, as `open_recording` takes it."""
-        return OpenOptions(self.camera, self.max_gap_s, self.depth_factor, self.calibration)
+        return OpenOptions(self.camera, self.max_gap_s, self.depth_factor, self.calibration, self.rate_hz)
 
 
 class WheelSettings(_Settings):

@@ -17,6 +17,7 @@ class Reason(StrEnum):
     """Why a frame or a wheel reading gave no motion, or no pose."""
 
     FRAME_UNUSABLE = "frame unusable"
+    REPEATED = "the same image as before"
     TOO_FEW_KEYPOINTS = "too few keypoints with depth"
     TOO_FEW_MATCHES = "too few matches"
     TOO_FEW_INLIERS = "too few inliers"

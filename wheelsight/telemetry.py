@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -37,7 +36,7 @@ class Telemetry:
     """
 
     def __init__(self, wheels: Wheels, integration: Integration = "arc") -> None:
-        unrolled = replace(wheels, counter_bits=0)  # the link has undone the counters' roll-over
+        unrolled = wheels.never_rolling_over  # the link has undone the counters' roll-over
         _compile(unrolled, integration)
         self.odometry = WheelOdometry(unrolled, integration)
 

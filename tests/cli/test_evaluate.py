@@ -8,7 +8,7 @@ import pytest
 from synthetic import wobbling_trajectory
 from typer.testing import Result
 
-from wheelsight.trajectory import Trajectory, write_tum
+from wheelsight.trajectory import Trajectory, read_tum, write_tum
 
 Command = Callable[..., Result]
 
@@ -103,3 +103,40 @@ def test_trajectories_of_different_times_are_refused(refusal: Callable[..., str]
 def test_a_missing_file_is_named(refusal: Callable[..., str], files: tuple[Path, Path]) -> None:
     missing = files[0].with_name("none.txt")
     assert refusal("evaluate", missing, files[1]) == f"{missing}: cannot be read: No such file or directory"
+
+
+def test_a_folder_is_no_trajectory_but_may_hold_it(refusal: Callable[..., str], files: tuple[Path, Path]) -> None:
+    estimate, truth = files
+    folder = estimate.parent
+    assert refusal("evaluate", folder, truth) == f"{folder}: is a folder, but a trajectory is a file (give the file)"
+    truth.rename(folder / "groundtruth.txt")
+    told = refusal("evaluate", estimate, folder)
+    assert told == f"{folder}: is a folder, but a trajectory is a file (did you mean {folder / 'groundtruth.txt'}?)"
+
+
+def test_doubts_are_told_after_the_table_and_in_json(wheelsight: Command, files: tuple[Path, Path]) -> None:
+    estimate, truth = files
+    sound = read_tum(truth)
+    for path, scale in ((estimate, 1.0), (truth, 1e3)):
+        write_tum(Trajectory(scale * (sound.stamps_s - sound.stamps_s[0]), sound.T_world_body), path)
+    result = wheelsight("evaluate", estimate, truth, "--max-gap", "100")
+    assert result.exit_code == 0, result.output
+    assert "look like milliseconds" in " ".join(result.stderr.split())
+    (told, few) = json.loads(wheelsight("evaluate", estimate, truth, "--max-gap", "100", "--json").stdout)["warnings"]
+    assert "look like milliseconds" in told
+    assert few.startswith("Only ")
+
+
+def test_the_truth_of_the_estimates_body_is_taken_where_it_lies_beside(
+    wheelsight: Command, refusal: Callable[..., str], files: tuple[Path, Path]
+) -> None:
+    estimate, truth = files
+    of_base = estimate.read_text().replace("T_world_camera", "T_world_base")
+    estimate.write_text(of_base)
+    truth = truth.rename(truth.with_name("groundtruth.txt"))
+    assert "move differently" in refusal("evaluate", estimate, truth)
+    (beside := truth.with_name("groundtruth_base.txt")).write_text(of_base)
+    result = wheelsight("evaluate", estimate, truth)
+    assert result.exit_code == 0, result.output
+    assert "T_world_base: 90 pairs" in result.stdout
+    assert str(beside) in result.stderr.replace("\n", "")

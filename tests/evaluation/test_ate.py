@@ -121,6 +121,45 @@ def bent_path(bend: float, n: int = 200) -> Trajectory:
 
 
 @pytest.mark.parametrize("with_scale", [False, True])
+@pytest.mark.parametrize("body", ["base", "camera"])
+def test_a_mirrored_path_near_a_plane_is_not_laid_on_its_image(
+    rng: np.random.Generator, with_scale: bool, body: str
+) -> None:
+    """As of mirrored images: the floor is uneven, the estimate drifts in height and tilts, its world is any."""
+    mount = np.eye(4) if body == "base" else np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 1], [0, 0, 0, 1]])
+    truth = bent_path(0.05)
+    uneven = se3.exp(rng.normal(0, 0.005, (len(truth), 6)))
+    truth = Trajectory(truth.stamps_s, truth.T_world_body @ uneven @ mount, body=body)
+    T = bent_path(0.05).T_world_body.copy()
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    T = mirror @ T @ mirror @ se3.exp(rng.normal(0, 0.005, (len(truth), 6))) @ mount
+    T[:, 2, 3] += np.linspace(0, 0.1, len(T))
+    estimate = Trajectory(truth.stamps_s, T, body=body).moved(se3.exp([3.0, 2, 1, 0.5, 0.6, 0.7]))
+    T_turned, _ = align_points_with_scale(truth.positions_m, estimate.positions_m, with_scale=with_scale)
+    turned = se3.apply(T_turned, estimate.positions_m) - truth.positions_m
+    assert np.sqrt(np.mean(turned**2)) < 0.1  # in space the mirror image can be had
+    error = ate(estimate, truth, with_scale=with_scale)
+    assert error.translation.rmse > 0.8
+    up = error.aligned.T_world_body[:, :3, :3] @ mount[:3, :3].T
+    assert (up[:, 2, 2] > 0.95).all()
+
+
+def test_a_path_in_space_is_laid_as_it_fits_whatever_orientations_say() -> None:
+    truth = winding_path()
+    T = truth.T_world_body @ se3.from_parts(so3.exp([np.pi, 0, 0]), np.zeros(3))  # a body named by other axes
+    assert ate(Trajectory(truth.stamps_s, T), truth).translation.max < 1e-9
+
+
+def test_an_estimate_of_another_size_is_said_to_be_one() -> None:
+    truth = bent_path(0.05)
+    stood = Trajectory(truth.stamps_s, np.tile(np.eye(4), (len(truth), 1, 1)), body="base")
+    wild = truth.T_world_body.copy()
+    wild[:, :3, 3] *= 1e38
+    with pytest.raises(EvaluationError, match=r"cannot be laid upon the truth: its 200 poses reach over .*e\+39 m"):
+        ate(Trajectory(truth.stamps_s, wild, body="base"), stood)
+
+
+@pytest.mark.parametrize("with_scale", [False, True])
 def test_a_path_in_the_plane_is_never_turned_over(with_scale: bool) -> None:
     truth, estimate = bent_path(0.05), bent_path(-0.05)
     mirrored, _ = align_points_with_scale(truth.positions_m, estimate.positions_m, with_scale=with_scale)

@@ -11,13 +11,14 @@ import pytest
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.evaluation import ate
 from wheelsight.events import RgbdFrame, WheelSpeeds, WheelTicks
 from wheelsight.localizer import Localizer
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.recordings import Recording, open_recording
+from wheelsight.recordings.repeats import Repeats
 from wheelsight.trajectory import Trajectory
 
 pytestmark = pytest.mark.data
@@ -81,3 +82,29 @@ def test_a_camera_through_a_localizer_is_dense_odometry(data_folder: Path, name:
         assert ours is not None
         np.testing.assert_array_equal(ours.T_world_body, theirs.T_world_body)
         np.testing.assert_array_equal(ours.covariance, theirs.covariance)
+
+
+@pytest.mark.parametrize("odometry", ["features", "dense"])
+def test_real_images_listed_twice_are_tracked_as_if_listed_once(data_folder: Path, odometry: str) -> None:
+    recording = open_recording(data_folder / "rgbd" / "freiburg1_rpy_part")
+    frames = [event for event in islice(recording.events(), 30) if isinstance(event, RgbdFrame)]
+    settings = load_config(overrides={"odometry": odometry, "dense.threads": 1})
+    once, twice = (Localizer(recording.calibration, settings) for _ in range(2))
+    for frame in frames:
+        expected, answer = once.process(frame), twice.process(frame)
+        again = twice.process(replace(frame, stamp_s=frame.stamp_s + 0.01))
+        assert expected is not None
+        assert answer is not None
+        assert again is not None
+        assert (expected.reason, again.reason, again.T_world_body) == (None, Reason.REPEATED, None)
+        np.testing.assert_array_equal(answer.T_world_body, expected.T_world_body)
+
+
+@pytest.mark.parametrize(("name", "repeated"), [("freiburg1_rpy_part", 0), ("red_kitchen", 31)])
+def test_real_images_repeat_where_files_do_and_nowhere_else(data_folder: Path, name: str, repeated: int) -> None:
+    """Those of the red kitchen were recorded with 31 of 500 frames twice, bit for bit."""
+    repeats, events = Repeats(), open_recording(data_folder / "rgbd" / name).events()
+    lasting_s = [repeats.lasting_s(event) for event in events if isinstance(event, RgbdFrame)]
+    assert len(lasting_s) > 200
+    assert np.count_nonzero(lasting_s) == repeated
+    assert max(lasting_s) < 0.04

@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +21,10 @@ from synthetic import make_tum_recording
 from wheelsight.config import Config, load_config
 from wheelsight.errors import OutputError, RecordingError
 from wheelsight.estimates import Status
-from wheelsight.events import SkippedFrame, WheelTicks
+from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.pipeline import run
 from wheelsight.recordings import open_recording
+from wheelsight.report import summarise
 from wheelsight.trajectory import Trajectory, read_tum
 
 
@@ -62,6 +64,28 @@ def test_frames_are_counted_by_what_became_of_them(tmp_path: Path, truth: Trajec
     assert rows[7]["status"] == "failing"
     assert rows[9]["inliers"] == "2"
     assert len(read_tum(tmp_path / "trajectory.txt")) == 17
+
+
+def test_images_that_came_before_are_no_frames_but_counted_and_told(
+    tmp_path: Path, truth: Trajectory, rng: np.random.Generator
+) -> None:
+    noisy = [
+        replace(event, color=rng.integers(1, 256, event.color.shape, np.uint8), index=2 * event.index)
+        for event in frames_at(truth)
+        if isinstance(event, RgbdFrame)
+    ]
+    again = [replace(event, stamp_s=event.stamp_s + 0.001, index=event.index + 1) for event in noisy]
+    record = run(
+        MemoryRecording([e for pair in zip(noisy, again, strict=True) for e in pair], truth), Config(), tmp_path
+    )
+    frames = metrics_in(tmp_path)["frames"]
+    assert (frames["listed"], frames["processed"], frames["with_pose"]) == (40, 20, 20)
+    assert (frames["with_pose_share"], frames["repeated_images"], frames["status"]) == (1.0, 20, {"tracking": 20})
+    assert metrics_in(tmp_path)["evaluation"]["frames_with_pose"] == 1
+    assert [row["reason"] for row in status_in(tmp_path)] == ["", "the same image as before"] * 20
+    assert "20 of 40 listed frames show the same image as the frame before and were skipped" in record.warnings[-1]
+    summary = summarise(record)
+    assert (summary.frames, summary.posed, summary.skips) == (20, 20, (("the same image as before", 20),))
 
 
 def test_without_ground_truth_the_rest_is_written(tmp_path: Path, truth: Trajectory) -> None:

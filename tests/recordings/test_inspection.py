@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,9 @@ from wheelsight.calibration import Calibration, DepthNoise
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import ByteArray
 from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.recordings.inspection import Inspection, RegistrationOffset, inspect_recording
+from wheelsight.recordings._images import DepthEncoding, read_depth
+from wheelsight.recordings._registration import RegistrationOffset
+from wheelsight.recordings.inspection import Inspection, inspect_recording
 
 REGISTERED = Calibration.registered_camera(CAMERA)
 
@@ -112,11 +115,56 @@ def test_an_offset_is_told_in_words() -> None:
 
 
 def test_a_calibration_that_knows_of_it_is_not_warned_of() -> None:
-    calibration = Calibration(CAMERA, CAMERA, T_color_depth=np.eye(4))
+    calibration = Calibration(replace(CAMERA, cx=CAMERA.cx + 9), CAMERA, T_color_depth=np.eye(4))
     inspection = inspect(room_frames(9), calibration)
     assert inspection.offset is not None
     assert inspection.offset.is_clear
     assert inspection.warnings == ()
+
+
+@pytest.mark.parametrize(("right", "told"), [(0, "colour and depth share pixels"), (-9, "colour lies 9 px left")])
+def test_a_calibration_that_images_contradict_is_probably_another_cameras(right: int, told: str) -> None:
+    calibration = Calibration(replace(CAMERA, cx=CAMERA.cx + 9), CAMERA, T_color_depth=np.eye(4), source="nominal")
+    (warning,) = inspect(room_frames(right), calibration).warnings
+    assert warning.startswith("The calibration (nominal) says that colour and depth are not registered, but by the")
+    assert told in warning
+    assert "--camera" in warning
+    near = Calibration(replace(CAMERA, cx=CAMERA.cx + 2), CAMERA, T_color_depth=np.eye(4))
+    assert inspect(room_frames(), near).warnings == ()
+
+
+@pytest.mark.parametrize("scale", [0.55, 0.71, 0.8, 1.25, 1.4, 1.8])
+def test_depth_of_another_lens_is_told_with_how_much_it_shows(scale: float) -> None:
+    inspection = inspect(room_frames(4, -3, scale))
+    assert inspection.offset is not None
+    assert inspection.offset.scale == pytest.approx(scale, rel=0.04)
+    assert inspection.offset.shift_px == pytest.approx((4, -3), abs=4)
+    (warning,) = inspection.warnings
+    assert "Colour and depth are not registered, though the calibration says so" in warning
+
+
+@pytest.mark.parametrize(
+    ("across", "along", "told"),
+    [(-1, 1, "mirrored left to right"), (1, -1, "upside down"), (-1, -1, "turned by 180°")],
+)
+@pytest.mark.parametrize("registered", [True, False])
+def test_images_that_are_mirrored_against_each_other_are_told(
+    across: int, along: int, told: str, registered: bool
+) -> None:
+    frames = [replace(f, color=f.color[::along, ::across].copy()) for f in room_frames() if isinstance(f, RgbdFrame)]
+    calibration = REGISTERED if registered else Calibration(CAMERA, CAMERA, T_color_depth=np.eye(4))
+    (warning,) = inspect([*frames], calibration).warnings
+    assert warning.startswith("Colour and depth are mirrored against each other")
+    assert told in warning
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.1, False), (0.3, True)])
+def test_much_depth_nearer_than_the_sensor_measures_is_a_wrong_scale(share: float, told: bool) -> None:
+    depth_m = np.full((240, 320), 0.6, np.float32)
+    depth_m[: int(240 * share)] = 0.2
+    (frame,) = [replace(flat(0, 0.0), depth_m=depth_m)]
+    warnings = inspect([frame], Calibration.registered_camera(CAMERA, depth_noise=DepthNoise(near_m=0.45))).warnings
+    assert any("--depth-factor 1000" in warning for warning in warnings) is told
 
 
 def test_truth_is_told_in_zhangs_figures(tmp_path: Path) -> None:
@@ -142,3 +190,48 @@ def test_real_recordings(data_folder: Path, name: str, is_clear: bool) -> None:
     else:
         assert np.abs(offset.shift_px).max() <= 4
         assert offset.scale == 1
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("turned", "told"),
+    [((1, 1), None), ((1, -1), "mirrored left to right"), ((-1, 1), "upside down"), ((-1, -1), "turned by 180°")],
+)
+def test_real_images_mirrored_against_each_other(data_folder: Path, turned: tuple[int, int], told: str | None) -> None:
+    recording = open_recording(data_folder / "rgbd" / "freiburg1_rpy_part")
+    along, across = turned
+    frames = [
+        replace(event, color=event.color[::along, ::across].copy(), index=number)
+        for number, event in enumerate(event for event in recording.events() if isinstance(event, RgbdFrame))
+        if number % 16 == 0
+    ]
+    events: list[Event] = [replace(frame, index=number) for number, frame in enumerate(frames)]
+    warnings = inspect(events, recording.calibration).warnings
+    assert not warnings if told is None else told in warnings[0]
+
+
+@pytest.mark.data
+def test_a_real_cameras_own_depth_is_not_its_depth_laid_on_colour(data_folder: Path) -> None:
+    """A D435i: 611 px of focal length for colour, about 425 px for depth."""
+    folder = data_folder / "rgbd" / "openloris_sample"
+    if not folder.is_dir():
+        pytest.skip("the recording is not there")
+    aligned = open_recording(folder)
+    assert inspect_recording(aligned).offset is not None
+    assert not inspect_recording(aligned).offset.is_clear  # type: ignore[union-attr]
+    raw = [
+        replace(event, depth_m=read_depth(path, DepthEncoding(1000.0)))
+        for event, path in zip(aligned.events(), sorted((folder / "depth").glob("*.png")), strict=False)
+        if isinstance(event, RgbdFrame)
+    ]
+    offset = inspect([*raw], aligned.calibration).offset
+    assert offset is not None
+    assert offset.is_clear
+    assert offset.scale == pytest.approx(611 / 425, abs=0.07)
+
+
+def test_images_that_came_before_are_counted() -> None:
+    frames = [frame for frame in room_frames() if isinstance(frame, RgbdFrame)]
+    twice = [frame for f in frames for frame in (f, replace(f, stamp_s=f.stamp_s + 0.5))]
+    (warning,) = inspect([replace(frame, index=number) for number, frame in enumerate(twice)]).warnings
+    assert warning.startswith("8 of 16 frames show the same image as the frame before")

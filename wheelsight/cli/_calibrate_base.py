@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from wheelsight.cli._calibration_files import Force, Out, open_for, page_beside
-from wheelsight.cli._options import CalibrationFile, RecordingPath
+from wheelsight.cli._options import CalibrationFile, RateHz, RecordingPath
 
 
-def base(recording: RecordingPath, out: Out, calibration: CalibrationFile = None, force: Force = False) -> None:
+def base(
+    recording: RecordingPath,
+    out: Out,
+    calibration: CalibrationFile = None,
+    rate_hz: RateHz = None,
+    force: Force = False,
+) -> None:
     """Find where the camera sits on the robot and how late the wheels' stamps are, from an ordinary drive.
 
     Roll, pitch and height come from the floor seen in depth.
@@ -28,7 +34,7 @@ def base(recording: RecordingPath, out: Out, calibration: CalibrationFile = None
     from wheelsight.report.base_page import write_base_page
 
     page = page_beside(out, force)
-    source = open_for(recording, calibration)
+    source = open_for(recording, calibration, rate_hz)
     with FrameProgress("watching", source.frame_count) as progress:
         found = calibrate_base(source, progress.advance)
     save_calibration(found.calibration, out)

@@ -19,11 +19,13 @@ Out = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Overwrite FILE and its page.")]
 
 
-def open_for(folder: Path, calibration: str | None) -> Recording:
-    """The recording, with what `--calibration` says in place of its own."""
+def open_for(folder: Path, calibration: str | None, rate_hz: float | None = None) -> Recording:
+    """The recording, with what `--calibration` says in place of its own, and stamps as `--rate-hz` says."""
     from wheelsight.recordings import open_recording
 
-    return open_recording(folder, settings_from({"--calibration": calibration}).recording.open_options())
+    return open_recording(
+        folder, settings_from({"--calibration": calibration, "--rate-hz": rate_hz}).recording.open_options()
+    )
 
 
 def page_beside(out: Path, force: bool) -> Path:

@@ -40,6 +40,15 @@ MaxGap = Annotated[
         metavar="SECONDS", help="Largest distance in time of a colour and a depth image.", show_default="0.02"
     ),
 ]
+RateHz = Annotated[
+    float | None,
+    typer.Option(
+        "--rate-hz",
+        metavar="HZ",
+        help="How many a second the images' stamps count: 30 for numbers of a 30 Hz camera, 1000 for milliseconds.",
+        show_default="stamps are seconds",
+    ),
+]
 
 
 _SETTINGS = {
@@ -60,6 +69,7 @@ _SETTINGS = {
     "--calibration": "recording.calibration",
     "--depth-factor": "recording.depth_factor",
     "--max-gap": "recording.max_gap_s",
+    "--rate-hz": "recording.rate_hz",
 }
 
 

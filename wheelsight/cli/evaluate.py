@@ -12,6 +12,11 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from wheelsight.evaluation import Evaluation, Statistics
+    from wheelsight.trajectory import Trajectory
+
+# What a folder holds that was given in place of a file.
+_OF_RESULTS = ("trajectory.txt", "joined/trajectory.txt")
+_OF_RECORDINGS = ("groundtruth.txt", "groundtruth_base.txt")
 
 
 def evaluate(
@@ -42,17 +47,48 @@ def evaluate(
 
     wheelsight evaluate monocular.txt truth.txt --scale --json
     """
-    from wheelsight.cli._console import console, print_json
+    from wheelsight.cli._console import console, print_json, print_warning
     from wheelsight.evaluation import evaluate as compare
     from wheelsight.trajectory import read_tum
 
-    estimated, truth = read_tum(estimate, body), read_tum(ground_truth, body)
+    for given, names in ((estimate, _OF_RESULTS), (ground_truth, _OF_RECORDINGS)):
+        _refuse_folder(given, names)
+    estimated = read_tum(estimate, body)
+    truth = _truth_beside(ground_truth, read_tum(ground_truth, body), estimated.body)
     evaluation = compare(estimated, truth, max_gap_s=max_gap, with_scale=scale)
     if as_json:
         aligned = evaluation.ate.aligned
-        print_json({"frame": f"T_{aligned.world}_{aligned.body}", **evaluation.to_dict()})
+        warnings = list(evaluation.warnings)
+        print_json({"frame": f"T_{aligned.world}_{aligned.body}", **evaluation.to_dict(), "warnings": warnings})
         return
     console().print(evaluation_table(evaluation))
+    for warning in evaluation.warnings:
+        print_warning(warning)
+
+
+def _truth_beside(path: Path, truth: Trajectory, body: str) -> Trajectory:
+    """The truth in a file; that of the estimate's body where a recording has it in the file beside."""
+    from wheelsight.cli._console import print_note
+    from wheelsight.trajectory import read_tum
+
+    beside = path.with_name(next((name for name in _OF_RECORDINGS if name != path.name), path.name))
+    if truth.body == body or path.name not in _OF_RECORDINGS or not beside.is_file():
+        return truth
+    other = read_tum(beside, "base" if beside.stem.endswith("_base") else "camera")
+    if other.body != body:
+        return truth
+    print_note(f"the estimate is of the {body}: compared with {beside}")
+    return other
+
+
+def _refuse_folder(given: Path, names: tuple[str, ...]) -> None:
+    """Raise TrajectoryError for a folder, with the trajectory in it that was probably meant."""
+    from wheelsight.errors import TrajectoryError
+
+    if given.is_dir():
+        meant = next((given / name for name in names if (given / name).is_file()), None)
+        fix = "give the file" if meant is None else f"did you mean {meant}?"
+        raise TrajectoryError("is a folder, but a trajectory is a file", path=given, fix=fix)
 
 
 def evaluation_table(evaluation: Evaluation) -> Table:

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RecordingPath, settings_from
+from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RateHz, RecordingPath, settings_from
 
 if TYPE_CHECKING:
     from wheelsight.evaluation import SequenceStatistics
     from wheelsight.recordings import AssociationReport
-    from wheelsight.recordings.inspection import Inspection, RegistrationOffset
+    from wheelsight.recordings._registration import RegistrationOffset
+    from wheelsight.recordings.inspection import Inspection
 
 _GAPS_SHOWN = 5
 
@@ -24,6 +25,7 @@ def info(
     calibration: CalibrationFile = None,
     depth_factor: DepthFactor = None,
     max_gap: MaxGap = None,
+    rate_hz: RateHz = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Tell what is in a recording, and what to know before trusting results made from it.
@@ -42,8 +44,8 @@ def info(
     from wheelsight.recordings import open_recording
     from wheelsight.recordings.inspection import inspect_recording
 
-    options = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor, "--max-gap": max_gap}
-    config = settings_from(options)
+    of_cameras = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
+    config = settings_from({**of_cameras, "--max-gap": max_gap, "--rate-hz": rate_hz})
     source = open_recording(recording, config.recording.open_options())
     with FrameProgress("reading", source.frame_count or source.wheel_count) as progress:
         inspection = inspect_recording(source, progress.advance)

@@ -10,7 +10,7 @@ import typer
 
 from wheelsight.cli import _run_options as options
 from wheelsight.cli._console import INTERRUPTED
-from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RecordingPath, settings_from
+from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RateHz, RecordingPath, settings_from
 from wheelsight.cli._real_time import counts_frames, played, show_progress
 from wheelsight.cli._summary import print_summary
 
@@ -31,6 +31,7 @@ def run(
     config: options.SettingsFile = None,
     depth_factor: DepthFactor = None,
     max_gap: MaxGap = None,
+    rate_hz: RateHz = None,
     reference: options.Reference = None,
     integration: options.Integration = None,
     gyro: options.Gyro = None,
@@ -72,7 +73,7 @@ def run(
     wheelsight run my_recording --odometry wheels,dense --realtime --out results
     """
     of_recording = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
-    of_features = {"--max-gap": max_gap, "--reference": reference, "--seed": seed}
+    of_features = {"--max-gap": max_gap, "--rate-hz": rate_hz, "--reference": reference, "--seed": seed}
     of_wheels = {"--integration": integration, "--gyro": gyro}
     of_places = {"--places": places, "--areas": areas, "--rectify": rectify, "--start": start}
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}

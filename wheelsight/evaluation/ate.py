@@ -15,7 +15,6 @@ from wheelsight.trajectory import Trajectory
 # How far the points stand from a pose that settle the roll about a straight path, as a share of its extent:
 # long enough to be seen by the alignment, too short to pull positions off (their share of the cost is its square).
 _ARM_SHARE = 1e-3
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +53,12 @@ def ate(estimate: Trajectory, truth: Trajectory, *, max_gap_s: float = 0.02, wit
 
     Poses are paired one to one within `max_gap_s` seconds, the estimate's positions are laid on the true ones by a
     rigid motion (with `with_scale`, also a scale), and the distances left are the error. Where positions lie on one
-    line or in one place, orientations settle the rotation that positions leave free; an estimate in a plane is never
-    turned over to fit better as its mirror image.
+    line or in one place, orientations settle the rotation that positions leave free; a path near one plane is never
+    turned over to fit better as its mirror image: orientations tell which side is up.
 
     Raises:
-        EvaluationError: different bodies, fewer than three pairs, or positions that determine no scale when asked.
+        EvaluationError: different bodies, fewer than three pairs, positions that determine no scale when asked, or none
+            that compare with the truth's in size.
     """
     near, true = matched(estimate, truth, max_gap_s)
     T_truth_estimate, scale = _alignment(near, true, with_scale)
@@ -77,45 +77,25 @@ def ate(estimate: Trajectory, truth: Trajectory, *, max_gap_s: float = 0.02, wit
 
 def _alignment(estimate: Trajectory, truth: Trajectory, with_scale: bool) -> tuple[FloatArray, float]:
     """T_truth_estimate (4, 4) and scale that lay M estimated positions on M true ones."""
+    R_truth, R_estimate = (t.T_world_body[:, :3, :3] for t in (truth, estimate))
+    like = np.mean(R_truth @ np.swapaxes(R_estimate, 1, 2), axis=0)
     try:
-        T, scale = align_points_with_scale(truth.positions_m, estimate.positions_m, with_scale=with_scale)
-        is_mirrored = _keeps_to_a_plane(estimate) and (T[:3, :3] @ _up(estimate)) @ _up(truth) < 0
-        return _aligned_upright(estimate, truth, with_scale) if is_mirrored else (T, scale)
+        given = (truth.positions_m, estimate.positions_m)
+        return align_points_with_scale(*given, with_scale=with_scale, like=like)
     except DegenerateGeometryError as error:
         if with_scale:
             raise EvaluationError(f"no scale can be found: {error}") from error
     extent_m = np.linalg.norm(np.ptp(truth.positions_m, axis=0))
     arms = (_ARM_SHARE * extent_m if extent_m > 0 else 1.0) * np.vstack([np.eye(3), -np.eye(3)])
     p_truth, p_estimate = (se3.apply(t.T_world_body, arms).reshape(-1, 3) for t in (truth, estimate))
-    return align_points(p_truth, p_estimate), 1.0
-
-
-def _up(trajectory: Trajectory) -> FloatArray:
-    """The mean direction (3,) of the body's z axis."""
-    return np.asarray(trajectory.T_world_body[:, :3, 2].mean(axis=0))
-
-
-def _keeps_to_a_plane(trajectory: Trajectory) -> bool:
-    """Whether the body never leaves the plane that its z axis stands on, as dead reckoning of wheels does not."""
-    tilt = np.ptp(trajectory.T_world_body[:, :3, 2], axis=0).max()
-    heights_m = trajectory.positions_m @ _up(trajectory)
-    return bool(tilt < _ROUNDING and np.ptp(heights_m) <= _ROUNDING * np.abs(trajectory.positions_m).max())
-
-
-def _aligned_upright(estimate: Trajectory, truth: Trajectory, with_scale: bool) -> tuple[FloatArray, float]:
-    """As `_alignment`, for an estimate in a plane that would fit best turned over.
-
-    In space, a path in a plane can be laid on its mirror image, and a path that bends the wrong way fits better so.
-    What stands high above and deep below each pose keeps it upright.
-    """
-    extent_m = np.linalg.norm(np.ptp(truth.positions_m, axis=0)) + np.linalg.norm(np.ptp(estimate.positions_m, axis=0))
-    arms = np.array([[0, 0, extent_m], [0, 0, -extent_m]])
-    p_truth, p_estimate = (se3.apply(t.T_world_body, arms).reshape(-1, 3) for t in (truth, estimate))
-    R = align_points(p_truth, p_estimate)[:3, :3]
-    means_m = truth.positions_m.mean(axis=0), estimate.positions_m.mean(axis=0)
-    off_truth, off = truth.positions_m - means_m[0], (estimate.positions_m - means_m[1]) @ R.T
-    scale = float((off_truth * off).sum() / (off**2).sum()) if with_scale else 1.0
-    return se3.from_parts(R, means_m[0] - scale * R @ means_m[1]), scale
+    try:
+        return align_points(p_truth, p_estimate), 1.0
+    except DegenerateGeometryError as error:
+        reach_m = np.linalg.norm(np.ptp(estimate.positions_m, axis=0))
+        raise EvaluationError(
+            f"the estimate cannot be laid upon the truth: its {len(estimate)} poses reach over {reach_m:.3g} m, the "
+            f"true ones of the same time over {extent_m:.3g} m"
+        ) from error
 
 
 def _scaled(trajectory: Trajectory, scale: float) -> Trajectory:

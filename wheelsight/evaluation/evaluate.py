@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from wheelsight.errors import EvaluationError
 from wheelsight.evaluation.ate import AbsoluteError, ate
 from wheelsight.evaluation.coverage import frame_coverage, time_coverage
+from wheelsight.evaluation.doubts import doubts_of
 from wheelsight.evaluation.rpe import RelativeError, Unit, rpe
 from wheelsight.trajectory import Trajectory
 
@@ -28,6 +29,7 @@ class Evaluation:
         frames_with_pose: share of the listed frames, 0 to 1, or None where none were listed.
         truth_time_covered: share of the truth's time, 0 to 1.
         scale: by which the estimate was multiplied, or None unless asked for.
+        warnings: one sentence each, of what one of the two files seems to hold wrongly.
     """
 
     ate: AbsoluteError
@@ -39,6 +41,7 @@ class Evaluation:
     frames_with_pose: float | None
     truth_time_covered: float
     scale: float | None = None
+    warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Nested plain values with units in their names, for metrics.json."""
@@ -78,7 +81,11 @@ def evaluate(
     Raises:
         EvaluationError: different bodies, or too little in common: the message says what each spans.
     """
-    absolute = ate(estimate, truth, max_gap_s=max_gap_s, with_scale=with_scale)
+    doubts = doubts_of(estimate, truth, max_gap_s)
+    try:
+        absolute = ate(estimate, truth, max_gap_s=max_gap_s, with_scale=with_scale)
+    except EvaluationError as error:
+        raise EvaluationError(" ".join((f"{error}.", *doubts)) if doubts else str(error)) from error
     relative = {name: _rpe_or_none(absolute.aligned, truth, unit, max_gap_s) for name, unit in _STEPS.items()}
     return Evaluation(
         ate=absolute,
@@ -88,6 +95,7 @@ def evaluate(
         frames_with_pose=None if frame_stamps_s is None else frame_coverage(estimate, frame_stamps_s),
         truth_time_covered=time_coverage(estimate, truth),
         scale=absolute.scale if with_scale else None,
+        warnings=doubts,
     )
 
 

@@ -15,6 +15,10 @@ from wheelsight.geometry.se3 import from_parts
 
 # A singular value of the covariance below this share of the largest is as good as zero: the points lie on a line.
 _SINGULAR_SHARE = 1e-9
+# Below this share of the next one, the plane's normal: off it points stand a fifth as far as they reach across in it.
+_FLAT_SHARE = 0.05
+# A cosine, or a correlation, from which orientations, or what lies off the plane, say clearly which side of it is up.
+_CLEARLY = 0.5
 # Points nearer together than this share of their distance from the origin differ by rounding only.
 _ROUNDING_SHARE = 1e-12
 
@@ -35,11 +39,21 @@ def align_points(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = Non
 
 
 def align_points_with_scale(
-    p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = None, with_scale: bool = True
+    p_a: ArrayLike,
+    p_b: ArrayLike,
+    weights: ArrayLike | None = None,
+    with_scale: bool = True,
+    like: ArrayLike | None = None,
 ) -> tuple[FloatArray, float]:
     """`T_a_b` (4, 4) and scale s that minimise Σ wᵢ ‖p_aᵢ − (s R p_bᵢ + t)‖² (Umeyama, eqs. 40–42).
 
-    With `with_scale` off, s is 1. Arguments and errors as for `align_points`.
+    Points near one plane fit well by either of two rotations, one of which turns the plane over to lay it on its mirror
+    image, where what lies off the plane does not tell which.
+
+    Args:
+        p_a, p_b, weights: as for `align_points`, and so are the errors.
+        with_scale: off, s is 1.
+        like: (3, 3) about R, such as a mean of R_a R_bᵀ over poses: decides which side of a plane is up, where it does.
     """
     p_a, p_b, w = _checked(p_a, p_b, weights)
     mean_a, mean_b = w @ p_a, w @ p_b
@@ -50,6 +64,11 @@ def align_points_with_scale(
     if _in_one_place(p_a, q_a, w) or _in_one_place(p_b, q_b, w):
         raise DegenerateGeometryError("matched points lie in one place, so the rotation is free")
     _refuse_free_rotation(singular, is_mirrored=signs[2] < 0)
+    if like is not None and _is_flat(singular):
+        up_a, up_b = U[:, 2] * signs[2], Vt[2]
+        heights_agree = _correlation(q_a @ up_a, q_b @ up_b, w) > _CLEARLY
+        if not heights_agree and up_a @ np.asarray(like, float) @ up_b < -_CLEARLY:
+            signs[1:] *= -1
     R_a_b = (U * signs) @ Vt
     scale = float(singular @ signs / (w @ (q_b**2).sum(axis=1))) if with_scale else 1.0
     return from_parts(R_a_b, mean_a - scale * R_a_b @ mean_b), scale
@@ -72,6 +91,17 @@ def _checked(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None) -> tuple
 def _in_one_place(p: FloatArray, q: FloatArray, w: FloatArray) -> bool:
     """Whether points p (N, 3), q once centred, do not differ by more than rounding."""
     return bool(np.sqrt(w @ (q**2).sum(axis=1)) <= _ROUNDING_SHARE * np.abs(p[w > 0]).max())
+
+
+def _is_flat(singular: FloatArray) -> bool:
+    """Whether points lie near one plane, or near one line."""
+    return bool(singular[2] <= _FLAT_SHARE * singular[1] or singular[1] <= _FLAT_SHARE**2 * singular[0])
+
+
+def _correlation(a: FloatArray, b: FloatArray, w: FloatArray) -> float:
+    """Of (N,) numbers whose means are 0, with weights (N,); 0 where one of them does not vary."""
+    spread = float(np.sqrt((w @ a**2) * (w @ b**2)))
+    return float(w @ (a * b)) / spread if spread > 0 else 0.0
 
 
 def _refuse_free_rotation(singular: FloatArray, is_mirrored: bool) -> None:

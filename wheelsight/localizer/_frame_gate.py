@@ -1,61 +1,88 @@
-"""FrameGate: which frames are worth a look beside wheels."""
+"""FrameGate: which frames are worth a look."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, so3
+from wheelsight.recordings.repeats import Repeats
 
 # Wheels are waited for so long at the start: they begin the clock.
 _WAIT_S = 1.0
 # A stamp so far ahead is believed only when others follow it.
 _AHEAD_S, _FOLLOWERS = 10.0, 5
-# Noise never repeats: a camera that gives the same images while the wheels have gone so far hangs.
-_MOVED_M, _MOVED_RAD = 0.005, 0.005
-_SAMPLE = slice(None, None, 8)
-_FIRST_ROW = (0, _SAMPLE)
+# Cameras are logged at up to some times their rate; what repeats for longer than this hangs.
+_HANGS_S = 1.0
+# Less than a robot that creeps at 2 cm/s goes from frame to frame; one that stands turns no wheel at all.
+_MOVED_M, _MOVED_RAD = 0.0005, 0.0005
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why nobody need look at a frame.
+
+    Attributes:
+        note: for a user.
+        is_repeat: whether all that is wrong is that its image has come before: no measurement, but no failure either.
+    """
+
+    note: str
+    is_repeat: bool = False
 
 
 class FrameGate:
-    """Refuses frames that are old, from another clock, or the one before once more.
+    """Refuses frames that are old, from another clock, or whose image came before.
+
+    Args:
+        has_wheels: whether readings of wheels come beside the frames.
 
     Attributes:
         wheels_are_heard: whether any reading has come.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, has_wheels: bool) -> None:
         self.wheels_are_heard = False
+        self._has_wheels = has_wheels
         self._newest_s, self._first_s = -math.inf, math.inf
         self._ahead = 0
-        self._last: RgbdFrame | None = None
+        self._repeats = Repeats()
 
-    def why_not(self, frame: RgbdFrame, T_last_frame: FloatArray | None) -> str:
-        """What is wrong with a frame, or nothing; `T_last_frame` (4, 4) is how the camera is expected to have moved."""
-        if not self._newest_s < frame.stamp_s < math.inf:
-            return f"its stamp does not come after {self._newest_s:.6f} s"
-        if self._newest_s + _AHEAD_S < frame.stamp_s and self._newest_s > -math.inf:
-            self._ahead += 1
-            if self._ahead < _FOLLOWERS:
-                return f"its stamp is {frame.stamp_s - self._newest_s:.1f} s ahead"
-        self._ahead = 0
-        before, self._last, self._newest_s = self._last, frame, frame.stamp_s
-        if before is None or T_last_frame is None or not _repeats(before, frame):
-            return ""
-        moved = np.linalg.norm(T_last_frame[:3, 3]) > _MOVED_M or so3.angle(T_last_frame[:3, :3]) > _MOVED_RAD
-        return "its images are those of the frame before, though the wheels have moved" if moved else ""
+    def why_not(self, frame: RgbdFrame, T_last_frame: FloatArray | None = None) -> Refusal | None:
+        """What is wrong with a frame, if anything.
+
+        Args:
+            T_last_frame: (4, 4) how wheels say that the camera has moved since the last frame that was tracked.
+        """
+        why = self._why_not_now(frame.stamp_s)
+        if why is not None:
+            return why
+        self._newest_s = frame.stamp_s
+        lasting_s = self._repeats.lasting_s(frame)
+        if lasting_s == 0 or (T_last_frame is not None and not _has_moved(T_last_frame)):
+            return None  # of a robot that stands, by its wheels, a camera without noise gives the same for as long
+        if lasting_s <= _HANGS_S:
+            return Refusal("the same image as before", is_repeat=True)
+        return Refusal(f"the camera hangs: the same image for over {_HANGS_S:g} s")
 
     def waits_for_wheels(self, frame: RgbdFrame) -> bool:
         """Whether it is too soon to go without them."""
         self._first_s = min(self._first_s, frame.stamp_s)
         return not self.wheels_are_heard and frame.stamp_s - self._first_s < _WAIT_S
 
+    def _why_not_now(self, stamp_s: float) -> Refusal | None:
+        if not self._newest_s < stamp_s < math.inf:
+            return Refusal(f"its stamp does not come after {self._newest_s:.6f} s")
+        if self._has_wheels and self._newest_s + _AHEAD_S < stamp_s and self._newest_s > -math.inf:
+            self._ahead += 1
+            if self._ahead < _FOLLOWERS:
+                return Refusal(f"its stamp is {stamp_s - self._newest_s:.1f} s ahead")
+        self._ahead = 0
+        return None
 
-def _repeats(before: RgbdFrame, frame: RgbdFrame) -> bool:
-    """Whether the images are the same, by every eighth pixel of every eighth row."""
-    pairs = ((before.color, frame.color), (before.depth_m, frame.depth_m))
-    if any(a.shape == b.shape and (a[_FIRST_ROW] != b[_FIRST_ROW]).any() for a, b in pairs):
-        return False  # as nearly always
-    return all(np.array_equal(a[_SAMPLE, _SAMPLE], b[_SAMPLE, _SAMPLE]) for a, b in pairs)
+
+def _has_moved(T_last_frame: FloatArray) -> bool:
+    return bool(np.linalg.norm(T_last_frame[:3, 3]) > _MOVED_M or so3.angle(T_last_frame[:3, :3]) > _MOVED_RAD)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.estimates import Estimate
+from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.geometry import se3
 from wheelsight.localizer._camera import camera_odometry
+from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import MatchedPixels
 
@@ -25,7 +25,8 @@ class ByFrames:
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         T_base_camera = calibration.T_base_camera
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
-        self._newest_s = -math.inf
+        self._gate = FrameGate(has_wheels=False)
+        self._status = Status.INITIALIZING
 
     @property
     def last_matches(self) -> MatchedPixels | None:
@@ -43,16 +44,26 @@ class ByFrames:
             return self._refuse(event.stamp_s, event.reason)
         if not isinstance(event, RgbdFrame):
             return None, ""
-        if not self._newest_s < event.stamp_s < math.inf:
-            return self._refuse(event.stamp_s, f"its stamp does not come after {self._newest_s:.6f} s")
-        self._newest_s = event.stamp_s
-        return self._of_body((self.mapper or self.odometry).process(event)), ""
+        why_not = self._gate.why_not(event)
+        if why_not is None:
+            return self._of_body((self.mapper or self.odometry).process(event)), ""
+        if why_not.is_repeat:
+            return self._repeated(event.stamp_s), why_not.note
+        return self._refuse(event.stamp_s, why_not.note)
 
     def _refuse(self, stamp_s: float, why: str) -> tuple[Estimate, str]:
         return self._of_body((self.mapper or self.odometry).miss(stamp_s)), why
 
+    def _repeated(self, stamp_s: float) -> Estimate:
+        """The answer to an image that has come before: no pose, and odometry goes on as if it had not come."""
+        if self.mapper is not None:
+            self.mapper.last_fused = None
+        status = Status.FAILING if self._status is Status.TRACKING else self._status
+        return Estimate(stamp_s, status, reason=Reason.REPEATED, body=self.body)
+
     def _of_body(self, estimate: Estimate) -> Estimate:
         """The camera's estimate as the base's; the covariance, of a perturbation in the world, is that of both."""
+        self._status = estimate.status
         if self._T_camera_base is None:
             return estimate
         if estimate.T_world_body is None:

@@ -67,7 +67,7 @@ class ByFusion:
         self.T_world_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
-        self._gate = FrameGate()
+        self._gate = FrameGate(has_wheels=True)
         self._pace = Pace()
         self._unknown, self._deaf, self._slips = 0, "", False
         self._seen_s = self._unbelieved_s = -np.inf
@@ -111,8 +111,8 @@ class ByFusion:
             return self._miss(event.stamp_s), event.reason
         expected = self.filter.expect(event.stamp_s, _FRAME)
         why_not = self._gate.why_not(event, None if expected is None else expected[0])
-        if why_not:
-            return self._miss(event.stamp_s), why_not
+        if why_not is not None:
+            return self._repeated() if why_not.is_repeat else self._miss(event.stamp_s), why_not.note
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
         answer = self._frame(event, self._expected(event.stamp_s, expected and expected[0]))
@@ -251,6 +251,10 @@ class ByFusion:
             if again.T_world_body is not None:
                 return self._begun(frame, again, seen.reason)
         return answer
+
+    def _repeated(self) -> Estimate:
+        """What is known, at an image that has come before: neither a look nor a failure of the camera."""
+        return replace(self.filter.estimate, reason=Reason.REPEATED)
 
     def _miss(self, stamp_s: float) -> Estimate:
         """The answer at a frame that came to nothing before anyone could look at it."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.fusion import LigockiFilter
 from wheelsight.geometry import FloatArray, se3
@@ -36,6 +36,7 @@ class ByLigocki:
         self._max_gap_s = calibration.wheels.max_gap_s
         self._filter = LigockiFilter()
         self._rolled: Estimate | None = None
+        self._answer: Estimate | None = None
         self._T_begin_odom: FloatArray | None = None
 
     @property
@@ -64,6 +65,8 @@ class ByLigocki:
     def _joined(self, seen: Estimate) -> Estimate:
         if not math.isfinite(seen.stamp_s):
             return seen
+        if seen.reason is Reason.REPEATED and self._answer is not None:
+            return replace(self._answer, reason=Reason.REPEATED)
         T_odom_base = self._rolled_to(seen.stamp_s)
         if T_odom_base is None:
             return replace(seen, T_world_body=None, covariance=None, status=Status.INITIALIZING)
@@ -73,7 +76,9 @@ class ByLigocki:
             self._T_begin_odom = seen.T_world_body @ se3.invert(T_odom_base)
         T_visual = None if seen.T_world_body is None else se3.nearest(seen.T_world_body)
         joined = self._filter.update(seen.stamp_s, se3.nearest(self._T_begin_odom @ T_odom_base), T_visual)
-        return replace(joined, reason=joined.reason or seen.reason, matches=seen.matches, inliers=seen.inliers)
+        reason = joined.reason or seen.reason
+        self._answer = replace(joined, reason=reason, matches=seen.matches, inliers=seen.inliers)
+        return self._answer
 
     def _rolled_to(self, stamp_s: float) -> FloatArray | None:
         """T_odom_base by the wheels, moved on from the last reading by their speed, as far as a gap may be bridged."""

@@ -20,6 +20,7 @@ from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.places import PlaceMatch, PlaceModel, Unknown
+from wheelsight.recordings.repeats import Repeats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +85,7 @@ class ByPlaces:
         assert calibration.wheels is not None  # ByWheels has refused it
         self._max_gap_s = calibration.wheels.max_gap_s
         self._reading_s = self._frame_s = -np.inf
+        self._repeats = Repeats()
         self._stopwatch = Stopwatch()
 
     @property
@@ -138,6 +140,9 @@ class ByPlaces:
         self._frame_s = frame.stamp_s
         if isinstance(frame, SkippedFrame):
             return self._moved_on(self._rectifier.estimate(frame.stamp_s)), f"no measurement: {frame.reason}"
+        if self._repeats.lasting_s(frame) > 0:  # would count as evidence once more
+            again = replace(self._rectifier.estimate(frame.stamp_s), reason=Reason.REPEATED)
+            return self._moved_on(again), "no measurement: the same image as before"
         with self._stopwatch.stage("name the area"):
             self.last_place = match = self._model.predict(frame)
         with self._stopwatch.stage("rectify"):

@@ -8,8 +8,9 @@ from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate
-from wheelsight.events import Event
+from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
+from wheelsight.localizer._event_check import check_event, check_images, check_sizes
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.localizer.by_ligocki import ByLigocki
@@ -71,6 +72,8 @@ class Localizer:
             self._way = ByFrames(calibration, settings)
         self.body, self.world, self.answers = self._way.body, self._way.world, self._way.answers
         self.note = ""
+        # A model of places judges the size by that of the frames that it was trained on.
+        self._cameras = calibration if settings.places.model is None else None
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry | WheelOdometry:
@@ -127,9 +130,19 @@ class Localizer:
         it gives no pose, its reason is `FRAME_UNUSABLE`, and `note` says what was wrong with it. Beside wheels, which
         know the pose all the same, an unreadable frame or one without depth is no measurement: `note` says so.
 
+        An image that came before under another stamp, as of a camera that is logged at twice its rate, is no
+        measurement either; its reason is `REPEATED`, and all goes on as if it had not come. A camera alone that gives
+        one image for over a second hangs: then frames count as failed, for the robot may be moving.
+
         Raises:
+            InputError: what is no event, or a frame whose arrays are no images of the calibration's size.
             PlaceError: a frame of another size than the model of places was trained on.
         """
+        check_event(event)
+        if isinstance(event, RgbdFrame) and RgbdFrame in self.answers:
+            check_images(event)
+            if self._cameras is not None:
+                check_sizes(event, self._cameras)
         estimate, self.note = self._way.process(event)
         return estimate
 

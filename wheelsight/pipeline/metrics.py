@@ -143,7 +143,7 @@ def _finite(value: float) -> float | None:
 
 
 def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
-    frames = record.frames
+    frames = [frame for frame in record.frames if not frame.is_repeat]
     statuses = [str(frame.status) for frame in frames]
     posed = statuses.count(Status.TRACKING) + statuses.count(Status.COASTING)
     reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
@@ -153,6 +153,7 @@ def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
         "with_pose": posed,
         "with_pose_share": posed / len(frames) if frames else 0.0,
         "skipped": sum(frame.is_skipped for frame in frames),
+        "repeated_images": len(record.frames) - len(frames),
         "dropped_color_images": record.association.dropped_color,
         "dropped_depth_images": record.association.dropped_depth,
         "status": {status: statuses.count(status) for status in sorted(set(statuses))},

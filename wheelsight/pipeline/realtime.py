@@ -60,6 +60,11 @@ class RealTimeRecording:
         self._lately: deque[tuple[float, float]] = deque(maxlen=_LATELY)
 
     @property
+    def played(self) -> Recording:
+        """What is played."""
+        return self._recording
+
+    @property
     def name(self) -> str:
         """The recording's, as with most that follows."""
         return self._recording.name
@@ -85,7 +90,7 @@ class RealTimeRecording:
         calibration = self._recording.calibration
         if not isinstance(self.wheels, LiveWheels) or calibration.wheels is None:
             return calibration
-        return replace(calibration, wheels=replace(calibration.wheels, counter_bits=0))
+        return replace(calibration, wheels=calibration.wheels.never_rolling_over)
 
     @property
     def frame_count(self) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
-from wheelsight.evaluation import Evaluation, evaluate, pairing_warning
+from wheelsight.evaluation import Evaluation, evaluate
 from wheelsight.pipeline.maps import map_record_of
 from wheelsight.pipeline.places import PlacesOfRun, rectification_of
 from wheelsight.pipeline.realtime import RealTimeRecording
@@ -46,9 +46,6 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
     evaluation = None
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
-    few = None
-    if truth is not None and evaluation is not None:
-        few = pairing_warning(estimate, truth, evaluation.pairs, evaluation.max_gap_s)
     surfels = _map(track, passage, recording)
     return RunRecord(
         recording=recording.name,
@@ -62,7 +59,8 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
             *recording.warnings,
             *track.localizer.warnings,
             *_interruption(track, passage),
-            *filter(None, [few]),
+            *_repeats(track),
+            *(() if evaluation is None else evaluation.warnings),
             *_map_warnings(track, passage, config),
         ),
         evaluation_problem=problem,
@@ -108,6 +106,15 @@ def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
     return (f"Interrupted {why} after {len(track.frames)}{of_all} {UNITS[track.odometry]}s.",)
 
 
+def _repeats(track: Track) -> tuple[str, ...]:
+    """A warning where images came more than once."""
+    count = sum(frame.is_repeat for frame in track.frames)
+    if not count:
+        return ()
+    told = f"{count} of {len(track.frames)} listed frames show the same image as the frame before and were skipped"
+    return (f"{told}: fewer images a second were taken than were recorded.",)
+
+
 def _trajectory(track: Track) -> Trajectory:
     at = {
         estimate.stamp_s: estimate for estimate in track.poses
@@ -137,7 +144,7 @@ def _compare(
     estimate: Trajectory, truth: Trajectory, config: Config, track: Track
 ) -> tuple[Evaluation | None, str | None]:
     """The evaluation, or why there is none."""
-    stamps_s = [frame.pose_s for frame in track.frames]
+    stamps_s = [frame.pose_s for frame in track.frames if not frame.is_repeat]
     try:
         return evaluate(estimate, truth, frame_stamps_s=stamps_s, **config.evaluation.model_dump()), None
     except EvaluationError as error:

@@ -15,6 +15,7 @@ from wheelsight.pipeline.realtime import RealTimeRecording
 from wheelsight.pipeline.records import records_of
 from wheelsight.pipeline.track import UNITS, follow
 from wheelsight.recordings import Recording
+from wheelsight.recordings.clocks import refuse_if_apart
 from wheelsight.report import FrameRecord, RunRecord
 
 
@@ -43,7 +44,7 @@ def run(
             readings, that the odometry asked for needs.
         CalibrationError: the calibration lacks its cameras, or its wheels.
         OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
-        RecordingError: the recording cannot be read on.
+        RecordingError: the recording cannot be read on; or wheels and camera, which are to be joined, share no time.
     """
     if len(config.tracks) > 1:
         raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")
@@ -99,6 +100,8 @@ def _check(recording: Recording, config: Config) -> PlacesOfRun | None:
         if UNITS[odometry] == "frame" and recording.wheel_count and not recording.frame_count:
             raise ConfigError(f"{recording.path}: the recording has no images", fix="--odometry wheels")
         Localizer(recording.calibration, config.alone(odometry))
+    if wheels is None and {"joined", "rectified"} & set(config.tracks):
+        refuse_if_apart(recording.played if isinstance(recording, RealTimeRecording) else recording)
     places = places_of(recording, config)
     if config.fusion != "none":
         Localizer(recording.calibration, config, None if places is None else places.places)

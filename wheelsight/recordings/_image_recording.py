@@ -22,6 +22,7 @@ from wheelsight.recordings._read_ahead import read_ahead
 from wheelsight.recordings._text import ListedFile
 from wheelsight.recordings.bodies import express_for
 from wheelsight.recordings.protocol import AssociationReport, ListedFrame
+from wheelsight.stamps import unit_of
 from wheelsight.trajectory import Trajectory
 
 _FRAMES_READ_AHEAD = 4
@@ -146,7 +147,10 @@ def pair_images(
         beside = (depth_s[(after - 1).clip(0)], depth_s[after.clip(max=len(depth_s) - 1)])
         nearest_s = min(float(np.abs(color_s - other).min()) for other in beside)
         problem = f"no depth image lies within {max_gap_s:g} s of a colour image; the nearest pair is {nearest_s:.6g} s"
+        unit = unit_of(color_s)
         fix = "check that both lists use one clock, or raise --max-gap"
+        if unit is not None and unit.per_second is not None:
+            fix = f"stamps look like {unit.name}: --rate-hz {unit.per_second:.0f}"
         raise RecordingError(f"{problem} apart", path=color_list, fix=fix)
     frames = tuple(FramePaths(color[i].stamp_s, color[i].path, depth[j].path) for i, j in pairs.tolist())
     largest_s = float(np.abs(color_s[pairs[:, 0]] - depth_s[pairs[:, 1]]).max())

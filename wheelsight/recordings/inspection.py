@@ -7,18 +7,20 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-import cv2
 import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.evaluation import SequenceStatistics, sequence_statistics
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray
+from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.recordings._registration import FAR_FROM_CALIBRATED, OffsetMeter, RegistrationOffset, off_calibrated
 from wheelsight.recordings.protocol import AssociationReport, Recording
+from wheelsight.recordings.repeats import Repeats
 
 _GAP_PERIODS = 3.0
 _DEPTH_STRIDE = 4
 _PLAUSIBLE_SHARE = 0.5
+_NEAR_SHARE = 0.2  # nearer than a sensor measures, some depth is wrong always; so much of it is a wrong scale
 _OFFSET_FRAMES = 16
 _DEPTH_EDGES_M = np.geomspace(1e-3, 1e3, 6001)
 
@@ -116,8 +118,14 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         offset=offset,
         association=recording.association,
         ground_truth=sequence_statistics(truth) if truth is not None and len(truth) > 1 else None,
-        warnings=(*recording.warnings, *_depth_warnings(tally, recording), *_offset_warnings(offset, recording)),
+        warnings=(*recording.warnings, *_warnings(tally, offset, recording)),
     )
+
+
+def _warnings(tally: _Tally, offset: RegistrationOffset | None, recording: Recording) -> list[str]:
+    """What images tell."""
+    of_depth = [*_depth_warnings(tally, recording), *_offset_warnings(offset, tally, recording)]
+    return [*_repeat_warnings(tally), *of_depth]
 
 
 def _camera(calibration: Calibration) -> str | None:
@@ -144,9 +152,11 @@ class _Tally:
     skipped: Counter[str] = field(default_factory=Counter)
     wheel_readings: int = 0
     yaw_readings: int = 0
+    repeated: int = 0
+    repeats: Repeats = field(default_factory=Repeats)
     pixels: int = 0
     histogram: FloatArray = field(default_factory=lambda: np.zeros(len(_DEPTH_EDGES_M) - 1))
-    offset_meter: _OffsetMeter = field(default_factory=lambda: _OffsetMeter())
+    offset_meter: OffsetMeter = field(default_factory=lambda: OffsetMeter())
 
     @property
     def counted(self) -> tuple[type, ...]:
@@ -164,6 +174,7 @@ class _Tally:
             self._add_frame(event)
 
     def _add_frame(self, event: RgbdFrame) -> None:
+        self.repeated += self.repeats.lasting_s(event) > 0
         self._add_depth(event.depth_m[::_DEPTH_STRIDE, ::_DEPTH_STRIDE])
         every = max(1, self.recording.frame_count // _OFFSET_FRAMES)
         if event.index % every == every // 2 and event.color.shape[:2] == event.depth_m.shape:
@@ -197,10 +208,23 @@ def _gaps(stamps_s: FloatArray, period_s: float) -> tuple[Gap, ...]:
     return tuple(Gap(float(stamps_s[i]), float(steps_s[i])) for i in long)
 
 
+def _repeat_warnings(tally: _Tally) -> list[str]:
+    if not tally.repeated:
+        return []
+    told = f"{tally.repeated} of {tally.recording.frame_count} frames show the same image as the frame before"
+    return [f"{told}: fewer images a second were taken than recorded, or the camera hung. They are skipped."]
+
+
 def _depth_warnings(tally: _Tally, recording: Recording) -> list[str]:
     noise = recording.calibration.depth_noise
     if not tally.histogram.any():
         return ["No depth pixel measured anything."] if tally.pixels else []
+    near_share = tally.share_between(0.0, noise.near_m)
+    if near_share > _NEAR_SHARE and near_share < _PLAUSIBLE_SHARE:
+        return [
+            f"{100 * near_share:.0f} % of depth lies nearer than the {noise.near_m:g} m from which the sensor is "
+            "trusted: is the depth scale right? Depth in millimetres is read by --depth-factor 1000."
+        ]
     if tally.share_between(noise.near_m, noise.far_m) >= _PLAUSIBLE_SHARE:
         return []
     median_m = tally.depth_percentiles_m()["median"]
@@ -210,112 +234,23 @@ def _depth_warnings(tally: _Tally, recording: Recording) -> list[str]:
     ]
 
 
-def _offset_warnings(offset: RegistrationOffset | None, recording: Recording) -> list[str]:
-    if offset is None or not offset.is_clear or not recording.calibration.is_registered:
+def _offset_warnings(offset: RegistrationOffset | None, tally: _Tally, recording: Recording) -> list[str]:
+    calibration = recording.calibration
+    if offset is None:
         return []
+    if offset.is_clear and any(offset.flips):
+        return [f"Colour and depth are mirrored against each other: {offset}. Mirror the images of one as the other's."]
+    if calibration.is_registered:
+        if not offset.is_clear:
+            return []
+        return [
+            f"Colour and depth are not registered, though the calibration says so: {offset}. "
+            f"Give a calibration with T_color_depth."
+        ]
+    if not off_calibrated(offset, calibration, tally.depth_percentiles_m()["median"]) > FAR_FROM_CALIBRATED:
+        return []
+    seen = f"{offset}" if offset.is_clear else "colour and depth share pixels"
     return [
-        f"Colour and depth are not registered, though the calibration says so: {offset}. "
-        f"Give a calibration with T_color_depth."
+        f"The calibration ({calibration.source}) says that colour and depth are not registered, but by the images "
+        f"{seen}: is it of another camera? Give this one's by --camera."
     ]
-
-
-# How far colour and depth are searched for each other, in pixels of images of about this width.
-_SEARCH_WIDTH = 320
-_SEARCH_PX = (20, 8)
-_SEARCH_SCALES = np.round(np.arange(0.84, 1.161, 0.02), 2)
-_WIDEST_SHADOW_PX = 30
-_DEPTH_STEP = 0.08
-
-
-@dataclass(frozen=True, slots=True)
-class RegistrationOffset:
-    """Where the colour image shows what the depth image shows, as their edges tell.
-
-    Attributes:
-        shift_px: (right, down) that the colour image's things lie from the depth image's in the image's middle.
-        scale: how many times as large they are.
-        strength: mean contrast of colour edges at depth edges moved by shift and scale (all contrast: 1, by chance: 0).
-        strength_as_is: the same where depth edges lie.
-    """
-
-    shift_px: tuple[float, float]
-    scale: float
-    strength: float
-    strength_as_is: float
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether the images fit clearly better when moved."""
-        return self.strength > 1.5 * max(self.strength_as_is, 0.0)
-
-    def __str__(self) -> str:
-        """In words, for a user."""
-        right, down = self.shift_px
-        across = f"{abs(right):.0f} px {'left' if right < 0 else 'right'}"
-        along = f"{abs(down):.0f} px {'up' if down < 0 else 'down'}"
-        size = f"shows things {self.scale:.2f} times as large"
-        return f"in the middle of the image colour lies {across} and {along} of depth, and {size}"
-
-
-class _OffsetMeter:
-    """Sums, over frames, how well depth edges fall on colour edges for each scale and shift (cross-correlation)."""
-
-    def __init__(self) -> None:
-        self._fit: FloatArray = np.zeros((len(_SEARCH_SCALES), 2 * _SEARCH_PX[1] + 1, 2 * _SEARCH_PX[0] + 1))
-        self._edges = 0.0
-        self._reduction = 1
-
-    def add(self, color: ByteArray, depth_m: Float32Array) -> None:
-        """Count in one frame; both images (H, W)."""
-        height, width = depth_m.shape
-        self._reduction = max(1, round(width / _SEARCH_WIDTH))
-        size = (width // self._reduction, height // self._reduction)
-        right, down = _SEARCH_PX
-        for contrast, border in zip(_color_contrast(color), _depth_borders(depth_m), strict=True):
-            spectrum = np.fft.rfft2(cv2.resize(contrast, size, interpolation=cv2.INTER_AREA))
-            for index, scale in enumerate(_SEARCH_SCALES):
-                about = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 0.0, float(scale))
-                moved = cv2.resize(cv2.warpAffine(border, about, (width, height)), size, interpolation=cv2.INTER_AREA)
-                fit = np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(moved)), s=size[::-1])
-                self._fit[index] += np.roll(fit, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
-            self._edges += float(border.sum()) / self._reduction**2
-
-    def offset(self) -> RegistrationOffset | None:
-        """The best fit, or None where none stands out."""
-        if not self._edges or self._fit.max() < 5 * self._fit.std():
-            return None
-        scale, down, right = np.unravel_index(self._fit.argmax(), self._fit.shape)
-        as_is = self._fit[len(_SEARCH_SCALES) // 2, _SEARCH_PX[1], _SEARCH_PX[0]]
-        shift = self._reduction * (np.array([right, down]) - _SEARCH_PX)
-        strengths = (float(fit) / self._edges for fit in (self._fit.max(), as_is))
-        return RegistrationOffset((float(shift[0]), float(shift[1])), float(_SEARCH_SCALES[scale]), *strengths)
-
-
-def _color_contrast(color: ByteArray) -> list[Float32Array]:
-    """Brightness steps along x and along y (H, W): 1 on average, then less their neighbourhood's mean."""
-    grey = cv2.GaussianBlur(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.5)
-    images = []
-    for along_x in (1, 0):
-        step = np.abs(cv2.Sobel(grey, cv2.CV_32F, along_x, 1 - along_x))
-        step = np.minimum(step, np.percentile(step, 95))
-        step /= max(float(step.mean()), 1e-6)
-        images.append(step - cv2.blur(step, (81, 81)))
-    return images
-
-
-def _depth_borders(depth_m: Float32Array) -> list[Float32Array]:
-    """1 at the near side of depth steps along x and along y (H, W), else 0; the shadow beside it is crossed."""
-    return [_borders_along_rows(depth_m), np.ascontiguousarray(_borders_along_rows(depth_m.T).T)]
-
-
-def _borders_along_rows(depth_m: Float32Array) -> Float32Array:
-    columns = np.arange(depth_m.shape[1])
-    newest = np.maximum.accumulate(np.where(depth_m > 0, columns, -1), axis=1)
-    before = np.pad(newest, ((0, 0), (1, 0)), constant_values=-1)[:, :-1]
-    rows, here = np.nonzero((depth_m > 0) & (before >= 0) & (columns - before <= _WIDEST_SHADOW_PX))
-    there = before[rows, here]
-    step = np.log(depth_m[rows, here] / depth_m[rows, there])
-    borders = np.zeros(depth_m.shape, np.float32)
-    for is_step, column in ((step > _DEPTH_STEP, there), (step < -_DEPTH_STEP, here)):
-        borders[rows[is_step], column[is_step]] = 1
-    return borders

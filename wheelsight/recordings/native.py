@@ -16,7 +16,7 @@ from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._text import keep_growing, read_table
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.protocol import OpenOptions
-from wheelsight.recordings.tum import DEPTH_FACTOR, read_frames, read_truth
+from wheelsight.recordings.tum import DEPTH_FACTOR, beside, read_frames, read_truth
 
 WHEELS_HEADER = "stamp_s,left,right"
 GYRO_HEADER = "stamp_s,yaw_rate_rad_s"
@@ -56,7 +56,7 @@ class NativeReader:
                 association=association,
                 frames=frames,
                 encoding=DepthEncoding(options.depth_factor or DEPTH_FACTOR),
-                ground_truth=truth or read_truth(folder / "groundtruth.txt", warnings),
+                ground_truth=truth or beside(read_truth(folder / "groundtruth.txt", warnings), frames, options),
                 warnings=tuple(warnings),
                 wheels=tuple(wheels),
                 yaw_rates=tuple(yaw_rates),

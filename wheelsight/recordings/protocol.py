@@ -118,21 +118,28 @@ class OpenOptions:
         max_gap_s: largest distance in time between a colour and a depth image of one frame.
         depth_factor: depth units a metre, where it differs from the format's own.
         calibration: a calibration.yaml; what it tells of wheels or cameras stands in place of what the recording says.
+        rate_hz: how many a second the stamps of images count: the camera's rate, where they are numbers of frames;
+            1000, where they are milliseconds. None where they are seconds.
 
     Raises:
-        ConfigError: a gap that is not finite and from 0 up, or a factor that is not positive.
+        ConfigError: a gap that is not finite and from 0 up, or a factor or rate that is not positive.
     """
 
     camera: str | None = None
     max_gap_s: float = 0.02
     depth_factor: float | None = None
     calibration: str | None = None
+    rate_hz: float | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.max_gap_s) and self.max_gap_s >= 0):
             raise ConfigError(f"--max-gap is {self.max_gap_s}, not a number of seconds from 0 up")
         if self.depth_factor is not None and not (math.isfinite(self.depth_factor) and self.depth_factor > 0):
             raise ConfigError(f"--depth-factor is {self.depth_factor}, not a positive number", fix="1000: millimetres")
+        if self.rate_hz is not None and not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise ConfigError(
+                f"--rate-hz is {self.rate_hz}, not a positive number", fix="30: numbers of a 30 Hz camera"
+            )
 
 
 class Reader(Protocol):

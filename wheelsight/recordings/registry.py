@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from wheelsight.errors import RecordingError
+from wheelsight.recordings._image_recording import ImageRecording
+from wheelsight.recordings._wheel_recording import WheelRecording
+from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
+from wheelsight.recordings.counters import counter_warnings
 from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader
@@ -49,7 +54,7 @@ def open_recording(path: Path | str, options: OpenOptions | None = None) -> Reco
     reader = _reader_of(folder)
     if reader is None:
         raise _unknown(folder)
-    return reader.open(folder, options or OpenOptions())
+    return _with_doubts(reader.open(folder, options or OpenOptions()))
 
 
 def find_recordings(folder: Path | str) -> list[Path]:
@@ -66,6 +71,15 @@ def _find(folder: Path, levels: int) -> list[Path]:
         return []
     below = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
     return [found for path in below for found in _find(path, levels - 1)]
+
+
+def _with_doubts(recording: Recording) -> Recording:
+    """The recording, its warnings with what its stamps and counters are unlikely to be."""
+    if not isinstance(recording, ImageRecording | WheelRecording):
+        return recording
+    of_stamps = stamp_warnings(listed_stamps(recording))
+    of_counters = counter_warnings(recording.calibration.wheels, recording.wheels)
+    return replace(recording, warnings=(*recording.warnings, *of_stamps, *of_counters))
 
 
 def _reader_of(folder: Path) -> Reader | None:

@@ -39,14 +39,16 @@ class SevenScenesReader:
         return any(_FILE.fullmatch(path.name) for path in folder.glob("frame-*"))
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
-        """The recording in `folder`. Stamps are the frames' numbers at 30 Hz. Raises InputError."""
-        files = _list_files(folder)
+        """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
+        rate_hz = options.rate_hz or _RATE_HZ
+        files = _list_files(folder, rate_hz)
         for kind in ("color", "depth"):
             if not files[kind]:
                 raise RecordingError(f"holds no frame-NNNNNN.{kind} image", path=folder, fix=f"it needs {self.needs}")
         calibration = choose_calibration(folder, options, lambda: _calibration(folder))
         frames, association = pair_images(files["color"], files["depth"], 0.0, folder)
-        warnings = [f"The format has no time stamps; {_RATE_HZ:g} frames a second are assumed."]
+        assumed = "" if options.rate_hz else "; others by --rate-hz"
+        warnings = [f"The format has no time stamps; {rate_hz:g} frames a second are assumed{assumed}."]
         if not calibration.is_registered:
             warnings.append(
                 "Colour and depth images are not registered: things lie up to about 40 px apart in them. "
@@ -67,15 +69,14 @@ class SevenScenesReader:
         )
 
 
-def _list_files(folder: Path) -> dict[str, list[ListedFile]]:
+def _list_files(folder: Path, rate_hz: float) -> dict[str, list[ListedFile]]:
     """Colour, depth and pose files in order of their numbers."""
     found: dict[str, dict[int, Path]] = {"color": {}, "depth": {}, "pose": {}}
     for path in sorted(folder.glob("frame-*")):
         if match := _FILE.fullmatch(path.name):
             found[match[2] or match[3] or match[4]][int(match[1])] = path
     return {
-        kind: [ListedFile(number / _RATE_HZ, paths[number]) for number in sorted(paths)]
-        for kind, paths in found.items()
+        kind: [ListedFile(number / rate_hz, paths[number]) for number in sorted(paths)] for kind, paths in found.items()
     }
 
 

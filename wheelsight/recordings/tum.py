@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError
+from wheelsight.geometry import FloatArray
 from wheelsight.recordings._cameras import camera_choices, choose_calibration, load_camera
 from wheelsight.recordings._image_recording import FramePaths, ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import keep_growing, parse_stamp, read_file_list, read_lines
+from wheelsight.recordings._text import ListedFile, keep_growing, parse_stamp, read_file_list, read_lines
 from wheelsight.recordings.protocol import AssociationReport, OpenOptions
 from wheelsight.trajectory import Trajectory, read_tum
 
@@ -46,7 +48,7 @@ class TumReader:
                 association=association,
                 frames=frames,
                 encoding=DepthEncoding(options.depth_factor or DEPTH_FACTOR),
-                ground_truth=read_truth(folder / "groundtruth.txt", warnings),
+                ground_truth=beside(read_truth(folder / "groundtruth.txt", warnings), frames, options),
                 warnings=tuple(warnings),
             )
         )
@@ -54,14 +56,14 @@ class TumReader:
 
 def read_frames(folder: Path, options: OpenOptions) -> tuple[tuple[FramePaths, ...], AssociationReport, list[str]]:
     """The frames of rgb.txt and depth.txt, how they were paired, and warnings. Raises RecordingError."""
-    color, color_warnings = read_file_list(folder / "rgb.txt")
-    depth, depth_warnings = read_file_list(folder / "depth.txt")
+    color, color_warnings = _listed(folder / "rgb.txt", options)
+    depth, depth_warnings = _listed(folder / "depth.txt", options)
     warnings = color_warnings + depth_warnings
     ready = next((folder / name for name in _ASSOCIATIONS if (folder / name).is_file()), None)
     if ready is None:
         frames, association = pair_images(color, depth, options.max_gap_s, folder / "rgb.txt")
         return frames, association, warnings
-    pairs, pair_warnings = _read_associations(ready)
+    pairs, pair_warnings = _read_associations(ready, options.rate_hz or 1.0)
     frames = tuple(pair.frame for pair in pairs)
     gap_s = max(pair.gap_s for pair in pairs)
     association = AssociationReport(
@@ -69,6 +71,30 @@ def read_frames(folder: Path, options: OpenOptions) -> tuple[tuple[FramePaths, .
     )
     note = f"Colour and depth are paired as {ready.name} says, with gaps up to {gap_s:.3f} s."
     return frames, association, [*warnings, *pair_warnings, note]
+
+
+def beside(truth: Trajectory | None, frames: tuple[FramePaths, ...], options: OpenOptions) -> Trajectory | None:
+    """The true poses by the frames' clock: where that counts `rate_hz` a second, theirs may, or be in seconds already.
+
+    They are taken as what shares more time with the frames.
+    """
+    if truth is None or options.rate_hz is None or not len(truth) or not frames:
+        return truth
+    there_s = frames[0].stamp_s, frames[-1].stamp_s
+    divided = replace(truth, stamps_s=truth.stamps_s / options.rate_hz)
+    return max(divided, truth, key=lambda found: _common_share(found.stamps_s, there_s))
+
+
+def _common_share(stamps_s: FloatArray, span_s: tuple[float, float]) -> float:
+    """The time that stamps (N,) share with a span, as a share of both together."""
+    common_s = min(stamps_s[-1], span_s[1]) - max(stamps_s[0], span_s[0])
+    both_s = max(stamps_s[-1], span_s[1]) - min(stamps_s[0], span_s[0])
+    return float(common_s / both_s) if both_s > 0 else 0.0
+
+
+def _listed(path: Path, options: OpenOptions) -> tuple[list[ListedFile], list[str]]:
+    files, warnings = read_file_list(path)
+    return [replace(file, stamp_s=file.stamp_s / (options.rate_hz or 1.0)) for file in files], warnings
 
 
 def read_truth(path: Path, warnings: list[str], body: str = "camera") -> Trajectory | None:
@@ -89,12 +115,12 @@ def _camera_by_name(folder: Path) -> Calibration:
 
 
 class _Pair:
-    """One line of an associations file: `stamp color stamp depth`, or depth first."""
+    """One line of an associations file: `stamp color stamp depth`, or depth first; stamps count `rate_hz` a second."""
 
-    def __init__(self, words: list[str], path: Path, line: int) -> None:
+    def __init__(self, words: list[str], path: Path, line: int, rate_hz: float) -> None:
         if len(words) != 4:
             raise RecordingError("`stamp color-file stamp depth-file` is expected", path=path, line=line)
-        first, second = ((parse_stamp(words[i], path, line), path.parent / words[i + 1]) for i in (0, 2))
+        first, second = ((parse_stamp(words[i], path, line) / rate_hz, path.parent / words[i + 1]) for i in (0, 2))
         if words[1].startswith("depth"):
             first, second = second, first
         self.frame = FramePaths(first[0], first[1], second[1])
@@ -102,9 +128,9 @@ class _Pair:
         self.gap_s = abs(first[0] - second[0])
 
 
-def _read_associations(path: Path) -> tuple[list[_Pair], list[str]]:
+def _read_associations(path: Path, rate_hz: float) -> tuple[list[_Pair], list[str]]:
     lines = read_lines(path)
     if not lines:
         raise RecordingError("pairs no images", path=path, fix="remove the file to have them paired by stamp")
-    pairs = [_Pair(re.split(r"[\s,]+", line.text), path, line.number) for line in lines]
+    pairs = [_Pair(re.split(r"[\s,]+", line.text), path, line.number, rate_hz) for line in lines]
     return keep_growing(pairs, [line.number for line in lines], path)

@@ -12,8 +12,8 @@ _SAME_STAMP_S = 1e-3  # stamps of one frame in two files differ by no more than 
 
 
 def poseless_stamps_s(record: RunRecord) -> FloatArray:
-    """Stamps (K,) of the frames at which the trajectory has no pose, growing."""
-    stamps_s = np.sort(np.array([frame.stamp_s for frame in record.frames], float))
+    """Stamps (K,) of the frames, repeated images aside, at which the trajectory has no pose, growing."""
+    stamps_s = np.sort(np.array([frame.stamp_s for frame in record.frames if not frame.is_repeat], float))
     known_s = record.estimate.stamps_s
     if len(known_s) == 0:
         return stamps_s

@@ -46,7 +46,12 @@ class FrameRecord:
     @property
     def is_skipped(self) -> bool:
         """Whether the frame was listed but could not be used, so that odometry never judged it."""
-        return self.reason is Reason.FRAME_UNUSABLE
+        return self.reason is Reason.FRAME_UNUSABLE or self.is_repeat
+
+    @property
+    def is_repeat(self) -> bool:
+        """Whether its image had come before, so that it is no frame but one listed twice."""
+        return self.reason is Reason.REPEATED
 
 
 @dataclass(frozen=True, slots=True, eq=False)

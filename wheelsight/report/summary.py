@@ -19,7 +19,7 @@ class Summary:
     """The key figures of a run.
 
     Attributes:
-        frames: how many were listed.
+        frames: how many were listed; an image listed again under another stamp is none, but stands among the skips.
         skipped: how many of them could not be used.
         posed: how many have a pose in the trajectory.
         duration_s: from the first frame to the last.
@@ -63,16 +63,16 @@ class Summary:
 
 def summarise(record: RunRecord) -> Summary:
     """The key figures of `record`."""
-    frames = record.frames
+    frames = [frame for frame in record.frames if not frame.is_repeat]
     stamps_s = np.array([frame.stamp_s for frame in frames])
     seconds = np.array([frame.seconds for frame in frames if not frame.is_skipped and np.isfinite(frame.seconds)])
     lost = lost_spans_s(record)
     used = [frame for frame in frames if not frame.is_skipped]
-    skips = Counter(frame.note or str(frame.reason) for frame in frames if frame.is_skipped)
+    skips = Counter(frame.note or str(frame.reason) for frame in record.frames if frame.is_skipped)
     failures = Counter(str(frame.reason) for frame in used if frame.reason is not None)
     return Summary(
         frames=len(frames),
-        skipped=len(frames) - len(used),
+        skipped=len(record.frames) - len(used),
         posed=len(frames) - len(poseless_stamps_s(record)),
         duration_s=float(np.ptp(stamps_s)) if len(frames) else 0.0,
         frame_period_s=float(np.median(np.diff(stamps_s))) if len(frames) > 1 else float("nan"),

@@ -121,7 +121,7 @@ def test_where_a_counter_is_set_back_nothing_is_compared() -> None:
     assert result.wheels.track_width_m == pytest.approx(0.615, rel=1e-3)
 
 
-@pytest.mark.parametrize("bits", [8, 16, 32])
+@pytest.mark.parametrize("bits", [8, 12, 16, 32])
 def test_counters_roll_over(bits: int) -> None:
     simulated = simulate(TRUE)
     rolled = [(ticks + (1 << (bits - 1)) - 5) % (1 << bits) for ticks in (simulated.left, simulated.right)]

@@ -107,6 +107,70 @@ def test_a_stream_gives_what_the_whole_log_gives(integration: Integration, rng: 
     np.testing.assert_allclose(odometry.pose, track.poses[-1], atol=1e-9)
 
 
+@pytest.mark.parametrize("modulus", [250, 9000, 3600, 2**12])
+def test_counters_of_any_modulus_roll_over(modulus: int, rng: np.random.Generator) -> None:
+    wheels = replace(WHEELCHAIR, max_speed_m_s=2.0)
+    true = np.cumsum(rng.integers(-100, 101, (3000, 2)), axis=0) + (modulus - 20, 30)
+    stamps = 0.02 * np.arange(3000)
+    rolled = true % modulus
+    assert (np.abs(np.diff(rolled, axis=0)) > modulus / 2).any()
+    modular = replace(wheels, counter_modulus=modulus)
+    track = integrate_log(modular, stamps, *rolled.T)
+    assert not track.is_refused.any()
+    np.testing.assert_allclose(track.poses, integrate_log(wheels, stamps, *true.T).poses, atol=1e-9)
+    odometry = WheelOdometry(modular)
+    for stamp, (left, right) in zip(stamps.tolist(), rolled.tolist(), strict=True):
+        odometry.process(WheelTicks(stamp, left, right))
+    np.testing.assert_allclose(odometry.pose, track.poses[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("bits", "before", "after"), [(64, 3, 2**64 - 4), (64, 2**63 - 3, -(2**63) + 4), (60, 2**60 - 1, 6)]
+)
+def test_the_widest_counters_lose_no_count_where_they_roll_over(bits: int, before: int, after: int) -> None:
+    odometry = WheelOdometry(replace(WHEELCHAIR, counter_bits=bits))
+    odometry.process(WheelTicks(0.0, before, before))
+    odometry.process(WheelTicks(0.02, after, after))
+    ticks = -7 if after > before else 7
+    assert odometry.pose[0] == pytest.approx(ticks * WHEELCHAIR.left_m_per_tick)
+
+
+SMALL = Wheels(0.033, 0.033, 0.16, 4096.0)  # whose absolute encoders count 0 … 4095
+
+
+@pytest.mark.parametrize("period_s", [0.01, 0.02, 0.05, 0.1])
+def test_a_leap_of_a_whole_turn_is_no_motion(period_s: float) -> None:
+    stamps = period_s * np.arange(round(10 / period_s) + 1)
+    true = np.rint(0.2 * stamps / SMALL.left_m_per_tick).astype(int) + 1000
+    right = integrate_log(replace(SMALL, counter_bits=12, max_speed_m_s=1.0), stamps, true % 4096, true % 4096)
+    assert not right.is_refused.any()
+    assert right.poses[-1, 0] == pytest.approx(2.0, abs=1e-4)
+    unsaid = integrate_log(SMALL, stamps, true % 4096, true % 4096)
+    leaps = np.flatnonzero(np.diff(true % 4096) < 0) + 1
+    np.testing.assert_array_equal(np.flatnonzero(unsaid.is_refused), leaps)
+    assert {unsaid.reason(i) for i in leaps} == {Reason.IMPLAUSIBLE_MOTION}
+    assert unsaid.poses[-1, 0] == pytest.approx(2.0 - 0.2 * period_s * len(leaps), abs=1e-3)
+
+
+def test_a_robot_may_turn_back_at_once() -> None:
+    speeds_m_s = np.concatenate([np.full(50, 0.6), np.full(50, -0.6)])
+    counts = np.rint(np.cumsum(0.02 * speeds_m_s) / SMALL.left_m_per_tick)
+    assert not integrate_log(SMALL, 0.02 * np.arange(100), counts, counts).is_refused.any()
+
+
+@pytest.mark.parametrize("speed_m_s", [0.2, 1.0, 3.0])
+def test_readings_that_come_late_and_at_once_are_no_leaps(speed_m_s: float, rng: np.random.Generator) -> None:
+    """In pairs 0.1 ms apart, or one in twenty 60 ms late and the next ones at once: no count is lost."""
+    true_s = 0.02 * np.arange(500)
+    counts = np.rint(speed_m_s * true_s / SMALL.left_m_per_tick)
+    pairs = np.where(np.arange(500) % 2 == 0, true_s + 0.0199, true_s)
+    late = np.maximum.accumulate(true_s + 0.06 * (rng.random(500) < 0.05)) + 1e-6 * np.arange(500)
+    for stamps in (pairs, late):
+        track = integrate_log(SMALL, stamps, counts, counts)
+        assert not track.is_refused.any()
+        assert track.poses[-1, 0] == pytest.approx(counts[-1] * SMALL.left_m_per_tick)
+
+
 @pytest.mark.parametrize("bits", [8, 16, 32])
 def test_counters_that_roll_over(bits: int, rng: np.random.Generator) -> None:
     wheels = replace(WHEELCHAIR, max_speed_m_s=2.0)

@@ -14,12 +14,13 @@ from wheelsight.odometry.extrinsics.hand_eye import LARGEST_DELAY_S, MountFit
 from wheelsight.odometry.extrinsics.sightings import Sightings
 from wheelsight.odometry.extrinsics.turning import Turning
 from wheelsight.odometry.wheels import Drive, drive_path
+from wheelsight.recordings.clocks import apart
 
 WHAT_TO_DRIVE = "drive a minute or two as usual, straight and with turns both ways, some of them on the spot"
 
 _SAMPLE_S = 0.5
 _LEAST_WAY_M, _LEAST_TURN_RAD = 2.0, 1.0
-_LEAST_SHARED_S = 5.0
+LEAST_SHARED_S = 5.0
 _LEAST_TRACKED_SHARE, _FEWEST_TRACKED = 0.5, 50
 _LEAST_AGREEMENT = 0.6
 _FEWEST_SEGMENTS = 24
@@ -53,13 +54,9 @@ def refuse_if_hardly_moving(drive: Drive, wheels: Wheels) -> None:
 
 def refuse_if_apart(drive: Drive, first_s: float, last_s: float) -> None:
     """Raise CalibrationError where frames from `first_s` to `last_s` share hardly any time with the readings."""
-    shared_s = min(last_s, drive.stamps_s[-1]) - max(first_s, drive.stamps_s[0])
-    if shared_s < _LEAST_SHARED_S:
-        raise CalibrationError(
-            f"wheels ({drive.stamps_s[0]:.3f} to {drive.stamps_s[-1]:.3f} s) and camera ({first_s:.3f} to "
-            f"{last_s:.3f} s) share {max(shared_s, 0.0):.1f} s: their clocks count from different moments",
-            fix="stamp both by one clock, to within half a second",
-        )
+    told = apart((float(drive.stamps_s[0]), float(drive.stamps_s[-1])), (first_s, last_s), LEAST_SHARED_S)
+    if told is not None:
+        raise CalibrationError(told[0], fix=told[1])
 
 
 def refuse_if_lost(sightings: Sightings) -> None:

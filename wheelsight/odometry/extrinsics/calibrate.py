@@ -21,6 +21,7 @@ from wheelsight.odometry.extrinsics.sightings import Sightings, watch
 from wheelsight.odometry.extrinsics.turning import Turning, common_turning
 from wheelsight.odometry.wheels import drive_of
 from wheelsight.recordings import Recording
+from wheelsight.recordings.clocks import refuse_if_apart
 
 QUANTITIES = ("roll", "pitch", "yaw", "x", "y", "height", "delay")
 _FAR_OFF_RAD = np.radians(30.0)
@@ -76,6 +77,7 @@ def calibrate_base(recording: Recording, on_frame: Callable[[str], None] = lambd
         on_frame: told the camera's status after each frame.
 
     Raises:
+        RecordingError: wheels and camera share hardly any time.
         CalibrationError: no wheels or camera, or a drive that does not show what is sought; says what to drive.
     """
     nominal = recording.calibration
@@ -85,6 +87,7 @@ def calibrate_base(recording: Recording, on_frame: Callable[[str], None] = lambd
             fix="give nominal ones in a calibration.yaml by --calibration: radii, track width, ticks a turn",
         )
     nominal.cameras  # noqa: B018  refuses a recording without, before anything is read
+    refuse_if_apart(recording, observability.LEAST_SHARED_S)
     observability.refuse_if_hardly_moving(drive_of(recording, nominal.wheels), nominal.wheels)
     sightings = watch(recording, nominal.wheels, on_frame)
     found = base_from(sightings, nominal)

@@ -15,6 +15,7 @@ from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.extrinsics.floor import FloorViews
 from wheelsight.odometry.wheels import Drive, drive_of
 from wheelsight.recordings import Recording
+from wheelsight.recordings.repeats import Repeats
 from wheelsight.trajectory import Trajectory
 
 _ROWS = 30
@@ -58,11 +59,14 @@ def watch(recording: Recording, wheels: Wheels, on_frame: Callable[[str], None] 
     odometry = DenseOdometry(recording.calibration)
     gatherer = _ViewGatherer(depth_camera)
     poses: list[tuple[float, FloatArray]] = []
+    repeats = Repeats()
     frame_count, span_s = 0, (math.nan, math.nan)
     for event in recording.events():
         if isinstance(event, SkippedFrame):
             estimate = odometry.miss(event.stamp_s)
         elif isinstance(event, RgbdFrame):
+            if repeats.lasting_s(event) > 0:
+                continue
             estimate = odometry.process(event)
             gatherer.add(event)
         else:

@@ -47,6 +47,10 @@ OK, BACKWARDS, GAP, AMBIGUOUS, IMPLAUSIBLE = 0, 1, 2, 3, 4
 
 # Stamps given on arrival jitter: ticks of a long while may come stamped as those of a short one.
 STAMP_JITTER_S = 0.05
+# m/s², of wheels that spin up in the air.
+MOST_ACCELERATION = 20.0
+# m/s², of a wheel that turns back: its whole way since it stood still, where a counter that wraps leaps at full speed.
+MOST_REVERSAL = 7.0
 _SERIES_BELOW = 0.1
 
 
@@ -57,8 +61,12 @@ def unrolled(ticks: float, span: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def fault(parameters: FloatArray, left_m: float, right_m: float, dt_s: float) -> int:
-    """Why a step is refused, or OK."""
+def fault(state: FloatArray, parameters: FloatArray, left_m: float, right_m: float, dt_s: float) -> int:
+    """Why a step is refused, or OK.
+
+    More than the fastest wheel rolls in the time that stamps tell may still be the ticks of a longer while, if the
+    robot went about so fast before; else it is a counter that leaped.
+    """
     if not 0 < dt_s < math.inf:
         return BACKWARDS
     if dt_s > parameters[GAP_LIMIT]:
@@ -66,8 +74,24 @@ def fault(parameters: FloatArray, left_m: float, right_m: float, dt_s: float) ->
     half_m = 0.5 * parameters[SPAN] * min(parameters[LEFT_M], parameters[RIGHT_M])
     if half_m > 0 and parameters[SPEED_LIMIT] * dt_s >= half_m:
         return AMBIGUOUS
-    farthest_m = parameters[SPEED_LIMIT] * (dt_s + STAMP_JITTER_S)
-    return OK if max(abs(left_m), abs(right_m)) <= farthest_m else IMPLAUSIBLE
+    while_s, way_m = dt_s + STAMP_JITTER_S, max(abs(left_m), abs(right_m))
+    pace_m_s = abs(state[SPEED]) + 0.5 * parameters[TRACK] * abs(state[YAW_RATE])
+    by_pace_m = max(parameters[SPEED_LIMIT] * dt_s, (2 * pace_m_s + MOST_ACCELERATION * while_s) * while_s)
+    is_known = pace_m_s > 0 or state[IS_STILL] > 0
+    farthest_m = parameters[SPEED_LIMIT] * while_s
+    if way_m > (min(farthest_m, by_pace_m) if is_known else farthest_m):
+        return IMPLAUSIBLE
+    turn_m_s = 0.5 * parameters[TRACK] * state[YAW_RATE]
+    is_leap = _leaps_back(state[SPEED] - turn_m_s, left_m, while_s) or _leaps_back(
+        state[SPEED] + turn_m_s, right_m, while_s
+    )
+    return IMPLAUSIBLE if is_leap else OK
+
+
+@njit(cache=True, nogil=True)
+def _leaps_back(before_m_s: float, way_m: float, while_s: float) -> bool:
+    """Whether a wheel that went at some speed rolled back much faster than that, and than it could within the while."""
+    return before_m_s * way_m < 0 and abs(way_m) > max(MOST_REVERSAL * while_s, 3 * abs(before_m_s)) * while_s
 
 
 @njit(cache=True, nogil=True)
@@ -216,7 +240,8 @@ def update(
     """
     left_m = parameters[LEFT_M] * unrolled(left_ticks, parameters[SPAN])
     right_m = parameters[RIGHT_M] * unrolled(right_ticks, parameters[SPAN])
-    why = fault(parameters, left_m, right_m, dt_s)
+    state = states[likelier(states)]
+    why = fault(state, parameters, left_m, right_m, dt_s)
     if why == OK:
         _step_each(states, parameters, integration, left_m, right_m, dt_s, rate_rad_s)
     elif why != BACKWARDS:
@@ -254,7 +279,7 @@ def integrate(
             dt_s = stamps_s[i] - stamps_s[last]
             left_m = parameters[LEFT_M] * unrolled(left[i] - left[last], parameters[SPAN])
             right_m = parameters[RIGHT_M] * unrolled(right[i] - right[last], parameters[SPAN])
-            reasons[i] = fault(parameters, left_m, right_m, dt_s)
+            reasons[i] = fault(state, parameters, left_m, right_m, dt_s)
             if reasons[i] == OK:
                 rate = rates_rad_s[i] if len(rates_rad_s) else math.nan
                 _step_each(states, parameters, integration, left_m, right_m, dt_s, rate)

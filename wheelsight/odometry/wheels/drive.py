@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,7 +53,8 @@ def drive_of(recording: Recording, wheels: Wheels) -> Drive:
         raise CalibrationError(f"{recording.name} has {len(readings)} wheel readings", fix="give a recording of wheels")
     if all(isinstance(reading, WheelTicks) for reading in readings):
         counts = [(reading.left, reading.right) for reading in readings if isinstance(reading, WheelTicks)]
-        return drive_from_ticks(wheels, stamps_s, *np.array(counts).T)
+        sides = [_narrowed(side, wheels.counter_span) for side in zip(*counts, strict=True)]
+        return drive_from_ticks(wheels, stamps_s, *sides)
     speeds = [(reading.left_rad_s, reading.right_rad_s) for reading in readings if isinstance(reading, WheelSpeeds)]
     turned = np.array(speeds)[:-1] * np.diff(stamps_s)[:, None]
     left_rad, right_rad = np.concatenate([np.zeros((1, 2)), np.cumsum(turned, axis=0)]).T
@@ -70,7 +73,7 @@ def drive_from_ticks(wheels: Wheels, stamps_s: ArrayLike, left: ArrayLike, right
         raise CalibrationError(f"{stamps_s.size} stamps with {ticks[0].size} and {ticks[1].size} ticks are no drive")
     if not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
         raise CalibrationError("stamps of wheel readings must be finite and strictly growing")
-    angles = [2 * np.pi / wheels.ticks_per_turn * _unrolled(counts, wheels.counter_bits) for counts in ticks]
+    angles = [2 * np.pi / wheels.ticks_per_turn * _unrolled(counts, wheels.counter_span) for counts in ticks]
     return Drive(stamps_s, *angles)
 
 
@@ -108,10 +111,22 @@ def _chords(arc_m: FloatArray, turn_rad: FloatArray, yaw_rad: FloatArray) -> Flo
     return np.asarray(arc_m * np.sinc(turn_rad / (2 * np.pi)) * np.exp(1j * (yaw_rad + turn_rad / 2)))
 
 
-def _unrolled(ticks: FloatArray, bits: int) -> FloatArray:
-    """Ticks (N,) since the first reading, over roll-overs of a counter of so many bits; 0 for none."""
+def least_step(ticks: int, span: int) -> int:
+    """A difference of counters that roll over after `span` values (0: never) as the least step that explains it."""
+    return (ticks + span // 2) % span - span // 2 if span else ticks
+
+
+def _narrowed(counts: Sequence[int], span: int) -> Sequence[int]:
+    """Counts since the first, where counters are so wide that floats would not tell them apart."""
+    if max(span, *(abs(count) for count in counts)) <= 2**53:
+        return counts
+    steps = (least_step(int(now) - int(before), span) for before, now in pairwise(counts))
+    return list(accumulate(steps, initial=0))
+
+
+def _unrolled(ticks: FloatArray, span: int) -> FloatArray:
+    """Ticks (N,) since the first reading, over roll-overs of a counter of so many values; 0 for none."""
     steps = np.diff(ticks)
-    if bits:
-        half = 2.0 ** (bits - 1)
-        steps = (steps + half) % (2 * half) - half
+    if span:
+        steps = steps - span * np.floor(steps / span + 0.5)  # which keeps small steps of wide counters
     return np.concatenate([[0.0], np.cumsum(steps)])

@@ -25,12 +25,14 @@ from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.odometry.wheels import _kernels as kernels
 from wheelsight.odometry.wheels import _state_kernels as at
 from wheelsight.odometry.wheels._gyro_kernels import likelier
+from wheelsight.odometry.wheels.drive import least_step
 from wheelsight.trajectory import Trajectory
 
 Integration = Literal["arc", "midpoint", "euler"]
 
 _INTEGRATIONS = {"euler": kernels.EULER, "midpoint": kernels.MIDPOINT, "arc": kernels.ARC}
 _REASONS = (None, Reason.CLOCK_BACKWARDS, Reason.GAP, Reason.COUNTER_AMBIGUOUS, Reason.IMPLAUSIBLE_MOTION)
+_WIDE = 2**53  # beyond, a roll-over as a float has lost counts
 _PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 
 
@@ -136,7 +138,7 @@ class WheelOdometry:
             self._last = reading
             return kernels.OK
         dt_s = reading.stamp_s - last.stamp_s
-        ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s)
+        ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s, self._wheels.counter_span)
         counts = isinstance(reading, WheelTicks)
         self._parameters[kernels.SPAN] = self._span if counts else 0.0
         self._parameters[kernels.COUNT_VARIANCE] = _count_variance(self._wheels) if counts else 0.0
@@ -247,10 +249,12 @@ def sides_of_four(
 
 
 def _ticks_between(
-    last: WheelTicks | WheelSpeeds, now: WheelTicks | WheelSpeeds, ticks_per_speed: float
+    last: WheelTicks | WheelSpeeds, now: WheelTicks | WheelSpeeds, ticks_per_speed: float, span: int
 ) -> tuple[float, float]:
     if isinstance(now, WheelTicks) and isinstance(last, WheelTicks):
-        return float(now.left - last.left), float(now.right - last.right)
+        steps = (now.left - last.left, now.right - last.right)
+        left, right = (least_step(step, span) if span > _WIDE else step for step in steps)
+        return float(left), float(right)
     if isinstance(last, WheelSpeeds) and isinstance(now, WheelSpeeds):
         return last.left_rad_s * ticks_per_speed, last.right_rad_s * ticks_per_speed
     raise TypeError("a robot's wheels tell either ticks or speeds, not both")
@@ -271,7 +275,7 @@ def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     parameters[kernels.GYRO_VARIANCE] = gyro.noise_rad_per_sqrt_s**2
     parameters[kernels.WALK_VARIANCE] = gyro.bias_walk_rad_s_per_sqrt_s**2
     parameters[kernels.LEFT_M], parameters[kernels.RIGHT_M] = wheels.left_m_per_tick, wheels.right_m_per_tick
-    parameters[kernels.SPAN] = 2.0**wheels.counter_bits if wheels.counter_bits else 0.0
+    parameters[kernels.SPAN] = float(wheels.counter_span)
     parameters[kernels.COUNT_VARIANCE] = _count_variance(wheels)
     state[at.BIAS], state[at.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
     state[at.RATIO] = 1.0
