@@ -15,6 +15,8 @@ LAYERS = (
     "files",
     "geometry",
     "events",
+    "calibration_fields",
+    "calibration_layers",
     "calibration",
     "association",
     "trajectory",

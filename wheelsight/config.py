@@ -42,6 +42,17 @@ class _Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+def _listed(files: Any) -> Any:
+    """One file, or none, as a list of them."""
+    if files is None:
+        return ()
+    return (files,) if isinstance(files, str) else files
+
+
+def _unlisted(files: tuple[str, ...]) -> str | list[str] | None:
+    return list(files) if len(files) > 1 else next(iter(files), None)
+
+
 class RecordingSettings(_Settings):
     """What a user says about a recording that its files do not."""
 
@@ -50,8 +61,8 @@ class RecordingSettings(_Settings):
         0.02, description="largest distance in time between colour and depth of one frame"
     )
     depth_factor: PositiveFloat | None = Field(None, description="depth units a metre, if not the format's own")
-    calibration: str | None = Field(
-        None, description="a calibration.yaml whose wheels or cameras win over the recording's"
+    calibration: Annotated[tuple[str, ...], BeforeValidator(_listed), PlainSerializer(_unlisted)] = Field(
+        (), description="a calibration.yaml, or several, laid over the recording's: what a later one tells wins"
     )
 
     def open_options(self) -> OpenOptions:

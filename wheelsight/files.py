@@ -17,6 +17,9 @@ from typing import IO, Any, Literal, overload
 
 from wheelsight.errors import OutputError
 
+# What every public function takes for a path.
+StrPath = str | os.PathLike[str]
+
 _REASONS = {
     errno.ENOSPC: ("no space left on the disk", "free some space, or choose another folder"),
     errno.EDQUOT: ("the disk quota is used up", "free some space, or choose another folder"),

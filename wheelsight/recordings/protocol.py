@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import ConfigError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
+from wheelsight.files import StrPath
 from wheelsight.trajectory import Trajectory
 
 
@@ -117,22 +119,30 @@ class OpenOptions:
         camera: name of a shipped calibration (see `camera_names()`), or a calibration.yaml; None to go by the files.
         max_gap_s: largest distance in time between a colour and a depth image of one frame.
         depth_factor: depth units a metre, where it differs from the format's own.
-        calibration: a calibration.yaml; what it tells of wheels or cameras stands in place of what the recording says.
+        calibration: a calibration.yaml, or several; what each tells of any part of the robot stands in place of what
+            the recording, and those before it, say.
 
     Raises:
         ConfigError: a gap that is not finite and from 0 up, or a factor that is not positive.
     """
 
-    camera: str | None = None
+    camera: StrPath | None = None
     max_gap_s: float = 0.02
     depth_factor: float | None = None
-    calibration: str | None = None
+    calibration: StrPath | Sequence[StrPath] | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.max_gap_s) and self.max_gap_s >= 0):
             raise ConfigError(f"--max-gap is {self.max_gap_s}, not a number of seconds from 0 up")
         if self.depth_factor is not None and not (math.isfinite(self.depth_factor) and self.depth_factor > 0):
             raise ConfigError(f"--depth-factor is {self.depth_factor}, not a positive number", fix="1000: millimetres")
+
+    @property
+    def calibrations(self) -> tuple[StrPath, ...]:
+        """What is laid over the recording's calibration, one after the other."""
+        if self.calibration is None:
+            return ()
+        return (self.calibration,) if isinstance(self.calibration, str | PathLike) else tuple(self.calibration)
 
 
 class Reader(Protocol):
