@@ -318,6 +318,11 @@ def load_config(
         raise ConfigError(problem, path=path, line=_line_of(text, location), fix=fix) from None
 
 
+def is_named(setting: str, path: Path | None) -> bool:
+    """Whether a YAML file of settings, if any, says anything of one of the uppermost names. Raises ConfigError."""
+    return path is not None and setting in _read(path)[1]
+
+
 def save_config(config: Config, path: Path) -> None:
     """Write all settings, defaults included, as YAML that `load_config` reads back. Raises OutputError."""
     write_text(path, yaml.safe_dump(config.to_dict(), sort_keys=False))

@@ -10,6 +10,7 @@ import typer
 
 from wheelsight.cli import _run_options as options
 from wheelsight.cli._console import INTERRUPTED
+from wheelsight.cli._odometry import ANY, chosen_odometry, names_odometry
 from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RecordingPath, settings_from
 from wheelsight.cli._real_time import counts_frames, played, show_progress
 from wheelsight.cli._summary import print_summary
@@ -48,6 +49,9 @@ def run(
 ) -> None:
     """Find where the robot or its camera went: trajectory, status of each frame, metrics and a report go to DIR.
 
+    Without --odometry wheels and camera are joined where the recording has both and it is known where the camera sits;
+    else it is said what is not used, and why.
+
     DIR gets trajectory.txt (TUM), status.csv, metrics.json, the resolved config.yaml and report.html.
     With several odometries each has a folder of its name, and report.html and metrics.json join them; so have, with
     --places, the wheels alone and the wheels that areas have rectified.
@@ -57,7 +61,9 @@ def run(
 
     [bold]Examples[/bold]
 
-    wheelsight run rgbd_dataset_freiburg1_desk --out results
+    wheelsight run my_drive --map surfels --out results
+
+    wheelsight run rgbd_dataset_freiburg1_desk --odometry features --out results
 
     wheelsight run my_recording --camera my_camera.yaml --config settings.yaml --out results --force
 
@@ -77,11 +83,15 @@ def run(
     of_places = {"--places": places, "--areas": areas, "--rectify": rectify, "--start": start}
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}
     of_all = {"--odometry": odometry, "--fusion": fusion, "--map": map_}
-    given = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
-    settings = settings_from(given, config)
+    given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
+    is_named, unused = odometry is not None or names_odometry(config), ""
+    settings = settings_from(given if is_named else {**given, "--odometry": ANY}, config)
     with played(_open(recording, settings), realtime, wheels_from, baud) as source:
+        if not is_named:
+            given["--odometry"], unused = chosen_odometry(source, settings)
+            settings = settings_from(given, config)
         records = _track(source, settings, out, force)
-    print_summary(records, out)
+    print_summary(records, out, unused)
 
 
 def _open(folder: Path, settings: Config) -> Recording:
