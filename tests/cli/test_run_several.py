@@ -43,7 +43,7 @@ def test_a_terminal_sees_all_events_pass_by(
     events = source.wheel_count + source.frame_count
     assert f"{events}/{events}" in result.stderr
     assert "events/s" in result.stderr
-    assert "wheels tracking, joined tracking, features tracking" in result.stderr
+    assert "joined tracking, wheels tracking, features tracking" in result.stderr
 
 
 def test_why_one_was_not_evaluated_stands_below(wheelsight: Command, tmp_path: Path) -> None:

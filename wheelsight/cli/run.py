@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from wheelsight.cli._odometry import ANY, chosen_odometry, names_odometry
 from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RecordingPath, settings_from
 from wheelsight.cli._real_time import counts_frames, played, show_progress
 from wheelsight.cli._summary import print_summary
+from wheelsight.errors import OutputError
 
 if TYPE_CHECKING:
     from wheelsight.config import Config
@@ -106,25 +108,45 @@ def _track(source: Recording, settings: Config, out: Path, force: bool) -> Seque
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
 
-    status = RunStatus(settings, is_rehearsed=isinstance(source, pipeline.RealTimeRecording))
+    status, progress = RunStatus(), FrameProgress("tracking", *_expected(source, settings))
+    answered: list[bool] = []
 
     def show(answers: Mapping[str, FrameRecord]) -> None:
+        answered[:] = [True]
         show_progress(progress, source, settings, status.after(answers))
 
     try:
-        with FrameProgress("tracking", *_expected(source, settings, status.text)) as progress:
-            return pipeline.run_each(source, settings, out, force=force, on_event=show)
+        with ExitStack() as shown:
+
+            def begin() -> None:
+                _compile(settings)
+                shown.enter_context(progress)
+
+            return pipeline.run_each(source, settings, out, force=force, on_ready=begin, on_event=show)
     except KeyboardInterrupt as interruption:
-        print_note(f"interrupted; what was found until then is in {out}")
+        found = f"what was found until then is in {out}" if answered else "nothing was found until then"
+        print_note(f"interrupted; {found}")
         raise typer.Exit(INTERRUPTED) from interruption
 
 
-def _expected(source: Recording, settings: Config, at_first: str) -> tuple[int, str, str]:
+def _compile(settings: Config) -> None:
+    """What the run needs, if it is not compiled yet; where that cannot be done ahead, it is done on the way."""
+    from wheelsight.cli._compiling import compile_ahead
+    from wheelsight.cli._console import print_warning
+    from wheelsight.pipeline.kernels import parts_of
+
+    try:
+        compile_ahead(parts_of(settings))
+    except OutputError as error:
+        print_warning(str(error))
+
+
+def _expected(source: Recording, settings: Config) -> tuple[int, str, str]:
     """How many events will be answered, what to say until the first is, and what they are called."""
     if counts_frames(source, settings):
-        return source.frame_count, at_first, ""  # the rate of those that pass by says nothing
+        return source.frame_count, "", ""  # the rate of those that pass by says nothing
     if settings.tracks == ("wheels",):
-        return source.wheel_count, at_first, "readings"
+        return source.wheel_count, "", "readings"
     if "wheels" not in settings.tracks:
-        return source.frame_count, at_first, "frames"
-    return source.wheel_count + source.frame_count, at_first, "events"
+        return source.frame_count, "", "frames"
+    return source.wheel_count + source.frame_count, "", "events"

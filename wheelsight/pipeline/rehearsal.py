@@ -64,7 +64,12 @@ def write_rehearsal(folder: Path, *, is_registered: bool) -> None:
 
 
 def _calibration(is_registered: bool) -> Calibration:
-    robot: dict[str, Any] = {"wheels": _WHEELS, "T_base_camera": _MOUNT, "rolling_shutter_s": 0.02, "source": "rehearsal"}
+    robot: dict[str, Any] = {
+        "wheels": _WHEELS,
+        "T_base_camera": _MOUNT,
+        "rolling_shutter_s": 0.02,
+        "source": "rehearsal",
+    }
     if is_registered:
         return Calibration.registered_camera(_CAMERA, **robot)
     beside = se3.from_parts(np.eye(3), np.array([0.002, 0.0, 0.0]))

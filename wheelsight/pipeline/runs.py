@@ -63,6 +63,7 @@ def run_each(
     out: Path,
     *,
     force: bool = False,
+    on_ready: Callable[[], None] = lambda: None,
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
 ) -> tuple[RunRecord, ...]:
     """Run every odometry that `config` names over one pass of the recording, each alone, and report them together.
@@ -71,7 +72,10 @@ def run_each(
     name, and `out` holds metrics, configuration and one report of all. Wheels that places rectify are followed twice,
     alone and as "rectified".
 
+    Ctrl-C before the first answer leaves nothing.
+
     Args:
+        on_ready: called once all is checked and `out` is made, before the first event.
         on_event: called after each event that was answered, with each odometry's answer by its name.
         recording, config, out, force: as in `run`.
 
@@ -80,7 +84,10 @@ def run_each(
     """
     places = _check(recording, config)
     folder = make_output_folder(out, force)
+    on_ready()
     passage = follow(recording, config, on_event, None if places is None else places.places)
+    if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in passage.tracks):
+        raise passage.interruption
     records = records_of(passage, recording, config, places)
     write_results(records, passage, recording, config, folder)
     if passage.interruption is not None:
