@@ -9,7 +9,7 @@ import typer.core
 
 from wheelsight import __version__
 from wheelsight.cli import calibrate, evaluate, export, info, places, record, run, simulate, warm_up, wheels
-from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error
+from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error, speak_any_encoding
 from wheelsight.errors import WheelsightError
 
 
@@ -72,4 +72,5 @@ def _about(
 
 def main() -> None:
     """The entry point of the command `wheelsight`."""
+    speak_any_encoding()
     app()

@@ -80,8 +80,9 @@ def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
     if rival is not None:
         yield "error", f"{rival.times} times that of {rival.odometry} alone"
     for status, seconds in facts.seconds.items():
-        times = f", {len(facts.coasting_s)} times" if status == "coasting" else ""
-        yield status, f"{seconds:.2f} s{times}"
+        episodes = len(facts.coasting_s)
+        times = "once" if episodes == 1 else f"{episodes} times"
+        yield status, f"{seconds:.2f} s, {times}" if status == "coasting" else f"{seconds:.2f} s"
     for flag, share in facts.flag_shares.items():
         if share:
             yield flag, f"{percent(share)} of the time"

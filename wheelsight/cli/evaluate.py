@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from wheelsight.evaluation import Evaluation, Statistics
+    from wheelsight.trajectory import Trajectory
 
 
 def evaluate(
@@ -46,13 +47,31 @@ def evaluate(
     from wheelsight.evaluation import evaluate as compare
     from wheelsight.trajectory import read_tum
 
-    estimated, truth = read_tum(estimate, body), read_tum(ground_truth, body)
+    estimated = read_tum(estimate, body)
+    truth = _truth_for(estimated, ground_truth, body)
     evaluation = compare(estimated, truth, max_gap_s=max_gap, with_scale=scale)
     if as_json:
         aligned = evaluation.ate.aligned
         print_json({"frame": f"T_{aligned.world}_{aligned.body}", **evaluation.to_dict()})
         return
     console().print(evaluation_table(evaluation))
+
+
+def _truth_for(estimated: Trajectory, ground_truth: Path, body: str) -> Trajectory:
+    """The truth of the body that was estimated: where the file tells of another, the one beside it, and says so."""
+    from wheelsight.cli._console import print_note
+    from wheelsight.recordings import TRUTH_FILES
+    from wheelsight.trajectory import read_tum
+
+    truth = read_tum(ground_truth, body)
+    beside = ground_truth.with_name(TRUTH_FILES.get(estimated.body, ground_truth.name))
+    if truth.body == estimated.body or beside == ground_truth or not beside.is_file():
+        return truth
+    other = read_tum(beside, estimated.body)
+    if other.body != estimated.body:
+        return truth
+    print_note(f"{ground_truth} is of the {truth.body}; {beside.name} beside it, of the {other.body}, is taken")
+    return other
 
 
 def evaluation_table(evaluation: Evaluation) -> Table:

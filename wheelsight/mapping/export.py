@@ -181,7 +181,7 @@ def _need_marching_cubes() -> _MarchingCubes:
     try:
         from skimage.measure import marching_cubes
     except ImportError as error:
-        raise MapError("scikit-image is missing", fix="pip install 'wheelsight[mesh]'") from error
+        raise MapError("scikit-image is missing", fix="pip install scikit-image") from error
     return marching_cubes
 
 

@@ -49,7 +49,8 @@ def simulate(
         refused: where a picture goes that shows why a way cannot be driven; none is drawn otherwise.
 
     Raises:
-        ConfigError: an unknown world or camera, a value out of range, a way through a wall, or MuJoCo is missing.
+        ConfigError: an unknown world or camera, a value out of range, a way through a wall, a fault that begins after
+            the drive has ended, or MuJoCo is missing.
         InputError: a file of velocities that cannot be read; names file and line.
     """
     need_mujoco()
@@ -58,6 +59,7 @@ def simulate(
     driver = driver_of(settings, world)
     refuse_walls(settings, world, driver, refused)
     covers = [Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s]
+    _refuse_never(settings, settings.duration_s or _LONGEST_DRIVE_S)
     total_s = expected_s(settings, world)
     drive = simulate_drive(
         world,
@@ -69,6 +71,7 @@ def simulate(
         time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
         on_progress=None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s),
     )
+    _refuse_never(settings, drive.duration_s)
     recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
     return with_camera_faults(recording, *covers) if covers else recording
 
@@ -76,7 +79,19 @@ def simulate(
 def need_mujoco() -> None:
     """Raises ConfigError where the simulator's extra is not installed."""
     if find_spec("mujoco") is None:
-        raise ConfigError("the simulator needs MuJoCo", fix='pip install "wheelsight[sim]"')
+        raise ConfigError("the simulator needs MuJoCo", fix="pip install mujoco matplotlib")
+
+
+def _refuse_never(settings: SimulationSettings, end_s: float) -> None:
+    """Refuse what is to happen after the drive has ended. Raises ConfigError naming the option."""
+    faults = settings.faults
+    times = {"--cover": settings.covered_s, "--lift": faults.lifted_s}
+    times |= {"--dropout": faults.dropouts_s, "--unplug": faults.unplugged_s}
+    for option, spans_s in times.items():
+        for begin_s, until_s in spans_s:
+            if begin_s >= end_s:
+                problem = f"{option} {begin_s:g}:{until_s:g} never comes: the drive ends at {end_s:.1f} s"
+                raise ConfigError(problem, fix="let it begin earlier, or drive longer")
 
 
 def write_simulation(
