@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from area_drive import write_area_drive
 from drives import simulate as drive_legs
 from drives import square_legs, write_recording
 from places.made_recording import write_drive
@@ -75,19 +76,25 @@ def why_not(command: str) -> str | None:
     return next((begin for begin in NOT_RUN if command.removeprefix(".venv/bin/").startswith(begin)), None)
 
 
+def to_run(page: str) -> list[str]:
+    return [one for one in commands_of((PROJECT / page).read_text(encoding="utf-8")) if why_not(one) is None]
+
+
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """RECORDING, which shows all that is calibrated; `short`, its first seconds; `rooms` with areas; and squares."""
+    """RECORDING, which shows all that is calibrated; `short`, its first seconds; `rooms` and `areas`, whose places
+    can be told apart; and squares."""
     folder = tmp_path_factory.mktemp("documentation")
     begins = np.cumsum([0.0, *(leg[0] for leg in LEGS)])
     rows = [f"{begin},{v},{w}" for begin, (_, v, w) in zip(begins, (*LEGS, (0.0, 0.0, 0.0)), strict=True)]
     (folder / "legs.csv").write_text("\n".join(["stamp_s,v_m_s,yaw_rate_rad_s", *rows]) + "\n")
     for name, duration_s in (("RECORDING", None), ("short", 6.0)):
         settings = SimulationSettings(
-            world="square", rate_hz=5, seed=5, velocities=folder / "legs.csv", duration_s=duration_s
+            world="square", rate_hz=4, seed=5, velocities=folder / "legs.csv", duration_s=duration_s
         )
         write_simulation(simulate(settings), folder / name)
     write_drive(folder / "rooms", with_labels=True)
+    write_area_drive(folder / "areas", every_frame=1)
     for number, sense in enumerate((-1, 1, -1, 1)):
         drawn = drive_legs(WHEELS, square_legs(WHEELS, WHEELS, sense))
         write_recording(folder / "squares" / str(number), WHEELS, drawn, drawn.truth.select([0, -1]))
@@ -100,8 +107,11 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
     for name in ("RECORDING", "path/to/recording"):
         shutil.copytree(recordings / "RECORDING", tmp_path / name)
     shutil.copytree(recordings / "short", tmp_path / "my_recording")
-    for name in ("drive", "another_drive", "my_drive", "other_drive", "third_drive", "monday", "tuesday", "wednesday"):
+    for name in ("drive", "another_drive", "monday", "tuesday", "wednesday"):
+        shutil.copytree(recordings / "areas", tmp_path / name)
+    for name in ("my_drive", "other_drive", "third_drive"):
         shutil.copytree(recordings / "rooms", tmp_path / name)
+    shutil.copy(recordings / "three.places", tmp_path / "building.places")
     shutil.copytree(recordings / "squares", tmp_path / "squares")
     (tmp_path / "visual").mkdir()
     shutil.copy(recordings / "RECORDING" / "groundtruth_base.txt", tmp_path / "visual" / "trajectory.txt")
@@ -119,12 +129,11 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)])
 def test_what_a_page_tells_to_type_works(page: str, fresh: Path) -> None:
-    commands = [one for one in commands_of((PROJECT / page).read_text(encoding="utf-8")) if why_not(one) is None]
     path = os.pathsep.join([str(fresh / "bin"), os.environ["PATH"]])
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(PROJECT)}
-    for command in commands:
+    for command in to_run(page):
         more = next((options for begin, options in SHORTER.items() if command.startswith(begin)), "")
         typed = f"{command.split('  #')[0]} {more}"
         answer = subprocess.run(
@@ -140,5 +149,6 @@ def test_every_reason_for_not_running_is_of_some_command() -> None:
 
 
 def test_blocks_are_read_as_a_newcomer_reads_them() -> None:
-    page = "```console\n$ one 1   # why\nanswer\n$ for x in 1; do\n>   two\n> done\n```\n```python\nno\n```\n```sh\nthree\n```\n"
+    page = "```console\n$ one 1   # why\nanswer\n$ for x in 1; do\n>   two\n> done\n```\n"
+    page += "```python\nno\n```\n```sh\nthree\n```\n"
     assert list(commands_of(page)) == ["one 1   # why", "for x in 1; do\n  two\ndone", "three"]

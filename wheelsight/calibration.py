@@ -243,8 +243,9 @@ def load_calibration(*paths: StrPath, under: Calibration | None = None) -> Calib
     return found
 
 
-def read_layer(path: Path) -> dict[str, Any]:
+def read_layer(path: StrPath) -> dict[str, Any]:
     """The fields of a calibration.yaml, which may tell any part of a calibration. Raises CalibrationError."""
+    path = Path(path)
     import yaml
 
     try:

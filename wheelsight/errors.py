@@ -19,6 +19,7 @@ A frame that cannot be tracked is no exception but a value: `MotionEstimate.reas
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 
 
@@ -33,7 +34,7 @@ class InputError(WheelsightError):
         self,
         problem: str,
         *,
-        path: Path | str | None = None,
+        path: str | PathLike[str] | None = None,
         line: int | None = None,
         fix: str | None = None,
     ) -> None:

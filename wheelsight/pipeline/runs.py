@@ -7,7 +7,7 @@ from pathlib import Path
 
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
-from wheelsight.files import make_output_folder
+from wheelsight.files import StrPath, make_output_folder
 from wheelsight.localizer import Localizer
 from wheelsight.pipeline.outputs import write_results
 from wheelsight.pipeline.places import PlacesOfRun, places_of
@@ -21,7 +21,7 @@ from wheelsight.report import FrameRecord, RunRecord
 def run(
     recording: Recording,
     config: Config,
-    out: Path,
+    out: StrPath,
     *,
     force: bool = False,
     on_frame: Callable[[FrameRecord], None] | None = None,
@@ -45,6 +45,7 @@ def run(
         OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
         RecordingError: the recording cannot be read on.
     """
+    out = Path(out)
     if len(config.tracks) > 1:
         raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")
 
@@ -60,7 +61,7 @@ def run(
 def run_each(
     recording: Recording,
     config: Config,
-    out: Path,
+    out: StrPath,
     *,
     force: bool = False,
     on_ready: Callable[[], None] = lambda: None,
@@ -82,6 +83,7 @@ def run_each(
     Raises:
         As `run`, for any of the odometries; and AreaError or PlaceError, for places.
     """
+    out = Path(out)
     places = _check(recording, config)
     folder = make_output_folder(out, force)
     on_ready()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from wheelsight.errors import RecordingError
+from wheelsight.files import StrPath
 from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader
@@ -31,7 +32,7 @@ def reader_names() -> list[str]:
     return sorted(reader.name for reader in _READERS)
 
 
-def open_recording(path: Path | str, options: OpenOptions | None = None) -> Recording:
+def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recording:
     """The recording in a folder, by the first reader that recognises it.
 
     Args:
@@ -52,7 +53,7 @@ def open_recording(path: Path | str, options: OpenOptions | None = None) -> Reco
     return reader.open(folder, options or OpenOptions())
 
 
-def find_recordings(folder: Path | str) -> list[Path]:
+def find_recordings(folder: StrPath) -> list[Path]:
     """Folders at or up to three levels below `folder` that some reader recognises, sorted; hidden ones are left out."""
     return sorted(_find(Path(folder), _SEARCH_DEPTH))
 

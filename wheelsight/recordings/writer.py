@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.files import make_output_folder, write_bytes
+from wheelsight.files import StrPath, make_output_folder, write_bytes
 from wheelsight.geometry import Float32Array, PinholeCamera
 from wheelsight.recordings._growing_text import GrowingText
 from wheelsight.recordings._images import image_size
@@ -55,7 +55,7 @@ class RecordingWriter:
         OutputError: the folder is not empty and `force` is off, cannot be written, or the disk is full.
     """
 
-    def __init__(self, folder: Path | str, calibration: Calibration | None, force: bool = False) -> None:
+    def __init__(self, folder: StrPath, calibration: Calibration | None, force: bool = False) -> None:
         self.folder = make_output_folder(Path(folder), force)
         self.frames = self.readings = self.depths_too_far = 0
         self._calibration = calibration
@@ -184,13 +184,14 @@ class RecordingWriter:
         self._last_stamp_s[what] = last_s
 
 
-def write_recording(folder: Path | str, recording: Recording, force: bool = False) -> RecordingWriter:
+def write_recording(folder: StrPath, recording: Recording, force: bool = False) -> RecordingWriter:
     """Write any recording in wheelsight's own layout; answers the closed writer with its counts.
 
     Raises:
         OutputError: as `RecordingWriter`.
         RecordingError: as `RecordingWriter`.
     """
+    folder = Path(folder)
     with RecordingWriter(folder, recording.calibration, force) as writer:
         if recording.ground_truth is not None:
             writer.add_ground_truth(recording.ground_truth)

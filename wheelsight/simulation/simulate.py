@@ -16,7 +16,7 @@ from wheelsight.areas import save_areas
 from wheelsight.calibration import save_calibration
 from wheelsight.errors import ConfigError
 from wheelsight.events import RgbdFrame
-from wheelsight.files import make_output_folder, write_bytes, write_text
+from wheelsight.files import StrPath, make_output_folder, write_bytes, write_text
 from wheelsight.geometry import se3
 from wheelsight.recordings import RecordingWriter
 from wheelsight.simulation._way import driver_of, expected_s, refuse_walls, route_of
@@ -39,7 +39,7 @@ def simulate(
     settings: SimulationSettings,
     on_progress: Callable[[float, float | None], None] | None = None,
     *,
-    refused: Path | None = None,
+    refused: StrPath | None = None,
 ) -> SimulatedRecording:
     """Drive through a world as the settings say; images are rendered when the recording's events are asked for.
 
@@ -53,6 +53,7 @@ def simulate(
             the drive has ended, or MuJoCo is missing.
         InputError: a file of velocities that cannot be read; names file and line.
     """
+    refused = None if refused is None else Path(refused)
     need_mujoco()
     camera = camera_model(settings.camera, settings.size)
     world = build_world(settings.world, settings.seed)
@@ -96,7 +97,7 @@ def _refuse_never(settings: SimulationSettings, end_s: float) -> None:
 
 def write_simulation(
     recording: SimulatedRecording,
-    folder: Path | str,
+    folder: StrPath,
     *,
     force: bool = False,
     on_frame: Callable[[RgbdFrame], None] | None = None,
@@ -116,6 +117,7 @@ def write_simulation(
     Raises:
         OutputError: the folder is not empty and `force` is off, cannot be written, or the disk is full.
     """
+    folder = Path(folder)
     with RecordingWriter(folder, recording.calibration, force) as writer:
         _write_surroundings(recording, writer.folder)
         truth = _TruthInSteps(recording, writer)
@@ -168,7 +170,7 @@ def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:
     write_text(truth / "world.xml", world.mjcf)
     write_text(truth / "settings.yaml", _settings_text(recording))
     if settings.velocities is not None:
-        write_bytes(truth / "velocities.csv", settings.velocities.read_bytes())
+        write_bytes(truth / "velocities.csv", Path(settings.velocities).read_bytes())
 
 
 def _settings_text(recording: SimulatedRecording) -> str:
