@@ -18,6 +18,7 @@ LAYERS = (
     "calibration_fields",
     "calibration_layers",
     "calibration",
+    "checks",
     "association",
     "trajectory",
     "areas",

@@ -9,6 +9,7 @@
     │   ├── PlaceError           a model of places that is none, is hostile, or does not fit these areas or frames
     │   ├── MapError             a map's file that is none, or a frame or pose that cannot go into a map
     │   ├── ConfigError          a setting that is unknown, impossible or in conflict
+    │   ├── ArgumentError        an event or array from Python code, of another type or shape than asked for
     │   ├── OutputError          an output that cannot be written, or would be overwritten
     │   └── DeviceError          a port or pipe that is missing, denied, in use, or does not answer
     ├── DegenerateGeometryError  points that do not determine the motion asked for
@@ -79,6 +80,10 @@ class MapError(InputError):
 
 class ConfigError(InputError):
     """A setting is unknown, impossible, or contradicts another."""
+
+
+class ArgumentError(InputError):
+    """An event or array handed to a function is of another type or shape than it takes."""
 
 
 class OutputError(InputError):

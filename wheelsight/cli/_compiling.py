@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import typer
 
-from wheelsight.cli._console import INTERRUPTED, console, print_note
+from wheelsight.cli._console import INTERRUPTED, console, print_note, print_warning
+
+if TYPE_CHECKING:
+    from wheelsight.config import Config
 
 
 def compile_ahead(parts: Sequence[str]) -> int:
@@ -30,6 +34,17 @@ def compile_ahead(parts: Sequence[str]) -> int:
         raise typer.Exit(INTERRUPTED) from interruption
     print_note(f"compiled {kernels} kernels in {seconds:.0f} s")
     return kernels
+
+
+def compile_for(settings: Config) -> None:
+    """What a run needs, if it is not compiled yet; where that cannot be done ahead, it is done on the way."""
+    from wheelsight.errors import OutputError
+    from wheelsight.pipeline.kernels import parts_of
+
+    try:
+        compile_ahead(parts_of(settings))
+    except OutputError as error:
+        print_warning(str(error))
 
 
 def _watched(missing: Sequence[str]) -> tuple[int, float]:

@@ -15,7 +15,6 @@ from wheelsight.cli._odometry import ANY, chosen_odometry, names_odometry
 from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RecordingPath, settings_from
 from wheelsight.cli._real_time import counts_frames, played, show_progress
 from wheelsight.cli._summary import print_summary
-from wheelsight.errors import OutputError
 
 if TYPE_CHECKING:
     from wheelsight.config import Config
@@ -104,11 +103,13 @@ def _open(folder: Path, settings: Config) -> Recording:
 
 def _track(source: Recording, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
     from wheelsight import pipeline
+    from wheelsight.cli._compiling import compile_for
     from wheelsight.cli._console import print_note
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
 
-    status, progress = RunStatus(), FrameProgress("tracking", *_expected(source, settings))
+    count, unit = _expected(source, settings)
+    status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
     answered: list[bool] = []
 
     def show(answers: Mapping[str, FrameRecord]) -> None:
@@ -119,7 +120,7 @@ def _track(source: Recording, settings: Config, out: Path, force: bool) -> Seque
         with ExitStack() as shown:
 
             def begin() -> None:
-                _compile(settings)
+                compile_for(settings)
                 shown.enter_context(progress)
 
             return pipeline.run_each(source, settings, out, force=force, on_ready=begin, on_event=show)
@@ -129,24 +130,12 @@ def _track(source: Recording, settings: Config, out: Path, force: bool) -> Seque
         raise typer.Exit(INTERRUPTED) from interruption
 
 
-def _compile(settings: Config) -> None:
-    """What the run needs, if it is not compiled yet; where that cannot be done ahead, it is done on the way."""
-    from wheelsight.cli._compiling import compile_ahead
-    from wheelsight.cli._console import print_warning
-    from wheelsight.pipeline.kernels import parts_of
-
-    try:
-        compile_ahead(parts_of(settings))
-    except OutputError as error:
-        print_warning(str(error))
-
-
-def _expected(source: Recording, settings: Config) -> tuple[int, str, str]:
-    """How many events will be answered, what to say until the first is, and what they are called."""
+def _expected(source: Recording, settings: Config) -> tuple[int, str]:
+    """How many events will be answered, and what they are called; "" where their rate says nothing."""
     if counts_frames(source, settings):
-        return source.frame_count, "", ""  # the rate of those that pass by says nothing
+        return source.frame_count, ""
     if settings.tracks == ("wheels",):
-        return source.wheel_count, "", "readings"
+        return source.wheel_count, "readings"
     if "wheels" not in settings.tracks:
-        return source.frame_count, "", "frames"
-    return source.wheel_count + source.frame_count, "", "events"
+        return source.frame_count, "frames"
+    return source.wheel_count + source.frame_count, "events"

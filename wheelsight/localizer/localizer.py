@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.calibration import Calibration
+from wheelsight.checks import check_event, check_frame
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate
-from wheelsight.events import Event
+from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_fusion import ByFusion
@@ -71,6 +72,7 @@ class Localizer:
             self._way = ByFrames(calibration, settings)
         self.body, self.world, self.answers = self._way.body, self._way.world, self._way.answers
         self.note = ""
+        self._calibration = calibration
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry | WheelOdometry:
@@ -123,8 +125,12 @@ class Localizer:
         know the pose all the same, an unreadable frame or one without depth is no measurement: `note` says so.
 
         Raises:
+            ArgumentError: no event, or images of another shape or type than the calibration's.
             PlaceError: a frame of another size than the model of places was trained on.
         """
+        check_event(event)
+        if isinstance(event, RgbdFrame) and not isinstance(self._way, ByWheels | ByPlaces):
+            check_frame(event, self._calibration)
         estimate, self.note = self._way.process(event)
         return estimate
 
