@@ -72,7 +72,9 @@ class Localizer:
             self._way = ByFrames(calibration, settings)
         self.body, self.world, self.answers = self._way.body, self._way.world, self._way.answers
         self.note = ""
-        self._calibration = calibration
+        # A model of places, which was trained on images of one size, says itself what is wrong with others.
+        has_places = places is not None or settings.places.model is not None
+        self._calibration, self._checks_frames = calibration, not (isinstance(self._way, ByWheels) or has_places)
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry | WheelOdometry:
@@ -129,7 +131,7 @@ class Localizer:
             PlaceError: a frame of another size than the model of places was trained on.
         """
         check_event(event)
-        if isinstance(event, RgbdFrame) and not isinstance(self._way, ByWheels | ByPlaces):
+        if isinstance(event, RgbdFrame) and self._checks_frames:
             check_frame(event, self._calibration)
         estimate, self.note = self._way.process(event)
         return estimate
