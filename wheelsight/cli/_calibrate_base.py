@@ -23,12 +23,14 @@ def base(recording: RecordingPath, out: Out, calibration: CalibrationFile = None
     wheelsight calibrate base my_drive --calibration wheels.yaml --out robot.yaml
     """
     from wheelsight.cli._calibration import print_mount
+    from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.odometry.extrinsics import calibrate_base
     from wheelsight.report.base_page import write_base_page
 
     page, kept = page_beside(out, force), kept_in(out, calibration)
     source = open_for(recording, calibration)
+    compile_missing(("wheels", "dense"))
     with FrameProgress("watching", source.frame_count) as progress:
         found = calibrate_base(source, progress.advance)
     parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}

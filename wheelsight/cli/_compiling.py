@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import typer
 
 from wheelsight.cli._console import INTERRUPTED, console, print_note, print_warning
-
-if TYPE_CHECKING:
-    from wheelsight.config import Config
 
 
 def compile_ahead(parts: Sequence[str]) -> int:
@@ -36,13 +32,12 @@ def compile_ahead(parts: Sequence[str]) -> int:
     return kernels
 
 
-def compile_for(settings: Config) -> None:
-    """What a run needs, if it is not compiled yet; where that cannot be done ahead, it is done on the way."""
+def compile_missing(parts: Sequence[str]) -> None:
+    """The same for a command that goes on all the same: what cannot be compiled ahead is compiled on the way."""
     from wheelsight.errors import OutputError
-    from wheelsight.pipeline.kernels import parts_of
 
     try:
-        compile_ahead(parts_of(settings))
+        compile_ahead(parts)
     except OutputError as error:
         print_warning(str(error))
 

@@ -35,12 +35,12 @@ class _Rate(ProgressColumn):
 
 
 class FrameProgress:
-    """Shows frames, rate, time left and status on stderr while its `with` block runs; `status` until the first frame.
+    """Shows frames, rate, time left and status on stderr while its `with` block runs.
 
     On a narrow terminal the end of the status is left out, never a number.
     """
 
-    def __init__(self, action: str, frame_count: int | None, status: str = "", unit: str = "frames") -> None:
+    def __init__(self, action: str, frame_count: int | None, unit: str = "frames") -> None:
         stderr = console(stderr=True)
         self._progress = Progress(
             TextColumn("{task.description}", table_column=_whole()),
@@ -54,7 +54,7 @@ class FrameProgress:
             expand=True,
             transient=True,
         )
-        self._task = self._progress.add_task(action, total=frame_count, status=status)
+        self._task = self._progress.add_task(action, total=frame_count, status="")
 
     def __enter__(self) -> Self:
         self._progress.start()

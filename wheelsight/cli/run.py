@@ -103,10 +103,11 @@ def _open(folder: Path, settings: Config) -> Recording:
 
 def _track(source: Recording, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
     from wheelsight import pipeline
-    from wheelsight.cli._compiling import compile_for
+    from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
+    from wheelsight.pipeline.kernels import parts_of
 
     count, unit = _expected(source, settings)
     status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
@@ -120,7 +121,7 @@ def _track(source: Recording, settings: Config, out: Path, force: bool) -> Seque
         with ExitStack() as shown:
 
             def begin() -> None:
-                compile_for(settings)
+                compile_missing(parts_of(settings))
                 shown.enter_context(progress)
 
             return pipeline.run_each(source, settings, out, force=force, on_ready=begin, on_event=show)
