@@ -44,9 +44,7 @@ class _Settings(BaseModel):
 
 def _listed(files: Any) -> Any:
     """One file, or none, as a list of them."""
-    if files is None:
-        return ()
-    return (files,) if isinstance(files, str) else files
+    return (() if files is None else files) if not isinstance(files, str) else (files,)
 
 
 def _unlisted(files: tuple[str, ...]) -> str | list[str] | None:
