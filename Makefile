@@ -10,7 +10,7 @@
 
 PYTHON ?= python3
 RECORDING ?=
-ODOMETRY ?= features
+ODOMETRY ?=
 OUT ?= out/demo
 
 VENV := .venv
@@ -28,7 +28,7 @@ demo: $(VENV)/.installed-sim
 	$(BIN)/wheelsight run "$(OUT)/drive" --odometry wheels,dense --map surfels --out "$(OUT)/results" --force
 else
 demo: $(VENV)/.installed-core
-	$(BIN)/wheelsight run "$(RECORDING)" --odometry "$(ODOMETRY)" --out "$(OUT)/results" --force
+	$(BIN)/wheelsight run "$(RECORDING)" $(if $(ODOMETRY),--odometry "$(ODOMETRY)") --out "$(OUT)/results" --force
 endif
 
 test: $(VENV)/.installed-dev

@@ -12,8 +12,10 @@ import numpy as np
 from wheelsight import RgbdFrame, Trajectory, evaluate, open_recording
 from wheelsight.errors import DegenerateGeometryError
 from wheelsight.geometry import align_points, se3
+from wheelsight.recordings import express_for
 
 INLIER_M = 0.03
+FEWEST_PAIRS = 20  # of a camera that sees: one that something lies on has none
 
 orb = cv2.ORB_create(1000)
 matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
@@ -23,6 +25,8 @@ rng = np.random.default_rng(0)
 def points_and_descriptors(frame, camera):
     """Points (N, 3) in the camera frame, metres, and BRIEF descriptors (N, 32) of keypoints that have a depth."""
     keypoints, descriptors = orb.detectAndCompute(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), None)
+    if descriptors is None:
+        return np.empty((0, 3)), np.empty((0, 32), np.uint8)
     px = cv2.KeyPoint.convert(keypoints)
     columns, rows = np.rint(px).astype(int).T
     depth_m = frame.depth_m[rows, columns]
@@ -50,20 +54,25 @@ if not recording.calibration.is_registered:
     sys.exit("this example looks depth up at colour pixels, so both must share one pixel grid")
 
 frames = (event for event in recording.events() if isinstance(event, RgbdFrame))
-first = next(frames)
-p_reference, reference_descriptors = points_and_descriptors(first, recording.calibration.depth)
-stamps_s, poses = [first.stamp_s], [np.eye(4)]
+stamps_s, poses, unseen = [], [], 0
+p_reference, reference_descriptors = np.empty((0, 3)), np.empty((0, 32), np.uint8)
 for frame in frames:
     p_current, descriptors = points_and_descriptors(frame, recording.calibration.depth)
     pairs = matcher.match(reference_descriptors, descriptors)
-    of_reference, of_current = np.array([(pair.queryIdx, pair.trainIdx) for pair in pairs]).T
-    T_reference_current = align_most(p_reference[of_reference], p_current[of_current])
+    if not poses and len(p_current) >= FEWEST_PAIRS:
+        T_world_camera = np.eye(4)
+    elif len(pairs) >= FEWEST_PAIRS:
+        of_reference, of_current = np.array([(pair.queryIdx, pair.trainIdx) for pair in pairs]).T
+        T_world_camera = poses[-1] @ align_most(p_reference[of_reference], p_current[of_current])
+    else:  # the next frame is matched with the last one that showed something
+        unseen += 1
+        continue
     stamps_s.append(frame.stamp_s)
-    poses.append(poses[-1] @ T_reference_current)
+    poses.append(T_world_camera)
     p_reference, reference_descriptors = p_current, descriptors
 
 estimate = Trajectory(np.array(stamps_s), np.array(poses))
-print(f"{len(estimate)} poses over {estimate.length_m:.3f} m")
+print(f"{len(estimate)} poses over {estimate.length_m:.3f} m; {unseen} frames show nothing known")
 if recording.ground_truth is not None:
-    evaluation = evaluate(estimate, recording.ground_truth)
+    evaluation = evaluate(estimate, express_for("camera", recording.ground_truth, recording.calibration))
     print(f"ATE {evaluation.ate.translation.rmse:.4f} m RMSE")

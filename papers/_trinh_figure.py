@@ -47,7 +47,7 @@ def draw(
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise InputError("matplotlib is missing", fix="pip install 'wheelsight[papers]'") from error
+        raise InputError("matplotlib is missing", fix="pip install matplotlib") from error
     low, high = _extent(world, [wheels, *methods.values()])
     tall = _PANEL_INCHES * (high - low)[1] / (high - low)[0]
     whole = tall + _TITLE_INCHES + _LEGEND_INCHES

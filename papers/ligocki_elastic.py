@@ -277,7 +277,7 @@ def _figure(width_in: float, height_in: float) -> Figure:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise InputError("matplotlib is missing", fix="pip install 'wheelsight[papers]'") from error
+        raise InputError("matplotlib is missing", fix="pip install matplotlib") from error
     return Figure(figsize=(width_in, height_in), facecolor="white")
 
 

@@ -199,7 +199,7 @@ def figure(log: Log, ways: dict[str, Trajectory]) -> Figure:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise InputError("matplotlib is missing", fix="pip install 'wheelsight[papers]'") from error
+        raise InputError("matplotlib is missing", fix="pip install matplotlib") from error
     drawn = Figure(figsize=(7.6, 8.6), layout="constrained")
     above, over_way = drawn.subplots(2, 1, height_ratios=(2.4, 1))
     drawn_ways = [(way, track) for way, track in ways.items() if way.startswith("arc")]  # the others lie beneath

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from room_drive import make_room_drive
 from synthetic import make_tum_recording
 
 
@@ -44,6 +45,19 @@ def test_step_by_step(example: Callable[..., str]) -> None:
     printed = example("step_by_step.py")
     assert printed.startswith("8 poses over ")
     assert float(re.findall(r"ATE ([\d.]+) m", printed)[0]) < 0.02
+
+
+def test_a_camera_that_is_covered_on_the_way(project_folder: Path, tmp_path: Path) -> None:
+    """As on the drive of `make demo`, whose truth is the base's besides."""
+    make_tum_recording(tmp_path / "room", frames=12, covered=(0, 5, 6))
+    for name in ("step_by_step.py", "frame_by_frame.py"):
+        command = [sys.executable, "-W", "error", str(project_folder / "examples" / name), str(tmp_path / "room")]
+        answer = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert answer.returncode == 0, answer.stderr
+    make_room_drive(tmp_path / "drive", frames=4)
+    command = [sys.executable, str(project_folder / "examples" / "step_by_step.py"), str(tmp_path / "drive")]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert float(re.findall(r"ATE ([\d.]+) m", answer.stdout)[0]) < 0.03, answer.stderr
 
 
 def test_every_example_is_tried(project_folder: Path) -> None:

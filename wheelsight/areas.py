@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import AreaError
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
 
 FORMAT = "wheelsight-areas-1"
@@ -146,12 +146,13 @@ class AreaMap:
         return near
 
 
-def load_areas(path: Path) -> AreaMap:
+def load_areas(path: StrPath) -> AreaMap:
     """Read an areas.yaml.
 
     Raises:
         AreaError: naming the file, the area and what is wrong with it.
     """
+    path = Path(path)
     import yaml
 
     try:
@@ -166,8 +167,9 @@ def load_areas(path: Path) -> AreaMap:
         raise AreaError(error.problem, path=path, fix=error.fix) from error
 
 
-def save_areas(areas: AreaMap, path: Path) -> None:
+def save_areas(areas: AreaMap, path: StrPath) -> None:
     """Write an areas.yaml, atomically; numbers keep their full precision. Raises OutputError."""
+    path = Path(path)
     import yaml
 
     document = {"format": FORMAT, "areas": [_to_entry(area) for area in areas]}

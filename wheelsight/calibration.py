@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
+from wheelsight.calibration_fields import made, mapping, motion, number, whole
+from wheelsight.calibration_layers import NOMINAL, NOMINAL_PARTS, laid_over
 from wheelsight.errors import CalibrationError
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
-
-Part = TypeVar("Part")
 
 FORMAT = "wheelsight-calibration-1"
 _SLOWEST_SHUTTER_S = 0.2
@@ -174,8 +173,8 @@ class Calibration:
             A frame's stamp is the time of its middle row.
         color_sigma_px: how far off the colour camera's numbers may be, as a standard deviation in the image; 0 for a
             camera calibrated well enough for it not to matter, more for nominal values.
-        T_base_camera: (4, 4), or None where the recording has no base. May stand beside wheels without a camera, in a
-            calibration that is to update another.
+        T_base_camera: (4, 4), or None where the recording has no base. May stand without a camera, in a calibration
+            that is to update another.
         wheels: or None where no wheel is read.
         gyro: what a yaw rate is worth, where there is one.
         source: where the numbers come from, for reports.
@@ -215,8 +214,6 @@ class Calibration:
     def _check_presence(self) -> None:
         if (self.color is None) != (self.depth is None):
             raise CalibrationError("one camera of two is missing", fix="give color and depth, or neither")
-        if self.color is None and self.wheels is None:
-            raise CalibrationError("has neither cameras nor wheels", fix="give color, or wheels, or both")
         if self.color is None and self.T_color_depth is not None:
             raise CalibrationError("T_color_depth is given, but no camera", fix="give color, or leave it out")
 
@@ -243,23 +240,45 @@ class Calibration:
         """This robot with what `other` knows in place of its own: cameras, T_base_camera, wheels with gyro.
 
         A calibration of the wheels alone leaves the cameras as they are, and the other way round; one of the wheels
-        and the mount leaves the cameras' lenses.
+        and the mount leaves the cameras' lenses. Files are laid over each other field by field: `load_calibration`.
         """
-        newer = {name: getattr(other, name) for name in _CAMERA_PART} if other.color is not None else {}
-        if other.T_base_camera is not None:
-            newer["T_base_camera"] = other.T_base_camera
-        if other.wheels is not None:
-            newer |= {"wheels": other.wheels, "gyro": other.gyro}
-        both = self.source if self.source == other.source else f"{self.source}, updated by: {other.source}"
-        return replace(self, **newer, source=both)
+        return _from_document(laid_over(calibration_fields(self), calibration_fields(other)))
 
 
-def load_calibration(path: Path) -> Calibration:
-    """Read a calibration.yaml.
+def load_calibration(*paths: StrPath, under: Calibration | None = None) -> Calibration:
+    """Read a calibration.yaml, or several laid over each other, and over `under`: what a later one tells stands.
+
+    Each may tell any part: cameras, T_base_camera, wheels, gyro, or some fields of the last two.
 
     Raises:
-        CalibrationError: naming the file, the field and what is wrong with it.
+        CalibrationError: naming the file, the field and what is wrong with it, or what is missing in all of them.
     """
+    layers = [(Path(path), read_layer(Path(path))) for path in paths]
+    document: dict[str, Any] = {}
+    for _, layer in layers:
+        document = laid_over(document, layer.get(NOMINAL, {}))
+    if under is not None:
+        document = laid_over(document, calibration_fields(under))
+    found, lacks = under, None
+    for path, layer in layers:
+        document = laid_over(document, layer)
+        try:
+            found, lacks = _from_document(document), None
+        except _MissingError as error:
+            lacks = error
+        except CalibrationError as error:
+            raise CalibrationError(error.problem, path=path, fix=error.fix) from error
+    if lacks is not None:
+        holder = next((path for path, layer in reversed(layers) if lacks.part in layer), layers[-1][0])
+        raise CalibrationError(lacks.problem, path=holder, fix=lacks.fix) from lacks
+    if found is None:
+        raise CalibrationError("no calibration is given")
+    return found
+
+
+def read_layer(path: StrPath) -> dict[str, Any]:
+    """The fields of a calibration.yaml, which may tell any part of a calibration. Raises CalibrationError."""
+    path = Path(path)
     import yaml
 
     try:
@@ -269,30 +288,50 @@ def load_calibration(path: Path) -> Calibration:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise CalibrationError(f"is not YAML: {error}", path=path) from error
     try:
-        return _from_document(document)
+        known = mapping(document, "calibration", _TOP_FIELDS)
+        if known.get("format") != FORMAT:
+            raise CalibrationError(f"field format is {known.get('format')!r}", fix=f"write format: {FORMAT}")
+        mapping(known.get(NOMINAL, {}), NOMINAL, NOMINAL_PARTS)
     except CalibrationError as error:
         raise CalibrationError(error.problem, path=path, fix=error.fix) from error
+    return known
 
 
-def save_calibration(calibration: Calibration, path: Path) -> None:
+def save_calibration(calibration: Calibration, path: StrPath) -> None:
     """Write a calibration.yaml, atomically; numbers keep their full precision. Raises OutputError."""
+    save_layer(calibration_fields(calibration), path)
+
+
+def save_layer(document: dict[str, Any], path: StrPath) -> None:
+    """Write fields of a calibration as `read_layer` takes them. Raises OutputError."""
     import yaml
 
-    write_text(path, yaml.safe_dump(_to_document(calibration), sort_keys=False, default_flow_style=None, width=100))
+    write_text(Path(path), yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100))
+
+
+class _MissingError(CalibrationError):
+    """What is there is right, but not all of a part is there."""
+
+    def __init__(self, part: str, field: str, fix: str) -> None:
+        super().__init__(f"field {field} is missing", fix=fix)
+        self.part = part
 
 
 _CAMERA_FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 _NOISE_FIELDS = ("constant_m", "quadratic_per_m", "near_m", "far_m")
 _NUMBERS = ("rolling_shutter_s", "color_sigma_px")
 _CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", *_NUMBERS)
-_TOP_FIELDS = ("format", "source", *_CAMERA_PART, "T_base_camera", "wheels", "gyro")
+_OTHER_PARTS = ("T_base_camera", "wheels", "gyro")
+_TOP_FIELDS = ("format", "source", *_CAMERA_PART, *_OTHER_PARTS, NOMINAL)
 _WHEEL_FIELDS = tuple(f.name for f in fields(Wheels))
 _COUNTER_FIELDS = ("counter_bits", "counter_modulus")
 _GYRO_FIELDS = tuple(f.name for f in fields(Gyro))
 
 
-def _to_document(calibration: Calibration) -> dict[str, Any]:
-    def motion(T: FloatArray | None) -> list[list[float]] | None:
+def calibration_fields(calibration: Calibration) -> dict[str, Any]:
+    """The fields of a calibration as its file has them."""
+
+    def rows(T: FloatArray | None) -> list[list[float]] | None:
         return None if T is None else [[float(x) for x in row] for row in T]
 
     def camera(c: PinholeCamera) -> dict[str, Any]:
@@ -304,14 +343,16 @@ def _to_document(calibration: Calibration) -> dict[str, Any]:
     if calibration.color is not None and calibration.depth is not None:
         document["color"] = camera(calibration.color)
         if not calibration.is_registered:
-            document |= {"depth": camera(calibration.depth), "T_color_depth": motion(calibration.T_color_depth)}
+            document |= {"depth": camera(calibration.depth), "T_color_depth": rows(calibration.T_color_depth)}
         document["depth_noise"] = _plain(calibration.depth_noise)
         document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
     if calibration.T_base_camera is not None:
-        document["T_base_camera"] = motion(calibration.T_base_camera)
+        document["T_base_camera"] = rows(calibration.T_base_camera)
     if calibration.wheels is not None:
         counter = {name: int(getattr(calibration.wheels, name)) for name in _COUNTER_FIELDS}
-        document |= {"wheels": _plain(calibration.wheels) | counter, "gyro": _plain(calibration.gyro)}
+        document["wheels"] = _plain(calibration.wheels) | counter
+    if calibration.wheels is not None or calibration.gyro != Gyro():
+        document["gyro"] = _plain(calibration.gyro)
     return document
 
 
@@ -320,99 +361,54 @@ def _plain(numbers: DepthNoise | Wheels | Gyro) -> dict[str, float]:
 
 
 def _from_document(document: Any) -> Calibration:
-    known = _mapping(document, "calibration", _TOP_FIELDS)
-    if known.get("format") != FORMAT:
-        raise CalibrationError(f"field format is {known.get('format')!r}", fix=f"write format: {FORMAT}")
+    known = mapping(document, "calibration", _TOP_FIELDS)
+    parts: dict[str, Any] = {"T_base_camera": motion(known.get("T_base_camera"), "T_base_camera")}
+    if "gyro" in known:
+        gyro = mapping(known["gyro"], "gyro", _GYRO_FIELDS)
+        parts["gyro"] = made(Gyro, "gyro", {key: number(value, f"gyro.{key}") for key, value in gyro.items()})
     of_camera = [name for name in _CAMERA_PART if name in known]
-    if "color" not in known and (of_camera or "wheels" not in known):
-        raise CalibrationError("field color is missing", fix="give the colour camera: width, height, fx, fy, cx, cy")
-    parts = _camera_part(known) if of_camera else {}
-    parts["T_base_camera"] = _motion(known.get("T_base_camera"), "T_base_camera")
+    if "color" in known:
+        parts |= _camera_part(known)
     if "wheels" in known:
         parts["wheels"] = _wheels(known["wheels"])
-    if "gyro" in known:
-        gyro = _mapping(known["gyro"], "gyro", _GYRO_FIELDS)
-        parts["gyro"] = _made(Gyro, "gyro", {key: _number(value, f"gyro.{key}") for key, value in gyro.items()})
+    if "color" not in known and (of_camera or not any(name in known for name in _OTHER_PARTS)):
+        fix = "give the colour camera: width, height, fx, fy, cx, cy"
+        raise _MissingError((of_camera or ["color"])[0], "color", fix)
     return Calibration(**parts, source=str(known.get("source", "unknown")))
 
 
 def _camera_part(known: dict[str, Any]) -> dict[str, Any]:
     color = _camera(known["color"], "color")
-    noise = _mapping(known.get("depth_noise", {}), "depth_noise", _NOISE_FIELDS)
+    noise = mapping(known.get("depth_noise", {}), "depth_noise", _NOISE_FIELDS)
     return {
         "color": color,
         "depth": _camera(known["depth"], "depth") if "depth" in known else color,
-        "depth_noise": DepthNoise(**{name: _number(value, f"depth_noise.{name}") for name, value in noise.items()}),
-        "T_color_depth": _motion(known.get("T_color_depth"), "T_color_depth"),
-        **{name: _number(known[name], name) for name in _NUMBERS if name in known},
+        "depth_noise": DepthNoise(**{name: number(value, f"depth_noise.{name}") for name, value in noise.items()}),
+        "T_color_depth": motion(known.get("T_color_depth"), "T_color_depth"),
+        **{name: number(known[name], name) for name in _NUMBERS if name in known},
     }
 
 
 def _wheels(value: Any) -> Wheels:
-    known = _mapping(value, "wheels", _WHEEL_FIELDS)
+    known = mapping(value, "wheels", _WHEEL_FIELDS)
     missing = [f.name for f in fields(Wheels) if f.default is MISSING and f.name not in known]
     if missing:
-        raise CalibrationError(f"field wheels.{missing[0]} is missing")
-    numbers: dict[str, Any] = {key: _number(number, f"wheels.{key}") for key, number in known.items()}
-    numbers |= {name: _whole(known[name], f"wheels.{name}", "") for name in _COUNTER_FIELDS if name in known}
-    return _made(Wheels, "wheels", numbers)
-
-
-def _made(kind: Callable[..., Part], name: str, numbers: dict[str, Any]) -> Part:
-    try:
-        return kind(**numbers)
-    except CalibrationError as error:
-        raise CalibrationError(f"field {name}: {error.problem}", fix=error.fix) from error
-
-
-def _mapping(value: Any, name: str, known: tuple[str, ...]) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise CalibrationError(f"field {name} must hold names and values")
-    for key in value:
-        if key not in known:
-            raise CalibrationError(f"field {name} has an unknown entry {key!r}", fix=f"known: {', '.join(known)}")
-    return value
+        raise _MissingError("wheels", f"wheels.{missing[0]}", "give it too, here or in another --calibration")
+    numbers: dict[str, Any] = {key: number(value, f"wheels.{key}") for key, value in known.items()}
+    numbers |= {name: whole(known[name], f"wheels.{name}", "") for name in _COUNTER_FIELDS if name in known}
+    return made(Wheels, "wheels", numbers)
 
 
 def _camera(value: Any, name: str) -> PinholeCamera:
-    known = _mapping(value, name, _CAMERA_FIELDS)
+    known = mapping(value, name, _CAMERA_FIELDS)
     missing = [key for key in _CAMERA_FIELDS[:-1] if key not in known]
     if missing:
         raise CalibrationError(f"field {name}.{missing[0]} is missing")
     distortion = known.get("distortion", [0.0] * 5)
     if not isinstance(distortion, list) or len(distortion) != 5:
         raise CalibrationError(f"field {name}.distortion takes five numbers: k1, k2, p1, p2, k3")
-    k1, k2, p1, p2, k3 = (_number(x, f"{name}.distortion") for x in distortion)
-    fx, fy, cx, cy = (_number(known[key], f"{name}.{key}") for key in ("fx", "fy", "cx", "cy"))
-    width, height = (_whole(known[key], f"{name}.{key}") for key in ("width", "height"))
+    k1, k2, p1, p2, k3 = (number(x, f"{name}.distortion") for x in distortion)
+    fx, fy, cx, cy = (number(known[key], f"{name}.{key}") for key in ("fx", "fy", "cx", "cy"))
+    width, height = (whole(known[key], f"{name}.{key}") for key in ("width", "height"))
     numbers = {"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
-    return _made(PinholeCamera, name, numbers | {"distortion": (k1, k2, p1, p2, k3)})
-
-
-def _motion(value: Any, name: str) -> FloatArray | None:
-    if value is None:
-        return None
-    try:
-        T = np.array(value, float)
-    except (TypeError, ValueError) as error:
-        raise CalibrationError(f"field {name} must be four rows of four numbers") from error
-    if T.shape != (4, 4):
-        raise CalibrationError(f"field {name} must be four rows of four numbers")
-    return T
-
-
-def _whole(value: Any, name: str, of_what: str = " of pixels") -> int:
-    number = _number(value, name)
-    if number != int(number):
-        raise CalibrationError(f"field {name} is {value!r}, not a whole number{of_what}")
-    return int(number)
-
-
-def _number(value: Any, name: str) -> float:
-    try:
-        number = float(value)  # from text too: YAML 1.1 reads 1e-3, without a dot, as text
-    except (TypeError, ValueError):
-        number = np.nan
-    if isinstance(value, bool) or not np.isfinite(number):
-        raise CalibrationError(f"field {name} is {value!r}, not a number")
-    return number
+    return made(PinholeCamera, name, numbers | {"distortion": (k1, k2, p1, p2, k3)})

@@ -25,7 +25,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from wheelsight.errors import ConfigError
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.fusion import AxisWeights, OdometryTerm, Weights
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.mapping import SurfelSettings
@@ -42,19 +42,29 @@ class _Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+def _listed(files: Any) -> Any:
+    """One file, or none, as a list of them."""
+    return (() if files is None else files) if not isinstance(files, str) else (files,)
+
+
+def _unlisted(files: tuple[str, ...]) -> str | list[str] | None:
+    return list(files) if len(files) > 1 else next(iter(files), None)
+
+
 class RecordingSettings(_Settings):
     """What a user says about a recording that its files do not."""
 
-    camera: str | None = Field(None, description="name of a shipped calibration, or a calibration.yaml")
+    camera: str | None = Field(default=None, description="name of a shipped calibration, or a calibration.yaml")
     max_gap_s: NonNegativeFloat = Field(
-        0.02, description="largest distance in time between colour and depth of one frame"
+        default=0.02, description="largest distance in time between colour and depth of one frame"
     )
-    depth_factor: PositiveFloat | None = Field(None, description="depth units a metre, if not the format's own")
-    calibration: str | None = Field(
-        None, description="a calibration.yaml whose wheels or cameras win over the recording's"
+    depth_factor: PositiveFloat | None = Field(default=None, description="depth units a metre, if not the format's own")
+    calibration: Annotated[tuple[str, ...], BeforeValidator(_listed), PlainSerializer(_unlisted)] = Field(
+        default=(), description="a calibration.yaml, or several, laid over the recording's: what a later one tells wins"
     )
     rate_hz: PositiveFloat | None = Field(
-        None, description="how many a second the images' stamps count, where they are numbers of frames or no seconds"
+        default=None,
+        description="how many a second the images' stamps count, if they are numbers of frames or no seconds",
     )
 
     def open_options(self) -> OpenOptions:
@@ -66,9 +76,9 @@ class WheelSettings(_Settings):
     """How wheel readings become a pose."""
 
     integration: Literal["arc", "midpoint", "euler"] = Field(
-        "arc", description="of a step: exact, by Ligocki's eq. 1, or by Trinh's eq. 3"
+        default="arc", description="of a step: exact, by Ligocki's eq. 1, or by Trinh's eq. 3"
     )
-    gyro: bool = Field(True, description="join the yaw rates of a gyroscope, where the recording has them")
+    gyro: bool = Field(default=True, description="join the yaw rates of a gyroscope, where the recording has them")
 
 
 def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
@@ -136,16 +146,16 @@ class WeightSettings(_Settings):
 class PlaceSettings(_Settings):
     """Areas that rectify the wheels. Without a model nothing does, and all else is None; with one, defaults are set."""
 
-    model: str | None = Field(None, description="model that names areas, from wheelsight places train")
-    areas: str | None = Field(None, description="areas.yaml; of None, the one in the recording's folder")
+    model: str | None = Field(default=None, description="model that names areas, from wheelsight places train")
+    areas: str | None = Field(default=None, description="areas.yaml; of None, the one in the recording's folder")
     rectify: Literal["probabilistic", "paper"] | None = Field(
-        None, description="by a filter with covariance, which is the default, or by Trinh's eq. 5"
+        default=None, description="by a filter with covariance, which is the default, or by Trinh's eq. 5"
     )
-    start: StartSettings | None = Field(None, description="of None, from the recording's ground truth")
+    start: StartSettings | None = Field(default=None, description="of None, from the recording's ground truth")
     odometry_term: OdometryTerm | None = Field(
-        None, description="what eq. 5 takes for odometry: its own coordinate, or the last one and the way since"
+        default=None, description="what eq. 5 takes for odometry: its own coordinate, or the last one and the way since"
     )
-    weights: WeightSettings | None = Field(None, description="of eq. 5")
+    weights: WeightSettings | None = Field(default=None, description="of eq. 5")
 
     @model_validator(mode="before")
     @classmethod
@@ -163,16 +173,16 @@ class PlaceSettings(_Settings):
 class EvaluationSettings(_Settings):
     """How an estimate is compared with the ground truth."""
 
-    with_scale: bool = Field(False, description="estimate a scale too when aligning; hides errors of scale")
+    with_scale: bool = Field(default=False, description="estimate a scale too when aligning; hides errors of scale")
     max_gap_s: NonNegativeFloat = Field(
-        0.02, description="largest distance in time between an estimated and a true pose"
+        default=0.02, description="largest distance in time between an estimated and a true pose"
     )
 
 
 class ReportSettings(_Settings):
     """What report.html shows beside the curves."""
 
-    pictures: NonNegativeInt = Field(4, description="frames drawn with their matches")
+    pictures: NonNegativeInt = Field(default=4, description="frames drawn with their matches")
 
 
 def _split(names: Any) -> Any:
@@ -199,16 +209,18 @@ class Config(_Settings):
 
     odometry: Annotated[
         tuple[OdometryName, ...], BeforeValidator(_split), AfterValidator(_each_once), PlainSerializer(_joined)
-    ] = Field(("features",), description="one name or several, in the order in which they are reported")
+    ] = Field(default=("features",), description="one name or several, in the order in which they are reported")
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
     fusion: FusionName = Field(
-        "none",
+        default="none",
         description="how wheels and one camera odometry are joined: by the default filter, which is the default where "
         "both are named, by Ligocki's, or not at all",
     )
-    map: Literal["surfels"] | None = Field(None, description="what dense odometry builds on the way and tracks against")
+    map: Literal["surfels"] | None = Field(
+        default=None, description="what dense odometry builds on the way and tracks against"
+    )
     surfels: SurfelSettings = SurfelSettings()
     wheels: WheelSettings = WheelSettings()
     places: PlaceSettings = PlaceSettings()
@@ -275,7 +287,7 @@ def _conflict(setting: str, problem: str, fix: str) -> PydanticCustomError:
 
 
 def load_config(
-    path: Path | None = None,
+    path: StrPath | None = None,
     overrides: Mapping[str, Any] | None = None,
     called: Mapping[str, str] | None = None,
 ) -> Config:
@@ -289,6 +301,7 @@ def load_config(
     Raises:
         ConfigError: naming file, line, setting and what would be right.
     """
+    path = None if path is None else Path(path)
     text, document = ("", {}) if path is None else _read(path)
     settings = document
     for name, value in (overrides or {}).items():
@@ -310,8 +323,15 @@ def load_config(
         raise ConfigError(problem, path=path, line=_line_of(text, location), fix=fix) from None
 
 
-def save_config(config: Config, path: Path) -> None:
+def is_named(setting: str, path: StrPath | None) -> bool:
+    """Whether a YAML file of settings, if any, says anything of one of the uppermost names. Raises ConfigError."""
+    path = None if path is None else Path(path)
+    return path is not None and setting in _read(path)[1]
+
+
+def save_config(config: Config, path: StrPath) -> None:
     """Write all settings, defaults included, as YAML that `load_config` reads back. Raises OutputError."""
+    path = Path(path)
     write_text(path, yaml.safe_dump(config.to_dict(), sort_keys=False))
 
 

@@ -9,6 +9,7 @@
     │   ├── PlaceError           a model of places that is none, is hostile, or does not fit these areas or frames
     │   ├── MapError             a map's file that is none, or a frame or pose that cannot go into a map
     │   ├── ConfigError          a setting that is unknown, impossible or in conflict
+    │   ├── ArgumentError        an event or array from Python code, of another type or shape than asked for
     │   ├── OutputError          an output that cannot be written, or would be overwritten
     │   └── DeviceError          a port or pipe that is missing, denied, in use, or does not answer
     ├── DegenerateGeometryError  points that do not determine the motion asked for
@@ -19,6 +20,7 @@ A frame that cannot be tracked is no exception but a value: `MotionEstimate.reas
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 
 
@@ -33,7 +35,7 @@ class InputError(WheelsightError):
         self,
         problem: str,
         *,
-        path: Path | str | None = None,
+        path: str | PathLike[str] | None = None,
         line: int | None = None,
         fix: str | None = None,
     ) -> None:
@@ -78,6 +80,10 @@ class MapError(InputError):
 
 class ConfigError(InputError):
     """A setting is unknown, impossible, or contradicts another."""
+
+
+class ArgumentError(InputError):
+    """An event or array handed to a function is of another type or shape than it takes."""
 
 
 class OutputError(InputError):

@@ -17,6 +17,9 @@ from typing import IO, Any, Literal, overload
 
 from wheelsight.errors import OutputError
 
+# What every public function takes for a path.
+StrPath = str | os.PathLike[str]
+
 _REASONS = {
     errno.ENOSPC: ("no space left on the disk", "free some space, or choose another folder"),
     errno.EDQUOT: ("the disk quota is used up", "free some space, or choose another folder"),
@@ -31,16 +34,17 @@ _REASONS = {
 
 
 @overload
-def atomic_write(path: Path, mode: Literal["w"] = "w") -> AbstractContextManager[IO[str]]: ...
+def atomic_write(path: StrPath, mode: Literal["w"] = "w") -> AbstractContextManager[IO[str]]: ...
 @overload
-def atomic_write(path: Path, mode: Literal["wb"]) -> AbstractContextManager[IO[bytes]]: ...
+def atomic_write(path: StrPath, mode: Literal["wb"]) -> AbstractContextManager[IO[bytes]]: ...
 @contextmanager
-def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
+def atomic_write(path: StrPath, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
     """Open `path` for writing ("w" as UTF-8, or "wb"); it appears whole when the block ends well, else not at all.
 
     Raises:
         OutputError: the folder is missing, not writable, or the disk is full.
     """
+    path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     encoding, newline = ("utf-8", "\n") if mode == "w" else (None, None)
     try:
@@ -56,24 +60,27 @@ def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]
             temporary.unlink(missing_ok=True)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: StrPath, text: str) -> None:
     """Write `text` to `path` atomically, as UTF-8. Raises OutputError."""
+    path = Path(path)
     with atomic_write(path) as stream:
         stream.write(text)
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: StrPath, data: bytes) -> None:
     """Write `data` to `path` atomically. Raises OutputError."""
+    path = Path(path)
     with atomic_write(path, "wb") as stream:
         stream.write(data)
 
 
-def make_output_folder(folder: Path, force: bool = False) -> Path:
+def make_output_folder(folder: StrPath, force: bool = False) -> Path:
     """Make `folder` (and its parents) for new results.
 
     Raises:
         OutputError: it holds something and `force` is off, is a file, or cannot be made or written to.
     """
+    folder = Path(folder)
     try:
         if folder.is_dir() and any(folder.iterdir()) and not force:
             raise OutputError("is not empty", path=folder, fix="choose another --out, or add --force to overwrite")
@@ -85,7 +92,8 @@ def make_output_folder(folder: Path, force: bool = False) -> Path:
     return folder
 
 
-def output_error(error: OSError, path: Path) -> OutputError:
+def output_error(error: OSError, path: StrPath) -> OutputError:
     """The OutputError that tells a person what `error` means for `path`."""
+    path = Path(path)
     problem, fix = _REASONS.get(error.errno or 0, (error.strerror or str(error), None))
     return OutputError(problem, path=path, fix=fix)

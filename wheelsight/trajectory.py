@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import TrajectoryError
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, interpolate_at, se3, so3
 
 _log = logging.getLogger(__name__)
@@ -114,7 +114,7 @@ class Trajectory:
         return Trajectory(self.stamps_s, T @ self.T_world_body, covariances, self.body, self.world)
 
 
-def read_tum(path: Path, body: str = "camera", warn: Callable[[str], None] = _log.warning) -> Trajectory:
+def read_tum(path: StrPath, body: str = "camera", warn: Callable[[str], None] = _log.warning) -> Trajectory:
     """Read TUM text: `stamp tx ty tz qx qy qz qw` a line, metres; # starts a comment.
 
     A line "# frames: T_world_base" (wheelsight writes it) names the frames; else `body` does.
@@ -125,6 +125,7 @@ def read_tum(path: Path, body: str = "camera", warn: Callable[[str], None] = _lo
         TrajectoryError: naming file and line, for text that is no such line, values that are not finite,
             quaternions far from unit length, stamps that run backwards or repeat often, or a file without poses.
     """
+    path = Path(path)
     rows, frames = _read_rows(path, columns=8)
     lines = np.array([line for line, _ in rows])
     values: FloatArray = np.array([row for _, row in rows], np.float64).reshape(-1, 8)
@@ -163,8 +164,9 @@ def _first_of_each_stamp(stamps_s: FloatArray, lines: IntArray, path: Path, warn
     return is_first
 
 
-def write_tum(trajectory: Trajectory, path: Path) -> None:
+def write_tum(trajectory: Trajectory, path: StrPath) -> None:
     """Write TUM text, atomically; the header names the frames, and stamps read back exactly. Raises OutputError."""
+    path = Path(path)
     write_text(path, tum_header(trajectory) + "".join(tum_lines(trajectory)))
 
 
@@ -183,12 +185,13 @@ def tum_lines(trajectory: Trajectory) -> Iterator[str]:
         yield f"{seconds} " + " ".join(f"{x:.9f}" for x in (*position, *quaternion)) + "\n"
 
 
-def read_kitti(path: Path, period_s: float = 0.1, body: str = "camera") -> Trajectory:
+def read_kitti(path: StrPath, period_s: float = 0.1, body: str = "camera") -> Trajectory:
     """Read KITTI text: the first three rows of a pose, twelve numbers a line; stamps are counted at `period_s`.
 
     Rotations are brought to the nearest orthonormal one, since the text rounds them.
     Raises TrajectoryError naming file and line, as `read_tum`.
     """
+    path = Path(path)
     rows, frames = _read_rows(path, columns=12)
     values = np.array([row for _, row in rows], float).reshape(-1, 3, 4)
     R = so3.nearest(values[:, :, :3])
@@ -199,8 +202,9 @@ def read_kitti(path: Path, period_s: float = 0.1, body: str = "camera") -> Traje
     return Trajectory(stamps_s, se3.from_parts(R, values[:, :, 3]), None, body, world)
 
 
-def write_kitti(trajectory: Trajectory, path: Path) -> None:
+def write_kitti(trajectory: Trajectory, path: StrPath) -> None:
     """Write KITTI text, atomically; stamps are not part of the format. Raises OutputError."""
+    path = Path(path)
     rows = trajectory.T_world_body[:, :3, :].reshape(-1, 12)
     write_text(path, "".join(" ".join(f"{x:.9e}" for x in row) + "\n" for row in rows))
 

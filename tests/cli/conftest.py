@@ -12,8 +12,15 @@ from wheelsight.calibration import Calibration, Wheels
 from wheelsight.cli import app
 from wheelsight.events import WheelTicks
 from wheelsight.odometry.wheels import integrate_log
+from wheelsight.pipeline import kernels
 from wheelsight.recordings import RecordingWriter
 from wheelsight.trajectory import Trajectory
+
+
+@pytest.fixture(autouse=True)
+def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels are compiled on the way, not all of them ahead; what is said of that has its own test."""
+    monkeypatch.setattr(kernels, "missing_parts", lambda parts: ())
 
 
 @pytest.fixture

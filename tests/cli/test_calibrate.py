@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from browser import open_page
 from drives import simulate, square_legs, write_recording
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
+from wheelsight.calibration import Calibration, Gyro, Wheels, load_calibration, save_calibration
+from wheelsight.geometry import PinholeCamera
 from wheelsight.odometry.wheels.umbmark import corrected
 from wheelsight.trajectory import Trajectory, read_tum, write_tum
 
@@ -20,6 +22,7 @@ Refusal = Callable[..., str]
 
 NOMINAL = Wheels(left_radius_m=0.17, right_radius_m=0.17, track_width_m=0.58, ticks_per_turn=3200)
 TRUE = replace(NOMINAL, left_radius_m=0.171, right_radius_m=0.1695, track_width_m=0.615, delay_s=0.06)
+MOUNT = np.array([[0.0, 0.0, 1.0, 0.3], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 1.1], [0.0, 0.0, 0.0, 1.0]])
 SQUARE = replace(corrected(NOMINAL, 1.006, 1.02), slip_m_per_sqrt_m=0.001)
 
 
@@ -190,3 +193,41 @@ def test_the_reference_is_read_as_told(wheelsight: Command, refusal: Refusal, dr
     write_tum(Trajectory(truth.stamps_s, truth.T_world_body, body="camera"), camera)
     told = refusal("calibrate", "wheels", drive, "--reference", camera, "--out", tmp_path / "wheels.yaml")
     assert "give T_base_camera" in told
+
+
+def test_each_command_keeps_what_the_others_found(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    """FILE with --force is the recording's own calibration: its cameras, mount and gyroscope are still there."""
+    own = drive / "calibration.yaml"
+    camera = PinholeCamera(64, 48, 50.0, 50.0, 32.0, 24.0)
+    before = Calibration.registered_camera(
+        camera, T_base_camera=MOUNT, wheels=NOMINAL, gyro=Gyro(bias_rad_s=0.1), source="data sheet"
+    )
+    save_calibration(before, own)
+    result = wheelsight("calibrate", "wheels", drive, "--out", own, "--force")
+    assert result.exit_code == 0, result.output
+    assert "(kept in it: cameras, mount, gyro)" in result.stdout
+    found = load_calibration(own)
+    assert found.cameras == (camera, camera)
+    np.testing.assert_array_equal(found.T_base_camera, MOUNT)
+    assert found.gyro.bias_rad_s == 0.1
+    assert found.wheels is not None
+    assert found.wheels.track_width_m == pytest.approx(0.615, rel=3e-3)
+    assert found.source == "data sheet, updated by: wheels fitted on drive to its ground truth"
+
+
+def test_what_was_given_is_handed_on(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    given, out = tmp_path / "given.yaml", tmp_path / "out.yaml"
+    fields = {"T_base_camera": MOUNT.tolist(), "wheels": {"max_speed_m_s": 3.0, "delay_s": 0.02}}
+    given.write_text(yaml.safe_dump({"format": "wheelsight-calibration-1", **fields}))
+    result = wheelsight("calibrate", "wheels", drive, "--no-delay", "--calibration", given, "--out", out)
+    assert result.exit_code == 0, result.output
+    np.testing.assert_array_equal(load_calibration(out).T_base_camera, MOUNT)
+    assert (wheels_in(out).max_speed_m_s, wheels_in(out).delay_s) == (3.0, 0.02)
+
+
+def test_a_calibration_that_cannot_be_read_is_not_lost(refusal: Refusal, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "wheels.yaml"
+    out.write_text("format: wheelsight-calibration-1\ncolour: {}\n")
+    told = refusal("calibrate", "wheels", drive, "--out", out, "--force")
+    assert told.startswith(f"{out}: field calibration has an unknown entry 'colour'")
+    assert "colour" in out.read_text()

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,8 @@ from html_page import Page
 from sighted_drives import MOUNT, NOMINAL, USUAL, nominal, sighted
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.calibration import Calibration, load_calibration, read_layer, save_calibration
+from wheelsight.config import load_config
 from wheelsight.odometry import extrinsics
 from wheelsight.odometry.extrinsics import BaseCalibration, base_from, mount_values
 from wheelsight.recordings import OpenOptions, Recording, open_recording
@@ -58,6 +60,7 @@ def test_a_drive_gives_a_mount_and_a_page(wheelsight: Command, drive: Path, tmp_
     assert "The <light> went out." in result.stderr
     written = load_calibration(out)
     assert written.source == "mount found on drive"
+    assert set(read_layer(out)["wheels"]) == {"delay_s"}
     assert written.T_base_camera is not None
     np.testing.assert_allclose(written.T_base_camera, MOUNT, atol=0.01)
     assert written.wheels is not None
@@ -117,6 +120,28 @@ def test_a_recording_without_wheels_is_refused(refusal: Refusal, room: Path, tmp
     assert "has no wheels (give nominal ones" in told
 
 
+def test_calibrations_are_laid_over_each_other(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    """Wheels from one file, the mount and the delay from another, whichever command knew of the other's."""
+    nominal = replace(NOMINAL, track_width_m=NOMINAL.track_width_m * 1.01)
+    save_calibration(Calibration(T_base_camera=BELIEVED, wheels=nominal), drive / "calibration.yaml")
+    sizes, base, both = (tmp_path / f"{name}.yaml" for name in ("sizes", "base", "both"))
+    commands = (
+        ("wheels", drive, "--out", sizes),
+        ("base", drive, "--out", base),
+        ("base", drive, "--calibration", sizes, "--out", both),
+    )
+    for command in commands:
+        assert wheelsight("calibrate", *command).exit_code == 0
+    for files in ((sizes, base), (both,), (base, both)):
+        found = open_recording(drive, OpenOptions(calibration=files)).calibration
+        assert found.T_base_camera is not None
+        np.testing.assert_allclose(found.T_base_camera, MOUNT, atol=0.01)
+        assert found.wheels is not None
+        assert found.wheels.delay_s == pytest.approx(0.03, abs=5e-3)
+        assert found.wheels.track_width_m == pytest.approx(NOMINAL.track_width_m, rel=2e-3)
+        assert found.wheels.ticks_per_turn == NOMINAL.ticks_per_turn
+
+
 @pytest.mark.slow
 def test_a_simulated_drive_from_end_to_end(wheelsight: Command, tmp_path: Path) -> None:
     """Rendered, written, calibrated by the command, and run with what it found."""
@@ -136,5 +161,12 @@ def test_a_simulated_drive_from_end_to_end(wheelsight: Command, tmp_path: Path) 
     for name, value in mount_values(T_base_camera).items():
         limit = np.radians(0.5) if name in ("roll", "pitch", "yaw") else 0.01
         assert value == pytest.approx(truth[name], abs=limit), name
-    command = ("run", tmp_path / "drive", "--odometry", "wheels", "--calibration", out, "--out", tmp_path / "run")
-    assert wheelsight(*command).exit_code == 0
+    sizes = tmp_path / "sizes.yaml"
+    assert wheelsight("calibrate", "wheels", tmp_path / "drive", "--out", sizes).exit_code == 0
+    given = ("--calibration", sizes, "--calibration", out)
+    result = wheelsight("run", tmp_path / "drive", "--odometry", "wheels,dense", *given, "--out", tmp_path / "run")
+    assert result.exit_code == 0, result.output
+    metrics = json.loads((tmp_path / "run" / "joined" / "metrics.json").read_text())
+    assert metrics["evaluation"]["ate_m"]["rmse"] < 0.03
+    settings = load_config(tmp_path / "run" / "config.yaml").recording
+    assert settings.calibration == (str(sizes), str(out))

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from room_drive import make_room_drive
 from synthetic import wobbling_trajectory
 from typer.testing import Result
 
@@ -135,8 +139,35 @@ def test_the_truth_of_the_estimates_body_is_taken_where_it_lies_beside(
     estimate.write_text(of_base)
     truth = truth.rename(truth.with_name("groundtruth.txt"))
     assert "move differently" in refusal("evaluate", estimate, truth)
-    (beside := truth.with_name("groundtruth_base.txt")).write_text(of_base)
+    truth.with_name("groundtruth_base.txt").write_text(of_base)
     result = wheelsight("evaluate", estimate, truth)
     assert result.exit_code == 0, result.output
     assert "T_world_base: 90 pairs" in result.stdout
-    assert str(beside) in result.stderr.replace("\n", "")
+    assert "groundtruth_base.txt beside it, of the base, is taken" in result.stderr
+
+
+def test_the_truth_of_the_body_that_was_estimated_is_taken(wheelsight: Callable[..., Result], tmp_path: Path) -> None:
+    """A run tells of the base, a recording's groundtruth.txt of the camera: groundtruth_base.txt lies beside it."""
+    make_room_drive(tmp_path / "drive", frames=8)
+    beside = tmp_path / "drive" / "groundtruth_base.txt"
+    result = wheelsight("evaluate", beside, tmp_path / "drive" / "groundtruth.txt")
+    assert result.exit_code == 0, result.output
+    assert "groundtruth_base.txt beside it, of the base, is taken" in result.stderr
+    assert result.stdout.count("0.0000 m") == 12  # of 4 rows of positions, the last too short for a metre
+    beside.rename(tmp_path / "elsewhere.txt")
+    assert wheelsight("evaluate", tmp_path / "elsewhere.txt", tmp_path / "drive" / "groundtruth.txt").exit_code == 2
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii", "utf-8"])
+def test_any_encoding_takes_the_output(encoding: str, tmp_path: Path, project_folder: Path) -> None:
+    make_room_drive(tmp_path / "drive", frames=8)
+    truth = str(tmp_path / "drive" / "groundtruth_base.txt")
+    environment = {**os.environ, "PYTHONIOENCODING": encoding, "PYTHONPATH": str(project_folder)}
+    command = [sys.executable, "-m", "wheelsight", "evaluate", truth, truth]
+    answer = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+    assert "ATE, rotation" in answer.stdout.decode(encoding)
+    wrong = subprocess.run([*command[:-1], "σ→missing.txt"], env=environment, capture_output=True, check=False)
+    assert wrong.returncode == 2
+    told = wrong.stderr.decode(encoding)
+    assert told.startswith("error: σ→missing.txt" if encoding == "utf-8" else "error: sigma->missing.txt")

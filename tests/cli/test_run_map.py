@@ -8,9 +8,7 @@ import pytest
 from synthetic import make_tum_recording
 from typer.testing import Result
 
-from wheelsight.cli import _run_status
-from wheelsight.cli._run_status import COMPILING, RunStatus, count, kernels_are_compiled
-from wheelsight.config import load_config
+from wheelsight.cli._run_status import RunStatus, count
 from wheelsight.estimates import Status
 from wheelsight.report import FrameRecord
 
@@ -20,15 +18,6 @@ MAPPED = ("--odometry", "dense", "--map", "surfels")
 
 def answer(status: Status = Status.TRACKING, surfels: int | None = None, dropped: int = 0) -> FrameRecord:
     return FrameRecord(0, 1.0, status, None, 100, 90, 0.01, surfels=surfels, surfels_dropped=dropped)
-
-
-@pytest.fixture
-def status(monkeypatch: pytest.MonkeyPatch) -> Callable[..., RunStatus]:
-    def made(odometry: str, is_compiled: bool = True) -> RunStatus:
-        monkeypatch.setattr(_run_status, "kernels_are_compiled", lambda parts: is_compiled)
-        return RunStatus(load_config(overrides={"odometry": odometry}))
-
-    return made
 
 
 def test_a_terminal_sees_the_map_grow(wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,49 +50,20 @@ def test_counts_are_short(n: int, text: str) -> None:
     assert count(n) == text
 
 
-def test_status_and_size_are_told_and_what_was_given_up(status: Callable[..., RunStatus]) -> None:
-    told = status("dense")
-    assert told.text == ""
+def test_status_and_size_are_told_and_what_was_given_up() -> None:
+    told = RunStatus()
     assert told.after({"dense": answer(surfels=411_600)}) == "tracking · 412k surfels"
     full = told.after({"dense": answer(Status.FAILING, 3_000_000, 12_300)})
     assert full == "failing · 3.00M surfels, 12k given up for want of room"
 
 
-def test_of_several_each_is_told_by_its_name(status: Callable[..., RunStatus]) -> None:
-    told = status("wheels,dense")
+def test_of_several_each_is_told_by_its_name() -> None:
+    told = RunStatus()
     told.after({"wheels": answer()})
     assert told.after({"dense": answer(surfels=900)}) == "wheels tracking, dense tracking · 900 surfels"
 
 
-def test_compilation_is_told_until_the_second_frame(status: Callable[..., RunStatus]) -> None:
-    told = status("wheels,dense", is_compiled=False)
-    assert told.text == COMPILING
-    assert told.after({"wheels": answer()}) == COMPILING
-    assert told.after({"dense": answer()}) == COMPILING
-    assert told.after({"dense": answer()}) == "wheels tracking, dense tracking"
-
-
-def test_in_real_time_compilation_is_over_at_the_first_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_run_status, "kernels_are_compiled", lambda parts: False)
-    told = RunStatus(load_config(overrides={"odometry": "wheels,dense"}), is_rehearsed=True)
-    assert told.text == COMPILING
-    assert told.after({"wheels": answer(), "joined": answer()}) == "wheels tracking, joined tracking"
-
-
-def test_whether_kernels_are_compiled_is_asked_of_numba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from wheelsight.mapping import _fusion_kernels, _view_kernels
-
-    class _Stats:
-        cache_path = str(tmp_path)
-
-    for module in (_fusion_kernels, _view_kernels):
-        for kernel in vars(module).values():
-            if hasattr(kernel, "py_func"):
-                monkeypatch.setattr(type(kernel), "stats", _Stats())
-    assert not kernels_are_compiled(("surfels",))
-    (tmp_path / "_fusion_kernels.fuse-1.py311.nbi").write_bytes(b"")
-    assert not kernels_are_compiled(("surfels",))
-    (tmp_path / "_view_kernels.blend-1.py311.nbi").write_bytes(b"")
-    assert kernels_are_compiled(("surfels",))
-    assert kernels_are_compiled(("wheels",))
-    assert not kernels_are_compiled(("dense", "surfels"))
+def test_joined_sensors_are_told_first() -> None:
+    told = RunStatus()
+    told.after({"wheels": answer(), "joined": answer(surfels=900)})
+    assert told.after({"dense": answer(Status.LOST)}) == "joined tracking · 900 surfels, wheels tracking, dense lost"

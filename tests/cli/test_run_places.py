@@ -49,7 +49,9 @@ def test_every_option_of_places_reaches_its_setting(wheelsight: Command, drive: 
 
 def test_bad_input_is_one_line(refusal: Callable[..., str], drive: Path, tmp_path: Path) -> None:
     out, model = ("--out", tmp_path / "out"), tmp_path / "three.places"
-    assert refusal("run", drive, "--places", model, *out).startswith("--places rectifies wheels, and there are none")
+    assert refusal("run", drive, "--odometry", "features", "--places", model, *out).startswith(
+        "--places rectifies wheels, and there are none"
+    )
     assert "without a model of places" in refusal("run", drive, "--odometry", "wheels", "--rectify", "paper", *out)
     assert refusal("run", drive, *BY_PLACES, tmp_path / "no", *out).startswith(f"{tmp_path / 'no'}: cannot be read")
     save_areas(AreaMap(load_areas(drive / "areas.yaml").areas[:2]), tmp_path / "two.yaml")

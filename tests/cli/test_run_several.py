@@ -7,6 +7,7 @@ import pytest
 from room_drive import make_room_drive
 from typer.testing import Result
 
+from wheelsight.config import load_config
 from wheelsight.recordings import open_recording
 
 Command = Callable[..., Result]
@@ -42,7 +43,7 @@ def test_a_terminal_sees_all_events_pass_by(
     events = source.wheel_count + source.frame_count
     assert f"{events}/{events}" in result.stderr
     assert "events/s" in result.stderr
-    assert "wheels tracking, joined tracking, features tracking" in result.stderr
+    assert "joined tracking, wheels tracking, features tracking" in result.stderr
 
 
 def test_why_one_was_not_evaluated_stands_below(wheelsight: Command, tmp_path: Path) -> None:
@@ -71,3 +72,27 @@ def test_what_joining_came_to_is_said(wheelsight: Command, drive: Path, tmp_path
     assert "joined" in rows
     result = wheelsight("run", drive, "--odometry", "wheels,features", "--fusion", "none", "--out", tmp_path / "none")
     assert "what joining came to" not in result.stdout
+
+
+def test_without_a_name_all_sensors_are_joined(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    result = wheelsight("run", drive, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    assert (tmp_path / "out" / "joined" / "trajectory.txt").is_file()
+    assert load_config(tmp_path / "out" / "config.yaml").odometry == ("wheels", "dense")
+
+
+def test_what_is_not_joined_is_said_in_one_line(wheelsight: Command, tmp_path: Path) -> None:
+    make_room_drive(tmp_path / "drive", frames=4, mounted=False)
+    result = wheelsight("run", tmp_path / "drive", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("warning: ")
+    assert "wheel readings are not used: the calibration has no T_base_camera" in line
+
+
+def test_a_file_of_settings_names_it_too(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "settings.yaml").write_text("odometry: features\n")
+    result = wheelsight("run", drive, "--config", tmp_path / "settings.yaml", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "trajectory.txt").is_file()

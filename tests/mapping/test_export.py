@@ -124,7 +124,7 @@ def test_meshing_tells_how_far_it_is(monkeypatch):
 
 def test_without_scikit_image_the_fix_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "skimage.measure", None)
-    with pytest.raises(MapError, match=r"wheelsight\[mesh\]"):
+    with pytest.raises(MapError, match="pip install scikit-image"):
         mesh_of(wall_map())
 
 

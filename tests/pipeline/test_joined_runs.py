@@ -10,7 +10,7 @@ from room_drive import make_room_drive
 from wheelsight.config import load_config
 from wheelsight.pipeline import run_each
 from wheelsight.recordings import open_recording
-from wheelsight.report import RunRecord, facts_of, rival_of
+from wheelsight.report import RunRecord, facts_of, rival_of, summarise
 from wheelsight.trajectory import read_tum
 
 
@@ -51,18 +51,20 @@ def test_its_trajectory_has_poses_at_frames_and_at_readings(ran: tuple[Path, tup
 
 
 @pytest.mark.usefixtures("real_odometry")
-def test_frames_that_readings_overtook_have_poses_too(tmp_path: Path) -> None:
+@pytest.mark.parametrize("delay_s", [-0.008, -0.2])
+def test_frames_that_readings_overtook_have_poses_too(tmp_path: Path, delay_s: float) -> None:
     """Calibrated wheels may be said to lead: their readings' stamps are then later than those of frames told after."""
     make_room_drive(tmp_path / "room", frames=4)
     recording = open_recording(tmp_path / "room")
     assert recording.calibration.wheels is not None
-    early = replace(recording.calibration.wheels, delay_s=-0.008)
+    early = replace(recording.calibration.wheels, delay_s=delay_s)
     recording = replace(recording, calibration=replace(recording.calibration, wheels=early))
     joined = run_each(recording, load_config(overrides={"odometry": "wheels,features"}), tmp_path / "out")[2]
     assert all(frame.pose_s > frame.stamp_s for frame in joined.frames)
     assert joined.evaluation is not None
-    assert joined.evaluation.frames_with_pose == 1
-    assert facts_of(joined).poses_at_frames == len(joined.frames)
+    found = metrics_in(tmp_path / "out" / "joined")["frames"]
+    assert joined.evaluation.frames_with_pose == summarise(joined).pose_share == found["with_pose_share"] == 1
+    assert facts_of(joined).poses_at_frames == len({frame.pose_s for frame in joined.frames})
 
 
 def test_frames_tell_their_flags(ran: tuple[Path, tuple[RunRecord, ...]]) -> None:

@@ -23,6 +23,7 @@ from wheelsight.errors import OutputError, RecordingError
 from wheelsight.estimates import Status
 from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.pipeline import run
+from wheelsight.pipeline.track import Track
 from wheelsight.recordings import open_recording
 from wheelsight.report import summarise
 from wheelsight.trajectory import Trajectory, read_tum
@@ -238,3 +239,16 @@ def test_dense_odometry_follows_the_room_too(tmp_path: Path) -> None:
     assert len(record.estimate) == 8
     assert record.stage_seconds
     assert record.pictures == ()
+
+
+def test_ctrl_c_before_the_first_answer_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A trajectory without a pose could not be read again."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    make_tum_recording(tmp_path / "room", frames=3)
+    monkeypatch.setattr(Track, "step", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run(open_recording(tmp_path / "room"), Config(), tmp_path / "out")
+    assert list((tmp_path / "out").iterdir()) == []

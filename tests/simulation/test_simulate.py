@@ -9,6 +9,7 @@ import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -227,7 +228,7 @@ def test_progress_tells_how_far_of_how_much():
 
 def test_without_mujoco_the_way_to_it_is_told(monkeypatch):
     monkeypatch.setattr(sys.modules["wheelsight.simulation.simulate"], "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r'the simulator needs MuJoCo \(pip install "wheelsight\[sim\]"\)'):
+    with pytest.raises(ConfigError, match=r"the simulator needs MuJoCo \(pip install mujoco"):
         simulate(SETTINGS)
 
 
@@ -256,3 +257,16 @@ def test_faults_are_told_in_the_settings():
     assert plain["faults"]["dropouts_s"] == [[1.0, 2.5]]
     assert plain["faults"]["patches"] == [{"x_m": 1.0, "y_m": 2.0, "radius_m": 0.5, "friction": 0.05}]
     assert yaml.safe_load(yaml.safe_dump(plain)) == plain
+
+
+@pytest.mark.parametrize(
+    ("mishap", "told"),
+    [
+        ({"covered_s": ((1000, 1010),)}, "--cover 1000:1010 never comes: the drive ends at 2.0 s"),
+        ({"faults": WheelFaults(lifted_s=((1, 2), (3, 4)))}, "--lift 3:4 never comes"),
+        ({"faults": WheelFaults(dropouts_s=((2, 4),))}, "--dropout 2:4 never comes"),
+    ],
+)
+def test_what_never_comes_is_refused(mishap: dict[str, Any], told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        simulate(SimulationSettings(world="square", duration_s=2.0, **mishap))

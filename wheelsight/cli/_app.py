@@ -8,8 +8,8 @@ import typer
 import typer.core
 
 from wheelsight import __version__
-from wheelsight.cli import calibrate, evaluate, export, info, places, record, run, simulate, wheels
-from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error
+from wheelsight.cli import calibrate, evaluate, export, info, places, record, run, simulate, warm_up, wheels
+from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error, speak_any_encoding
 from wheelsight.errors import WheelsightError
 
 
@@ -46,6 +46,7 @@ app.command("evaluate")(evaluate.evaluate)
 app.command("export")(export.export)
 app.command("record")(record.record)
 app.command("simulate")(simulate.simulate)
+app.command("warm-up")(warm_up.warm_up)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(wheels.app, name="wheels")
 app.add_typer(places.app, name="places")
@@ -71,4 +72,5 @@ def _about(
 
 def main() -> None:
     """The entry point of the command `wheelsight`."""
+    speak_any_encoding()
     app()

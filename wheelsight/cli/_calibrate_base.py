@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wheelsight.cli._calibration_files import Force, Out, open_for, page_beside
+from wheelsight.cli._calibration_files import Force, Out, kept_in, open_for, page_beside, save_found
 from wheelsight.cli._options import CalibrationFile, RateHz, RecordingPath
 
 
@@ -17,7 +17,8 @@ def base(
 
     Roll, pitch and height come from the floor seen in depth.
     Yaw, x, y and the delay come from the motions of wheels and camera.
-    FILE gets T_base_camera and the wheels' delay, for wheelsight run --calibration.
+    FILE gets T_base_camera and the wheels' delay, for wheelsight run --calibration;
+    of wheels it keeps what --calibration, or FILE itself, told.
     A drive that does not show them is refused, as a straight one hides x and y;
     what to drive instead is said: a minute or two, straight and with turns both ways.
 
@@ -25,18 +26,20 @@ def base(
 
     wheelsight calibrate base my_drive --out base.yaml
 
-    wheelsight calibrate base my_drive --calibration nominal.yaml --out base.yaml
+    wheelsight calibrate base my_drive --calibration wheels.yaml --out robot.yaml
     """
-    from wheelsight.calibration import save_calibration
     from wheelsight.cli._calibration import print_mount
+    from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.odometry.extrinsics import calibrate_base
     from wheelsight.report.base_page import write_base_page
 
-    page = page_beside(out, force)
+    page, kept = page_beside(out, force), kept_in(out, calibration)
     source = open_for(recording, calibration, rate_hz)
+    compile_missing(("wheels", "dense"))
     with FrameProgress("watching", source.frame_count) as progress:
         found = calibrate_base(source, progress.advance)
-    save_calibration(found.calibration, out)
+    parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}
+    written = save_found(parts, kept, source.calibration, f"mount found on {source.name}", out)
     write_base_page(found, page)
-    print_mount(found, out, page)
+    print_mount(found, written, page)

@@ -11,7 +11,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from wheelsight.calibration import Calibration, Gyro, Wheels, load_calibration, save_calibration
+from wheelsight.calibration import Calibration, Wheels, load_calibration
 from wheelsight.cli._console import console, print_warning
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
@@ -33,24 +33,25 @@ from wheelsight.report.wheel_tables import HEAD, error_rows, fit_rows, square_ro
 class Squares:
     """UMBmark with what is told of it: errors that corrected wheels leave, of clockwise and of the other runs.
 
-    `unused_m` are mean distances before and after, of each run by wheels corrected without it; None for too few runs.
+    `nominal` is what was known before. `unused_m` are mean distances before and after, of each run by wheels corrected
+    without it; None for too few runs.
     """
 
     name: str
     result: Umbmark
     after_m: tuple[FloatArray, FloatArray]
-    gyro: Gyro
+    nominal: Calibration
     unused_m: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
 
 
-def squares_from_table(path: Path, calibration: str | None, side_m: float | None) -> Squares:
+def squares_from_table(path: Path, calibration: Sequence[str] | None, side_m: float | None) -> Squares:
     """From a table of return position errors. Raises CalibrationError where what it needs beside it is missing."""
-    if calibration is None or side_m is None:
+    if not calibration or side_m is None:
         raise CalibrationError("a table tells neither wheels nor side", path=path, fix="add --calibration and --side")
-    nominal = load_calibration(Path(calibration))
+    nominal = load_calibration(*calibration)
     result = umbmark(_wheels(nominal), *read_return_errors(path), side_m)
-    return Squares(path.name, result, result.errors_after_m, nominal.gyro)
+    return Squares(path.name, result, result.errors_after_m, nominal)
 
 
 def squares_from_recordings(recordings: Sequence[Recording], side_m: float | None) -> Squares:
@@ -73,15 +74,10 @@ def squares_from_recordings(recordings: Sequence[Recording], side_m: float | Non
     name = f"{len(runs)} squares, {runs[0].name} to {runs[-1].name}"
     told = tuple(dict.fromkeys(warning for recording in recordings for warning in recording.warnings))
     after_m = (errors[~turns_left], errors[turns_left])
-    return Squares(name, result, after_m, recordings[0].calibration.gyro, unused_m, told)
+    return Squares(name, result, after_m, recordings[0].calibration, unused_m, told)
 
 
-def save(wheels: Wheels, gyro: Gyro, source: str, out: Path) -> None:
-    """Write a calibration of the wheels alone, which leaves the cameras of what it is applied to as they are."""
-    save_calibration(Calibration(wheels=wheels, gyro=gyro, source=source), out)
-
-
-def print_trial(trial: WheelTrial, out: Path, page: Path) -> None:
+def print_trial(trial: WheelTrial, written: str, page: Path) -> None:
     """Wheels and errors before and after, and where the files are."""
     stdout, fit = console(), trial.fit
     along, across, turn = fit.spread
@@ -92,10 +88,10 @@ def print_trial(trial: WheelTrial, out: Path, page: Path) -> None:
     title = f"errors on the {trial.held_out.length_m:.1f} m that the fit did not see, RMSE"
     stdout.print()
     stdout.print(_table(title, ("", "nominal", "calibrated"), error_rows(trial)))
-    _print_end(trial.warnings, out, page)
+    _print_end(trial.warnings, written, page)
 
 
-def print_squares(squares: Squares, out: Path, page: Path) -> None:
+def print_squares(squares: Squares, written: str, page: Path) -> None:
     """The same for UMBmark."""
     stdout, result = console(), squares.result
     stdout.print(_table(f"{squares.name}: wheels", HEAD, square_rows(result)))
@@ -104,16 +100,16 @@ def print_squares(squares: Squares, out: Path, page: Path) -> None:
     if squares.unused_m is not None:
         told = "mean error of each run by wheels corrected without it"
         stdout.print(f"{told}: {squares.unused_m[0]:.3f} m nominal, {squares.unused_m[1]:.3f} m corrected")
-    _print_end(squares.warnings, out, page)
+    _print_end(squares.warnings, written, page)
 
 
-def print_mount(found: BaseCalibration, out: Path, page: Path) -> None:
+def print_mount(found: BaseCalibration, written: str, page: Path) -> None:
     """A camera's mount before and after, and where the files are."""
     stdout, fit = console(), found.fit
     stdout.print(_table(f"{found.recording}: where the camera sits", HEAD, mount_rows(found)))
     pieces = f"{len(fit.segments)} pieces, {int(fit.is_slip.sum())} of them slips or jumps"
     stdout.print(f"{pieces}; floor seen in {len(found.floor.tilts)} of {found.floor.view_count} views")
-    _print_end(found.warnings, out, page)
+    _print_end(found.warnings, written, page)
 
 
 @contextmanager
@@ -144,7 +140,7 @@ def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Ta
     return table
 
 
-def _print_end(warnings: Sequence[str], out: Path, page: Path) -> None:
+def _print_end(warnings: Sequence[str], written: str, page: Path) -> None:
     for warning in warnings:
         print_warning(warning)
-    console().print(f"calibration: {out}\npage: {page}", markup=False)
+    console().print(f"calibration: {written}\npage: {page}", markup=False)

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from wheelsight.cli._options import settings_from
 
 if TYPE_CHECKING:
+    from wheelsight.calibration import Calibration, Wheels
     from wheelsight.recordings import Recording
 
 Out = Annotated[
     Path,
     typer.Option(metavar="FILE", help="calibration.yaml to write; a page about it goes beside it.", show_default=False),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite FILE and its page.")]
+Force = Annotated[
+    bool, typer.Option("--force", help="Overwrite FILE and its page; what FILE tells of other parts stays.")
+]
 
 
-def open_for(folder: Path, calibration: str | None, rate_hz: float | None = None) -> Recording:
+def open_for(folder: Path, calibration: Sequence[str] | None, rate_hz: float | None = None) -> Recording:
     """The recording, with what `--calibration` says in place of its own, and stamps as `--rate-hz` says."""
     from wheelsight.recordings import open_recording
 
@@ -43,3 +47,45 @@ def page_beside(out: Path, force: bool) -> Path:
             raise OutputError("is there already", path=path, fix="choose another --out, or add --force to overwrite")
     make_output_folder(out.parent, force=True)
     return page
+
+
+def kept_in(out: Path, calibration: Sequence[str] | None) -> dict[str, Any]:
+    """What FILE is to hold besides what will be found: all that is in it, and over that what `--calibration` gave.
+
+    Raises CalibrationError, before any work, for a FILE that is a calibration but a wrong one: nothing is lost unasked.
+    """
+    from wheelsight.calibration import FORMAT, read_layer
+    from wheelsight.calibration_layers import laid_over
+
+    kept: dict[str, Any] = {}
+    if out.is_file() and FORMAT.encode() in out.read_bytes():
+        kept = read_layer(out)
+    for path in calibration or ():
+        kept = laid_over(kept, read_layer(Path(path)))
+    return kept
+
+
+def save_found(found: Mapping[str, Any], kept: Mapping[str, Any], nominal: Calibration, source: str, out: Path) -> str:
+    """Write what was found over what is kept, and below it the wheels as they were known; tells FILE and what it keeps.
+
+    So FILE is enough for a recording that has no calibration of its own, and loses nothing of one that has.
+    """
+    from wheelsight.calibration import FORMAT, calibration_fields, save_layer
+    from wheelsight.calibration_layers import NOMINAL, NOMINAL_PARTS, laid_over
+
+    document = laid_over(kept, {"format": FORMAT, "source": source, **found})
+    known = {name: part for name, part in calibration_fields(nominal).items() if name in NOMINAL_PARTS}
+    if any(name not in document.get(part, ()) for part in known for name in known[part]):
+        document[NOMINAL] = known
+    save_layer(document, out)
+    left = [word for word, name in _PARTS.items() if name in kept and name not in found]
+    return f"{out} (kept in it: {', '.join(left)})" if left else str(out)
+
+
+def wheel_fields(wheels: Wheels, *, delay: bool) -> dict[str, Any]:
+    """What a calibration of wheels finds of them, and the ticks a turn that its radii go with."""
+    names = ("left_radius_m", "right_radius_m", "track_width_m", "ticks_per_turn", *(["delay_s"] if delay else []))
+    return {"wheels": {name: float(getattr(wheels, name)) for name in names}}
+
+
+_PARTS = {"cameras": "color", "mount": "T_base_camera", "wheels": "wheels", "gyro": "gyro"}

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import json
 import math
+import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +18,27 @@ if TYPE_CHECKING:
 INPUT_IS_WRONG = 2
 INTERRUPTED = 130
 _WIDTH_OF_FILES = 200
+_LETTERS = "wheelsight-letters"
+
+
+# Signs that encodings such as cp1252 lack, in letters that all have; others become a question mark.
+_IN_LETTERS = {"σ": "sigma", "α": "alpha", "β": "beta", "γ": "gamma", "≥": ">=", "≤": "<=", "−": "-", "→": "->"}
+_IN_LETTERS |= {"×": "x", "°": " deg", "µ": "u", "±": "+-", "·": "-", "…": "...", "✓": "ok", "²": "2", "³": "3"}
+
+
+def speak_any_encoding() -> None:
+    """From now on stdout and stderr take any text; signs that their encoding lacks are told in letters."""
+    codecs.register_error(_LETTERS, _told_in_letters)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "backslashreplace"):
+            stream.reconfigure(errors=_LETTERS)
+
+
+def _told_in_letters(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    missing = error.object[error.start : error.end]
+    return "".join(_IN_LETTERS.get(sign, "?") for sign in missing), error.end
 
 
 def console(stderr: bool = False) -> Console:

@@ -23,10 +23,11 @@ Camera = Annotated[
     ),
 ]
 CalibrationFile = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         metavar="FILE",
-        help="calibration.yaml whose wheels or cameras stand in place of the recording's; what it leaves out stays.",
+        help="calibration.yaml whose parts (cameras, mount, wheels, gyro) stand in place of the recording's; what it "
+        "leaves out stays. May be given again: each is laid over those before.",
         show_default=False,
     ),
 ]
@@ -77,5 +78,5 @@ def settings_from(options: Mapping[str, object], file: Path | None = None) -> Co
     """The configuration of a file, and over it the options that were given (are not None). Raises ConfigError."""
     from wheelsight.config import load_config
 
-    overrides = {_SETTINGS[option]: value for option, value in options.items() if value is not None}
+    overrides = {_SETTINGS[option]: value for option, value in options.items() if value not in (None, [])}
     return load_config(file, overrides, called={name: option for option, name in _SETTINGS.items()})

@@ -14,16 +14,20 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
 from rich.text import Text
 
 from wheelsight.cli._console import console
+
+# What numbers and status take of a line; the bar has the rest, within these limits.
+_BESIDE_BAR, _SHORTEST_BAR, _LONGEST_BAR = 68, 10, 40
 
 
 class _Rate(ProgressColumn):
     """Frames, or another unit, a second, once there are some; nothing without a unit."""
 
     def __init__(self, unit: str) -> None:
-        super().__init__()
+        super().__init__(_whole())
         self._unit = unit
 
     def render(self, task: Task) -> Text:
@@ -31,22 +35,26 @@ class _Rate(ProgressColumn):
 
 
 class FrameProgress:
-    """Shows frame, rate, status and time left on stderr while its `with` block runs; `status` until the first frame."""
+    """Shows frames, rate, time left and status on stderr while its `with` block runs.
 
-    def __init__(self, action: str, frame_count: int | None, status: str = "", unit: str = "frames") -> None:
+    On a narrow terminal the end of the status is left out, never a number.
+    """
+
+    def __init__(self, action: str, frame_count: int | None, unit: str = "frames") -> None:
         stderr = console(stderr=True)
         self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
+            TextColumn("{task.description}", table_column=_whole()),
+            BarColumn(min(_LONGEST_BAR, max(_SHORTEST_BAR, stderr.width - _BESIDE_BAR))),
+            MofNCompleteColumn(table_column=_whole()),
             _Rate(unit),
-            TextColumn("{task.fields[status]}"),
-            TimeRemainingColumn(compact=True),
+            TimeRemainingColumn(compact=True, table_column=_whole()),
+            TextColumn("{task.fields[status]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
             console=stderr,
             disable=not stderr.is_terminal,
+            expand=True,
             transient=True,
         )
-        self._task = self._progress.add_task(action, total=frame_count, status=status)
+        self._task = self._progress.add_task(action, total=frame_count, status="")
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -65,3 +73,8 @@ class FrameProgress:
         """So much is done by now, of a total that is only now known, or not yet."""
         all_of_it = None if total is None else int(total)
         self._progress.update(self._task, completed=int(done), total=all_of_it, status=status)
+
+
+def _whole() -> Column:
+    """A column that is never cut."""
+    return Column(no_wrap=True, overflow="ignore")

@@ -13,7 +13,7 @@ Odometry = Annotated[
     typer.Option(
         metavar="NAME[,NAME]",
         help="How motion is estimated: features, dense, wheels, or several; wheels and a camera are joined too.",
-        show_default="features",
+        show_default="all sensors that the recording has, joined",
     ),
 ]
 Map = Annotated[

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
 
 
-def print_summary(records: Sequence[RunRecord], out: Path) -> None:
-    """Figures of the only odometry, or a table of several with one row each; warnings; where the report is."""
+def print_summary(records: Sequence[RunRecord], out: Path, unused: str = "") -> None:
+    """Figures of the only odometry, or a table of several with one row each; what was `unused`, warnings, files."""
     from wheelsight.cli._console import console, facts_table, print_warning
     from wheelsight.cli.evaluate import evaluation_table
 
@@ -34,7 +34,7 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
         stdout.print(evaluation_table(first.evaluation))
     if first.realtime is not None:
         stdout.print(first.realtime.sentence, markup=False)
-    for warning in dict.fromkeys(warning for record in records for warning in record.warnings):
+    for warning in dict.fromkeys(filter(None, [unused, *(w for record in records for w in record.warnings)])):
         print_warning(warning)
     for record in records:
         if record.map is not None:
@@ -80,8 +80,9 @@ def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
     if rival is not None:
         yield "error", f"{rival.times} times that of {rival.odometry} alone"
     for status, seconds in facts.seconds.items():
-        times = f", {len(facts.coasting_s)} times" if status == "coasting" else ""
-        yield status, f"{seconds:.2f} s{times}"
+        episodes = len(facts.coasting_s)
+        times = "once" if episodes == 1 else f"{episodes} times"
+        yield status, f"{seconds:.2f} s, {times}" if status == "coasting" else f"{seconds:.2f} s"
     for flag, share in facts.flag_shares.items():
         if share:
             yield flag, f"{percent(share)} of the time"

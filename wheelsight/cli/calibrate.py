@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from wheelsight.cli._calibrate_base import base
-from wheelsight.cli._calibration_files import Force, Out, open_for, page_beside
+from wheelsight.cli._calibration_files import Force, Out, kept_in, open_for, page_beside, save_found, wheel_fields
 from wheelsight.cli._options import CalibrationFile, RecordingPath
 
 app = typer.Typer(
@@ -54,7 +54,8 @@ def wheels(
     """Fit both radii, the track width and the clocks' delay to a reference trajectory.
 
     The first part is fitted, the rest shows what the result is worth.
-    FILE gets the wheels, for wheelsight run --calibration.
+    FILE gets what was found of the wheels, for wheelsight run --calibration;
+    what --calibration told, or FILE itself, of other parts is kept.
     A drive that leaves something open is refused, as a straight one does the track width;
     what to drive instead is said.
 
@@ -64,12 +65,12 @@ def wheels(
 
     wheelsight calibrate wheels my_drive --reference visual/trajectory.txt --calibration nominal.yaml --out wheels.yaml
     """
-    from wheelsight.cli._calibration import print_trial, save, show_steps
+    from wheelsight.cli._calibration import print_trial, show_steps
     from wheelsight.odometry.wheels.trial import try_calibration
     from wheelsight.report.wheel_page import write_wheel_page
     from wheelsight.trajectory import read_tum
 
-    page = page_beside(out, force)
+    page, kept = page_beside(out, force), kept_in(out, calibration)
     source = open_for(recording, calibration)
     truth = None if reference is None else read_tum(reference, body=source.body)
     with show_steps() as on_step:
@@ -77,9 +78,10 @@ def wheels(
             source, truth, train_share=train_share, segment_m=segment, with_delay=delay, on_step=on_step
         )
     against = "its ground truth" if reference is None else reference.name
-    save(trial.fit.wheels, source.calibration.gyro, f"wheels fitted on {source.name} to {against}", out)
+    found = wheel_fields(trial.fit.wheels, delay="delay_s" in trial.fit.sigmas)
+    written = save_found(found, kept, source.calibration, f"wheels fitted on {source.name} to {against}", out)
     write_wheel_page(trial, page)
-    print_trial(trial, out, page)
+    print_trial(trial, written, page)
 
 
 @app.command("umbmark")
@@ -97,14 +99,15 @@ def umbmark(runs: Runs, out: Out, calibration: CalibrationFile = None, side: Sid
 
     wheelsight calibrate umbmark errors.csv --side 4 --calibration nominal.yaml --out wheels.yaml
     """
-    from wheelsight.cli._calibration import print_squares, save, squares_from_recordings, squares_from_table
+    from wheelsight.cli._calibration import print_squares, squares_from_recordings, squares_from_table
     from wheelsight.report.wheel_page import write_squares_page
 
-    page = page_beside(out, force)
+    page, kept = page_beside(out, force), kept_in(out, calibration)
     if len(runs) == 1 and not runs[0].is_dir():
         squares = squares_from_table(runs[0], calibration, side)
     else:
         squares = squares_from_recordings([open_for(run, calibration) for run in runs], side)
-    save(squares.result.wheels, squares.gyro, f"UMBmark, {squares.name}", out)
+    found = wheel_fields(squares.result.wheels, delay=False)
+    written = save_found(found, kept, squares.nominal, f"UMBmark, {squares.name}", out)
     write_squares_page(squares.result, squares.after_m, squares.name, page)
-    print_squares(squares, out, page)
+    print_squares(squares, written, page)

@@ -54,7 +54,7 @@ def evaluate(
     for given, names in ((estimate, _OF_RESULTS), (ground_truth, _OF_RECORDINGS)):
         _refuse_folder(given, names)
     estimated = read_tum(estimate, body)
-    truth = _truth_beside(ground_truth, read_tum(ground_truth, body), estimated.body)
+    truth = _truth_for(estimated, ground_truth, body)
     evaluation = compare(estimated, truth, max_gap_s=max_gap, with_scale=scale)
     if as_json:
         aligned = evaluation.ate.aligned
@@ -89,6 +89,23 @@ def _refuse_folder(given: Path, names: tuple[str, ...]) -> None:
         meant = next((given / name for name in names if (given / name).is_file()), None)
         fix = "give the file" if meant is None else f"did you mean {meant}?"
         raise TrajectoryError("is a folder, but a trajectory is a file", path=given, fix=fix)
+
+
+def _truth_for(estimated: Trajectory, ground_truth: Path, body: str) -> Trajectory:
+    """The truth of the body that was estimated: where the file tells of another, the one beside it, and says so."""
+    from wheelsight.cli._console import print_note
+    from wheelsight.recordings import TRUTH_FILES
+    from wheelsight.trajectory import read_tum
+
+    truth = read_tum(ground_truth, body)
+    beside = ground_truth.with_name(TRUTH_FILES.get(estimated.body, ground_truth.name))
+    if truth.body == estimated.body or beside == ground_truth or not beside.is_file():
+        return truth
+    other = read_tum(beside, estimated.body)
+    if other.body != estimated.body:
+        return truth
+    print_note(f"{ground_truth} is of the {truth.body}; {beside.name} beside it, of the {other.body}, is taken")
+    return other
 
 
 def evaluation_table(evaluation: Evaluation) -> Table:

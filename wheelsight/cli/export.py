@@ -47,7 +47,9 @@ def export(
     from wheelsight.errors import ConfigError
     from wheelsight.mapping import load_map
 
-    if ply == mesh:
+    if ply and mesh:
+        raise ConfigError("--ply and --mesh are two files", fix="give one of them at a time")
+    if not (ply or mesh):
         raise ConfigError("one of --ply and --mesh is needed", fix="--ply for points, --mesh for triangles")
     if ply and voxel is not None:
         raise ConfigError("--voxel is of meshes alone", fix="--mesh, or no --voxel")

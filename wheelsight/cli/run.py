@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import typer
 
 from wheelsight.cli import _run_options as options
 from wheelsight.cli._console import INTERRUPTED
+from wheelsight.cli._odometry import ANY, chosen_odometry, names_odometry
 from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RateHz, RecordingPath, settings_from
 from wheelsight.cli._real_time import counts_frames, played, show_progress
 from wheelsight.cli._summary import print_summary
@@ -49,6 +51,9 @@ def run(
 ) -> None:
     """Find where the robot or its camera went: trajectory, status of each frame, metrics and a report go to DIR.
 
+    Without --odometry wheels and camera are joined where the recording has both and it is known where the camera sits;
+    else it is said what is not used, and why.
+
     DIR gets trajectory.txt (TUM), status.csv, metrics.json, the resolved config.yaml and report.html.
     With several odometries each has a folder of its name, and report.html and metrics.json join them; so have, with
     --places, the wheels alone and the wheels that areas have rectified.
@@ -58,7 +63,9 @@ def run(
 
     [bold]Examples[/bold]
 
-    wheelsight run rgbd_dataset_freiburg1_desk --out results
+    wheelsight run my_drive --map surfels --out results
+
+    wheelsight run rgbd_dataset_freiburg1_desk --odometry features --out results
 
     wheelsight run my_recording --camera my_camera.yaml --config settings.yaml --out results --force
 
@@ -78,11 +85,15 @@ def run(
     of_places = {"--places": places, "--areas": areas, "--rectify": rectify, "--start": start}
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}
     of_all = {"--odometry": odometry, "--fusion": fusion, "--map": map_}
-    given = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
-    settings = settings_from(given, config)
+    given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
+    is_named, unused = odometry is not None or names_odometry(config), ""
+    settings = settings_from(given if is_named else {**given, "--odometry": ANY}, config)
     with played(_open(recording, settings), realtime, wheels_from, baud) as source:
+        if not is_named:
+            given["--odometry"], unused = chosen_odometry(source, settings)
+            settings = settings_from(given, config)
         records = _track(source, settings, out, force)
-    print_summary(records, out)
+    print_summary(records, out, unused)
 
 
 def _open(folder: Path, settings: Config) -> Recording:
@@ -93,29 +104,40 @@ def _open(folder: Path, settings: Config) -> Recording:
 
 def _track(source: Recording, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
     from wheelsight import pipeline
+    from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
+    from wheelsight.pipeline.kernels import parts_of
 
-    status = RunStatus(settings, is_rehearsed=isinstance(source, pipeline.RealTimeRecording))
+    count, unit = _expected(source, settings)
+    status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
+    answered: list[bool] = []
 
     def show(answers: Mapping[str, FrameRecord]) -> None:
+        answered[:] = [True]
         show_progress(progress, source, settings, status.after(answers))
 
     try:
-        with FrameProgress("tracking", *_expected(source, settings, status.text)) as progress:
-            return pipeline.run_each(source, settings, out, force=force, on_event=show)
+        with ExitStack() as shown:
+
+            def begin() -> None:
+                compile_missing(parts_of(settings))
+                shown.enter_context(progress)
+
+            return pipeline.run_each(source, settings, out, force=force, on_ready=begin, on_event=show)
     except KeyboardInterrupt as interruption:
-        print_note(f"interrupted; what was found until then is in {out}")
+        found = f"what was found until then is in {out}" if answered else "nothing was found until then"
+        print_note(f"interrupted; {found}")
         raise typer.Exit(INTERRUPTED) from interruption
 
 
-def _expected(source: Recording, settings: Config, at_first: str) -> tuple[int, str, str]:
-    """How many events will be answered, what to say until the first is, and what they are called."""
+def _expected(source: Recording, settings: Config) -> tuple[int, str]:
+    """How many events will be answered, and what they are called; "" where their rate says nothing."""
     if counts_frames(source, settings):
-        return source.frame_count, at_first, ""  # the rate of those that pass by says nothing
+        return source.frame_count, ""
     if settings.tracks == ("wheels",):
-        return source.wheel_count, at_first, "readings"
+        return source.wheel_count, "readings"
     if "wheels" not in settings.tracks:
-        return source.frame_count, at_first, "frames"
-    return source.wheel_count + source.frame_count, at_first, "events"
+        return source.frame_count, "frames"
+    return source.wheel_count + source.frame_count, "events"

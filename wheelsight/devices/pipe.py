@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 
 from wheelsight.errors import DeviceError, OutputError
-from wheelsight.files import output_error
+from wheelsight.files import StrPath, output_error
 
 LONGEST_LINE = 4096  # PIPE_BUF of Linux: so many bytes go into a pipe whole or not at all
 _MOST_WAITING = 256
@@ -36,7 +36,7 @@ class TelemetryPipe:
         OutputError: something that is no pipe lies at the path (it is left alone), or a pipe cannot be made there.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: StrPath) -> None:
         self.path = Path(path)
         self.sent = self.dropped = 0
         self._waiting: deque[bytes] = deque()

@@ -12,6 +12,7 @@ from typing import Protocol
 from wheelsight.devices.link import BAUDRATE, LinkStatus, WheelLink
 from wheelsight.errors import DeviceError
 from wheelsight.events import WheelTicks
+from wheelsight.files import StrPath
 
 _LOOK_MS = 100
 _READ_BYTES = 1 << 16
@@ -28,7 +29,7 @@ class WheelSource(Protocol):
 
 
 def open_wheels(
-    where: Path | str, baudrate: int = BAUDRATE, on_status: Callable[[LinkStatus], None] | None = None
+    where: StrPath, baudrate: int = BAUDRATE, on_status: Callable[[LinkStatus], None] | None = None
 ) -> WheelSource:
     """The ticks of a named pipe, a wheels.csv (or a recording's folder that holds one), or else a serial port.
 
@@ -48,7 +49,7 @@ def open_wheels(
     return WheelLink(str(where), baudrate, on_status)
 
 
-def is_recorded(where: Path | str) -> bool:
+def is_recorded(where: StrPath) -> bool:
     """Whether `open_wheels` takes it for a file, whose readings are all there already."""
     path = Path(where)
     return path.is_dir() or path.is_file() or path.suffix == ".csv"
@@ -57,10 +58,10 @@ def is_recorded(where: Path | str) -> bool:
 class TicksFile:
     """The readings of a wheels.csv, and warnings about lines left out. Raises RecordingError naming file and line."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: StrPath) -> None:
         from wheelsight.recordings.native import read_wheels  # loads OpenCV, which a port needs not wait for
 
-        self._ticks, self.warnings = read_wheels(path)
+        self._ticks, self.warnings = read_wheels(Path(path))
         self._is_closed = False
 
     def ticks(self) -> Iterator[WheelTicks]:
@@ -84,7 +85,7 @@ class TelemetryReader:
         DeviceError: the pipe cannot be opened; from `ticks`, a line that is no telemetry.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: StrPath) -> None:
         self._path = path
         self._is_closed = False
         try:

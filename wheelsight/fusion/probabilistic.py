@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.areas import AreaMap
+from wheelsight.checks import array_of
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.fusion._belief import PLANE, PlaneBelief, pose_of
@@ -124,7 +125,7 @@ class AreaRectifier:
         Raises:
             ConfigError: numbers that are not finite.
         """
-        T, covariance = np.asarray(T_before_now, float), np.asarray(covariance, float)
+        T, covariance = array_of("T_before_now", T_before_now, (4, 4)), array_of("covariance", covariance, (6, 6))
         if not (np.isfinite(T).all() and np.isfinite(covariance).all()):
             raise ConfigError("a step of the wheels is not finite", fix="leave steps out that odometry refused")
         step = np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])

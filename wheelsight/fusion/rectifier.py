@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.areas import AreaMap
+from wheelsight.checks import need_motion
 from wheelsight.errors import AreaError, ConfigError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.fusion import _kernels as kernels
@@ -98,14 +99,14 @@ class PaperRectifier:
         self._told = coordinates_of(areas)
         self._weights = (weights.untold.as_array(), weights.told.as_array())
         self._is_increment = odometry_term == "increment"
-        self._T_world_odometry = np.array(T_world_base, float)
+        self._T_world_odometry = need_motion("T_world_base", T_world_base).copy()
         self._odometry_at_frame = self._T_world_odometry[:2, 3].copy()
         self._rectified = self._odometry_at_frame.copy()
         self._has_frame = False
 
     def predict(self, T_before_now: ArrayLike) -> None:
-        """Go on by a step (4, 4) of the wheels."""
-        self._T_world_odometry = self._T_world_odometry @ np.asarray(T_before_now, float)
+        """Go on by a step (4, 4) of the wheels. Raises ArgumentError for what is none."""
+        self._T_world_odometry = self._T_world_odometry @ need_motion("T_before_now", T_before_now)
 
     def update(self, stamp_s: float, area_index: int | None) -> Estimate:
         """The pose at a frame whose area is `area_index`, or None where it is not known.

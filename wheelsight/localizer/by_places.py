@@ -14,6 +14,7 @@ from wheelsight.config import Config, PlaceSettings
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.files import StrPath
 from wheelsight.fusion import AreaRectifier, PaperRectifier
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer.by_wheels import ByWheels
@@ -42,7 +43,7 @@ class Places:
 
 def load_places(
     settings: PlaceSettings,
-    areas: Path | None = None,
+    areas: StrPath | None = None,
     T_world_base: FloatArray | None = None,
     begin_s: float = -np.inf,
 ) -> Places:
@@ -52,6 +53,7 @@ def load_places(
         ConfigError: no model, no areas, or no start.
         AreaError, PlaceError: a file that is none, or a model of other areas.
     """
+    areas = None if areas is None else Path(areas)
     if settings.model is None:
         raise ConfigError("no model of places is given", fix="places: {model: FILE}, from wheelsight places train")
     path = areas if settings.areas is None else Path(settings.areas)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.calibration import Calibration
+from wheelsight.checks import check_event, check_frame
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
-from wheelsight.localizer._event_check import check_event, check_images, check_sizes
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.localizer.by_ligocki import ByLigocki
@@ -72,8 +72,9 @@ class Localizer:
             self._way = ByFrames(calibration, settings)
         self.body, self.world, self.answers = self._way.body, self._way.world, self._way.answers
         self.note = ""
-        # A model of places judges the size by that of the frames that it was trained on.
-        self._cameras = calibration if settings.places.model is None else None
+        # A model of places, which was trained on images of one size, says itself what is wrong with others.
+        has_places = places is not None or settings.places.model is not None
+        self._calibration, self._checks_frames = calibration, not (isinstance(self._way, ByWheels) or has_places)
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry | WheelOdometry:
@@ -135,14 +136,12 @@ class Localizer:
         one image for over a second hangs: then frames count as failed, for the robot may be moving.
 
         Raises:
-            InputError: what is no event, or a frame whose arrays are no images of the calibration's size.
+            ArgumentError: no event, or images of another shape or type than the calibration's.
             PlaceError: a frame of another size than the model of places was trained on.
         """
         check_event(event)
-        if isinstance(event, RgbdFrame) and RgbdFrame in self.answers:
-            check_images(event)
-            if self._cameras is not None:
-                check_sizes(event, self._cameras)
+        if isinstance(event, RgbdFrame) and self._checks_frames:
+            check_frame(event, self._calibration)
         estimate, self.note = self._way.process(event)
         return estimate
 

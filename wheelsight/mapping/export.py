@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight.errors import MapError
-from wheelsight.files import atomic_write
+from wheelsight.files import StrPath, atomic_write
 from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import Surfels
@@ -46,13 +46,14 @@ class Mesh:
     triangles: Int32Array
 
 
-def write_ply(surfel_map: SurfelMap, path: Path, stable_only: bool = True) -> int:
+def write_ply(surfel_map: SurfelMap, path: StrPath, stable_only: bool = True) -> int:
     """Write surfels as points with normals, colours, confidence and radius, atomically; how many.
 
     Raises:
         MapError: there are none to write.
         OutputError: the file cannot be written.
     """
+    path = Path(path)
     surfels = surfel_map.surfels("stable" if stable_only else "all")
     _refuse_empty(surfels, stable_only)
     table = np.empty(len(surfels.grey), [*_POINT, *_COLOR, ("confidence", "<f4"), ("radius", "<f4")])
@@ -64,8 +65,9 @@ def write_ply(surfel_map: SurfelMap, path: Path, stable_only: bool = True) -> in
     return len(table)
 
 
-def write_mesh_ply(mesh: Mesh, path: Path) -> None:
+def write_mesh_ply(mesh: Mesh, path: StrPath) -> None:
     """Write a triangle mesh with normals and colours, atomically. Raises OutputError."""
+    path = Path(path)
     table = np.empty(len(mesh.vertices), [*_POINT, *_COLOR])
     _fill(table, mesh.vertices, mesh.normals, mesh.colors)
     faces = np.empty(len(mesh.triangles), [("count", "u1"), ("vertices", "<i4", 3)])
@@ -181,7 +183,7 @@ def _need_marching_cubes() -> _MarchingCubes:
     try:
         from skimage.measure import marching_cubes
     except ImportError as error:
-        raise MapError("scikit-image is missing", fix="pip install 'wheelsight[mesh]'") from error
+        raise MapError("scikit-image is missing", fix="pip install scikit-image") from error
     return marching_cubes
 
 

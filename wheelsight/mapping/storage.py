@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from wheelsight.errors import MapError
-from wheelsight.files import atomic_write
+from wheelsight.files import StrPath, atomic_write
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import Surfels
@@ -41,8 +41,9 @@ _FIELDS = (
 assert tuple(name for name, _, _ in _FIELDS) == tuple(field.name for field in fields(Surfels))
 
 
-def save_map(surfel_map: SurfelMap, path: Path) -> None:
+def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
     """Write a whole map, atomically. Raises OutputError."""
+    path = Path(path)
     surfels = surfel_map.surfels()
     # Sorted, so that equal maps are equal files, however their surfels came to be where they lie in memory.
     order = np.lexsort(surfels.position.T)
@@ -61,13 +62,14 @@ def save_map(surfel_map: SurfelMap, path: Path) -> None:
             stream.write(array.data)
 
 
-def load_map(path: Path) -> SurfelMap:
+def load_map(path: StrPath) -> SurfelMap:
     """Read a whole map.
 
     Raises:
         MapError: naming the file: it cannot be read, is no map, of another version, cut short, damaged, or holds
             numbers that no surfel has.
     """
+    path = Path(path)
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from wheelsight import __version__
-from wheelsight.estimates import Status
 from wheelsight.pipeline.track import Passage
 from wheelsight.recordings import Recording
 from wheelsight.report import (
@@ -145,13 +144,12 @@ def _finite(value: float) -> float | None:
 def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
     frames = [frame for frame in record.frames if not frame.is_repeat]
     statuses = [str(frame.status) for frame in frames]
-    posed = statuses.count(Status.TRACKING) + statuses.count(Status.COASTING)
     reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
     return {
         "listed": recording.frame_count if record.unit == "frame" else recording.wheel_count,
         "processed": len(frames),
-        "with_pose": posed,
-        "with_pose_share": posed / len(frames) if frames else 0.0,
+        "with_pose": record.posed,
+        "with_pose_share": record.posed / len(frames) if frames else 0.0,
         "skipped": sum(frame.is_skipped for frame in frames),
         "repeated_images": len(record.frames) - len(frames),
         "dropped_color_images": record.association.dropped_color,

@@ -144,11 +144,15 @@ def _compare(
     estimate: Trajectory, truth: Trajectory, config: Config, track: Track
 ) -> tuple[Evaluation | None, str | None]:
     """The evaluation, or why there is none."""
-    stamps_s = [frame.pose_s for frame in track.frames if not frame.is_repeat]
+    frames = [frame for frame in track.frames if not frame.is_repeat]
+    if not frames:
+        return None, "no frames are listed, so no share of them can have a pose"
+    share = sum(frame.has_pose for frame in frames) / len(frames)
     try:
-        return evaluate(estimate, truth, frame_stamps_s=stamps_s, **config.evaluation.model_dump()), None
+        found = evaluate(estimate, truth, **config.evaluation.model_dump())
     except EvaluationError as error:
         return None, str(error)
+    return replace(found, frames_with_pose=share), None
 
 
 def _peak_memory_mb() -> float | None:

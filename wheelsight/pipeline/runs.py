@@ -7,7 +7,7 @@ from pathlib import Path
 
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
-from wheelsight.files import make_output_folder
+from wheelsight.files import StrPath, make_output_folder
 from wheelsight.localizer import Localizer
 from wheelsight.pipeline.outputs import write_results
 from wheelsight.pipeline.places import PlacesOfRun, places_of
@@ -22,7 +22,7 @@ from wheelsight.report import FrameRecord, RunRecord
 def run(
     recording: Recording,
     config: Config,
-    out: Path,
+    out: StrPath,
     *,
     force: bool = False,
     on_frame: Callable[[FrameRecord], None] | None = None,
@@ -46,6 +46,7 @@ def run(
         OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
         RecordingError: the recording cannot be read on; or wheels and camera, which are to be joined, share no time.
     """
+    out = Path(out)
     if len(config.tracks) > 1:
         raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")
 
@@ -61,9 +62,10 @@ def run(
 def run_each(
     recording: Recording,
     config: Config,
-    out: Path,
+    out: StrPath,
     *,
     force: bool = False,
+    on_ready: Callable[[], None] = lambda: None,
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
 ) -> tuple[RunRecord, ...]:
     """Run every odometry that `config` names over one pass of the recording, each alone, and report them together.
@@ -72,16 +74,23 @@ def run_each(
     name, and `out` holds metrics, configuration and one report of all. Wheels that places rectify are followed twice,
     alone and as "rectified".
 
+    Ctrl-C before the first answer leaves nothing.
+
     Args:
+        on_ready: called once all is checked and `out` is made, before the first event.
         on_event: called after each event that was answered, with each odometry's answer by its name.
         recording, config, out, force: as in `run`.
 
     Raises:
         As `run`, for any of the odometries; and AreaError or PlaceError, for places.
     """
+    out = Path(out)
     places = _check(recording, config)
     folder = make_output_folder(out, force)
+    on_ready()
     passage = follow(recording, config, on_event, None if places is None else places.places)
+    if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in passage.tracks):
+        raise passage.interruption
     records = records_of(passage, recording, config, places)
     write_results(records, passage, recording, config, folder)
     if passage.interruption is not None:

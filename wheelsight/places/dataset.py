@@ -11,6 +11,7 @@ import numpy as np
 from wheelsight.areas import AreaMap, load_areas
 from wheelsight.errors import AreaError, PlaceError
 from wheelsight.events import RgbdFrame, SkippedFrame
+from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.places.describer import Describer
 from wheelsight.places.forest import ForestSettings
@@ -81,7 +82,7 @@ class LabelSource:
 def label_source(
     recording: Recording,
     labels: LabelFile | None = None,
-    areas_path: Path | None = None,
+    areas_path: StrPath | None = None,
     trajectory: Trajectory | None = None,
 ) -> LabelSource:
     """What tells the areas of a recording; what is not given is the recording's own.
@@ -97,6 +98,7 @@ def label_source(
     Raises:
         AreaError: an areas.yaml that is wrong, or a label of an area that it lacks.
     """
+    areas_path = None if areas_path is None else Path(areas_path)
     own = recording.path / AREAS_FILE
     if areas_path is None and own.is_file():
         areas_path = own
@@ -203,8 +205,9 @@ def _with_blocks(settings: ForestSettings, stamps_s: FloatArray) -> ForestSettin
     return settings.model_copy(update={k: v for k, v in told.items() if k not in settings.model_fields_set})
 
 
-def check_every_area(labels: Sequence[IntArray], names: Sequence[str], path: Path | None) -> None:
+def check_every_area(labels: Sequence[IntArray], names: Sequence[str], path: StrPath | None) -> None:
     """Raises AreaError naming `path` and the first area that has no frame."""
+    path = None if path is None else Path(path)
     seen = np.unique(np.concatenate(labels)) if labels else np.array([])
     for index, name in enumerate(names):
         if index not in seen:

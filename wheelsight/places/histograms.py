@@ -18,16 +18,22 @@ class HistogramSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    bins: int = Field(100, ge=2, le=256, description="of each histogram")
-    near_m: NonNegativeFloat = Field(0.0, description="where the first bin of depth begins; nearer depths fall into it")
-    far_m: PositiveFloat = Field(8.0, description="where the last bin of depth ends; farther depths fall into it")
+    bins: int = Field(default=100, ge=2, le=256, description="of each histogram")
+    near_m: NonNegativeFloat = Field(
+        default=0.0, description="where the first bin of depth begins; nearer depths fall into it"
+    )
+    far_m: PositiveFloat = Field(
+        default=8.0, description="where the last bin of depth ends; farther depths fall into it"
+    )
     missing: Literal["first_bin", "own_bin", "ignored"] = Field(
-        "first_bin", description="where pixels without depth count; an own bin adds a number, and all leave it as it is"
+        default="first_bin",
+        description="where pixels without depth count; an own bin adds a number, and all leave it as it is",
     )
     scale: Literal["share", "counts", "cumulative"] = Field(
-        "share", description="of all pixels of a histogram, plain counts, or shares summed from the first bin on"
+        default="share",
+        description="of all pixels of a histogram, plain counts, or shares summed from the first bin on",
     )
-    step_px: PositiveInt = Field(2, le=16, description="every how many columns and rows a pixel is counted")
+    step_px: PositiveInt = Field(default=2, le=16, description="every how many columns and rows a pixel is counted")
 
     @model_validator(mode="after")
     def _range_is_not_empty(self) -> Self:

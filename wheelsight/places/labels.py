@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.areas import AreaMap
 from wheelsight.errors import AreaError
+from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.trajectory import Trajectory
 
@@ -128,13 +129,14 @@ def labels_on_the_way(areas: AreaMap, trajectory: Trajectory, stamps_s: ArrayLik
     return areas.index_at(trajectory.at(stamps_s, max_gap_s)[:, :2, 3])
 
 
-def read_labels(path: Path) -> LabelFile:
+def read_labels(path: StrPath) -> LabelFile:
     """Read a CSV of labels, ranges of time or frames; its first line tells which. More columns may follow.
 
     Raises:
         AreaError: naming file and line: no such file, another first line, stamps that are none or out of order,
             ranges that are empty or overlap.
     """
+    path = Path(path)
     header, rows = _read_rows(path)
     is_of_frames = header == FRAMES_HEADER
     entries = [_entry(path, line, words, header) for line, words in rows]

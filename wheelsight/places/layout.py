@@ -22,16 +22,16 @@ class LayoutSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    rows: int = Field(4, ge=1, le=16, description="of cells")
-    columns: int = Field(6, ge=1, le=16, description="of cells")
-    profile: int = Field(16, ge=1, le=64, description="upright strips of the middle third whose depth is told")
-    bins: int = Field(40, ge=2, le=100, description="of the whole frame's histograms of grey and of depth")
-    sides: int = Field(5, ge=2, le=15, description="bins a side of the whole frame's histogram of normals")
-    samples_down: int = Field(120, ge=16, le=480, description="rows of the grid at which images are read")
-    samples_across: int = Field(160, ge=16, le=640, description="columns of that grid")
-    far_m: PositiveFloat = Field(8.0, description="farther depths count as this far")
+    rows: int = Field(default=4, ge=1, le=16, description="of cells")
+    columns: int = Field(default=6, ge=1, le=16, description="of cells")
+    profile: int = Field(default=16, ge=1, le=64, description="upright strips of the middle third whose depth is told")
+    bins: int = Field(default=40, ge=2, le=100, description="of the whole frame's histograms of grey and of depth")
+    sides: int = Field(default=5, ge=2, le=15, description="bins a side of the whole frame's histogram of normals")
+    samples_down: int = Field(default=120, ge=16, le=480, description="rows of the grid at which images are read")
+    samples_across: int = Field(default=160, ge=16, le=640, description="columns of that grid")
+    far_m: PositiveFloat = Field(default=8.0, description="farther depths count as this far")
     focal_in_widths: PositiveFloat = Field(
-        0.9, description="the depth camera's focal length in image widths, roughly; it only bends normals"
+        default=0.9, description="the depth camera's focal length in image widths, roughly; it only bends normals"
     )
 
 

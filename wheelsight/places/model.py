@@ -12,6 +12,7 @@ import numpy as np
 from wheelsight.areas import AreaMap
 from wheelsight.errors import PlaceError
 from wheelsight.events import RgbdFrame
+from wheelsight.files import StrPath
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.places.calibration import ProbabilityScale
 from wheelsight.places.describer import Describer, FrameSize, has_depth, size_error, size_of
@@ -126,20 +127,22 @@ class PlaceModel:
             problem = f"knows an area {odd[0]!r} that is not among those given"
         raise PlaceError(f"the model {problem}", fix="train it on these areas, in this order")
 
-    def save(self, path: Path) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the model atomically, with skops, as plain values and arrays. Raises OutputError."""
+        path = Path(path)
         from wheelsight.places.storage import save_model
 
         save_model(self, path)
 
     @classmethod
-    def load(cls, path: Path, areas: AreaMap | Sequence[str] | None = None) -> PlaceModel:
+    def load(cls, path: StrPath, areas: AreaMap | Sequence[str] | None = None) -> PlaceModel:
         """Read a model that `save` wrote; of `areas`, if they are given.
 
         Raises:
             PlaceError: no such file, a file that is no model, one that holds anything but plain values and arrays
                 (refused before these are made), another version, or other areas.
         """
+        path = Path(path)
         from wheelsight.places.storage import load_model
 
         model = load_model(path)

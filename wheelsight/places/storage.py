@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from wheelsight.errors import PlaceError
-from wheelsight.files import write_bytes
+from wheelsight.files import StrPath, write_bytes
 from wheelsight.places.calibration import ProbabilityScale
 from wheelsight.places.describer import describer_from
 from wheelsight.places.forest import Forest, ForestSettings
@@ -35,20 +35,22 @@ _PLAIN = {
 }
 
 
-def save_model(model: PlaceModel, path: Path) -> None:
+def save_model(model: PlaceModel, path: StrPath) -> None:
     """Write a model atomically. Raises OutputError."""
+    path = Path(path)
     import skops.io
 
     write_bytes(path, skops.io.dumps(_to_document(model), compression=zipfile.ZIP_DEFLATED))
 
 
-def load_model(path: Path) -> PlaceModel:
+def load_model(path: StrPath) -> PlaceModel:
     """Read a model.
 
     Raises:
         PlaceError: naming the file: it cannot be read, is no model, holds more than plain values and arrays (nothing
             of it is then made), is of another version, or contradicts itself.
     """
+    path = Path(path)
     import skops.io
 
     try:

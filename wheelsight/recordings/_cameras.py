@@ -7,6 +7,7 @@ from pathlib import Path
 
 from wheelsight.calibration import Calibration, load_calibration
 from wheelsight.errors import CalibrationError
+from wheelsight.files import StrPath
 from wheelsight.recordings.protocol import OpenOptions
 
 _FOLDER = Path(__file__).parent / "cameras"
@@ -17,7 +18,7 @@ def camera_names() -> list[str]:
     return sorted(path.stem for path in _FOLDER.glob("*.yaml"))
 
 
-def load_camera(name: str) -> Calibration:
+def load_camera(name: StrPath) -> Calibration:
     """A calibration that comes with the package, by its name, or any calibration.yaml, by its path.
 
     Raises:
@@ -27,7 +28,7 @@ def load_camera(name: str) -> Calibration:
         return load_calibration(_FOLDER / f"{name}.yaml")
     if Path(name).is_file():
         return load_calibration(Path(name))
-    raise CalibrationError(f"no camera is called {name!r} and no such file exists", fix=camera_choices())
+    raise CalibrationError(f"no camera is called {str(name)!r} and no such file exists", fix=camera_choices())
 
 
 def camera_choices() -> str:
@@ -38,15 +39,17 @@ def camera_choices() -> str:
 def choose_calibration(folder: Path, options: OpenOptions, otherwise: Callable[[], Calibration]) -> Calibration:
     """The calibration the user names, else the folder's calibration.yaml, else what its format knows.
 
-    Over it goes what `options.calibration` tells of wheels or cameras.
+    Over it goes what `options.calibrations` tell of any part of the robot; where nothing else is known, they serve.
     """
-    chosen = _chosen(folder, options, otherwise)
-    return chosen if options.calibration is None else chosen.updated_by(load_calibration(Path(options.calibration)))
-
-
-def _chosen(folder: Path, options: OpenOptions, otherwise: Callable[[], Calibration]) -> Calibration:
+    over, own = options.calibrations, folder / "calibration.yaml"
     if options.camera is not None:
-        return load_camera(options.camera)
-    if (folder / "calibration.yaml").is_file():
-        return load_calibration(folder / "calibration.yaml")
-    return otherwise()
+        return load_calibration(*over, under=load_camera(options.camera))
+    if own.is_file():
+        return load_calibration(own, *over)
+    try:
+        known = otherwise()
+    except CalibrationError:
+        if not over:
+            raise
+        return load_calibration(*over)
+    return load_calibration(*over, under=known)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wheelsight.calibration import Calibration, load_calibration
+from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.events import WheelTicks, YawRate
 from wheelsight.recordings._cameras import camera_choices, choose_calibration
@@ -35,7 +35,7 @@ class NativeReader:
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording | WheelRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
         has_images = any((folder / name).is_file() for name in ("rgb.txt", "depth.txt"))
-        calibration = choose_calibration(folder, options, lambda: _missing(folder, options, has_images))
+        calibration = choose_calibration(folder, options, lambda: _missing(folder, has_images))
         wheels, warnings = read_wheels(folder / "wheels.csv")
         yaw_rates, more = _read_yaw_rates(folder / "gyro.csv")
         warnings += more
@@ -64,10 +64,8 @@ class NativeReader:
         )
 
 
-def _missing(folder: Path, options: OpenOptions, has_images: bool) -> Calibration:
-    """What serves in place of a calibration.yaml: that of wheels the user gave, if nothing more is needed."""
-    if options.calibration is not None and not has_images:
-        return load_calibration(Path(options.calibration))
+def _missing(folder: Path, has_images: bool) -> Calibration:
+    """Raises CalibrationError: nothing tells what sensors these are."""
     fix = camera_choices() if has_images else "say how large the wheels are with --calibration"
     raise CalibrationError("is missing", path=folder / "calibration.yaml", fix=fix)
 

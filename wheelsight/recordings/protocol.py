@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import ConfigError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
+from wheelsight.files import StrPath
 from wheelsight.trajectory import Trajectory
 
 
@@ -117,7 +119,8 @@ class OpenOptions:
         camera: name of a shipped calibration (see `camera_names()`), or a calibration.yaml; None to go by the files.
         max_gap_s: largest distance in time between a colour and a depth image of one frame.
         depth_factor: depth units a metre, where it differs from the format's own.
-        calibration: a calibration.yaml; what it tells of wheels or cameras stands in place of what the recording says.
+        calibration: a calibration.yaml, or several; what each tells of any part of the robot stands in place of what
+            the recording, and those before it, say.
         rate_hz: how many a second the stamps of images count: the camera's rate, where they are numbers of frames;
             1000, where they are milliseconds. None where they are seconds.
 
@@ -125,10 +128,10 @@ class OpenOptions:
         ConfigError: a gap that is not finite and from 0 up, or a factor or rate that is not positive.
     """
 
-    camera: str | None = None
+    camera: StrPath | None = None
     max_gap_s: float = 0.02
     depth_factor: float | None = None
-    calibration: str | None = None
+    calibration: StrPath | Sequence[StrPath] | None = None
     rate_hz: float | None = None
 
     def __post_init__(self) -> None:
@@ -140,6 +143,13 @@ class OpenOptions:
             raise ConfigError(
                 f"--rate-hz is {self.rate_hz}, not a positive number", fix="30: numbers of a 30 Hz camera"
             )
+
+    @property
+    def calibrations(self) -> tuple[StrPath, ...]:
+        """What is laid over the recording's calibration, one after the other."""
+        if self.calibration is None:
+            return ()
+        return (self.calibration,) if isinstance(self.calibration, str | PathLike) else tuple(self.calibration)
 
 
 class Reader(Protocol):

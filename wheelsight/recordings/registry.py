@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from wheelsight.errors import RecordingError
+from wheelsight.files import StrPath
 from wheelsight.recordings._image_recording import ImageRecording
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
@@ -36,7 +37,7 @@ def reader_names() -> list[str]:
     return sorted(reader.name for reader in _READERS)
 
 
-def open_recording(path: Path | str, options: OpenOptions | None = None) -> Recording:
+def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recording:
     """The recording in a folder, by the first reader that recognises it.
 
     Args:
@@ -57,7 +58,7 @@ def open_recording(path: Path | str, options: OpenOptions | None = None) -> Reco
     return _with_doubts(reader.open(folder, options or OpenOptions()))
 
 
-def find_recordings(folder: Path | str) -> list[Path]:
+def find_recordings(folder: StrPath) -> list[Path]:
     """Folders at or up to three levels below `folder` that some reader recognises, sorted; hidden ones are left out."""
     return sorted(_find(Path(folder), _SEARCH_DEPTH))
 

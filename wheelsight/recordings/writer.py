@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.files import make_output_folder, write_bytes
+from wheelsight.files import StrPath, make_output_folder, write_bytes
 from wheelsight.geometry import Float32Array, PinholeCamera
 from wheelsight.recordings._growing_text import GrowingText
 from wheelsight.recordings._images import image_size
@@ -27,7 +27,7 @@ _IMAGE_HEADERS = {
     "depth.txt": "# depth maps\n# timestamp filename\n",
 }
 _READING_HEADERS = {"wheels.csv": f"{WHEELS_HEADER}\n", "gyro.csv": f"{GYRO_HEADER}\n"}
-_TRUTHS = {"camera": "groundtruth.txt", "base": "groundtruth_base.txt"}
+TRUTH_FILES = {"camera": "groundtruth.txt", "base": "groundtruth_base.txt"}
 _LABELS = "labels.csv"
 _LABELS_HEADER = "stamp_s,area\n"
 _DEEPEST_UNITS = np.iinfo(np.uint16).max
@@ -55,12 +55,12 @@ class RecordingWriter:
         OutputError: the folder is not empty and `force` is off, cannot be written, or the disk is full.
     """
 
-    def __init__(self, folder: Path | str, calibration: Calibration | None, force: bool = False) -> None:
+    def __init__(self, folder: StrPath, calibration: Calibration | None, force: bool = False) -> None:
         self.folder = make_output_folder(Path(folder), force)
         self.frames = self.readings = self.depths_too_far = 0
         self._calibration = calibration
         self._last_stamp_s: dict[str, float] = {}
-        for name in (*_TRUTHS.values(), _LABELS):
+        for name in (*TRUTH_FILES.values(), _LABELS):
             (self.folder / name).unlink(missing_ok=True)
         has_cameras = calibration is not None and calibration.color is not None
         for name in ("rgb", "depth") if has_cameras else ():
@@ -104,7 +104,7 @@ class RecordingWriter:
         if calibration.color is None:
             bodies = ("base",)
         for body in bodies:
-            write_tum(express_for(body, truth, calibration), self.folder / _TRUTHS[body])
+            write_tum(express_for(body, truth, calibration), self.folder / TRUTH_FILES[body])
 
     def append_ground_truth(self, truth: Trajectory) -> None:
         """Append true poses of the camera or the base as they become known, to that body's file alone.
@@ -115,7 +115,7 @@ class RecordingWriter:
             RecordingError: the body is another, or stamps do not come after those appended before.
             OutputError: as `add`.
         """
-        name = _TRUTHS.get(truth.body)
+        name = TRUTH_FILES.get(truth.body)
         if name is None:
             raise RecordingError(f"the truth of {truth.body!r} has no place here", path=self.folder)
         if not len(truth):
@@ -184,13 +184,14 @@ class RecordingWriter:
         self._last_stamp_s[what] = last_s
 
 
-def write_recording(folder: Path | str, recording: Recording, force: bool = False) -> RecordingWriter:
+def write_recording(folder: StrPath, recording: Recording, force: bool = False) -> RecordingWriter:
     """Write any recording in wheelsight's own layout; answers the closed writer with its counts.
 
     Raises:
         OutputError: as `RecordingWriter`.
         RecordingError: as `RecordingWriter`.
     """
+    folder = Path(folder)
     with RecordingWriter(folder, recording.calibration, force) as writer:
         if recording.ground_truth is not None:
             writer.add_ground_truth(recording.ground_truth)

@@ -12,14 +12,19 @@ _SAME_STAMP_S = 1e-3  # stamps of one frame in two files differ by no more than 
 
 
 def poseless_stamps_s(record: RunRecord) -> FloatArray:
-    """Stamps (K,) of the frames, repeated images aside, at which the trajectory has no pose, growing."""
-    stamps_s = np.sort(np.array([frame.stamp_s for frame in record.frames if not frame.is_repeat], float))
+    """Stamps (K,) of the frames that leave a gap in the trajectory, growing: it has no pose where theirs would be.
+
+    Repeated images are no frames.
+    """
+    frames = [frame for frame in record.frames if not frame.is_repeat]
+    stamps_s = np.array([frame.stamp_s for frame in frames], float)
+    pose_s = np.array([frame.pose_s for frame in frames], float)
     known_s = record.estimate.stamps_s
     if len(known_s) == 0:
-        return stamps_s
-    after = np.searchsorted(known_s, stamps_s).clip(0, len(known_s) - 1)
-    nearest_s = np.minimum(abs(known_s[after] - stamps_s), abs(known_s[(after - 1).clip(0)] - stamps_s))
-    return np.asarray(stamps_s[nearest_s > _SAME_STAMP_S])
+        return np.sort(stamps_s)
+    after = np.searchsorted(known_s, pose_s).clip(0, len(known_s) - 1)
+    nearest_s = np.minimum(abs(known_s[after] - pose_s), abs(known_s[(after - 1).clip(0)] - pose_s))
+    return np.sort(stamps_s[nearest_s > _SAME_STAMP_S])
 
 
 def with_gaps(stamps_s: FloatArray, values: FloatArray, breaks_s: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight._version import __version__
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.odometry.extrinsics import BaseCalibration
 from wheelsight.report import _html as html
 from wheelsight.report import _words as words
@@ -24,8 +24,9 @@ _FOOTER = (
 )
 
 
-def write_base_page(found: BaseCalibration, path: Path) -> None:
+def write_base_page(found: BaseCalibration, path: StrPath) -> None:
     """Write the page about a mount's calibration, atomically. Raises OutputError."""
+    path = Path(path)
     when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     facts = ("wheels against camera, and the floor in depth", when, f"wheelsight {__version__}")
     page = fill_template(

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from wheelsight._version import __version__
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.report import _html as html
 from wheelsight.report import _joined as fusion
 from wheelsight.report import _map as surfels
@@ -49,9 +49,10 @@ class _Joined:
     rival: Rival | None
 
 
-def write_comparison(records: Sequence[RunRecord], path: Path) -> None:
+def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:
     """Write the page about `records`, each of another odometry, to `path`, atomically. Raises OutputError."""
     # A folder's name may hold bytes that are no text; they must not cost the page.
+    path = Path(path)
     write_text(path, render_comparison(records).encode("utf-8", "replace").decode("utf-8"))
 
 

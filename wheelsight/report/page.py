@@ -12,7 +12,7 @@ import yaml
 from plotly.offline import get_plotlyjs
 
 from wheelsight._version import __version__
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.report import _html as html
 from wheelsight.report import _map as surfels
 from wheelsight.report import _sections as sections
@@ -27,9 +27,10 @@ _BODIES = {
 }
 
 
-def write_report(record: RunRecord, path: Path) -> None:
+def write_report(record: RunRecord, path: StrPath) -> None:
     """Write the page about `record` to `path`, atomically, about 5 MB and the pictures. Raises OutputError."""
     # A folder's name may hold bytes that are no text; they must not cost the page.
+    path = Path(path)
     write_text(path, render(record).encode("utf-8", "replace").decode("utf-8"))
 
 

@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 
 from wheelsight._version import __version__
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.places import PlaceModel, PlaceTrial
 from wheelsight.report import _html as html
 from wheelsight.report import _words as words
@@ -20,8 +20,9 @@ _GOOD, _FAIR = 0.9, 0.7
 _CALIBRATED = 0.05
 
 
-def write_places_page(trial: PlaceTrial, model: PlaceModel, recording: str, path: Path) -> None:
+def write_places_page(trial: PlaceTrial, model: PlaceModel, recording: str, path: StrPath) -> None:
     """Write the page about `trial` of `model` on `recording`, atomically, about 5 MB. Raises OutputError."""
+    path = Path(path)
     write_text(path, _render(trial, model, recording).encode("utf-8", "replace").decode("utf-8"))
 
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from wheelsight._version import __version__
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import ByteArray
 from wheelsight.places.contact_sheet import ContactSheet
 from wheelsight.report import _words as words
@@ -38,7 +38,7 @@ AREA_COLOURS = (
 _JPEG_QUALITY = 80
 
 
-def write_sheet(sheet: ContactSheet, path: Path, source: str = "") -> None:
+def write_sheet(sheet: ContactSheet, path: StrPath, source: str = "") -> None:
     """Write the page to `path`, atomically; it needs no network, and a file opened by a double click serves.
 
     Args:
@@ -49,6 +49,7 @@ def write_sheet(sheet: ContactSheet, path: Path, source: str = "") -> None:
     Raises:
         OutputError: it cannot be written.
     """
+    path = Path(path)
     write_text(path, render_sheet(sheet, source).encode("utf-8", "replace").decode("utf-8"))
 
 

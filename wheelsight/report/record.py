@@ -15,6 +15,8 @@ from wheelsight.report.realtime_record import RealTimeRecord
 from wheelsight.report.rectification import RectificationRecord
 from wheelsight.trajectory import Trajectory
 
+_POSED = (Status.TRACKING, Status.COASTING)
+
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
@@ -37,6 +39,14 @@ class FrameRecord:
     surfels_dropped: int = 0
     flags: tuple[str, ...] = ()
     told_s: float | None = None
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether it was answered with a pose; where newer readings were known by then, with theirs, at `pose_s`.
+
+        This is what report, terminal and metrics.json mean by "with a pose".
+        """
+        return self.status in _POSED and not self.is_repeat and (self.told_s is not None or not self.is_skipped)
 
     @property
     def pose_s(self) -> float:
@@ -122,6 +132,11 @@ class RunRecord:
     rectification: RectificationRecord | None = None
     map: MapRecord | None = None
     realtime: RealTimeRecord | None = None
+
+    @property
+    def posed(self) -> int:
+        """How many of `frames` have a pose."""
+        return sum(frame.has_pose for frame in self.frames)
 
     @property
     def is_planar(self) -> bool:

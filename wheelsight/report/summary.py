@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.estimates import Status
-from wheelsight.report._series import poseless_stamps_s, runs
+from wheelsight.report._series import runs
 from wheelsight.report.record import RunRecord
 
 SKIPPED = "skipped"
@@ -73,7 +73,7 @@ def summarise(record: RunRecord) -> Summary:
     return Summary(
         frames=len(frames),
         skipped=len(record.frames) - len(used),
-        posed=len(frames) - len(poseless_stamps_s(record)),
+        posed=record.posed,
         duration_s=float(np.ptp(stamps_s)) if len(frames) else 0.0,
         frame_period_s=float(np.median(np.diff(stamps_s))) if len(frames) > 1 else float("nan"),
         length_m=record.estimate.length_m,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight._version import __version__
-from wheelsight.files import write_text
+from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import FloatArray
 from wheelsight.odometry.wheels.trial import WheelTrial
 from wheelsight.odometry.wheels.umbmark import Umbmark
@@ -23,8 +23,9 @@ _BETTER, _WORSE = 0.9, 1.1
 _FOOTER = "Lengths are in metres, stamps in seconds, σ is one standard deviation. This page needs no network."
 
 
-def write_wheel_page(trial: WheelTrial, path: Path) -> None:
+def write_wheel_page(trial: WheelTrial, path: StrPath) -> None:
     """Write the page about a calibration against a reference, atomically. Raises OutputError."""
+    path = Path(path)
     phrase, tone = _verdict(trial)
     page = fill_template(
         kicker="wheelsight wheel calibration",
@@ -41,11 +42,12 @@ def write_wheel_page(trial: WheelTrial, path: Path) -> None:
     _write(path, page)
 
 
-def write_squares_page(result: Umbmark, after_m: tuple[FloatArray, FloatArray], name: str, path: Path) -> None:
+def write_squares_page(result: Umbmark, after_m: tuple[FloatArray, FloatArray], name: str, path: StrPath) -> None:
     """Write the page about a calibration by squares, atomically. Raises OutputError.
 
     `after_m` are the errors (n, 2) and (m, 2) that corrected wheels leave of clockwise and counter-clockwise runs.
     """
+    path = Path(path)
     before_m, left_m = result.largest_error_m, result.largest_error_after_m
     runs = f"{len(result.clockwise_m)} clockwise and {len(result.counter_clockwise_m)} counter-clockwise"
     tiles = [

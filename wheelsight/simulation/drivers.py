@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import ConfigError
+from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray, se2, se3
 from wheelsight.recordings._text import Row, read_table
 from wheelsight.simulation._paths import Path2d, laps_of, smooth_path
@@ -193,12 +194,13 @@ def follow_route(
     return RouteFollower(smooth_path(laps_of(route, is_loop, laps, clockwise)), _checked_speed(speed_m_s))
 
 
-def read_manual_velocities(path: Path) -> ManualVelocities:
+def read_manual_velocities(path: StrPath) -> ManualVelocities:
     """Velocities from a table with commas whose first line names the columns stamp_s, v_m_s and yaw_rate_rad_s.
 
     Raises:
         InputError: naming file, line and column.
     """
+    path = Path(path)
     rows, warnings = read_table(path, ("stamp_s", "v_m_s", "yaw_rate_rad_s"))
     if warnings:
         raise ConfigError("the last line does not end", path=path, line=_lines_of(path), fix="end it with a new line")

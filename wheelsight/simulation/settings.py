@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelsight.errors import ConfigError
+from wheelsight.files import StrPath
 from wheelsight.simulation.drivers import MAX_SPEED_M_S
 from wheelsight.simulation.robot import Robot, WheelFaults
 
@@ -52,7 +53,7 @@ class SimulationSettings:
     speed_m_s: float = 0.8
     duration_s: float | None = None
     is_reverse: bool = False
-    velocities: Path | None = None
+    velocities: StrPath | None = None
     stops_to_turn: bool = False
     passersby: int = 0
     has_motion_blur: bool = False

@@ -16,7 +16,7 @@ from wheelsight.areas import save_areas
 from wheelsight.calibration import save_calibration
 from wheelsight.errors import ConfigError
 from wheelsight.events import RgbdFrame
-from wheelsight.files import make_output_folder, write_bytes, write_text
+from wheelsight.files import StrPath, make_output_folder, write_bytes, write_text
 from wheelsight.geometry import se3
 from wheelsight.recordings import RecordingWriter
 from wheelsight.simulation._way import driver_of, expected_s, refuse_walls, route_of
@@ -39,7 +39,7 @@ def simulate(
     settings: SimulationSettings,
     on_progress: Callable[[float, float | None], None] | None = None,
     *,
-    refused: Path | None = None,
+    refused: StrPath | None = None,
 ) -> SimulatedRecording:
     """Drive through a world as the settings say; images are rendered when the recording's events are asked for.
 
@@ -49,15 +49,18 @@ def simulate(
         refused: where a picture goes that shows why a way cannot be driven; none is drawn otherwise.
 
     Raises:
-        ConfigError: an unknown world or camera, a value out of range, a way through a wall, or MuJoCo is missing.
+        ConfigError: an unknown world or camera, a value out of range, a way through a wall, a fault that begins after
+            the drive has ended, or MuJoCo is missing.
         InputError: a file of velocities that cannot be read; names file and line.
     """
+    refused = None if refused is None else Path(refused)
     need_mujoco()
     camera = camera_model(settings.camera, settings.size)
     world = build_world(settings.world, settings.seed)
     driver = driver_of(settings, world)
     refuse_walls(settings, world, driver, refused)
     covers = [Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s]
+    _refuse_never(settings, settings.duration_s or _LONGEST_DRIVE_S)
     total_s = expected_s(settings, world)
     drive = simulate_drive(
         world,
@@ -69,6 +72,7 @@ def simulate(
         time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
         on_progress=None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s),
     )
+    _refuse_never(settings, drive.duration_s)
     recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
     return with_camera_faults(recording, *covers) if covers else recording
 
@@ -76,12 +80,24 @@ def simulate(
 def need_mujoco() -> None:
     """Raises ConfigError where the simulator's extra is not installed."""
     if find_spec("mujoco") is None:
-        raise ConfigError("the simulator needs MuJoCo", fix='pip install "wheelsight[sim]"')
+        raise ConfigError("the simulator needs MuJoCo", fix="pip install mujoco matplotlib")
+
+
+def _refuse_never(settings: SimulationSettings, end_s: float) -> None:
+    """Refuse what is to happen after the drive has ended. Raises ConfigError naming the option."""
+    faults = settings.faults
+    times = {"--cover": settings.covered_s, "--lift": faults.lifted_s}
+    times |= {"--dropout": faults.dropouts_s, "--unplug": faults.unplugged_s}
+    for option, spans_s in times.items():
+        for begin_s, until_s in spans_s:
+            if begin_s >= end_s:
+                problem = f"{option} {begin_s:g}:{until_s:g} never comes: the drive ends at {end_s:.1f} s"
+                raise ConfigError(problem, fix="let it begin earlier, or drive longer")
 
 
 def write_simulation(
     recording: SimulatedRecording,
-    folder: Path | str,
+    folder: StrPath,
     *,
     force: bool = False,
     on_frame: Callable[[RgbdFrame], None] | None = None,
@@ -101,6 +117,7 @@ def write_simulation(
     Raises:
         OutputError: the folder is not empty and `force` is off, cannot be written, or the disk is full.
     """
+    folder = Path(folder)
     with RecordingWriter(folder, recording.calibration, force) as writer:
         _write_surroundings(recording, writer.folder)
         truth = _TruthInSteps(recording, writer)
@@ -153,7 +170,7 @@ def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:
     write_text(truth / "world.xml", world.mjcf)
     write_text(truth / "settings.yaml", _settings_text(recording))
     if settings.velocities is not None:
-        write_bytes(truth / "velocities.csv", settings.velocities.read_bytes())
+        write_bytes(truth / "velocities.csv", Path(settings.velocities).read_bytes())
 
 
 def _settings_text(recording: SimulatedRecording) -> str:

@@ -59,3 +59,17 @@ def test_once_lost_every_keyframe_has_its_turn(views: Views) -> None:
 
 def test_no_keyframe_is_asked_twice_for_one_frame(views: Views) -> None:
     assert places(views.familiar(at(3.0), failures=4)) == [3]
+
+
+def test_keyframes_used_long_ago_take_little_room_and_come_back_alike() -> None:
+    subject = Views(DenseSettings(), BENCH.gridder, BENCH.maker, Stopwatch())
+    keyframes = [keyframe(0.1 * number) for number in range(9)]
+    before = [(one.reference.levels[0].pixels.copy(), one.reference.steep.normal.copy()) for one in keyframes]
+    for one in keyframes:
+        subject.keep(one)
+    list(subject.around(np.eye(4), 0))
+    held = [one.reference._made is not None for one in keyframes]
+    assert held == [False] * 3 + [True] * 6
+    for one, (pixels, normal) in zip(keyframes, before, strict=True):
+        np.testing.assert_array_equal(one.reference.levels[0].pixels, pixels)
+        np.testing.assert_array_equal(one.reference.steep.normal, normal)

@@ -14,6 +14,9 @@ from wheelsight.odometry.dense.keyframes import Keyframe
 from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
 from wheelsight.odometry.dense.settings import DenseSettings
 
+# So many keyframes, those used last, are held ready; of others depth and grey alone, of which they are made in 5 ms.
+_AT_HAND = 6
+
 
 class Views:
     """What is known of the place, as views to align with.
@@ -79,6 +82,8 @@ class Views:
 
     def around(self, T_world_camera: FloatArray, failures: int) -> Iterator[Keyframe]:
         """What the model predicts, then the newest keyframe; after failures the nearest; once lost, others in turn."""
+        for keyframe in self.keyframes[:-_AT_HAND]:
+            keyframe.reference.forget()
         if self._model is not None:
             yield self._predicted(self._model, T_world_camera, afresh=failures > 0)
         yield self.keyframes[-1]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
+from wheelsight.checks import check_frame
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
@@ -62,7 +63,7 @@ class DenseOdometry:
         model: ReferenceModel | None = None,
         T_world_first: FloatArray | None = None,
     ) -> None:
-        self._settings = settings or DenseSettings()
+        self._calibration, self._settings = calibration, settings or DenseSettings()
         rows = Rows(self._settings.threads)
         self._gridder = Gridder(calibration, self._settings, rows)
         self._maker = ReferenceMaker(calibration.depth_noise, self._settings, rows)
@@ -107,7 +108,7 @@ class DenseOdometry:
         T_previous_current_prior: FloatArray | None = None,
         T_previous_current_other: FloatArray | None = None,
     ) -> Estimate:
-        """The camera's pose at a frame, T_world_camera, or why there is none.
+        """The camera's pose at a frame, T_world_camera, or why there is none. Raises ArgumentError for no frame.
 
         Args:
             frame: newer than the one before.
@@ -115,6 +116,7 @@ class DenseOdometry:
                 for instance; else constant velocity is expected.
             T_previous_current_other: (4, 4) what may be so instead, and is taken where it fits clearly better.
         """
+        check_frame(frame, self._calibration, prior=T_previous_current_prior, other=T_previous_current_other)
         self.watch.restart()
         self.last_frame = None
         last = self._last
@@ -122,10 +124,10 @@ class DenseOdometry:
             self._first = frame
             return self._begin(frame, self._T_world_first, _START_VARIANCE * np.eye(6))
         found = self._find(frame, last, T_previous_current_prior, T_previous_current_other)
-        if not isinstance(found, Tracked) and found.reason is not Reason.TOO_LITTLE_DEPTH:
+        is_blind = not isinstance(found, Tracked) and found.reason is Reason.TOO_LITTLE_DEPTH
+        if not (isinstance(found, Tracked) or is_blind or T_previous_current_prior is None):
             # Wheels that spin expect what is not so, and lead astray.
-            is_alone = T_previous_current_prior is None
-            found = found if is_alone else self._find(frame, last, None, T_previous_current_other)
+            found = self._find(frame, last, None, T_previous_current_other)
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
 
     def _find(
@@ -163,6 +165,7 @@ class DenseOdometry:
 
     def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
+        check_frame(frame, self._calibration, T_world_camera=T_world_camera, covariance=covariance)
         self.watch.restart()
         self._first, self._doubt.unseen_s = None, 0.0
         return self._begin(frame, T_world_camera, covariance)
@@ -390,9 +393,8 @@ class DenseOdometry:
     def _fail(self, stamp_s: float, failure: MotionEstimate) -> Estimate:
         self._failures += 1
         self.last_motion = failure
-        status = Status.LOST if self._is_lost else Status.FAILING
-        if self._last is None:
-            status = Status.INITIALIZING
-        else:
+        status = Status.INITIALIZING
+        if self._last is not None:
+            status = Status.LOST if self._is_lost else Status.FAILING
             self._last = replace(self._last, twist=np.zeros(6))
         return Estimate(stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -75,23 +76,59 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """What frames are aligned with, and where it was seen from.
+class Scales:
+    """A reference at all scales.
 
     Attributes:
-        T_world_reference: (4, 4).
         levels: from the finest to the coarsest, as a `GridFrame` has them.
         steep: the coarsest level for alignment once more, with normals of steep surfaces but none at creases: what
             a view shows is told by all of its planes, and by nothing that is none.
+    """
+
+    levels: tuple[ReferenceLevel, ...]
+    steep: ReferenceLevel
+
+
+class Reference:
+    """What frames are aligned with, and where it was seen from.
+
+    Its scales are made when they are asked for, and may be forgotten: the frame they are made of takes a sixth of them.
+
+    Attributes:
+        T_world_reference: (4, 4).
         own_noise: how much of what a frame is off this is the frame's own noise.
         falloff: the exponent by which its grey was evened.
     """
 
-    T_world_reference: FloatArray
-    levels: tuple[ReferenceLevel, ...]
-    steep: ReferenceLevel
-    own_noise: float
-    falloff: float = 0.0
+    __slots__ = ("T_world_reference", "_made", "_make", "falloff", "own_noise")
+
+    def __init__(
+        self, T_world_reference: FloatArray, make: Callable[[], Scales], own_noise: float, falloff: float = 0.0
+    ) -> None:
+        self.T_world_reference, self.own_noise, self.falloff = T_world_reference, own_noise, falloff
+        self._make = make
+        self._made: Scales | None = None
+
+    @property
+    def scales(self) -> Scales:
+        """At all scales."""
+        if self._made is None:
+            self._made = self._make()
+        return self._made
+
+    @property
+    def levels(self) -> tuple[ReferenceLevel, ...]:
+        """From the finest to the coarsest."""
+        return self.scales.levels
+
+    @property
+    def steep(self) -> ReferenceLevel:
+        """See `Scales`."""
+        return self.scales.steep
+
+    def forget(self) -> None:
+        """Give the room of its scales back; asked for again, they are made again, alike to the bit."""
+        self._made = None
 
 
 class ReferenceMaker:
@@ -104,8 +141,12 @@ class ReferenceMaker:
 
     def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
-        levels = tuple(self._level(level, self.normals(level)) for level in frame.levels)
-        return Reference(T_world_camera, levels, self._steep(frame.levels), _AS_NOISY, frame.falloff)
+
+        def make() -> Scales:
+            levels = tuple(self._level(level, self.normals(level)) for level in frame.levels)
+            return Scales(levels, self._steep(frame.levels))
+
+        return Reference(T_world_camera, make, _AS_NOISY, frame.falloff)
 
     def of_view(self, view: PredictedView, T_world_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
@@ -113,7 +154,8 @@ class ReferenceMaker:
         levels = coarser(finest, self._settings, self._rows)
         fitted = (self._level(level, self.normals(level)) for level in levels[1:])
         pyramid = (self._level(finest, view.normal), *fitted)
-        return Reference(T_world_camera, pyramid, self._steep(levels), _MAPPED)
+        scales = Scales(pyramid, self._steep(levels))
+        return Reference(T_world_camera, lambda: scales, _MAPPED)
 
     def shown_by(self, frame: GridFrame) -> Shown:
         """What a frame itself shows."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
+from wheelsight.checks import check_frame
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, se3
@@ -61,7 +62,7 @@ class FeatureOdometry:
         settings: FeatureSettings | None = None,
         T_world_first: FloatArray | None = None,
     ) -> None:
-        self._settings = settings or FeatureSettings()
+        self._calibration, self._settings = calibration, settings or FeatureSettings()
         self._extractor = FeatureExtractor(calibration, self._settings)
         self._map = LandmarkMap(self._settings.kept_keyframes)
         self._watch = Stopwatch()
@@ -91,7 +92,11 @@ class FeatureOdometry:
             frame: newer than the one before.
             T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
                 for instance; bounds the search for matches. Where that finds nothing, a search without it decides.
+
+        Raises:
+            ArgumentError: images or a motion of another shape or type.
         """
+        check_frame(frame, self._calibration, prior=T_previous_current_prior)
         self._watch.restart()
         self._frames += 1
         self.last_matches = None
@@ -115,6 +120,7 @@ class FeatureOdometry:
 
     def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is given up."""
+        check_frame(frame, self._calibration, T_world_camera=T_world_camera, covariance=covariance)
         self._watch.restart()
         self.last_matches, self._first_raw = None, None
         with self._watch.stage("extract"):

@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Gyro, Wheels
+from wheelsight.checks import check_event
+from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import WheelSpeeds, WheelTicks
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
@@ -121,7 +123,13 @@ class WheelOdometry:
         Returns:
             `Status.TRACKING` with the pose; or, of a reading that was refused, `Status.FAILING` with the reason, the
             pose as it was before and the covariance grown.
+
+        Raises:
+            ArgumentError: no reading, or one whose numbers are none.
         """
+        check_event(reading)
+        if not isinstance(reading, WheelTicks | WheelSpeeds):
+            raise ArgumentError(f"a {type(reading).__name__} is no reading of wheels", fix="WheelTicks or WheelSpeeds")
         why = self._advance(reading, math.nan if yaw_rate_rad_s is None else yaw_rate_rad_s)
         return Estimate(
             reading.stamp_s - self._wheels.delay_s,

@@ -11,6 +11,7 @@ import numpy as np
 
 from wheelsight.calibration import Wheels
 from wheelsight.errors import CalibrationError
+from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray
 from wheelsight.odometry.wheels.drive import Drive, drive_of, poses_at
 from wheelsight.odometry.wheels.umbmark import Umbmark, umbmark
@@ -108,7 +109,7 @@ def errors_on_unused_runs_m(wheels: Wheels, runs: Sequence[SquareRun]) -> FloatA
     return np.array([np.hypot(*run.error_m(after)) for run, after in zip(runs, found, strict=True)])
 
 
-def read_return_errors(path: Path) -> tuple[FloatArray, FloatArray]:
+def read_return_errors(path: StrPath) -> tuple[FloatArray, FloatArray]:
     """Clockwise (n, 2) and counter-clockwise (m, 2) errors of a table with columns direction, x_m, y_m.
 
     Direction is cw or ccw; x and y are true minus computed, in the frame of the run's start.
@@ -116,6 +117,7 @@ def read_return_errors(path: Path) -> tuple[FloatArray, FloatArray]:
     Raises:
         CalibrationError: naming file and line.
     """
+    path = Path(path)
     try:
         rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
     except OSError as error:

@@ -1,0 +1,133 @@
+"""Kernels compiled ahead: what is missing is known, and a drive needs none that the rehearsal did not call."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wheelsight import open_recording
+from wheelsight.config import load_config
+from wheelsight.errors import OutputError
+from wheelsight.events import RgbdFrame
+from wheelsight.pipeline import kernels
+from wheelsight.pipeline.rehearsal import write_rehearsal
+from wheelsight.simulation import SimulationSettings, WheelFaults, simulate, write_simulation
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of two kernels, which are marked as compiled."""
+    monkeypatch.setattr(kernels, "_folders", lambda: {tmp_path})
+    monkeypatch.setattr(kernels, "_mark", lambda part: tmp_path / f"{part}.json")
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.nbi").write_bytes(b"")
+    kernels.mark_compiled("wheels")
+    return tmp_path
+
+
+def test_only_what_is_missing_is_compiled(cache: Path) -> None:
+    assert kernels.missing_parts(("wheels", "dense")) == ("dense",)
+
+
+def test_kernels_that_have_gone_are_missing(cache: Path) -> None:
+    (cache / "a.nbi").unlink()
+    assert kernels.missing_parts(("wheels",)) == ("wheels",)
+
+
+def test_kernels_that_have_changed_are_missing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "_digest", lambda: "another")
+    assert kernels.missing_parts(("wheels",)) == ("wheels",)
+
+
+def test_a_mark_that_is_none_is_missing(cache: Path) -> None:
+    (cache / "wheels.json").write_text("[]")
+    assert kernels.missing_parts(("wheels",)) == ("wheels",)
+
+
+@pytest.mark.parametrize(
+    ("settings", "parts"),
+    [
+        ({"odometry": "wheels"}, ("wheels",)),
+        ({"odometry": "dense", "map": "surfels"}, ("dense",)),
+        ({"odometry": "wheels,dense"}, ("wheels", "dense", "joined")),
+        ({"odometry": "wheels", "places.model": "m"}, ("wheels", "places")),
+    ],
+)
+def test_a_run_needs_the_parts_of_its_tracks(settings: dict[str, Any], parts: tuple[str, ...]) -> None:
+    assert kernels.parts_of(load_config(overrides=settings)) == parts
+
+
+def test_what_cannot_be_compiled_is_told_by_its_last_line() -> None:
+    with pytest.raises(OutputError, match=r"kernels could not be compiled: KeyError: 'nothing'"):
+        kernels.compile_kernels(["nothing"])
+
+
+def test_ctrl_c_ends_the_other_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    children: list[subprocess.Popen[str]] = []
+    popen = subprocess.Popen
+
+    def start(*arguments: Any, **options: Any) -> subprocess.Popen[str]:
+        children.append(popen(*arguments, **options))
+        return children[0]
+
+    def press(part: str, count: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    with pytest.raises(KeyboardInterrupt):
+        kernels.compile_kernels(["wheels"], press)
+    assert children[0].returncode == -9
+
+
+def test_the_rehearsal_is_a_drive_in_which_everything_happens(tmp_path: Path) -> None:
+    write_rehearsal(tmp_path / "drive", is_registered=True)
+    events = list(open_recording(tmp_path / "drive").events())
+    frames = [event for event in events if isinstance(event, RgbdFrame)]
+    assert len(events) > 600
+    seen = [frame for frame in frames if frame.color.any()]
+    assert 3 < len(frames) - len(seen) < len(frames) / 3
+    assert all(np.ptp(frame.color) > 100 and 0.3 < np.median(frame.depth_m) < 5 for frame in seen)
+
+
+COUNT = """
+import sys
+from pathlib import Path
+from numba.core.dispatcher import Dispatcher
+from wheelsight import load_config, open_recording, run_each
+from wheelsight.pipeline._compile import _rehearse
+from wheelsight.pipeline.kernels import PARTS
+from wheelsight.pipeline.rehearsal import write_rehearsal
+
+def loaded():
+    modules = [module for name, module in sys.modules.items() if name.startswith("wheelsight.")]
+    found = (kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher))
+    return {f"{one.py_func.__module__}.{one.py_func.__name__}{sign}" for one in found for sign in one.overloads}
+
+folder = Path(sys.argv[1])
+for name, is_registered in (("one", True), ("two", False)):
+    write_rehearsal(folder / name, is_registered=is_registered)
+    for part in PARTS:
+        _rehearse(part, open_recording(folder / name), folder / "results")
+before = loaded()
+for settings in ({"odometry": "wheels,dense", "map": "surfels"}, {"odometry": "wheels,features"}):
+    run_each(open_recording(folder / "drive"), load_config(overrides=settings), folder / "out", force=True)
+print(*(loaded() - before), sep="\\n")
+"""
+
+
+@pytest.mark.slow
+def test_a_drive_with_mishaps_needs_nothing_more(tmp_path: Path) -> None:
+    """Covered for three seconds, a wheel lifted for two: no frame of it waits for a compiler."""
+    mishaps: dict[str, Any] = {"covered_s": ((6, 9),), "faults": WheelFaults(lifted_s=((12, 14),))}
+    settings = SimulationSettings(world="square", rate_hz=8, duration_s=20, **mishaps)
+    write_simulation(simulate(settings), tmp_path / "drive")
+    told = subprocess.run(
+        [sys.executable, "-c", COUNT, str(tmp_path)], capture_output=True, text=True, check=False, timeout=280
+    )
+    assert told.returncode == 0, told.stderr
+    assert told.stdout.strip() == ""

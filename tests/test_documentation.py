@@ -1,0 +1,154 @@
+"""What README and docs tell a newcomer to type works, page by page, from top to bottom in a fresh folder.
+
+A page's names of recordings are given small ones. What is not run stands in NOT_RUN, with its reason.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from area_drive import write_area_drive
+from drives import simulate as drive_legs
+from drives import square_legs, write_recording
+from places.made_recording import write_drive
+
+from wheelsight.calibration import Calibration, Wheels, save_calibration
+from wheelsight.simulation import SimulationSettings, simulate, write_simulation
+
+PROJECT = Path(__file__).resolve().parent.parent
+PAGES = ("README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in sorted((PROJECT / "docs").glob("*.md"))))
+# Beginnings of commands, and why they are not run here.
+NOT_RUN = {
+    "make ": "sets up environments, or needs a chip; continuous integration runs what can be",
+    "pip install ": "changes the environment; the Makefile's targets do it",
+    "python3 -m venv ": "changes the environment",
+    "python -m benchmarks": "takes minutes; tests/benchmarks",
+    "python papers/": "needs recordings that are not part of the project; tests/papers",
+    "wheelsight wheels ": "needs a wheel controller; tests/cli/test_wheels.py",
+    "wheelsight record ": "needs a wheel controller; tests/cli/test_record.py",
+    "wheelsight run corridor ": "of the recording that the controller made",
+    "wheelsight simulate floor4 --laps 2": "four minutes of driving; docs/simulation.md's is run for some seconds",
+    "wheelsight simulate floor4 --rate 5": "drives of whole floors; small ones stand for them",
+    "for seed in 1 2 3": "six squares, simulated; drawn ones stand for them",
+}
+# Options put to the end of commands, where the last one wins, so that they take seconds.
+SHORTER = {"wheelsight simulate floor4 --out": "--duration 6 --rate 4 --size 160x120"}
+LANGUAGES = ("console", "sh")
+WHEELS = Wheels(0.17, 0.17, 0.58, 3200)
+# Straight ways and turns both ways, on the spot too: (seconds, m/s, rad/s).
+LEGS = (
+    *((1.0, 0.5, 0.0), (4.0, 0.5, 0.0), (4.0, 0.35, 0.8), (3.0, 0.5, 0.0), (2.0, 0.0, 0.8), (1.0, 0.0, 0.0)),
+    *((4.0, 0.35, -0.8), (3.0, 0.6, 0.0), (3.0, 0.0, -0.9), (2.0, 0.4, 0.2), (4.0, 0.4, 0.7), (1.0, 0.0, 0.0)),
+    *((3.0, 0.5, -0.3), (4.0, 0.3, -0.8), (3.0, 0.5, 0.0), (3.0, 0.0, 0.8), (3.0, 0.4, 0.0), (4.0, 0.3, -0.7)),
+)
+
+
+def commands_of(text: str) -> Iterator[str]:
+    """The commands in a page's blocks: after "$ ", with lines after "> "; or each line, where no prompt is shown."""
+    for language, block in re.findall(r"^```(\w+)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        if language not in LANGUAGES:
+            continue
+        lines = block.splitlines()
+        if not any(line.startswith("$ ") for line in lines):
+            yield from (line for line in lines if line.strip())
+            continue
+        for line in lines:
+            if line.startswith("$ "):
+                following = lines[lines.index(line) + 1 :]
+                more = [after[2:] for after in following[: _count(following)]]
+                yield "\n".join([line[2:], *more])
+
+
+def _count(lines: list[str]) -> int:
+    """How many lines at the start go on with a command."""
+    return next((i for i, line in enumerate(lines) if not line.startswith("> ")), len(lines))
+
+
+def why_not(command: str) -> str | None:
+    return next((begin for begin in NOT_RUN if command.removeprefix(".venv/bin/").startswith(begin)), None)
+
+
+def to_run(page: str) -> list[str]:
+    return [one for one in commands_of((PROJECT / page).read_text(encoding="utf-8")) if why_not(one) is None]
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """RECORDING, which shows all that is calibrated; `short`, its first seconds; `rooms` and `areas`, whose places
+    can be told apart; and squares."""
+    folder = tmp_path_factory.mktemp("documentation")
+    begins = np.cumsum([0.0, *(leg[0] for leg in LEGS)])
+    rows = [f"{begin},{v},{w}" for begin, (_, v, w) in zip(begins, (*LEGS, (0.0, 0.0, 0.0)), strict=True)]
+    (folder / "legs.csv").write_text("\n".join(["stamp_s,v_m_s,yaw_rate_rad_s", *rows]) + "\n")
+    for name, duration_s in (("RECORDING", None), ("short", 6.0)):
+        settings = SimulationSettings(
+            world="square", rate_hz=4, seed=5, velocities=folder / "legs.csv", duration_s=duration_s
+        )
+        write_simulation(simulate(settings), folder / name)
+    write_drive(folder / "rooms", with_labels=True)
+    write_area_drive(folder / "areas", every_frame=1)
+    for number, sense in enumerate((-1, 1, -1, 1)):
+        drawn = drive_legs(WHEELS, square_legs(WHEELS, WHEELS, sense))
+        write_recording(folder / "squares" / str(number), WHEELS, drawn, drawn.truth.select([0, -1]))
+    return folder
+
+
+@pytest.fixture
+def fresh(recordings: Path, tmp_path: Path) -> Path:
+    """A folder with a recording, or a file, of each name that a page takes for given."""
+    for name in ("RECORDING", "path/to/recording"):
+        shutil.copytree(recordings / "RECORDING", tmp_path / name)
+    shutil.copytree(recordings / "short", tmp_path / "my_recording")
+    for name in ("drive", "another_drive", "monday", "tuesday", "wednesday"):
+        shutil.copytree(recordings / "areas", tmp_path / name)
+    for name in ("my_drive", "other_drive", "third_drive"):
+        shutil.copytree(recordings / "rooms", tmp_path / name)
+    shutil.copy(recordings / "three.places", tmp_path / "building.places")
+    shutil.copytree(recordings / "squares", tmp_path / "squares")
+    (tmp_path / "visual").mkdir()
+    shutil.copy(recordings / "RECORDING" / "groundtruth_base.txt", tmp_path / "visual" / "trajectory.txt")
+    save_calibration(Calibration(wheels=WHEELS), tmp_path / "nominal.yaml")
+    save_calibration(Calibration(wheels=WHEELS), tmp_path / "calibration.yaml")
+    rows = ("cw,-0.10,-0.10", "cw,-0.11,-0.09", "ccw,-0.10,0.10", "ccw,-0.09,0.11")
+    (tmp_path / "errors.csv").write_text("\n".join(["direction,x_m,y_m", *rows]) + "\n")
+    for name in ("my_drive", "other_drive"):
+        shutil.copy(recordings / "rooms" / "labels.csv", tmp_path / f"{name}-labels.csv")
+    for place in ("bin", ".venv/bin"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "wheelsight").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m wheelsight "$@"\n')
+        (tmp_path / place / "wheelsight").chmod(0o755)
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)])
+def test_what_a_page_tells_to_type_works(page: str, fresh: Path) -> None:
+    path = os.pathsep.join([str(fresh / "bin"), os.environ["PATH"]])
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(PROJECT)}
+    for command in to_run(page):
+        more = next((options for begin, options in SHORTER.items() if command.startswith(begin)), "")
+        typed = f"{command.split('  #')[0]} {more}"
+        answer = subprocess.run(
+            ["bash", "-c", typed], cwd=fresh, env=environment, capture_output=True, text=True, check=False
+        )
+        assert answer.returncode == 0, f"{page}: {typed}\n{answer.stderr}"
+
+
+def test_every_reason_for_not_running_is_of_some_command() -> None:
+    texts = [(PROJECT / page).read_text(encoding="utf-8") for page in PAGES]
+    found = {why_not(command) for text in texts for command in commands_of(text)}
+    assert found - {None} == set(NOT_RUN)
+
+
+def test_blocks_are_read_as_a_newcomer_reads_them() -> None:
+    page = "```console\n$ one 1   # why\nanswer\n$ for x in 1; do\n>   two\n> done\n```\n"
+    page += "```python\nno\n```\n```sh\nthree\n```\n"
+    assert list(commands_of(page)) == ["one 1   # why", "for x in 1; do\n  two\ndone", "three"]

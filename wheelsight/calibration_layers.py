@@ -1,0 +1,39 @@
+"""Calibrations laid over each other as they stand in their files: what the upper one tells stands, the rest stays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+# One lens is not mixed with another's: who gives the colour camera gives all that its pixels mean.
+_LENSES = ("color", "depth", "T_color_depth", "color_sigma_px")
+_FIELD_BY_FIELD = ("wheels", "gyro", "depth_noise", "nominal")
+# Of these parts a file may also hold what was known when the rest was found: it stands where nothing else tells it.
+NOMINAL, NOMINAL_PARTS = "nominal", ("wheels", "gyro")
+
+
+def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of `below` with those of `above` in their place.
+
+    Wheels, gyro and depth noise are laid over field by field, so that the delay may come from one calibration and the
+    radii from another; with `color` goes all that is told of lenses.
+    """
+    kept = {name: value for name, value in below.items() if "color" not in above or name not in _LENSES}
+    merged = {**kept, **above}
+    for name in _FIELD_BY_FIELD:
+        parts = (below.get(name), above.get(name))
+        if all(isinstance(part, Mapping) for part in parts):
+            merged[name] = {**parts[0], **parts[1]}  # type: ignore[dict-item]
+    source = _both_sources(below.get("source"), above.get("source"))
+    return merged if source is None else {**merged, "source": source}
+
+
+def _both_sources(below: Any, above: Any) -> Any:
+    """Where the numbers come from; what is laid over twice is told once."""
+    if below is None or above is None or below == above:
+        return below if above is None else above
+    earlier = [told for told in str(below).split(_UPDATED) if told != above]
+    return _UPDATED.join([*earlier, str(above)])
+
+
+_UPDATED = ", updated by: "

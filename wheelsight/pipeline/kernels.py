@@ -1,0 +1,141 @@
+"""Kernels compiled before they are needed, in a process of their own, so that it can be watched and broken off.
+
+Numba compiles a kernel when it is first called, and keeps it on the disk. A small drive in which everything happens is
+run there (`rehearsal`); whoever runs anything later finds all of it compiled. Compiling takes half a gigabyte, too,
+which the process takes with it when it ends.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from wheelsight.config import Config
+from wheelsight.errors import OutputError
+from wheelsight.files import write_text
+
+PACKAGE = Path(__file__).parent.parent
+# What each part of wheelsight runs for the sake of its kernels: settings of a run, by their names.
+PARTS: dict[str, tuple[dict[str, Any], ...]] = {
+    "wheels": ({"odometry": "wheels"},),
+    "features": ({"odometry": "features"}, {"odometry": "features", "features.reference": "previous"}),
+    "dense": ({"odometry": "dense"}, {"odometry": "dense", "map": "surfels"}),
+    "joined": (
+        {"odometry": "wheels,dense", "map": "surfels"},
+        {"odometry": "wheels,features"},
+        {"odometry": "wheels,dense", "fusion": "ligocki"},
+    ),
+    "places": (),
+}
+# On two cores of 2023, nothing being compiled yet; for words such as "about a minute" alone.
+SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "places": 5}
+_MARK = "wheelsight-{}.compiled.json"
+
+
+def parts_of(config: Config) -> tuple[str, ...]:
+    """The parts whose kernels a run needs."""
+    tracks = [{"rectified": "places"}.get(track, track) for track in config.tracks]
+    return tuple(part for part in PARTS if part in tracks or (part == "places" and config.places.model is not None))
+
+
+def missing_parts(parts: Sequence[str]) -> tuple[str, ...]:
+    """Those of the parts that were not compiled yet, or whose kernels have changed or gone since."""
+    if not _are_kernels():
+        return ()
+    return tuple(part for part in parts if not _is_compiled(part))
+
+
+def compile_kernels(parts: Sequence[str], on_kernel: Callable[[str, int], None] = lambda part, kernels: None) -> None:
+    """Compile what the parts need, in another process; Ctrl-C ends that at once.
+
+    Args:
+        parts: of PARTS.
+        on_kernel: told the part and how many kernels were compiled so far, after each.
+
+    Raises:
+        OutputError: it cannot be done; says why.
+    """
+    command = [sys.executable, "-m", "wheelsight.pipeline._compile", *parts]
+    path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
+    # In a session of its own Ctrl-C reaches it through us alone, and leaves no traceback behind.
+    child = subprocess.Popen(
+        command,
+        env={**os.environ, "PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        assert child.stdout is not None
+        for line in child.stdout:
+            part, kernels = line.split()
+            on_kernel(part, int(kernels))
+        _, problem = child.communicate()
+    except BaseException:
+        child.kill()
+        child.communicate()
+        raise
+    if child.returncode:
+        last = (problem.strip().splitlines() or ["it ended without a word"])[-1]
+        raise OutputError(f"kernels could not be compiled: {last}", fix="NUMBA_CACHE_DIR: where they are to be kept")
+
+
+def mark_compiled(part: str) -> None:
+    """Note that all kernels of a part are on the disk: how many files each folder of them has. Raises OutputError."""
+    folders = {str(folder): len(list(folder.glob("*.nbi"))) for folder in _folders()}
+    write_text(_mark(part), json.dumps({"kernels": _digest(), "folders": folders}) + "\n")
+
+
+def _is_compiled(part: str) -> bool:
+    try:
+        noted = json.loads(_mark(part).read_text(encoding="utf-8"))
+        folders = {Path(folder): int(count) for folder, count in noted["folders"].items()}
+        return noted["kernels"] == _digest() and all(
+            len(list(folder.glob("*.nbi"))) >= count for folder, count in folders.items()
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return False
+
+
+def _are_kernels() -> bool:
+    """Whether anything is compiled at all: with NUMBA_DISABLE_JIT nothing is."""
+    import numba
+
+    return not numba.config.DISABLE_JIT  # type: ignore[attr-defined]
+
+
+def _mark(part: str) -> Path:
+    folder = min(_caches(import_module("wheelsight.geometry.motion_kernels")))
+    return folder / _MARK.format(part)
+
+
+def _folders() -> set[Path]:
+    """The caches of all kernels that were loaded by now."""
+    loaded = [(name, module) for name, module in sys.modules.items() if name.startswith("wheelsight.")]
+    return set().union(*(_caches(module) for name, module in loaded if name.endswith("kernels")))
+
+
+def _caches(module: ModuleType) -> set[Path]:
+    """Where numba keeps the kernels that a module knows by name; only it can tell."""
+    return {Path(kernel.stats.cache_path) for kernel in vars(module).values() if hasattr(kernel, "stats")}
+
+
+def _digest() -> str:
+    """What compiled kernels depend on: their files, the compiler and the processor."""
+    import numba
+    from llvmlite import binding
+
+    facts = [sys.version, numba.__version__, binding.get_host_cpu_name()]
+    for path in sorted(PACKAGE.rglob("*kernels.py")):
+        about = path.stat()
+        facts.append(f"{path.relative_to(PACKAGE)} {about.st_size} {about.st_mtime_ns}")
+    return hashlib.sha256("\n".join(facts).encode()).hexdigest()

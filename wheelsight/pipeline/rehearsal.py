@@ -1,0 +1,111 @@
+"""A small drive in which everything happens: a recording that calls whatever kernel a run may need.
+
+A box of a room, painted in cells, is driven through in an arc. On the way the camera is covered, a wheel slips, the
+robot is carried off, a counter leaps, and the image goes dark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wheelsight.calibration import Calibration, Wheels
+from wheelsight.events import RgbdFrame, WheelTicks, YawRate
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.recordings import RecordingWriter
+from wheelsight.trajectory import Trajectory
+
+_CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0)
+_BENT = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0, (0.1, -0.1, 0.001, 0.001, 0.01))
+_MOUNT = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])
+_WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
+_LOW, _HIGH = np.array([-2.5, -2.0, 0.0]), np.array([2.5, 2.0, 2.6])
+_CELL_M = 0.12  # corners for keypoints, and large enough to be seen at half resolution
+_STEP_S, _STEPS_A_FRAME = 0.02, 5
+_DEEPEST_M = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """So many frames at a speed and a turn; the left wheel turns `slip` times as far as it rolls."""
+
+    frames: int
+    v_m_s: float = 0.0
+    yaw_rate_rad_s: float = 0.0
+    slip: float = 1.0
+    is_covered: bool = False
+    is_dark: bool = False
+    carried_m: float = 0.0
+
+
+_LEGS = (
+    *(_Leg(6), _Leg(14, 0.5, 0.2), _Leg(6, 0.4, -0.9), _Leg(8, 0.4, 0.3, is_covered=True), _Leg(8, 0.4, 0.2)),
+    *(_Leg(8, 0.3, 0.0, slip=3.0), _Leg(5, 0.3), _Leg(4, carried_m=0.15), _Leg(5, 0.2, 0.5, is_dark=True), _Leg(5)),
+)
+
+
+def write_rehearsal(folder: Path, *, is_registered: bool) -> None:
+    """Write the drive, by a camera with a rolling shutter: of one pixel grid, or of two, with a lens that distorts."""
+    with RecordingWriter(folder, _calibration(is_registered)) as writer:
+        stamps_s, poses = [], []
+        for index, (stamp_s, T_world_base, leg, ticks, is_frame) in enumerate(_steps()):
+            stamps_s.append(stamp_s)
+            poses.append(T_world_base)
+            writer.add(YawRate(stamp_s, leg.yaw_rate_rad_s))
+            writer.add(WheelTicks(stamp_s, *ticks))
+            if is_frame:
+                color, depth_m = _seen(T_world_base @ _MOUNT, leg)
+                writer.add(RgbdFrame(stamp_s + 1e-3, color, depth_m, index // _STEPS_A_FRAME))
+        writer.add_ground_truth(Trajectory(np.array(stamps_s), np.array(poses), body="base"))
+
+
+def _calibration(is_registered: bool) -> Calibration:
+    robot: dict[str, Any] = {
+        "wheels": _WHEELS,
+        "T_base_camera": _MOUNT,
+        "rolling_shutter_s": 0.02,
+        "source": "rehearsal",
+    }
+    if is_registered:
+        return Calibration.registered_camera(_CAMERA, **robot)
+    beside = se3.from_parts(np.eye(3), np.array([0.002, 0.0, 0.0]))
+    return Calibration(_BENT, _CAMERA, beside, color_sigma_px=1.0, **robot)
+
+
+def _steps() -> Iterator[tuple[float, FloatArray, _Leg, tuple[int, int], bool]]:
+    """Stamp, T_world_base, leg, counters and whether a frame is due, reading by reading."""
+    x, y, yaw, left_m, right_m, index = -1.6, -0.4, 0.1, 0.0, 0.0, 0
+    for leg in _LEGS:
+        y += leg.carried_m
+        for _ in range(leg.frames * _STEPS_A_FRAME):
+            across_m_s = leg.yaw_rate_rad_s * _WHEELS.track_width_m / 2
+            left_m += leg.slip * (leg.v_m_s - across_m_s) * _STEP_S
+            right_m += (leg.v_m_s + across_m_s) * _STEP_S
+            x, y = x + leg.v_m_s * _STEP_S * np.cos(yaw), y + leg.v_m_s * _STEP_S * np.sin(yaw)
+            yaw += leg.yaw_rate_rad_s * _STEP_S
+            ticks = (round(left_m / _WHEELS.left_m_per_tick), round(right_m / _WHEELS.right_m_per_tick))
+            yield index * _STEP_S, se3.from_plane(x, y, yaw), leg, ticks, index % _STEPS_A_FRAME == 0
+            index += 1
+
+
+def _seen(T_world_camera: FloatArray, leg: _Leg) -> tuple[ByteArray, Float32Array]:
+    """Colour (H, W, 3) and depth (H, W) of the box from inside."""
+    rays = _CAMERA.rays() @ T_world_camera[:3, :3].T
+    origin = T_world_camera[:3, 3]
+    rays = np.where(rays == 0, 1e-9, rays)
+    ways = np.where(rays > 0, (_HIGH - origin) / rays, (_LOW - origin) / rays)
+    axis = ways.argmin(axis=-1)
+    depth_m = np.take_along_axis(ways, axis[..., None], axis=-1)[..., 0]
+    points = origin + rays * depth_m[..., None]
+    cells = np.floor(points / _CELL_M).astype(int)
+    np.put_along_axis(cells, axis[..., None], 40 * axis[..., None], axis=-1)  # a wall's own distance says nothing
+    shade = (cells @ np.array([7919, 104729, 1299709])) % 1009
+    color = np.stack([40 + shade % 97 * 2, 40 + shade % 89 * 2, 40 + shade % 101 * 2], axis=-1).astype(np.uint8)
+    if leg.is_dark or leg.is_covered:
+        color = np.zeros_like(color)
+    depth_m = np.zeros_like(depth_m) if leg.is_covered else depth_m.clip(max=_DEEPEST_M)
+    return color, depth_m.astype(np.float32)
