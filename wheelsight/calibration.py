@@ -227,14 +227,9 @@ def load_calibration(path: Path) -> Calibration:
     Raises:
         CalibrationError: naming the file, the field and what is wrong with it.
     """
-    import yaml
+    from wheelsight.inputs import read_yaml
 
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CalibrationError(f"cannot be read: {error.strerror}", path=path) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"is not YAML: {error}", path=path) from error
+    document = read_yaml(path, CalibrationError)
     try:
         return _from_document(document)
     except CalibrationError as error:

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from wheelsight.errors import MapError
 from wheelsight.files import atomic_write
+from wheelsight.inputs import Kind, parse_json, read_bytes
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import Surfels
@@ -25,6 +26,7 @@ from wheelsight.mapping.values import Surfels
 FORMAT = "wheelsight-map-1"
 _LONGEST_HEADER = 1 << 16
 _NO_MAP = "give a file that `save_map` wrote"
+_FILE = Kind("a map", most_mb=512, fix=_NO_MAP)
 _DAMAGED = "it is damaged or cut short: use another copy"
 # Name, type and number of columns; 0 for a flat array.
 _FIELDS = (
@@ -68,10 +70,7 @@ def load_map(path: Path) -> SurfelMap:
         MapError: naming the file: it cannot be read, is no map, of another version, cut short, damaged, or holds
             numbers that no surfel has.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise MapError(f"cannot be read: {error.strerror}", path=path, fix=_NO_MAP) from error
+    data = read_bytes(path, _FILE, MapError)
     try:
         header, body = _split(data)
         surfels = _surfels(header, body)
@@ -93,7 +92,10 @@ def _split(data: bytes) -> tuple[dict[str, Any], memoryview]:
     text, newline, _ = rest.partition(b"\n")
     if not newline:
         raise MapError("ends in its header", fix=_DAMAGED)
-    header = json.loads(text)
+    try:
+        header = parse_json(text)
+    except ValueError as error:
+        raise MapError(f"its header is not one: {error}", fix=_DAMAGED) from error
     if not isinstance(header, dict):
         raise MapError("its header is no object", fix=_DAMAGED)
     return header, memoryview(data)[len(name) + len(text) + 2 :]

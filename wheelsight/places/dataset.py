@@ -12,6 +12,7 @@ from wheelsight.areas import AreaMap, load_areas
 from wheelsight.errors import AreaError, PlaceError
 from wheelsight.events import RgbdFrame, SkippedFrame
 from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.inputs import is_there
 from wheelsight.places.describer import Describer
 from wheelsight.places.forest import ForestSettings
 from wheelsight.places.labels import LabelFile, labels_on_the_way, natural_order, read_labels
@@ -98,12 +99,12 @@ def label_source(
         AreaError: an areas.yaml that is wrong, or a label of an area that it lacks.
     """
     own = recording.path / AREAS_FILE
-    if areas_path is None and own.is_file():
+    if areas_path is None and is_there(own):
         areas_path = own
     areas = None if areas_path is None else load_areas(areas_path)
     trajectory = recording.ground_truth if trajectory is None else trajectory
     own_labels = recording.path / LABELS_FILE
-    if labels is None and (areas is None or trajectory is None) and own_labels.is_file():
+    if labels is None and (areas is None or trajectory is None) and is_there(own_labels):
         labels = read_labels(own_labels)
     if labels is not None and areas is not None:
         labels.check_names(areas.names)

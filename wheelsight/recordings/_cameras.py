@@ -7,6 +7,7 @@ from pathlib import Path
 
 from wheelsight.calibration import Calibration, load_calibration
 from wheelsight.errors import CalibrationError
+from wheelsight.inputs import is_there
 from wheelsight.recordings.protocol import OpenOptions
 
 _FOLDER = Path(__file__).parent / "cameras"
@@ -25,7 +26,7 @@ def load_camera(name: str) -> Calibration:
     """
     if name in camera_names():
         return load_calibration(_FOLDER / f"{name}.yaml")
-    if Path(name).is_file():
+    if is_there(Path(name)):
         return load_calibration(Path(name))
     raise CalibrationError(f"no camera is called {name!r} and no such file exists", fix=camera_choices())
 
@@ -47,6 +48,6 @@ def choose_calibration(folder: Path, options: OpenOptions, otherwise: Callable[[
 def _chosen(folder: Path, options: OpenOptions, otherwise: Callable[[], Calibration]) -> Calibration:
     if options.camera is not None:
         return load_camera(options.camera)
-    if (folder / "calibration.yaml").is_file():
+    if is_there(folder / "calibration.yaml"):
         return load_calibration(folder / "calibration.yaml")
     return otherwise()

@@ -42,6 +42,17 @@ def open_recording(path: Path | str, options: OpenOptions | None = None) -> Reco
         InputError: the folder is missing, is of no known format, or cannot be read; one line with file and fix.
     """
     folder = Path(path)
+    try:
+        return _open(folder, options or OpenOptions())
+    except OSError as error:  # a folder that may not be looked into, a name that is too long
+        raise RecordingError(f"cannot be read: {error.strerror}", path=folder, fix="check the path") from error
+    except ValueError as error:
+        if "null byte" not in str(error):
+            raise
+        raise RecordingError("is no name of a folder", path=str(folder), fix="check the path") from error
+
+
+def _open(folder: Path, options: OpenOptions) -> Recording:
     if not folder.exists():
         raise RecordingError("there is no such folder", path=folder, fix="check the path")
     if not folder.is_dir():
@@ -49,7 +60,7 @@ def open_recording(path: Path | str, options: OpenOptions | None = None) -> Reco
     reader = _reader_of(folder)
     if reader is None:
         raise _unknown(folder)
-    return reader.open(folder, options or OpenOptions())
+    return reader.open(folder, options)
 
 
 def find_recordings(folder: Path | str) -> list[Path]:
