@@ -25,11 +25,13 @@ class ForestSettings(BaseModel):
 
     trees: int = Field(64, ge=1, le=1000, description="T of Trinh et al., eq. 7; the paper tries 1 to 6")
     max_depth: PositiveInt | None = Field(16, le=64, description="D: splits from root to leaf at most; none: no limit")
-    min_leaf: PositiveInt = Field(1, description="frames that a leaf holds at least")
+    min_leaf: PositiveInt = Field(1, le=1_000_000, description="frames that a leaf holds at least")
     seed: NonNegativeInt = Field(0, lt=2**32, description="one seed gives one forest")
     folds: int = Field(5, ge=2, le=20, description="blocks held out in turn to calibrate probabilities")
-    block_frames: PositiveInt = Field(10, description="neighbours that are held out together, about")
-    gap_frames: NonNegativeInt = Field(2, description="left out of training on both sides of a block held out")
+    block_frames: PositiveInt = Field(10, le=1_000_000, description="neighbours that are held out together, about")
+    gap_frames: NonNegativeInt = Field(
+        2, le=1_000_000, description="left out of training on both sides of a block held out"
+    )
     wanted_accuracy: float = Field(
         0.95, gt=0, le=1, description="of answers on blocks held out; what is less sure is answered with unknown"
     )

@@ -19,8 +19,12 @@ class HistogramSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     bins: int = Field(100, ge=2, le=256, description="of each histogram")
-    near_m: NonNegativeFloat = Field(0.0, description="where the first bin of depth begins; nearer depths fall into it")
-    far_m: PositiveFloat = Field(8.0, description="where the last bin of depth ends; farther depths fall into it")
+    near_m: NonNegativeFloat = Field(
+        0.0, le=100, description="where the first bin of depth begins; nearer depths fall into it"
+    )
+    far_m: PositiveFloat = Field(
+        8.0, le=100, description="where the last bin of depth ends; farther depths fall into it"
+    )
     missing: Literal["first_bin", "own_bin", "ignored"] = Field(
         "first_bin", description="where pixels without depth count; an own bin adds a number, and all leave it as it is"
     )

@@ -29,9 +29,9 @@ class LayoutSettings(BaseModel):
     sides: int = Field(5, ge=2, le=15, description="bins a side of the whole frame's histogram of normals")
     samples_down: int = Field(120, ge=16, le=480, description="rows of the grid at which images are read")
     samples_across: int = Field(160, ge=16, le=640, description="columns of that grid")
-    far_m: PositiveFloat = Field(8.0, description="farther depths count as this far")
+    far_m: PositiveFloat = Field(8.0, le=100, description="farther depths count as this far")
     focal_in_widths: PositiveFloat = Field(
-        0.9, description="the depth camera's focal length in image widths, roughly; it only bends normals"
+        0.9, le=100, description="the depth camera's focal length in image widths, roughly; it only bends normals"
     )
 
 
