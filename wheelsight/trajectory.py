@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +31,7 @@ _COLUMN_NAMES = (
     *((f"t{axis}", axis, f"p{axis}", f"p_{axis}", f"pos_{axis}", f"{axis}_m") for axis in "xyz"),
     *((f"q{axis}", f"q_{axis}") for axis in "xyzw"),
 )
-_FILE = Kind("a trajectory", most_mb=128)
+_FILE = Kind("a trajectory", most_mb=192, most_lines=2_000_000)
 _LARGEST_STAMP, _LARGEST = 1e20, 1e12  # of which squares are summed up; stamps may be of a wrong unit
 _FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<world>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
 
@@ -139,9 +140,7 @@ def read_tum(path: Path, body: str = "camera", warn: Callable[[str], None] = _lo
         TrajectoryError: naming file and line, for text that is no such line, values that are not finite,
             quaternions far from unit length, stamps that run backwards or repeat often, or a file without poses.
     """
-    rows, frames = _read_rows(path, columns=8)
-    lines = np.array([line for line, _ in rows])
-    values: FloatArray = np.array([row for _, row in rows], np.float64).reshape(-1, 8)
+    lines, values, frames = _read_rows(path, columns=8)
     norms = np.linalg.norm(values[:, 4:], axis=1)
     for bad in np.flatnonzero(np.abs(norms - 1) > _ORTHONORMAL_TOLERANCE):
         raise TrajectoryError(
@@ -203,11 +202,11 @@ def read_kitti(path: Path, period_s: float = 0.1, body: str = "camera") -> Traje
     Rotations are brought to the nearest orthonormal one, since the text rounds them.
     Raises TrajectoryError naming file and line, as `read_tum`.
     """
-    rows, frames = _read_rows(path, columns=12)
-    values = np.array([row for _, row in rows], float).reshape(-1, 3, 4)
+    lines, rows, frames = _read_rows(path, columns=12)
+    values = rows.reshape(-1, 3, 4)
     R = so3.nearest(values[:, :, :3])
     for bad in np.flatnonzero(np.abs(R - values[:, :, :3]).max(axis=(1, 2), initial=0) > _ORTHONORMAL_TOLERANCE):
-        raise TrajectoryError("the first 3×3 numbers are no rotation", path=path, line=rows[bad][0])
+        raise TrajectoryError("the first 3×3 numbers are no rotation", path=path, line=int(lines[bad]))
     world, body = frames or ("world", body)
     stamps_s: FloatArray = period_s * np.arange(len(values), dtype=np.float64)
     return Trajectory(stamps_s, se3.from_parts(R, values[:, :, 3]), None, body, world)
@@ -219,24 +218,42 @@ def write_kitti(trajectory: Trajectory, path: Path) -> None:
     write_text(path, "".join(" ".join(f"{x:.9e}" for x in row) + "\n" for row in rows))
 
 
-def _read_rows(path: Path, columns: int) -> tuple[list[tuple[int, list[float]]], tuple[str, str] | None]:
-    """Line numbers and values of all lines that are no comment, and the frames a comment names."""
+def _read_rows(path: Path, columns: int) -> tuple[IntArray, FloatArray, tuple[str, str] | None]:
+    """Line numbers (N,) and values (N, columns) of all lines that are no comment, and the frames a comment names."""
     lines = lines_of(read_text(path, _FILE, TrajectoryError))
-    rows: list[tuple[int, list[float]]] = []
+    numbers, values = array("q"), array("d")
     frames, order = None, None
     for number, line in enumerate(lines, start=1):
-        if named := _FRAMES_LINE.match(line):
-            frames = (named["world"], named["body"])
-        words = split_words(line.split("#")[0])
-        if words and not rows and order is None and columns == _TUM_COLUMNS and _is_header(words):
+        bare = line
+        if "#" in line:
+            if named := _FRAMES_LINE.match(line):
+                frames = (named["world"], named["body"])
+            bare = line.split("#")[0]
+        words = split_words(bare)
+        if not words:
+            continue
+        if order is None and not numbers and columns == _TUM_COLUMNS and _is_header(words):
             order = _order(words, path, number)
-        elif words and order is not None:
-            rows.append((number, _numbers(_picked(words, order, path, number), columns, path, number)))
-        elif words:
-            rows.append((number, _numbers(words, columns, path, number)))
-    if not rows:
+            continue
+        if order is not None:
+            words = _picked(words, order, path, number)
+        values.extend(_numbers(words, columns, path, number))
+        numbers.append(number)
+    if not numbers:
         raise TrajectoryError("holds no poses", path=path, fix=f"{columns} numbers a line are expected")
-    return rows, frames
+    told = np.array(values, np.float64).reshape(-1, columns)
+    _refuse_impossible(told, numbers, path)
+    return np.array(numbers, np.int64), told, frames
+
+
+def _refuse_impossible(values: FloatArray, numbers: Sequence[int], path: Path) -> None:
+    """Raises TrajectoryError naming the first line (N,) of which a value is not finite, or beyond all sense."""
+    largest = np.abs(values)
+    for bad in np.flatnonzero(~(largest.max(axis=1) <= _LARGEST_STAMP) | (largest[:, 1:].max(axis=1) > _LARGEST)):
+        problem = f"a value of {largest[bad].max():g} is no stamp in seconds and no metres"
+        if not np.isfinite(values[bad]).all():
+            problem = "a value is not finite"
+        raise TrajectoryError(problem, path=path, line=int(numbers[int(bad)]), fix="remove the line")
 
 
 def _is_header(words: list[str]) -> bool:
@@ -269,12 +286,10 @@ def _numbers(words: list[str], columns: int, path: Path, line: int) -> list[floa
         problem = f"{len(words)} values where {columns} are expected"
         raise TrajectoryError(problem, path=path, line=line, fix=f"{_LINE_OF[columns]} a line")
     try:
-        values = [float(word) for word in numbers_with_commas(words)]
+        return [float(word) for word in words]
+    except ValueError:
+        pass
+    try:
+        return [float(word) for word in numbers_with_commas(words)]
     except ValueError as error:
         raise TrajectoryError(f"{error}", path=path, line=line, fix=f"{_LINE_OF[columns]} a line") from error
-    if not all(map(math.isfinite, values)):
-        raise TrajectoryError("a value is not finite", path=path, line=line, fix="remove the line")
-    if max(map(abs, values)) > _LARGEST_STAMP or max(map(abs, values[1:])) > _LARGEST:
-        problem = f"a value of {max(values, key=abs):g} is no stamp in seconds and no metres"
-        raise TrajectoryError(problem, path=path, line=line, fix="remove the line")
-    return values

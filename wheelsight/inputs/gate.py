@@ -40,7 +40,7 @@ class Kind:
 
     name: str
     most_mb: int
-    most_lines: int = 4_000_000
+    most_lines: int = 1_500_000
     missing: str = "cannot be read: No such file or directory"
     fix: str | None = None
 

@@ -6,6 +6,7 @@ import math
 import re
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+_ODD = re.compile("[;,\"']")
 _BETWEEN = re.compile(r"[\s,]+")
 _QUOTES = "\"'"
 
@@ -15,6 +16,8 @@ def split_words(text: str) -> list[str]:
 
     Semicolons part words if there are any, so that commas are decimal ones; else commas and white space do.
     """
+    if not _ODD.search(text):
+        return text.split()
     if ";" in text:
         words = text.split(";")
     elif (spaced := text.split()) and len(spaced) > 1 and any(_DECIMAL_COMMA.fullmatch(word) for word in spaced):
@@ -41,6 +44,6 @@ def numbers_with_commas(words: list[str]) -> list[str]:
 def as_number(word: str) -> float:
     """The number that a word is, with point or decimal comma; NaN where it is none."""
     try:
-        return float(word.replace(",", ".") if _DECIMAL_COMMA.fullmatch(word) else word)
+        return float(word)
     except ValueError:
-        return math.nan
+        return float(word.replace(",", ".")) if _DECIMAL_COMMA.fullmatch(word) else math.nan

@@ -108,4 +108,5 @@ def _header(lines: list[str], path: Path, columns: Sequence[str]) -> tuple[Line,
 
 
 def _split(text: str, between: str | None) -> list[str]:
-    return [unquoted(word) for word in text.strip().split(between)]
+    words = text.strip().split(between)
+    return [unquoted(word) for word in words] if "'" in text or '"' in text else [word.strip() for word in words]

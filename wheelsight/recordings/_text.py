@@ -24,7 +24,7 @@ class _Stamped(Protocol):
     def stamp_s(self) -> float: ...
 
 
-LIST = Kind("a list", most_mb=128, missing="is missing", fix="each recording needs it")
+LIST = Kind("a list", most_mb=96, missing="is missing", fix="each recording needs it")
 
 S = TypeVar("S", bound=_Stamped)
 

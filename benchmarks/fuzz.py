@@ -1,0 +1,223 @@
+"""`python -m benchmarks.fuzz`: hostile files for every reader; none may end in a traceback, hang, or fill memory.
+
+Each input is made by random numbers of its own (seed and number), and read in a process of its own that may have one
+gigabyte more than it begins with, and is ended where it takes longer than five seconds over one input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import resource
+import shutil
+import sys
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.fuzz_damage import damaged, replace_with_no_file
+from benchmarks.fuzz_files import Target, targets
+from wheelsight.errors import WheelsightError
+
+LONGEST_S = 5.0
+MOST_BYTES = 1 << 30
+LONGEST_MESSAGE = 2000  # a screen of 25 lines of 80 columns
+_LOOK_S = 0.2
+_START_S = 120.0
+_NO_FILE_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """An input that was not answered as it must be.
+
+    Attributes:
+        number: of the input; with the seed it makes the input again.
+        reader: that read it.
+        kind: traceback, hang, memory or message.
+        told: the last line of the traceback, or what it took.
+    """
+
+    number: int
+    reader: str
+    kind: str
+    told: str
+
+
+@dataclass
+class Outcome:
+    """What came of some inputs.
+
+    Attributes:
+        read, refused: how many were taken, and refused by an error of wheelsight's.
+        faults: what must not be.
+        slowest_s: the longest over one input.
+    """
+
+    read: int = 0
+    refused: int = 0
+    faults: list[Fault] = field(default_factory=list)
+    slowest_s: float = 0.0
+
+    @property
+    def count(self) -> int:
+        """Of all inputs."""
+        return self.read + self.refused + len(self.faults)
+
+
+def fuzz(count: int, seed: int = 0, begin: int = 0, within_s: float = float("inf"), reader: str = "") -> Outcome:
+    """Read `count` hostile inputs, or as many as `within_s` seconds allow.
+
+    Args:
+        count: how many.
+        seed: of all random numbers.
+        begin: the first one's number.
+        within_s: no input is begun later.
+        reader: a part of the name of the only readers to try, or "" for all.
+    """
+    outcome, number, end = Outcome(), begin, begin + count
+    deadline = time.monotonic() + within_s
+    while number < end and time.monotonic() < deadline:
+        number = _watch(outcome, number, end, seed, deadline, reader)
+    return outcome
+
+
+def _watch(outcome: Outcome, number: int, end: int, seed: int, deadline: float, reader: str) -> int:
+    """Let a process read inputs until it ends or must be ended; the number of the next input."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(there, number, end, seed, deadline - time.monotonic(), reader))
+    process.start()
+    there.close()
+    begun, current = time.monotonic() + _START_S, ""
+    while True:
+        if here.poll(_LOOK_S):
+            try:
+                told = here.recv()
+            except EOFError:
+                break
+            if told[0] == "begin":
+                _, number, current = told
+                begun = time.monotonic()
+            else:
+                number += 1
+                _count(outcome, told)
+        elif time.monotonic() - begun > LONGEST_S:
+            outcome.faults.append(Fault(number, current, "hang", f"over {LONGEST_S:g} s"))
+            process.kill()
+            number += 1
+            break
+    process.join()
+    if process.exitcode not in (0, -9):
+        outcome.faults.append(Fault(number, current, "traceback", f"the process ended with {process.exitcode}"))
+        number += 1
+    return end if process.exitcode == 0 else number
+
+
+def _count(outcome: Outcome, told: tuple[Any, ...]) -> None:
+    _, is_read, fault, took_s = told
+    outcome.slowest_s = max(outcome.slowest_s, took_s)
+    if fault is not None:
+        outcome.faults.append(fault)
+    elif is_read:
+        outcome.read += 1
+    else:
+        outcome.refused += 1
+
+
+def _work(pipe: Connection, begin: int, end: int, seed: int, within_s: float, reader: str) -> None:
+    """The process that reads: inputs one after the other, telling what came of each."""
+    warnings.simplefilter("error")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what libpng and libjpeg say of damaged images
+    deadline = time.monotonic() + within_s
+    chosen = [target for target in targets() if reader in target.name]
+    for target in chosen:
+        with TemporaryDirectory() as folder:  # whatever is loaded or compiled at first is no input's doing
+            _write(target, Path(folder))
+            target.read(Path(folder))
+    held = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (held + MOST_BYTES, held + MOST_BYTES))
+    with TemporaryDirectory() as folder:
+        for number in range(begin, end):
+            if time.monotonic() > deadline:
+                break
+            target = chosen[number % len(chosen)]
+            pipe.send(("begin", number, target.name))
+            place = Path(folder) / str(number)
+            make_input(target, place, np.random.default_rng([seed, number]))
+            before_s = time.perf_counter()
+            is_read, fault = _try(target, place, number)
+            pipe.send(("end", is_read, fault, time.perf_counter() - before_s))
+            shutil.rmtree(place)
+    pipe.close()
+
+
+def make_input(target: Target, place: Path, rng: np.random.Generator) -> None:
+    """Write a reader's sound files into a new folder, one or two of them changed."""
+    _write(target, place)
+    names = sorted(target.files)
+    for name in rng.choice(names, min(int(rng.integers(1, 3)), len(names)), replace=False).tolist():
+        if rng.random() < _NO_FILE_SHARE:
+            replace_with_no_file(place / name, rng)
+        else:
+            (place / name).write_bytes(damaged(name, target.files[name], rng))
+
+
+def _write(target: Target, place: Path) -> None:
+    for name, data in target.files.items():
+        path = place / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+
+
+def _try(target: Target, place: Path, number: int) -> tuple[bool, Fault | None]:
+    """Whether an input was read, and what was wrong with the answer."""
+    try:
+        target.read(place)
+    except WheelsightError as error:
+        message = str(error)
+        if len(message) > LONGEST_MESSAGE or not message.isprintable():
+            return False, Fault(number, target.name, "message", f"{len(message)} characters: {message[:200]!r}")
+        if "MemoryError" in message:
+            return False, Fault(number, target.name, "memory", message[-200:])
+        return False, None
+    except MemoryError:
+        return False, Fault(number, target.name, "memory", traceback.format_exc(limit=-3)[-900:])
+    except BaseException:
+        return False, Fault(number, target.name, "traceback", traceback.format_exc(limit=-6)[-1500:])
+    return True, None
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run, print what came of it, and answer 1 where there is a fault."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=20_000, help="how many inputs (20000)")
+    parser.add_argument("--seed", type=int, default=0, help="of all random numbers (0)")
+    parser.add_argument("--begin", type=int, default=0, help="number of the first input (0)")
+    parser.add_argument("--within", type=float, default=float("inf"), help="seconds after which none is begun")
+    parser.add_argument("--reader", default="", help="only readers whose name holds this")
+    given = parser.parse_args(arguments)
+    outcome = fuzz(given.count, given.seed, given.begin, given.within, given.reader)
+    console = Console(markup=False, highlight=False, soft_wrap=True)
+    for fault in outcome.faults:
+        console.print(f"{fault.kind} {fault.number} {fault.reader}: {fault.told}")
+    kinds = Counter(fault.kind for fault in outcome.faults)
+    faults = ", ".join(f"{kinds[kind]} {kind}" for kind in ("traceback", "hang", "memory", "message"))
+    told = f"{outcome.count} inputs: {outcome.read} read, {outcome.refused} refused; {faults}"
+    console.print(f"{told}; slowest {outcome.slowest_s:.2f} s")
+    return 1 if outcome.faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
