@@ -27,7 +27,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.fuzz_damage import damaged, replace_with_no_file
-from benchmarks.fuzz_files import Target, targets
+from benchmarks.fuzz_files import Target, controls, targets
 from wheelsight.errors import WheelsightError
 
 LONGEST_S = 5.0
@@ -76,7 +76,15 @@ class Outcome:
         return self.read + self.refused + len(self.faults)
 
 
-def fuzz(count: int, seed: int = 0, begin: int = 0, within_s: float = float("inf"), reader: str = "") -> Outcome:
+def fuzz(
+    count: int,
+    seed: int = 0,
+    begin: int = 0,
+    within_s: float = float("inf"),
+    reader: str = "",
+    *,
+    are_controls: bool = False,
+) -> Outcome:
     """Read `count` hostile inputs, or as many as `within_s` seconds allow.
 
     Args:
@@ -84,20 +92,21 @@ def fuzz(count: int, seed: int = 0, begin: int = 0, within_s: float = float("inf
         seed: of all random numbers.
         begin: the first one's number.
         within_s: no input is begun later.
-        reader: a part of the name of the only readers to try, or "" for all.
+        reader: a part of the names of the only readers to try, or "" for all.
+        are_controls: whether `fuzz_files.controls` are tried in place of the readers, to see that each is found.
     """
     outcome, number, end = Outcome(), begin, begin + count
     deadline = time.monotonic() + within_s
     while number < end and time.monotonic() < deadline:
-        number = _watch(outcome, number, end, seed, deadline, reader)
+        number = _watch(outcome, number, end, deadline, (seed, reader, are_controls))
     return outcome
 
 
-def _watch(outcome: Outcome, number: int, end: int, seed: int, deadline: float, reader: str) -> int:
+def _watch(outcome: Outcome, number: int, end: int, deadline: float, chosen: tuple[int, str, bool]) -> int:
     """Let a process read inputs until it ends or must be ended; the number of the next input."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(there, number, end, seed, deadline - time.monotonic(), reader))
+    process = context.Process(target=_work, args=(there, number, end, deadline - time.monotonic(), *chosen))
     process.start()
     there.close()
     begun, current = time.monotonic() + _START_S, ""
@@ -116,13 +125,13 @@ def _watch(outcome: Outcome, number: int, end: int, seed: int, deadline: float, 
         elif time.monotonic() - begun > LONGEST_S:
             outcome.faults.append(Fault(number, current, "hang", f"over {LONGEST_S:g} s"))
             process.kill()
-            number += 1
-            break
+            process.join()
+            return number + 1
     process.join()
-    if process.exitcode not in (0, -9):
-        outcome.faults.append(Fault(number, current, "traceback", f"the process ended with {process.exitcode}"))
-        number += 1
-    return end if process.exitcode == 0 else number
+    if process.exitcode == 0:
+        return end
+    outcome.faults.append(Fault(number, current, "traceback", f"the process ended with {process.exitcode}"))
+    return number + 1
 
 
 def _count(outcome: Outcome, told: tuple[Any, ...]) -> None:
@@ -136,15 +145,15 @@ def _count(outcome: Outcome, told: tuple[Any, ...]) -> None:
         outcome.refused += 1
 
 
-def _work(pipe: Connection, begin: int, end: int, seed: int, within_s: float, reader: str) -> None:
+def _work(pipe: Connection, begin: int, end: int, within_s: float, seed: int, reader: str, are_controls: bool) -> None:
     """The process that reads: inputs one after the other, telling what came of each."""
     warnings.simplefilter("error")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what libpng and libjpeg say of damaged images
     deadline = time.monotonic() + within_s
-    chosen = [target for target in targets() if reader in target.name]
-    for target in chosen:
+    chosen = [target for target in (controls() if are_controls else targets()) if reader in target.name]
+    for target in [] if are_controls else chosen:
         with TemporaryDirectory() as folder:  # whatever is loaded or compiled at first is no input's doing
-            _write(target, Path(folder))
+            write_sound(target, Path(folder))
             target.read(Path(folder))
     held = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (held + MOST_BYTES, held + MOST_BYTES))
@@ -155,7 +164,7 @@ def _work(pipe: Connection, begin: int, end: int, seed: int, within_s: float, re
             target = chosen[number % len(chosen)]
             pipe.send(("begin", number, target.name))
             place = Path(folder) / str(number)
-            make_input(target, place, np.random.default_rng([seed, number]))
+            make_input(target, place, seed, number)
             before_s = time.perf_counter()
             is_read, fault = _try(target, place, number)
             pipe.send(("end", is_read, fault, time.perf_counter() - before_s))
@@ -163,9 +172,10 @@ def _work(pipe: Connection, begin: int, end: int, seed: int, within_s: float, re
     pipe.close()
 
 
-def make_input(target: Target, place: Path, rng: np.random.Generator) -> None:
+def make_input(target: Target, place: Path, seed: int, number: int) -> None:
     """Write a reader's sound files into a new folder, one or two of them changed."""
-    _write(target, place)
+    rng = np.random.default_rng([seed, number])
+    write_sound(target, place)
     names = sorted(target.files)
     for name in rng.choice(names, min(int(rng.integers(1, 3)), len(names)), replace=False).tolist():
         if rng.random() < _NO_FILE_SHARE:
@@ -174,7 +184,8 @@ def make_input(target: Target, place: Path, rng: np.random.Generator) -> None:
             (place / name).write_bytes(damaged(name, target.files[name], rng))
 
 
-def _write(target: Target, place: Path) -> None:
+def write_sound(target: Target, place: Path) -> None:
+    """Write a reader's sound files into a folder."""
     for name, data in target.files.items():
         path = place / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +16,7 @@ from wheelsight.areas import Area, AreaMap, load_areas, save_areas
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.config import Config, load_config, save_config
 from wheelsight.devices.source import TicksFile
+from wheelsight.errors import RecordingError
 from wheelsight.geometry import PinholeCamera, se3
 from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map
 from wheelsight.odometry.wheels.squares import read_return_errors
@@ -117,6 +120,26 @@ def targets() -> list[Target]:
         Target("measurement_lines", measured, _play),
         *_single_files(),
     ]
+
+
+def controls() -> list[Target]:
+    """Readers that do what none may: each must be found. The last two tell what fits on a screen all the same."""
+
+    def hang(folder: Path) -> None:
+        time.sleep(60)
+
+    def end(folder: Path) -> None:
+        os._exit(3)
+
+    def talk(folder: Path) -> None:
+        raise RecordingError("x" * 100_000, path="y" * 5000, fix="z" * 100_000)
+
+    def escape(folder: Path) -> None:
+        raise RecordingError("\x1b[31m", path="\udcff\n")
+
+    files = {"a.txt": b"1 2\n"}
+    reads = {"traceback": lambda _: [][0], "memory": lambda _: bytearray(2 << 30), "hang": hang, "end": end}
+    return [Target(name, files, read) for name, read in (reads | {"talk": talk, "escape": escape}).items()]
 
 
 def _single_files() -> list[Target]:

@@ -205,7 +205,7 @@ def test_a_bad_file_is_named_with_field_and_problem(tmp_path: Path, content: Any
     [
         (b"color: [1, 2\nfx: }", "is not YAML"),
         (b"\xff\xfe\x00", "is not a text file"),
-        (b"a: \x07", "is not YAML"),
+        (b"a: \x07", "which YAML does not allow"),
         (b"", "field"),
     ],
 )

@@ -41,6 +41,9 @@ def parse_yaml(text: str, path: Path, error: type[InputError]) -> Any:
             beyond 64 bits, other numbers beyond 1e15.
     """
     text = text.replace("%YAML:1.0", "", 1) if text.startswith("%YAML:1.0") else text
+    if odd := yaml.reader.Reader.NON_PRINTABLE.search(text):
+        line = text.count("\n", 0, odd.start()) + 1
+        raise error(f"holds the character {odd[0]!r}, which YAML does not allow", path=path, line=line, fix=_FIX)
     try:
         _Size().check(text)
         return yaml.load(text, _Loader)
@@ -157,6 +160,6 @@ def _clipped(value: Any) -> str:
 def _told(problem: yaml.YAMLError, path: Path, error: type[InputError]) -> InputError:
     mark = getattr(problem, "problem_mark", None)
     line = None if mark is None else mark.line + 1
-    said = getattr(problem, "problem", None) or getattr(problem, "reason", None) or "its text ends too early"
+    said = getattr(problem, "problem", None) or "its text ends too early"
     own = type(problem) is yaml.MarkedYAMLError
     return error(said if own else f"is not YAML: {said}", path=path, line=line, fix=_FIX)

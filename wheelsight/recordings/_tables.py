@@ -11,6 +11,7 @@ from wheelsight.errors import RecordingError
 from wheelsight.inputs import as_number, lines_of, unquoted
 from wheelsight.recordings._text import COMMENT, Line, parse_stamp, read_list
 
+_FIX = "correct or remove the line"
 _LARGEST = 1e15  # of numbers: squares of larger ones no longer add up
 _LARGEST_COUNT = 1 << 53  # beyond, a float no longer tells one count from the next
 
@@ -50,7 +51,7 @@ class Row:
 
     def _error(self, column: str, what: str) -> RecordingError:
         problem = f"{column} is {self.words[self.columns[column]]!r}, not {what}"
-        return RecordingError(problem, path=self.path, line=self.number, fix="correct or remove the line")
+        return RecordingError(problem, path=self.path, line=self.number, fix=_FIX)
 
 
 def read_table(path: Path, columns: Sequence[str]) -> tuple[list[Row], list[str]]:
@@ -78,7 +79,7 @@ def read_table(path: Path, columns: Sequence[str]) -> tuple[list[Row], list[str]
         while len(words) > len(places) and not words[-1]:
             words.pop()
         if len(words) != len(places):
-            fix = "decimal commas need semicolons between the columns" if len(words) > len(places) else None
+            fix = "decimal commas need semicolons between the columns" if len(words) > len(places) else _FIX
             problem = f"{len(words)} values where {len(places)} are expected"
             raise RecordingError(problem, path=path, line=number, fix=fix)
         rows.append(Row(path, number, places, tuple(words)))
