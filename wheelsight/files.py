@@ -41,7 +41,7 @@ def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]
     Raises:
         OutputError: the folder is missing, not writable, or the disk is full.
     """
-    _refuse_odd(path)
+    check_name(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     encoding, newline = ("utf-8", "\n") if mode == "w" else (None, None)
     try:
@@ -86,12 +86,15 @@ def make_output_folder(folder: Path, force: bool = False) -> Path:
     return folder
 
 
-def _refuse_odd(path: Path) -> None:
+def check_name(path: Path) -> None:
     """Raises OutputError for a place that is no file's: a folder, or a device or pipe that a file would replace."""
     if path.name in ("", ".."):
         raise output_error(IsADirectoryError(errno.EISDIR, ""), path)
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise OutputError("is a device or a pipe, not a file", path=path, fix="choose another name")
+    try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            raise OutputError("is a device or a pipe, not a file", path=path, fix="choose another name")
+    except OSError as error:
+        raise output_error(error, path) from error
 
 
 def output_error(error: OSError, path: Path) -> OutputError:

@@ -75,7 +75,10 @@ def _find(folder: Path, levels: int) -> list[Path]:
         return [folder]
     if levels == 0:
         return []
-    below = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    try:
+        below = [path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
+    except OSError:  # a folder that may not be looked into holds nothing that can be opened
+        return []
     return [found for path in below for found in _find(path, levels - 1)]
 
 

@@ -119,7 +119,7 @@ def read_return_errors(path: Path) -> tuple[FloatArray, FloatArray]:
         CalibrationError: naming file and line.
     """
     lines = enumerate(lines_of(read_text(path, _FILE, CalibrationError)), start=1)
-    rows = [(number, split_words(line)) for number, line in lines if line.strip()]
+    rows = [(number, words) for number, line in lines if (words := split_words(line))]
     if not rows or tuple(word.lower() for word in rows[0][1]) != _COLUMNS:
         problem, fix = "the first line must be " + ",".join(_COLUMNS), "then one run a line, such as cw,0.12,-0.03"
         raise CalibrationError(problem, path=path, line=1, fix=fix)
