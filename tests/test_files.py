@@ -33,6 +33,22 @@ def test_bytes_come_back(tmp_path: Path) -> None:
     assert (tmp_path / "a.bin").read_bytes() == bytes(range(256))
 
 
+@pytest.mark.parametrize("name", ["/", ".", ".."])
+def test_a_folder_is_no_place_for_a_file(name: str) -> None:
+    with pytest.raises(OutputError, match="is a folder, not a file"):
+        write_text(Path(name), "text")
+
+
+def test_a_pipe_or_device_is_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "null").symlink_to("/dev/null")
+    for name in ("pipe", "null"):
+        with pytest.raises(OutputError, match="is a device or a pipe, not a file"):
+            write_text(tmp_path / name, "text")
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "null").is_symlink()
+
+
 def test_nothing_but_the_file_stays(tmp_path: Path) -> None:
     write_text(tmp_path / "a.txt", "one")
     write_text(tmp_path / "a.txt", "two")

@@ -111,6 +111,13 @@ def header_entry(name: str, value: object) -> Callable[[dict[str, object], bytea
         (lambda data: rewritten(data, header_entry("settings", {"unknown": 1})), "settings"),
         (lambda data: rewritten(data, header_entry("settings", {"max_surfels": 1024})), "no room"),
         (lambda data: rewritten(data, header_entry("stamp_s", -5.0)), "after it ends"),
+        (lambda data: data.replace(b'"settings": ', b'"settings": ' + b'{"a":' * 10_000, 1), "nested too deeply"),
+        (
+            lambda data: data.replace(b'"settings": ', b'"deep": ' + b"[" * 90 + b"]" * 90 + b', "settings": ', 1),
+            "deeper",
+        ),
+        (lambda data: rewritten(data, put(3, 1e30)), "normal holds numbers beyond 1.01"),
+        (lambda data: rewritten(data, put(6, 1e30)), "radius_m holds numbers beyond 100"),
         (lambda data: rewritten(data, header_entry("stamp_s", float("nan"))), "holds NaN"),
         (lambda data: rewritten(data, header_entry("stamp_s", "now")), "header"),
         (lambda data: rewritten(data, header_entry("dropped", -3)), "dropped"),
