@@ -16,7 +16,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -63,12 +63,19 @@ class Outcome:
         read, refused: how many were taken, and refused by an error of wheelsight's.
         faults: what must not be.
         slowest_s: the longest over one input.
+        on_fault: told of each fault as it is found.
     """
 
     read: int = 0
     refused: int = 0
     faults: list[Fault] = field(default_factory=list)
     slowest_s: float = 0.0
+    on_fault: Callable[[Fault], None] = lambda fault: None
+
+    def add_fault(self, fault: Fault) -> None:
+        """Keep a fault, and tell of it."""
+        self.faults.append(fault)
+        self.on_fault(fault)
 
     @property
     def count(self) -> int:
@@ -84,6 +91,7 @@ def fuzz(
     reader: str = "",
     *,
     are_controls: bool = False,
+    on_fault: Callable[[Fault], None] = lambda fault: None,
 ) -> Outcome:
     """Read `count` hostile inputs, or as many as `within_s` seconds allow.
 
@@ -94,8 +102,9 @@ def fuzz(
         within_s: no input is begun later.
         reader: a part of the names of the only readers to try, or "" for all.
         are_controls: whether `fuzz_files.controls` are tried in place of the readers, to see that each is found.
+        on_fault: told of each fault as it is found.
     """
-    outcome, number, end = Outcome(), begin, begin + count
+    outcome, number, end = Outcome(on_fault=on_fault), begin, begin + count
     deadline = time.monotonic() + within_s
     while number < end and time.monotonic() < deadline:
         number = _watch(outcome, number, end, deadline, (seed, reader, are_controls))
@@ -123,14 +132,14 @@ def _watch(outcome: Outcome, number: int, end: int, deadline: float, chosen: tup
                 number += 1
                 _count(outcome, told)
         elif time.monotonic() - begun > LONGEST_S:
-            outcome.faults.append(Fault(number, current, "hang", f"over {LONGEST_S:g} s"))
+            outcome.add_fault(Fault(number, current, "hang", f"over {LONGEST_S:g} s"))
             process.kill()
             process.join()
             return number + 1
     process.join()
     if process.exitcode == 0:
         return end
-    outcome.faults.append(Fault(number, current, "traceback", f"the process ended with {process.exitcode}"))
+    outcome.add_fault(Fault(number, current, "traceback", f"the process ended with {process.exitcode}"))
     return number + 1
 
 
@@ -138,7 +147,7 @@ def _count(outcome: Outcome, told: tuple[Any, ...]) -> None:
     _, is_read, fault, took_s = told
     outcome.slowest_s = max(outcome.slowest_s, took_s)
     if fault is not None:
-        outcome.faults.append(fault)
+        outcome.add_fault(fault)
     elif is_read:
         outcome.read += 1
     else:
@@ -219,10 +228,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--within", type=float, default=float("inf"), help="seconds after which none is begun")
     parser.add_argument("--reader", default="", help="only readers whose name holds this")
     given = parser.parse_args(arguments)
-    outcome = fuzz(given.count, given.seed, given.begin, given.within, given.reader)
     console = Console(markup=False, highlight=False, soft_wrap=True)
-    for fault in outcome.faults:
-        console.print(f"{fault.kind} {fault.number} {fault.reader}: {fault.told}")
+    outcome = fuzz(
+        given.count,
+        given.seed,
+        given.begin,
+        given.within,
+        given.reader,
+        on_fault=lambda fault: console.print(f"{fault.kind} {fault.number} {fault.reader}: {fault.told}"),
+    )
     kinds = Counter(fault.kind for fault in outcome.faults)
     faults = ", ".join(f"{kinds[kind]} {kind}" for kind in ("traceback", "hang", "memory", "message"))
     told = f"{outcome.count} inputs: {outcome.read} read, {outcome.refused} refused; {faults}"

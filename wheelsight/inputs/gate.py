@@ -10,6 +10,7 @@ import codecs
 import os
 import stat
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from wheelsight.errors import InputError
@@ -110,6 +111,7 @@ def _check(status: os.stat_result, path: Path, kind: Kind, error: type[InputErro
     return status.st_size
 
 
-def _kernel_devices() -> set[int]:
+@cache
+def _kernel_devices() -> frozenset[int]:
     """Numbers of the file systems whose files the kernel makes up as they are read."""
-    return {Path(folder).stat().st_dev for folder in _KERNEL_FOLDERS if os.path.ismount(folder)}
+    return frozenset(Path(folder).stat().st_dev for folder in _KERNEL_FOLDERS if os.path.ismount(folder))

@@ -24,7 +24,7 @@ class SurfelSettings(BaseModel):
     fused_after_s: PositiveFloat = Field(
         0.1, le=3600, description="a frame so long after the last one fused is fused anyway"
     )
-    far_m: PositiveFloat = Field(6.0, le=100, description="no surfel is predicted beyond; they are laid 12 σ farther")
+    far_m: PositiveFloat = Field(6.0, le=40, description="no surfel is predicted beyond; they are laid 12 σ farther")
     vague_m: PositiveFloat = Field(
         0.035,
         le=10,

@@ -26,7 +26,7 @@ _FORMS = f"{','.join(RANGES_HEADER)} or {','.join(FRAMES_HEADER)}"
 # Stamps of one frame in two files differ by no more than their last decimal.
 _SAME_STAMP_S = 1e-3
 _NAMES_SHOWN = 12
-_FILE = Kind("a list of labels", most_mb=64, fix=f"a CSV of {_FORMS}")
+_FILE = Kind("a list of labels", most_mb=64, most_lines=500_000, fix=f"a CSV of {_FORMS}")
 _LARGEST_STAMP = 1e15
 _LONGEST_NUMBER = 18  # digits that are taken for one number
 

@@ -6,7 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from wheelsight.files import output_error
+from wheelsight.files import check_name, output_error
 
 
 class GrowingText:
@@ -21,6 +21,7 @@ class GrowingText:
     def __init__(self, path: Path, header: str) -> None:
         self._path = path
         self._length = 0
+        check_name(path)
         try:
             self._stream = path.open("wb", buffering=0)
         except OSError as error:

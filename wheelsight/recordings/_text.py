@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -26,6 +26,8 @@ class _Stamped(Protocol):
 
 LIST = Kind("a list", most_mb=96, missing="is missing", fix="each recording needs it")
 
+IMAGE_LIST = replace(LIST, name="a list of images", most_lines=500_000)
+
 S = TypeVar("S", bound=_Stamped)
 
 
@@ -37,9 +39,9 @@ class Line:
     text: str
 
 
-def read_list(path: Path) -> str:
+def read_list(path: Path, kind: Kind = LIST) -> str:
     """The text of a list or table of a recording. Raises RecordingError naming the file."""
-    return read_text(path, LIST, RecordingError)
+    return read_text(path, kind, RecordingError)
 
 
 def read_lines(path: Path) -> list[Line]:
@@ -54,8 +56,8 @@ def read_lines(path: Path) -> list[Line]:
 
 
 def data_lines(path: Path) -> list[Line]:
-    """As `read_lines`, where # may stand in a name: only lines that begin with it are comments."""
-    lines = (Line(number, line.strip()) for number, line in enumerate(lines_of(read_list(path)), start=1))
+    """The lines of a list of images, where # may stand in a name: only lines that begin with it are comments."""
+    lines = (Line(number, line.strip()) for number, line in enumerate(lines_of(read_list(path, IMAGE_LIST)), start=1))
     return [line for line in lines if line.text and not line.text.startswith("#")]
 
 

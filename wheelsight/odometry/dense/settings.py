@@ -16,7 +16,7 @@ class DenseSettings(BaseModel):
         "keyframes", description="what a frame is aligned with where no map predicts the view"
     )
     finest_width_px: PositiveInt = Field(
-        400, le=8192, description="images wider than this are halved until they are not"
+        400, ge=16, le=8192, description="images wider than this are halved until they are not"
     )
     levels: int = Field(3, ge=1, le=5, description="of the pyramid, each half as wide")
     iterations: tuple[Annotated[PositiveInt, Field(le=1000)], ...] = Field(
