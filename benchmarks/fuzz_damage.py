@@ -259,14 +259,14 @@ def _node(text: str, rng: Rng) -> str:
 
 @_text
 def _key(text: str, rng: Rng) -> str:
-    keys = [match.span() for match in re.finditer(r"\w+(?=:)", text)] or [(0, 0)]
+    keys = [match.span() for match in re.finditer(r"\b\w{1,40}(?=:)", text)] or [(0, 0)]
     begin, end = keys[int(rng.integers(len(keys)))]
     return text[:begin] + str(_pick((*_WORDS, "<<", "[a]", "{a: b}", "? x", "- x", "*a"), rng)) + text[end:]
 
 
 @_text
 def _laughing(text: str, rng: Rng) -> str:
-    keys = [match.end() for match in re.finditer(r"\w+:", text)] or [0]
+    keys = [match.end() for match in re.finditer(r"\b\w{1,40}:", text)] or [0]
     at = keys[int(rng.integers(len(keys)))]
     return _LAUGHS + text[:at] + f" *{_pick(tuple('abcdefghi'), rng)}" + text[at:]
 

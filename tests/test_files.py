@@ -28,6 +28,12 @@ def test_text_is_utf8_with_plain_line_ends(tmp_path: Path) -> None:
     assert (tmp_path / "a.txt").read_bytes() == "σ(z)\nzwei\n".encode()
 
 
+def test_text_that_no_encoding_has_is_written_all_the_same(tmp_path: Path) -> None:
+    """A folder's name may hold bytes that are no text, and stands in reports."""
+    write_text(tmp_path / "a.txt", "σ \udcff")
+    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "σ \\udcff"
+
+
 def test_bytes_come_back(tmp_path: Path) -> None:
     write_bytes(tmp_path / "a.bin", bytes(range(256)))
     assert (tmp_path / "a.bin").read_bytes() == bytes(range(256))

@@ -43,9 +43,10 @@ def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]
     """
     check_name(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    encoding, newline = ("utf-8", "\n") if mode == "w" else (None, None)
+    # A folder's name may hold bytes that are no text.
+    encoding, errors, newline = ("utf-8", "backslashreplace", "\n") if mode == "w" else (None, None, None)
     try:
-        with temporary.open(mode.replace("w", "x"), encoding=encoding, newline=newline) as stream:
+        with temporary.open(mode.replace("w", "x"), encoding=encoding, errors=errors, newline=newline) as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())

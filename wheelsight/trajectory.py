@@ -31,7 +31,7 @@ _COLUMN_NAMES = (
     *((f"t{axis}", axis, f"p{axis}", f"p_{axis}", f"pos_{axis}", f"{axis}_m") for axis in "xyz"),
     *((f"q{axis}", f"q_{axis}") for axis in "xyzw"),
 )
-_FILE = Kind("a trajectory", most_mb=192, most_lines=2_000_000)
+_FILE = Kind("a trajectory", most_mb=192)
 _LARGEST_STAMP, _LARGEST = 1e20, 1e12  # of which squares are summed up; stamps may be of a wrong unit
 _FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<world>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
 

@@ -87,6 +87,7 @@ def test_text_is_read_with_its_byte_order_mark(tmp_path: Path, encoding: str) ->
         (b"a\nb\nc\0", ":3: holds a NUL character (save it as text in UTF-8)"),
         ("a\n".encode("utf-16-le"), ":1: holds a NUL character (save it as text in UTF-8)"),
         (b"\n" * 11, ": has more lines than a list may have: 10 (split it)"),
+        (b"1\n" + b"2" * 70_000, ":2: is longer than 65536 characters (is it text?)"),
         (b"\r" * 11, ": has more lines than a list may have: 10 (split it)"),
     ],
 )

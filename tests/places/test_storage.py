@@ -280,6 +280,24 @@ def test_one_array_that_is_named_many_times_over_counts_as_often(path: Path, mon
     refused(path, "unpacks to more than a model of places ever needs")
 
 
+@pytest.mark.parametrize("packing", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_packing_that_cannot_be_unpacked_in_parts_is_refused(path: Path, packing: int):
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", packing) as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+    refused(path, "is packed in a way that models of places are not")
+
+
+def test_an_archive_of_very_many_files_is_refused_unread(path: Path, monkeypatch):
+    with zipfile.ZipFile(path, "a") as archive:
+        for number in range(1001):
+            archive.writestr(str(number), b"")
+    monkeypatch.setattr(zipfile, "ZipFile", act)
+    refused(path, "lists more than a model of places ever holds")
+
+
 def test_a_contents_table_of_a_gigabyte_is_refused_unread(path: Path):
     with_schema(path, lambda text: text + " " * 2_000_000)
     refused(path, "lists more than a model of places ever holds")

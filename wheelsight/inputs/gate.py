@@ -35,6 +35,7 @@ class Kind:
         name: for messages, such as "a list".
         most_mb: megabytes (2^20 bytes).
         most_lines: of text.
+        longest_line: in characters.
         missing: what is said where there is no such file.
         fix: what is said to be done about a file that is missing or cannot be read.
     """
@@ -42,6 +43,7 @@ class Kind:
     name: str
     most_mb: int
     most_lines: int = 1_500_000
+    longest_line: int = 1 << 16
     missing: str = "cannot be read: No such file or directory"
     fix: str | None = None
 
@@ -85,6 +87,11 @@ def read_text(path: Path, kind: Kind, error: type[InputError]) -> str:
         raise error("holds a NUL character", path=path, line=line, fix="save it as text in UTF-8")
     if max(text.count("\n"), text.count("\r")) > kind.most_lines:
         raise error(f"has more lines than {kind.name} may have: {kind.most_lines}", path=path, fix="split it")
+    if len(text) > kind.longest_line:
+        lengths = [len(line) for line in lines_of(text)]
+        if max(lengths) > kind.longest_line:
+            line = lengths.index(max(lengths)) + 1
+            raise error(f"is longer than {kind.longest_line} characters", path=path, line=line, fix="is it text?")
     return text
 
 

@@ -12,7 +12,7 @@ import yaml
 from wheelsight.errors import InputError
 from wheelsight.inputs.gate import Kind, read_text
 
-YAML_FILE = Kind("a YAML file", most_mb=1, most_lines=100_000)
+YAML_FILE = Kind("a YAML file", most_mb=1, most_lines=100_000, longest_line=1 << 20)
 _DEEPEST = 32
 # With every alias counted as what it stands for. A map of a thousand areas with twenty corners each has 60 000.
 _MOST_VALUES = 100_000

@@ -29,7 +29,7 @@ _NO_MAP = "give a file that `save_map` wrote"
 # Beyond 16 km, float32 no longer tells millimetres apart; the others are far beyond what a map ever holds.
 _LARGEST = {"position": 16_000.0, "normal": 1.01, "radius_m": 100.0, "color": 1000.0, "grey": 1000.0}
 _LARGEST |= {"confidence": 1e9, "variance_m2": 1e4, "first_s": 1e20, "last_s": 1e20}
-_FILE = Kind("a map", most_mb=512, fix=_NO_MAP)
+_FILE = Kind("a map", most_mb=420, fix=_NO_MAP)
 _DAMAGED = "it is damaged or cut short: use another copy"
 # Name, type and number of columns; 0 for a flat array.
 _FIELDS = (
@@ -77,6 +77,7 @@ def load_map(path: Path) -> SurfelMap:
     try:
         header, body = _split(data)
         surfels = _surfels(header, body)
+        del data, body  # as large as the map
         return _map_of(header, surfels)
     except MapError as error:
         raise MapError(error.problem, path=path, fix=error.fix) from error

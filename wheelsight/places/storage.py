@@ -25,6 +25,8 @@ FORMAT = "wheelsight-places-1"
 # A forest of 64 trees takes some megabytes, and 20 unpacked; one of 1000, on ten times as many frames, 400.
 _MOST_BYTES = 1 << 28
 _MOST_SCHEMA_BYTES = 1 << 20
+_MOST_ENTRIES = 1000
+_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others are unpacked whole, whatever size they name
 _NUMBERS = "biuf"
 _RETRAIN = "train the model again"
 _NO_MODEL = "give a file that `PlaceModel.save` wrote"
@@ -76,9 +78,13 @@ def _refuse_all_but_plain(data: bytes) -> None:
 
     if not zipfile.is_zipfile(io.BytesIO(data)):
         raise PlaceError("is no model of places", fix=_NO_MODEL)
+    if data.count(b"PK\x01\x02") > _MOST_ENTRIES:
+        raise PlaceError("lists more than a model of places ever holds", fix=_DISTRUST)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         if "schema.json" not in archive.namelist():
             raise PlaceError("is no model of places", fix=_NO_MODEL)
+        if any(entry.compress_type not in _PACKED for entry in archive.infolist()):
+            raise PlaceError("is packed in a way that models of places are not", fix=_DISTRUST)
         sizes = {entry.filename: entry.file_size for entry in archive.infolist()}
         if sum(entry.file_size for entry in archive.infolist()) > _MOST_BYTES:
             raise PlaceError("unpacks to more than a model of places ever needs", fix=_DISTRUST)

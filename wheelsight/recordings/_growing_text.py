@@ -30,7 +30,7 @@ class GrowingText:
 
     def append(self, text: str) -> None:
         """Write whole lines. Raises OutputError, and adds nothing, where the disk is full or the folder has gone."""
-        data = memoryview(text.encode("utf-8"))
+        data = memoryview(text.encode("utf-8", "backslashreplace"))
         try:
             self._write(data)
         except BaseException as error:

@@ -24,6 +24,7 @@ _READERS: tuple[Reader, ...] = (
     MeasurementLineReader(),
 )
 _SEARCH_DEPTH = 3
+_MOST_SEARCHED = 10_000  # folders, which take a second or two
 
 
 def reader_names() -> list[str]:
@@ -64,22 +65,25 @@ def _open(folder: Path, options: OpenOptions) -> Recording:
 
 
 def find_recordings(folder: Path | str) -> list[Path]:
-    """Folders at or up to three levels below `folder` that some reader recognises, sorted; hidden ones are left out."""
-    return sorted(_find(Path(folder), _SEARCH_DEPTH))
+    """Folders at or up to three levels below `folder` that some reader recognises, sorted; hidden ones are left out.
+
+    Of very many folders, only the first ten thousand are looked at.
+    """
+    found, level, left = [], [Path(folder)], _MOST_SEARCHED
+    for _ in range(_SEARCH_DEPTH + 1):
+        folders, left = level[:left], left - len(level)
+        known = {path: path.is_dir() and _reader_of(path) is not None for path in folders}
+        found += [path for path in folders if known[path]]
+        level = [below for path in folders if not known[path] for below in _below(path)] if left > 0 else []
+    return sorted(found)
 
 
-def _find(folder: Path, levels: int) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    if _reader_of(folder) is not None:
-        return [folder]
-    if levels == 0:
-        return []
+def _below(folder: Path) -> list[Path]:
+    """The folders in a folder; none in one that may not be looked into."""
     try:
-        below = [path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
-    except OSError:  # a folder that may not be looked into holds nothing that can be opened
+        return [path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
+    except OSError:
         return []
-    return [found for path in below for found in _find(path, levels - 1)]
 
 
 def _reader_of(folder: Path) -> Reader | None:
