@@ -1,7 +1,7 @@
 """`python -m benchmarks.fuzz`: hostile files for every reader; none may end in a traceback, hang, or fill memory.
 
-Each input is made by random numbers of its own (seed and number), and read in a process of its own that may have one
-gigabyte more than it begins with, and is ended where it takes longer than five seconds over one input.
+Each input is made by random numbers of its own (seed and number), and read in a process that is ended where it takes
+longer than five seconds over one input, and begun anew where it has held a gigabyte more than at its beginning.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ LONGEST_MESSAGE = 2000  # a screen of 25 lines of 80 columns
 _LOOK_S = 0.2
 _START_S, _MAKING_S = 120.0, 30.0
 _NO_FILE_SHARE = 0.05
+_ROOM = 6
+_BEGIN_ANEW = 75
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +140,8 @@ def _watch(outcome: Outcome, number: int, end: int, deadline: float, chosen: tup
             process.join()
             return number + 1
     process.join()
-    if process.exitcode == 0:
-        return end
+    if process.exitcode in (0, _BEGIN_ANEW):
+        return end if process.exitcode == 0 else number
     outcome.add_fault(Fault(number, current, "traceback", f"the process ended with {process.exitcode}"))
     return number + 1
 
@@ -165,8 +167,10 @@ def _work(pipe: Connection, begin: int, end: int, within_s: float, seed: int, re
         with TemporaryDirectory() as folder:  # whatever is loaded or compiled at first is no input's doing
             write_sound(target, Path(folder))
             target.read(Path(folder))
-    held = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-    resource.setrlimit(resource.RLIMIT_AS, (held + MOST_BYTES, held + MOST_BYTES))
+    held = _most_held()
+    # Who asks for far more than there is must be stopped; who uses more than may be is seen afterwards.
+    limit = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE") + _ROOM * MOST_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     with TemporaryDirectory() as folder:
         for number in range(begin, end):
             if time.monotonic() > deadline:
@@ -177,9 +181,19 @@ def _work(pipe: Connection, begin: int, end: int, within_s: float, seed: int, re
             pipe.send(("begin", number, target.name))
             before_s = time.perf_counter()
             is_read, fault = _try(target, place, number)
+            used = _most_held() - held
+            if used > MOST_BYTES and fault is None:
+                fault = Fault(number, target.name, "memory", f"{used / MOST_BYTES:.1f} GB")
             pipe.send(("end", is_read, fault, time.perf_counter() - before_s))
             shutil.rmtree(place)
+            if used > MOST_BYTES:
+                sys.exit(_BEGIN_ANEW)  # the most that was held cannot be set back
     pipe.close()
+
+
+def _most_held() -> int:
+    """Bytes of memory that this process has held at most."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def make_input(target: Target, place: Path, seed: int, number: int) -> None:

@@ -138,7 +138,7 @@ def controls() -> list[Target]:
         raise RecordingError("\x1b[31m", path="\udcff\n")
 
     files = {"a.txt": b"1 2\n"}
-    reads = {"traceback": lambda _: [][0], "memory": lambda _: bytearray(2 << 30), "hang": hang, "end": end}
+    reads = {"traceback": lambda _: [][0], "memory": lambda _: b"1" * (3 << 29), "hang": hang, "end": end}
     return [Target(name, files, read) for name, read in (reads | {"talk": talk, "escape": escape}).items()]
 
 
@@ -193,15 +193,14 @@ def _saved(save: Callable[[Path], object]) -> bytes:
 
 
 def _images() -> dict[str, bytes]:
-    """Of a slope before a pattern, as PNG; the last colour image as JPEG."""
+    """Of a slope before a pattern, in all formats that are read."""
     rows, columns = np.mgrid[:12, :16]
     files = {}
     for i in range(_FRAMES):
         color = np.stack([20 * rows, 15 * columns, 40 * (rows % 3) + i], axis=2).astype(np.uint8)
         depth = (5000 + 100 * columns + i).astype(np.uint16)
-        kind = ".png" if i < _FRAMES - 1 else ".jpg"
-        files[f"rgb/{i}.png"] = cv2.imencode(kind, color)[1].tobytes()
-        files[f"depth/{i}.png"] = cv2.imencode(".png", depth)[1].tobytes()
+        files[f"rgb/{i}.png"] = cv2.imencode((".png", ".bmp", ".tiff", ".jpg")[i], color)[1].tobytes()
+        files[f"depth/{i}.png"] = cv2.imencode((".png", ".pgm", ".tiff", ".png")[i], depth)[1].tobytes()
     return files
 
 
