@@ -29,6 +29,7 @@ from wheelsight.places import (
     train_places,
 )
 from wheelsight.recordings import OpenOptions, open_recording
+from wheelsight.recordings.inspection import inspect_recording
 from wheelsight.simulation import read_manual_velocities
 from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
@@ -112,6 +113,7 @@ def targets() -> list[Target]:
         Target("tum", tum, _play),
         Target("associations", tum | {"associations.txt": pairs}, _play),
         Target("wheelsight", tum | wheels | {"groundtruth_base.txt": truth}, _play),
+        Target("inspection", tum | wheels, _inspect),
         Target("wheels alone", wheels | calibration | {"groundtruth_base.txt": truth}, _play),
         Target("openloris", images | color | robot | {"odom.txt": truth, "groundtruth.txt": truth}, _play),
         Target("seven_scenes", scenes, _play),
@@ -164,6 +166,10 @@ def _play(folder: Path) -> None:
     recording = open_recording(folder, OpenOptions())
     for _ in recording.events():
         pass
+
+
+def _inspect(folder: Path) -> object:
+    return inspect_recording(open_recording(folder)).to_dict()
 
 
 def _reads(name: str, read: Callable[[Path], object]) -> Callable[[Path], object]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -33,6 +34,31 @@ def test_scans_of_a_progressive_jpeg_are_counted(rng: np.random.Generator) -> No
     assert scan_count(cv2.imencode(".jpg", image)[1].tobytes()) == 1
     assert scan_count(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()) > 5
     assert scan_count(cv2.imencode(".png", image)[1].tobytes()) == 1
+
+
+def chunk(kind: bytes, data: bytes, length: int | None = None) -> bytes:
+    size = len(data) if length is None else length
+    return struct.pack(">I", size) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        chunk(b"IHDR", struct.pack(">IIBBBBB", 16, 12, 16, 0, 0, 0, 0)) + chunk(b"IDAT", b"x", length=0xFF7F0076),
+        chunk(b"IHDR", struct.pack(">IIBBBBB", 16, 12, 255, 255, 255, 0, 54)),
+        chunk(b"IHDR", struct.pack(">IIBBBBB", 16, 12, 16, 0, 0, 0, 0)) + chunk(b"acTL", bytes(8)),
+        chunk(b"IDAT", b"x") + chunk(b"IHDR", struct.pack(">IIBBBBB", 16, 12, 16, 0, 0, 0, 0)),
+    ],
+)
+def test_a_png_whose_parts_contradict_it_has_no_size(parts: bytes) -> None:
+    """OpenCV makes room for a chunk of four gigabytes, and takes ten seconds to fill it, before it looks for them."""
+    assert picture_size(b"\x89PNG\r\n\x1a\n" + parts + chunk(b"IEND", b"")) is None
+
+
+def test_a_tile_larger_than_its_image_counts() -> None:
+    fields = ((256, 16), (257, 16), (322, 1 << 16), (323, 1 << 15))
+    packed = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in fields)
+    assert picture_size(b"II*\0" + struct.pack("<IH", 8, len(fields)) + packed) == (1 << 16, 1 << 15)
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,13 @@ import zlib
 import cv2
 import numpy as np
 import pytest
+from synthetic import make_tum_recording
 
 from wheelsight.errors import RecordingError, TrajectoryError
 from wheelsight.events import RgbdFrame, SkippedFrame
+from wheelsight.geometry import PinholeCamera
 from wheelsight.recordings import open_recording
+from wheelsight.recordings.inspection import inspect_recording
 
 
 def images(folder, kind):
@@ -138,6 +141,11 @@ def test_an_image_that_is_no_file_is_skipped(tum_folder, spoil):
     skipped = [event for event in open_recording(tum_folder).events() if isinstance(event, SkippedFrame)]
     assert [event.index for event in skipped] == [2]
     assert "not a file" in skipped[0].reason
+
+
+def test_a_recording_of_very_small_images_can_be_looked_into(tmp_path):
+    make_tum_recording(tmp_path, frames=3, camera=PinholeCamera(16, 12, 14.0, 14.0, 7.5, 5.5))
+    assert inspect_recording(open_recording(tmp_path)).offset is None
 
 
 def test_a_recording_of_one_frame(tum_folder):

@@ -271,6 +271,8 @@ class _OffsetMeter:
         self._reduction = max(1, round(width / _SEARCH_WIDTH))
         size = (width // self._reduction, height // self._reduction)
         right, down = _SEARCH_PX
+        if size[0] <= 2 * right or size[1] <= 2 * down:
+            return  # smaller than the shifts that are tried
         for contrast, border in zip(_color_contrast(color), _depth_borders(depth_m), strict=True):
             spectrum = np.fft.rfft2(cv2.resize(contrast, size, interpolation=cv2.INTER_AREA))
             for index, scale in enumerate(_SEARCH_SCALES):
