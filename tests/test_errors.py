@@ -46,6 +46,19 @@ def test_a_message_is_one_line_whatever_it_quotes() -> None:
     assert str(error) == "c.yaml: is not YAML: while parsing a block mapping (look at it)"
 
 
+def test_a_message_is_no_longer_than_a_screen() -> None:
+    error = InputError("x" * 10_000, path="y" * 10_000, line=3, fix="z" * 10_000)
+    assert len(str(error)) <= 2000
+    assert str(error).startswith("yyy")
+    assert str(error).endswith("z)")
+    assert error.problem == "x" * 10_000
+
+
+def test_a_message_holds_nothing_that_acts_on_a_terminal_or_cannot_be_printed() -> None:
+    error = InputError("is \x1b[31mred", path="a\udcff\x07.txt", fix="σ stays")
+    assert str(error) == "a\\udcff\\x07.txt: is \\x1b[31mred (σ stays)"
+
+
 def test_the_place_can_be_asked_for() -> None:
     error = RecordingError("is absent", path="rgb.txt", line=7, fix="remove the line")
     assert (error.path, error.line, error.fix) == (Path("rgb.txt"), 7, "remove the line")

@@ -28,9 +28,31 @@ def test_text_is_utf8_with_plain_line_ends(tmp_path: Path) -> None:
     assert (tmp_path / "a.txt").read_bytes() == "σ(z)\nzwei\n".encode()
 
 
+def test_text_that_no_encoding_has_is_written_all_the_same(tmp_path: Path) -> None:
+    """A folder's name may hold bytes that are no text, and stands in reports."""
+    write_text(tmp_path / "a.txt", "σ \udcff")
+    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "σ \\udcff"
+
+
 def test_bytes_come_back(tmp_path: Path) -> None:
     write_bytes(tmp_path / "a.bin", bytes(range(256)))
     assert (tmp_path / "a.bin").read_bytes() == bytes(range(256))
+
+
+@pytest.mark.parametrize("name", ["/", ".", ".."])
+def test_a_folder_is_no_place_for_a_file(name: str) -> None:
+    with pytest.raises(OutputError, match="is a folder, not a file"):
+        write_text(Path(name), "text")
+
+
+def test_a_pipe_or_device_is_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "null").symlink_to("/dev/null")
+    for name in ("pipe", "null"):
+        with pytest.raises(OutputError, match="is a device or a pipe, not a file"):
+            write_text(tmp_path / name, "text")
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "null").is_symlink()
 
 
 def test_nothing_but_the_file_stays(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ LAYERS = (
     "_version",
     "errors",
     "files",
+    "inputs",
     "geometry",
     "events",
     "calibration_fields",

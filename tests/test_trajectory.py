@@ -272,3 +272,49 @@ def test_every_real_trajectory_reads(data_folder: Path) -> None:
             assert len(read_tum(path, warn=lambda note, name=path.name: notes.update({name: note}))) > 700  # type: ignore[misc]
     assert sorted(notes) == ["fr2_desk_groundtruth.txt", "freiburg2_pioneer_slam.txt"]
     assert "10 of 44212 lines repeat a stamp (first: line 1376)" in notes["freiburg2_pioneer_slam.txt"]
+
+
+DIALECT = "1.5 0.25 2 3 0 0 0 1\n2.5 0.5 2 3 0 0 0 1\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "timestamp tx ty tz qx qy qz qw\n" + DIALECT,
+        '"Time","X","Y","Z","QX","QY","QZ","QW"\n' + DIALECT.replace(" ", ","),
+        "stamp_s,tx,ty,tz,qw,qx,qy,qz,note\n" + DIALECT.replace("0 0 0 1", "1 0 0 0 a").replace(" ", ","),
+        DIALECT.replace(" ", ";").replace(".", ","),
+        DIALECT.replace(".", ","),
+        DIALECT.replace(" ", ", ").replace("\n", ",\r\n"),
+        "\ufeff# a comment\n" + DIALECT.replace(" ", "\t") + "\n\n",
+        DIALECT.encode("utf-16"),
+    ],
+)
+def test_tum_text_of_all_dialects_is_read(tmp_path: Path, text: str | bytes) -> None:
+    path = tmp_path / "a.txt"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    trajectory = read_tum(path)
+    np.testing.assert_array_equal(trajectory.stamps_s, [1.5, 2.5])
+    np.testing.assert_array_equal(trajectory.positions_m, [[0.25, 2, 3], [0.5, 2, 3]])
+    np.testing.assert_allclose(trajectory.T_world_body[:, :3, :3], [np.eye(3)] * 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (DIALECT.replace(" ", ",").replace(".", ","), ":1: 10 values where 8 are expected"),
+        ("time x y z\n" + DIALECT, ":1: names no column qx (name the columns stamp tx ty tz qx qy qz qw)"),
+        ("t x tx y z qx qy qz qw\n" + DIALECT, ":1: names more than one column tx"),
+        ("t x y z qx qy qz qw a\n" + DIALECT, ":2: 8 values where the first line names 9"),
+        ("a b\n" + DIALECT, ":1: names no column timestamp"),
+        (DIALECT.replace("0.5", "1e100"), ":2: a value of 1e+100 is no stamp in seconds and no metres"),
+        (DIALECT.replace("2.5", "1e30"), ":2: a value of 1e+30 is no stamp"),
+        (DIALECT.replace("0.5", "-inf"), ":2: a value is not finite (remove the line)"),
+        (DIALECT.replace("0.5", "0\0.5"), ":2: holds a NUL character"),
+    ],
+)
+def test_the_rest_is_refused_with_the_fix(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "a.txt").write_text(text)
+    with pytest.raises(TrajectoryError) as caught:
+        read_tum(tmp_path / "a.txt")
+    assert str(caught.value).startswith(f"{tmp_path / 'a.txt'}{told}")

@@ -152,15 +152,9 @@ def load_areas(path: StrPath) -> AreaMap:
     Raises:
         AreaError: naming the file, the area and what is wrong with it.
     """
-    path = Path(path)
-    import yaml
+    from wheelsight.inputs import read_yaml
 
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise AreaError(f"cannot be read: {error.strerror}", path=path) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise AreaError(f"is not YAML: {error}", path=path) from error
+    document = read_yaml(Path(path), AreaError)
     try:
         return _from_document(document)
     except AreaError as error:

@@ -278,15 +278,11 @@ def load_calibration(*paths: StrPath, under: Calibration | None = None) -> Calib
 
 def read_layer(path: StrPath) -> dict[str, Any]:
     """The fields of a calibration.yaml, which may tell any part of a calibration. Raises CalibrationError."""
-    path = Path(path)
-    import yaml
+    from wheelsight.inputs import read_yaml
 
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CalibrationError(f"cannot be read: {error.strerror}", path=path) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"is not YAML: {error}", path=path) from error
+    path = Path(path)
+
+    document = read_yaml(path, CalibrationError)
     try:
         known = mapping(document, "calibration", _TOP_FIELDS)
         if known.get("format") != FORMAT:

@@ -28,6 +28,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, write_text
 from wheelsight.fusion import AxisWeights, OdometryTerm, Weights
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.inputs import YAML_FILE, compose_yaml, parse_yaml, read_text
 from wheelsight.mapping import SurfelSettings
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.features import FeatureSettings
@@ -56,14 +57,17 @@ class RecordingSettings(_Settings):
 
     camera: str | None = Field(default=None, description="name of a shipped calibration, or a calibration.yaml")
     max_gap_s: NonNegativeFloat = Field(
-        default=0.02, description="largest distance in time between colour and depth of one frame"
+        default=0.02, le=3600, description="largest distance in time between colour and depth of one frame"
     )
-    depth_factor: PositiveFloat | None = Field(default=None, description="depth units a metre, if not the format's own")
+    depth_factor: PositiveFloat | None = Field(
+        default=None, le=1e6, description="depth units a metre, if not the usual"
+    )
     calibration: Annotated[tuple[str, ...], BeforeValidator(_listed), PlainSerializer(_unlisted)] = Field(
         default=(), description="a calibration.yaml, or several, laid over the recording's: what a later one tells wins"
     )
     rate_hz: PositiveFloat | None = Field(
         default=None,
+        le=1e9,
         description="how many a second the images' stamps count, if they are numbers of frames or no seconds",
     )
 
@@ -95,9 +99,9 @@ def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
 class StartSettings(_Settings):
     """Where the base stands in the world at the first wheel reading."""
 
-    x_m: float
-    y_m: float
-    yaw_deg: float
+    x_m: float = Field(ge=-1e6, le=1e6)
+    y_m: float = Field(ge=-1e6, le=1e6)
+    yaw_deg: float = Field(ge=-3600, le=3600)
 
     @model_validator(mode="before")
     @classmethod
@@ -175,14 +179,14 @@ class EvaluationSettings(_Settings):
 
     with_scale: bool = Field(default=False, description="estimate a scale too when aligning; hides errors of scale")
     max_gap_s: NonNegativeFloat = Field(
-        default=0.02, description="largest distance in time between an estimated and a true pose"
+        default=0.02, le=3600, description="largest distance in time between an estimated and a true pose"
     )
 
 
 class ReportSettings(_Settings):
     """What report.html shows beside the curves."""
 
-    pictures: NonNegativeInt = Field(default=4, description="frames drawn with their matches")
+    pictures: NonNegativeInt = Field(default=4, le=100, description="frames drawn with their matches")
 
 
 def _split(names: Any) -> Any:
@@ -336,17 +340,8 @@ def save_config(config: Config, path: StrPath) -> None:
 
 
 def _read(path: Path) -> tuple[str, dict[str, Any]]:
-    try:
-        text = path.read_text(encoding="utf-8")
-        document = yaml.safe_load(text)
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", path=path) from error
-    except UnicodeDecodeError as error:
-        raise ConfigError("is not a text file", path=path) from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        problem = getattr(error, "problem", None) or str(error)
-        raise ConfigError(f"is not YAML: {problem}", path=path, line=mark and mark.line + 1) from error
+    text = read_text(path, YAML_FILE, ConfigError)
+    document = parse_yaml(text, path, ConfigError)
     if document is None:
         return text, {}
     if not isinstance(document, dict):
@@ -393,7 +388,7 @@ def _is_settings(kind: Any) -> bool:
 
 def _line_of(text: str, location: list[str]) -> int | None:
     """The line on which a setting stands, or the innermost section above it that the file has."""
-    node, line = yaml.compose(text), None
+    node, line = compose_yaml(text), None
     for part in location:
         entries = node.value if isinstance(node, yaml.MappingNode) else []
         found = [(key, value) for key, value in entries if key.value == part]

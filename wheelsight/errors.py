@@ -23,6 +23,9 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
+# Together no longer than a screen of 25 lines of 80 columns, whatever a file quotes.
+_LONGEST_PATH, _LONGEST_PROBLEM, _LONGEST_FIX = 600, 800, 500
+
 
 class WheelsightError(Exception):
     """Root of everything wheelsight raises on purpose."""
@@ -46,12 +49,20 @@ class InputError(WheelsightError):
         super().__init__(self._one_line())
 
     def _one_line(self) -> str:
-        where = "" if self.path is None else str(self.path)
+        where = "" if self.path is None else _shown(str(self.path), _LONGEST_PATH)
         if self.line is not None:
             where += f":{self.line}"
-        problem, fix = " ".join(self.problem.split()), " ".join((self.fix or "").split())
+        problem = _shown(" ".join(self.problem.split()), _LONGEST_PROBLEM)
+        fix = _shown(" ".join((self.fix or "").split()), _LONGEST_FIX)
         text = f"{where}: {problem}" if where else problem
         return f"{text} ({fix})" if fix else text
+
+
+def _shown(text: str, longest: int) -> str:
+    """Text as a terminal may show it: no control characters, its middle left out where it is longer than that."""
+    if len(text) > longest:
+        text = f"{text[: longest // 2]} … {text[-longest // 2 + 3 :]}"
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class RecordingError(InputError):

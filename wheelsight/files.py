@@ -45,10 +45,12 @@ def atomic_write(path: StrPath, mode: Literal["w", "wb"] = "w") -> Iterator[IO[A
         OutputError: the folder is missing, not writable, or the disk is full.
     """
     path = Path(path)
+    check_name(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    encoding, newline = ("utf-8", "\n") if mode == "w" else (None, None)
+    # A folder's name may hold bytes that are no text.
+    encoding, errors, newline = ("utf-8", "backslashreplace", "\n") if mode == "w" else (None, None, None)
     try:
-        with temporary.open(mode.replace("w", "x"), encoding=encoding, newline=newline) as stream:
+        with temporary.open(mode.replace("w", "x"), encoding=encoding, errors=errors, newline=newline) as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -90,6 +92,17 @@ def make_output_folder(folder: StrPath, force: bool = False) -> Path:
     except OSError as error:
         raise output_error(error, folder) from error
     return folder
+
+
+def check_name(path: Path) -> None:
+    """Raises OutputError for a place that is no file's: a folder, or a device or pipe that a file would replace."""
+    if path.name in ("", ".."):
+        raise output_error(IsADirectoryError(errno.EISDIR, ""), path)
+    try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            raise OutputError("is a device or a pipe, not a file", path=path, fix="choose another name")
+    except OSError as error:
+        raise output_error(error, path) from error
 
 
 def output_error(error: OSError, path: StrPath) -> OutputError:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from numpy.typing import ArrayLike
 from wheelsight.errors import TrajectoryError
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, interpolate_at, se3, so3
+from wheelsight.inputs import Kind, as_number, lines_of, numbers_with_commas, read_text, split_words
 
 _log = logging.getLogger(__name__)
 
@@ -21,6 +24,15 @@ _ORTHONORMAL_TOLERANCE = 1e-2
 # Motion-capture files repeat a stamp now and then (TUM fr2/desk: one); stamps cut to seconds repeat nearly all.
 _REPEATED_SHARE_ALLOWED = 0.01
 _LINE_OF = {8: "stamp tx ty tz qx qy qz qw", 12: "three rows of R and t"}
+_TUM_COLUMNS = 8
+# As programs that write a first line of names call them.
+_COLUMN_NAMES = (
+    ("timestamp", "stamp", "time", "t", "stamp_s", "time_s", "timestamp_s"),
+    *((f"t{axis}", axis, f"p{axis}", f"p_{axis}", f"pos_{axis}", f"{axis}_m") for axis in "xyz"),
+    *((f"q{axis}", f"q_{axis}") for axis in "xyzw"),
+)
+_FILE = Kind("a trajectory", most_mb=192)
+_LARGEST_STAMP, _LARGEST = 1e20, 1e12  # of which squares are summed up; stamps may be of a wrong unit
 _FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<world>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
 
 
@@ -117,6 +129,9 @@ class Trajectory:
 def read_tum(path: StrPath, body: str = "camera", warn: Callable[[str], None] = _log.warning) -> Trajectory:
     """Read TUM text: `stamp tx ty tz qx qy qz qw` a line, metres; # starts a comment.
 
+    Commas, semicolons (with decimal commas) or white space part the numbers; a first line may name the columns, which
+    may then stand in any order among others.
+
     A line "# frames: T_world_base" (wheelsight writes it) names the frames; else `body` does.
     Quaternions are brought to unit length when they are within 1 % of it. Of lines that repeat the stamp
     before them the first is kept, and `warn` is told in one sentence, as long as they are under 1 % of all.
@@ -126,9 +141,7 @@ def read_tum(path: StrPath, body: str = "camera", warn: Callable[[str], None] = 
             quaternions far from unit length, stamps that run backwards or repeat often, or a file without poses.
     """
     path = Path(path)
-    rows, frames = _read_rows(path, columns=8)
-    lines = np.array([line for line, _ in rows])
-    values: FloatArray = np.array([row for _, row in rows], np.float64).reshape(-1, 8)
+    lines, values, frames = _read_rows(path, columns=8)
     norms = np.linalg.norm(values[:, 4:], axis=1)
     for bad in np.flatnonzero(np.abs(norms - 1) > _ORTHONORMAL_TOLERANCE):
         raise TrajectoryError(
@@ -192,11 +205,11 @@ def read_kitti(path: StrPath, period_s: float = 0.1, body: str = "camera") -> Tr
     Raises TrajectoryError naming file and line, as `read_tum`.
     """
     path = Path(path)
-    rows, frames = _read_rows(path, columns=12)
-    values = np.array([row for _, row in rows], float).reshape(-1, 3, 4)
+    lines, rows, frames = _read_rows(path, columns=12)
+    values = rows.reshape(-1, 3, 4)
     R = so3.nearest(values[:, :, :3])
     for bad in np.flatnonzero(np.abs(R - values[:, :, :3]).max(axis=(1, 2), initial=0) > _ORTHONORMAL_TOLERANCE):
-        raise TrajectoryError("the first 3×3 numbers are no rotation", path=path, line=rows[bad][0])
+        raise TrajectoryError("the first 3×3 numbers are no rotation", path=path, line=int(lines[bad]))
     world, body = frames or ("world", body)
     stamps_s: FloatArray = period_s * np.arange(len(values), dtype=np.float64)
     return Trajectory(stamps_s, se3.from_parts(R, values[:, :, 3]), None, body, world)
@@ -209,24 +222,67 @@ def write_kitti(trajectory: Trajectory, path: StrPath) -> None:
     write_text(path, "".join(" ".join(f"{x:.9e}" for x in row) + "\n" for row in rows))
 
 
-def _read_rows(path: Path, columns: int) -> tuple[list[tuple[int, list[float]]], tuple[str, str] | None]:
-    """Line numbers and values of all lines that are no comment, and the frames a comment names."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise TrajectoryError(f"cannot be read: {error.strerror}", path=path) from error
-    except UnicodeDecodeError as error:
-        raise TrajectoryError("is not a text file", path=path) from error
-    rows, frames = [], None
+def _read_rows(path: Path, columns: int) -> tuple[IntArray, FloatArray, tuple[str, str] | None]:
+    """Line numbers (N,) and values (N, columns) of all lines that are no comment, and the frames a comment names."""
+    lines = lines_of(read_text(path, _FILE, TrajectoryError))
+    numbers, values = array("q"), array("d")
+    frames, order = None, None
     for number, line in enumerate(lines, start=1):
-        if named := _FRAMES_LINE.match(line):
-            frames = (named["world"], named["body"])
-        words = line.split("#")[0].replace(",", " ").split()
-        if words:
-            rows.append((number, _numbers(words, columns, path, number)))
-    if not rows:
+        bare = line
+        if "#" in line:
+            if named := _FRAMES_LINE.match(line):
+                frames = (named["world"], named["body"])
+            bare = line.split("#")[0]
+        words = split_words(bare)
+        if not words:
+            continue
+        if order is None and not numbers and columns == _TUM_COLUMNS and _is_header(words):
+            order = _order(words, path, number)
+            continue
+        if order is not None:
+            words = _picked(words, order, path, number)
+        values.extend(_numbers(words, columns, path, number))
+        numbers.append(number)
+    if not numbers:
         raise TrajectoryError("holds no poses", path=path, fix=f"{columns} numbers a line are expected")
-    return rows, frames
+    told = np.array(values, np.float64).reshape(-1, columns)
+    _refuse_impossible(told, numbers, path)
+    return np.array(numbers, np.int64), told, frames
+
+
+def _refuse_impossible(values: FloatArray, numbers: Sequence[int], path: Path) -> None:
+    """Raises TrajectoryError naming the first line (N,) of which a value is not finite, or beyond all sense."""
+    largest = np.abs(values)
+    for bad in np.flatnonzero(~(largest.max(axis=1) <= _LARGEST_STAMP) | (largest[:, 1:].max(axis=1) > _LARGEST)):
+        problem = f"a value of {largest[bad].max():g} is no stamp in seconds and no metres"
+        if not np.isfinite(values[bad]).all():
+            problem = "a value is not finite"
+        raise TrajectoryError(problem, path=path, line=int(numbers[int(bad)]), fix="remove the line")
+
+
+def _is_header(words: list[str]) -> bool:
+    return len(words) > 1 and all(math.isnan(as_number(word)) and word.lower() != "nan" for word in words)
+
+
+def _order(words: list[str], path: Path, line: int) -> list[int]:
+    """Where a first line that names its columns has each of TUM's. Raises TrajectoryError where it lacks one."""
+    names = [word.lower() for word in words]
+    places = []
+    for known in _COLUMN_NAMES:
+        found = [place for place, name in enumerate(names) if name in known]
+        if len(found) != 1:
+            problem = f"names {'no' if not found else 'more than one'} column {known[0]}"
+            raise TrajectoryError(problem, path=path, line=line, fix=f"name the columns {_LINE_OF[8]}")
+        places.append(found[0])
+    return [*places, len(names)]
+
+
+def _picked(words: list[str], order: list[int], path: Path, line: int) -> list[str]:
+    *places, width = order
+    if len(words) != width:
+        problem = f"{len(words)} values where the first line names {width}"
+        raise TrajectoryError(problem, path=path, line=line, fix="correct or remove the line")
+    return [words[place] for place in places]
 
 
 def _numbers(words: list[str], columns: int, path: Path, line: int) -> list[float]:
@@ -234,9 +290,10 @@ def _numbers(words: list[str], columns: int, path: Path, line: int) -> list[floa
         problem = f"{len(words)} values where {columns} are expected"
         raise TrajectoryError(problem, path=path, line=line, fix=f"{_LINE_OF[columns]} a line")
     try:
-        values = [float(word) for word in words]
+        return [float(word) for word in words]
+    except ValueError:
+        pass
+    try:
+        return [float(word) for word in numbers_with_commas(words)]
     except ValueError as error:
-        raise TrajectoryError(f"{error}", path=path, line=line) from error
-    if not np.isfinite(values).all():
-        raise TrajectoryError("a value is not finite", path=path, line=line, fix="remove the line")
-    return values
+        raise TrajectoryError(f"{error}", path=path, line=line, fix=f"{_LINE_OF[columns]} a line") from error

@@ -81,6 +81,16 @@ def test_a_pipe_is_waited_for_and_can_be_left(tmp_path: Path) -> None:
     assert 0.15 < time.monotonic() - started_s < 2
 
 
+def test_a_line_without_end_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    source = open_wheels(tmp_path / "pipe")
+    with (tmp_path / "pipe").open("wb", buffering=0) as writer:
+        writer.write(b"x" * 60_000)
+        with pytest.raises(DeviceError, match="a line is longer than 4096 bytes"):
+            next(iter(source.ticks()))
+    source.close()
+
+
 def test_a_line_begun_by_another_reader_is_passed_over_and_nonsense_is_refused(tmp_path: Path) -> None:
     telemetry = Telemetry(WHEELS)
     with TelemetryPipe(tmp_path / "wheels") as pipe:

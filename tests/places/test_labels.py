@@ -96,9 +96,35 @@ def test_what_is_wrong_is_told_with_its_line(tmp_path: Path, text: str, problem:
 def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     with pytest.raises(AreaError, match=r"absent\.csv: cannot be read: No such file"):
         read_labels(tmp_path / "absent.csv")
-    (tmp_path / "model").write_bytes(b"\xff\xfe\x00\x81")
+    (tmp_path / "model").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(AreaError, match="model: is not a text file"):
         read_labels(tmp_path / "model")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "From_s;To_s;Area\n0,5;2;hall\n2;3,5;lift, left\n",
+        'from_s, to_s, area, note\n0.5, 2, hall, x\n2, 3.5, "lift, left"\n'.replace(', "', ',"'),
+        '# a comment\n\nfrom_s,to_s,area\n0.5,2,hall\n\n2,3.5,"lift, left"\n  ',
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_labels_of_all_dialects_are_read(tmp_path: Path, text: str, encoding: str) -> None:
+    (tmp_path / "labels.csv").write_bytes(text.encode(encoding))
+    entries = read_labels(tmp_path / "labels.csv").entries
+    assert [(entry.from_s, entry.to_s, entry.area) for entry in entries] == [(0.5, 2, "hall"), (2, 3.5, "lift, left")]
+
+
+def test_a_stamp_beyond_all_sense_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "labels.csv").write_text("stamp_s,area\n1,a\n1e100,b\n")
+    with pytest.raises(AreaError, match=r"labels\.csv:3: stamp_s is '1e100', no stamp in seconds"):
+        read_labels(tmp_path / "labels.csv")
+
+
+def test_names_with_endless_numbers_are_sorted_too() -> None:
+    long = "9" * 5000
+    assert natural_order({f"room {long}", "room 2", "room 10"}) == ("room 2", "room 10", f"room {long}")
 
 
 def test_polygons_and_a_way_tell_where_poses_are_known() -> None:

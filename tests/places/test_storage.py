@@ -185,7 +185,7 @@ def test_an_array_that_is_a_pickle_is_refused(path: Path, witness: Path):
     with zipfile.ZipFile(path, "w") as archive:
         for name, data in parts.items():
             archive.writestr(name, buffer.getvalue() if name.endswith(".npy") else data)
-    refused(path, "is damaged: ValueError")
+    refused(path, "holds .*, an array that is not what it says")
     assert not witness.exists()
 
 
@@ -231,10 +231,78 @@ def test_a_loader_that_hides_in_a_value_is_found(path: Path, monkeypatch):
 
 
 def test_a_file_that_unpacks_to_too_much_is_refused_unread(path: Path, monkeypatch):
-    monkeypatch.setattr(storage, "_LARGEST_BYTES", 1000)
+    monkeypatch.setattr(storage, "_MOST_BYTES", 1000)
     refused(path, "unpacks to more than a model of places ever needs")
+
+
+def with_array(path: Path, header: bytes, body: bytes = b"") -> None:
+    """The file with another header, and body, of one of its arrays."""
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    name = next(name for name in parts if name.endswith(".npy"))
+    parts[name] = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + body
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+
+
+@pytest.mark.parametrize(
+    ("kind", "shape"),
+    [("'<f8'", "(10000000000,)"), ("'|V0'", "(10000000000,)"), ("'|O'", "(1,)"), ("'<f8'", "(-1,)"), ("'<U1'", "(1,)")],
+)
+def test_an_array_that_is_not_what_its_header_says_is_refused_unread(path: Path, monkeypatch, kind: str, shape: str):
+    with_array(path, f"{{'descr': {kind}, 'fortran_order': False, 'shape': {shape}}}\n".encode())
+    monkeypatch.setattr(skops.io, "loads", act)
+    refused(path, "holds .*npy, an array that is not what it says")
+
+
+def test_arrays_that_unpack_to_gigabytes_are_refused_unread(path: Path, monkeypatch):
+    with_array(path, b"{'descr': '|u1', 'fortran_order': False, 'shape': (300000000,)}\n", bytes(300_000_000))
+    assert path.stat().st_size < 1_000_000
+    monkeypatch.setattr(skops.io, "loads", act)
+    refused(path, "unpacks to more than a model of places ever needs")
+
+
+def test_one_array_that_is_named_many_times_over_counts_as_often(path: Path, monkeypatch):
+    with_array(path, b"{'descr': '|u1', 'fortran_order': False, 'shape': (30000000,)}\n", bytes(30_000_000))
+
+    def repeat(text: str) -> str:
+        schema = json.loads(text)
+        node = {"__class__": "ndarray", "__module__": "numpy", "__loader__": "NdArrayNode", "type": "numpy"}
+        with zipfile.ZipFile(path) as archive:
+            name = max(archive.infolist(), key=lambda entry: entry.file_size).filename
+        schema["content"]["more"] = {"__class__": "list", "__module__": "builtins", "__loader__": "ListNode"}
+        schema["content"]["more"] |= {"content": [node | {"file": name} for _ in range(10)]}
+        return json.dumps(schema)
+
+    with_schema(path, repeat)
+    monkeypatch.setattr(skops.io, "loads", act)
+    refused(path, "unpacks to more than a model of places ever needs")
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_packing_that_cannot_be_unpacked_in_parts_is_refused(path: Path, packing: int):
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", packing) as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+    refused(path, "is packed in a way that models of places are not")
+
+
+def test_an_archive_of_very_many_files_is_refused_unread(path: Path, monkeypatch):
+    with zipfile.ZipFile(path, "a") as archive:
+        for number in range(1001):
+            archive.writestr(str(number), b"")
+    monkeypatch.setattr(zipfile, "ZipFile", act)
+    refused(path, "lists more than a model of places ever holds")
+
+
+def test_a_contents_table_of_a_gigabyte_is_refused_unread(path: Path):
+    with_schema(path, lambda text: text + " " * 2_000_000)
+    refused(path, "lists more than a model of places ever holds")
 
 
 def test_a_contents_table_nested_without_end_is_refused(path: Path):
     with_schema(path, lambda _: "[" * 200_000 + "]" * 200_000)
-    refused(path, "is damaged: RecursionError")
+    refused(path, "its list of contents is nested too deeply")

@@ -1,12 +1,19 @@
 from __future__ import annotations
 
+import os
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
+from synthetic import make_tum_recording
 
 from wheelsight.errors import RecordingError, TrajectoryError
 from wheelsight.events import RgbdFrame, SkippedFrame
+from wheelsight.geometry import PinholeCamera
 from wheelsight.recordings import open_recording
+from wheelsight.recordings.inspection import inspect_recording
 
 
 def images(folder, kind):
@@ -97,6 +104,48 @@ def test_a_truncated_jpeg_is_cut_off_too(tum_folder):
     assert len([e for e in open_recording(tum_folder).events() if isinstance(e, RgbdFrame)]) == 6
     png.write_bytes(jpeg[:-20])
     assert "cut off" in list(open_recording(tum_folder).events())[3].reason
+
+
+def huge_png(width, height):
+    """The beginning of a PNG that says it is so large."""
+    header = b"IHDR" + struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n\0\0\0\r" + header + struct.pack(">I", zlib.crc32(header)) + b"\0\0\0\0IEND\xaeB`\x82"
+
+
+@pytest.mark.parametrize(
+    ("data", "problem"),
+    [
+        (huge_png(30_000, 30_000), "says it is 30000×30000 pixels, more than any depth camera has"),
+        (huge_png(1, 1 << 30), "says it is 1×1073741824 pixels"),
+        (b"P5 30000 30000 65535\n", "says it is 30000×30000 pixels"),
+        (b"\xff\xd8\xff\xc0\0\x11\x08\x75\x30\x75\x30\x01\x01\x11\0\xff\xd9", "says it is 30000×30000 pixels"),
+        (b"\xff\xd8\xff\xc2\0\x11\x08\x10\x00\x10\x00" + b"\xff\xda" * 30 + b"\xff\xd9", "has 30 scans"),
+        (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 30000 +X 30000\n", "is damaged, or no image"),
+    ],
+)
+def test_an_image_too_large_to_decode_is_told_by_its_header(tum_folder, monkeypatch, data, problem):
+    images(tum_folder, "depth")[3].write_bytes(data)
+    decode, decoded = cv2.imdecode, []
+    monkeypatch.setattr(cv2, "imdecode", lambda data, flags: decoded.append(len(data)) or decode(data, flags))
+    skipped = [event for event in open_recording(tum_folder).events() if isinstance(event, SkippedFrame)]
+    assert [event.index for event in skipped] == [3]
+    assert problem in skipped[0].reason
+    assert len(data) not in decoded
+
+
+@pytest.mark.parametrize("spoil", [lambda path: os.mkfifo(path), lambda path: path.symlink_to("/dev/zero")])
+def test_an_image_that_is_no_file_is_skipped(tum_folder, spoil):
+    path = images(tum_folder, "rgb")[2]
+    path.unlink()
+    spoil(path)
+    skipped = [event for event in open_recording(tum_folder).events() if isinstance(event, SkippedFrame)]
+    assert [event.index for event in skipped] == [2]
+    assert "not a file" in skipped[0].reason
+
+
+def test_a_recording_of_very_small_images_can_be_looked_into(tmp_path):
+    make_tum_recording(tmp_path, frames=3, camera=PinholeCamera(16, 12, 14.0, 14.0, 7.5, 5.5))
+    assert inspect_recording(open_recording(tmp_path)).offset is None
 
 
 def test_a_recording_of_one_frame(tum_folder):

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from synthetic import make_tum_recording
@@ -122,12 +124,33 @@ def test_the_chain_of_frames_inverts_where_it_must(folder):
         ("sensors.yaml", "5.2e+01", "-5.2e+01", "must be positive"),
         ("trans_matrix.yaml", "child_frame: base_link", "child_frame: base", "no chain of frames leads from base_link"),
         ("trans_matrix.yaml", "data:", "date:", "is not a list of parent_frame"),
+        ("trans_matrix.yaml", "3.e-01", ".inf", "from d400_color_optical_frame to laser is no rigid motion"),
+        ("trans_matrix.yaml", "3.e-01", ".nan", "is no rigid motion"),
+        ("trans_matrix.yaml", "3.e-01", "1.e+100", "beyond every number"),
+        ("trans_matrix.yaml", "3.e-01", "1" + "0" * 100, "beyond every number"),
+        ("trans_matrix.yaml", "3.e-01", "1.e+6", "is no rigid motion"),
+        ("trans_matrix.yaml", "[ 1., 0., 0., -0.2", "[ 0., 0., 0., -0.2", "from base_link to laser is no rigid motion"),
+        ("trans_matrix.yaml", "0., 1., -0.7, 0., 0., 0., 1.", "0., 1., -0.7, 0., 0., 0., 0.", "is no rigid motion"),
+        ("trans_matrix.yaml", "[ 1., 0., 0., -0.2", "[ 0.5, 0., 0., -0.2", "is no rigid motion"),
+        ("sensors.yaml", "width: 64", "width: .inf", "does not describe"),
+        ("sensors.yaml", "width: 64", "width: !!int ''", "is no int"),
+        ("sensors.yaml", "width: 64", "width: 2024-05-02", "does not describe"),
     ],
 )
 def test_wrong_calibration_files_are_named(folder, name, old, new, problem):
     (folder / name).write_text((folder / name).read_text().replace(old, new))
-    with pytest.raises(CalibrationError, match=f"{name}: .*{problem}"):
+    with pytest.raises(CalibrationError, match=rf"{name}(:\d+)?: .*{problem}.* \(.*\)$"):
         open_recording(folder)
+
+
+def test_a_long_chain_of_frames_in_any_order_is_followed(folder):
+    """So long that looking for the next link again and again would take minutes."""
+    link = "   - {{parent_frame: {0}, child_frame: {1}, matrix: {{data: [1,0,0,1e-3, 0,1,0,0, 0,0,1,0, 0,0,0,1]}}}}\n"
+    names = ["base_link", *(f"f{i}" for i in range(2000)), "d400_color_optical_frame"]
+    links = [link.format(parent, child) for parent, child in pairwise(names)]
+    (folder / "trans_matrix.yaml").write_text("trans_matrix:\n" + "".join(reversed(links)))
+    T_base_camera = open_recording(folder).calibration.T_base_camera
+    np.testing.assert_allclose(T_base_camera[:3, 3], [2.001, 0, 0], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from wheelsight.recordings import (
     load_camera,
     open_recording,
     reader_names,
+    registry,
 )
 from wheelsight.trajectory import Trajectory
 
@@ -93,3 +94,19 @@ def test_express_for_goes_there_and_back(tum_folder):
         express_for("base", camera, calibration)
     with pytest.raises(CalibrationError):
         express_for("laser", camera, robot)
+
+
+def test_of_very_many_folders_only_some_are_searched(tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_MOST_SEARCHED", 20)
+    for number in range(30):
+        (tmp_path / f"{number}" / "below").mkdir(parents=True)
+    looked_at = []
+    monkeypatch.setattr(registry, "_reader_of", looked_at.append)
+    assert find_recordings(tmp_path) == []
+    assert len(looked_at) == 20
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a\0b"])
+def test_names_that_no_folder_can_have(name):
+    with pytest.raises(RecordingError, match=r"\(check the path\)$"):
+        open_recording(name)

@@ -35,12 +35,13 @@ def open_for(folder: Path, calibration: Sequence[str] | None, rate_hz: float | N
 def page_beside(out: Path, force: bool) -> Path:
     """Where the page goes; raises OutputError, before any work, where it or `out` cannot or must not be written."""
     from wheelsight.errors import OutputError
-    from wheelsight.files import make_output_folder
+    from wheelsight.files import check_name, make_output_folder
 
-    page = out.with_suffix(".html")
+    page = out.with_suffix(".html") if out.name else out / "page.html"  # of a folder, which is refused below
     if page == out:
         raise OutputError("is the name of the page, not of a calibration", path=out, fix="end it with .yaml")
     for path in (out, page):
+        check_name(path)
         if path.is_dir():
             raise OutputError("is a folder, not a file", path=path, fix="choose another --out")
         if path.exists() and not force:

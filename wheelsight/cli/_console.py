@@ -45,7 +45,8 @@ def console(stderr: bool = False) -> Console:
     """A console for stdout or stderr; made anew each time, since either may have been redirected."""
     from rich.console import Console
 
-    made = Console(stderr=stderr, highlight=False, soft_wrap=True)
+    # No markup: what people name their folders, recordings and areas may look like it.
+    made = Console(stderr=stderr, highlight=False, markup=False, soft_wrap=True)
     if not made.is_terminal:
         made.width = max(made.width, _WIDTH_OF_FILES)
     return made

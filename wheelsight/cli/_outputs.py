@@ -8,8 +8,9 @@ from pathlib import Path
 def check_out(out: Path, force: bool) -> None:
     """Raises OutputError, before any work, where `out` cannot or must not be written."""
     from wheelsight.errors import OutputError
-    from wheelsight.files import make_output_folder
+    from wheelsight.files import check_name, make_output_folder
 
+    check_name(out)
     if out.is_dir():
         raise OutputError("is a folder, not a file", path=out, fix="choose another --out")
     if out.exists() and not force:

@@ -48,7 +48,9 @@ Description = Annotated[
 ]
 Trees = Annotated[int, typer.Option(metavar="T", min=1, max=1000, help="How many trees; the paper tries 1 to 6.")]
 Depth = Annotated[int, typer.Option(metavar="D", min=1, max=64, help="Splits from root to leaf, at most.")]
-Seed = Annotated[int, typer.Option(min=0, help="Of everything random; the same seed grows the same forest.")]
+Seed = Annotated[
+    int, typer.Option(min=0, max=2**32 - 1, help="Of everything random; the same seed grows the same forest.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
 Page = Annotated[Path, typer.Option(metavar="PAGE", help="HTML page to write.", show_default=False)]

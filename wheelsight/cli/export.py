@@ -27,7 +27,8 @@ def export(
         bool, typer.Option("--all", help="All surfels, and not only those seen often enough to be sure.")
     ] = False,
     voxel: Annotated[
-        float | None, typer.Option(metavar="METRES", min=0.001, help="How fine the mesh is.", show_default="0.02")
+        float | None,
+        typer.Option(metavar="METRES", min=0.001, max=10, help="How fine the mesh is.", show_default="0.02"),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite what is there.")] = False,
 ) -> None:
@@ -66,13 +67,14 @@ def export(
 def _map_in(source: Path) -> Path:
     """The map's file: as given, in a run's folder, or in that of its joined or dense track. Raises MapError."""
     from wheelsight.errors import MapError
+    from wheelsight.inputs import is_there
     from wheelsight.pipeline import MAP_FILE
 
-    if source.is_file():
-        return source
-    if not source.exists():
+    if not is_there(source):
         raise MapError("there is no such folder or file", path=source, fix="check the path")
-    found = [path for path in (source / place / MAP_FILE for place in ("", "joined", "dense")) if path.is_file()]
+    if not source.is_dir():
+        return source
+    found = [path for path in (source / place / MAP_FILE for place in ("", "joined", "dense")) if is_there(path)]
     if not found:
         fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
         raise MapError(f"holds no {MAP_FILE}", path=source, fix=fix)

@@ -41,6 +41,8 @@ class TelemetryPipe:
         self.sent = self.dropped = 0
         self._waiting: deque[bytes] = deque()
         self._writer: int | None = None
+        if self.path.name in ("", ".."):
+            raise OutputError("is a folder, not a pipe", path=self.path, fix="choose another path for the pipe")
         self._lock_path = self.path.with_name(f".{self.path.name}.lock")
         self._lock: int | None = _locked(self._lock_path, self.path)
         try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import select
 from collections.abc import Callable, Iterator
@@ -10,9 +9,11 @@ from pathlib import Path
 from typing import Protocol
 
 from wheelsight.devices.link import BAUDRATE, LinkStatus, WheelLink
+from wheelsight.devices.pipe import LONGEST_LINE
 from wheelsight.errors import DeviceError
 from wheelsight.events import WheelTicks
 from wheelsight.files import StrPath
+from wheelsight.inputs import parse_json
 
 _LOOK_MS = 100
 _READ_BYTES = 1 << 16
@@ -120,11 +121,14 @@ class TelemetryReader:
                 return
             *lines, rest = (rest + data).split(b"\n")
             yield from lines
+            if len(rest) > LONGEST_LINE:
+                problem = f"a line is longer than {LONGEST_LINE} bytes"
+                raise DeviceError(problem, path=self._path, fix="read the pipe of wheelsight wheels serve")
 
 
 def _ticks_of(line: bytes) -> WheelTicks | None:
     try:
-        fields = json.loads(line)
+        fields = parse_json(line)
         return WheelTicks(float(fields["ticks_stamp_s"]), int(fields["left_ticks"]), int(fields["right_ticks"]))
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, OverflowError):
         return None

@@ -10,40 +10,53 @@ class SurfelSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    stable_confidence: PositiveFloat = Field(default=10.0, description="how many frames make a surfel stable")
+    stable_confidence: PositiveFloat = Field(default=10.0, le=1e6, description="how many frames make a surfel stable")
     unstable_s: PositiveFloat = Field(
-        default=3.0, description="a surfel not stable so long after it was first seen goes"
+        default=3.0, le=1e6, description="a surfel not stable so long after it was first seen goes"
     )
-    unseen_s: PositiveFloat = Field(default=1.0, description="a surfel not stable goes sooner if not seen for so long")
+    unseen_s: PositiveFloat = Field(
+        default=1.0, le=1e6, description="a surfel not stable goes sooner if not seen for so long"
+    )
     active_s: PositiveFloat = Field(
-        default=60.0, description="surfels not seen for longer are kept, but not tracked against"
+        default=60.0, le=1e9, description="surfels not seen for longer are kept, but not tracked against"
     )
     fused_way_m: NonNegativeFloat = Field(
-        default=0.04, description="frames nearer to the last one fused are left out, a turn by a radian as 1.5 m"
+        default=0.04,
+        le=100,
+        description="frames nearer to the last one fused are left out, a turn by a radian as 1.5 m",
     )
     fused_after_s: PositiveFloat = Field(
-        default=0.1, description="a frame so long after the last one fused is fused anyway"
+        default=0.1, le=3600, description="a frame so long after the last one fused is fused anyway"
     )
-    far_m: PositiveFloat = Field(default=6.0, description="no surfel is predicted beyond; they are laid 12 σ farther")
+    far_m: PositiveFloat = Field(
+        default=6.0, le=40, description="no surfel is predicted beyond; they are laid 12 σ farther"
+    )
     vague_m: PositiveFloat = Field(
         default=0.035,
+        le=10,
         description="unstable surfels less surely placed are not predicted: a far wall's depth errs as one",
     )
     gate_sigmas: PositiveFloat = Field(
-        default=3.0, description="distance along the normal at which readings still agree"
+        default=3.0, le=100, description="distance along the normal at which readings still agree"
     )
-    gate_m: NonNegativeFloat = Field(default=0.01, description="added to it: poses err too")
+    gate_m: NonNegativeFloat = Field(default=0.01, le=10, description="added to it: poses err too")
     max_angle_deg: float = Field(default=40.0, gt=0, lt=90, description="between normals that agree")
     max_slant_deg: float = Field(
         default=84.5, gt=0, lt=90, description="surfaces seen at a sharper angle are not fused"
     )
     gap_m: NonNegativeFloat = Field(
-        default=0.02, description="so near a stable surfel's middle, its disk is not filled in"
+        default=0.02, le=10, description="so near a stable surfel's middle, its disk is not filled in"
     )
     free_m: PositiveFloat = Field(
-        default=0.05, description="a surfel so far in front of what is measured, and 4 σ, is gone"
+        default=0.05, le=10, description="a surfel so far in front of what is measured, and 4 σ, is gone"
     )
-    drift_m: NonNegativeFloat = Field(default=0.1, description="added to it for surfels outside the active window")
-    max_surfels: PositiveInt = Field(default=3_000_000, ge=1024, description="bound on memory, about 70 bytes a surfel")
-    block_m: PositiveFloat = Field(default=0.5, description="edge of the blocks by which surfels in view are found")
-    threads: PositiveInt = Field(default=2, description="that share a frame's rows")
+    drift_m: NonNegativeFloat = Field(
+        default=0.1, le=100, description="added to it for surfels outside the active window"
+    )
+    max_surfels: PositiveInt = Field(
+        default=3_000_000, ge=1024, le=6_000_000, description="bound on memory, about 70 bytes a surfel"
+    )
+    block_m: PositiveFloat = Field(
+        default=0.5, ge=0.05, le=10, description="edge of the blocks by which surfels in view are found"
+    )
+    threads: PositiveInt = Field(default=2, le=64, description="that share a frame's rows")

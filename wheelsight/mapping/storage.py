@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath, atomic_write
+from wheelsight.inputs import Kind, parse_json, read_bytes
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import Surfels
@@ -25,6 +26,10 @@ from wheelsight.mapping.values import Surfels
 FORMAT = "wheelsight-map-1"
 _LONGEST_HEADER = 1 << 16
 _NO_MAP = "give a file that `save_map` wrote"
+# Beyond 16 km, float32 no longer tells millimetres apart; the others are far beyond what a map ever holds.
+_LARGEST = {"position": 16_000.0, "normal": 1.01, "radius_m": 100.0, "color": 1000.0, "grey": 1000.0}
+_LARGEST |= {"confidence": 1e9, "variance_m2": 1e4, "first_s": 1e20, "last_s": 1e20}
+_FILE = Kind("a map", most_mb=420, fix=_NO_MAP)
 _DAMAGED = "it is damaged or cut short: use another copy"
 # Name, type and number of columns; 0 for a flat array.
 _FIELDS = (
@@ -70,13 +75,11 @@ def load_map(path: StrPath) -> SurfelMap:
             numbers that no surfel has.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise MapError(f"cannot be read: {error.strerror}", path=path, fix=_NO_MAP) from error
+    data = read_bytes(path, _FILE, MapError)
     try:
         header, body = _split(data)
         surfels = _surfels(header, body)
+        del data, body  # as large as the map
         return _map_of(header, surfels)
     except MapError as error:
         raise MapError(error.problem, path=path, fix=error.fix) from error
@@ -95,7 +98,10 @@ def _split(data: bytes) -> tuple[dict[str, Any], memoryview]:
     text, newline, _ = rest.partition(b"\n")
     if not newline:
         raise MapError("ends in its header", fix=_DAMAGED)
-    header = json.loads(text)
+    try:
+        header = parse_json(text)
+    except ValueError as error:
+        raise MapError(f"its header is not one: {error}", fix=_DAMAGED) from error
     if not isinstance(header, dict):
         raise MapError("its header is no object", fix=_DAMAGED)
     return header, memoryview(data)[len(name) + len(text) + 2 :]
@@ -122,8 +128,11 @@ def _surfels(header: dict[str, Any], body: memoryview) -> Surfels:
 
 def _refuse_impossible(surfels: Surfels) -> None:
     for name, _, _ in _FIELDS:
-        if not np.isfinite(getattr(surfels, name)).all():
+        values = getattr(surfels, name)
+        if not np.isfinite(values).all():
             raise MapError(f"{name} holds numbers that are not finite", fix=_DAMAGED)
+        if len(values) and np.abs(values).max() > _LARGEST[name]:
+            raise MapError(f"{name} holds numbers beyond {_LARGEST[name]:g}", fix=_DAMAGED)
     if len(surfels.grey) == 0:
         return
     for name in ("radius_m", "confidence", "variance_m2"):
@@ -131,12 +140,6 @@ def _refuse_impossible(surfels: Surfels) -> None:
             raise MapError(f"{name} holds numbers that are not positive", fix=_DAMAGED)
     if np.abs(np.linalg.norm(surfels.normal, axis=1) - 1).max() > 1e-3:
         raise MapError("normal holds vectors that are not of length 1", fix=_DAMAGED)
-    if np.abs(surfels.position).max() > _FARTHEST_M:
-        raise MapError(f"position holds points beyond {_FARTHEST_M:g} m", fix=_DAMAGED)
-
-
-# Beyond, float32 no longer tells millimetres apart.
-_FARTHEST_M = 16_000.0
 
 
 def _map_of(header: dict[str, Any], surfels: Surfels) -> SurfelMap:

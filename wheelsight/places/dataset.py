@@ -13,6 +13,7 @@ from wheelsight.errors import AreaError, PlaceError
 from wheelsight.events import RgbdFrame, SkippedFrame
 from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.inputs import is_there
 from wheelsight.places.describer import Describer
 from wheelsight.places.forest import ForestSettings
 from wheelsight.places.labels import LabelFile, labels_on_the_way, natural_order, read_labels
@@ -100,12 +101,12 @@ def label_source(
     """
     areas_path = None if areas_path is None else Path(areas_path)
     own = recording.path / AREAS_FILE
-    if areas_path is None and own.is_file():
+    if areas_path is None and is_there(own):
         areas_path = own
     areas = None if areas_path is None else load_areas(areas_path)
     trajectory = recording.ground_truth if trajectory is None else trajectory
     own_labels = recording.path / LABELS_FILE
-    if labels is None and (areas is None or trajectory is None) and own_labels.is_file():
+    if labels is None and (areas is None or trajectory is None) and is_there(own_labels):
         labels = read_labels(own_labels)
     if labels is not None and areas is not None:
         labels.check_names(areas.names)

@@ -27,11 +27,15 @@ class ForestSettings(BaseModel):
     max_depth: PositiveInt | None = Field(
         default=16, le=64, description="D: splits from root to leaf at most; none: no limit"
     )
-    min_leaf: PositiveInt = Field(default=1, description="frames that a leaf holds at least")
+    min_leaf: PositiveInt = Field(default=1, le=1_000_000, description="frames that a leaf holds at least")
     seed: NonNegativeInt = Field(default=0, lt=2**32, description="one seed gives one forest")
     folds: int = Field(default=5, ge=2, le=20, description="blocks held out in turn to calibrate probabilities")
-    block_frames: PositiveInt = Field(default=10, description="neighbours that are held out together, about")
-    gap_frames: NonNegativeInt = Field(default=2, description="left out of training on both sides of a block held out")
+    block_frames: PositiveInt = Field(
+        default=10, le=1_000_000, description="neighbours that are held out together, about"
+    )
+    gap_frames: NonNegativeInt = Field(
+        default=2, le=1_000_000, description="left out of training on both sides of a block held out"
+    )
     wanted_accuracy: float = Field(
         default=0.95,
         gt=0,

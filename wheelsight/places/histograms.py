@@ -20,10 +20,10 @@ class HistogramSettings(BaseModel):
 
     bins: int = Field(default=100, ge=2, le=256, description="of each histogram")
     near_m: NonNegativeFloat = Field(
-        default=0.0, description="where the first bin of depth begins; nearer depths fall into it"
+        default=0.0, le=100, description="where the first bin of depth begins; nearer depths fall into it"
     )
     far_m: PositiveFloat = Field(
-        default=8.0, description="where the last bin of depth ends; farther depths fall into it"
+        default=8.0, le=100, description="where the last bin of depth ends; farther depths fall into it"
     )
     missing: Literal["first_bin", "own_bin", "ignored"] = Field(
         default="first_bin",

@@ -18,6 +18,7 @@ from wheelsight.areas import AreaMap
 from wheelsight.errors import AreaError
 from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.inputs import Kind, as_number, lines_of, read_text
 from wheelsight.trajectory import Trajectory
 
 RANGES_HEADER = ("from_s", "to_s", "area")
@@ -26,6 +27,9 @@ _FORMS = f"{','.join(RANGES_HEADER)} or {','.join(FRAMES_HEADER)}"
 # Stamps of one frame in two files differ by no more than their last decimal.
 _SAME_STAMP_S = 1e-3
 _NAMES_SHOWN = 12
+_FILE = Kind("a list of labels", most_mb=64, most_lines=500_000, fix=f"a CSV of {_FORMS}")
+_LARGEST_STAMP = 1e15
+_LONGEST_NUMBER = 18  # digits that are taken for one number
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +159,7 @@ def natural_order(names: set[str]) -> tuple[str, ...]:
     """Names sorted as a person would: numbers in them by their value."""
 
     def key(name: str) -> list[tuple[int, int | str]]:
-        parts = re.split(r"(\d+)", name.casefold())
+        parts = re.split(rf"(\d{{1,{_LONGEST_NUMBER}}})", name.casefold())
         return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part]
 
     return tuple(sorted(names, key=lambda name: (key(name), name)))
@@ -163,21 +167,25 @@ def natural_order(names: set[str]) -> tuple[str, ...]:
 
 def _read_rows(path: Path) -> tuple[tuple[str, ...], list[tuple[int, list[str]]]]:
     """Which of the two forms it is, and each line's number and words."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise AreaError(f"cannot be read: {error.strerror}", path=path, fix=f"a CSV of {_FORMS}") from error
-    except UnicodeDecodeError as error:
-        raise AreaError("is not a text file", path=path, fix=f"a CSV of {_FORMS}") from error
-    reader = csv.reader(line for line in text.splitlines() if not line.lstrip().startswith("#"))
-    numbers = [number for number, line in enumerate(text.splitlines(), 1) if not line.lstrip().startswith("#")]
-    rows = [(number, [word.strip() for word in words]) for number, words in zip(numbers, reader, strict=False) if words]
+    text = read_text(path, _FILE, AreaError)
+    lines = [(number, line) for number, line in enumerate(lines_of(text), 1) if not line.lstrip().startswith("#")]
+    rows = [(number, _words(line)) for number, line in lines if line.strip()]
     for header in (RANGES_HEADER, FRAMES_HEADER):
-        if rows and tuple(rows[0][1][: len(header)]) == header:
-            is_cut_off = header == FRAMES_HEADER and not text.endswith(("\n", "\r"))
+        if rows and tuple(word.lower() for word in rows[0][1][: len(header)]) == header:
+            is_cut_off = header == FRAMES_HEADER and rows[-1][0] == len(lines_of(text))
             return header, rows[1:-1] if is_cut_off else rows[1:]
     line, told = (rows[0][0], ",".join(rows[0][1])) if rows else (1, "")
     raise AreaError(f"the first line is {told!r}", path=path, line=line, fix=f"name the columns: {_FORMS}")
+
+
+def _words(line: str) -> list[str]:
+    """The words of a line; an area's name may have commas in quotes, or in a line with semicolons."""
+    between = ";" if ";" in line else ","
+    try:
+        words = next(csv.reader([line], delimiter=between))
+    except csv.Error:
+        words = line.split(between)
+    return [word.strip() for word in words]
 
 
 def _entry(path: Path, line: int, words: list[str], header: tuple[str, ...]) -> Entry:
@@ -186,11 +194,8 @@ def _entry(path: Path, line: int, words: list[str], header: tuple[str, ...]) -> 
         raise AreaError(problem, path=path, line=line, fix=",".join(header))
     stamps_s = []
     for column, word in zip(header[:-1], words, strict=False):
-        try:
-            stamps_s.append(float(word))
-        except ValueError:
-            stamps_s.append(math.nan)
-        if not math.isfinite(stamps_s[-1]):
+        stamps_s.append(as_number(word))
+        if not abs(stamps_s[-1]) <= _LARGEST_STAMP:
             raise AreaError(f"{column} is {word!r}, no stamp in seconds", path=path, line=line, fix=",".join(header))
     from_s, to_s = stamps_s[0], stamps_s[-1]
     if header == RANGES_HEADER and from_s >= to_s:

@@ -29,9 +29,11 @@ class LayoutSettings(BaseModel):
     sides: int = Field(default=5, ge=2, le=15, description="bins a side of the whole frame's histogram of normals")
     samples_down: int = Field(default=120, ge=16, le=480, description="rows of the grid at which images are read")
     samples_across: int = Field(default=160, ge=16, le=640, description="columns of that grid")
-    far_m: PositiveFloat = Field(default=8.0, description="farther depths count as this far")
+    far_m: PositiveFloat = Field(default=8.0, le=100, description="farther depths count as this far")
     focal_in_widths: PositiveFloat = Field(
-        default=0.9, description="the depth camera's focal length in image widths, roughly; it only bends normals"
+        default=0.9,
+        le=100,
+        description="the depth camera's focal length in image widths, roughly; it only bends normals",
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from wheelsight.calibration import Calibration, load_calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.files import StrPath
+from wheelsight.inputs import is_there
 from wheelsight.recordings.protocol import OpenOptions
 
 _FOLDER = Path(__file__).parent / "cameras"
@@ -26,7 +27,7 @@ def load_camera(name: StrPath) -> Calibration:
     """
     if name in camera_names():
         return load_calibration(_FOLDER / f"{name}.yaml")
-    if Path(name).is_file():
+    if is_there(Path(name)):
         return load_calibration(Path(name))
     raise CalibrationError(f"no camera is called {str(name)!r} and no such file exists", fix=camera_choices())
 
@@ -44,7 +45,7 @@ def choose_calibration(folder: Path, options: OpenOptions, otherwise: Callable[[
     over, own = options.calibrations, folder / "calibration.yaml"
     if options.camera is not None:
         return load_calibration(*over, under=load_camera(options.camera))
-    if own.is_file():
+    if is_there(own):
         return load_calibration(own, *over)
     try:
         known = otherwise()

@@ -6,7 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from wheelsight.files import output_error
+from wheelsight.files import check_name, output_error
 
 
 class GrowingText:
@@ -21,6 +21,7 @@ class GrowingText:
     def __init__(self, path: Path, header: str) -> None:
         self._path = path
         self._length = 0
+        check_name(path)
         try:
             self._stream = path.open("wb", buffering=0)
         except OSError as error:
@@ -29,7 +30,7 @@ class GrowingText:
 
     def append(self, text: str) -> None:
         """Write whole lines. Raises OutputError, and adds nothing, where the disk is full or the folder has gone."""
-        data = memoryview(text.encode("utf-8"))
+        data = memoryview(text.encode("utf-8", "backslashreplace"))
         try:
             self._write(data)
         except BaseException as error:

@@ -17,9 +17,9 @@ from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
 from wheelsight.geometry import PinholeCamera
+from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding, image_size, read_color, read_depth
 from wheelsight.recordings._read_ahead import read_ahead
-from wheelsight.recordings._text import ListedFile
 from wheelsight.recordings.bodies import express_for
 from wheelsight.recordings.protocol import AssociationReport, ListedFrame
 from wheelsight.stamps import unit_of

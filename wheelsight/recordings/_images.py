@@ -11,12 +11,18 @@ from numpy.typing import NDArray
 
 from wheelsight.errors import RecordingError
 from wheelsight.geometry import ByteArray, Float32Array
+from wheelsight.inputs import Kind, picture_size, read_bytes, scan_count
 
 _PLAUSIBLE_MEDIAN_M = (0.05, 50.0)
 _MEDIAN_STRIDE = 8
 _COLOR_FLAGS = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
 _TRAILERS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
 _TRAILER_REACH = 64
+_MOST_PIXELS = 1 << 25  # twice the largest depth camera's 16 million
+_MOST_PIXELS_DECODED = 1 << 28  # 12 million in 22 scans; a progressive JPEG usually has 10
+_KINDS = {
+    kind: Kind(f"a {kind} image", most_mb=128, missing=f"listed {kind} image is absent") for kind in ("colour", "depth")
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +63,13 @@ def image_size(image: NDArray[np.generic]) -> str:
 
 
 def _decode(path: Path, flags: int, kind: str) -> NDArray[np.integer]:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise RecordingError(f"listed {kind} image is absent", path=path) from error
-    except OSError as error:
-        raise RecordingError(f"{kind} image cannot be read: {error.strerror}", path=path) from error
+    data = read_bytes(path, _KINDS[kind], RecordingError)
     for start, trailer in _TRAILERS.items():
         if data.startswith(start) and trailer not in data[-_TRAILER_REACH:]:
             raise RecordingError(f"{kind} image is cut off before its end", path=path)
     if not data:
         raise RecordingError(f"{kind} image is empty", path=path)
+    _check_size(data, path, kind)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
@@ -75,6 +77,20 @@ def _decode(path: Path, flags: int, kind: str) -> NDArray[np.integer]:
     if image is None:
         raise RecordingError(f"{kind} image is damaged, or no image", path=path)
     return np.asarray(image)
+
+
+def _check_size(data: bytes, path: Path, kind: str) -> None:
+    """Raises RecordingError for what its first bytes say takes too much memory or time to decode."""
+    size = picture_size(data)
+    if size is None:
+        raise RecordingError(f"{kind} image is damaged, or no image", path=path, fix="convert it to PNG")
+    width, height = size
+    if width * height > _MOST_PIXELS:
+        problem = f"{kind} image says it is {width}×{height} pixels, more than any depth camera has"
+        raise RecordingError(problem, path=path, fix=f"at most {_MOST_PIXELS / 1e6:.0f} million pixels")
+    if width * height * scan_count(data) > _MOST_PIXELS_DECODED:
+        problem = f"{kind} image has {scan_count(data)} scans, which take long to decode"
+        raise RecordingError(problem, path=path, fix="convert it to PNG")
 
 
 def _median(raw: NDArray[np.integer], path: Path) -> float:

@@ -84,6 +84,8 @@ class OffsetMeter:
         right, down = _SEARCH_PX
         contrasts, borders = _color_contrast(color), _depth_borders(depth_m)
         self._far.keep(contrasts, borders)
+        if size[0] <= 2 * right or size[1] <= 2 * down:
+            return  # smaller than the shifts that are tried
         for contrast, border in zip(contrasts, borders, strict=True):
             spectrum = np.fft.rfft2(cv2.resize(contrast, size, interpolation=cv2.INTER_AREA))
             for index, scale in enumerate(_SEARCH_SCALES):

@@ -1,25 +1,32 @@
-"""Text files of recordings: lines with their numbers, lists of stamped files, stamps that must grow."""
+"""Text files of recordings: lines with their numbers, stamps, and that these must grow."""
 
 from __future__ import annotations
 
-import math
 import re
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from wheelsight.errors import RecordingError
+from wheelsight.inputs import Kind, as_number, lines_of, read_text, unquoted
 
 _SHARE_OUT_OF_ORDER_ALLOWED = 0.01
-_COMMENT = re.compile(r"(^|\s)#.*")
+_LARGEST_STAMP = 1e20  # over a hundred years in nanoseconds: a wrong unit, which others name; beyond, no unit has it
+_STAMP_NAME = re.compile(r"(?:time_?stamps?|stamps?|time|t)(?![a-z])", re.IGNORECASE)
+_OTHER_UNIT = re.compile(r"(?<![a-z])(?:[nmuµ]s|[nmu]secs?|(?:nano|micro|milli)sec\w*)(?![a-z])", re.IGNORECASE)
+COMMENT = re.compile(r"(^|\s)#.*")
 
 
 class _Stamped(Protocol):
     @property
     def stamp_s(self) -> float: ...
 
+
+LIST = Kind("a list", most_mb=96, missing="is missing", fix="each recording needs it")
+
+IMAGE_LIST = replace(LIST, name="a list of images", most_lines=500_000)
 
 S = TypeVar("S", bound=_Stamped)
 
@@ -32,118 +39,44 @@ class Line:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One line of a table of numbers; its number in the file, from 1, and the words of the columns asked for."""
-
-    path: Path
-    number: int
-    words: dict[str, str]
-
-    @property
-    def stamp_s(self) -> float:
-        """Of column stamp_s. Raises RecordingError."""
-        return parse_stamp(self.words["stamp_s"], self.path, self.number)
-
-    def __getitem__(self, column: str) -> float:
-        """A finite number. Raises RecordingError."""
-        try:
-            value = float(self.words[column])
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise RecordingError(f"{column} is {self.words[column]!r}, not a number", path=self.path, line=self.number)
-        return value
-
-    def whole(self, column: str) -> int:
-        """A whole number. Raises RecordingError."""
-        try:
-            return int(self.words[column])
-        except ValueError as error:
-            problem = f"{column} is {self.words[column]!r}, not a whole number"
-            raise RecordingError(problem, path=self.path, line=self.number) from error
-
-
-@dataclass(frozen=True, slots=True)
-class ListedFile:
-    """A file and its time in seconds, as a list file names them."""
-
-    stamp_s: float
-    path: Path
+def read_list(path: Path, kind: Kind = LIST) -> str:
+    """The text of a list or table of a recording. Raises RecordingError naming the file."""
+    return read_text(path, kind, RecordingError)
 
 
 def read_lines(path: Path) -> list[Line]:
     """The lines of a text file without comments and blank lines; any line ends, with or without byte order mark.
 
     Raises:
-        RecordingError: naming the file, if it is missing, no text, or holds nothing but comments.
+        RecordingError: naming the file, if it is missing, no text, no regular file, or too large.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError as error:
-        raise RecordingError("is missing", path=path, fix="each recording needs it") from error
-    except OSError as error:
-        raise RecordingError(f"cannot be read: {error.strerror}", path=path) from error
-    except UnicodeDecodeError as error:
-        raise RecordingError("is not a text file", path=path) from error
-    bare = (Line(number, _COMMENT.sub("", line).strip()) for number, line in enumerate(lines, start=1))
+    lines = enumerate(lines_of(read_list(path)), start=1)
+    bare = (Line(number, COMMENT.sub("", line).strip()) for number, line in lines)
     return [line for line in bare if line.text]
 
 
-def read_file_list(path: Path) -> tuple[list[ListedFile], list[str]]:
-    """The files that a list names, one `stamp file` a line, at growing stamps; and warnings about lines left out.
-
-    Raises:
-        RecordingError: naming file and line, for a line that is none, stamps out of order, or an empty list.
-    """
-    lines = read_lines(path)
-    if not lines:
-        raise RecordingError("lists no images", path=path, fix="one `stamp file` a line is expected")
-    files = []
-    for line in lines:
-        words = re.split(r"[\s,]+", line.text, maxsplit=1)
-        if len(words) != 2:
-            raise RecordingError("a stamp and a file are expected", path=path, line=line.number)
-        files.append(ListedFile(parse_stamp(words[0], path, line.number), path.parent / words[1]))
-    return keep_growing(files, [line.number for line in lines], path)
+def data_lines(path: Path) -> list[Line]:
+    """The lines of a list of images, where # may stand in a name: only lines that begin with it are comments."""
+    lines = (Line(number, line.strip()) for number, line in enumerate(lines_of(read_list(path, IMAGE_LIST)), start=1))
+    return [line for line in lines if line.text and not line.text.startswith("#")]
 
 
-def read_table(path: Path, columns: Sequence[str]) -> tuple[list[Row], list[str]]:
-    """The rows of a table with commas whose first line names its columns, of which `columns` are read; and warnings.
-
-    A last line that does not end was cut off while it was written; its numbers may lack digits, so it is left out.
-
-    Raises:
-        RecordingError: naming file and line, for a column that is missing, or a line of too few or too many words.
-    """
-    lines = read_lines(path)
-    names = [name.strip() for name in lines[0].text.split(",")] if lines else []
-    for column in columns:
-        if column not in names:
-            expected = f"the first line must name the columns {', '.join(columns)}"
-            raise RecordingError(
-                f"has no column {column}", path=path, line=lines[0].number if lines else 1, fix=expected
-            )
-    warnings = []
-    if len(lines) > 1 and not path.read_bytes().endswith((b"\n", b"\r")):
-        warnings.append(f"{path.name}:{lines.pop().number}: the last line is cut off and was left out")
-    rows = []
-    for line in lines[1:]:
-        words = [word.strip() for word in line.text.split(",")]
-        if len(words) != len(names):
-            raise RecordingError(f"{len(words)} values where {len(names)} are expected", path=path, line=line.number)
-        rows.append(Row(path, line.number, dict(zip(names, words, strict=True))))
-    return rows, warnings
+def is_header(line: Line, path: Path) -> bool:
+    """Whether a list's first line names its columns, a stamp first. Raises RecordingError for another unit."""
+    name = unquoted(re.split(r"[;,\t]", line.text)[0])
+    if not _STAMP_NAME.match(name):
+        return False
+    if _OTHER_UNIT.search(name):
+        raise RecordingError(f"stamps are {name!r}", path=path, line=line.number, fix="write them in seconds")
+    return True
 
 
 def parse_stamp(word: str, path: Path, line: int) -> float:
     """A stamp in seconds. Raises RecordingError naming file and line."""
-    try:
-        stamp_s = float(word)
-    except ValueError:
-        stamp_s = math.nan
-    if not math.isfinite(stamp_s):
-        raise RecordingError(f"{word!r} is not a stamp in seconds", path=path, line=line)
+    stamp_s = as_number(word)
+    if not abs(stamp_s) <= _LARGEST_STAMP:
+        fix = "begin the line with the time in seconds, such as 12.034"
+        raise RecordingError(f"{word!r} is not a stamp in seconds", path=path, line=line, fix=fix)
     return stamp_s
 
 

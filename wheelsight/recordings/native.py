@@ -10,10 +10,12 @@ from pathlib import Path
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.events import WheelTicks, YawRate
+from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import camera_choices, choose_calibration
 from wheelsight.recordings._image_recording import ImageRecording, complete
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import keep_growing, read_table
+from wheelsight.recordings._tables import read_table
+from wheelsight.recordings._text import keep_growing
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.recordings.tum import DEPTH_FACTOR, beside, read_frames, read_truth
@@ -30,11 +32,11 @@ class NativeReader:
 
     def recognises(self, folder: Path) -> bool:
         """Whether wheels.csv is there."""
-        return (folder / "wheels.csv").is_file()
+        return is_there(folder / "wheels.csv")
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording | WheelRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
-        has_images = any((folder / name).is_file() for name in ("rgb.txt", "depth.txt"))
+        has_images = any(is_there(folder / name) for name in ("rgb.txt", "depth.txt"))
         calibration = choose_calibration(folder, options, lambda: _missing(folder, has_images))
         wheels, warnings = read_wheels(folder / "wheels.csv")
         yaw_rates, more = _read_yaw_rates(folder / "gyro.csv")
@@ -80,7 +82,7 @@ def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
 
 def _read_yaw_rates(path: Path) -> tuple[list[YawRate], list[str]]:
     """The readings of gyro.csv in order of time, and warnings; none where there is no such file."""
-    if not path.is_file():
+    if not is_there(path):
         return [], []
     rows, warnings = read_table(path, GYRO_HEADER.split(","))
     rates = [YawRate(row.stamp_s, row["yaw_rate_rad_s"]) for row in rows]

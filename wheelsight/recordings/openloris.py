@@ -6,15 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from wheelsight.calibration import Calibration, DepthNoise
 from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.inputs import as_number, is_there, read_yaml, split_words
 from wheelsight.recordings._cameras import choose_calibration
+from wheelsight.recordings._file_lists import read_file_list
 from wheelsight.recordings._image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import keep_growing, read_file_list, read_lines
+from wheelsight.recordings._text import keep_growing, read_lines
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.recordings.tum import read_truth
 from wheelsight.trajectory import Trajectory
@@ -22,6 +23,10 @@ from wheelsight.trajectory import Trajectory
 _CAMERA = "d400_color_optical_frame"
 _BASE = "base_link"
 _DEPTH_FACTOR = 1000.0
+_RIGID_TOLERANCE = 1e-2  # files round to four digits and more
+_FARTHEST_M = 1000.0  # of one part of a robot from another
+_LARGEST = 1e15  # of numbers in odom.txt, of which squares are summed up
+_FIX = "correct it, or give a calibration.yaml with --camera"
 _D435_NOISE = DepthNoise(quadratic_per_m=3.9e-3, near_m=0.3, far_m=10.0)
 """Intel's rule for stereo depth, σ = z² · subpixel / (f · baseline), with 0.08 px, 415 px and 0.05 m for the D435."""
 
@@ -34,8 +39,8 @@ class OpenLorisReader:
 
     def recognises(self, folder: Path) -> bool:
         """Whether the list of aligned depth, or that of colour beside the sensors' description, is there."""
-        has_color = (folder / "color.txt").is_file() and (folder / "sensors.yaml").is_file()
-        return has_color or (folder / "aligned_depth.txt").is_file()
+        has_color = is_there(folder / "color.txt") and is_there(folder / "sensors.yaml")
+        return has_color or is_there(folder / "aligned_depth.txt")
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
@@ -71,15 +76,15 @@ def _calibration(folder: Path) -> Calibration:
     """Intrinsics from sensors.yaml, T_base_camera from trans_matrix.yaml where that is there."""
     path = folder / "sensors.yaml"
     try:
-        sensor = _read_opencv_yaml(path)[_CAMERA]
+        sensor = read_yaml(path, CalibrationError)[_CAMERA]
         fx, cx, fy, cy = _numbers(sensor["intrinsics"], 4)
         k1, k2, p1, p2, k3 = (*_numbers(sensor.get("distortion_coefficients") or {"data": []}), 0, 0, 0, 0, 0)[:5]
         camera = PinholeCamera(int(sensor["width"]), int(sensor["height"]), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         problem = f"does not describe {_CAMERA} with width, height and intrinsics fx, cx, fy, cy: {error}"
-        raise CalibrationError(problem, path=path) from error
+        raise CalibrationError(problem, path=path, fix=_FIX) from error
     except CalibrationError as error:
-        raise CalibrationError(error.problem, path=path, fix=error.fix) from error
+        raise CalibrationError(error.problem, path=path, fix=error.fix or _FIX) from error
     T_base_camera = _chain(folder / "trans_matrix.yaml")
     source = f"{path.name} of {folder.resolve().name}"
     return Calibration.registered_camera(camera, depth_noise=_D435_NOISE, T_base_camera=T_base_camera, source=source)
@@ -87,31 +92,42 @@ def _calibration(folder: Path) -> Calibration:
 
 def _chain(path: Path) -> FloatArray | None:
     """T_base_camera, composed over the frames that the file joins; None where there is no such file."""
-    if not path.is_file():
+    if not is_there(path):
         return None
     try:
-        links = [
-            (link["parent_frame"], link["child_frame"], np.reshape(_numbers(link["matrix"], 16), (4, 4)))
-            for link in _read_opencv_yaml(path)["trans_matrix"]
-        ]
+        links = [_link(link) for link in read_yaml(path, CalibrationError)["trans_matrix"]]
     except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(f"is not a list of parent_frame, child_frame, matrix: {error}", path=path) from error
-    T_base = {_BASE: np.eye(4)}
-    for _ in links:
-        for parent, child, T_parent_child in links:
-            if parent in T_base:
-                T_base.setdefault(child, T_base[parent] @ T_parent_child)
-            elif child in T_base:
-                T_base[parent] = T_base[child] @ np.linalg.inv(T_parent_child)
+        problem = f"is not a list of parent_frame, child_frame, matrix: {error}"
+        raise CalibrationError(problem, path=path, fix="each with four times four numbers in matrix.data") from error
+    joined: dict[str, dict[str, FloatArray]] = {}
+    for parent, child, T_parent_child in links:
+        if not se3.is_valid(T_parent_child, _RIGID_TOLERANCE) or np.abs(T_parent_child).max() > _FARTHEST_M:
+            problem = f"the matrix from {child} to {parent} is no rigid motion"
+            raise CalibrationError(problem, path=path, fix="orthonormal rotation, metres, last row 0 0 0 1")
+        joined.setdefault(parent, {}).setdefault(child, T_parent_child)
+        joined.setdefault(child, {}).setdefault(parent, np.asarray(np.linalg.inv(T_parent_child), np.float64))
+    T_base, reached = {_BASE: np.eye(4)}, [_BASE]
+    while reached:
+        parent = reached.pop()
+        for child in joined.get(parent, {}).keys() - T_base.keys():
+            T_base[child] = T_base[parent] @ joined[parent][child]
+            reached.append(child)
     if _CAMERA not in T_base:
-        raise CalibrationError(f"no chain of frames leads from {_BASE} to {_CAMERA}", path=path)
+        fix = f"join them, parent_frame: {_BASE}, child_frame: {_CAMERA}"
+        raise CalibrationError(f"no chain of frames leads from {_BASE} to {_CAMERA}", path=path, fix=fix)
     T = T_base[_CAMERA]
     return se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
 
 
+def _link(link: Any) -> tuple[str, str, FloatArray]:
+    """Parent, child and T_parent_child of an entry; KeyError, TypeError or ValueError where it is none."""
+    parent, child = link["parent_frame"], link["child_frame"]
+    return str(parent), str(child), np.reshape(_numbers(link["matrix"], 16), (4, 4))
+
+
 def _read_odometry(path: Path, warnings: list[str]) -> Trajectory | None:
     """T_odom_base of odom.txt: `stamp x y z qx qy qz qw` and speeds, which are not read."""
-    if not path.is_file():
+    if not is_there(path):
         return None
     lines = read_lines(path)
     rows = [_Row(line.text, path, line.number) for line in lines]
@@ -125,34 +141,11 @@ class _Row:
     """The first eight numbers of a line: a stamp and a pose."""
 
     def __init__(self, text: str, path: Path, line: int) -> None:
-        try:
-            self.values = [float(word) for word in text.replace(",", " ").split()[:8]]
-        except ValueError as error:
-            raise RecordingError(str(error), path=path, line=line) from error
-        if len(self.values) != 8 or not np.isfinite(self.values).all() or not any(self.values[4:]):
-            raise RecordingError("stamp x y z qx qy qz qw are expected", path=path, line=line)
+        self.values = [as_number(word) for word in split_words(text)[:8]]
+        if len(self.values) != 8 or not np.abs(self.values).max() <= _LARGEST or not np.abs(self.values[4:]).max() > 0:
+            problem = "stamp x y z qx qy qz qw are expected"
+            raise RecordingError(problem, path=path, line=line, fix="correct or remove the line")
         self.stamp_s = self.values[0]
-
-
-class _OpenCvLoader(yaml.SafeLoader):
-    """Reads the YAML that OpenCV writes, where matrices are tagged."""
-
-
-def _construct_matrix(loader: _OpenCvLoader, node: yaml.MappingNode) -> dict[Any, Any]:
-    return loader.construct_mapping(node, deep=True)
-
-
-_OpenCvLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _construct_matrix)
-
-
-def _read_opencv_yaml(path: Path) -> Any:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        return yaml.load(text.replace("%YAML:1.0", "", 1), _OpenCvLoader)
-    except OSError as error:
-        raise CalibrationError(f"cannot be read: {error.strerror}", path=path) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"is not YAML: {error}", path=path) from error
 
 
 def _numbers(matrix: dict[str, Any], count: int | None = None) -> list[float]:

@@ -30,6 +30,7 @@ _READERS: tuple[Reader, ...] = (
     MeasurementLineReader(),
 )
 _SEARCH_DEPTH = 3
+_MOST_SEARCHED = 10_000  # folders, which take a second or two
 
 
 def reader_names() -> list[str]:
@@ -48,6 +49,17 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
         InputError: the folder is missing, is of no known format, or cannot be read; one line with file and fix.
     """
     folder = Path(path)
+    try:
+        return _open(folder, options or OpenOptions())
+    except OSError as error:  # a folder that may not be looked into, a name that is too long
+        raise RecordingError(f"cannot be read: {error.strerror}", path=folder, fix="check the path") from error
+    except ValueError as error:
+        if "null byte" not in str(error):
+            raise
+        raise RecordingError("is no name of a folder", path=str(folder), fix="check the path") from error
+
+
+def _open(folder: Path, options: OpenOptions) -> Recording:
     if not folder.exists():
         raise RecordingError("there is no such folder", path=folder, fix="check the path")
     if not folder.is_dir():
@@ -55,23 +67,29 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
     reader = _reader_of(folder)
     if reader is None:
         raise _unknown(folder)
-    return _with_doubts(reader.open(folder, options or OpenOptions()))
+    return _with_doubts(reader.open(folder, options))
 
 
 def find_recordings(folder: StrPath) -> list[Path]:
-    """Folders at or up to three levels below `folder` that some reader recognises, sorted; hidden ones are left out."""
-    return sorted(_find(Path(folder), _SEARCH_DEPTH))
+    """Folders at or up to three levels below `folder` that some reader recognises, sorted; hidden ones are left out.
+
+    Of very many folders, only the first ten thousand are looked at.
+    """
+    found, level, left = [], [Path(folder)], _MOST_SEARCHED
+    for _ in range(_SEARCH_DEPTH + 1):
+        folders, left = level[:left], left - len(level)
+        known = {path: path.is_dir() and _reader_of(path) is not None for path in folders}
+        found += [path for path in folders if known[path]]
+        level = [below for path in folders if not known[path] for below in _below(path)] if left > 0 else []
+    return sorted(found)
 
 
-def _find(folder: Path, levels: int) -> list[Path]:
-    if not folder.is_dir():
+def _below(folder: Path) -> list[Path]:
+    """The folders in a folder; none in one that may not be looked into."""
+    try:
+        return [path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
+    except OSError:
         return []
-    if _reader_of(folder) is not None:
-        return [folder]
-    if levels == 0:
-        return []
-    below = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    return [found for path in below for found in _find(path, levels - 1)]
 
 
 def _with_doubts(recording: Recording) -> Recording:

@@ -11,10 +11,12 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError, TrajectoryError
 from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration, load_camera
+from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import ListedFile, read_lines
+from wheelsight.recordings._text import read_lines
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.trajectory import Trajectory
 
@@ -84,7 +86,7 @@ def _calibration(folder: Path) -> Calibration:
     """The shipped calibration, its depth camera replaced by camera-intrinsics.txt where that is there."""
     shipped = load_camera("seven_scenes")
     path = folder / "camera-intrinsics.txt"
-    if not path.is_file():
+    if not is_there(path):
         return shipped
     try:
         (fx, skew, cx), (_, fy, cy), bottom = _read_matrix(path, 3)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from wheelsight.events import WheelTicks, YawRate
+from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings._text import Row, keep_growing, read_table
+from wheelsight.recordings._tables import Row, read_table
+from wheelsight.recordings._text import keep_growing
 from wheelsight.recordings._wheel_recording import WheelRecording, shipped_robot
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.recordings.tum import read_truth
@@ -27,7 +29,7 @@ class SkidSteerReader:
 
     def recognises(self, folder: Path) -> bool:
         """Whether both are there."""
-        return all((folder / name).is_file() for name in ("encoders.csv", "imu.csv"))
+        return all(is_there(folder / name) for name in ("encoders.csv", "imu.csv"))
 
     def open(self, folder: Path, options: OpenOptions) -> WheelRecording:
         """The recording in `folder`. Raises InputError naming file and line."""

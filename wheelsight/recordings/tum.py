@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.geometry import FloatArray
+from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import camera_choices, choose_calibration, load_camera
+from wheelsight.recordings._file_lists import ListedFile, find_files, pair_of_files, read_file_list
 from wheelsight.recordings._image_recording import FramePaths, ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import ListedFile, keep_growing, parse_stamp, read_file_list, read_lines
+from wheelsight.recordings._text import data_lines, is_header, keep_growing
 from wheelsight.recordings.protocol import AssociationReport, OpenOptions
 from wheelsight.trajectory import Trajectory, read_tum
 
@@ -29,7 +31,7 @@ class TumReader:
 
     def recognises(self, folder: Path) -> bool:
         """Whether one of the two list files is there."""
-        return any((folder / name).is_file() for name in ("rgb.txt", "depth.txt"))
+        return any(is_there(folder / name) for name in ("rgb.txt", "depth.txt"))
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`; a ready associations file in it is used as it is.
@@ -59,7 +61,7 @@ def read_frames(folder: Path, options: OpenOptions) -> tuple[tuple[FramePaths, .
     color, color_warnings = _listed(folder / "rgb.txt", options)
     depth, depth_warnings = _listed(folder / "depth.txt", options)
     warnings = color_warnings + depth_warnings
-    ready = next((folder / name for name in _ASSOCIATIONS if (folder / name).is_file()), None)
+    ready = next((folder / name for name in _ASSOCIATIONS if is_there(folder / name)), None)
     if ready is None:
         frames, association = pair_images(color, depth, options.max_gap_s, folder / "rgb.txt")
         return frames, association, warnings
@@ -102,7 +104,7 @@ def read_truth(path: Path, warnings: list[str], body: str = "camera") -> Traject
 
     Raises TrajectoryError naming file and line.
     """
-    return read_tum(path, body, warnings.append) if path.is_file() else None
+    return read_tum(path, body, warnings.append) if is_there(path) else None
 
 
 def _camera_by_name(folder: Path) -> Calibration:
@@ -114,23 +116,33 @@ def _camera_by_name(folder: Path) -> Calibration:
     return load_camera(f"freiburg{found.pop()}")
 
 
+@dataclass(frozen=True, slots=True)
 class _Pair:
-    """One line of an associations file: `stamp color stamp depth`, or depth first; stamps count `rate_hz` a second."""
+    """One line of an associations file."""
 
-    def __init__(self, words: list[str], path: Path, line: int, rate_hz: float) -> None:
-        if len(words) != 4:
-            raise RecordingError("`stamp color-file stamp depth-file` is expected", path=path, line=line)
-        first, second = ((parse_stamp(words[i], path, line) / rate_hz, path.parent / words[i + 1]) for i in (0, 2))
-        if words[1].startswith("depth"):
-            first, second = second, first
-        self.frame = FramePaths(first[0], first[1], second[1])
-        self.stamp_s = first[0]
-        self.gap_s = abs(first[0] - second[0])
+    stamp_s: float
+    frame: FramePaths
+    gap_s: float
 
 
 def _read_associations(path: Path, rate_hz: float) -> tuple[list[_Pair], list[str]]:
-    lines = read_lines(path)
+    """Pairs of `stamp color stamp depth`, or depth first; stamps count `rate_hz` a second."""
+    lines = data_lines(path)
+    if lines and is_header(lines[0], path):
+        lines = lines[1:]
     if not lines:
         raise RecordingError("pairs no images", path=path, fix="remove the file to have them paired by stamp")
-    pairs = [_Pair(re.split(r"[\s,]+", line.text), path, line.number, rate_hz) for line in lines]
-    return keep_growing(pairs, [line.number for line in lines], path)
+    told = [pair_of_files(line, path) for line in lines]
+    told = [(second, first) if first[1].startswith("depth") else (first, second) for first, second in told]
+    color, warnings = find_files([first[1] for first, _ in told], path, "rgb")
+    depth, more = find_files([second[1] for _, second in told], path, "depth")
+    pairs = [
+        _Pair(
+            first[0] / rate_hz,
+            FramePaths(first[0] / rate_hz, color_path, depth_path),
+            abs(first[0] - second[0]) / rate_hz,
+        )
+        for (first, second), color_path, depth_path in zip(told, color, depth, strict=True)
+    ]
+    growing, left_out = keep_growing(pairs, [line.number for line in lines], path)
+    return growing, warnings + more + left_out

@@ -8,8 +8,10 @@ import numpy as np
 
 from wheelsight.events import WheelSpeeds
 from wheelsight.geometry import se3
+from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings._text import keep_growing, read_table
+from wheelsight.recordings._tables import read_table
+from wheelsight.recordings._text import keep_growing
 from wheelsight.recordings._wheel_recording import WheelRecording, need_wheels, shipped_robot, speeds_of_wheels
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.trajectory import Trajectory
@@ -27,7 +29,7 @@ class VelocityReader:
 
     def recognises(self, folder: Path) -> bool:
         """Whether both are there."""
-        return all((folder / name).is_file() for name in ("odometry.csv", "ground_truth.csv"))
+        return all(is_there(folder / name) for name in ("odometry.csv", "ground_truth.csv"))
 
     def open(self, folder: Path, options: OpenOptions) -> WheelRecording:
         """The recording in `folder`. Raises InputError naming file and line."""

@@ -19,7 +19,9 @@ from numpy.typing import ArrayLike
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray, se2, se3
-from wheelsight.recordings._text import Row, read_table
+from wheelsight.inputs import lines_of
+from wheelsight.recordings._tables import Row, read_table
+from wheelsight.recordings._text import read_list
 from wheelsight.simulation._paths import Path2d, laps_of, smooth_path
 
 MAX_SPEED_M_S = 1.2
@@ -281,7 +283,7 @@ def _check_stamps(rows: list[Row], path: Path) -> None:
 
 
 def _lines_of(path: Path) -> int:
-    return len(path.read_text(encoding="utf-8-sig").splitlines())
+    return len(lines_of(read_list(path)))
 
 
 def _limited(row: Row, column: str, limit: float) -> float:

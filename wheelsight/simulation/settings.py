@@ -63,9 +63,9 @@ class SimulationSettings:
     covered_s: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        _check_from("--laps", self.laps, 1)
-        _check_from("--seed", self.seed, 0)
-        _check_from("--passers-by", self.passersby, 0)
+        _check_whole("--laps", self.laps, 1, 1000)
+        _check_whole("--seed", self.seed, 0, 2**32 - 1)
+        _check_whole("--passers-by", self.passersby, 0, 100)
         _check_range("--speed", self.speed_m_s, MAX_SPEED_M_S, "m/s")
         if self.rate_hz is not None:
             _check_range("--rate", self.rate_hz, 120, "Hz")
@@ -83,9 +83,9 @@ class SimulationSettings:
         return plain
 
 
-def _check_from(option: str, value: int, least: int) -> None:
-    if value < least:
-        raise ConfigError(f"{option} is {value}", fix=f"{least} or more")
+def _check_whole(option: str, value: int, least: int, most: int) -> None:
+    if not least <= value <= most:
+        raise ConfigError(f"{option} is {value}", fix=f"{least} to {most}")
 
 
 def _check_range(option: str, value: float, most: float, unit: str) -> None:

@@ -18,7 +18,9 @@ from wheelsight.errors import ConfigError
 from wheelsight.events import RgbdFrame
 from wheelsight.files import StrPath, make_output_folder, write_bytes, write_text
 from wheelsight.geometry import se3
+from wheelsight.inputs import read_bytes
 from wheelsight.recordings import RecordingWriter
+from wheelsight.recordings._text import LIST
 from wheelsight.simulation._way import driver_of, expected_s, refuse_walls, route_of
 from wheelsight.simulation.camera_faults import Covered
 from wheelsight.simulation.cameras import camera_model
@@ -170,7 +172,7 @@ def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:
     write_text(truth / "world.xml", world.mjcf)
     write_text(truth / "settings.yaml", _settings_text(recording))
     if settings.velocities is not None:
-        write_bytes(truth / "velocities.csv", Path(settings.velocities).read_bytes())
+        write_bytes(truth / "velocities.csv", read_bytes(Path(settings.velocities), LIST, ConfigError))
 
 
 def _settings_text(recording: SimulatedRecording) -> str:

@@ -88,12 +88,28 @@ def test_a_table_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "Direction;x_m;y_m\ncw;-0,1;-0,2\nccw;0,3;0,4\n",
+        'direction,x_m,y_m,\n"cw",-0.1,-0.2,\nccw,0.3,0.4,\n,,\n',
+        "direction\tx_m\ty_m\ncw\t-0.1\t-0.2\nccw\t0.3\t0.4",
+    ],
+)
+def test_a_table_of_any_dialect_is_read(tmp_path: Path, text: str) -> None:
+    (tmp_path / "errors.csv").write_text(text)
+    clockwise, counter_clockwise = read_return_errors(tmp_path / "errors.csv")
+    np.testing.assert_array_equal(clockwise, [[-0.1, -0.2]])
+    np.testing.assert_array_equal(counter_clockwise, [[0.3, 0.4]])
+
+
+@pytest.mark.parametrize(
     ("text", "told"),
     [
         ("", "errors.csv:1: the first line must be direction,x_m,y_m"),
         ("x,y\n", "errors.csv:1: the first line must be direction,x_m,y_m"),
         ("direction,x_m,y_m\nleft,1,2\n", "errors.csv:2: cw or ccw and two numbers are expected, not 'left,1,2'"),
         ("direction,x_m,y_m\ncw,1,2\ncw,1\n", "errors.csv:3: cw or ccw and two numbers"),
+        ("direction,x_m,y_m\ncw,1,1e100\n", "errors.csv:2: cw or ccw and two numbers"),
         ("direction,x_m,y_m\ncw,1,nan\n", "errors.csv:2: cw or ccw and two numbers"),
     ],
 )

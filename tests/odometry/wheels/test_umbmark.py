@@ -104,6 +104,7 @@ def test_one_run_each_has_no_standard_deviation() -> None:
         ([[np.nan, 0.0]], [[0.0, 0.0]], 4.0, "not a finite number"),
         ([[-310.0, 120.0]], [[100.0, 90.0]], 4.0, "more than a side of 4 m"),
         ([[0.0, 0.0]], [[0.0, 0.0]], 0.0, "the squares' side is 0.0 m"),
+        ([[0.0, 0.0]], [[0.0, 0.0]], 1e300, r"the squares' side is 1e\+300 m"),
     ],
 )
 def test_what_is_no_square_is_refused(clockwise: object, counter: object, side_m: float, told: str) -> None:

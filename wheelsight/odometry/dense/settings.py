@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
@@ -16,60 +16,81 @@ class DenseSettings(BaseModel):
         default="keyframes", description="what a frame is aligned with where no map predicts the view"
     )
     finest_width_px: PositiveInt = Field(
-        default=400, description="images wider than this are halved until they are not"
+        default=400, ge=16, le=8192, description="images wider than this are halved until they are not"
     )
     levels: int = Field(default=3, ge=1, le=5, description="of the pyramid, each half as wide")
-    iterations: tuple[PositiveInt, ...] = Field(
-        default=(4, 6, 8), description="at most, from the finest level to the coarsest"
+    iterations: tuple[Annotated[PositiveInt, Field(le=1000)], ...] = Field(
+        default=(4, 6, 8), min_length=1, max_length=5, description="at most, from the finest level to the coarsest"
     )
-    row_stride: PositiveInt = Field(default=2, description="of the finest level's rows only every so many are aligned")
+    row_stride: PositiveInt = Field(
+        default=2, le=64, description="of the finest level's rows only every so many are aligned"
+    )
     color_weight: NonNegativeFloat = Field(
-        default=0.7, description="of grey values against depth; 0 aligns depth alone"
+        default=0.7, le=100, description="of grey values against depth; 0 aligns depth alone"
     )
     min_gradient: NonNegativeFloat = Field(
-        default=3.0, description="grey levels a pixel, at the second level; a flatter place may show nothing but noise"
+        default=3.0,
+        le=255,
+        description="grey levels a pixel, at the second level; a flatter place may show nothing but noise",
     )
     gate: PositiveFloat = Field(
-        default=0.06, description="metres, and a metre of depth, beyond which points are no pair"
+        default=0.06, le=10, description="metres, and a metre of depth, beyond which points are no pair"
     )
-    huber: PositiveFloat = Field(default=1.5, description="standard deviations beyond which a residual counts linearly")
-    depth_jump: PositiveFloat = Field(default=0.03, description="share of a depth that tells two surfaces apart")
+    huber: PositiveFloat = Field(
+        default=1.5, le=100, description="standard deviations beyond which a residual counts linearly"
+    )
+    depth_jump: PositiveFloat = Field(default=0.03, le=1, description="share of a depth that tells two surfaces apart")
     normal_radius_px: int = Field(default=2, ge=1, le=6, description="half width of the window a normal is fitted to")
     keyframe_overlap: float = Field(
         default=0.75, gt=0, lt=1, description="of a keyframe; with less in sight a new one is made"
     )
     keyframe_way_m: PositiveFloat = Field(
-        default=0.3, description="beside a map: way from the nearest keyframe to a new one, a turn by a radian as 1.5 m"
+        default=0.3,
+        le=100,
+        description="beside a map: way from the nearest keyframe to a new one, a turn by a radian as 1.5 m",
     )
     predicted_way_m: NonNegativeFloat = Field(
         default=0.04,
+        le=100,
         description="a map's prediction serves while the camera is no farther away, a turn by a radian as 1.5 m",
     )
-    predicted_frames: PositiveInt = Field(default=3, description="at most so many frames that one prediction serves")
+    predicted_frames: PositiveInt = Field(
+        default=3, le=1000, description="at most so many frames that one prediction serves"
+    )
     min_overlap: float = Field(
         default=0.25, gt=0, lt=1, description="share of a frame's points that must find a partner"
     )
     max_residual: PositiveFloat = Field(
-        default=5.0, description="mean residual in standard deviations of the sensor's noise beyond which none fits"
+        default=5.0,
+        le=1000,
+        description="mean residual in standard deviations of the sensor's noise beyond which none fits",
     )
     degenerate_sigma_m: PositiveFloat = Field(
-        default=0.01, description="a direction less certain than this after one frame is left to the prior"
+        default=0.01, le=10, description="a direction less certain than this after one frame is left to the prior"
     )
     correlation: PositiveFloat = Field(
-        default=20.0, description="how many neighbouring residuals err as one; variances are that much larger"
+        default=20.0, le=1e6, description="how many neighbouring residuals err as one; variances are that much larger"
     )
     prior_sigma_m_s: PositiveFloat = Field(
-        default=0.5, description="how far off the expected speed may be, a second; what unseen directions are worth"
+        default=0.5,
+        le=100,
+        description="how far off the expected speed may be, a second; what unseen directions are worth",
     )
     nonholonomic_share: float = Field(
         default=0.15, gt=0, le=1, description="of that, how far a base on wheels may go sideways, rise or tilt instead"
     )
     min_depth_share: float = Field(default=0.05, gt=0, lt=1, description="of a frame's pixels that must have depth")
-    kept_keyframes: PositiveInt = Field(default=60, description="held in memory; those used longest ago go first")
-    max_unseen_s: PositiveFloat = Field(
-        default=0.5, description="how long a direction of motion may stay unseen where nothing but the camera tells it"
+    kept_keyframes: PositiveInt = Field(
+        default=60, le=10_000, description="held in memory; those used longest ago go first"
     )
-    max_speed_m_s: PositiveFloat = Field(default=3.0, description="a faster motion is implausible")
-    max_turn_rad_s: PositiveFloat = Field(default=8.0, description="a faster turn is implausible")
-    lost_after: PositiveInt = Field(default=10, description="failed frames in a row, after which the state is lost")
-    threads: PositiveInt = Field(default=2, description="that share a frame's rows")
+    max_unseen_s: PositiveFloat = Field(
+        default=0.5,
+        le=3600,
+        description="how long a direction of motion may stay unseen where nothing but the camera tells it",
+    )
+    max_speed_m_s: PositiveFloat = Field(default=3.0, le=100, description="a faster motion is implausible")
+    max_turn_rad_s: PositiveFloat = Field(default=8.0, le=100, description="a faster turn is implausible")
+    lost_after: PositiveInt = Field(
+        default=10, le=1_000_000, description="failed frames in a row, after which the state is lost"
+    )
+    threads: PositiveInt = Field(default=2, le=64, description="that share a frame's rows")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,15 @@ from wheelsight.calibration import Wheels
 from wheelsight.errors import CalibrationError
 from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray
+from wheelsight.inputs import Kind, as_number, lines_of, read_text, split_words
 from wheelsight.odometry.wheels.drive import Drive, drive_of, poses_at
 from wheelsight.odometry.wheels.umbmark import Umbmark, umbmark
 from wheelsight.recordings import Recording
 from wheelsight.recordings.bodies import express_for
 
 _COLUMNS = ("direction", "x_m", "y_m")
+_FILE = Kind("a table of return errors", most_mb=16)
+_LARGEST_M = 1e3  # of a return error
 _LEAST_TURN_RAD, _MOST_TURN_RAD = 1.5 * np.pi, 2.5 * np.pi
 
 
@@ -118,30 +120,23 @@ def read_return_errors(path: StrPath) -> tuple[FloatArray, FloatArray]:
         CalibrationError: naming file and line.
     """
     path = Path(path)
-    try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except OSError as error:
-        raise CalibrationError(f"cannot be read: {error.strerror}", path=path) from error
-    except UnicodeDecodeError as error:
-        raise CalibrationError("is not a text file", path=path) from error
-    if not rows or tuple(word.strip() for word in rows[0]) != _COLUMNS:
-        raise CalibrationError("the first line must be " + ",".join(_COLUMNS), path=path, line=1)
+    lines = enumerate(lines_of(read_text(path, _FILE, CalibrationError)), start=1)
+    rows = [(number, words) for number, line in lines if (words := split_words(line))]
+    if not rows or tuple(word.lower() for word in rows[0][1]) != _COLUMNS:
+        problem, fix = "the first line must be " + ",".join(_COLUMNS), "then one run a line, such as cw,0.12,-0.03"
+        raise CalibrationError(problem, path=path, line=1, fix=fix)
     errors: dict[str, list[tuple[float, float]]] = {"cw": [], "ccw": []}
-    for line, row in enumerate(rows[1:], start=2):
-        if row:
-            direction, error_m = _parse(row, path, line)
-            errors[direction].append(error_m)
+    for line, row in rows[1:]:
+        direction, error_m = _parse(row, path, line)
+        errors[direction].append(error_m)
     clockwise, counter_clockwise = (np.array(errors[name]).reshape(-1, 2) for name in ("cw", "ccw"))
     return clockwise, counter_clockwise
 
 
 def _parse(row: list[str], path: Path, line: int) -> tuple[str, tuple[float, float]]:
-    direction = row[0].strip().lower()
-    try:
-        x_m, y_m = (float(word) for word in row[1:])
-    except ValueError:
-        x_m = y_m = np.nan
-    if direction not in ("cw", "ccw") or not np.isfinite((x_m, y_m)).all():
+    direction = row[0].lower()
+    error_m = [as_number(word) for word in row[1:]]
+    if direction not in ("cw", "ccw") or len(error_m) != 2 or not all(abs(metres) <= _LARGEST_M for metres in error_m):
         problem = f"cw or ccw and two numbers are expected, not {','.join(row)!r}"
-        raise CalibrationError(problem, path=path, line=line)
-    return direction, (x_m, y_m)
+        raise CalibrationError(problem, path=path, line=line, fix="such as cw,0.12,-0.03, in metres")
+    return direction, (error_m[0], error_m[1])

@@ -18,6 +18,7 @@ from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
 
 _LARGEST_FACTOR = 1.5
+_LONGEST_SIDE_M = 1000.0  # of a square that is driven; more is another unit
 _DERIVATIVE_STEP = 1e-6
 
 
@@ -97,7 +98,7 @@ def umbmark(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLi
 
 def _means(runs: tuple[FloatArray, FloatArray], side_m: float) -> FloatArray:
     """Mean errors (4,) of both directions, if they may be those of such squares."""
-    if not (np.isfinite(side_m) and side_m > 0):
+    if not 0 < side_m <= _LONGEST_SIDE_M:
         raise CalibrationError(f"the squares' side is {side_m} m", fix="give its length, 4 m in the paper")
     means = np.concatenate([errors.mean(axis=0) for errors in runs])
     if np.abs(means).max() > side_m:

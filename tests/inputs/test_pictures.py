@@ -1,0 +1,70 @@
+"""Sizes are those that OpenCV decodes, and told without decoding."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from wheelsight.inputs import picture_size, scan_count
+
+SIZE = (37, 21)
+
+
+@pytest.mark.parametrize("kind", [".png", ".jpg", ".bmp", ".tiff", ".pgm", ".ppm", ".pbm"])
+def test_the_size_is_that_of_the_decoded_image(kind: str, rng: np.random.Generator) -> None:
+    shape = (SIZE[1], SIZE[0]) if kind in (".pgm", ".pbm") else (SIZE[1], SIZE[0], 3)
+    written, data = cv2.imencode(kind, rng.integers(0, 255, shape, np.uint8))
+    assert written
+    assert picture_size(data.tobytes()) == SIZE
+
+
+def test_a_thumbnail_before_the_image_is_passed_over(rng: np.random.Generator) -> None:
+    image = cv2.imencode(".jpg", rng.integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8))[1].tobytes()
+    thumbnail = cv2.imencode(".jpg", np.zeros((5, 6, 3), np.uint8))[1].tobytes()
+    segment = b"\xff\xe1" + struct.pack(">H", len(thumbnail) + 2) + thumbnail
+    assert picture_size(image[:2] + segment + image[2:]) == SIZE
+
+
+def test_scans_of_a_progressive_jpeg_are_counted(rng: np.random.Generator) -> None:
+    image = rng.integers(0, 255, (16, 16, 3), np.uint8)
+    assert scan_count(cv2.imencode(".jpg", image)[1].tobytes()) == 1
+    assert scan_count(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()) > 5
+    assert scan_count(cv2.imencode(".png", image)[1].tobytes()) == 1
+
+
+def chunk(kind: bytes, data: bytes, length: int | None = None) -> bytes:
+    size = len(data) if length is None else length
+    return struct.pack(">I", size) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        chunk(b"IHDR", struct.pack(">IIBBBBB", 16, 12, 16, 0, 0, 0, 0)) + chunk(b"IDAT", b"x", length=0xFF7F0076),
+        chunk(b"IHDR", struct.pack(">IIBBBBB", 16, 12, 255, 255, 255, 0, 54)),
+        chunk(b"IHDR", struct.pack(">IIBBBBB", 16, 12, 16, 0, 0, 0, 0)) + chunk(b"acTL", bytes(8)),
+        chunk(b"IDAT", b"x") + chunk(b"IHDR", struct.pack(">IIBBBBB", 16, 12, 16, 0, 0, 0, 0)),
+    ],
+)
+def test_a_png_whose_parts_contradict_it_has_no_size(parts: bytes) -> None:
+    """OpenCV makes room for a chunk of four gigabytes, and takes ten seconds to fill it, before it looks for them."""
+    assert picture_size(b"\x89PNG\r\n\x1a\n" + parts + chunk(b"IEND", b"")) is None
+
+
+def test_a_tile_larger_than_its_image_counts() -> None:
+    fields = ((256, 16), (257, 16), (322, 1 << 16), (323, 1 << 15))
+    packed = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in fields)
+    assert picture_size(b"II*\0" + struct.pack("<IH", 8, len(fields)) + packed) == (1 << 16, 1 << 15)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\x89PNG", b"\x89PNG\r\n\x1a\n" + bytes(20), b"\xff\xd8", b"\xff\xd8\xff", b"\xff\xd8\xff\xe0\0\x04", b"BM"]
+    + [b"II*\0\xff\xff\xff\xff", b"P5", b"P6 10", b"GIF89a\x10\0\x10\0", b"\xff\xd8" + b"\xff" * 10],
+)
+def test_what_has_no_such_header_has_no_size(data: bytes) -> None:
+    assert picture_size(data) is None

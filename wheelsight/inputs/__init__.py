@@ -1,0 +1,26 @@
+"""Files from strangers: what is opened, and how text, YAML, JSON and headers of images are taken."""
+
+from wheelsight.inputs.gate import Kind, is_there, lines_of, read_bytes, read_text
+from wheelsight.inputs.json_text import parse_json
+from wheelsight.inputs.pictures import picture_size, scan_count
+from wheelsight.inputs.words import as_number, numbers_with_commas, split_words, unquoted
+from wheelsight.inputs.yaml_files import YAML_FILE, compose_yaml, parse_yaml, read_yaml
+
+__all__ = [
+    "YAML_FILE",
+    "Kind",
+    "as_number",
+    "compose_yaml",
+    "is_there",
+    "lines_of",
+    "numbers_with_commas",
+    "parse_json",
+    "parse_yaml",
+    "picture_size",
+    "read_bytes",
+    "read_text",
+    "read_yaml",
+    "scan_count",
+    "split_words",
+    "unquoted",
+]
