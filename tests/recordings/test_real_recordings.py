@@ -22,7 +22,8 @@ def kitchen(data_folder):
 
 def test_finds_them_all(data_folder):
     names = [path.name for path in find_recordings(data_folder)]
-    assert names == ["freiburg1_rpy_part", "red_kitchen", "corridor_864m", "mocap_floor", "skid_steer_run20"]
+    images = ["freiburg1_rpy_part", "openloris_sample", "red_kitchen", "rgbd_dataset_freiburg1_desk"]
+    assert names == [*images, "corridor_864m", "mocap_floor", "skid_steer_run20"]
 
 
 def test_freiburg1(freiburg):

@@ -13,7 +13,7 @@ from wheelsight.recordings._text import COMMENT, Line, parse_stamp, read_list
 
 _FIX = "correct or remove the line"
 _LARGEST = 1e15  # of numbers: squares of larger ones no longer add up
-_LARGEST_COUNT = 1 << 53  # beyond, a float no longer tells one count from the next
+_LARGEST_COUNT = (1 << 64) - 1  # of the widest counter
 
 
 @dataclass(frozen=True, slots=True)
