@@ -94,8 +94,9 @@ def make_output_folder(folder: StrPath, force: bool = False) -> Path:
     return folder
 
 
-def check_name(path: Path) -> None:
+def check_name(path: StrPath) -> None:
     """Raises OutputError for a place that is no file's: a folder, or a device or pipe that a file would replace."""
+    path = Path(path)
     if path.name in ("", ".."):
         raise output_error(IsADirectoryError(errno.EISDIR, ""), path)
     try:

@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 
 from wheelsight.errors import InputError
+from wheelsight.files import StrPath
 
 _MEGABYTE = 1 << 20
 _ODD = (
@@ -48,12 +49,13 @@ class Kind:
     fix: str | None = None
 
 
-def read_bytes(path: Path, kind: Kind, error: type[InputError]) -> bytes:
+def read_bytes(path: StrPath, kind: Kind, error: type[InputError]) -> bytes:
     """What a file holds.
 
     Raises:
         InputError: of the type `error`, naming the file: it is missing, no regular file, or larger than its kind.
     """
+    path = Path(path)
     try:
         _check(path.stat(), path, kind, error)
         # The entry may have been replaced since it was looked at; a pipe then opens without waiting.
@@ -69,12 +71,13 @@ def read_bytes(path: Path, kind: Kind, error: type[InputError]) -> bytes:
         raise error("is no name of a file", path=str(path), fix=kind.fix) from problem
 
 
-def read_text(path: Path, kind: Kind, error: type[InputError]) -> str:
+def read_text(path: StrPath, kind: Kind, error: type[InputError]) -> str:
     """The text of a file in UTF-8, or in UTF-16 with its byte order mark; a mark is left out.
 
     Raises:
         InputError: as `read_bytes`, and for what is no text, holds NUL, or has too many lines.
     """
+    path = Path(path)
     data = read_bytes(path, kind, error)
     is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
@@ -100,7 +103,7 @@ def lines_of(text: str) -> list[str]:
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def is_there(path: Path) -> bool:
+def is_there(path: StrPath) -> bool:
     """Whether there is anything at `path`, be it no file at all or a link to nothing, so that reading it says so."""
     return os.path.lexists(path)
 

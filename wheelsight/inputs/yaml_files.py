@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NoReturn
 import yaml
 
 from wheelsight.errors import InputError
+from wheelsight.files import StrPath
 from wheelsight.inputs.gate import Kind, read_text
 
 YAML_FILE = Kind("a YAML file", most_mb=1, most_lines=100_000, longest_line=1 << 20)
@@ -25,12 +26,12 @@ _FIX = "correct the line, or put the text in quotes"
 _Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-def read_yaml(path: Path, error: type[InputError]) -> Any:
+def read_yaml(path: StrPath, error: type[InputError]) -> Any:
     """What a YAML file holds. Raises InputError of the type `error`, naming file, line and fix."""
     return parse_yaml(read_text(path, YAML_FILE, error), path, error)
 
 
-def parse_yaml(text: str, path: Path, error: type[InputError]) -> Any:
+def parse_yaml(text: str, path: StrPath, error: type[InputError]) -> Any:
     """What a YAML text of the file at `path` holds: dicts, lists, text, numbers, booleans, None.
 
     Dates stay text, and OpenCV's first line and tag of matrices are passed over.
@@ -40,6 +41,7 @@ def parse_yaml(text: str, path: Path, error: type[InputError]) -> Any:
             levels, more than 100 000 values (aliases count as what they stand for), tags of other kinds, whole numbers
             beyond 64 bits, other numbers beyond 1e15.
     """
+    path = Path(path)
     text = text.replace("%YAML:1.0", "", 1) if text.startswith("%YAML:1.0") else text
     if odd := yaml.reader.Reader.NON_PRINTABLE.search(text):
         line = text.count("\n", 0, odd.start()) + 1
