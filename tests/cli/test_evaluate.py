@@ -112,10 +112,10 @@ def test_a_missing_file_is_named(refusal: Callable[..., str], files: tuple[Path,
 def test_a_folder_is_no_trajectory_but_may_hold_it(refusal: Callable[..., str], files: tuple[Path, Path]) -> None:
     estimate, truth = files
     folder = estimate.parent
-    assert refusal("evaluate", folder, truth) == f"{folder}: is a folder, but a trajectory is a file (give the file)"
+    assert refusal("evaluate", folder, truth) == f"{folder}: is a folder, not a file (give the file)"
     truth.rename(folder / "groundtruth.txt")
     told = refusal("evaluate", estimate, folder)
-    assert told == f"{folder}: is a folder, but a trajectory is a file (did you mean {folder / 'groundtruth.txt'}?)"
+    assert told == f"{folder}: is a folder, not a file (did you mean {folder / 'groundtruth.txt'}?)"
 
 
 def test_doubts_are_told_after_the_table_and_in_json(wheelsight: Command, files: tuple[Path, Path]) -> None:

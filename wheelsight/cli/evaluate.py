@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -66,29 +67,14 @@ def evaluate(
         print_warning(warning)
 
 
-def _truth_beside(path: Path, truth: Trajectory, body: str) -> Trajectory:
-    """The truth in a file; that of the estimate's body where a recording has it in the file beside."""
-    from wheelsight.cli._console import print_note
-    from wheelsight.trajectory import read_tum
-
-    beside = path.with_name(next((name for name in _OF_RECORDINGS if name != path.name), path.name))
-    if truth.body == body or path.name not in _OF_RECORDINGS or not beside.is_file():
-        return truth
-    other = read_tum(beside, "base" if beside.stem.endswith("_base") else "camera")
-    if other.body != body:
-        return truth
-    print_note(f"the estimate is of the {body}: compared with {beside}")
-    return other
-
-
 def _refuse_folder(given: Path, names: tuple[str, ...]) -> None:
     """Raise TrajectoryError for a folder, with the trajectory in it that was probably meant."""
     from wheelsight.errors import TrajectoryError
 
-    if given.is_dir():
+    if os.path.isdir(given):  # noqa: PTH112 (a name that is too long is none)
         meant = next((given / name for name in names if (given / name).is_file()), None)
         fix = "give the file" if meant is None else f"did you mean {meant}?"
-        raise TrajectoryError("is a folder, but a trajectory is a file", path=given, fix=fix)
+        raise TrajectoryError("is a folder, not a file", path=given, fix=fix)
 
 
 def _truth_for(estimated: Trajectory, ground_truth: Path, body: str) -> Trajectory:
