@@ -28,6 +28,7 @@ from rich.console import Console
 
 from benchmarks.fuzz_damage import damaged, replace_with_no_file
 from benchmarks.fuzz_files import Target, controls, targets
+from benchmarks.measure import peak_memory_mb
 from wheelsight.errors import WheelsightError
 
 LONGEST_S = 5.0
@@ -167,7 +168,7 @@ def _work(pipe: Connection, begin: int, end: int, within_s: float, seed: int, re
         with TemporaryDirectory() as folder:  # whatever is loaded or compiled at first is no input's doing
             write_sound(target, Path(folder))
             target.read(Path(folder))
-    held = _most_held()
+    held = peak_memory_mb()
     # Who asks for far more than there is must be stopped; who uses more than may be is seen afterwards.
     limit = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE") + _ROOM * MOST_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -181,7 +182,7 @@ def _work(pipe: Connection, begin: int, end: int, within_s: float, seed: int, re
             pipe.send(("begin", number, target.name))
             before_s = time.perf_counter()
             is_read, fault = _try(target, place, number)
-            used = _most_held() - held
+            used = 1e6 * (peak_memory_mb() - held)
             if used > MOST_BYTES and fault is None:
                 fault = Fault(number, target.name, "memory", f"{used / MOST_BYTES:.1f} GB")
             pipe.send(("end", is_read, fault, time.perf_counter() - before_s))
@@ -189,11 +190,6 @@ def _work(pipe: Connection, begin: int, end: int, within_s: float, seed: int, re
             if used > MOST_BYTES:
                 sys.exit(_BEGIN_ANEW)  # the most that was held cannot be set back
     pipe.close()
-
-
-def _most_held() -> int:
-    """Bytes of memory that this process has held at most."""
-    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def make_input(target: Target, place: Path, seed: int, number: int) -> None:

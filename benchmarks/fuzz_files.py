@@ -140,7 +140,7 @@ def controls() -> list[Target]:
         raise RecordingError("\x1b[31m", path="\udcff\n")
 
     files = {"a.txt": b"1 2\n"}
-    reads = {"traceback": lambda _: [][0], "memory": lambda _: b"1" * (3 << 29), "hang": hang, "end": end}
+    reads = {"traceback": lambda _: [][0], "memory": lambda _: b"1" * (9 << 27), "hang": hang, "end": end}
     return [Target(name, files, read) for name, read in (reads | {"talk": talk, "escape": escape}).items()]
 
 
