@@ -26,6 +26,7 @@ def make_room_drive(folder: Path, frames: int = 12, *, with_truth: bool = True, 
     It stands for a second, drives for `frames` frames, and stands for another second.
     Not `mounted`, its calibration does not tell where the camera is on the base, and the truth is the camera's.
     """
+    rng = np.random.default_rng(11)
     drive = simulate(WHEELS, [(frames * _STEPS_A_FRAME / 50, 0.4, 0.3)])
     truth = drive.truth.moved(_T_WORLD_START)
     mount = T_BASE_CAMERA if mounted else None
@@ -35,9 +36,14 @@ def make_room_drive(folder: Path, frames: int = 12, *, with_truth: bool = True, 
             writer.add(WheelTicks(stamp_s, int(drive.left[index]), int(drive.right[index])))
             if index % _STEPS_A_FRAME == 0:
                 color, depth_m = render_room(T_world_base @ T_BASE_CAMERA)
-                writer.add(RgbdFrame(stamp_s + 0.001, color, depth_m, index // _STEPS_A_FRAME))
+                writer.add(RgbdFrame(stamp_s + 0.001, _noisy(color, rng), depth_m, index // _STEPS_A_FRAME))
         if with_truth and mounted:
             writer.add_ground_truth(truth)
         elif with_truth:
             writer.add_ground_truth(Trajectory(truth.stamps_s, truth.T_world_body @ T_BASE_CAMERA))
     return truth
+
+
+def _noisy(color: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """By a level, as a camera is that stands still: the same image twice would be one that was logged twice."""
+    return np.clip(color + rng.integers(-1, 2, color.shape), 0, 255).astype(np.uint8)
