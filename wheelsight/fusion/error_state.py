@@ -18,8 +18,9 @@ is that of the events in order. The same events give the same answer to the last
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +38,8 @@ from wheelsight.fusion._trust import Court, Trust
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 
+# Of so many readings the mean time between them is taken: longer than a busy host stalls, shorter than rates change.
+_READINGS = 16
 _RESTART_AFTER = 5  # events in a row that are all far ahead: it is not one clock that is wrong, all sensors had paused
 
 
@@ -103,6 +106,7 @@ class ErrorStateFilter:
         self._history: History[Happening, FusionState] = History(state, self.settings.window_s, self._after)
         self._ahead = 0
         self._wheels: Estimate | None = None
+        self._reading_stamps_s: deque[float] = deque(maxlen=_READINGS)
         # The last state that was asked what to expect, and as it is by then: what is expected mostly comes.
         self._moved: tuple[FusionState, FusionState] | None = None
 
@@ -124,13 +128,28 @@ class ErrorStateFilter:
         is_one = T.shape == (4, 4) and C.shape == (6, 6) and motions.is_pose(T, C)
         if not is_one or wheels.reason is Reason.CLOCK_BACKWARDS:
             return self._refused(wheels.reason or Reason.INVALID)
-        self._wheels = wheels
+        self._reading_stamps_s.append(wheels.stamp_s)
         if before is None or before.T_world_body is None or before.covariance is None:
+            self._wheels = wheels
             return self._take(Happening(wheels.stamp_s, drop=""))  # which begins the clock
         if not before.stamp_s < wheels.stamp_s:
             return self._refused(Reason.INVALID)
+        if wheels.reason is not None:  # it tells no way: the pose goes on as if none had come
+            self._wheels = wheels
+            return replace(self._take(Happening(wheels.stamp_s, drop="")), reason=wheels.reason)
+        if wheels.stamp_s - before.stamp_s < self._shortest_step_s():
+            return self._take(Happening(wheels.stamp_s, drop=""))  # its way counts with the next reading's
+        self._wheels = wheels
         told = motions.step_between(before.T_world_body, before.covariance, T, C)
         return self._take(Happening(wheels.stamp_s, wheels=WheelStep(before.stamp_s, wheels.stamp_s, *told)))
+
+    def _shortest_step_s(self) -> float:
+        """Over less no speed is formed: readings that arrive together have stamps that tell of no time between them.
+
+        Wheels tell ways, and a count is right whenever it arrives; half of what readings take on average is enough.
+        """
+        stamps_s = self._reading_stamps_s
+        return 0.5 * (stamps_s[-1] - stamps_s[0]) / (len(stamps_s) - 1) if len(stamps_s) > 2 else 0.0
 
     def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
         """Remember the pose at a stamp as `name`, for later looks; one of that name before is forgotten.
