@@ -25,6 +25,7 @@ LAYERS = (
     "trajectory",
     "areas",
     "estimates",
+    "clocks",
     "evaluation",
     "recordings",
     "devices",

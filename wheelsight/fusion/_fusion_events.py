@@ -136,7 +136,9 @@ def moved_to(
     borders.update(border for border in ends if begin_s + _SAME_S < border < stamp_s - _SAME_S)
     for start_s, end_s in pairwise(sorted(borders)):
         step = next((step for step in covering if _covers(step, start_s, end_s)), None)
-        court = _gone_on(court, step, start_s, end_s, settings)
+        # From then on the base is lost, and a speed of long ago would carry it anywhere.
+        until_s = end_s if step is not None else max(start_s, min(end_s, told_s + settings.lost_after_s))
+        court = _gone_on(court, step, start_s, until_s, settings)
         told_s = told_s if step is None else end_s
         if not is_lost and end_s - told_s > settings.lost_after_s:
             court, is_lost = _each(court, PoseBelief.scattered), True

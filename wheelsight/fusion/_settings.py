@@ -62,7 +62,7 @@ class ErrorStateSettings:
         agreements: frames that must agree before trust returns.
         longest_doubt_s: after it, both possibilities become one that covers both.
         coast_after_s, lost_after_s: since vision was last believed, or since anything was heard.
-        window_s: how late an event may come. max_ahead_s: how far ahead of all others.
+        window_s: how late an event may come.
         max_clones: past poses remembered at most; the oldest goes.
 
     Raises:
@@ -120,7 +120,6 @@ class ErrorStateSettings:
     coast_after_s: float = 0.3
     lost_after_s: float = 2.0
     window_s: float = 0.5
-    max_ahead_s: float = 10.0
     max_clones: int = 4
 
     def __post_init__(self) -> None:

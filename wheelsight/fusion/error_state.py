@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.fusion import _pose_kernels as kernels
+from wheelsight.fusion._changed import changed
 from wheelsight.fusion._fusion_events import FusionState, Happening, after, moved_to
 from wheelsight.fusion._history import History
 from wheelsight.fusion._measurements import WheelStep
@@ -35,12 +36,13 @@ from wheelsight.fusion._mount import Mount, covariance_of, motion_of
 from wheelsight.fusion._pose_belief import PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, so3
 from wheelsight.geometry import motion_kernels as motions
 
 # Of so many readings the mean time between them is taken: longer than a busy host stalls, shorter than rates change.
 _READINGS = 16
-_RESTART_AFTER = 5  # events in a row that are all far ahead: it is not one clock that is wrong, all sensors had paused
+# Beyond, a covariance no longer says where the base may be: a heading is unknown, and a position lies in any room.
+_LARGEST_SIGMA_RAD, _LARGEST_SIGMA_M = 1.0, 50.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +77,8 @@ class ErrorStateFilter:
     """The default filter; see the module. Each event is answered with the estimate right after it.
 
     An event that is refused moves nothing: the answer is that of the newest event, and `reason` says why. Numbers that
-    are no motion (`INVALID`), events from before the window (`TOO_LATE`), and stamps far ahead of all others
-    (`CLOCKS_APART`) are refused so; what the gates refuse has `CONTRADICTION` or `OUTLIER`.
+    are no motion (`INVALID`) and events from before the window (`TOO_LATE`) are refused so; what the gates refuse has
+    `CONTRADICTION` or `OUTLIER`. Stamps are believed: whether a clock leaps is for a `SessionClock` to say.
 
     Args:
         T_base_camera: (4, 4), or None where no camera is used.
@@ -104,7 +106,6 @@ class ErrorStateFilter:
         self._mount = Mount(T_base_camera)
         state = FusionState(Court(PoseBelief.begin(begin, spread, self.settings)))
         self._history: History[Happening, FusionState] = History(state, self.settings.window_s, self._after)
-        self._ahead = 0
         self._wheels: Estimate | None = None
         self._reading_stamps_s: deque[float] = deque(maxlen=_READINGS)
         # The last state that was asked what to expect, and as it is by then: what is expected mostly comes.
@@ -246,19 +247,17 @@ class ErrorStateFilter:
     def _after(self, state: FusionState, event: Happening, events: Sequence[Happening]) -> FusionState:
         if self._moved is not None and self._moved[0] is state and self._moved[1].stamp_s == event.stamp_s:
             state = self._moved[1]
-        return after(state, event, events, self.settings)
+        try:
+            then = after(state, event, events, self.settings)
+        except np.linalg.LinAlgError:  # numbers beyond what can be solved for
+            return _gone_astray(state, event)
+        return then if _is_finite(then) else _gone_astray(state, event)
 
     def _take(self, event: Happening, motion: MotionEstimate | None = None) -> FusedEstimate:
         if not np.isfinite(event.stamp_s):
             return self._refused(Reason.INVALID)
-        newest_s = self._history.newest_s
-        if newest_s is not None and event.stamp_s > newest_s + self.settings.max_ahead_s:
-            self._ahead += 1
-            if self._ahead < _RESTART_AFTER:
-                return self._refused(Reason.CLOCKS_APART)
         if self._history.is_too_late(event):
             return self._refused(Reason.TOO_LATE)
-        self._ahead = 0
         if event.wheels is not None:
             self._moved = None  # they may tell of that time
         state = self._history.take(event)
@@ -278,10 +277,30 @@ class ErrorStateFilter:
         court = state.court
         turns_off = state.stamp_s - court.turn_slip_s <= s.coast_after_s
         flags = (court.trust is Trust.CAMERA or turns_off, state.is_degenerate, court.trust is Trust.DOUBT)
-        if state.is_lost:
-            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
-        status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
         belief = court.answer()
         T, C, *moving = kernels.answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
+        if state.is_lost or not _has_meaning(T, C):
+            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
+        status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
         pose, twist = (T, C, reason, "base", *counts), (moving[0], moving[1])
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)
+
+
+def _is_finite(state: FusionState) -> bool:
+    court = state.court
+    beliefs = (court.belief,) if court.rival is None else (court.belief, court.rival)
+    return all(bool(np.isfinite(b.T).all() and np.isfinite(b.covariance).all()) for b in beliefs)
+
+
+def _gone_astray(before: FusionState, event: Happening) -> FusionState:
+    """The state after an event whose numbers cannot be reckoned with: that before it, lost."""
+    scattered = changed(before.court, belief=before.court.belief.scattered(), rival=None, trust=Trust.BOTH, nis=None)
+    stamp_s = event.stamp_s if before.stamp_s is None else max(before.stamp_s, event.stamp_s)
+    return changed(before, court=scattered, stamp_s=stamp_s, is_lost=True, reason=Reason.INVALID)
+
+
+def _has_meaning(T: FloatArray, covariance: FloatArray) -> bool:
+    """Whether the covariance (6, 6) of a pose's left perturbation still says where it is."""
+    J = np.hstack([np.eye(3), -so3.hat(T[:3, 3])])
+    of_position, of_rotation = np.diag(J @ covariance @ J.T), np.diag(covariance)[3:]
+    return bool((of_rotation < _LARGEST_SIGMA_RAD**2).all() and (of_position < _LARGEST_SIGMA_M**2).all())

@@ -13,8 +13,6 @@ from wheelsight.recordings.repeats import Repeats
 
 # Wheels are waited for so long at the start: they begin the clock.
 _WAIT_S = 1.0
-# A stamp so far ahead is believed only when others follow it.
-_AHEAD_S, _FOLLOWERS = 10.0, 5
 # Cameras are logged at up to some times their rate; what repeats for longer than this hangs.
 _HANGS_S = 1.0
 # Less than a robot that creeps at 2 cm/s goes from frame to frame; one that stands turns no wheel at all.
@@ -35,20 +33,15 @@ class Refusal:
 
 
 class FrameGate:
-    """Refuses frames that are old, from another clock, or whose image came before.
-
-    Args:
-        has_wheels: whether readings of wheels come beside the frames.
+    """Refuses frames whose image came before, and has them wait for the wheels.
 
     Attributes:
         wheels_are_heard: whether any reading has come.
     """
 
-    def __init__(self, has_wheels: bool) -> None:
+    def __init__(self) -> None:
         self.wheels_are_heard = False
-        self._has_wheels = has_wheels
-        self._newest_s, self._first_s = -math.inf, math.inf
-        self._ahead = 0
+        self._first_s = math.inf
         self._repeats = Repeats()
 
     def why_not(self, frame: RgbdFrame, T_last_frame: FloatArray | None = None) -> Refusal | None:
@@ -57,10 +50,6 @@ class FrameGate:
         Args:
             T_last_frame: (4, 4) how wheels say that the camera has moved since the last frame that was tracked.
         """
-        why = self._why_not_now(frame.stamp_s)
-        if why is not None:
-            return why
-        self._newest_s = frame.stamp_s
         lasting_s = self._repeats.lasting_s(frame)
         if lasting_s == 0 or (T_last_frame is not None and not _has_moved(T_last_frame)):
             return None  # of a robot that stands, by its wheels, a camera without noise gives the same for as long
@@ -72,16 +61,6 @@ class FrameGate:
         """Whether it is too soon to go without them."""
         self._first_s = min(self._first_s, frame.stamp_s)
         return not self.wheels_are_heard and frame.stamp_s - self._first_s < _WAIT_S
-
-    def _why_not_now(self, stamp_s: float) -> Refusal | None:
-        if not self._newest_s < stamp_s < math.inf:
-            return Refusal(f"its stamp does not come after {self._newest_s:.6f} s")
-        if self._has_wheels and self._newest_s + _AHEAD_S < stamp_s and self._newest_s > -math.inf:
-            self._ahead += 1
-            if self._ahead < _FOLLOWERS:
-                return Refusal(f"its stamp is {stamp_s - self._newest_s:.1f} s ahead")
-        self._ahead = 0
-        return None
 
 
 def _has_moved(T_last_frame: FloatArray) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from wheelsight.calibration import Calibration
+from wheelsight.clocks import Untimed
 from wheelsight.config import Config
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
@@ -18,14 +19,14 @@ from wheelsight.odometry.features import MatchedPixels
 class ByFrames:
     """Frames answered by the odometry that the settings name, told of the base where it is known."""
 
-    world, answers = "world", (RgbdFrame, SkippedFrame)
+    world, answers, hears = "world", (RgbdFrame, SkippedFrame), (RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
         self.body = "camera" if calibration.T_base_camera is None else "base"
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         T_base_camera = calibration.T_base_camera
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
-        self._gate = FrameGate(has_wheels=False)
+        self._gate = FrameGate()
         self._status = Status.INITIALIZING
 
     @property
@@ -41,7 +42,7 @@ class ByFrames:
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """The estimate at a frame, None at any other event, and what was wrong with a frame that cannot be used."""
         if isinstance(event, SkippedFrame):
-            return self._refuse(event.stamp_s, event.reason)
+            return self._failed(event.stamp_s, event.reason)
         if not isinstance(event, RgbdFrame):
             return None, ""
         why_not = self._gate.why_not(event)
@@ -49,9 +50,13 @@ class ByFrames:
             return self._of_body((self.mapper or self.odometry).process(event)), ""
         if why_not.is_repeat:
             return self._repeated(event.stamp_s), why_not.note
-        return self._refuse(event.stamp_s, why_not.note)
+        return self._failed(event.stamp_s, why_not.note)
 
-    def _refuse(self, stamp_s: float, why: str) -> tuple[Estimate, str]:
+    def refuse(self, event: Event, why: Untimed) -> tuple[Estimate, str]:
+        """The answer to a frame whose stamp means nothing."""
+        return self._failed(event.stamp_s, f"{why.reason}: {why.note}")
+
+    def _failed(self, stamp_s: float, why: str) -> tuple[Estimate, str]:
         return self._of_body((self.mapper or self.odometry).miss(stamp_s)), why
 
     def _repeated(self, stamp_s: float) -> Estimate:

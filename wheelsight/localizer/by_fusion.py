@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
+from wheelsight.clocks import Untimed
 from wheelsight.config import Config
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
@@ -52,6 +53,7 @@ class ByFusion:
     """
 
     body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
+    hears = (*answers, YawRate)
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
         self._T_base_camera = mount_of(calibration)
@@ -67,7 +69,7 @@ class ByFusion:
         self.T_world_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
-        self._gate = FrameGate(has_wheels=True)
+        self._gate = FrameGate()
         self._pace = Pace()
         self._unknown, self._deaf, self._slips = 0, "", False
         self._seen_s = self._unbelieved_s = -np.inf
@@ -119,6 +121,19 @@ class ByFusion:
         self._lead(answer)
         return self._placed(event, answer), self._deaf
 
+    def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
+        """What is known, at an event whose stamp means nothing; None at a yaw rate."""
+        if self.mapper is not None:
+            self.mapper.last_fused = None
+        if isinstance(event, YawRate):
+            return None, why.note
+        if isinstance(event, WheelTicks | WheelSpeeds) and why.reason is Reason.CLOCKS_APART:
+            self._deaf = f"the wheels are not heard: {why.note}"
+        known = self.filter.estimate
+        # Until it is settled whose clock leapt, the base moves on unseen.
+        unsure = why.reason is Reason.CLOCKS_APART and known.status is Status.TRACKING
+        return replace(known, reason=why.reason, status=Status.COASTING if unsure else known.status), why.note
+
     def _lead(self, answer: FusedEstimate) -> None:
         """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion; and the map.
 
@@ -153,8 +168,7 @@ class ByFusion:
         if wheels is None:
             return None, note
         answer = self.filter.predict_to(wheels)
-        apart = answer.reason in (Reason.CLOCKS_APART, Reason.TOO_LATE)
-        self._deaf = f"the wheels are not heard: {answer.reason}" if apart else ""
+        self._deaf = f"the wheels are not heard: {answer.reason}" if answer.reason is Reason.TOO_LATE else ""
         return answer, note
 
     def _turn(self, rate: YawRate) -> None:
@@ -183,7 +197,7 @@ class ByFusion:
     def _frame(self, frame: RgbdFrame, expected: tuple[FloatArray | None, ...]) -> FusedEstimate:
         """Look, judge, and remember what was believed."""
         self._T_map_camera = None
-        seen = self.odometry.process(frame, *expected)
+        seen = self.odometry.process(frame, *expected, twist=self._camera_twist())
         if seen.T_world_body is None:
             return self._unseen(frame, seen)
         self._pace.tell(frame.stamp_s, seen.T_world_body)
@@ -201,6 +215,14 @@ class ByFusion:
         if not is_believed or is_far(motion):
             self._anchor_at(frame, seen.T_world_body)
         return answer
+
+    def _camera_twist(self) -> FloatArray | None:
+        """The camera's velocity (6,) in its own frame by the wheels; None where they slip or tell nothing."""
+        twist = None if self._slips else self.filter.estimate.twist
+        if twist is None:
+            return None
+        of_base = np.array([*twist[:2], 0.0, 0.0, 0.0, twist[2]])
+        return np.asarray(motions.inverse_adjoint(self._T_base_camera) @ of_base)
 
     def _believe(self, frame: RgbdFrame, answer: FusedEstimate, T_map_camera: FloatArray) -> None:
         """Camera odometry goes on in a world of its own, that of its map, of which the filter knows where it lies."""

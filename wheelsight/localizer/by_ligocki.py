@@ -6,9 +6,10 @@ import math
 from dataclasses import replace
 
 from wheelsight.calibration import Calibration
+from wheelsight.clocks import Untimed
 from wheelsight.config import Config
 from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import LigockiFilter
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer._camera import mount_of
@@ -26,6 +27,7 @@ class ByLigocki:
     """
 
     body, world, answers = "base", "world", (RgbdFrame, SkippedFrame)
+    hears = (WheelTicks, WheelSpeeds, YawRate, RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
         mount_of(calibration)  # the camera answers for the base
@@ -61,6 +63,13 @@ class ByLigocki:
             self._rolled = rolled
         seen, note = self._camera.process(event)
         return None if seen is None else self._joined(seen), note
+
+    def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
+        """The joined estimate at a frame whose stamp means nothing, None at any other event."""
+        if not isinstance(event, RgbdFrame | SkippedFrame):
+            return None, why.note
+        seen, note = self._camera.refuse(event, why)
+        return self._joined(seen), note
 
     def _joined(self, seen: Estimate) -> Estimate:
         if not math.isfinite(seen.stamp_s):

@@ -10,10 +10,11 @@ import numpy as np
 
 from wheelsight.areas import AreaMap, load_areas
 from wheelsight.calibration import Calibration
+from wheelsight.clocks import Untimed
 from wheelsight.config import Config, PlaceSettings
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.files import StrPath
 from wheelsight.fusion import AreaRectifier, PaperRectifier
 from wheelsight.geometry import FloatArray, se3
@@ -75,6 +76,7 @@ class ByPlaces:
     """
 
     body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
+    hears = (*answers, YawRate)
     last_matches = None
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
@@ -86,7 +88,7 @@ class ByPlaces:
         )
         assert calibration.wheels is not None  # ByWheels has refused it
         self._max_gap_s = calibration.wheels.max_gap_s
-        self._reading_s = self._frame_s = -np.inf
+        self._reading_s = -np.inf
         self._repeats = Repeats()
         self._stopwatch = Stopwatch()
 
@@ -117,6 +119,15 @@ class ByPlaces:
         reading, note = self._wheels.process(event)
         return (None if reading is None else self._reading(reading)), note
 
+    def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
+        """The answer to an event whose stamp means nothing: none to a yaw rate."""
+        self.last_place = None
+        if isinstance(event, RgbdFrame | SkippedFrame):
+            failed = Estimate(event.stamp_s, Status.FAILING, reason=Reason.FRAME_UNUSABLE, body=self.body)
+            return failed, f"no measurement: {why.note}"
+        reading, note = self._wheels.refuse(event, why)
+        return (None if reading is None else self._reading(reading)), note
+
     def _reading(self, wheels: Estimate) -> Estimate:
         if wheels.stamp_s < self._begin_s:
             return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body)
@@ -136,10 +147,6 @@ class ByPlaces:
         return None
 
     def _frame(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str]:
-        if frame.stamp_s <= self._frame_s:
-            late = f"no measurement: its stamp does not come after {self._frame_s:.6f} s"
-            return Estimate(frame.stamp_s, Status.FAILING, reason=Reason.FRAME_UNUSABLE, body=self.body), late
-        self._frame_s = frame.stamp_s
         if isinstance(frame, SkippedFrame):
             return self._moved_on(self._rectifier.estimate(frame.stamp_s)), f"no measurement: {frame.reason}"
         if self._repeats.lasting_s(frame) > 0:  # would count as evidence once more

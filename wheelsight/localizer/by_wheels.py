@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from wheelsight.calibration import Calibration
+from wheelsight.clocks import Untimed
 from wheelsight.config import WheelSettings
 from wheelsight.errors import CalibrationError
-from wheelsight.estimates import Estimate
+from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.odometry.wheels import GyroCheck, WheelOdometry, YawRateMeter
 
@@ -21,6 +22,7 @@ class ByWheels:
     """
 
     body, world, answers = "base", "odom", (WheelTicks, WheelSpeeds)
+    hears = (WheelTicks, WheelSpeeds, YawRate)
     last_matches = None
 
     def __init__(self, calibration: Calibration, settings: WheelSettings) -> None:
@@ -60,6 +62,13 @@ class ByWheels:
         if not isinstance(event, WheelTicks | WheelSpeeds):
             return None, ""
         return self._reading(event)
+
+    def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
+        """The answer to an event whose stamp means nothing: none to a yaw rate, the pose before to a reading."""
+        if isinstance(event, YawRate):
+            return None, why.note
+        T, C, stamp_s = self.odometry.T_odom_base, self.odometry.covariance, event.stamp_s - self._delay_s
+        return Estimate(stamp_s, Status.FAILING, T, C, why.reason, "base"), why.note
 
     def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate, str]:
         alone, rate_rad_s = self._alone.process(reading), self._rates.mean_until(reading.stamp_s - self._delay_s)

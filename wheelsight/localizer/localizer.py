@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.checks import check_event, check_frame
+from wheelsight.clocks import SessionClock, Untimed
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate
@@ -72,6 +75,7 @@ class Localizer:
             self._way = ByFrames(calibration, settings)
         self.body, self.world, self.answers = self._way.body, self._way.world, self._way.answers
         self.note = ""
+        self._clock = SessionClock()
         # A model of places, which was trained on images of one size, says itself what is wrong with others.
         has_places = places is not None or settings.places.model is not None
         self._calibration, self._checks_frames = calibration, not (isinstance(self._way, ByWheels) or has_places)
@@ -116,8 +120,9 @@ class Localizer:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was found wrong with a sensor that is therefore left out, one sentence each."""
-        return () if isinstance(self._way, ByFrames) else self._way.warnings
+        """What was found wrong with a sensor that is therefore left out, and where clocks leapt; one sentence each."""
+        of_sensors = () if isinstance(self._way, ByFrames) else self._way.warnings
+        return (*of_sensors, *self._clock.leaps)
 
     @property
     def stage_seconds(self) -> dict[str, float]:
@@ -135,6 +140,9 @@ class Localizer:
         measurement either; its reason is `REPEATED`, and all goes on as if it had not come. A camera alone that gives
         one image for over a second hangs: then frames count as failed, for the robot may be moving.
 
+        Each stamp passes a `SessionClock`: where clocks leap while others go on, or all of them, the way goes on; what
+        is stamped far from all others is refused, with a reason and a note.
+
         Raises:
             ArgumentError: no event, or images of another shape or type than the calibration's.
             PlaceError: a frame of another size than the model of places was trained on.
@@ -142,8 +150,18 @@ class Localizer:
         check_event(event)
         if isinstance(event, RgbdFrame) and self._checks_frames:
             check_frame(event, self._calibration)
-        estimate, self.note = self._way.process(event)
-        return estimate
+        self.note = ""
+        if not isinstance(event, self._way.hears):
+            return None
+        time_s = self._clock.time_of(event)
+        if isinstance(time_s, Untimed):
+            told = replace(event, stamp_s=event.stamp_s - self._clock.shift_s)
+            estimate, self.note = self._way.refuse(told, time_s)
+        else:
+            timed = event if time_s == event.stamp_s else replace(event, stamp_s=time_s)
+            estimate, self.note = self._way.process(timed)
+        shift_s = self._clock.shift_s
+        return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
 
 
 def _joined(calibration: Calibration, settings: Config, places: Places | None) -> ByFusion | ByLigocki:

@@ -1,9 +1,9 @@
 """What goes wrong with stamps: readings that come late or together, clocks that leap, hosts that sleep.
 
 Each fault is a function from events to events: stamps change, counts and images never do. Readings keep their order,
-as they do on a wire; the events that come out are in order of their new stamps, as a recording lists them. One whose
-new stamp is not later than that of the reading before is left out, as readers of recordings do. What is random follows
-from the fault's seed alone.
+as they do on a wire. The events that come out are in order of their new stamps, as a recording lists them, but where
+clocks leap. One whose new stamp is not later than that of the reading before is left out, as readers of recordings do.
+What is random follows from the fault's seed alone.
 """
 
 from __future__ import annotations
@@ -81,7 +81,10 @@ class ReadingsJitter:
 
 @dataclass(frozen=True, slots=True)
 class ClockLeaps:
-    """From `at_s` on, stamps are `by_s` more; the events of `missing_s` before are missing, as while a host sleeps."""
+    """From `at_s` on, stamps are `by_s` more; the events of `missing_s` before are missing, as while a host sleeps.
+
+    The events keep the order in which they come, as on a robot: no reader can list them by such stamps.
+    """
 
     at_s: float
     by_s: float
@@ -90,15 +93,13 @@ class ClockLeaps:
 
     def apply(self, events: Iterable[Event]) -> list[Event]:
         """See the class."""
-        wheels, others = _parted(e for e in events if not self.at_s - self.missing_s <= e.stamp_s < self.at_s)
-        if self.sensors != "camera":
-            wheels = [self._leapt(event) for event in wheels]
-        if self.sensors != "wheels":
-            others = [self._leapt(event) for event in others]
-        return _merged(wheels, others)
+        there = [event for event in events if not self.at_s - self.missing_s <= event.stamp_s < self.at_s]
+        return [self._leapt(event) for event in there]
 
     def _leapt(self, event: Event) -> Event:
-        return event if event.stamp_s < self.at_s else replace(event, stamp_s=event.stamp_s + self.by_s)
+        is_of_camera = isinstance(event, RgbdFrame | SkippedFrame)
+        leaps = event.stamp_s >= self.at_s and self.sensors in ("both", "camera" if is_of_camera else "wheels")
+        return replace(event, stamp_s=event.stamp_s + self.by_s) if leaps else event
 
 
 @dataclass(frozen=True, slots=True)

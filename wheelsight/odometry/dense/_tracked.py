@@ -73,9 +73,11 @@ def at_speed(last: Tracked, stamp_s: float) -> FloatArray:
     return se3.from_parts(so3.exp(twist[3:] * seconds), twist[:3] * seconds)
 
 
-def speed_of(T_last_frame: FloatArray, seconds: float) -> FloatArray:
-    """The velocity (6,) in its own frame that an expected motion (4, 4) means; 0 after a longer gap."""
-    return twist_between(np.eye(4), T_last_frame, seconds) if 0 < seconds <= LONGEST_STEP_S else np.zeros(6)
+def speed_of(T_last_frame: FloatArray, seconds: float, told: FloatArray | None = None) -> FloatArray:
+    """The velocity (6,) in its own frame that an expected motion (4, 4) means; after a gap, what is `told`, or 0."""
+    if 0 < seconds <= LONGEST_STEP_S:
+        return twist_between(np.eye(4), T_last_frame, seconds)
+    return np.zeros(6) if told is None else told
 
 
 def fine_share(frame: GridFrame, T_reference_frame: FloatArray, least: float) -> float:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.checks import check_frame
+from wheelsight.checks import array_of, check_frame
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
@@ -107,6 +107,8 @@ class DenseOdometry:
         frame: RgbdFrame,
         T_previous_current_prior: FloatArray | None = None,
         T_previous_current_other: FloatArray | None = None,
+        *,
+        twist: FloatArray | None = None,
     ) -> Estimate:
         """The camera's pose at a frame, T_world_camera, or why there is none. Raises ArgumentError for no frame.
 
@@ -115,23 +117,33 @@ class DenseOdometry:
             T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
                 for instance; else constant velocity is expected.
             T_previous_current_other: (4, 4) what may be so instead, and is taken where it fits clearly better.
+            twist: (6,) the camera's velocity (v, ω) in its own frame now, as others tell. It is asked for where the
+                last frame is so long ago that the mean velocity since says little, and rows are exposed one by one.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior, other=T_previous_current_other)
+        if twist is not None:
+            twist = array_of("twist", twist, (6,))
         self.watch.restart()
         self.last_frame = None
         last = self._last
         if last is None:
             self._first = frame
             return self._begin(frame, self._T_world_first, _START_VARIANCE * np.eye(6))
-        found = self._find(frame, last, T_previous_current_prior, T_previous_current_other)
+        given = (T_previous_current_other, twist)
+        found = self._find(frame, last, T_previous_current_prior, *given)
         is_blind = not isinstance(found, Tracked) and found.reason is Reason.TOO_LITTLE_DEPTH
         if not (isinstance(found, Tracked) or is_blind or T_previous_current_prior is None):
             # Wheels that spin expect what is not so, and lead astray.
-            found = self._find(frame, last, None, T_previous_current_other)
+            found = self._find(frame, last, None, *given)
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
 
     def _find(
-        self, frame: RgbdFrame, last: Tracked, prior: FloatArray | None, other: FloatArray | None
+        self,
+        frame: RgbdFrame,
+        last: Tracked,
+        prior: FloatArray | None,
+        other: FloatArray | None,
+        twist: FloatArray | None,
     ) -> Tracked | MotionEstimate:
         """Where a frame is, from what a prior (4, 4) or constant velocity expects, or why that is not known."""
         T_last_frame = at_speed(last, frame.stamp_s)
@@ -141,7 +153,7 @@ class DenseOdometry:
         T_world_other = None if other is None else last.T_world_camera @ other
         ahead = Expected(tuple(poses), T_world_other, is_helped=prior is not None)
         with self.watch.stage("prepare"):
-            grid = self._gridder.on_grid(frame, speed_of(T_last_frame, frame.stamp_s - last.frame.stamp_s))
+            grid = self._gridder.on_grid(frame, speed_of(T_last_frame, frame.stamp_s - last.frame.stamp_s, twist))
         if grid.depth_share < self._settings.min_depth_share:
             return MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
         found = self._locate(grid, last, ahead)
@@ -259,7 +271,7 @@ class DenseOdometry:
             return MotionEstimate.failed(reason, found.pairs, found.planes)
         counts = (None, found.pairs, found.planes, judged.degenerate)
         self.last_motion = MotionEstimate(judged.T_reference_frame, judged.covariance, *counts)
-        twist = step.twist_to(judged.T_reference_frame) if step else np.zeros(6)
+        twist = step.twist_to(judged.T_reference_frame) if step else grid.twist
         overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame, _FINE)
         fit = (overlap, keyframe in self._views.keyframes, found.residual)
         return Tracked(grid, T_world_camera, keyframe.with_motion(judged.covariance), twist, *fit)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.checks import check_frame
+from wheelsight.checks import array_of, check_frame
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
-from wheelsight.odometry._velocity import twist_between
+from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
@@ -85,13 +85,21 @@ class FeatureOdometry:
         """Seconds the last frame spent in each stage."""
         return self._watch.seconds
 
-    def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
+    def process(
+        self,
+        frame: RgbdFrame,
+        T_previous_current_prior: FloatArray | None = None,
+        *,
+        twist: FloatArray | None = None,
+    ) -> Estimate:
         """The camera's pose at a frame, T_world_camera, or why there is none.
 
         Args:
             frame: newer than the one before.
             T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
                 for instance; bounds the search for matches. Where that finds nothing, a search without it decides.
+            twist: (6,) the camera's velocity (v, ω) in its own frame now, as others tell. It counts where the last
+                frame is so long ago that the mean velocity until then says little, and rows are exposed one by one.
 
         Raises:
             ArgumentError: images or a motion of another shape or type.
@@ -104,6 +112,8 @@ class FeatureOdometry:
             raw = self._extractor.extract(frame)
         if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
             return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
+        if twist is not None and self._last is not None and raw.stamp_s - self._last.features.stamp_s > LONGEST_STEP_S:
+            self._velocity = se3.adjoint(self._T_color_camera) @ array_of("twist", twist, (6,))
         if self._last is None:
             self._first_raw = raw
             return self._start(raw)

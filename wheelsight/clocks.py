@@ -1,0 +1,245 @@
+"""SessionClock: one time for the events of all sensors, whatever their clocks do.
+
+A stamp is a sensor's word for when something was. Clocks are set while a robot drives (NTP, GPS), hosts sleep, drivers
+begin to count anew. Session time goes on through all that. It is a sensor's stamp less an offset, which changes only
+where that sensor's clock leaps:
+
+- leap all sensors together, or all have paused, then session time goes on `pause_s` later for all of them, and what
+  lay between their stamps stays;
+- leaps one alone while others go on, then its events go on as they came before: one period after its last, or as long
+  after those of the others as usual. Of a leap by less than a stall may last, that one is only known once the others
+  come later than usual by just as much; then it is they that are mapped.
+
+One stamp far away is no leap: it is refused, and a leap is believed when others follow. A sensor whose first stamp is
+far from all others counts from another moment; it is refused by name until it comes near.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from statistics import median
+
+from wheelsight.estimates import Reason
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+
+# Of so many events the usual time between them, and behind the others, is the median.
+_REMEMBERED = 15
+# What was on its way while another sensor's clock leapt tells nothing of its own; the second one does.
+_ON_TIME = 2
+
+
+@dataclass(frozen=True)
+class ClockSettings:
+    """What is a leap of a clock, and when it is believed. Reckoned from rates and stalls of sensors, not tuned.
+
+    Attributes:
+        leap_s: a stamp that is so far ahead of all sensors is of a clock that leapt, or all have paused. Longer than a
+            busy host or a hanging USB stalls (half a second).
+        back_s: one that is so far behind the sensor's own last is of a clock that was set back; less is jitter.
+        pause_s: how much session time passes where all leap. Longer than it takes to call a pose that no camera
+            confirms `coasting` (0.3 s), for the robot may have moved; shorter than the gaps that wheels bridge (0.5 s).
+        followers: so many stamps in a row are a leap; fewer are noise on a line.
+        active_s: a sensor heard within so long before a leap is waited for, as long: it may leap as well. A camera at
+            1 Hz is.
+        alike_s: leaps of two sensors that differ by less are one.
+        stall_s: readings that go on one period after the last have lost none, if others' stamps say so to within this;
+            and smaller leaps of one clock are not noticed.
+        apart_s: clocks whose first stamps are farther apart count from different moments.
+    """
+
+    leap_s: float = 1.0
+    back_s: float = 0.1
+    pause_s: float = 0.4
+    followers: int = 3
+    active_s: float = 1.1
+    alike_s: float = 1.0
+    stall_s: float = 0.25
+    apart_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Untimed:
+    """Why a stamp has no session time.
+
+    Attributes:
+        reason: of the answer.
+        note: for a user.
+    """
+
+    reason: Reason
+    note: str
+
+
+@dataclass
+class _Sensor:
+    """What is known of a sensor's clock.
+
+    `offset_s` is what to take from its stamps; `last_s` its newest session time; `steps_s` and `behind_s` how long
+    after its last, and behind the newest of all sensors, its events come; `held_s` stamps, less the offset, that are
+    far away and wait for others; `on_time` how many came as expected since another sensor's were held.
+    """
+
+    offset_s: float
+    last_s: float
+    steps_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    behind_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    held_s: list[float] = field(default_factory=list)
+    on_time: int = 0
+
+    @property
+    def period_s(self) -> float:
+        """The usual time between its events; 0 where that is not known."""
+        return median(self.steps_s) if self.steps_s else 0.0
+
+
+class SessionClock:
+    """See the module.
+
+    Attributes:
+        shift_s: what to add to a session time for the stamp that the sensors would give it.
+        leaps: a sentence for each leap that was believed.
+    """
+
+    def __init__(self, settings: ClockSettings | None = None) -> None:
+        self.settings = settings or ClockSettings()
+        self.shift_s = 0.0
+        self.leaps: list[str] = []
+        self._sensors: dict[str, _Sensor] = {}
+        self._newest_s = -math.inf
+        self._jump: tuple[str, float] | None = None  # who was last ahead of all by more than usual, and how far
+
+    def time_of(self, event: Event) -> float | Untimed:
+        """The session time of an event, in seconds, or why it has none. Events are given in the order they come."""
+        name = _name_of(event)
+        if not math.isfinite(event.stamp_s):
+            return Untimed(Reason.INVALID, f"the {name}'s stamp is {event.stamp_s}")
+        sensor = self._sensors.get(name)
+        if sensor is None:
+            return self._begin(name, event.stamp_s)
+        time_s = event.stamp_s - sensor.offset_s
+        if self._is_far(sensor, time_s):
+            if not self._has_leapt(sensor, time_s):
+                by = _seconds(time_s - sensor.last_s)
+                return Untimed(Reason.CLOCKS_APART, f"the {name}'s clock leapt by {by}")
+            self._follow(name, sensor)
+            time_s = event.stamp_s - sensor.offset_s
+        elif self._lags(name, sensor, time_s):
+            sensor.held_s.append(time_s)
+            if len(sensor.held_s) < self.settings.followers:
+                return Untimed(Reason.CLOCKS_APART, self._since_leap())
+            time_s = self._catch_up(sensor, event.stamp_s)
+        sensor.held_s.clear()
+        if time_s <= sensor.last_s:
+            last = f"{sensor.last_s + self.shift_s:.6f} s"
+            return Untimed(Reason.CLOCK_BACKWARDS, f"the {name}'s stamp does not come after {last}")
+        self._hear(name, sensor, time_s)
+        return time_s
+
+    def _begin(self, name: str, stamp_s: float) -> float | Untimed:
+        time_s = stamp_s - self.shift_s
+        apart_s = time_s - self._newest_s
+        if self._sensors and abs(apart_s) > self.settings.apart_s:
+            where, others = "ahead of" if apart_s > 0 else "behind", " and the ".join(self._sensors)
+            note = f"the {name}'s clock is {_seconds(abs(apart_s))} {where} that of the {others}"
+            return Untimed(Reason.CLOCKS_APART, note)
+        self._sensors[name] = _Sensor(self.shift_s, time_s)
+        self._newest_s = max(self._newest_s, time_s)
+        return time_s
+
+    def _hear(self, name: str, sensor: _Sensor, time_s: float) -> None:
+        ahead_s = time_s - max(self._newest_s, sensor.last_s + sensor.period_s)
+        if ahead_s > self.settings.stall_s and len(self._sensors) > 1:
+            self._jump = name, ahead_s
+        elif self._jump is not None and name != self._jump[0]:
+            self._jump = None  # it paused, as the others did
+        sensor.steps_s.append(time_s - sensor.last_s)
+        sensor.behind_s.append(self._newest_s - time_s)
+        sensor.last_s, sensor.on_time = time_s, sensor.on_time + 1
+        self._newest_s = max(self._newest_s, time_s)
+
+    def _is_far(self, sensor: _Sensor, time_s: float) -> bool:
+        """Whether a time is not one to be expected. A sensor alone may be slow, or pause, as long as it likes."""
+        ahead = len(self._sensors) > 1 and time_s > self._newest_s + self.settings.leap_s
+        return ahead or time_s < sensor.last_s - self.settings.back_s
+
+    def _lags(self, name: str, sensor: _Sensor, time_s: float) -> bool:
+        """Whether an event comes later than usual by as much as another sensor's clock seems to have leapt."""
+        if self._jump is None or self._jump[0] == name or not sensor.behind_s:
+            return False
+        later_s = self._newest_s - time_s - median(sensor.behind_s)
+        return abs(later_s - self._jump[1]) < max(self.settings.stall_s / 2, 1.5 * sensor.period_s) and later_s > 0
+
+    def _catch_up(self, sensor: _Sensor, stamp_s: float) -> float:
+        """Map a sensor, and all others that have not leapt, to where the one is that has."""
+        assert self._jump is not None
+        leapt, by_s = self._jump
+        self.leaps.append(self._since_leap())
+        for name, other in self._sensors.items():
+            if name != leapt:
+                other.offset_s -= by_s
+                other.last_s += by_s
+        self._jump = None
+        return stamp_s - sensor.offset_s
+
+    def _since_leap(self) -> str:
+        assert self._jump is not None
+        name, by_s = self._jump
+        return f"The clock of the {name} leapt by {_seconds(by_s)}: what came after is taken to go on without a break."
+
+    def _has_leapt(self, sensor: _Sensor, time_s: float) -> bool:
+        """Whether a stamp that is far away, and those before it, are of a clock that leapt, and others' are known."""
+        if sensor.held_s and not 0 < time_s - sensor.held_s[-1] < self.settings.leap_s:
+            sensor.held_s.clear()  # noise, not one clock
+        if not sensor.held_s:
+            for other in self._sensors.values():
+                other.on_time = 0
+        sensor.held_s.append(time_s)
+        if len(sensor.held_s) < self.settings.followers:
+            return False
+        waited = time_s - sensor.held_s[0] > self.settings.active_s
+        others = self._others(sensor)
+        return waited or all(other.on_time >= _ON_TIME or self._leaps_with(sensor, other) for other in others)
+
+    def _others(self, sensor: _Sensor) -> list[_Sensor]:
+        """Those that were heard just before it leapt, or since."""
+        since_s = sensor.last_s - self.settings.active_s
+        return [other for other in self._sensors.values() if other is not sensor and other.last_s >= since_s]
+
+    def _leaps_with(self, sensor: _Sensor, other: _Sensor) -> bool:
+        if not other.held_s:
+            return False
+        return abs((other.held_s[0] - other.last_s) - (sensor.held_s[0] - sensor.last_s)) < self.settings.alike_s
+
+    def _follow(self, name: str, sensor: _Sensor) -> None:
+        """Go on: this sensor alone, where others went on meanwhile, or all of them."""
+        if any(other.on_time for other in self._others(sensor)):
+            by_s, leapt = sensor.held_s[-1] - self._going_on_s(sensor), {name: sensor}
+        else:
+            by_s = sensor.held_s[-1] - self._newest_s - self.settings.pause_s
+            leapt = dict(self._sensors)
+            self.shift_s += by_s
+        for each in leapt.values():
+            each.offset_s += by_s
+            each.held_s.clear()
+        clocks = f"clock{'s' if len(leapt) > 1 else ''} of the {' and the '.join(leapt)}"
+        self.leaps.append(f"The {clocks} leapt by {_seconds(by_s)}: what came after is taken to go on without a break.")
+
+    def _going_on_s(self, sensor: _Sensor) -> float:
+        """The session time of the stamp that is held last, as the others tell when it came."""
+        among_others_s = self._newest_s - (median(sensor.behind_s) if sensor.behind_s else 0.0)
+        next_s = sensor.last_s + sensor.period_s
+        without_loss_s = next_s + sensor.held_s[-1] - sensor.held_s[0]
+        is_whole = abs(without_loss_s - among_others_s) <= self.settings.stall_s
+        return without_loss_s if is_whole else max(among_others_s, next_s)
+
+
+def _name_of(event: Event) -> str:
+    if isinstance(event, RgbdFrame | SkippedFrame):
+        return "camera"
+    return "wheels" if isinstance(event, WheelTicks | WheelSpeeds) else "gyroscope"
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.3g} s" if abs(seconds) < 1e4 else f"{seconds:.3e} s"
