@@ -24,10 +24,14 @@ from statistics import median
 from wheelsight.estimates import Reason
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
 
+# It only helps, so none of the others is left out for its sake.
+_GYROSCOPE = "gyroscope"
 # Of so many events the usual time between them, and behind the others, is the median.
 _REMEMBERED = 15
 # What was on its way while another sensor's clock leapt tells nothing of its own; the second one does.
 _ON_TIME = 2
+# Nobody reads more sentences on leaps.
+_TOLD = 10
 
 
 @dataclass(frozen=True)
@@ -99,22 +103,28 @@ class SessionClock:
 
     Attributes:
         shift_s: what to add to a session time for the stamp that the sensors would give it.
-        leaps: a sentence for each leap that was believed.
     """
 
     def __init__(self, settings: ClockSettings | None = None) -> None:
         self.settings = settings or ClockSettings()
         self.shift_s = 0.0
-        self.leaps: list[str] = []
+        self._leaps: list[str] = []
+        self._apart: dict[str, str] = {}
         self._sensors: dict[str, _Sensor] = {}
         self._newest_s = -math.inf
         self._jump: tuple[str, float] | None = None  # who was last ahead of all by more than usual, and how far
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each of the first leaps that were believed, and for each sensor whose clock is another."""
+        left_out = (f"T{note[1:]}: it is left out; stamp all sensors by one clock." for note in self._apart.values())
+        return (*left_out, *self._leaps)
 
     def time_of(self, event: Event) -> float | Untimed:
         """The session time of an event, in seconds, or why it has none. Events are given in the order they come."""
         name = _name_of(event)
         if not math.isfinite(event.stamp_s):
-            return Untimed(Reason.INVALID, f"the {name}'s stamp is {event.stamp_s}")
+            return Untimed(Reason.INVALID, f"its stamp is {event.stamp_s}")
         sensor = self._sensors.get(name)
         if sensor is None:
             return self._begin(name, event.stamp_s)
@@ -122,18 +132,18 @@ class SessionClock:
         if self._is_far(sensor, time_s):
             if not self._has_leapt(sensor, time_s):
                 by = _seconds(time_s - sensor.last_s)
-                return Untimed(Reason.CLOCKS_APART, f"the {name}'s clock leapt by {by}")
+                return Untimed(Reason.CLOCKS_APART, f"the clock of the {name} leaps by {by}")
             self._follow(name, sensor)
             time_s = event.stamp_s - sensor.offset_s
         elif self._lags(name, sensor, time_s):
             sensor.held_s.append(time_s)
             if len(sensor.held_s) < self.settings.followers:
-                return Untimed(Reason.CLOCKS_APART, self._since_leap())
+                return Untimed(Reason.CLOCKS_APART, "the clock of another sensor leaps")
             time_s = self._catch_up(sensor, event.stamp_s)
         sensor.held_s.clear()
         if time_s <= sensor.last_s:
             last = f"{sensor.last_s + self.shift_s:.6f} s"
-            return Untimed(Reason.CLOCK_BACKWARDS, f"the {name}'s stamp does not come after {last}")
+            return Untimed(Reason.CLOCK_BACKWARDS, f"its stamp does not come after {last}")
         self._hear(name, sensor, time_s)
         return time_s
 
@@ -141,12 +151,20 @@ class SessionClock:
         time_s = stamp_s - self.shift_s
         apart_s = time_s - self._newest_s
         if self._sensors and abs(apart_s) > self.settings.apart_s:
-            where, others = "ahead of" if apart_s > 0 else "behind", " and the ".join(self._sensors)
-            note = f"the {name}'s clock is {_seconds(abs(apart_s))} {where} that of the {others}"
-            return Untimed(Reason.CLOCKS_APART, note)
+            if [*self._sensors] != [_GYROSCOPE]:
+                return self._left_out(name, apart_s, " and the ".join(self._sensors))
+            self._left_out(_GYROSCOPE, -apart_s, name)
+            self._sensors.clear()
+            self._newest_s = time_s
         self._sensors[name] = _Sensor(self.shift_s, time_s)
         self._newest_s = max(self._newest_s, time_s)
         return time_s
+
+    def _left_out(self, name: str, apart_s: float, others: str) -> Untimed:
+        where = "ahead of" if apart_s > 0 else "behind"
+        note = f"the clock of the {name} is {_seconds(abs(apart_s))} {where} that of the {others}"
+        self._apart.setdefault(name, note)
+        return Untimed(Reason.CLOCKS_APART, note)
 
     def _hear(self, name: str, sensor: _Sensor, time_s: float) -> None:
         ahead_s = time_s - max(self._newest_s, sensor.last_s + sensor.period_s)
@@ -175,7 +193,7 @@ class SessionClock:
         """Map a sensor, and all others that have not leapt, to where the one is that has."""
         assert self._jump is not None
         leapt, by_s = self._jump
-        self.leaps.append(self._since_leap())
+        self._tell_leap([leapt], by_s)
         for name, other in self._sensors.items():
             if name != leapt:
                 other.offset_s -= by_s
@@ -183,14 +201,10 @@ class SessionClock:
         self._jump = None
         return stamp_s - sensor.offset_s
 
-    def _since_leap(self) -> str:
-        assert self._jump is not None
-        name, by_s = self._jump
-        return f"The clock of the {name} leapt by {_seconds(by_s)}: what came after is taken to go on without a break."
-
     def _has_leapt(self, sensor: _Sensor, time_s: float) -> bool:
         """Whether a stamp that is far away, and those before it, are of a clock that leapt, and others' are known."""
-        if sensor.held_s and not 0 < time_s - sensor.held_s[-1] < self.settings.leap_s:
+        longest_s = max(self.settings.leap_s, 2 * sensor.period_s)
+        if sensor.held_s and not 0 < time_s - sensor.held_s[-1] < longest_s:
             sensor.held_s.clear()  # noise, not one clock
         if not sensor.held_s:
             for other in self._sensors.values():
@@ -223,8 +237,13 @@ class SessionClock:
         for each in leapt.values():
             each.offset_s += by_s
             each.held_s.clear()
-        clocks = f"clock{'s' if len(leapt) > 1 else ''} of the {' and the '.join(leapt)}"
-        self.leaps.append(f"The {clocks} leapt by {_seconds(by_s)}: what came after is taken to go on without a break.")
+        self._tell_leap(list(leapt), by_s)
+
+    def _tell_leap(self, names: list[str], by_s: float) -> None:
+        if len(self._leaps) < _TOLD:
+            clocks = f"clock{'s' if len(names) > 1 else ''} of the {' and the '.join(names)}"
+            going_on = "what came after is taken to go on without a break"
+            self._leaps.append(f"The {clocks} leapt by {_seconds(by_s)}: {going_on}.")
 
     def _going_on_s(self, sensor: _Sensor) -> float:
         """The session time of the stamp that is held last, as the others tell when it came."""
@@ -238,7 +257,7 @@ class SessionClock:
 def _name_of(event: Event) -> str:
     if isinstance(event, RgbdFrame | SkippedFrame):
         return "camera"
-    return "wheels" if isinstance(event, WheelTicks | WheelSpeeds) else "gyroscope"
+    return "wheels" if isinstance(event, WheelTicks | WheelSpeeds) else _GYROSCOPE
 
 
 def _seconds(seconds: float) -> str:

@@ -53,6 +53,7 @@ class Eye:
     """Camera odometry by keyframes that is told the truth, T_world_base, and what each stamp's frame shows.
 
     Attributes:
+        taken_s: when frames were taken, by their index, where their stamps do not tell it.
         priors: by stamps, that of the frame tracked before, and the motion since then that was to be expected.
         restarts: by stamps, the poses T_world_camera that it was told to go on at.
     """
@@ -74,6 +75,7 @@ class Eye:
         self.priors: dict[float, tuple[float, FloatArray | None]] = {}
         self.others: dict[float, tuple[FloatArray | None, ...]] = {}
         self.restarts: dict[float, FloatArray] = {}
+        self.taken_s: dict[int, float] = {}
 
     def T_world_camera(self, stamp_s: float) -> FloatArray:
         """The truth (4, 4)."""
@@ -81,8 +83,13 @@ class Eye:
         return np.asarray(self._truth.at([known_s])[0] @ self._T_base_camera)
 
     def process(
-        self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None, *others: FloatArray | None
+        self,
+        frame: RgbdFrame,
+        T_previous_current_prior: FloatArray | None = None,
+        *others: FloatArray | None,
+        twist: FloatArray | None = None,
     ) -> Estimate:
+        frame = replace(frame, stamp_s=self.taken_s.get(frame.index, frame.stamp_s))
         shows = self._sight(frame.stamp_s)
         if self._last is None and shows.blind is None:
             return self._begin(frame.stamp_s, self._T_base_camera)
@@ -193,6 +200,13 @@ class Drive:
     def eye(self) -> Eye:
         """What sees it; faults are told by seconds since the begin."""
         return Eye(self.truth, lambda stamp_s: self.faults(stamp_s - self.begin_s))
+
+
+def eye_by_index(made: Drive) -> Eye:
+    """What sees a drive whatever stamps its frames get."""
+    eye = made.eye()
+    eye.taken_s = {event.index: event.stamp_s for event in made.events() if isinstance(event, RgbdFrame)}
+    return eye
 
 
 def drive(

@@ -41,8 +41,9 @@ from wheelsight.geometry import motion_kernels as motions
 
 # Of so many readings the mean time between them is taken: longer than a busy host stalls, shorter than rates change.
 _READINGS = 16
-# Beyond, a covariance no longer says where the base may be: a heading is unknown, and a position lies in any room.
-_LARGEST_SIGMA_RAD, _LARGEST_SIGMA_M = 1.0, 50.0
+# Beyond, a covariance says nothing: any heading, or a position anywhere about a town. Wheels alone, which do not claim
+# to know, come to 1 rad in some hundred metres.
+_LARGEST_SIGMA_RAD, _LARGEST_SIGMA_M = 2 * np.pi, 1000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,9 +280,9 @@ class ErrorStateFilter:
         flags = (court.trust is Trust.CAMERA or turns_off, state.is_degenerate, court.trust is Trust.DOUBT)
         belief = court.answer()
         T, C, *moving = kernels.answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
-        if state.is_lost or not _has_meaning(T, C):
-            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
         status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
+        if state.is_lost or (status is Status.TRACKING and not _has_meaning(T, C)):
+            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
         pose, twist = (T, C, reason, "base", *counts), (moving[0], moving[1])
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)
 

@@ -54,7 +54,7 @@ class ByFrames:
 
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate, str]:
         """The answer to a frame whose stamp means nothing."""
-        return self._failed(event.stamp_s, f"{why.reason}: {why.note}")
+        return self._failed(event.stamp_s, why.note)
 
     def _failed(self, stamp_s: float, why: str) -> tuple[Estimate, str]:
         return self._of_body((self.mapper or self.odometry).miss(stamp_s)), why

@@ -126,13 +126,16 @@ class ByFusion:
         if self.mapper is not None:
             self.mapper.last_fused = None
         if isinstance(event, YawRate):
-            return None, why.note
+            return None, ""
         if isinstance(event, WheelTicks | WheelSpeeds) and why.reason is Reason.CLOCKS_APART:
             self._deaf = f"the wheels are not heard: {why.note}"
-        known = self.filter.estimate
-        # Until it is settled whose clock leapt, the base moves on unseen.
-        unsure = why.reason is Reason.CLOCKS_APART and known.status is Status.TRACKING
-        return replace(known, reason=why.reason, status=Status.COASTING if unsure else known.status), why.note
+        known, reason = self.filter.estimate, why.reason
+        if reason is Reason.CLOCKS_APART and known.status is Status.TRACKING:
+            # Until it is settled whose clock leapt, the base moves on unseen.
+            return replace(known, reason=reason, status=Status.COASTING), why.note
+        if isinstance(event, RgbdFrame | SkippedFrame) and reason is not Reason.CLOCKS_APART:
+            reason = Reason.FRAME_UNUSABLE
+        return replace(known, reason=reason), why.note
 
     def _lead(self, answer: FusedEstimate) -> None:
         """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion; and the map.

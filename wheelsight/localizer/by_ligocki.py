@@ -67,7 +67,7 @@ class ByLigocki:
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
         """The joined estimate at a frame whose stamp means nothing, None at any other event."""
         if not isinstance(event, RgbdFrame | SkippedFrame):
-            return None, why.note
+            return None, ""
         seen, note = self._camera.refuse(event, why)
         return self._joined(seen), note
 

@@ -66,7 +66,7 @@ class ByWheels:
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
         """The answer to an event whose stamp means nothing: none to a yaw rate, the pose before to a reading."""
         if isinstance(event, YawRate):
-            return None, why.note
+            return None, ""
         T, C, stamp_s = self.odometry.T_odom_base, self.odometry.covariance, event.stamp_s - self._delay_s
         return Estimate(stamp_s, Status.FAILING, T, C, why.reason, "base"), why.note
 

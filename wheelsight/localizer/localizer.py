@@ -122,7 +122,7 @@ class Localizer:
     def warnings(self) -> tuple[str, ...]:
         """What was found wrong with a sensor that is therefore left out, and where clocks leapt; one sentence each."""
         of_sensors = () if isinstance(self._way, ByFrames) else self._way.warnings
-        return (*of_sensors, *self._clock.leaps)
+        return (*of_sensors, *self._clock.warnings)
 
     @property
     def stage_seconds(self) -> dict[str, float]:
