@@ -63,6 +63,7 @@ class ErrorStateSettings:
         longest_doubt_s: after it, both possibilities become one that covers both.
         coast_after_s, lost_after_s: since vision was last believed, or since anything was heard.
         window_s: how late an event may come.
+        even_s: over a longer step of the wheels, as across a pause, the base need not have gone evenly.
         max_clones: past poses remembered at most; the oldest goes.
 
     Raises:
@@ -120,6 +121,7 @@ class ErrorStateSettings:
     coast_after_s: float = 0.3
     lost_after_s: float = 2.0
     window_s: float = 0.5
+    even_s: float = 0.25
     max_clones: int = 4
 
     def __post_init__(self) -> None:

@@ -41,6 +41,8 @@ from wheelsight.geometry import motion_kernels as motions
 
 # Of so many readings the mean time between them is taken: longer than a busy host stalls, shorter than rates change.
 _READINGS = 16
+# By which the heading on the way may differ from that of an even one.
+_SWING_RAD = 0.1
 # Beyond, a covariance says nothing: any heading, or a position anywhere about a town. Wheels alone, which do not claim
 # to know, come to 1 rad in some hundred metres.
 _LARGEST_SIGMA_RAD, _LARGEST_SIGMA_M = 2 * np.pi, 1000.0
@@ -142,8 +144,10 @@ class ErrorStateFilter:
         if wheels.stamp_s - before.stamp_s < self._shortest_step_s():
             return self._take(Happening(wheels.stamp_s, drop=""))  # its way counts with the next reading's
         self._wheels = wheels
-        told = motions.step_between(before.T_world_body, before.covariance, T, C)
-        return self._take(Happening(wheels.stamp_s, wheels=WheelStep(before.stamp_s, wheels.stamp_s, *told)))
+        xi, spread = motions.step_between(before.T_world_body, before.covariance, T, C)
+        if wheels.stamp_s - before.stamp_s > self.settings.even_s:
+            spread = spread + _of_unknown_path(xi)
+        return self._take(Happening(wheels.stamp_s, wheels=WheelStep(before.stamp_s, wheels.stamp_s, xi, spread)))
 
     def _shortest_step_s(self) -> float:
         """Over less no speed is formed: readings that arrive together have stamps that tell of no time between them.
@@ -285,6 +289,17 @@ class ErrorStateFilter:
             return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
         pose, twist = (T, C, reason, "base", *counts), (moving[0], moving[1])
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)
+
+
+def _of_unknown_path(xi: FloatArray) -> FloatArray:
+    """Covariance (6, 6) of a step whose ends are told and whose path is not: anywhere between an early and a late turn.
+
+    An arc with the same ends lies aside of the farthest of them by half of way times turn; unseen, a base may swing.
+    """
+    way_m, turn_rad = float(np.hypot(xi[0], xi[1])), abs(float(xi[5]))
+    aside_m = way_m * (turn_rad / 4 + _SWING_RAD)
+    short_m = way_m * (turn_rad / 4 + _SWING_RAD) ** 2
+    return np.diag(np.square([short_m, aside_m, 0.0, 0.0, 0.0, 0.0]))
 
 
 def _is_finite(state: FusionState) -> bool:
