@@ -15,7 +15,7 @@ from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimat
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._anchor import Anchor, is_far
-from wheelsight.localizer._camera import camera_odometry, mount_of
+from wheelsight.localizer._camera import blurred, camera_odometry, mount_of
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer._pace import Pace
 from wheelsight.localizer._place_sense import PlaceSense
@@ -23,6 +23,7 @@ from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import MatchedPixels
+from wheelsight.odometry.wheels.reading_times import ReadingTimes
 from wheelsight.places import PlaceMatch
 
 # What the filter remembers: the last frame tracked, the anchor of the camera's motions, where it started again.
@@ -70,6 +71,8 @@ class ByFusion:
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
         self._gate = FrameGate()
+        assert calibration.wheels is not None  # ByWheels has refused it
+        self._times = ReadingTimes(calibration.wheels)
         self._pace = Pace()
         self._unknown, self._deaf, self._slips = 0, "", False
         self._seen_s = self._unbelieved_s = -np.inf
@@ -163,6 +166,8 @@ class ByFusion:
         return (by_pace, by_wheels) if isinstance(self.odometry, DenseOdometry) else (by_pace,)
 
     def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate | None, str]:
+        if isinstance(reading, WheelTicks):  # speeds have no ways of their own to tell the time by
+            reading = replace(reading, stamp_s=self._times.time_of(reading))
         wheels, note = self._wheels.process(reading)
         note = self._with_gyro.process(reading)[1] if self._uses_gyro else note
         if wheels is not None and self._is_early(wheels.stamp_s):
@@ -200,13 +205,16 @@ class ByFusion:
     def _frame(self, frame: RgbdFrame, expected: tuple[FloatArray | None, ...]) -> FusedEstimate:
         """Look, judge, and remember what was believed."""
         self._T_map_camera = None
-        seen = self.odometry.process(frame, *expected, twist=self._camera_twist())
+        twist = self._camera_twist()
+        seen = self.odometry.process(frame, *expected, twist=twist)
         if seen.T_world_body is None:
             return self._unseen(frame, seen)
         self._pace.tell(frame.stamp_s, seen.T_world_body)
         if self._anchor is None:
             return self._begun(frame, seen)
-        motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
+        motion = blurred(
+            self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion), twist, self._times.noise_s
+        )
         if frame.stamp_s - self._seen_s > _DARK_S and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR, remember=_FRAME)

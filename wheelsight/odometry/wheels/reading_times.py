@@ -1,0 +1,114 @@
+"""ReadingTimes: when wheel readings were taken, though they are stamped when they arrive.
+
+Wheels tell ways, and a count is right whenever it arrives; its stamp is off by what host and wire were busy with. A step
+took about as long as its way takes at the speed there was. By how much steps last more or less than their ways take
+tells how far off stamps are, beyond what a change of speed would make of it; the time of a reading lies between both,
+the nearer to its stamp the better stamps are. One that comes late, after a gap in which those behind it waited too, was
+taken when its way says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from wheelsight.calibration import Wheels
+from wheelsight.events import WheelTicks
+from wheelsight.odometry.wheels.drive import least_step
+
+# The speed is the mean over so many steps: the noise of stamps is a tenth of it then, and robots' speeds much the same.
+_STEPS = 8
+# How fast robots indoors speed up and brake.
+_MOST_M_S2 = 1.0
+# Slower, a count more or less is much of the way.
+_SLOWEST_M_S = 0.03
+# A step so many times as long as usual, and longer than its way takes by so many standard deviations, has a gap in it.
+_LONG, _SIGMAS = 1.5, 3.0
+# Those behind it waited too, until one is taken less than this share of a period before its stamp, or some come at their
+# usual pace, as they do behind a second gap within the first: longer than this share of what their ways take.
+_WAITS, _SHARE, _PATIENCE = 0.5, 0.6, 3
+# No reading is believed to be farther off its stamp: filters take events so late.
+_LATEST_S = 0.2
+# The noise is the root mean square over about so many steps on the way; before so many are known, stamps stand.
+_MEMORY, _FEWEST = 40, 8
+
+
+class ReadingTimes:
+    """Tells when a robot's readings were taken, one after another.
+
+    Attributes:
+        late: how many readings were taken well before their stamp says.
+    """
+
+    def __init__(self, wheels: Wheels) -> None:
+        self._m_per_tick = (wheels.left_m_per_tick, wheels.right_m_per_tick)
+        self._span = wheels.counter_span
+        self._last: WheelTicks | None = None
+        self._time_s = -math.inf
+        self._steps: deque[tuple[float, float]] = deque(maxlen=_STEPS)  # seconds, and way in metres
+        self._variance_s2, self._learned = 0.0, 0
+        self._patience = self.late = 0
+
+    @property
+    def noise_s(self) -> float:
+        """Standard deviation of the stamps, beyond what may be a change of speed."""
+        return math.sqrt(self._variance_s2)
+
+    def time_of(self, reading: WheelTicks) -> float:
+        """When a reading was taken, in seconds; times grow where stamps do."""
+        last, self._last = self._last, reading
+        step_s = math.inf if last is None else reading.stamp_s - last.stamp_s
+        if last is None or not 0 < step_s < _LATEST_S:
+            self._steps.clear()
+            self._time_s, self._patience = reading.stamp_s, 0
+            return reading.stamp_s
+        way_m, before_s = self._way_between(last, reading), self._time_s
+        self._time_s = max(self._told(reading.stamp_s, step_s, way_m), before_s + 1e-6)
+        self._steps.append((self._time_s - before_s, way_m))
+        return self._time_s
+
+    def _told(self, stamp_s: float, step_s: float, way_m: float) -> float:
+        """The time of a reading: by its stamp and its way, or by that alone where it waited."""
+        speed_m_s = self._speed_m_s
+        if speed_m_s < _SLOWEST_M_S:
+            self._patience = 0
+            return stamp_s
+        took_s, lag_s = way_m / speed_m_s, sum(seconds for seconds, _ in self._steps) / 2
+        unsure_s = took_s * min(_MOST_M_S2 * lag_s / speed_m_s, 1.0)
+        due_s = self._time_s + took_s
+        if self._waited(stamp_s - due_s, step_s, took_s, unsure_s):
+            return due_s
+        self._learn((step_s - took_s) ** 2 - unsure_s**2)
+        gain = unsure_s / (unsure_s + self.noise_s / 2) if self._learned >= _FEWEST and unsure_s > 0 else 1.0
+        told_s = due_s + gain * (stamp_s - due_s)
+        return told_s if abs(told_s - stamp_s) < _LATEST_S else stamp_s
+
+    def _waited(self, late_s: float, step_s: float, took_s: float, unsure_s: float) -> bool:
+        period_s = sum(seconds for seconds, _ in self._steps) / _STEPS
+        off_s = _SIGMAS * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
+        begins = step_s > _LONG * period_s and step_s - took_s > off_s
+        if begins:
+            self._patience = _PATIENCE
+        elif step_s > _SHARE * took_s:
+            self._patience -= 1
+        if not _WAITS * period_s < late_s < _LATEST_S:
+            self._patience = 0
+        self.late += self._patience > 0
+        return self._patience > 0
+
+    def _learn(self, found_s2: float) -> None:
+        """Of both ends of a step."""
+        self._learned = min(self._learned + 1, _MEMORY)
+        self._variance_s2 += (max(found_s2 / 2, 0.0) - self._variance_s2) / self._learned
+
+    @property
+    def _speed_m_s(self) -> float:
+        """The mean over the last steps; 0 where too few are known."""
+        if len(self._steps) < _STEPS:
+            return 0.0
+        return sum(way_m for _, way_m in self._steps) / sum(seconds for seconds, _ in self._steps)
+
+    def _way_between(self, before: WheelTicks, now: WheelTicks) -> float:
+        """Mean of both wheels' ways, in metres."""
+        steps = (now.left - before.left, now.right - before.right)
+        return sum(abs(least_step(n, self._span) * m) for n, m in zip(steps, self._m_per_tick, strict=True)) / 2
