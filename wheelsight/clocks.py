@@ -4,8 +4,8 @@ A stamp is a sensor's word for when something was. Clocks are set while a robot 
 begin to count anew. Session time goes on through all that. It is a sensor's stamp less an offset, which changes only
 where that sensor's clock leaps:
 
-- leap all sensors together, or all have paused, then session time goes on `pause_s` later for all of them, and what
-  lay between their stamps stays;
+- leap all sensors together, or all have paused, then session time goes on `pause_s` later for all of them, or at once
+  where clocks were set back, and what lay between their stamps stays;
 - leaps one alone while others go on, then its events go on as they came before: one period after its last, or as long
   after those of the others as usual. Of a leap by less than a stall may last, that one is only known once the others
   come later than usual by just as much; then it is they that are mapped.
@@ -231,7 +231,9 @@ class SessionClock:
         if any(other.on_time for other in self._others(sensor)):
             by_s, leapt = sensor.held_s[-1] - self._going_on_s(sensor), {name: sensor}
         else:
-            by_s = sensor.held_s[-1] - self._newest_s - self.settings.pause_s
+            # A clock that is set back tells of no pause.
+            pause_s = self.settings.pause_s if sensor.held_s[-1] > self._newest_s else sensor.period_s
+            by_s = sensor.held_s[-1] - self._newest_s - pause_s
             leapt = dict(self._sensors)
             self.shift_s += by_s
         for each in leapt.values():

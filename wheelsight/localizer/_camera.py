@@ -25,9 +25,9 @@ def mount_of(calibration: Calibration) -> FloatArray:
 
 
 def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
-    """A motion of the camera as wheels can be compared with it whose times are uncertain, at a velocity (6,) of its own.
+    """A motion of the camera, at a velocity (6,) of its own, beside wheels whose times are uncertain by so much.
 
-    What it goes in so much time is added to its covariance: else stamps that are off look like slip.
+    What it goes in that time is added to its covariance: else stamps that are off look like slip.
     """
     if twist is None or motion.T_reference_current is None or motion.covariance is None or not noise_s:
         return motion

@@ -1,10 +1,10 @@
 """ReadingTimes: when wheel readings were taken, though they are stamped when they arrive.
 
-Wheels tell ways, and a count is right whenever it arrives; its stamp is off by what host and wire were busy with. A step
-took about as long as its way takes at the speed there was. By how much steps last more or less than their ways take
-tells how far off stamps are, beyond what a change of speed would make of it; the time of a reading lies between both,
-the nearer to its stamp the better stamps are. One that comes late, after a gap in which those behind it waited too, was
-taken when its way says.
+Wheels tell ways, and a count is right whenever it arrives; its stamp is off by what host and wire were busy with. A
+step took about as long as its way takes at the speed there was. By how much steps last more or less than their ways
+take tells how far off stamps are, beyond what slip and a change of speed would make of it; the time of a reading lies
+between both, the nearer to its stamp the better stamps are. One that comes late, after a gap in which those behind it
+waited too, was taken when its way says.
 """
 
 from __future__ import annotations
@@ -22,15 +22,20 @@ _STEPS = 8
 _MOST_M_S2 = 1.0
 # Slower, a count more or less is much of the way.
 _SLOWEST_M_S = 0.03
+# A step of less than this share of the usual way is of a base that stops.
+_STOPS = 0.5
 # A step so many times as long as usual, and longer than its way takes by so many standard deviations, has a gap in it.
 _LONG, _SIGMAS = 1.5, 3.0
-# Those behind it waited too, until one is taken less than this share of a period before its stamp, or some come at their
-# usual pace, as they do behind a second gap within the first: longer than this share of what their ways take.
+# Those behind it waited too, until one is taken less than this share of a period before its stamp, or some come at
+# their usual pace, as they do behind a second gap within the first: longer than this share of what their ways take.
 _WAITS, _SHARE, _PATIENCE = 0.5, 0.6, 3
 # No reading is believed to be farther off its stamp: filters take events so late.
 _LATEST_S = 0.2
-# The noise is the root mean square over about so many steps on the way; before so many are known, stamps stand.
-_MEMORY, _FEWEST = 40, 8
+# The noise is the root mean square over about so many steps on the way, none of which counts as more than three times
+# what was known: a speed that changes at once is no noise. Wheels that count in steps make so much of it, and of stamps
+# that seem off by less than the second, all are taken for exact.
+_MEMORY = 40
+_BEST_S, _EXACT_S = 1e-3, 3e-3
 
 
 class ReadingTimes:
@@ -42,17 +47,17 @@ class ReadingTimes:
 
     def __init__(self, wheels: Wheels) -> None:
         self._m_per_tick = (wheels.left_m_per_tick, wheels.right_m_per_tick)
-        self._span = wheels.counter_span
+        self._span, self._slip_m_per_sqrt_m = wheels.counter_span, wheels.slip_m_per_sqrt_m
         self._last: WheelTicks | None = None
         self._time_s = -math.inf
         self._steps: deque[tuple[float, float]] = deque(maxlen=_STEPS)  # seconds, and way in metres
-        self._variance_s2, self._learned = 0.0, 0
+        self._variance_s2 = _BEST_S**2
         self._patience = self.late = 0
 
     @property
     def noise_s(self) -> float:
-        """Standard deviation of the stamps, beyond what may be a change of speed."""
-        return math.sqrt(self._variance_s2)
+        """Standard deviation of the stamps, beyond what may be a change of speed; 0 where they are exact."""
+        return math.sqrt(self._variance_s2) if self._variance_s2 > _EXACT_S**2 else 0.0
 
     def time_of(self, reading: WheelTicks) -> float:
         """When a reading was taken, in seconds; times grow where stamps do."""
@@ -69,22 +74,25 @@ class ReadingTimes:
 
     def _told(self, stamp_s: float, step_s: float, way_m: float) -> float:
         """The time of a reading: by its stamp and its way, or by that alone where it waited."""
-        speed_m_s = self._speed_m_s
-        if speed_m_s < _SLOWEST_M_S:
+        speed_m_s, period_s = self._speed_m_s, sum(seconds for seconds, _ in self._steps) / _STEPS
+        if speed_m_s < _SLOWEST_M_S or way_m < _STOPS * period_s * speed_m_s:
             self._patience = 0
             return stamp_s
-        took_s, lag_s = way_m / speed_m_s, sum(seconds for seconds, _ in self._steps) / 2
-        unsure_s = took_s * min(_MOST_M_S2 * lag_s / speed_m_s, 1.0)
+        took_s, lag_s = way_m / speed_m_s, period_s * _STEPS / 2
+        of_slip_s = self._slip_m_per_sqrt_m * math.sqrt(way_m / 2) / speed_m_s
+        unsure_s = math.hypot(took_s * min(_MOST_M_S2 * lag_s / speed_m_s, 1.0), of_slip_s)
         due_s = self._time_s + took_s
-        if self._waited(stamp_s - due_s, step_s, took_s, unsure_s):
+        if self._waited(stamp_s - due_s, step_s, took_s, (unsure_s, period_s)):
             return due_s
-        self._learn((step_s - took_s) ** 2 - unsure_s**2)
-        gain = unsure_s / (unsure_s + self.noise_s / 2) if self._learned >= _FEWEST and unsure_s > 0 else 1.0
-        told_s = due_s + gain * (stamp_s - due_s)
-        return told_s if abs(told_s - stamp_s) < _LATEST_S else stamp_s
+        self._learn(((step_s - took_s) ** 2 - unsure_s**2) / 2)  # both ends of a step are off
+        noise_s = self.noise_s
+        if noise_s == 0:
+            return stamp_s
+        told_s = due_s + unsure_s / (unsure_s + noise_s / 2) * (stamp_s - due_s)
+        return told_s if abs(stamp_s - told_s) < _LATEST_S else stamp_s
 
-    def _waited(self, late_s: float, step_s: float, took_s: float, unsure_s: float) -> bool:
-        period_s = sum(seconds for seconds, _ in self._steps) / _STEPS
+    def _waited(self, late_s: float, step_s: float, took_s: float, usual: tuple[float, float]) -> bool:
+        unsure_s, period_s = usual
         off_s = _SIGMAS * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
         begins = step_s > _LONG * period_s and step_s - took_s > off_s
         if begins:
@@ -97,9 +105,8 @@ class ReadingTimes:
         return self._patience > 0
 
     def _learn(self, found_s2: float) -> None:
-        """Of both ends of a step."""
-        self._learned = min(self._learned + 1, _MEMORY)
-        self._variance_s2 += (max(found_s2 / 2, 0.0) - self._variance_s2) / self._learned
+        counted_s2 = min(max(found_s2, _BEST_S**2), 9 * self._variance_s2)
+        self._variance_s2 += (counted_s2 - self._variance_s2) / _MEMORY
 
     @property
     def _speed_m_s(self) -> float:
