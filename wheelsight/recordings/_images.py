@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelsight.errors import RecordingError
-from wheelsight.geometry import ByteArray, Float32Array
+from wheelsight.geometry import MOST_PIXELS, ByteArray, Float32Array
 from wheelsight.inputs import Kind, picture_size, read_bytes, scan_count
 
 _PLAUSIBLE_MEDIAN_M = (0.05, 50.0)
@@ -18,7 +18,6 @@ _MEDIAN_STRIDE = 8
 _COLOR_FLAGS = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
 _TRAILERS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
 _TRAILER_REACH = 64
-_MOST_PIXELS = 1 << 25  # twice the largest depth camera's 16 million
 _MOST_PIXELS_DECODED = 1 << 28  # 12 million in 22 scans; a progressive JPEG usually has 10
 _KINDS = {
     kind: Kind(f"a {kind} image", most_mb=128, missing=f"listed {kind} image is absent") for kind in ("colour", "depth")
@@ -85,9 +84,9 @@ def _check_size(data: bytes, path: Path, kind: str) -> None:
     if size is None:
         raise RecordingError(f"{kind} image is damaged, or no image", path=path, fix="convert it to PNG")
     width, height = size
-    if width * height > _MOST_PIXELS:
+    if width * height > MOST_PIXELS:
         problem = f"{kind} image says it is {width}×{height} pixels, more than any depth camera has"
-        raise RecordingError(problem, path=path, fix=f"at most {_MOST_PIXELS / 1e6:.0f} million pixels")
+        raise RecordingError(problem, path=path, fix=f"at most {MOST_PIXELS / 1e6:.0f} million pixels")
     if width * height * scan_count(data) > _MOST_PIXELS_DECODED:
         problem = f"{kind} image has {scan_count(data)} scans, which take long to decode"
         raise RecordingError(problem, path=path, fix="convert it to PNG")
