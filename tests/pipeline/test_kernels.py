@@ -62,6 +62,11 @@ def test_a_run_needs_the_parts_of_its_tracks(settings: dict[str, Any], parts: tu
     assert kernels.parts_of(load_config(overrides=settings)) == parts
 
 
+def test_what_needs_a_library_that_is_missing_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "find_spec", lambda name: None)
+    assert kernels.usable_parts() == ("wheels", "features", "dense", "joined", "places")
+
+
 def test_what_cannot_be_compiled_is_told_by_its_last_line() -> None:
     with pytest.raises(OutputError, match=r"kernels could not be compiled: KeyError: 'nothing'"):
         kernels.compile_kernels(["nothing"])
@@ -100,8 +105,9 @@ from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 from wheelsight import load_config, open_recording, run_each
 from wheelsight.pipeline._compile import _rehearse
-from wheelsight.pipeline.kernels import PARTS
+from wheelsight.pipeline.kernels import usable_parts
 from wheelsight.pipeline.rehearsal import write_rehearsal
+from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 
 def loaded():
     modules = [module for name, module in sys.modules.items() if name.startswith("wheelsight.")]
@@ -111,9 +117,10 @@ def loaded():
 folder = Path(sys.argv[1])
 for name, is_registered in (("one", True), ("two", False)):
     write_rehearsal(folder / name, is_registered=is_registered)
-    for part in PARTS:
+    for part in usable_parts():
         _rehearse(part, open_recording(folder / name), folder / "results")
 before = loaded()
+write_simulation(simulate(SimulationSettings(duration_s=1.0, rate_hz=4, size=(80, 60), seed=3)), folder / "simulated")
 for settings in ({"odometry": "wheels,dense", "map": "surfels"}, {"odometry": "wheels,features"}):
     run_each(open_recording(folder / "drive"), load_config(overrides=settings), folder / "out", force=True)
 print(*(loaded() - before), sep="\\n")

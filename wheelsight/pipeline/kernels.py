@@ -14,6 +14,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -23,7 +24,8 @@ from wheelsight.errors import OutputError
 from wheelsight.files import write_text
 
 PACKAGE = Path(__file__).parent.parent
-# What each part of wheelsight runs for the sake of its kernels: settings of a run, by their names.
+# What each part of wheelsight runs for the sake of its kernels: settings of a run, by their names. What a part calls
+# besides runs is in `_compile`.
 PARTS: dict[str, tuple[dict[str, Any], ...]] = {
     "wheels": ({"odometry": "wheels"},),
     "features": ({"odometry": "features"}, {"odometry": "features", "features.reference": "previous"}),
@@ -34,10 +36,19 @@ PARTS: dict[str, tuple[dict[str, Any], ...]] = {
         {"odometry": "wheels,dense", "fusion": "ligocki"},
     ),
     "places": (),
+    "simulation": (),
+    "mesh": (),
 }
+# Libraries without which a part cannot be run at all.
+_NEEDS = {"simulation": "mujoco", "mesh": "skimage"}
 # On two cores of 2023, nothing being compiled yet; for words such as "about a minute" alone.
-SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "places": 5}
+SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "places": 5, "simulation": 40, "mesh": 5}
 _MARK = "wheelsight-{}.compiled.json"
+
+
+def usable_parts() -> tuple[str, ...]:
+    """All parts but those whose libraries, which an extra brings, are not installed."""
+    return tuple(part for part in PARTS if part not in _NEEDS or find_spec(_NEEDS[part]) is not None)
 
 
 def parts_of(config: Config) -> tuple[str, ...]:
