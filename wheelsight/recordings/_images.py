@@ -56,6 +56,15 @@ def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
     return depth_m
 
 
+def is_depth_image(path: Path) -> bool | None:
+    """Whether an image has one channel of 16 bits, as depth has; None where it cannot be read."""
+    try:
+        image = _decode(path, cv2.IMREAD_UNCHANGED, "depth")
+    except RecordingError:
+        return None
+    return image.ndim == 2 and image.dtype == np.uint16
+
+
 def image_size(image: NDArray[np.generic]) -> str:
     """Width × height of an image, for messages."""
     return f"{image.shape[1]}×{image.shape[0]}"
