@@ -2,7 +2,7 @@
 #
 #   make demo                      simulate a drive with mishaps, join wheels and camera over it, map it, report against truth
 #   make demo RECORDING=folder     the same of a recording you have; ODOMETRY=wheels where it has no images
-#   make test [SLOW=1]             all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
+#   make test [SLOW=1] [WORKERS=n] all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
 #   make bench                     side by side with OpenCV and Open3D on the real recordings; kept in BENCHMARKS.md
 #   make firmware                  the wheel controller's program, and its size
@@ -12,6 +12,8 @@ PYTHON ?= python3
 RECORDING ?=
 ODOMETRY ?=
 OUT ?= out/demo
+# Processes that tests are shared between; the one that runs out of tests takes of another's.
+WORKERS ?= auto
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -32,7 +34,7 @@ demo: $(VENV)/.installed-core
 endif
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(QUICK) $(ARGS)
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(QUICK) $(ARGS)
 
 check: $(VENV)/.installed-dev docs
 	$(BIN)/ruff check
