@@ -2,7 +2,7 @@
 #
 #   make demo                      simulate a drive with mishaps, join wheels and camera over it, map it, report against truth
 #   make demo RECORDING=folder     the same of a recording you have; ODOMETRY=wheels where it has no images
-#   make test [SLOW=1]             all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
+#   make test [SLOW=1] [WORKERS=n] all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
 #   make bench                     side by side with OpenCV and Open3D on the real recordings; kept in BENCHMARKS.md
 #   make firmware                  the wheel controller's program, and its size
@@ -12,10 +12,14 @@ PYTHON ?= python3
 RECORDING ?=
 ODOMETRY ?=
 OUT ?= out/demo
+# Processes that tests are shared between; the one that runs out of tests takes of another's.
+WORKERS ?= auto
+# What ARGS choose may all be of one kind: pytest ends with 5 where it chose nothing.
+OR_NONE := [ $$? -eq 5 ]
 
 VENV := .venv
 BIN := $(VENV)/bin
-QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
+QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),, and not slow)
 
 .PHONY: demo test check bench docs firmware wheel clean
 
@@ -32,7 +36,8 @@ demo: $(VENV)/.installed-core
 endif
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(QUICK) $(ARGS)
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m "not timed$(QUICK)" $(ARGS) || $(OR_NONE)
+	$(BIN)/python -m pytest -m "timed$(QUICK)" $(ARGS) || $(OR_NONE)
 
 check: $(VENV)/.installed-dev docs
 	$(BIN)/ruff check

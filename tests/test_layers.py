@@ -18,6 +18,7 @@ LAYERS = (
     "events",
     "calibration_fields",
     "calibration_layers",
+    "calibration_parts",
     "calibration",
     "checks",
     "association",

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.stamps import NUMBERS, UNITS, unit_of
+from wheelsight.stamps import NUMBERS, SECONDS, UNITS, StampUnit, column_unit, unit_of
 
 NAMES = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
@@ -51,3 +51,28 @@ def test_of_few_stamps_nothing_is_said() -> None:
     assert unit_of([]) is None
     assert unit_of([0.0, 33.0, 66.0]) is None
     assert unit_of([np.nan, np.inf, 1.0, 2.0, 3.0]) is None
+
+
+MS, US, NS = UNITS
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("timestamp_ns,filename", NS),
+        ("Time [ms]", MS),
+        ("time in milliseconds file", MS),
+        ("time (in us) file", US),
+        ("t/µs;x", US),
+        ("'stamp [s]';x", SECONDS),
+        ("t_nsec", NS),
+        ("timestamp filename", None),
+        ("times", None),
+        ("time_ms_of_camera", None),
+        ("time s.png", None),
+        ("stamp [minutes]", None),
+        ("filename,stamp_ms", None),
+    ],
+)
+def test_a_column_tells_its_unit_where_it_names_one(text: str, unit: StampUnit | None) -> None:
+    assert column_unit(text) is unit

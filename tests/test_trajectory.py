@@ -318,3 +318,28 @@ def test_the_rest_is_refused_with_the_fix(tmp_path: Path, text: str, told: str) 
     with pytest.raises(TrajectoryError) as caught:
         read_tum(tmp_path / "a.txt")
     assert str(caught.value).startswith(f"{tmp_path / 'a.txt'}{told}")
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        *("# timestamp_ms tx ty tz qx qy qz qw\n", "# frames: T_world_base\n# time [ms] tx ty\n"),
+        *("stamp_ms,tx,ty,tz,qx,qy,qz,qw\n", "time [ms] tx ty tz qx qy qz qw\n", "# time in ms\n# by hand\n\n"),
+    ],
+)
+def test_a_unit_that_the_first_line_names_is_read(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(head + "1500 1 2 3 0 0 0 1\n2500 4 5 6 0 0 0 1\n")
+    np.testing.assert_array_equal(read_tum(path).stamps_s, [1.5, 2.5])
+
+
+def test_many_poses_are_read_at_once_as_line_by_line(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A comment further down has it read line by line; both ways tell the same."""
+    plain, odd = tmp_path / "plain.txt", tmp_path / "odd.txt"
+    rows = [f"{i / 100} {x!r} {y!r} 0 0 0 0 1\n" for i, (x, y) in enumerate(rng.normal(size=(2000, 2)).tolist())]
+    plain.write_text("# frames: T_odom_base\n" + "".join(rows))
+    odd.write_text("# frames: T_odom_base\n" + "".join(rows) + "# the end\n")
+    a, b = read_tum(plain), read_tum(odd)
+    np.testing.assert_array_equal(a.stamps_s, b.stamps_s)
+    np.testing.assert_array_equal(a.T_world_body, b.T_world_body)
+    assert (a.world, a.body) == (b.world, b.body) == ("odom", "base")

@@ -2,158 +2,36 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration_fields import made, mapping, motion, number, whole
+from wheelsight.calibration_fields import Range, check_range, made, mapping, motion, number, whole
 from wheelsight.calibration_layers import NOMINAL, NOMINAL_PARTS, laid_over
+from wheelsight.calibration_parts import DepthNoise, Gyro, Wheels
 from wheelsight.errors import CalibrationError
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
 
+__all__ = [
+    "FORMAT",
+    "Calibration",
+    "DepthNoise",
+    "Gyro",
+    "Wheels",
+    "calibration_fields",
+    "load_calibration",
+    "read_layer",
+    "save_calibration",
+    "save_layer",
+]
+
 FORMAT = "wheelsight-calibration-1"
 _SLOWEST_SHUTTER_S = 0.2
-_WIDEST_COUNTER_BITS = 64
-# From a toy's to a tractor's; counts a turn from those of speeds in place of ticks to fine encoders behind a gear.
-_SIZES = {"left_radius_m": (0.005, 2.0), "right_radius_m": (0.005, 2.0), "track_width_m": (0.02, 10.0)}
-_TICKS_PER_TURN = (1.0, 1e9)
-
-
-@dataclass(frozen=True, slots=True)
-class DepthNoise:
-    """Standard deviation of a depth reading, σ(z) = constant_m + quadratic_per_m · z², and the trusted range.
-
-    The default is Kinect v1's: Khoshelham & Elberink, Sensors 12 (2012), fitted σ(z) = 1.425e-3 z²; depth images
-    in millimetres add a constant of about one.
-    """
-
-    constant_m: float = 0.001
-    quadratic_per_m: float = 1.425e-3
-    near_m: float = 0.3
-    far_m: float = 10.0
-
-    def __post_init__(self) -> None:
-        numbers = (self.constant_m, self.quadratic_per_m, self.near_m, self.far_m)
-        if not np.isfinite(numbers).all() or min(numbers) < 0 or self.constant_m + self.quadratic_per_m == 0:
-            raise CalibrationError("depth noise takes finite numbers, not negative, and not both zero")
-        if self.near_m >= self.far_m:
-            raise CalibrationError(f"depth range {self.near_m} to {self.far_m} m is empty")
-
-    def sigma_m(self, depth_m: FloatArray) -> FloatArray:
-        """Standard deviations (...) in metres of depths (...) in metres."""
-        return self.constant_m + self.quadratic_per_m * np.asarray(depth_m, float) ** 2
-
-
-@dataclass(frozen=True, slots=True)
-class Wheels:
-    """Two driven wheels on one axle, or two sides of a skid-steered robot, and their encoders.
-
-    Attributes:
-        left_radius_m, right_radius_m: of the wheels, as they roll under load.
-        track_width_m: distance between the points where the wheels touch the ground. A skid-steered robot's
-            effective one is wider than the robot.
-        ticks_per_turn: counts of the encoder a turn of the wheel: counts a turn of the encoder × gear ratio.
-        counter_bits: width of the counters the ticks come from, 1 to 64; 0 for ticks that never roll over.
-        delay_s: how late stamps are: a reading stamped t tells of the wheels at t - delay_s. May be negative.
-        slip_m_per_sqrt_m: standard deviation of a wheel's travel over one metre; its square grows with the way.
-        max_speed_m_s: fastest a wheel can roll; a step that needs more is a fault, no motion.
-        max_gap_s: longest time between readings that can be bridged.
-        counter_modulus: how many values the counters count through before they roll over, where that is no power of
-            two, such as 9000 for 0 … 8999; 0 where `counter_bits` tells.
-
-    Raises:
-        CalibrationError: a value that no robot can have.
-    """
-
-    left_radius_m: float
-    right_radius_m: float
-    track_width_m: float
-    ticks_per_turn: float
-    counter_bits: int = 0
-    delay_s: float = 0.0
-    slip_m_per_sqrt_m: float = 0.01
-    max_speed_m_s: float = 5.0
-    max_gap_s: float = 0.5
-    counter_modulus: int = 0
-
-    def __post_init__(self) -> None:
-        for name in _WHEEL_FIELDS:
-            value = getattr(self, name)
-            if not np.isfinite(value):
-                raise CalibrationError(f"{name} is {value}, not a number")
-            if value <= 0 and name not in (*_COUNTER_FIELDS, "delay_s"):
-                raise CalibrationError(f"{name} is {value}, not positive")
-        self._check_counter()
-        for name, (least_m, most_m) in _SIZES.items():
-            value = getattr(self, name)
-            if not least_m <= value <= most_m:
-                fix = f"give metres: {value:g} mm are {value / 1000:g}" if value > most_m else "give metres"
-                raise CalibrationError(f"{name} is {value:g}, not {least_m:g} to {most_m:g} m", fix=fix)
-        if not _TICKS_PER_TURN[0] <= self.ticks_per_turn <= _TICKS_PER_TURN[1]:
-            problem = f"ticks_per_turn is {self.ticks_per_turn:g}, not 1 to 1e9"
-            raise CalibrationError(problem, fix="counts a turn of the encoder × gear ratio")
-
-    def _check_counter(self) -> None:
-        if self.counter_bits != int(self.counter_bits) or not 0 <= self.counter_bits <= _WIDEST_COUNTER_BITS:
-            raise CalibrationError(f"counter_bits is {self.counter_bits}", fix="1 to 64, or 0: never rolls over")
-        if self.counter_modulus != int(self.counter_modulus) or not (
-            self.counter_modulus == 0 or 2 <= self.counter_modulus <= 2**_WIDEST_COUNTER_BITS
-        ):
-            raise CalibrationError(f"counter_modulus is {self.counter_modulus}", fix="9000 for a counter of 0 … 8999")
-        if self.counter_bits and self.counter_modulus:
-            raise CalibrationError("counter_bits and counter_modulus are both given", fix="leave one out")
-
-    @property
-    def counter_span(self) -> int:
-        """How many values the counters count through before they roll over; 0 for ticks that never do."""
-        return int(self.counter_modulus) or (1 << int(self.counter_bits) if self.counter_bits else 0)
-
-    @property
-    def never_rolling_over(self) -> Wheels:
-        """The same, for ticks in which roll-overs have been undone."""
-        return replace(self, counter_bits=0, counter_modulus=0)
-
-    @property
-    def left_m_per_tick(self) -> float:
-        """How far the left wheel rolls while its encoder counts one."""
-        return 2 * math.pi * self.left_radius_m / self.ticks_per_turn
-
-    @property
-    def right_m_per_tick(self) -> float:
-        """How far the right wheel rolls while its encoder counts one."""
-        return 2 * math.pi * self.right_radius_m / self.ticks_per_turn
-
-
-@dataclass(frozen=True, slots=True)
-class Gyro:
-    """What a gyroscope's yaw rate, counter-clockwise seen from above, is worth.
-
-    Attributes:
-        noise_rad_per_sqrt_s: standard deviation of the yaw integrated over one second; its square grows with time.
-        bias_rad_s: what it shows at rest; refined whenever the wheels stand still.
-        bias_sigma_rad_s: how far off that may be, as a standard deviation; 0 for a bias that is to be kept.
-        bias_walk_rad_s_per_sqrt_s: how far the bias wanders in one second; its square grows with time.
-
-    Raises:
-        CalibrationError: a value that is not finite, or a negative deviation.
-    """
-
-    noise_rad_per_sqrt_s: float = 1e-3
-    bias_rad_s: float = 0.0
-    bias_sigma_rad_s: float = 0.02
-    bias_walk_rad_s_per_sqrt_s: float = 2e-5
-
-    def __post_init__(self) -> None:
-        for name in _GYRO_FIELDS:
-            value = getattr(self, name)
-            if not np.isfinite(value) or (value < 0 and name != "bias_rad_s"):
-                raise CalibrationError(f"{name} is {value}, not a number{'' if name == 'bias_rad_s' else ' from 0 up'}")
-        if self.noise_rad_per_sqrt_s == 0:
-            raise CalibrationError("noise_rad_per_sqrt_s is 0", fix="no gyroscope is without noise")
+# How far the camera may sit from the base, and the depth camera from the colour camera beside it.
+_MOST_APART_M = {"T_base_camera": 10.0, "T_color_depth": 1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +79,7 @@ class Calibration:
             object.__setattr__(self, name, T)
             if T.shape != (4, 4) or not se3.is_valid(T, tolerance=1e-4):
                 raise CalibrationError(f"{name} is not a rigid motion: orthonormal rotation, last row 0 0 0 1")
+            check_range(f"the way of {name}", float(np.linalg.norm(T[:3, 3])), Range(0, _MOST_APART_M[name], "m"))
         if not 0 <= self.rolling_shutter_s <= _SLOWEST_SHUTTER_S:
             raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
         if self.color is not None and not 0 <= self.color_sigma_px < self.color.width:
@@ -361,7 +240,7 @@ def _from_document(document: Any) -> Calibration:
     parts: dict[str, Any] = {"T_base_camera": motion(known.get("T_base_camera"), "T_base_camera")}
     if "gyro" in known:
         gyro = mapping(known["gyro"], "gyro", _GYRO_FIELDS)
-        parts["gyro"] = made(Gyro, "gyro", {key: number(value, f"gyro.{key}") for key, value in gyro.items()})
+        parts["gyro"] = made(Gyro, "gyro", _numbers(gyro, "gyro"))
     of_camera = [name for name in _CAMERA_PART if name in known]
     if "color" in known:
         parts |= _camera_part(known)
@@ -379,10 +258,14 @@ def _camera_part(known: dict[str, Any]) -> dict[str, Any]:
     return {
         "color": color,
         "depth": _camera(known["depth"], "depth") if "depth" in known else color,
-        "depth_noise": DepthNoise(**{name: number(value, f"depth_noise.{name}") for name, value in noise.items()}),
+        "depth_noise": made(DepthNoise, "depth_noise", _numbers(noise, "depth_noise")),
         "T_color_depth": motion(known.get("T_color_depth"), "T_color_depth"),
         **{name: number(known[name], name) for name in _NUMBERS if name in known},
     }
+
+
+def _numbers(fields_of_part: dict[str, Any], part: str) -> dict[str, float]:
+    return {name: number(value, f"{part}.{name}") for name, value in fields_of_part.items()}
 
 
 def _wheels(value: Any) -> Wheels:
@@ -390,7 +273,7 @@ def _wheels(value: Any) -> Wheels:
     missing = [f.name for f in fields(Wheels) if f.default is MISSING and f.name not in known]
     if missing:
         raise _MissingError("wheels", f"wheels.{missing[0]}", "give it too, here or in another --calibration")
-    numbers: dict[str, Any] = {key: number(value, f"wheels.{key}") for key, value in known.items()}
+    numbers: dict[str, Any] = _numbers(known, "wheels")
     numbers |= {name: whole(known[name], f"wheels.{name}", "") for name in _COUNTER_FIELDS if name in known}
     return made(Wheels, "wheels", numbers)
 

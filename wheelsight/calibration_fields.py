@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -11,6 +11,34 @@ from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
 
 Part = TypeVar("Part")
+
+
+class Range(NamedTuple):
+    """What a number may be, ends included.
+
+    Attributes:
+        unit: for messages; in m and s it is told what a number in mm and ms would be.
+        fix: what to do about a number outside.
+    """
+
+    least: float
+    most: float
+    unit: str
+    fix: str | None = None
+
+
+def check_range(name: str, value: float, allowed: Range) -> None:
+    """Raise CalibrationError, naming the range, for a number outside it."""
+    least, most, unit, fix = allowed
+    if least <= value <= most:
+        return
+    if fix is None and unit in _WHOLE_UNITS:
+        fix = f"give {_WHOLE_UNITS[unit]}"
+        fix += f": {value:g} m{unit} are {value / 1000:g}" if abs(value) > most else ""
+    raise CalibrationError(f"{name} is {value:g}, not {least:g} to {most:g} {unit}".rstrip(), fix=fix)
+
+
+_WHOLE_UNITS = {"m": "metres", "s": "seconds"}
 
 
 def made(kind: Callable[..., Part], name: str, numbers: dict[str, Any]) -> Part:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,7 @@ class StampUnit:
     per_second: float | None
 
 
+SECONDS = StampUnit("seconds", 1.0)
 NUMBERS = StampUnit("numbers", None)
 UNITS = (StampUnit("milliseconds", 1e3), StampUnit("microseconds", 1e6), StampUnit("nanoseconds", 1e9))
 
@@ -55,3 +57,27 @@ def unit_of(stamps: ArrayLike) -> StampUnit | None:
     if step < _LEAST_STEP:
         return None
     return UNITS[0] if step < 1e3 else UNITS[1] if step < 1e6 else UNITS[2]
+
+
+# A column of stamps by its name, alone or before what parts columns; its unit after "_", "/", "in" or in brackets.
+_COLUMN = re.compile(
+    r"[\"']?(?:time_?stamps?|stamps?|time|t)(?:\s*[\[(_/]\s*(?:in\s+)?|\s+in\s+)(?P<unit>[a-zµμ_]+)\s*[\])]?[\"']?(?=[\s,;]|$)",
+    re.IGNORECASE,
+)
+_UNIT_NAMES = (
+    (SECONDS, re.compile(r"s|sec|secs|seconds?", re.IGNORECASE)),
+    (UNITS[0], re.compile(r"ms|msecs?|milli_?sec(?:ond)?s?", re.IGNORECASE)),
+    (UNITS[1], re.compile(r"[uµμ]s|[uµμ]secs?|micro_?sec(?:ond)?s?", re.IGNORECASE)),
+    (UNITS[2], re.compile(r"ns|nsecs?|nano_?sec(?:ond)?s?", re.IGNORECASE)),
+)
+
+
+def column_unit(text: str) -> StampUnit | None:
+    """The unit that a line or a name tells that begins with that of a column of stamps, such as `time [ms]`.
+
+    None where it begins otherwise, or tells no unit: `timestamp` may be in any.
+    """
+    found = _COLUMN.match(text.strip())
+    if found is None:
+        return None
+    return next((unit for unit, name in _UNIT_NAMES if name.fullmatch(found["unit"])), None)

@@ -6,7 +6,7 @@ import logging
 import math
 import re
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 from wheelsight.errors import TrajectoryError
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, interpolate_at, se3, so3
-from wheelsight.inputs import Kind, as_number, lines_of, numbers_with_commas, read_text, split_words
+from wheelsight.inputs import Kind, as_number, lines_of, numbers_with_commas, plain_rows, read_text, split_words
+from wheelsight.stamps import StampUnit, column_unit
 
 _log = logging.getLogger(__name__)
 
@@ -31,6 +32,7 @@ _COLUMN_NAMES = (
     *((f"t{axis}", axis, f"p{axis}", f"p_{axis}", f"pos_{axis}", f"{axis}_m") for axis in "xyz"),
     *((f"q{axis}", f"q_{axis}") for axis in "xyzw"),
 )
+_UNIT_APART = re.compile(r"\s+(?=[\[(])")  # of "timestamp [ns]", one name
 _FILE = Kind("a trajectory", most_mb=192)
 _LARGEST_STAMP, _LARGEST = 1e20, 1e12  # of which squares are summed up; stamps may be of a wrong unit
 _FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<world>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
@@ -224,10 +226,43 @@ def write_kitti(trajectory: Trajectory, path: StrPath) -> None:
 
 def _read_rows(path: Path, columns: int) -> tuple[IntArray, FloatArray, tuple[str, str] | None]:
     """Line numbers (N,) and values (N, columns) of all lines that are no comment, and the frames a comment names."""
-    lines = lines_of(read_text(path, _FILE, TrajectoryError))
+    text = read_text(path, _FILE, TrajectoryError)
+    begin, first, frames, unit = _comments_above(text)
+    first_line = text[begin : text.find("\n", begin)]
+    found = plain_rows(text[begin:], [False] * columns, "," if "," in first_line else None)
+    if found is not None:
+        numbers, told = np.arange(first, first + len(found[0]), dtype=np.int64), np.column_stack(found)
+    else:
+        numbers, told, frames, named = _read_lines(text, columns, path)
+        unit = named or unit
+    if columns == _TUM_COLUMNS and unit is not None and unit.per_second is not None:
+        told[:, 0] /= unit.per_second
+    _refuse_impossible(told, numbers, path)
+    return numbers, told, frames
+
+
+def _comments_above(text: str) -> tuple[int, int, tuple[str, str] | None, StampUnit | None]:
+    """Where the comments at the top end, the number of the next line, the frames they name, and the unit of stamps."""
+    begin, number, frames, unit = 0, 1, None, None
+    while text.startswith("#", begin):
+        end = text.find("\n", begin)
+        line = text[begin : end if end >= 0 else None]
+        if named := _FRAMES_LINE.match(line):
+            frames = (named["world"], named["body"])
+        unit = column_unit(line.lstrip("# \t")) or unit
+        if end < 0:
+            return len(text), number, frames, unit
+        begin, number = end + 1, number + 1
+    return begin, number, frames, unit
+
+
+def _read_lines(
+    text: str, columns: int, path: Path
+) -> tuple[IntArray, FloatArray, tuple[str, str] | None, StampUnit | None]:
+    """As `_read_rows`, line by line, for any text; and the unit that the first line names for its stamps."""
     numbers, values = array("q"), array("d")
-    frames, order = None, None
-    for number, line in enumerate(lines, start=1):
+    frames, order, unit = None, None, None
+    for number, line in enumerate(lines_of(text), start=1):
         bare = line
         if "#" in line:
             if named := _FRAMES_LINE.match(line):
@@ -237,7 +272,7 @@ def _read_rows(path: Path, columns: int) -> tuple[IntArray, FloatArray, tuple[st
         if not words:
             continue
         if order is None and not numbers and columns == _TUM_COLUMNS and _is_header(words):
-            order = _order(words, path, number)
+            order, unit = _order(split_words(_UNIT_APART.sub("", bare)), path, number)
             continue
         if order is not None:
             words = _picked(words, order, path, number)
@@ -245,12 +280,10 @@ def _read_rows(path: Path, columns: int) -> tuple[IntArray, FloatArray, tuple[st
         numbers.append(number)
     if not numbers:
         raise TrajectoryError("holds no poses", path=path, fix=f"{columns} numbers a line are expected")
-    told = np.array(values, np.float64).reshape(-1, columns)
-    _refuse_impossible(told, numbers, path)
-    return np.array(numbers, np.int64), told, frames
+    return np.array(numbers, np.int64), np.array(values, np.float64).reshape(-1, columns), frames, unit
 
 
-def _refuse_impossible(values: FloatArray, numbers: Sequence[int], path: Path) -> None:
+def _refuse_impossible(values: FloatArray, numbers: IntArray, path: Path) -> None:
     """Raises TrajectoryError naming the first line (N,) of which a value is not finite, or beyond all sense."""
     largest = np.abs(values)
     for bad in np.flatnonzero(~(largest.max(axis=1) <= _LARGEST_STAMP) | (largest[:, 1:].max(axis=1) > _LARGEST)):
@@ -264,17 +297,22 @@ def _is_header(words: list[str]) -> bool:
     return len(words) > 1 and all(math.isnan(as_number(word)) and word.lower() != "nan" for word in words)
 
 
-def _order(words: list[str], path: Path, line: int) -> list[int]:
-    """Where a first line that names its columns has each of TUM's. Raises TrajectoryError where it lacks one."""
+def _order(words: list[str], path: Path, line: int) -> tuple[list[int], StampUnit | None]:
+    """Where a first line that names its columns has each of TUM's, and the unit of stamps that it names.
+
+    Raises TrajectoryError where it lacks a column.
+    """
     names = [word.lower() for word in words]
+    stamps = [column_unit(name) for name in names]
     places = []
     for known in _COLUMN_NAMES:
-        found = [place for place, name in enumerate(names) if name in known]
+        is_stamp = known is _COLUMN_NAMES[0]
+        found = [i for i, name in enumerate(names) if name in known or (is_stamp and stamps[i] is not None)]
         if len(found) != 1:
             problem = f"names {'no' if not found else 'more than one'} column {known[0]}"
             raise TrajectoryError(problem, path=path, line=line, fix=f"name the columns {_LINE_OF[8]}")
         places.append(found[0])
-    return [*places, len(names)]
+    return [*places, len(names)], stamps[places[0]]
 
 
 def _picked(words: list[str], order: list[int], path: Path, line: int) -> list[str]:

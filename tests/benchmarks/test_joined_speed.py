@@ -7,6 +7,8 @@ import pytest
 from benchmarks.joined_runs import CAMERA, JOINED, WHEELS
 from benchmarks.joined_speed import Spent, joined_speed_sheet, judge_joined_speed, overhead_ms, spent_on
 
+pytestmark = pytest.mark.timed
+
 
 def made(frame_ms: float, reading_ms: float, aside_ms: float = 0.0) -> Spent:
     return Spent([frame_ms / 1e3] * 10, [reading_ms / 1e3] * 90, [aside_ms / 1e3] * 10, tracked=100)

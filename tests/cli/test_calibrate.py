@@ -231,3 +231,13 @@ def test_a_calibration_that_cannot_be_read_is_not_lost(refusal: Refusal, drive: 
     told = refusal("calibrate", "wheels", drive, "--out", out, "--force")
     assert told.startswith(f"{out}: field calibration has an unknown entry 'colour'")
     assert "colour" in out.read_text()
+
+
+def test_a_file_larger_than_any_calibration_is_neither_read_nor_lost(
+    refusal: Refusal, drive: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "wheels.yaml"
+    out.write_bytes(bytes(2 << 20))
+    told = refusal("calibrate", "wheels", drive, "--out", out, "--force")
+    assert told.startswith(f"{out}: holds 2 MB, more than a YAML file may: 1 MB")
+    assert out.stat().st_size == 2 << 20

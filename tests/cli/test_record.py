@@ -21,6 +21,8 @@ from wheelsight.devices import open_wheels
 from wheelsight.recordings import open_recording
 from wheelsight.recordings._growing_text import GrowingText
 
+pytestmark = pytest.mark.timed
+
 Command = Callable[..., Result]
 
 

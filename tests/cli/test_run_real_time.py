@@ -17,6 +17,8 @@ from wheelsight.cli._real_time import words
 from wheelsight.pipeline import RealTimeRecording
 from wheelsight.recordings import open_recording
 
+pytestmark = pytest.mark.timed
+
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
 JOINED = ("--realtime", "--odometry", "wheels,features")

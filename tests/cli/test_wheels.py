@@ -20,6 +20,8 @@ from typer.testing import Result
 from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.devices import WheelLink, open_wheels
 
+pytestmark = pytest.mark.timed
+
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
 M_PER_TICK = 2 * 3.141592653589793 * 0.17 / 3200

@@ -192,3 +192,15 @@ def test_a_change_to_the_papers_format_and_back_loses_no_pulse() -> None:
     assert controller.way == (100 * 302, -50 * 302)
     assert controller.tracker.restarts == 0
     controller.check_order()
+
+
+def test_pairs_read_in_heaps_are_stamped_by_their_number() -> None:
+    """Three in a read, one read in 60 ms: before, two of three were stamped a microsecond apart."""
+    tracker, ticks = TickTracker(), []
+    for index in range(600):
+        read_s = 1e9 + 0.06 * (index // 3) + 0.05
+        ticks.append(tracker.add(Pulses(read_s, 7, 7, index % 3 == 0, 2 - index % 3)))
+    steps_s = [after.stamp_s - before.stamp_s for before, after in pairwise(ticks[300:])]
+    assert steps_s == pytest.approx([0.02] * len(steps_s), abs=1e-4)
+    assert ticks[-1].stamp_s <= 1e9 + 0.06 * 199 + 0.05
+    assert ticks[-1].left == 7 * 600

@@ -20,6 +20,8 @@ from wheelsight.devices.protocol import Command
 from wheelsight.errors import DeviceError
 from wheelsight.events import WheelTicks
 
+pytestmark = pytest.mark.timed
+
 
 @pytest.fixture
 def controller(tmp_path: Path) -> Iterator[SimulatedController]:

@@ -13,6 +13,8 @@ import pytest
 from wheelsight.devices import TelemetryPipe
 from wheelsight.errors import DeviceError, OutputError
 
+pytestmark = pytest.mark.timed
+
 
 class Reader:
     """Someone who has the pipe open, and reads when asked."""

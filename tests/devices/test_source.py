@@ -18,6 +18,8 @@ from wheelsight.events import WheelTicks
 from wheelsight.recordings import RecordingWriter
 from wheelsight.telemetry import Telemetry
 
+pytestmark = pytest.mark.timed
+
 WHEELS = Wheels(0.17, 0.17, 0.6, 3200.0, counter_bits=32)
 TICKS = [WheelTicks(1e9 + 0.02 * n, 100 * n, -50 * n) for n in range(50)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 import tracemalloc
 from dataclasses import replace
@@ -87,18 +88,24 @@ def test_nis_of_gyroscope_and_places_are_chi_squared():
 @pytest.mark.slow
 def test_memory_and_time_of_an_event_do_not_grow(rng):
     steps = simulate(Drive(seconds=120.0), rng, PLAIN)
+    follow(ErrorStateFilter(T_BASE_CAMERA), steps)  # loads kernels: some are called first in the middle of the drive
     fusion = ErrorStateFilter(T_BASE_CAMERA)
-    fusion.clone(0.0, "frame")
     seconds, held = [], []
     tracemalloc.start()
     for part in np.array_split(np.arange(len(steps)), 6):
         begin = time.process_time()
-        for step in (steps[i] for i in part):
-            fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
-            fusion.update_relative(step.end_s, step.look, "frame")
-            fusion.clone(step.end_s, "frame")
+        follow(fusion, [steps[i] for i in part])
         seconds.append(time.process_time() - begin)
+        gc.collect()
         held.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     assert held[-1] - held[1] < 50_000
     assert seconds[-1] < 2 * seconds[1]
+
+
+def follow(fusion, steps):
+    fusion.clone(steps[0].begin_s, "frame")
+    for step in steps:
+        fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
+        fusion.update_relative(step.end_s, step.look, "frame")
+        fusion.clone(step.end_s, "frame")

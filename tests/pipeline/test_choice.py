@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from room_drive import make_room_drive
 
 from wheelsight.config import load_config
-from wheelsight.pipeline import Choice, default_odometry
+from wheelsight.pipeline import Choice, default_odometry, run_each
+from wheelsight.pipeline.choice import unused_of
 from wheelsight.recordings import open_recording
 from wheelsight.recordings._image_recording import ImageRecording
 
@@ -52,3 +55,45 @@ def test_frames_without_cameras_are_not_used(drive: ImageRecording) -> None:
 
 def test_one_sensor_leaves_nothing_over(drive: ImageRecording) -> None:
     assert default_odometry(replace(drive, wheels=()), load_config()) == Choice(("features",))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "unused"),
+    [
+        (
+            {"odometry": "dense"},
+            ["{w} wheel readings are not used: --odometry dense leaves them out.", "go with wheels"],
+        ),
+        (
+            {"odometry": "features,dense"},
+            ["{w} wheel readings are not used: --odometry features,dense leaves them out.", "go with wheels"],
+        ),
+        ({"odometry": "wheels"}, ["{f} frames are not used: --odometry wheels leaves them out."]),
+        ({"odometry": "wheels,dense"}, []),
+        ({"odometry": "wheels,dense", "wheels.gyro": False}, ["7 readings of the gyroscope are not used: --no-gyro"]),
+    ],
+)
+def test_a_run_tells_what_it_leaves_out(drive: ImageRecording, overrides: dict[str, object], unused: list[str]) -> None:
+    told = unused_of(drive, load_config(overrides=overrides), yaw_rates=7)
+    assert len(told) == len(unused)
+    for sentence, expected in zip(told, unused, strict=True):
+        assert expected.format(w=drive.wheel_count, f=drive.frame_count) in sentence
+
+
+def test_a_run_tells_why_it_could_not(drive: ImageRecording) -> None:
+    unmounted = replace(drive, calibration=replace(drive.calibration, T_base_camera=None))
+    (told,) = unused_of(unmounted, load_config(overrides={"odometry": "features"}), yaw_rates=0)
+    assert told.startswith(f"{drive.wheel_count} wheel readings are not used: the calibration has no T_base_camera")
+    assert unused_of(replace(drive, wheels=()), load_config(overrides={"odometry": "features"}), yaw_rates=0) == ()
+
+
+@pytest.mark.usefixtures("real_odometry")
+@pytest.mark.parametrize("odometry", ["dense", "features,dense"])
+def test_report_and_metrics_say_it_once(drive: ImageRecording, tmp_path: Path, odometry: str) -> None:
+    records = run_each(drive, load_config(overrides={"odometry": odometry}), tmp_path / "out")
+    sentence = f"{drive.wheel_count} wheel readings are not used: --odometry {odometry} leaves them out."
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["warnings"].count(sentence) == 1
+    assert not any(sentence in found["warnings"] for found in metrics.get("odometry", {}).values())
+    assert all(sentence in record.warnings for record in records)
+    assert (tmp_path / "out" / "report.html").read_text().count(sentence) == 1

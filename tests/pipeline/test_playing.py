@@ -15,6 +15,8 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRat
 from wheelsight.pipeline.playing import FRAMES_AHEAD, THREAD, MonotonicClock, Playing
 from wheelsight.recordings import ListedFrame
 
+pytestmark = pytest.mark.timed
+
 START_S = 5e8
 Said = tuple[float, Event]
 

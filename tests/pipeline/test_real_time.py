@@ -32,6 +32,8 @@ from wheelsight.report import FrameRecord, RealTimeRecord, RunRecord
 from wheelsight.telemetry import Telemetry
 from wheelsight.trajectory import Trajectory
 
+pytestmark = pytest.mark.timed
+
 JOINED = load_config(overrides={"odometry": "wheels,features"})
 BY_PAPER = load_config(overrides={"odometry": "wheels,features", "fusion": "ligocki"})  # asks little of a stand-in
 REHEARSED = 3

@@ -52,6 +52,24 @@ def test_lists_of_all_dialects_are_read(folder: Path, text: str | bytes) -> None
     assert read(folder, text) == ([(1.5, "rgb/1.png"), (2.5, "rgb/2.png")], [])
 
 
+@pytest.mark.parametrize(
+    ("head", "per_second"),
+    [
+        ("# timestamp_ns,filename\n", 1e9),
+        ("timestamp [ns],filename\n", 1e9),
+        ("time (µs) file\n", 1e6),
+        ("# a comment\n# time in milliseconds, file\n", 1e3),
+        ("stamp_ms file\n", 1e3),
+        ("# timestamp filename\n", 1),
+        ("# 2 rgb images, time in order\n", 1),
+    ],
+)
+def test_a_unit_that_the_first_line_names_is_read(folder: Path, head: str, per_second: float) -> None:
+    lines = [f"{stamp_s * per_second:.1f} rgb/{n}.png\n" for n, stamp_s in ((1, 1.5), (2, 2.5))]
+    assert read(folder, head + "".join(lines)) == ([(1.5, "rgb/1.png"), (2.5, "rgb/2.png")], [])
+    assert [file.stamp_s for file in read_file_list(folder / "rgb.txt", rate_hz=per_second / 2)[0]] == [3.0, 5.0]
+
+
 @pytest.mark.parametrize("prefix", ["", "C:\\data\\rgb\\", "/home/someone/rgb/"])
 def test_names_of_another_folder_are_found_in_that_of_the_list_and_said(folder: Path, prefix: str) -> None:
     files, warnings = read(folder, SOUND.replace("rgb/", prefix))
@@ -75,8 +93,10 @@ def test_names_that_exist_are_taken_as_they_are_written(folder: Path) -> None:
             ":1: '5,rgb/1.png' is no file (write stamps with a decimal point, the file next, and quotes around a name "
             "with spaces)",
         ),
-        ("timestamp [ns],filename\n1,rgb/1.png\n", ":1: stamps are 'timestamp [ns]' (write them in seconds)"),
-        ("stamp_ms file\n1 rgb/1.png\n", ":1: stamps are 'stamp_ms file' (write them in seconds)"),
+        (
+            "time ms,file\n1,rgb/1.png\n",
+            ":1: stamps are 'time ms' (write them in seconds, or name their unit as in stamp_ms)",
+        ),
         ("rgb/1.png 1.5\n", ":1: 'rgb/1.png' is not a stamp in seconds (begin the line with the time in seconds, such"),
         ("1e100 rgb/1.png\n", ":1: '1e100' is not a stamp in seconds"),
         ("1.5 rgb/1.png\n2.5 rgb/\0.png\n", ":2: holds a NUL character (save it as text in UTF-8)"),

@@ -7,6 +7,8 @@ import pytest
 
 from wheelsight.recordings._read_ahead import read_ahead
 
+pytestmark = pytest.mark.timed
+
 
 def threads():
     return [thread for thread in threading.enumerate() if thread.name == "wheelsight-read-ahead"]

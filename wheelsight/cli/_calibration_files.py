@@ -53,13 +53,16 @@ def page_beside(out: Path, force: bool) -> Path:
 def kept_in(out: Path, calibration: Sequence[str] | None) -> dict[str, Any]:
     """What FILE is to hold besides what will be found: all that is in it, and over that what `--calibration` gave.
 
-    Raises CalibrationError, before any work, for a FILE that is a calibration but a wrong one: nothing is lost unasked.
+    Raises CalibrationError, before any work, for a FILE that is a calibration but a wrong one, or larger than any:
+    nothing is lost unasked.
     """
     from wheelsight.calibration import FORMAT, read_layer
     from wheelsight.calibration_layers import laid_over
+    from wheelsight.errors import CalibrationError
+    from wheelsight.inputs import YAML_FILE, read_bytes
 
     kept: dict[str, Any] = {}
-    if out.is_file() and FORMAT.encode() in out.read_bytes():
+    if out.is_file() and FORMAT.encode() in read_bytes(out, YAML_FILE, CalibrationError):
         kept = read_layer(out)
     for path in calibration or ():
         kept = laid_over(kept, read_layer(Path(path)))

@@ -20,9 +20,8 @@ def names_odometry(config: Path | None) -> bool:
     return is_named("odometry", config)
 
 
-def chosen_odometry(recording: Recording, settings: Config) -> tuple[str, str]:
-    """What suits the recording, as `--odometry` takes it; and what is then not used of it, and why, or nothing."""
+def chosen_odometry(recording: Recording, settings: Config) -> str:
+    """What suits the recording, as `--odometry` takes it."""
     from wheelsight.pipeline import default_odometry
 
-    choice = default_odometry(recording, settings)
-    return ",".join(choice.odometry), choice.unused
+    return ",".join(default_odometry(recording, settings).odometry)

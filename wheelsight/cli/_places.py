@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from wheelsight.cli._compiling import compile_missing
 from wheelsight.cli._outputs import check_out
 from wheelsight.cli._places_inputs import open_listed, show_progress, source_of
+
+_KERNELS = ("places",)
 
 
 def label(
@@ -67,6 +70,7 @@ def train(
     names = names_of_all(sources)
     of_frames = [source.of_frames(stamps_of(r), names) for r, source in zip(recordings, sources, strict=True)]
     check_every_area(of_frames, names, sources[0].path if len(sources) == 1 else sources[0].areas_path)
+    compile_missing(_KERNELS)
     describer, drives = describer_from({"kind": description}), []
     for recording, source in zip(recordings, sources, strict=True):
         with show_progress(f"describing {recording.name}", recording.frame_count) as advance:
@@ -101,6 +105,7 @@ def try_model(
     source = source_of(recording, labels, areas, trajectory, needed=True)
     stamps_s = stamps_of(recording)
     label_at = dict(zip(stamps_s, source.of_frames(stamps_s, model.area_names).tolist(), strict=True))
+    compile_missing(_KERNELS)
     with show_progress("naming areas", recording.frame_count) as advance:
         trial = try_places(model, frames_of(recording, advance), label_at.__getitem__)
     if out is not None:
@@ -122,6 +127,7 @@ def predict(model_path: Path, folder: Path, out: Path, force: bool) -> None:
 
     check_out(out, force)
     model, recording = PlaceModel.load(model_path), open_listed(folder)
+    compile_missing(_KERNELS)
     with show_progress("naming areas", recording.frame_count) as advance:
         answers = answer_all(model, frames_of(recording, advance))
     write_text(out, predictions_csv(answers, model.area_names))

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
 
 
-def print_summary(records: Sequence[RunRecord], out: Path, unused: str = "") -> None:
-    """Figures of the only odometry, or a table of several with one row each; what was `unused`, warnings, files."""
+def print_summary(records: Sequence[RunRecord], out: Path) -> None:
+    """Figures of the only odometry, or a table of several with one row each; warnings and files."""
     from wheelsight.cli._console import console, facts_table, print_warning
     from wheelsight.cli.evaluate import evaluation_table
 
@@ -34,7 +34,7 @@ def print_summary(records: Sequence[RunRecord], out: Path, unused: str = "") -> 
         stdout.print(evaluation_table(first.evaluation))
     if first.realtime is not None:
         stdout.print(first.realtime.sentence, markup=False)
-    for warning in dict.fromkeys(filter(None, [unused, *(w for record in records for w in record.warnings)])):
+    for warning in dict.fromkeys(w for record in records for w in record.warnings):
         print_warning(warning)
     for record in records:
         if record.map is not None:

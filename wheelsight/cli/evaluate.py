@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from wheelsight.evaluation import Evaluation, Statistics
     from wheelsight.trajectory import Trajectory
 
-# What a folder holds that was given in place of a file.
+# What a folder of results holds that was given in place of a file.
 _OF_RESULTS = ("trajectory.txt", "joined/trajectory.txt")
-_OF_RECORDINGS = ("groundtruth.txt", "groundtruth_base.txt")
 
 
 def evaluate(
@@ -50,9 +49,10 @@ def evaluate(
     """
     from wheelsight.cli._console import console, print_json, print_warning
     from wheelsight.evaluation import evaluate as compare
+    from wheelsight.recordings import TRUTH_FILES
     from wheelsight.trajectory import read_tum
 
-    for given, names in ((estimate, _OF_RESULTS), (ground_truth, _OF_RECORDINGS)):
+    for given, names in ((estimate, _OF_RESULTS), (ground_truth, tuple(TRUTH_FILES.values()))):
         _refuse_folder(given, names)
     estimated = read_tum(estimate, body)
     truth = _truth_for(estimated, ground_truth, body)

@@ -44,9 +44,11 @@ def export(
 
     wheelsight export results/map.surfels --ply --all --out all_points.ply
     """
+    from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._outputs import check_out
     from wheelsight.errors import ConfigError
     from wheelsight.mapping import load_map
+    from wheelsight.pipeline.kernels import usable_parts
 
     if ply and mesh:
         raise ConfigError("--ply and --mesh are two files", fix="give one of them at a time")
@@ -60,6 +62,8 @@ def export(
         raise ConfigError(f"--out is {str(to)!r}, which does not end in .ply", fix="PLY is what is written")
     check_out(to, force)
     surfel_map = load_map(path)
+    if mesh:
+        compile_missing([part for part in usable_parts() if part == "mesh"])
     told = _write_points(surfel_map, to, everything) if ply else _write_mesh(surfel_map, to, everything, voxel)
     typer.echo(f"{told}, {to.stat().st_size / 1e6:.1f} MB: {to}")
 

@@ -86,14 +86,14 @@ def run(
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}
     of_all = {"--odometry": odometry, "--fusion": fusion, "--map": map_}
     given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
-    is_named, unused = odometry is not None or names_odometry(config), ""
+    is_named = odometry is not None or names_odometry(config)
     settings = settings_from(given if is_named else {**given, "--odometry": ANY}, config)
     with played(_open(recording, settings), realtime, wheels_from, baud) as source:
         if not is_named:
-            given["--odometry"], unused = chosen_odometry(source, settings)
+            given["--odometry"] = chosen_odometry(source, settings)
             settings = settings_from(given, config)
         records = _track(source, settings, out, force)
-    print_summary(records, out, unused)
+    print_summary(records, out)
 
 
 def _open(folder: Path, settings: Config) -> Recording:

@@ -84,6 +84,7 @@ def simulate(
 
 
 def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
+    from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note, print_warning
     from wheelsight.files import make_output_folder
     from wheelsight.simulation import need_mujoco
@@ -93,6 +94,7 @@ def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
     recording = _drive(settings, out)
     for warning in recording.warnings:
         print_warning(warning)
+    compile_missing(("simulation",))  # after the drive, which may be refused and needs none
     try:
         writer = _render(recording, out)
     except KeyboardInterrupt as interruption:

@@ -26,10 +26,11 @@ class ClockMap:
     """Maps seconds of the controller's clock to seconds of the host's, from the arrivals of its frames.
 
     Only the earliest arrival of each half second of the last minute is kept, so an update takes constant time.
-    Before four seconds have passed, the drift is taken for zero.
+    Before four seconds have passed, the drift is taken for zero; it is held within ±`largest_drift`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, largest_drift: float = _LARGEST_DRIFT) -> None:
+        self._largest_drift = largest_drift
         self._points: deque[_Point] = deque()
         self._slope, self._offset_s = 1.0, 0.0
         self._last: _Point | None = None
@@ -76,12 +77,12 @@ class ClockMap:
     def _fit(self) -> None:
         points = self._points
         if points[-1][0] - points[0][0] >= _SHORTEST_SPAN_S:
-            slope = _slope_beneath(list(points))
-            self._slope = min(max(slope, 1 - _LARGEST_DRIFT), 1 + _LARGEST_DRIFT)
+            slope = slope_beneath(list(points))
+            self._slope = min(max(slope, 1 - self._largest_drift), 1 + self._largest_drift)
         self._offset_s = min(arrival_s - self._slope * clock_s for clock_s, arrival_s in points)
 
 
-def _slope_beneath(points: list[_Point]) -> float:
+def slope_beneath(points: list[_Point]) -> float:
     """Slope of the lower convex hull's edge at the points' mean; `points` are sorted by their first coordinate."""
     hull: list[_Point] = []
     for point in points:

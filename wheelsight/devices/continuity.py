@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wheelsight.devices.clock import ClockMap
-from wheelsight.devices.paper import Pulses
+from wheelsight.devices.pair_clock import PairClock
+from wheelsight.devices.paper import FULL_PULSES, Pulses
 from wheelsight.devices.protocol import Counts
 from wheelsight.events import WheelTicks
 
@@ -46,6 +47,7 @@ class TickTracker:
 
     def __init__(self) -> None:
         self.clock = ClockMap()
+        self._pairs = PairClock()
         self.restarts = self.refused = 0
         self._left = self._right = 0
         self._has_begun = False
@@ -57,6 +59,7 @@ class TickTracker:
     def follow(self, counts: Counts, arrival_s: float) -> list[WheelTicks]:
         """The ticks that a frame, arrived at `arrival_s` seconds, makes certain: none, one, or two after a restart."""
         last, held = self._last, self._held
+        self._pairs.restart()  # pairs between which there are frames were not counted
         if last is None:
             return [self._begin(_Reading(counts, counts.clock_us, arrival_s))]
         last = self._last = self._as_if_reset(last, counts)
@@ -75,13 +78,15 @@ class TickTracker:
         return [began, self._accept(after, _steps(held.counts, counts))]
 
     def add(self, pulses: Pulses) -> WheelTicks:
-        """The ticks after a pair of the paper's format, stamped with its arrival: the format has no clock."""
+        """The ticks after a pair of the paper's format, stamped by the number of pairs: the format has no clock."""
         self._has_begun = True
         if self._last is not None:  # the controller's counters, should they come again, hold these pulses too
             self._last = _advanced(self._last, pulses)
         self._left += pulses.left
         self._right += pulses.right
-        self._stamp_s = max(pulses.arrival_s, self._stamp_s + 1e-6)
+        is_early = max(abs(pulses.left), abs(pulses.right)) >= FULL_PULSES
+        sent_s = self._pairs.stamp_s(pulses.arrival_s, pulses.following, is_early)
+        self._stamp_s = max(sent_s, self._stamp_s + 1e-6)
         return WheelTicks(self._stamp_s, self._left, self._right)
 
     def expect_reset(self, is_due: bool) -> None:
@@ -97,6 +102,7 @@ class TickTracker:
     def replugged(self) -> None:
         """The port was opened anew: what comes is fresh, so a clock that lags shows a restart."""
         self._was_replugged = True
+        self._pairs.restart()
 
     def _as_if_reset(self, last: _Reading, counts: Counts) -> _Reading:
         """`last`, with zero counts if a reset is due and `counts` are nearer to zero than to what they were."""

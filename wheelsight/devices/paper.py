@@ -12,6 +12,7 @@ from typing import NamedTuple
 from wheelsight.devices.protocol import LineStatistics
 
 SILENCE_S = 0.005
+FULL_PULSES = 100  # from here on a pair is sent at once, before its time
 _LATEST_PARTNER_S = 1.0
 
 
@@ -20,12 +21,14 @@ class Pulses(NamedTuple):
 
     Attributes:
         follows_silence: whether the line was quiet before the pair.
+        following: how many pairs came behind it in the same run of bytes.
     """
 
     arrival_s: float
     left: int
     right: int
     follows_silence: bool
+    following: int = 0
 
 
 class PaperDecoder:
@@ -64,7 +67,10 @@ class PaperDecoder:
         whole = len(run) // 2 * 2
         self._first = run[whole:]
         self.statistics.frames += whole // 2
-        return [Pulses(arrival_s, _signed(run[n + 1]), _signed(run[n]), n == 0) for n in range(0, whole, 2)]
+        return [
+            Pulses(arrival_s, _signed(run[n + 1]), _signed(run[n]), n == 0, (whole - n) // 2 - 1)
+            for n in range(0, whole, 2)
+        ]
 
     def forget(self) -> None:
         """Drop a byte that waits for its partner: what follows is another stream."""

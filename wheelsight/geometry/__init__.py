@@ -2,10 +2,11 @@
 
 from wheelsight.geometry._types import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray
 from wheelsight.geometry.alignment import align_points, align_points_with_scale
-from wheelsight.geometry.camera import PinholeCamera
+from wheelsight.geometry.camera import MOST_PIXELS, PinholeCamera
 from wheelsight.geometry.interpolation import interpolate_at
 
 __all__ = [
+    "MOST_PIXELS",
     "BoolArray",
     "ByteArray",
     "Float32Array",

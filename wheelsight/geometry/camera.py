@@ -12,6 +12,11 @@ from wheelsight.geometry._types import BoolArray, FloatArray
 
 # Leaves less than 1e-8 pixel at the corners of the most distorted TUM camera (freiburg1).
 _UNDISTORT_STEPS = 20
+MOST_PIXELS = 1 << 25  # twice the largest depth camera's 16 million
+# In longer sides of the image: from a view of 157°, wider than a pinhole's is, to pixels cut out of a large image.
+_FOCAL_LENGTHS = 0.1, 1000.0
+# Brown's coefficients are a few units at most, in long lenses some hundreds.
+_LARGEST_DISTORTION = 1e4
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +42,27 @@ class PinholeCamera:
             raise CalibrationError(f"camera parameters must be finite numbers, not {numbers}")
         if self.width < 1 or self.height < 1 or self.fx <= 0 or self.fy <= 0:
             raise CalibrationError("a camera's image size and focal lengths must be positive")
+        self._check_sizes()
         if not (-self.width < self.cx < 2 * self.width and -self.height < self.cy < 2 * self.height):
             raise CalibrationError(f"principal point ({self.cx}, {self.cy}) lies far outside the image")
         if len(self.distortion) != 5:
             raise CalibrationError("distortion takes five numbers: k1, k2, p1, p2, k3")
+
+    def _check_sizes(self) -> None:
+        if int(self.width) * int(self.height) > MOST_PIXELS:
+            problem = f"width {self.width} × height {self.height} is larger than any depth camera's image"
+            raise CalibrationError(problem, fix=f"at most {MOST_PIXELS / 1e6:.0f} million pixels")
+        least, most = (share * max(self.width, self.height) for share in _FOCAL_LENGTHS)
+        for name, focal_px in (("fx", self.fx), ("fy", self.fy)):
+            if not least <= focal_px <= most:
+                problem = (
+                    f"{name} is {focal_px:g}, not {least:g} to {most:g} px in an image of {self.width}×{self.height}"
+                )
+                raise CalibrationError(problem, fix="give the focal length in pixels: metres / size of a pixel")
+        largest = max(map(abs, self.distortion), default=0.0)
+        if largest > _LARGEST_DISTORTION:
+            problem = f"distortion holds {largest:g}, more than {_LARGEST_DISTORTION:g}"
+            raise CalibrationError(problem, fix="give k1, k2, p1, p2, k3, which have no unit")
 
     @property
     def K(self) -> FloatArray:

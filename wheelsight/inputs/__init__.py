@@ -3,6 +3,7 @@
 from wheelsight.inputs.gate import Kind, is_there, lines_of, read_bytes, read_text
 from wheelsight.inputs.json_text import parse_json
 from wheelsight.inputs.pictures import picture_size, scan_count
+from wheelsight.inputs.plain_rows import plain_rows
 from wheelsight.inputs.words import as_number, numbers_with_commas, split_words, unquoted
 from wheelsight.inputs.yaml_files import YAML_FILE, compose_yaml, parse_yaml, read_yaml
 
@@ -17,6 +18,7 @@ __all__ = [
     "parse_json",
     "parse_yaml",
     "picture_size",
+    "plain_rows",
     "read_bytes",
     "read_text",
     "read_yaml",

@@ -90,12 +90,22 @@ def read_text(path: StrPath, kind: Kind, error: type[InputError]) -> str:
         raise error("holds a NUL character", path=path, line=line, fix="save it as text in UTF-8")
     if max(text.count("\n"), text.count("\r")) > kind.most_lines:
         raise error(f"has more lines than {kind.name} may have: {kind.most_lines}", path=path, fix="split it")
-    if len(text) > kind.longest_line:
-        lengths = [len(line) for line in lines_of(text)]
-        if max(lengths) > kind.longest_line:
-            line = lengths.index(max(lengths)) + 1
-            raise error(f"is longer than {kind.longest_line} characters", path=path, line=line, fix="is it text?")
+    begin = _long_line(text, kind.longest_line)
+    if begin is not None:
+        line = len(lines_of(text[:begin]))
+        raise error(f"is longer than {kind.longest_line} characters", path=path, line=line, fix="is it text?")
     return text
+
+
+def _long_line(text: str, longest: int) -> int | None:
+    """Where the first line begins that has more characters than `longest`; None where there is none."""
+    begin = 0
+    while len(text) - begin > longest:
+        after = max(text.rfind(end, begin, begin + longest + 1) for end in "\n\r")
+        if after < 0:
+            return begin
+        begin = after + 1
+    return None
 
 
 def lines_of(text: str) -> list[str]:

@@ -40,3 +40,25 @@ def default_odometry(recording: Recording, config: Config) -> Choice:
     asks_dense = config.map is not None or config.dense != DenseSettings()
     by_features = config.features != FeatureSettings() and not asks_dense
     return Choice(("wheels", "features" if by_features else "dense"))
+
+
+def unused_of(recording: Recording, config: Config, yaw_rates: int) -> tuple[str, ...]:
+    """One sentence about each sensor of the recording that a run of `config` does not use, and why.
+
+    Args:
+        yaw_rates: how many readings of a gyroscope the recording was found to have.
+    """
+    named, told = ",".join(config.odometry), list[str]()
+    choice = default_odometry(recording, config)
+    is_left_out = {
+        f"{recording.frame_count:,} frames": config.tracks == ("wheels",) and recording.frame_count > 0,
+        f"{recording.wheel_count:,} wheel readings": "wheels" not in config.odometry and recording.wheel_count > 0,
+    }
+    for readings, is_unused in is_left_out.items():
+        if is_unused:
+            cannot = choice.unused.startswith(readings)
+            told.append(choice.unused if cannot else f"{readings} are not used: --odometry {named} leaves them out")
+    if yaw_rates and not (config.wheels.gyro and "wheels" in config.odometry):
+        why = "--no-gyro leaves them out" if "wheels" in config.odometry else "they go with wheels"
+        told.append(f"{yaw_rates:,} readings of the gyroscope are not used: {why}")
+    return tuple(f"{sentence}." for sentence in told)

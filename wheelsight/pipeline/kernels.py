@@ -12,8 +12,10 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -23,7 +25,8 @@ from wheelsight.errors import OutputError
 from wheelsight.files import write_text
 
 PACKAGE = Path(__file__).parent.parent
-# What each part of wheelsight runs for the sake of its kernels: settings of a run, by their names.
+# What each part of wheelsight runs for the sake of its kernels: settings of a run, by their names. What a part calls
+# besides runs is in `_compile`.
 PARTS: dict[str, tuple[dict[str, Any], ...]] = {
     "wheels": ({"odometry": "wheels"},),
     "features": ({"odometry": "features"}, {"odometry": "features", "features.reference": "previous"}),
@@ -34,10 +37,19 @@ PARTS: dict[str, tuple[dict[str, Any], ...]] = {
         {"odometry": "wheels,dense", "fusion": "ligocki"},
     ),
     "places": (),
+    "simulation": (),
+    "mesh": (),
 }
+# Libraries without which a part cannot be run at all.
+_NEEDS = {"simulation": "mujoco", "mesh": "skimage"}
 # On two cores of 2023, nothing being compiled yet; for words such as "about a minute" alone.
-SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "places": 5}
+SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "places": 5, "simulation": 40, "mesh": 5}
 _MARK = "wheelsight-{}.compiled.json"
+
+
+def usable_parts() -> tuple[str, ...]:
+    """All parts but those whose libraries, which an extra brings, are not installed."""
+    return tuple(part for part in PARTS if part not in _NEEDS or find_spec(_NEEDS[part]) is not None)
 
 
 def parts_of(config: Config) -> tuple[str, ...]:
@@ -54,7 +66,9 @@ def missing_parts(parts: Sequence[str]) -> tuple[str, ...]:
 
 
 def compile_kernels(parts: Sequence[str], on_kernel: Callable[[str, int], None] = lambda part, kernels: None) -> None:
-    """Compile what the parts need, in another process; Ctrl-C ends that at once.
+    """Compile what the parts need, each in a process of its own; Ctrl-C ends that at once.
+
+    The compiler keeps what it has made: in one process for all parts its memory would grow with each.
 
     Args:
         parts: of PARTS.
@@ -63,7 +77,18 @@ def compile_kernels(parts: Sequence[str], on_kernel: Callable[[str, int], None] 
     Raises:
         OutputError: it cannot be done; says why.
     """
-    command = [sys.executable, "-m", "wheelsight.pipeline._compile", *parts]
+    before = 0
+    for part in parts:
+        made = 0
+        with closing(_compile(part)) as compiling:  # an exception in on_kernel ends the process, too
+            for made in compiling:
+                on_kernel(part, before + made)
+        before += made
+
+
+def _compile(part: str) -> Generator[int]:
+    """Compile a part in another process, telling how many kernels were compiled so far. Raises OutputError."""
+    command = [sys.executable, "-m", "wheelsight.pipeline._compile", part]
     path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
     # In a session of its own Ctrl-C reaches it through us alone, and leaves no traceback behind.
     child = subprocess.Popen(
@@ -77,8 +102,7 @@ def compile_kernels(parts: Sequence[str], on_kernel: Callable[[str, int], None] 
     try:
         assert child.stdout is not None
         for line in child.stdout:
-            part, kernels = line.split()
-            on_kernel(part, int(kernels))
+            yield int(line.split()[1])
         _, problem = child.communicate()
     except BaseException:
         child.kill()

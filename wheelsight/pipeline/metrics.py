@@ -39,11 +39,12 @@ def metrics_of(record: RunRecord, passage: Passage, recording: Recording) -> dic
 
 def joint_metrics(records: Sequence[RunRecord], passage: Passage, recording: Recording) -> dict[str, Any]:
     """The figures of every odometry of one pass: what they share once, the rest below each one's name."""
+    shared = [*recording.warnings, *passage.unused]
     of_each = {
         record.odometry: {
             "frame": f"T_{record.estimate.world}_{record.estimate.body}",
             **_of_odometry(record, passage, recording),
-            "warnings": [warning for warning in record.warnings if warning not in recording.warnings],
+            "warnings": [warning for warning in record.warnings if warning not in shared],
         }
         for record in records
     }
@@ -55,7 +56,7 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, recording: Rec
         "odometry": of_each,
         **_beside_alone(records),
         "peak_memory_mb": max((r.peak_memory_mb for r in records if r.peak_memory_mb is not None), default=None),
-        "warnings": list(recording.warnings),
+        "warnings": shared,
         "versions": _versions(),
     }
 

@@ -57,6 +57,7 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
         association=recording.association,
         warnings=(
             *recording.warnings,
+            *passage.unused,
             *track.localizer.warnings,
             *_interruption(track, passage),
             *_repeats(track),

@@ -10,11 +10,12 @@ from typing import Any, Literal
 from wheelsight.config import Config, TrackName
 from wheelsight.errors import WheelsightError
 from wheelsight.estimates import Estimate
-from wheelsight.events import Event, RgbdFrame, SkippedFrame
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, YawRate
 from wheelsight.fusion import RectifiedEstimate
 from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.localizer import Localizer, Places
 from wheelsight.mapping import SurfelMap
+from wheelsight.pipeline.choice import unused_of
 from wheelsight.pipeline.interrupts import whole_step
 from wheelsight.pipeline.maps import Stops
 from wheelsight.pipeline.realtime import RealTimeRecording, rehearse
@@ -162,12 +163,14 @@ class Passage:
         elapsed_s: how long it took in all.
         interruption: what broke it off.
         is_torn: whether that came in the middle of a step, so that what was being built is not to be trusted.
+        unused: a sentence about each sensor of the recording that no track uses.
     """
 
     tracks: tuple[Track, ...]
     elapsed_s: float = 0.0
     interruption: BaseException | None = None
     is_torn: bool = False
+    unused: tuple[str, ...] = ()
 
 
 def _followed(recording: Recording, config: Config) -> tuple[TrackName, ...]:
@@ -186,13 +189,14 @@ def follow(
     """Hand each event to every track, in their order; without one that looks, no image is decoded."""
     passage = Passage(tuple(Track.begin(track, recording, config, places) for track in _followed(recording, config)))
     events = recording.events(images=any(track.needs_images for track in passage.tracks))
-    started = time.perf_counter()
+    started, yaw_rates = time.perf_counter(), 0
     try:
         if isinstance(recording, RealTimeRecording):
             alone = [config.alone(track.odometry) for track in passage.tracks]
             rehearse(recording, [Localizer(recording.calibration, settings, places) for settings in alone])
             started = time.perf_counter()
         for event in events:
+            yaw_rates += isinstance(event, YawRate)
             with whole_step():
                 passage.is_torn = True
                 given = [(track.odometry, track.step(event)) for track in passage.tracks]
@@ -207,4 +211,5 @@ def follow(
         if isinstance(events, Generator):
             events.close()  # stops the reader's thread
     passage.elapsed_s = time.perf_counter() - started
+    passage.unused = unused_of(recording, config, yaw_rates)
     return passage

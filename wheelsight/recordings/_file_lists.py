@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wheelsight.errors import RecordingError
 from wheelsight.inputs import is_there, split_words
-from wheelsight.recordings._text import Line, data_lines, is_header, keep_growing, parse_stamp
+from wheelsight.recordings._text import Line, keep_growing, listed_lines, parse_stamp
 
 _STAMP = r"[+-]?\d+,\d+(?=[\s;\"'])|[^\s,;\"']+"
 _ENTRY = re.compile(rf"[\"']?(?P<stamp>{_STAMP})[\"']?(?:\s*[,;]\s*|\s+)(?P<rest>.*\S)")
@@ -27,18 +27,17 @@ class ListedFile:
     path: Path
 
 
-def read_file_list(path: Path) -> tuple[list[ListedFile], list[str]]:
+def read_file_list(path: Path, rate_hz: float | None = None) -> tuple[list[ListedFile], list[str]]:
     """The files that a list names, one `stamp file` a line, at growing stamps; and warnings about what was done to it.
 
     White space, comma or semicolon part the two; quotes, more columns and a first line of names are passed over, and
-    names that lack the folder called as the list, or part folders by backslashes, are found all the same.
+    names that lack the folder called as the list, or part folders by backslashes, are found all the same. Stamps count
+    `rate_hz` a second; where that is None, the unit that a first line or comment names, else seconds.
 
     Raises:
         RecordingError: naming file and line, for a line that is none, stamps out of order, or an empty list.
     """
-    lines = data_lines(path)
-    if lines and is_header(lines[0], path):
-        lines = lines[1:]
+    lines, per_second = listed_lines(path)
     if not lines:
         raise RecordingError("lists no images", path=path, fix="one `stamp file` a line is expected")
     stamps_s, names = [], []
@@ -48,7 +47,7 @@ def read_file_list(path: Path) -> tuple[list[ListedFile], list[str]]:
         if entry is None or not name:
             fix = "one `stamp file` a line is expected"
             raise RecordingError("a stamp and a file are expected", path=path, line=line.number, fix=fix)
-        stamps_s.append(parse_stamp(entry["stamp"], path, line.number))
+        stamps_s.append(parse_stamp(entry["stamp"], path, line.number) / (rate_hz or per_second))
         names.append(name)
     found, warnings = find_files(names, path, path.stem)
     files = [ListedFile(stamp_s, file) for stamp_s, file in zip(stamps_s, found, strict=True)]

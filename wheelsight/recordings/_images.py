@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelsight.errors import RecordingError
-from wheelsight.geometry import ByteArray, Float32Array
+from wheelsight.geometry import MOST_PIXELS, ByteArray, Float32Array
 from wheelsight.inputs import Kind, picture_size, read_bytes, scan_count
 
 _PLAUSIBLE_MEDIAN_M = (0.05, 50.0)
@@ -18,7 +18,6 @@ _MEDIAN_STRIDE = 8
 _COLOR_FLAGS = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
 _TRAILERS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
 _TRAILER_REACH = 64
-_MOST_PIXELS = 1 << 25  # twice the largest depth camera's 16 million
 _MOST_PIXELS_DECODED = 1 << 28  # 12 million in 22 scans; a progressive JPEG usually has 10
 _KINDS = {
     kind: Kind(f"a {kind} image", most_mb=128, missing=f"listed {kind} image is absent") for kind in ("colour", "depth")
@@ -57,6 +56,15 @@ def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
     return depth_m
 
 
+def is_depth_image(path: Path) -> bool | None:
+    """Whether an image has one channel of 16 bits, as depth has; None where it cannot be read."""
+    try:
+        image = _decode(path, cv2.IMREAD_UNCHANGED, "depth")
+    except RecordingError:
+        return None
+    return image.ndim == 2 and image.dtype == np.uint16
+
+
 def image_size(image: NDArray[np.generic]) -> str:
     """Width × height of an image, for messages."""
     return f"{image.shape[1]}×{image.shape[0]}"
@@ -85,9 +93,9 @@ def _check_size(data: bytes, path: Path, kind: str) -> None:
     if size is None:
         raise RecordingError(f"{kind} image is damaged, or no image", path=path, fix="convert it to PNG")
     width, height = size
-    if width * height > _MOST_PIXELS:
+    if width * height > MOST_PIXELS:
         problem = f"{kind} image says it is {width}×{height} pixels, more than any depth camera has"
-        raise RecordingError(problem, path=path, fix=f"at most {_MOST_PIXELS / 1e6:.0f} million pixels")
+        raise RecordingError(problem, path=path, fix=f"at most {MOST_PIXELS / 1e6:.0f} million pixels")
     if width * height * scan_count(data) > _MOST_PIXELS_DECODED:
         problem = f"{kind} image has {scan_count(data)} scans, which take long to decode"
         raise RecordingError(problem, path=path, fix="convert it to PNG")

@@ -6,14 +6,16 @@ import re
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import lt
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from wheelsight.errors import RecordingError
 from wheelsight.inputs import Kind, as_number, lines_of, read_text, unquoted
+from wheelsight.stamps import column_unit
 
 _SHARE_OUT_OF_ORDER_ALLOWED = 0.01
-_LARGEST_STAMP = 1e20  # over a hundred years in nanoseconds: a wrong unit, which others name; beyond, no unit has it
+LARGEST_STAMP = 1e20  # over a hundred years in nanoseconds: a wrong unit, which others name; beyond, no unit has it
 _STAMP_NAME = re.compile(r"(?:time_?stamps?|stamps?|time|t)(?![a-z])", re.IGNORECASE)
 _OTHER_UNIT = re.compile(r"(?<![a-z])(?:[nmuµ]s|[nmu]secs?|(?:nano|micro|milli)sec\w*)(?![a-z])", re.IGNORECASE)
 COMMENT = re.compile(r"(^|\s)#.*")
@@ -24,9 +26,10 @@ class _Stamped(Protocol):
     def stamp_s(self) -> float: ...
 
 
-LIST = Kind("a list", most_mb=96, missing="is missing", fix="each recording needs it")
+# An hour of a gyroscope at 1 kHz has 3.6 million lines and 110 MB.
+LIST = Kind("a list", most_mb=192, most_lines=6_000_000, missing="is missing", fix="each recording needs it")
 
-IMAGE_LIST = replace(LIST, name="a list of images", most_lines=500_000)
+IMAGE_LIST = replace(LIST, name="a list of images", most_mb=96, most_lines=500_000)
 
 S = TypeVar("S", bound=_Stamped)
 
@@ -55,26 +58,40 @@ def read_lines(path: Path) -> list[Line]:
     return [line for line in bare if line.text]
 
 
-def data_lines(path: Path) -> list[Line]:
-    """The lines of a list of images, where # may stand in a name: only lines that begin with it are comments."""
-    lines = (Line(number, line.strip()) for number, line in enumerate(lines_of(read_list(path, IMAGE_LIST)), start=1))
-    return [line for line in lines if line.text and not line.text.startswith("#")]
+def listed_lines(path: Path) -> tuple[list[Line], float]:
+    """The lines of a list of images, and how many of their stamps are a second, as a line above them may name it.
+
+    # may stand in a name: only lines that begin with it are comments. A first line of names is left out.
+
+    Raises:
+        RecordingError: as `read_lines`, and for a unit in the first line that cannot be told.
+    """
+    lines: list[Line] = []
+    per_second = 1.0
+    for number, text in enumerate(lines_of(read_list(path, IMAGE_LIST)), start=1):
+        bare = text.strip()
+        if not lines and (unit := column_unit(bare.lstrip("# \t"))) is not None and unit.per_second is not None:
+            per_second = unit.per_second
+        if bare and not bare.startswith("#"):
+            lines.append(Line(number, bare))
+    return lines[bool(lines and _is_header(lines[0], path)) :], per_second
 
 
-def is_header(line: Line, path: Path) -> bool:
-    """Whether a list's first line names its columns, a stamp first. Raises RecordingError for another unit."""
+def _is_header(line: Line, path: Path) -> bool:
+    """Whether a list's first line names its columns, a stamp first. Raises RecordingError for a unit not understood."""
     name = unquoted(re.split(r"[;,\t]", line.text)[0])
     if not _STAMP_NAME.match(name):
         return False
-    if _OTHER_UNIT.search(name):
-        raise RecordingError(f"stamps are {name!r}", path=path, line=line.number, fix="write them in seconds")
+    if column_unit(line.text) is None and _OTHER_UNIT.search(name):
+        fix = "write them in seconds, or name their unit as in stamp_ms"
+        raise RecordingError(f"stamps are {name!r}", path=path, line=line.number, fix=fix)
     return True
 
 
 def parse_stamp(word: str, path: Path, line: int) -> float:
     """A stamp in seconds. Raises RecordingError naming file and line."""
     stamp_s = as_number(word)
-    if not abs(stamp_s) <= _LARGEST_STAMP:
+    if not abs(stamp_s) <= LARGEST_STAMP:
         fix = "begin the line with the time in seconds, such as 12.034"
         raise RecordingError(f"{word!r} is not a stamp in seconds", path=path, line=line, fix=fix)
     return stamp_s
@@ -88,9 +105,10 @@ def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[
     Raises:
         RecordingError: naming file and line of the first that would have to go.
     """
-    kept = _longest_growing([item.stamp_s for item in items])
-    if len(kept) == len(items):
+    stamps_s = [item.stamp_s for item in items]
+    if all(map(lt, stamps_s, stamps_s[1:])):
         return list(items), []
+    kept = _longest_growing(stamps_s)
     first = next(i for i, item in enumerate(items) if i >= len(kept) or kept[i] != i)
     problem = f"stamp {items[first].stamp_s:.6f} repeats another or is out of order"
     if len(items) - len(kept) > _SHARE_OUT_OF_ORDER_ALLOWED * len(items):

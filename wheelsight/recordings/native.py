@@ -14,7 +14,7 @@ from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import camera_choices, choose_calibration
 from wheelsight.recordings._image_recording import ImageRecording, complete
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._tables import read_table
+from wheelsight.recordings._tables import read_columns
 from wheelsight.recordings._text import keep_growing
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.protocol import OpenOptions
@@ -74,9 +74,9 @@ def _missing(folder: Path, has_images: bool) -> Calibration:
 
 def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
     """The readings of wheels.csv in order of time, and warnings."""
-    rows, warnings = read_table(path, WHEELS_HEADER.split(","))
-    ticks = [WheelTicks(row.stamp_s, row.whole("left"), row.whole("right")) for row in rows]
-    growing, more = keep_growing(ticks, [row.number for row in rows], path)
+    table, warnings = read_columns(path, counts=("left", "right"))
+    ticks = list(map(WheelTicks, table.stamps_s, table["left"], table["right"]))
+    growing, more = keep_growing(ticks, table.lines, path)
     return growing, warnings + more
 
 
@@ -84,7 +84,7 @@ def _read_yaw_rates(path: Path) -> tuple[list[YawRate], list[str]]:
     """The readings of gyro.csv in order of time, and warnings; none where there is no such file."""
     if not is_there(path):
         return [], []
-    rows, warnings = read_table(path, GYRO_HEADER.split(","))
-    rates = [YawRate(row.stamp_s, row["yaw_rate_rad_s"]) for row in rows]
-    growing, more = keep_growing(rates, [row.number for row in rows], path)
+    table, warnings = read_columns(path, numbers=("yaw_rate_rad_s",))
+    rates = list(map(YawRate, table.stamps_s, table["yaw_rate_rad_s"]))
+    growing, more = keep_growing(rates, table.lines, path)
     return growing, warnings + more

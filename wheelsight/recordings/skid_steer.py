@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
 from pathlib import Path
 
 from wheelsight.events import WheelTicks, YawRate
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings._tables import Row, read_table
+from wheelsight.recordings._tables import read_columns
 from wheelsight.recordings._text import keep_growing
 from wheelsight.recordings._wheel_recording import WheelRecording, shipped_robot
 from wheelsight.recordings.protocol import OpenOptions
@@ -54,22 +55,13 @@ class SkidSteerReader:
 
 def _read_ticks(path: Path) -> tuple[list[WheelTicks], list[str]]:
     """Counts summed up from the first reading; a row whose stamp is out of order keeps its ticks."""
-    rows, warnings = read_table(path, ("stamp_s", *_SIDES[0], *_SIDES[1]))
-    left = right = 0
-    ticks = []
-    for row in rows:
-        left += sum(row.whole(name) for name in _SIDES[0])
-        right += sum(row.whole(name) for name in _SIDES[1])
-        ticks.append(WheelTicks(row.stamp_s, left, right))
-    growing, more = keep_growing(ticks, _numbers(rows), path)
+    table, warnings = read_columns(path, counts=(*_SIDES[0], *_SIDES[1]))
+    left, right = (accumulate(map(sum, zip(*(table[name] for name in side), strict=True))) for side in _SIDES)
+    growing, more = keep_growing(list(map(WheelTicks, table.stamps_s, left, right)), table.lines, path)
     return growing, warnings + more
 
 
 def _read_rates(path: Path) -> tuple[list[YawRate], list[str]]:
-    rows, warnings = read_table(path, ("stamp_s", "wz_radps"))
-    growing, more = keep_growing([YawRate(row.stamp_s, row["wz_radps"]) for row in rows], _numbers(rows), path)
+    table, warnings = read_columns(path, numbers=("wz_radps",))
+    growing, more = keep_growing(list(map(YawRate, table.stamps_s, table["wz_radps"])), table.lines, path)
     return growing, warnings + more
-
-
-def _numbers(rows: list[Row]) -> list[int]:
-    return [row.number for row in rows]

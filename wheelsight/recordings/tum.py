@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from wheelsight.calibration import Calibration
-from wheelsight.errors import CalibrationError, RecordingError
+from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
 from wheelsight.inputs import is_there
+from wheelsight.recordings._associations import read_associations
 from wheelsight.recordings._cameras import camera_choices, choose_calibration, load_camera
-from wheelsight.recordings._file_lists import ListedFile, find_files, pair_of_files, read_file_list
+from wheelsight.recordings._file_lists import read_file_list
 from wheelsight.recordings._image_recording import FramePaths, ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import data_lines, is_header, keep_growing
 from wheelsight.recordings.protocol import AssociationReport, OpenOptions
 from wheelsight.trajectory import Trajectory, read_tum
 
@@ -58,14 +58,14 @@ class TumReader:
 
 def read_frames(folder: Path, options: OpenOptions) -> tuple[tuple[FramePaths, ...], AssociationReport, list[str]]:
     """The frames of rgb.txt and depth.txt, how they were paired, and warnings. Raises RecordingError."""
-    color, color_warnings = _listed(folder / "rgb.txt", options)
-    depth, depth_warnings = _listed(folder / "depth.txt", options)
+    color, color_warnings = read_file_list(folder / "rgb.txt", options.rate_hz)
+    depth, depth_warnings = read_file_list(folder / "depth.txt", options.rate_hz)
     warnings = color_warnings + depth_warnings
     ready = next((folder / name for name in _ASSOCIATIONS if is_there(folder / name)), None)
     if ready is None:
         frames, association = pair_images(color, depth, options.max_gap_s, folder / "rgb.txt")
         return frames, association, warnings
-    pairs, pair_warnings = _read_associations(ready, options.rate_hz or 1.0)
+    pairs, pair_warnings = read_associations(ready, options.rate_hz)
     frames = tuple(pair.frame for pair in pairs)
     gap_s = max(pair.gap_s for pair in pairs)
     association = AssociationReport(
@@ -94,11 +94,6 @@ def _common_share(stamps_s: FloatArray, span_s: tuple[float, float]) -> float:
     return float(common_s / both_s) if both_s > 0 else 0.0
 
 
-def _listed(path: Path, options: OpenOptions) -> tuple[list[ListedFile], list[str]]:
-    files, warnings = read_file_list(path)
-    return [replace(file, stamp_s=file.stamp_s / (options.rate_hz or 1.0)) for file in files], warnings
-
-
 def read_truth(path: Path, warnings: list[str], body: str = "camera") -> Trajectory | None:
     """The trajectory in `path`, or None where there is no such file; warnings are added to the list.
 
@@ -114,35 +109,3 @@ def _camera_by_name(folder: Path) -> Calibration:
         problem = f"nothing says which camera took it: the folder's name {name!r} names no freiburg1, 2 or 3"
         raise CalibrationError(problem, path=folder, fix=camera_choices())
     return load_camera(f"freiburg{found.pop()}")
-
-
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    """One line of an associations file."""
-
-    stamp_s: float
-    frame: FramePaths
-    gap_s: float
-
-
-def _read_associations(path: Path, rate_hz: float) -> tuple[list[_Pair], list[str]]:
-    """Pairs of `stamp color stamp depth`, or depth first; stamps count `rate_hz` a second."""
-    lines = data_lines(path)
-    if lines and is_header(lines[0], path):
-        lines = lines[1:]
-    if not lines:
-        raise RecordingError("pairs no images", path=path, fix="remove the file to have them paired by stamp")
-    told = [pair_of_files(line, path) for line in lines]
-    told = [(second, first) if first[1].startswith("depth") else (first, second) for first, second in told]
-    color, warnings = find_files([first[1] for first, _ in told], path, "rgb")
-    depth, more = find_files([second[1] for _, second in told], path, "depth")
-    pairs = [
-        _Pair(
-            first[0] / rate_hz,
-            FramePaths(first[0] / rate_hz, color_path, depth_path),
-            abs(first[0] - second[0]) / rate_hz,
-        )
-        for (first, second), color_path, depth_path in zip(told, color, depth, strict=True)
-    ]
-    growing, left_out = keep_growing(pairs, [line.number for line in lines], path)
-    return growing, warnings + more + left_out

@@ -10,7 +10,7 @@ from wheelsight.events import WheelSpeeds
 from wheelsight.geometry import se3
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings._tables import read_table
+from wheelsight.recordings._tables import read_columns, read_table
 from wheelsight.recordings._text import keep_growing
 from wheelsight.recordings._wheel_recording import WheelRecording, need_wheels, shipped_robot, speeds_of_wheels
 from wheelsight.recordings.protocol import OpenOptions
@@ -48,9 +48,9 @@ class VelocityReader:
 
 def _read_speeds(path: Path) -> tuple[list[WheelSpeeds], list[str]]:
     nominal = need_wheels(shipped_robot("velocities"))
-    rows, warnings = read_table(path, ("stamp_s", "v_mps", "w_radps"))
-    speeds = [speeds_of_wheels(nominal, row.stamp_s, row["v_mps"], row["w_radps"]) for row in rows]
-    growing, more = keep_growing(speeds, [row.number for row in rows], path)
+    table, warnings = read_columns(path, numbers=("v_mps", "w_radps"))
+    told = zip(table.stamps_s, table["v_mps"], table["w_radps"], strict=True)
+    growing, more = keep_growing([speeds_of_wheels(nominal, *row) for row in told], table.lines, path)
     return growing, warnings + more
 
 

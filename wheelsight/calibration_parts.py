@@ -1,0 +1,171 @@
+"""The parts of a calibration that are numbers alone: depth noise, wheels, gyroscope; none takes what no robot has."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wheelsight.calibration_fields import Range, check_range
+from wheelsight.errors import CalibrationError
+from wheelsight.geometry import FloatArray
+
+_WIDEST_COUNTER_BITS = 64
+_COUNTER_FIELDS = ("counter_bits", "counter_modulus")
+# From a toy's to a tractor's; counts a turn from those of speeds in place of ticks to fine encoders behind a gear.
+# Where wheels stand still longer than an hour, or slip by all of their way, nothing is measured.
+_OF_WHEELS = {
+    "left_radius_m": Range(0.005, 2.0, "m"),
+    "right_radius_m": Range(0.005, 2.0, "m"),
+    "track_width_m": Range(0.02, 10.0, "m"),
+    "ticks_per_turn": Range(1.0, 1e9, "", "counts a turn of the encoder × gear ratio"),
+    "delay_s": Range(-10.0, 10.0, "s"),
+    "slip_m_per_sqrt_m": Range(0.0, 1.0, "m/√m"),
+    "max_speed_m_s": Range(0.01, 100.0, "m/s"),
+    "max_gap_s": Range(0.001, 3600.0, "s"),
+}
+# Ten turns a second are more than any robot makes, and a bias that large is a broken gyroscope's.
+_OF_GYRO = {
+    "noise_rad_per_sqrt_s": Range(0.0, 10.0, "rad/√s"),
+    "bias_rad_s": Range(-10.0, 10.0, "rad/s"),
+    "bias_sigma_rad_s": Range(0.0, 10.0, "rad/s"),
+    "bias_walk_rad_s_per_sqrt_s": Range(0.0, 1.0, "rad/s/√s"),
+}
+# At 1 m/m² a depth of one metre is unknown by a metre; no depth camera sees further than a kilometre.
+_OF_DEPTH = {
+    "constant_m": Range(0.0, 1.0, "m"),
+    "quadratic_per_m": Range(0.0, 1.0, "1/m"),
+    "near_m": Range(0.0, 100.0, "m"),
+    "far_m": Range(0.0, 1000.0, "m"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class DepthNoise:
+    """Standard deviation of a depth reading, σ(z) = constant_m + quadratic_per_m · z², and the trusted range.
+
+    The default is Kinect v1's: Khoshelham & Elberink, Sensors 12 (2012), fitted σ(z) = 1.425e-3 z²; depth images
+    in millimetres add a constant of about one.
+    """
+
+    constant_m: float = 0.001
+    quadratic_per_m: float = 1.425e-3
+    near_m: float = 0.3
+    far_m: float = 10.0
+
+    def __post_init__(self) -> None:
+        numbers = (self.constant_m, self.quadratic_per_m, self.near_m, self.far_m)
+        if not np.isfinite(numbers).all() or min(numbers) < 0 or self.constant_m + self.quadratic_per_m == 0:
+            raise CalibrationError("depth noise takes finite numbers, not negative, and not both zero")
+        for name, allowed in _OF_DEPTH.items():
+            check_range(name, getattr(self, name), allowed)
+        if self.near_m >= self.far_m:
+            raise CalibrationError(f"depth range {self.near_m} to {self.far_m} m is empty")
+
+    def sigma_m(self, depth_m: FloatArray) -> FloatArray:
+        """Standard deviations (...) in metres of depths (...) in metres."""
+        return self.constant_m + self.quadratic_per_m * np.asarray(depth_m, float) ** 2
+
+
+@dataclass(frozen=True, slots=True)
+class Wheels:
+    """Two driven wheels on one axle, or two sides of a skid-steered robot, and their encoders.
+
+    Attributes:
+        left_radius_m, right_radius_m: of the wheels, as they roll under load.
+        track_width_m: distance between the points where the wheels touch the ground. A skid-steered robot's
+            effective one is wider than the robot.
+        ticks_per_turn: counts of the encoder a turn of the wheel: counts a turn of the encoder × gear ratio.
+        counter_bits: width of the counters the ticks come from, 1 to 64; 0 for ticks that never roll over.
+        delay_s: how late stamps are: a reading stamped t tells of the wheels at t - delay_s. May be negative.
+        slip_m_per_sqrt_m: standard deviation of a wheel's travel over one metre; its square grows with the way.
+        max_speed_m_s: fastest a wheel can roll; a step that needs more is a fault, no motion.
+        max_gap_s: longest time between readings that can be bridged.
+        counter_modulus: how many values the counters count through before they roll over, where that is no power of
+            two, such as 9000 for 0 … 8999; 0 where `counter_bits` tells.
+
+    Raises:
+        CalibrationError: a value that no robot can have.
+    """
+
+    left_radius_m: float
+    right_radius_m: float
+    track_width_m: float
+    ticks_per_turn: float
+    counter_bits: int = 0
+    delay_s: float = 0.0
+    slip_m_per_sqrt_m: float = 0.01
+    max_speed_m_s: float = 5.0
+    max_gap_s: float = 0.5
+    counter_modulus: int = 0
+
+    def __post_init__(self) -> None:
+        for name in (*_OF_WHEELS, *_COUNTER_FIELDS):
+            value = getattr(self, name)
+            if not np.isfinite(value):
+                raise CalibrationError(f"{name} is {value}, not a number")
+            if value <= 0 and name not in (*_COUNTER_FIELDS, "delay_s"):
+                raise CalibrationError(f"{name} is {value}, not positive")
+        self._check_counter()
+        for name, allowed in _OF_WHEELS.items():
+            check_range(name, getattr(self, name), allowed)
+
+    def _check_counter(self) -> None:
+        if self.counter_bits != int(self.counter_bits) or not 0 <= self.counter_bits <= _WIDEST_COUNTER_BITS:
+            raise CalibrationError(f"counter_bits is {self.counter_bits}", fix="1 to 64, or 0: never rolls over")
+        if self.counter_modulus != int(self.counter_modulus) or not (
+            self.counter_modulus == 0 or 2 <= self.counter_modulus <= 2**_WIDEST_COUNTER_BITS
+        ):
+            raise CalibrationError(f"counter_modulus is {self.counter_modulus}", fix="9000 for a counter of 0 … 8999")
+        if self.counter_bits and self.counter_modulus:
+            raise CalibrationError("counter_bits and counter_modulus are both given", fix="leave one out")
+
+    @property
+    def counter_span(self) -> int:
+        """How many values the counters count through before they roll over; 0 for ticks that never do."""
+        return int(self.counter_modulus) or (1 << int(self.counter_bits) if self.counter_bits else 0)
+
+    @property
+    def never_rolling_over(self) -> Wheels:
+        """The same, for ticks in which roll-overs have been undone."""
+        return replace(self, counter_bits=0, counter_modulus=0)
+
+    @property
+    def left_m_per_tick(self) -> float:
+        """How far the left wheel rolls while its encoder counts one."""
+        return 2 * math.pi * self.left_radius_m / self.ticks_per_turn
+
+    @property
+    def right_m_per_tick(self) -> float:
+        """How far the right wheel rolls while its encoder counts one."""
+        return 2 * math.pi * self.right_radius_m / self.ticks_per_turn
+
+
+@dataclass(frozen=True, slots=True)
+class Gyro:
+    """What a gyroscope's yaw rate, counter-clockwise seen from above, is worth.
+
+    Attributes:
+        noise_rad_per_sqrt_s: standard deviation of the yaw integrated over one second; its square grows with time.
+        bias_rad_s: what it shows at rest; refined whenever the wheels stand still.
+        bias_sigma_rad_s: how far off that may be, as a standard deviation; 0 for a bias that is to be kept.
+        bias_walk_rad_s_per_sqrt_s: how far the bias wanders in one second; its square grows with time.
+
+    Raises:
+        CalibrationError: a value that is not finite, or a negative deviation.
+    """
+
+    noise_rad_per_sqrt_s: float = 1e-3
+    bias_rad_s: float = 0.0
+    bias_sigma_rad_s: float = 0.02
+    bias_walk_rad_s_per_sqrt_s: float = 2e-5
+
+    def __post_init__(self) -> None:
+        for name, allowed in _OF_GYRO.items():
+            value = getattr(self, name)
+            if not np.isfinite(value) or (value < 0 and name != "bias_rad_s"):
+                raise CalibrationError(f"{name} is {value}, not a number{'' if name == 'bias_rad_s' else ' from 0 up'}")
+            check_range(name, value, allowed)
+        if self.noise_rad_per_sqrt_s == 0:
+            raise CalibrationError("noise_rad_per_sqrt_s is 0", fix="no gyroscope is without noise")
