@@ -14,6 +14,7 @@ from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimat
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._anchor import Anchor, is_far
+from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._camera import camera_odometry, mount_of
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer._pace import Pace
@@ -21,6 +22,7 @@ from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.extrinsics import Culprit
 from wheelsight.odometry.features import MatchedPixels
 from wheelsight.places import PlaceMatch
 
@@ -63,7 +65,9 @@ class ByFusion:
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         self._places = None if places is None else PlaceSense(places)
         T_start, spread = (None, None) if self._places is None else self._places.start
-        self.filter = ErrorStateFilter(self._T_base_camera, T_start, spread, _settings_of(calibration))
+        begin = (self._T_base_camera, T_start, spread, _settings_of(calibration))
+        self.filter = ErrorStateFilter(*begin)
+        self._check = BaseCheck(calibration, self._T_base_camera, ErrorStateFilter(*begin))
         self.T_world_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
@@ -84,8 +88,8 @@ class ByFusion:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the gyroscope, as a sentence."""
-        return self._with_gyro.warnings
+        """What is wrong with the gyroscope, or with what the calibration says, as a sentence each."""
+        return (*self._with_gyro.warnings, *self._check.warnings)
 
     @property
     def last_place(self) -> PlaceMatch | None:
@@ -109,6 +113,8 @@ class ByFusion:
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), note
         if isinstance(event, SkippedFrame):
             return self._miss(event.stamp_s), event.reason
+        if self._check.left_out is Culprit.CAMERA:
+            return self._overlook(event), ""
         expected = self.filter.expect(event.stamp_s, _FRAME)
         why_not = self._gate.why_not(event, None if expected is None else expected[0])
         if why_not is not None:
@@ -117,7 +123,7 @@ class ByFusion:
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
         answer = self._frame(event, self._expected(event.stamp_s, expected and expected[0]))
         self._lead(answer)
-        return self._placed(event, answer), self._deaf
+        return self._check.answered(self._placed(event, answer)), self._deaf
 
     def _lead(self, answer: FusedEstimate) -> None:
         """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion; and the map.
@@ -139,6 +145,8 @@ class ByFusion:
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
+        if self._check.left_out is Culprit.WHEELS:
+            return (None,)
         if not self._slips:
             return (by_wheels,)
         by_pace = self._pace.expect(stamp_s)
@@ -152,14 +160,21 @@ class ByFusion:
         self._gate.wheels_are_heard = True
         if wheels is None:
             return None, note
+        self._check.hear(wheels)
+        if self._check.left_out is Culprit.CAMERA and self._check.by_wheels is not None:
+            self.filter = self._check.wheels_alone()
+            return self.filter.estimate, note
+        if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is None:
+            return self.filter.drop(wheels.stamp_s, ""), note  # the camera's speed carries the pose on
         answer = self.filter.predict_to(wheels)
         apart = answer.reason in (Reason.CLOCKS_APART, Reason.TOO_LATE)
         self._deaf = f"the wheels are not heard: {answer.reason}" if apart else ""
-        return answer, note
+        return self._check.answered(answer), note
 
     def _turn(self, rate: YawRate) -> None:
         """A gyroscope counts once it has agreed with the wheels, and then with the bias it was found to have."""
         self._with_gyro.process(rate)
+        self._check.turn(rate.stamp_s, rate.yaw_rate_rad_s)
         if not self._with_gyro.trusts_gyro or self._is_early(rate.stamp_s):
             return
         if not self._was_trusted:
@@ -188,6 +203,10 @@ class ByFusion:
             return self._unseen(frame, seen)
         self._pace.tell(frame.stamp_s, seen.T_world_body)
         if self._anchor is None:
+            return self._begun(frame, seen)
+        self._check.see(frame, seen, self.odometry.last_motion.shows_all)
+        if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is not None:
+            self.filter = self._check.camera_alone()
             return self._begun(frame, seen)
         motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
         if frame.stamp_s - self._seen_s > _DARK_S and not motion.shows_all:
@@ -229,6 +248,7 @@ class ByFusion:
         answer = self.filter.clone(frame.stamp_s, _FRAME)
         self._T_map_camera, self._seen_s = seen.T_world_body, frame.stamp_s
         self._lay_map()
+        self._check.begin(frame, seen, self.T_world_map)
         self._anchor_at(frame, seen.T_world_body)
         return replace(answer, reason=reason or answer.reason, matches=seen.matches, inliers=seen.inliers)
 
@@ -255,6 +275,12 @@ class ByFusion:
     def _repeated(self) -> Estimate:
         """What is known, at an image that has come before: neither a look nor a failure of the camera."""
         return replace(self.filter.estimate, reason=Reason.REPEATED)
+
+    def _overlook(self, frame: RgbdFrame) -> Estimate:
+        """The wheels' answer at a frame of a camera whose motions are known to be wrong; it may show an area."""
+        self._T_map_camera = None
+        nothing = MotionEstimate.failed(Reason.CONTRADICTION)
+        return self._placed(frame, self.filter.update_relative(frame.stamp_s, nothing, _ANCHOR))
 
     def _miss(self, stamp_s: float) -> Estimate:
         """The answer at a frame that came to nothing before anyone could look at it."""

@@ -1,0 +1,226 @@
+"""Agreement: whether wheels and camera tell of one drive, and what explains it where they do not.
+
+Both drives are cut into pieces of some centimetres or degrees. Of each, the wheels tell a way ahead and a turn to the
+left, and the camera, by its mount, a way and a turn of three components each. What may be wrong with either is linear: a
+wheel that counts backwards, sizes, a depth's factor, a mirrored image, a mount turned otherwise. So of all pieces only
+the sums of products need be kept, and each explanation is weighed by how much of both motions it leaves unexplained.
+
+Some explanations cannot be told apart by motions: mirrored images and swapped wheels turn alike the wrong way, and on a
+straight way depth too short and wheels too large are the same. Then witnesses decide: the floor, seen where the mount
+has it or so many times too near, and a gyroscope, which turns with one of both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from wheelsight.geometry import FloatArray, so3
+
+# A piece is over when either has gone so far: a camera errs by a millimetre or two, and a robot of half a metre a
+# second is told of after its first three frames.
+_PIECE_M, _PIECE_RAD = 0.06, 0.06
+# What wheels and camera differ by in any piece, by clocks that are some milliseconds apart.
+_USUAL_M, _USUAL_RAD = 0.01, 0.01
+# In turns tighter than this, where the camera sits matters as much as where it looks: these tell of turns alone.
+_TIGHT_M = 1.5
+# Shares of the squared motion that is left: 0.03 is a scale 20 % or a direction 10° off, which no data sheet, tape
+# measure or protractor is; half of it is explained well.
+_DISAGREES, _EXPLAINED = 0.03, 0.015
+_SAME_SCALE = 0.15  # by which a floor's height may be off, by mount, tilt and what lies on it
+_LARGEST_TILT = math.cos(math.radians(10.0))
+_WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
+
+
+class Culprit(Enum):
+    """Whose motions are wrong."""
+
+    WHEELS = "wheels"
+    CAMERA = "camera"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """What may be wrong, if it explains all pieces.
+
+    Attributes:
+        culprit: whose motions are then wrong.
+        cause: as a clause, with the fix.
+        expected: (6, 2) way and turn of the camera that follow from way and turn of the wheels.
+        is_scale: whether it is a factor, as clocks that are apart and wheels that slip may show one for a while.
+        depth: the factor of depth that it says, or None.
+        tilts: whether the mount's up is another.
+    """
+
+    culprit: Culprit
+    cause: str
+    expected: FloatArray
+    is_scale: bool = False
+    depth: float | None = None
+    tilts: bool = False
+
+
+@dataclass(slots=True)
+class Agreement:
+    """The sums over all pieces.
+
+    Attributes:
+        products: (8, 8) of way and turn of the wheels, way (3) and turn (3) of the camera, in the base's axes.
+        of_gyro: (3, 3) of turns by wheels, camera and gyroscope, where that tells.
+        pieces: how many.
+        way_m, turn_rad: how far they went, by the one that tells of more.
+    """
+
+    track_width_m: float
+    T_base_camera: FloatArray
+    products: FloatArray = field(default_factory=lambda: np.zeros((8, 8)))
+    of_gyro: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    pieces: int = 0
+    way_m: float = 0.0
+    turn_rad: float = 0.0
+
+    def add(self, T_by_wheels: FloatArray, T_by_camera: FloatArray, gyro_rad: float | None) -> bool:
+        """Take the base's motion (4, 4) by each since the piece began; False while that is too little for one."""
+        w, c = _way_and_turn(T_by_wheels), _way_and_turn(T_by_camera)
+        way_m, turn_rad = max(_size(w[:3]), _size(c[:3])), max(_size(w[3:]), _size(c[3:]))
+        if way_m < _PIECE_M and turn_rad < _PIECE_RAD:
+            return False
+        told = np.array([w[0], w[5], *c])
+        if gyro_rad is not None:
+            turns = np.array([w[5], c[5], gyro_rad])
+            self.of_gyro += np.outer(turns, turns)
+        if _size(c[3:]) * _TIGHT_M > _size(c[:3]):
+            told[[0, 2, 3, 4]] = 0.0
+            way_m = 0.0
+        self.products += np.outer(told, told)
+        self.pieces, self.way_m, self.turn_rad = self.pieces + 1, self.way_m + way_m, self.turn_rad + turn_rad
+        return True
+
+    def unexplained(self, expected: FloatArray) -> tuple[float, float]:
+        """The shares of the ways and of the turns that are other than `expected` (6, 2) of the wheels."""
+        G = self.products
+        cross = expected @ G[_WHEELS, 2:]
+        left = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
+        way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0]) + self.pieces * _USUAL_M**2
+        turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1]) + self.pieces * _USUAL_RAD**2
+        return float(left[:3].sum() / way), float(left[3:].sum() / turn)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both tell of one drive."""
+        return max(self.unexplained(_seen_of(np.eye(2)))) < _DISAGREES
+
+    def explanations(self, floor_ratio: float | None) -> list[Explanation]:
+        """What explains it, by the witnesses too, if both do not tell of one drive.
+
+        Args:
+            floor_ratio: the camera's height over the floor that it sees, over that of its mount; None where it sees none.
+        """
+        if not self.pieces or self.agrees:
+            return []
+        candidates = [*self._of_wheels(), *self._of_camera()]
+        found = [one for one in candidates if max(self.unexplained(one.expected)) < _EXPLAINED]
+        return self._by_gyro(_by_floor(found, floor_ratio))
+
+    def _of_wheels(self) -> list[Explanation]:
+        """Signs and places of both wheels, and their sizes."""
+        half_m, G = self.track_width_m / 2, self.products
+        left = np.array([[0.0, half_m], [1 / half_m, 0.0]])
+        swapped = np.diag([1.0, -1.0])
+        ways = (
+            (left, "the left wheel counts backwards: turn its sign"),
+            (-left, "the right wheel counts backwards: turn its sign"),
+            (-np.eye(2), "both wheels count backwards: turn their signs"),
+            (swapped, "left and right wheel are swapped: swap their columns"),
+            (-swapped, "left and right wheel are swapped and count backwards: swap their columns and turn their signs"),
+            (swapped @ left, "left and right wheel are swapped, and one counts backwards"),
+            (left @ swapped, "left and right wheel are swapped, and one counts backwards"),
+        )
+        found = [Explanation(Culprit.WHEELS, cause, _seen_of(M)) for M, cause in ways]
+        way, turn = _ratio(G[0, 2], G[0, 0]), _ratio(G[1, 7], G[1, 1])
+        weights = np.array([G[0, 0] / _USUAL_M**2, G[1, 1] / _USUAL_RAD**2])
+        both = float(weights @ [way, turn] / max(weights.sum(), 1e-12))
+        sizes = (
+            ((both, both), f"the wheels tell ways and turns {1 / both:.2g} times too long: check ticks_per_turn and radii"),
+            ((1.0, turn), f"the wheels tell turns {1 / turn:.2g} times too far: check track_width_m"),
+            ((way, 1.0), f"the wheels tell ways {1 / way:.2g} times too long: check radii and track_width_m"),
+        )
+        found += [Explanation(Culprit.WHEELS, cause, _seen_of(np.diag(M)), is_scale=True) for M, cause in sizes]
+        return found
+
+    def _of_camera(self) -> list[Explanation]:
+        """Depth's factor, images turned over, and where the camera looks."""
+        way, R = _ratio(self.products[0, 2], self.products[0, 0]), self.T_base_camera[:3, :3]
+        cause = f"depth is {way:.2g} times what it should be: check depth_factor"
+        found = [Explanation(Culprit.CAMERA, cause, _seen_of(np.diag([way, 1.0])), is_scale=True, depth=way)]
+        for axis, how in enumerate(("left to right", "top to bottom")):
+            over = R @ np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ R.T
+            told = np.zeros((6, 2))
+            told[:3, 0], told[3:, 1] = over[:, 0], -over[:, 2]
+            found.append(Explanation(Culprit.CAMERA, f"its images are mirrored {how}: turn them back", told, tilts=axis == 1))
+        return [*found, self._of_mount()]
+
+    def _of_mount(self) -> Explanation:
+        """The rotation that lays the wheels' motions on the camera's best (Kabsch)."""
+        G, M = self.products, np.zeros((3, 3))
+        M[:, 0] = G[_WAYS, 0] / _USUAL_M**2
+        M[:, 2] = G[_TURNS, 1] / _USUAL_RAD**2
+        turned = so3.nearest(M)
+        told = np.zeros((6, 2))
+        told[:3, 0], told[3:, 1] = turned[:, 0], turned[:, 2]
+        is_turning = G[1, 1] > self.pieces * _USUAL_RAD**2
+        off_deg = math.degrees(float(so3.angle(turned))) if is_turning else _degrees(turned[0, 0])
+        cause = f"it looks about {off_deg:.0f}° from where T_base_camera says (wheelsight calibrate base finds it)"
+        return Explanation(Culprit.CAMERA, cause, told, tilts=is_turning and turned[2, 2] < _LARGEST_TILT)
+
+    def _by_gyro(self, found: list[Explanation]) -> list[Explanation]:
+        """Without those that a gyroscope contradicts, where it turns clearly with one of both."""
+        wheels, camera, gyro = np.diag(self.of_gyro)
+        if gyro < self.pieces * _USUAL_RAD**2 or len({one.culprit for one in found}) < 2:
+            return found
+        by_wheels = (wheels + gyro - 2 * self.of_gyro[0, 2]) / max(wheels, gyro)
+        by_camera = (camera + gyro - 2 * self.of_gyro[1, 2]) / max(camera, gyro)
+        if max(by_wheels, by_camera) < 2 * _DISAGREES or min(by_wheels, by_camera) > _DISAGREES:
+            return found
+        wrong = Culprit.CAMERA if by_wheels < by_camera else Culprit.WHEELS
+        return [one for one in found if one.culprit is wrong]
+
+
+def _by_floor(found: list[Explanation], ratio: float | None) -> list[Explanation]:
+    """Without those that the floor contradicts: it is where the mount has it, or as wrong as the ways are."""
+    if ratio is None:
+        return found
+    if abs(math.log(ratio)) < _SAME_SCALE:
+        return [one for one in found if one.depth is None and not one.tilts]
+    by_depth = [one for one in found if one.depth is not None and one.depth > 0]
+    same = [one for one in by_depth if one.depth is not None and abs(math.log(ratio / one.depth)) < _SAME_SCALE]
+    return same or found
+
+
+def _way_and_turn(T: FloatArray) -> FloatArray:
+    """(6,) of a motion (4, 4): its way in the axes halfway through its turn, and its turn."""
+    turn = so3.log(T[:3, :3])
+    return np.concatenate([so3.exp(-turn / 2) @ T[:3, 3], turn])
+
+
+def _seen_of(M: FloatArray) -> FloatArray:
+    """(6, 2) of true way and turn that are M (2, 2) times those told by the wheels, as a camera sees them."""
+    told = np.zeros((6, 2))
+    told[0], told[5] = M
+    return told
+
+
+def _ratio(product: float, square: float) -> float:
+    """A factor by least squares; 1 where nothing tells it."""
+    return float(product / square) if abs(product) > 1e-6 else 1.0
+
+
+def _degrees(cosine: float) -> float:
+    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+
+
+def _size(v: FloatArray) -> float:
+    return float(np.linalg.norm(v))
