@@ -19,20 +19,22 @@ from wheelsight.events import RgbdFrame
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate, covering_pose
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
-from wheelsight.odometry.extrinsics import Agreement, Culprit, Explanation, height_below
+from wheelsight.odometry.extrinsics import Agreement, Culprit, Explanation, depth_cause, height_below
 
 # So much must have been compared until both are known to tell of one drive; what comes later is slip, and is the
 # filter's to tell.
 _ENOUGH_M, _ENOUGH_RAD = 3.0, 1.5
-# So many pieces show which way somebody looks or turns; a factor may for so long be a clock's or a wheel's that slips.
-_LIKELY_PIECES, _LIKELY_SCALE_M, _LIKELY_SCALE_RAD = 2, 0.25, 0.5
+# Whoever looks or turns elsewhere shows it in any piece. A factor may be the work of clocks that are apart: by 0.1 s, at
+# half a metre and a radian a second.
+_LIKELY_M, _LIKELY_RAD = 0.05, 0.1
 _SURE_PIECES, _SURE_M, _SURE_RAD = 8, 0.5, 0.6
 # Wheels slip by a factor, too; where the camera leads then anyway, it is no haste.
 _SURE_SLIP_M, _SURE_SLIP_RAD = 1.5, 1.5
+_BLIND_M = 1.0  # by the wheels, after which a camera that cannot be followed is left out if its floor is elsewhere too
 _AGREED_M = 0.3  # after which a floor that is not where the mount has it is held against nobody
 _VIEWS, _ROWS = 5, 30
 _MOST_OFF = np.log(1.2)  # of the floor's height
-_LONGEST_S, _KEPT_S = 2.0, 3.0
+_KEPT_S = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,11 +73,20 @@ class BaseCheck:
         self._wheels: deque[tuple[float, FloatArray]] = deque()
         self._frames: deque[tuple[float, FloatArray]] = deque()  # whose time no reading has come to yet
         self._turned: deque[tuple[float, float]] = deque()  # stamps and angles of the gyroscope
-        self._begin: tuple[float, FloatArray, FloatArray] | None = None  # stamp, by wheels and by camera
+        # Stamp, T_odom_base and T_map_base where a piece begins; and where both were last known to go together.
+        self._begin: tuple[float, FloatArray, FloatArray] | None = None
+        self._together: tuple[float, FloatArray, FloatArray] | None = None
+        self._newest: tuple[float, FloatArray] | None = None
         self._T_world_map: FloatArray | None = None
         self._seen: _Pose | None = None
         self._found: list[Explanation] = []
         self._is_sure = False
+        self._rolled_m = 0.0
+
+    @property
+    def doubts_wheels(self) -> bool:
+        """Whether the wheels may be wrong so that the camera had better not expect what they tell."""
+        return any(one.culprit is Culprit.WHEELS for one in self._found)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -84,9 +95,9 @@ class BaseCheck:
             return ()
         causes = [" or ".join(_causes(self._found, who)) for who in Culprit]
         if self.left_out is None:
-            told = f"either {causes[0]}, or, of the camera, {causes[1]}. Nothing tells which: the answer covers both"
-            return (f"Wheels and camera contradict each other all along: {told}.",)
-        whose = "the camera's: " if self.left_out is Culprit.CAMERA else ""
+            told = f"either the wheels' fault ({causes[0]}) or the camera's ({causes[1]})"
+            return (f"Wheels and camera contradict each other all along: {told}. The answer covers both.",)
+        whose = "the camera's: " if self.left_out is Culprit.CAMERA else "the wheels': "
         other = "the wheels" if self.left_out is Culprit.CAMERA else "the camera"
         cause = causes[list(Culprit).index(self.left_out)]
         return (
@@ -100,16 +111,20 @@ class BaseCheck:
             return
         self.by_wheels.predict_to(wheels)
         if wheels.T_world_body is None or wheels.reason is not None:
-            self._begin = None
+            self._begin = self._together = None
             self._wheels.clear()
             return
         if self._wheels and not wheels.stamp_s > self._wheels[-1][0]:
             return
+        if self._wheels:
+            self._rolled_m += float(np.linalg.norm(wheels.T_world_body[:3, 3] - self._wheels[-1][1][:3, 3]))
         self._wheels.append((wheels.stamp_s, wheels.T_world_body))
         while self._wheels[0][0] < wheels.stamp_s - _KEPT_S:
             self._wheels.popleft()
         while self._frames and self._frames[0][0] <= wheels.stamp_s:
             self._compare(*self._frames.popleft())
+        if self._is_floor_off and self._rolled_m > _BLIND_M:
+            self._leave_out_blind()
 
     def turn(self, stamp_s: float, yaw_rate_rad_s: float) -> None:
         """Take a reading of a gyroscope, the mean since its last one."""
@@ -124,7 +139,7 @@ class BaseCheck:
 
     def begin(self, frame: RgbdFrame, seen: Estimate, T_world_map: FloatArray) -> None:
         """The camera begins, or begins again, at a frame; its world lies at `T_world_map` (4, 4) in that of the wheels."""
-        self._begin = None
+        self._begin = self._together = None
         self._frames.clear()
         if self._T_world_map is None:
             self._T_world_map = T_world_map.copy()
@@ -134,12 +149,12 @@ class BaseCheck:
         """Take a frame that was tracked, T_map_camera, and whether it shows all directions."""
         if self.by_wheels is None or self._T_world_map is None or seen.T_world_body is None:
             return
-        self._look_down(frame)
         T_map_base = motions.times(seen.T_world_body, motions.inverse(self._mount))
         C = np.zeros((6, 6)) if seen.covariance is None else motions.carried(self._T_world_map, seen.covariance)
         self._seen = _Pose(frame.stamp_s, motions.mended(motions.times(self._T_world_map, T_map_base)), C)
         if shows_all:
-            self._frames.append((frame.stamp_s, T_map_base))
+            self._newest = frame.stamp_s, T_map_base
+            self._frames.append(self._newest)
 
     def answered(self, answer: Estimate) -> Estimate:
         """The answer as it stands, or as it must be while it is likely that a sensor is wrong."""
@@ -147,7 +162,7 @@ class BaseCheck:
         if wheels is None or not isinstance(answer, FusedEstimate):
             return answer
         if not self._found:
-            return replace(wheels.estimate, reason=answer.reason) if self._is_floor_off else answer
+            return replace(wheels.estimate, reason=answer.reason) if self._is_floor_off else self._covered(answer)
         by_wheels, seen = wheels.estimate, self._seen
         if by_wheels.T_world_body is None or by_wheels.covariance is None or seen is None:
             return answer
@@ -158,6 +173,22 @@ class BaseCheck:
             first, second = second, first
         T, C = covering_pose(*first, *second)
         return replace(by_wheels, T_world_body=T, covariance=C, doubtful=True, slip=False, reason=reason)
+
+    def _covered(self, answer: FusedEstimate) -> FusedEstimate:
+        """The answer to a frame, less certain by what wheels and camera have gone apart while nobody knows them to agree."""
+        if self._together is None or self._newest is None or self._newest[0] != answer.stamp_s:
+            return answer
+        if answer.T_world_body is None or answer.covariance is None or not self._wheels:
+            return answer
+        _, T_odom_begin, T_map_begin = self._together
+        T_odom_base = self._at(answer.stamp_s)
+        by_wheels = motions.times(
+            motions.inverse(T_odom_begin), self._wheels[-1][1] if T_odom_base is None else T_odom_base
+        )
+        by_camera = motions.times(motions.inverse(T_map_begin), self._newest[1])
+        other = motions.times(answer.T_world_body, motions.times(motions.inverse(by_wheels), by_camera))
+        _, C = covering_pose(answer.T_world_body, answer.covariance, motions.mended(other), np.zeros((6, 6)))
+        return replace(answer, covariance=C)
 
     def wheels_alone(self) -> ErrorStateFilter:
         """What goes on without the camera."""
@@ -182,9 +213,10 @@ class BaseCheck:
         ratio = self._floor_ratio
         return ratio is not None and abs(np.log(ratio)) > _MOST_OFF and self._agreement.way_m < _AGREED_M
 
-    def _look_down(self, frame: RgbdFrame) -> None:
+    def look_down(self, frame: RgbdFrame) -> None:
+        """See how far below the camera the floor lies, in the first frames."""
         height_m = float(self._mount[2, 3])
-        if len(self._floors) >= _VIEWS or not height_m > 0:
+        if self.by_wheels is None or len(self._floors) >= _VIEWS or not height_m > 0:
             return
         depth_m = frame.depth_m[self._grid].ravel().astype(float)
         found_m = height_below(self._rays, depth_m, self._mount[2, :3], height_m)
@@ -197,8 +229,8 @@ class BaseCheck:
         if T_odom_base is None:
             return
         now = (stamp_s, T_odom_base, T_map_base)
-        if self._begin is None or stamp_s - self._begin[0] > 60 * _LONGEST_S:
-            self._begin = now
+        if self._begin is None or self._together is None:
+            self._begin = self._together = now
             return
         begin_s, T_odom_begin, T_map_begin = self._begin
         by_wheels = motions.times(motions.inverse(T_odom_begin), T_odom_base)
@@ -225,7 +257,10 @@ class BaseCheck:
 
     def _judge(self) -> None:
         agreement = self._agreement
-        self._found = [one for one in agreement.explanations(self._floor_ratio) if self._is_likely(one)]
+        told = agreement.explanations(self._floor_ratio)
+        if not told:
+            self._together = self._begin
+        self._found = [one for one in told if self._is_likely(one)]
         if self._found:
             self._is_sure = all(self._is_surely(one) for one in self._found)
             whose = {one.culprit for one in self._found}
@@ -237,11 +272,20 @@ class BaseCheck:
         if is_enough and agreement.agrees:
             self.by_wheels = None
 
+    def _leave_out_blind(self) -> None:
+        """A camera that shows the floor elsewhere, and cannot be followed, is left out without its ways."""
+        ratio = self._floor_ratio
+        assert ratio is not None
+        cause = f"{depth_cause(ratio)}, or the height in T_base_camera"
+        self._found = [Explanation(Culprit.CAMERA, cause, np.zeros((6, 2)), True, ratio)]
+        self._is_sure, self.left_out = True, Culprit.CAMERA
+
     def _is_likely(self, one: Explanation) -> bool:
         agreement = self._agreement
         if not one.is_scale:
-            return agreement.pieces >= _LIKELY_PIECES
-        return agreement.way_m > _LIKELY_SCALE_M or agreement.turn_rad > _LIKELY_SCALE_RAD
+            return True
+        apart_m, apart_rad = np.ptp(agreement.ways_m), np.ptp(agreement.turns_rad)
+        return bool(apart_m > _LIKELY_M or apart_rad > _LIKELY_RAD)
 
     def _is_surely(self, one: Explanation) -> bool:
         agreement, slips = self._agreement, one.is_scale and one.culprit is Culprit.WHEELS

@@ -121,6 +121,7 @@ class ByFusion:
             return self._repeated() if why_not.is_repeat else self._miss(event.stamp_s), why_not.note
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
+        self._check.look_down(event)
         answer = self._frame(event, self._expected(event.stamp_s, expected and expected[0]))
         self._lead(answer)
         return self._check.answered(self._placed(event, answer)), self._deaf
@@ -145,7 +146,7 @@ class ByFusion:
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
-        if self._check.left_out is Culprit.WHEELS:
+        if self._check.doubts_wheels:
             return (None,)
         if not self._slips:
             return (by_wheels,)

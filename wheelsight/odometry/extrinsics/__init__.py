@@ -1,6 +1,6 @@
 """Where the camera sits on its robot, and how late the wheels' clock is, from an ordinary drive with both."""
 
-from wheelsight.odometry.extrinsics.agreement import Agreement, Culprit, Explanation
+from wheelsight.odometry.extrinsics.agreement import Agreement, Culprit, Explanation, depth_cause
 from wheelsight.odometry.extrinsics.calibrate import (
     QUANTITIES,
     BaseCalibration,
@@ -27,6 +27,7 @@ __all__ = [
     "base_from",
     "calibrate_base",
     "common_turning",
+    "depth_cause",
     "fit_floor",
     "fit_mount",
     "height_below",

@@ -71,7 +71,7 @@ class Agreement:
         products: (8, 8) of way and turn of the wheels, way (3) and turn (3) of the camera, in the base's axes.
         of_gyro: (3, 3) of turns by wheels, camera and gyroscope, where that tells.
         pieces: how many.
-        way_m, turn_rad: how far they went, by the one that tells of more.
+        ways_m, turns_rad: (2,) how far they went by the wheels, and by the camera.
     """
 
     track_width_m: float
@@ -79,24 +79,35 @@ class Agreement:
     products: FloatArray = field(default_factory=lambda: np.zeros((8, 8)))
     of_gyro: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     pieces: int = 0
-    way_m: float = 0.0
-    turn_rad: float = 0.0
+    ways_m: FloatArray = field(default_factory=lambda: np.zeros(2))
+    turns_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    @property
+    def way_m(self) -> float:
+        """By the one that tells of more."""
+        return float(self.ways_m.max())
+
+    @property
+    def turn_rad(self) -> float:
+        """Likewise."""
+        return float(self.turns_rad.max())
 
     def add(self, T_by_wheels: FloatArray, T_by_camera: FloatArray, gyro_rad: float | None) -> bool:
         """Take the base's motion (4, 4) by each since the piece began; False while that is too little for one."""
         w, c = _way_and_turn(T_by_wheels), _way_and_turn(T_by_camera)
-        way_m, turn_rad = max(_size(w[:3]), _size(c[:3])), max(_size(w[3:]), _size(c[3:]))
-        if way_m < _PIECE_M and turn_rad < _PIECE_RAD:
+        ways_m, turns_rad = (np.array([_size(w[part]), _size(c[part])]) for part in (np.s_[:3], np.s_[3:]))
+        if ways_m.max() < _PIECE_M and turns_rad.max() < _PIECE_RAD:
             return False
         told = np.array([w[0], w[5], *c])
         if gyro_rad is not None:
             turns = np.array([w[5], c[5], gyro_rad])
             self.of_gyro += np.outer(turns, turns)
-        if _size(c[3:]) * _TIGHT_M > _size(c[:3]):
-            told[[0, 2, 3, 4]] = 0.0
-            way_m = 0.0
+        if turns_rad[1] * _TIGHT_M > ways_m[1]:
+            told[[0, 2, 3, 4]] = ways_m[:] = 0.0
         self.products += np.outer(told, told)
-        self.pieces, self.way_m, self.turn_rad = self.pieces + 1, self.way_m + way_m, self.turn_rad + turn_rad
+        self.pieces += 1
+        self.ways_m += ways_m
+        self.turns_rad += turns_rad
         return True
 
     def unexplained(self, expected: FloatArray) -> tuple[float, float]:
@@ -121,12 +132,14 @@ class Agreement:
         """
         if not self.pieces or self.agrees:
             return []
-        candidates = [*self._of_wheels(), *self._of_camera()]
-        found = [one for one in candidates if max(self.unexplained(one.expected)) < _EXPLAINED]
-        return self._by_gyro(_by_floor(found, floor_ratio))
+        of_wheels, of_camera = (
+            [one for one in candidates if max(self.unexplained(one.expected)) < _EXPLAINED]
+            for candidates in (self._of_wheels(), self._of_camera())
+        )
+        return self._by_gyro(_by_floor([*of_wheels[:1], *of_camera], floor_ratio))
 
     def _of_wheels(self) -> list[Explanation]:
-        """Signs and places of both wheels, and their sizes."""
+        """Signs and places of both wheels, and their sizes, the simplest first."""
         half_m, G = self.track_width_m / 2, self.products
         left = np.array([[0.0, half_m], [1 / half_m, 0.0]])
         swapped = np.diag([1.0, -1.0])
@@ -136,31 +149,37 @@ class Agreement:
             (-np.eye(2), "both wheels count backwards: turn their signs"),
             (swapped, "left and right wheel are swapped: swap their columns"),
             (-swapped, "left and right wheel are swapped and count backwards: swap their columns and turn their signs"),
-            (swapped @ left, "left and right wheel are swapped, and one counts backwards"),
-            (left @ swapped, "left and right wheel are swapped, and one counts backwards"),
+            (swapped @ left, "left and right wheel are swapped, and one counts backwards: see which"),
+            (left @ swapped, "left and right wheel are swapped, and one counts backwards: see which"),
         )
         found = [Explanation(Culprit.WHEELS, cause, _seen_of(M)) for M, cause in ways]
         way, turn = _ratio(G[0, 2], G[0, 0]), _ratio(G[1, 7], G[1, 1])
         weights = np.array([G[0, 0] / _USUAL_M**2, G[1, 1] / _USUAL_RAD**2])
         both = float(weights @ [way, turn] / max(weights.sum(), 1e-12))
         sizes = (
-            ((both, both), f"the wheels tell ways and turns {1 / both:.2g} times too long: check ticks_per_turn and radii"),
-            ((1.0, turn), f"the wheels tell turns {1 / turn:.2g} times too far: check track_width_m"),
-            ((way, 1.0), f"the wheels tell ways {1 / way:.2g} times too long: check radii and track_width_m"),
+            ((both, both), both, "their ways and turns are {} times the true ones: check ticks_per_turn and radii"),
+            ((1.0, turn), turn, "their turns are {} times the true ones: check track_width_m"),
+            ((way, 1.0), way, "their ways, not their turns, are {} times the true ones: check radii and track_width_m"),
         )
-        found += [Explanation(Culprit.WHEELS, cause, _seen_of(np.diag(M)), is_scale=True) for M, cause in sizes]
+        for M, ratio, cause in sizes:
+            if ratio > 0:
+                told = cause.format(f"{1 / ratio:.2g}")
+                found.append(Explanation(Culprit.WHEELS, told, _seen_of(np.diag(M)), is_scale=True))
         return found
 
     def _of_camera(self) -> list[Explanation]:
         """Depth's factor, images turned over, and where the camera looks."""
         way, R = _ratio(self.products[0, 2], self.products[0, 0]), self.T_base_camera[:3, :3]
-        cause = f"depth is {way:.2g} times what it should be: check depth_factor"
-        found = [Explanation(Culprit.CAMERA, cause, _seen_of(np.diag([way, 1.0])), is_scale=True, depth=way)]
+        found = []
+        if way > 0:
+            found.append(Explanation(Culprit.CAMERA, depth_cause(way), _seen_of(np.diag([way, 1.0])), True, way))
         for axis, how in enumerate(("left to right", "top to bottom")):
             over = R @ np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ R.T
             told = np.zeros((6, 2))
             told[:3, 0], told[3:, 1] = over[:, 0], -over[:, 2]
-            found.append(Explanation(Culprit.CAMERA, f"its images are mirrored {how}: turn them back", told, tilts=axis == 1))
+            found.append(
+                Explanation(Culprit.CAMERA, f"its images are mirrored {how}: turn them back", told, tilts=axis == 1)
+            )
         return [*found, self._of_mount()]
 
     def _of_mount(self) -> Explanation:
@@ -189,14 +208,18 @@ class Agreement:
         return [one for one in found if one.culprit is wrong]
 
 
+def depth_cause(ratio: float) -> str:
+    """What to say of depth that is so many times the true one."""
+    return f"depth is {ratio:.2g} times the true one: check depth_factor"
+
+
 def _by_floor(found: list[Explanation], ratio: float | None) -> list[Explanation]:
     """Without those that the floor contradicts: it is where the mount has it, or as wrong as the ways are."""
     if ratio is None:
         return found
     if abs(math.log(ratio)) < _SAME_SCALE:
         return [one for one in found if one.depth is None and not one.tilts]
-    by_depth = [one for one in found if one.depth is not None and one.depth > 0]
-    same = [one for one in by_depth if one.depth is not None and abs(math.log(ratio / one.depth)) < _SAME_SCALE]
+    same = [one for one in found if one.depth is not None and abs(math.log(ratio / one.depth)) < _SAME_SCALE]
     return same or found
 
 
