@@ -156,10 +156,10 @@ class BaseCheck:
             self._newest = frame.stamp_s, T_map_base
             self._frames.append(self._newest)
 
-    def answered(self, answer: Estimate) -> Estimate:
+    def answered(self, answer: FusedEstimate) -> FusedEstimate:
         """The answer as it stands, or as it must be while it is likely that a sensor is wrong."""
         wheels = self.by_wheels
-        if wheels is None or not isinstance(answer, FusedEstimate):
+        if wheels is None:
             return answer
         if not self._found:
             return replace(wheels.estimate, reason=answer.reason) if self._is_floor_off else self._covered(answer)

@@ -16,6 +16,7 @@ from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._anchor import Anchor, is_far
 from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._camera import camera_odometry, mount_of
+from wheelsight.localizer._carried import Carried
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer._pace import Pace
 from wheelsight.localizer._place_sense import PlaceSense
@@ -71,6 +72,7 @@ class ByFusion:
         self.T_world_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
+        self._carried = Carried()
         self._gate = FrameGate(has_wheels=True)
         self._pace = Pace()
         self._unknown, self._deaf, self._slips = 0, "", False
@@ -124,7 +126,7 @@ class ByFusion:
         self._check.look_down(event)
         answer = self._frame(event, self._expected(event.stamp_s, expected and expected[0]))
         self._lead(answer)
-        return self._check.answered(self._placed(event, answer)), self._deaf
+        return self._checked(self._placed(event, answer)), self._deaf
 
     def _lead(self, answer: FusedEstimate) -> None:
         """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion; and the map.
@@ -170,7 +172,11 @@ class ByFusion:
         answer = self.filter.predict_to(wheels)
         apart = answer.reason in (Reason.CLOCKS_APART, Reason.TOO_LATE)
         self._deaf = f"the wheels are not heard: {answer.reason}" if apart else ""
-        return self._check.answered(answer), note
+        return self._checked(answer), note
+
+    def _checked(self, answer: FusedEstimate) -> FusedEstimate:
+        """What the filter answers, by what it cannot know."""
+        return self._carried.answered(self._check.answered(answer))
 
     def _turn(self, rate: YawRate) -> None:
         """A gyroscope counts once it has agreed with the wheels, and then with the bias it was found to have."""
@@ -214,6 +220,7 @@ class ByFusion:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR, remember=_FRAME)
         self._unknown = 0
+        self._carried.known()
         is_believed = answer.reason is None and not answer.doubtful
         if is_believed:
             self._believe(frame, answer, seen.T_world_body)
@@ -261,17 +268,28 @@ class ByFusion:
         """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera starts there."""
         nothing = MotionEstimate.failed(seen.reason or Reason.INVALID, seen.matches, seen.inliers)
         answer = self.filter.update_relative(frame.stamp_s, nothing, _ANCHOR)
-        self._unknown += seen.reason not in _BLIND
+        if seen.reason not in _BLIND:
+            self._unknown += 1
+            self._suspect(frame.stamp_s, answer)
         if (restarts or self._unknown >= _RESTART_AFTER) and answer.covariance is not None:
             self._unknown = 0
             # Where the frame was taken: it may have come late, by its stamp and beside it.
             self.filter.clone(frame.stamp_s, _AGAIN)
             T_world_base = self.filter.remembered(_AGAIN)
             assert T_world_base is not None
+            if self._carried.is_so:
+                spread = self._carried.scatter(T_world_base, answer.covariance)
+                self.filter = ErrorStateFilter(self._T_base_camera, T_world_base, spread, self.filter.settings)
             again = self.odometry.restart(frame, self._in_map(T_world_base), answer.covariance)
             if again.T_world_body is not None:
                 return self._begun(frame, again, seen.reason)
         return answer
+
+    def _suspect(self, stamp_s: float, wheels: FusedEstimate) -> None:
+        """A view that is unknown right after the dark: wheels that stood meanwhile did not see that they were carried."""
+        dark_s, expected = stamp_s - self._seen_s, self.filter.expect(stamp_s, _FRAME)
+        if self._unknown == 1 and dark_s > _DARK_S and wheels.T_world_body is not None:
+            self._carried.unknown(dark_s, None if expected is None else expected[0], wheels.T_world_body)
 
     def _repeated(self) -> Estimate:
         """What is known, at an image that has come before: neither a look nor a failure of the camera."""
