@@ -69,7 +69,7 @@ def _shift(one: PoseBelief, other: PoseBelief) -> FloatArray:
 def covering_pose(
     T_one: FloatArray, one: FloatArray, T_other: FloatArray, other: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The one pose (4, 4), and a covariance (6, 6) by which `other`, of its own covariance, lies within three of them."""
+    """The one pose (4, 4), and a covariance (6, 6) by which the other lies within three standard deviations."""
     apart = _shift_of(T_one, T_other)
     return T_one, one + other + np.outer(apart, apart) / _COVERED_SIGMAS**2
 

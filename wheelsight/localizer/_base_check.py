@@ -1,9 +1,9 @@
 """BaseCheck: over the first metres of a joined run, whether wheels and camera tell of one drive; else who is left out.
 
-What is wrong with a calibration, such as a depth's factor, a mount, ticks a turn or wheels that are swapped, contradicts
+A calibration that is wrong, by a depth's factor, a mount, ticks a turn or wheels that are swapped, contradicts
 the other sensor all along, by far more than a filter may allow for errors of sensors. So both motions are compared as
-`calibrate base` does. Until something is found, the filter's answers stand as they are. Something that is likely wrong
-makes the answer that of the other sensor, or one that covers both; something that surely is leaves the sensor out.
+`calibrate base` does. Until something is found, the filter's answers stand as they are. Something that is likely
+makes the answer that of the other sensor, or one that covers both; something that is sure leaves the sensor out.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from wheelsight.odometry.extrinsics import Agreement, Culprit, Explanation, dept
 # So much must have been compared until both are known to tell of one drive; what comes later is slip, and is the
 # filter's to tell.
 _ENOUGH_M, _ENOUGH_RAD = 3.0, 1.5
-# Whoever looks or turns elsewhere shows it in any piece. A factor may be the work of clocks that are apart: by 0.1 s, at
-# half a metre and a radian a second.
+# Whoever looks or turns elsewhere shows it in any piece. A factor may be the work of clocks that are apart: by 0.1 s,
+# at half a metre and a radian a second.
 _LIKELY_M, _LIKELY_RAD = 0.05, 0.1
 _SURE_PIECES, _SURE_M, _SURE_RAD = 8, 0.5, 0.6
 # Wheels slip by a factor, too; where the camera leads then anyway, it is no haste.
@@ -68,7 +68,7 @@ class BaseCheck:
         step = max(1, camera.height // _ROWS)
         self._grid = np.s_[step // 2 :: step, step // 2 :: step]
         self._rays = camera.rays()[self._grid].reshape(-1, 3)
-        self._agreement = Agreement(calibration.wheels.track_width_m, T_base_camera)
+        self._agreement = Agreement(calibration.wheels, T_base_camera)
         self._floors: list[float] = []
         self._wheels: deque[tuple[float, FloatArray]] = deque()
         self._frames: deque[tuple[float, FloatArray]] = deque()  # whose time no reading has come to yet
@@ -110,7 +110,7 @@ class BaseCheck:
         if self.by_wheels is None:
             return
         self.by_wheels.predict_to(wheels)
-        if wheels.T_world_body is None or wheels.reason is not None:
+        if wheels.T_world_body is None or wheels.reason is not None or not np.isfinite(wheels.T_world_body).all():
             self._begin = self._together = None
             self._wheels.clear()
             return
@@ -138,7 +138,7 @@ class BaseCheck:
             self._turned.popleft()
 
     def begin(self, frame: RgbdFrame, seen: Estimate, T_world_map: FloatArray) -> None:
-        """The camera begins, or begins again, at a frame; its world lies at `T_world_map` (4, 4) in that of the wheels."""
+        """The camera begins, or begins again, at a frame; its world lies at `T_world_map` (4, 4)."""
         self._begin = self._together = None
         self._frames.clear()
         if self._T_world_map is None:
@@ -175,7 +175,7 @@ class BaseCheck:
         return replace(by_wheels, T_world_body=T, covariance=C, doubtful=True, slip=False, reason=reason)
 
     def _covered(self, answer: FusedEstimate) -> FusedEstimate:
-        """The answer to a frame, less certain by what wheels and camera have gone apart while nobody knows them to agree."""
+        """The answer to a frame, less certain by what both have gone apart since they were last known to agree."""
         if self._together is None or self._newest is None or self._newest[0] != answer.stamp_s:
             return answer
         if answer.T_world_body is None or answer.covariance is None or not self._wheels:
@@ -257,7 +257,7 @@ class BaseCheck:
 
     def _judge(self) -> None:
         agreement = self._agreement
-        told = agreement.explanations(self._floor_ratio)
+        told = agreement.explanations(self._floor_ratio, is_accused=bool(self._found))
         if not told:
             self._together = self._begin
         self._found = [one for one in told if self._is_likely(one)]
@@ -269,7 +269,7 @@ class BaseCheck:
             return
         self._is_sure = False
         is_enough = agreement.way_m > _ENOUGH_M and agreement.turn_rad > _ENOUGH_RAD
-        if is_enough and agreement.agrees:
+        if is_enough and agreement.agrees():
             self.by_wheels = None
 
     def _leave_out_blind(self) -> None:

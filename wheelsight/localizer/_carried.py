@@ -22,7 +22,7 @@ _ASTRAY = 2 / 3
 
 
 class Carried:
-    """Wheels that stood in the dark, and a view that is another one after it, contradict each other: by a carried robot.
+    """Wheels that stood in the dark, and another view after it, contradict each other: somebody carried the robot.
 
     Attributes:
         is_so: whether what the last frames showed says so, or nobody knows yet where the robot was put.

@@ -165,7 +165,7 @@ class ByFusion:
             return None, note
         self._check.hear(wheels)
         if self._check.left_out is Culprit.CAMERA and self._check.by_wheels is not None:
-            self.filter = self._check.wheels_alone()
+            self._go_on_by(self._check.wheels_alone())
             return self.filter.estimate, note
         if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is None:
             return self.filter.drop(wheels.stamp_s, ""), note  # the camera's speed carries the pose on
@@ -173,6 +173,10 @@ class ByFusion:
         apart = answer.reason in (Reason.CLOCKS_APART, Reason.TOO_LATE)
         self._deaf = f"the wheels are not heard: {answer.reason}" if apart else ""
         return self._checked(answer), note
+
+    def _go_on_by(self, other: ErrorStateFilter) -> None:
+        """Another filter from now on; it has not been told of the gyroscope's bias yet."""
+        self.filter, self._was_trusted = other, False
 
     def _checked(self, answer: FusedEstimate) -> FusedEstimate:
         """What the filter answers, by what it cannot know."""
@@ -213,7 +217,7 @@ class ByFusion:
             return self._begun(frame, seen)
         self._check.see(frame, seen, self.odometry.last_motion.shows_all)
         if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is not None:
-            self.filter = self._check.camera_alone()
+            self._go_on_by(self._check.camera_alone())
             return self._begun(frame, seen)
         motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
         if frame.stamp_s - self._seen_s > _DARK_S and not motion.shows_all:
@@ -279,14 +283,15 @@ class ByFusion:
             assert T_world_base is not None
             if self._carried.is_so:
                 spread = self._carried.scatter(T_world_base, answer.covariance)
-                self.filter = ErrorStateFilter(self._T_base_camera, T_world_base, spread, self.filter.settings)
+                begin = (self._T_base_camera, T_world_base, spread, self.filter.settings)
+                self._go_on_by(ErrorStateFilter(*begin))
             again = self.odometry.restart(frame, self._in_map(T_world_base), answer.covariance)
             if again.T_world_body is not None:
                 return self._begun(frame, again, seen.reason)
         return answer
 
     def _suspect(self, stamp_s: float, wheels: FusedEstimate) -> None:
-        """A view that is unknown right after the dark: wheels that stood meanwhile did not see that they were carried."""
+        """An unknown view right after the dark: wheels that stood meanwhile do not know whether they were carried."""
         dark_s, expected = stamp_s - self._seen_s, self.filter.expect(stamp_s, _FRAME)
         if self._unknown == 1 and dark_s > _DARK_S and wheels.T_world_body is not None:
             self._carried.unknown(dark_s, None if expected is None else expected[0], wheels.T_world_body)

@@ -1,9 +1,9 @@
 """Agreement: whether wheels and camera tell of one drive, and what explains it where they do not.
 
 Both drives are cut into pieces of some centimetres or degrees. Of each, the wheels tell a way ahead and a turn to the
-left, and the camera, by its mount, a way and a turn of three components each. What may be wrong with either is linear: a
-wheel that counts backwards, sizes, a depth's factor, a mirrored image, a mount turned otherwise. So of all pieces only
-the sums of products need be kept, and each explanation is weighed by how much of both motions it leaves unexplained.
+left; the camera, by its mount, tells a way and a turn of three components each. What may be wrong is linear: a wheel
+that counts backwards, sizes, a depth's factor, a mirrored image, a mount turned otherwise. So only the sums of products
+over all pieces are kept, and each explanation is weighed by how much of both motions it leaves unexplained.
 
 Some explanations cannot be told apart by motions: mirrored images and swapped wheels turn alike the wrong way, and on a
 straight way depth too short and wheels too large are the same. Then witnesses decide: the floor, seen where the mount
@@ -18,6 +18,7 @@ from enum import Enum
 
 import numpy as np
 
+from wheelsight.calibration import Wheels
 from wheelsight.geometry import FloatArray, so3
 
 # A piece is over when either has gone so far: a camera errs by a millimetre or two, and a robot of half a metre a
@@ -25,13 +26,17 @@ from wheelsight.geometry import FloatArray, so3
 _PIECE_M, _PIECE_RAD = 0.06, 0.06
 # What wheels and camera differ by in any piece, by clocks that are some milliseconds apart.
 _USUAL_M, _USUAL_RAD = 0.01, 0.01
-# In turns tighter than this, where the camera sits matters as much as where it looks: these tell of turns alone.
-_TIGHT_M = 1.5
+# Turns that nobody has to explain: twice what the wheels' slip makes, by their calibration, and what radii that are
+# unequal by 2 % do in a metre, as filters allow for.
+_SLIPS, _DRIFT_RAD_PER_M = 2.0, 0.04
+_LITTLE = 1e-3  # of the usual squares: what a fit is held by where a drive does not turn
+_LARGEST_FACTOR = 100.0  # a gear that was left out; beyond, one tells of motion and the other of none
 # Shares of the squared motion that is left: 0.03 is a scale 20 % or a direction 10° off, which no data sheet, tape
 # measure or protractor is; half of it is explained well.
 _DISAGREES, _EXPLAINED = 0.03, 0.015
 _SAME_SCALE = 0.15  # by which a floor's height may be off, by mount, tilt and what lies on it
 _LARGEST_TILT = math.cos(math.radians(10.0))
+_UP = np.array([0.0, 0.0, 1.0])
 _WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
 
 
@@ -68,17 +73,20 @@ class Agreement:
     """The sums over all pieces.
 
     Attributes:
+        wheels: as they are believed to be. T_base_camera: (4, 4) as the camera is believed to sit.
         products: (8, 8) of way and turn of the wheels, way (3) and turn (3) of the camera, in the base's axes.
         of_gyro: (3, 3) of turns by wheels, camera and gyroscope, where that tells.
         pieces: how many.
+        drift: sum of the squared turns that both may have apart.
         ways_m, turns_rad: (2,) how far they went by the wheels, and by the camera.
     """
 
-    track_width_m: float
+    wheels: Wheels
     T_base_camera: FloatArray
     products: FloatArray = field(default_factory=lambda: np.zeros((8, 8)))
     of_gyro: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     pieces: int = 0
+    drift: float = 0.0
     ways_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     turns_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
 
@@ -102,8 +110,8 @@ class Agreement:
         if gyro_rad is not None:
             turns = np.array([w[5], c[5], gyro_rad])
             self.of_gyro += np.outer(turns, turns)
-        if turns_rad[1] * _TIGHT_M > ways_m[1]:
-            told[[0, 2, 3, 4]] = ways_m[:] = 0.0
+        slip = 2 * self.wheels.slip_m_per_sqrt_m**2 * ways_m[0] / self.wheels.track_width_m**2
+        self.drift += _SLIPS * slip + (_DRIFT_RAD_PER_M * ways_m.max()) ** 2
         self.products += np.outer(told, told)
         self.pieces += 1
         self.ways_m += ways_m
@@ -117,30 +125,32 @@ class Agreement:
         left = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
         way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0]) + self.pieces * _USUAL_M**2
         turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1]) + self.pieces * _USUAL_RAD**2
-        return float(left[:3].sum() / way), float(left[3:].sum() / turn)
+        return float(left[:3].sum() / way), max(float(left[3:].sum() - self.drift), 0.0) / turn
 
-    @property
-    def agrees(self) -> bool:
-        """Whether both tell of one drive."""
-        return max(self.unexplained(_seen_of(np.eye(2)))) < _DISAGREES
+    def agrees(self, most: float = _DISAGREES) -> bool:
+        """Whether both tell of one drive, but for such a share of the squared motion."""
+        return max(self.unexplained(_seen_of(np.eye(2)))) < most
 
-    def explanations(self, floor_ratio: float | None) -> list[Explanation]:
+    def explanations(self, floor_ratio: float | None, *, is_accused: bool = False) -> list[Explanation]:
         """What explains it, by the witnesses too, if both do not tell of one drive.
 
         Args:
-            floor_ratio: the camera's height over the floor that it sees, over that of its mount; None where it sees none.
+            floor_ratio: the camera's height over the floor by its view, over that by its mount; None for no floor.
+            is_accused: whether something was found before, which is dropped only where both agree well.
         """
-        if not self.pieces or self.agrees:
+        if not self.pieces or self.agrees(_EXPLAINED if is_accused else _DISAGREES):
             return []
-        of_wheels, of_camera = (
-            [one for one in candidates if max(self.unexplained(one.expected)) < _EXPLAINED]
-            for candidates in (self._of_wheels(), self._of_camera())
-        )
-        return self._by_gyro(_by_floor([*of_wheels[:1], *of_camera], floor_ratio))
+        turned = self._turned()
+        fit = [*self._explained(self._of_wheels())[:1], *self._explained([*self._of_camera(), self._of_mount(turned)])]
+        found = fit or self._explained([self._of_mount(turned, self._swings()[:, 1])])
+        return self._by_gyro(_by_floor(found, floor_ratio))
+
+    def _explained(self, candidates: list[Explanation]) -> list[Explanation]:
+        return [one for one in candidates if max(self.unexplained(one.expected)) < _EXPLAINED]
 
     def _of_wheels(self) -> list[Explanation]:
         """Signs and places of both wheels, and their sizes, the simplest first."""
-        half_m, G = self.track_width_m / 2, self.products
+        half_m, G = self.wheels.track_width_m / 2, self.products
         left = np.array([[0.0, half_m], [1 / half_m, 0.0]])
         swapped = np.diag([1.0, -1.0])
         ways = (
@@ -162,34 +172,53 @@ class Agreement:
             ((way, 1.0), way, "their ways, not their turns, are {} times the true ones: check radii and track_width_m"),
         )
         for M, ratio, cause in sizes:
-            if ratio > 0:
+            if 1 / _LARGEST_FACTOR < ratio < _LARGEST_FACTOR:
                 told = cause.format(f"{1 / ratio:.2g}")
                 found.append(Explanation(Culprit.WHEELS, told, _seen_of(np.diag(M)), is_scale=True))
         return found
 
     def _of_camera(self) -> list[Explanation]:
-        """Depth's factor, images turned over, and where the camera looks."""
+        """Depth's factor, and images turned over."""
         way, R = _ratio(self.products[0, 2], self.products[0, 0]), self.T_base_camera[:3, :3]
+        swing = np.cross(_UP, self._place)  # of the camera, in a turn
         found = []
-        if way > 0:
-            found.append(Explanation(Culprit.CAMERA, depth_cause(way), _seen_of(np.diag([way, 1.0])), True, way))
+        if 1 / _LARGEST_FACTOR < way < _LARGEST_FACTOR:
+            told = _seen_of(np.diag([way, 1.0]))
+            told[:3, 1] = (way - 1) * swing
+            found.append(Explanation(Culprit.CAMERA, depth_cause(way), told, True, way))
         for axis, how in enumerate(("left to right", "top to bottom")):
             over = R @ np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ R.T
             told = np.zeros((6, 2))
             told[:3, 0], told[3:, 1] = over[:, 0], -over[:, 2]
+            told[:3, 1] = over @ swing + np.cross(over[:, 2], self._place)
             found.append(
                 Explanation(Culprit.CAMERA, f"its images are mirrored {how}: turn them back", told, tilts=axis == 1)
             )
-        return [*found, self._of_mount()]
+        return found
 
-    def _of_mount(self) -> Explanation:
-        """The rotation that lays the wheels' motions on the camera's best (Kabsch)."""
+    @property
+    def _place(self) -> FloatArray:
+        """Where the camera sits (3,)."""
+        return self.T_base_camera[:3, 3]
+
+    def _swings(self) -> FloatArray:
+        """(3, 2) what of the camera's ways goes with the wheels' ways and turns, by least squares."""
+        G = self.products
+        usual = self.pieces * np.diag(np.square([_USUAL_M, _USUAL_RAD])) * _LITTLE
+        return np.asarray(G[_WAYS, _WHEELS] @ np.linalg.inv(G[_WHEELS, _WHEELS] + usual))
+
+    def _turned(self) -> FloatArray:
+        """The rotation (3, 3) that lays the wheels' motions on the camera's best (Kabsch)."""
         G, M = self.products, np.zeros((3, 3))
-        M[:, 0] = G[_WAYS, 0] / _USUAL_M**2
+        M[:, 0] = self._swings()[:, 0] * G[0, 0] / _USUAL_M**2
         M[:, 2] = G[_TURNS, 1] / _USUAL_RAD**2
-        turned = so3.nearest(M)
-        told = np.zeros((6, 2))
+        return np.asarray(so3.nearest(M))
+
+    def _of_mount(self, turned: FloatArray, swing: FloatArray | None = None) -> Explanation:
+        """A camera that looks elsewhere by `turned`, from where it is said to sit, or else swings in turns by (3,)."""
+        G, told = self.products, np.zeros((6, 2))
         told[:3, 0], told[3:, 1] = turned[:, 0], turned[:, 2]
+        told[:3, 1] = np.cross(self._place - turned @ self._place, turned[:, 2]) if swing is None else swing
         is_turning = G[1, 1] > self.pieces * _USUAL_RAD**2
         off_deg = math.degrees(float(so3.angle(turned))) if is_turning else _degrees(turned[0, 0])
         cause = f"it looks about {off_deg:.0f}° from where T_base_camera says (wheelsight calibrate base finds it)"
