@@ -19,6 +19,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate, covering_pose
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
+from wheelsight.localizer._color_check import ColorCheck
 from wheelsight.odometry.extrinsics import Agreement, Culprit, Explanation, depth_cause, height_below
 
 # So much must have been compared until both are known to tell of one drive; what comes later is slip, and is the
@@ -80,7 +81,8 @@ class BaseCheck:
         self._T_world_map: FloatArray | None = None
         self._seen: _Pose | None = None
         self._found: list[Explanation] = []
-        self._is_sure = False
+        self._is_sure = self._has_agreed = False
+        self._colors = ColorCheck()
         self._rolled_m = 0.0
 
     @property
@@ -119,6 +121,7 @@ class BaseCheck:
         if self._wheels:
             self._rolled_m += float(np.linalg.norm(wheels.T_world_body[:3, 3] - self._wheels[-1][1][:3, 3]))
         self._wheels.append((wheels.stamp_s, wheels.T_world_body))
+        self._colors.hear(wheels.stamp_s, float(np.arctan2(wheels.T_world_body[1, 0], wheels.T_world_body[0, 0])))
         while self._wheels[0][0] < wheels.stamp_s - _KEPT_S:
             self._wheels.popleft()
         while self._frames and self._frames[0][0] <= wheels.stamp_s:
@@ -161,12 +164,15 @@ class BaseCheck:
         wheels = self.by_wheels
         if wheels is None:
             return answer
-        if not self._found:
+        found = self._found or ([self._late_color()] if self._colors.late else [])
+        if not found and self._has_agreed:
+            return answer
+        if not found:
             return replace(wheels.estimate, reason=answer.reason) if self._is_floor_off else self._covered(answer)
         by_wheels, seen = wheels.estimate, self._seen
         if by_wheels.T_world_body is None or by_wheels.covariance is None or seen is None:
             return answer
-        whose = {one.culprit for one in self._found}
+        whose = {one.culprit for one in found}
         reason = answer.reason or Reason.CONTRADICTION
         first, second = (by_wheels.T_world_body, by_wheels.covariance), (seen.T, seen.covariance)
         if whose == {Culprit.WHEELS}:
@@ -213,10 +219,16 @@ class BaseCheck:
         ratio = self._floor_ratio
         return ratio is not None and abs(np.log(ratio)) > _MOST_OFF and self._agreement.way_m < _AGREED_M
 
-    def look_down(self, frame: RgbdFrame) -> None:
-        """See how far below the camera the floor lies, in the first frames."""
+    def look(self, frame: RgbdFrame) -> None:
+        """See how colour and depth go together, and in the first frames how far below the camera the floor lies."""
+        if self.by_wheels is None:
+            return
+        self._colors.see(frame)
+        if self._colors.is_sure and self.left_out is None:
+            self._found, self._is_sure, self.left_out = [self._late_color()], True, Culprit.CAMERA
+        self._stop_if_sound()
         height_m = float(self._mount[2, 3])
-        if self.by_wheels is None or len(self._floors) >= _VIEWS or not height_m > 0:
+        if len(self._floors) >= _VIEWS or not height_m > 0:
             return
         depth_m = frame.depth_m[self._grid].ravel().astype(float)
         found_m = height_below(self._rays, depth_m, self._mount[2, :3], height_m)
@@ -226,7 +238,7 @@ class BaseCheck:
     def _compare(self, stamp_s: float, T_map_base: FloatArray) -> None:
         """What wheels and camera made of the time since the piece began, up to a frame."""
         T_odom_base = self._at(stamp_s)
-        if T_odom_base is None:
+        if T_odom_base is None or self._has_agreed or self.left_out is not None:
             return
         now = (stamp_s, T_odom_base, T_map_base)
         if self._begin is None or self._together is None:
@@ -270,7 +282,18 @@ class BaseCheck:
         self._is_sure = False
         is_enough = agreement.way_m > _ENOUGH_M and agreement.turn_rad > _ENOUGH_RAD
         if is_enough and agreement.agrees():
+            self._has_agreed = True
+            self._stop_if_sound()
+
+    def _stop_if_sound(self) -> None:
+        """Nobody is left out once all that is compared goes together."""
+        if self._has_agreed and self._colors.is_sound:
             self.by_wheels = None
+
+    def _late_color(self) -> Explanation:
+        frames = "a frame" if self._colors.late == 1 else f"{self._colors.late} frames"
+        cause = f"its colour images are {frames} later than the depth that they come with: pair them by their stamps"
+        return Explanation(Culprit.CAMERA, cause, np.zeros((6, 2)))
 
     def _leave_out_blind(self) -> None:
         """A camera that shows the floor elsewhere, and cannot be followed, is left out without its ways."""

@@ -123,7 +123,7 @@ class ByFusion:
             return self._repeated() if why_not.is_repeat else self._miss(event.stamp_s), why_not.note
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
-        self._check.look_down(event)
+        self._check.look(event)
         answer = self._frame(event, self._expected(event.stamp_s, expected and expected[0]))
         self._lead(answer)
         return self._checked(self._placed(event, answer)), self._deaf

@@ -145,15 +145,21 @@ def test_a_mount_is_wrong_where_directions_are(axis: int, degrees: float) -> Non
 
 def test_mirrored_images_and_swapped_wheels_are_alike_until_a_gyroscope_tells() -> None:
     swapped = wheels_with(1, 1, swaps=True)
-    mirrored = {"by_camera": lambda T: seen(T, flip=0)}
-    for agreement in (compared(BENDS, swapped), compared(BENDS, **mirrored)):
+
+    def mirrored(T: FloatArray) -> FloatArray:
+        return seen(T, flip=0)
+
+    for agreement in (compared(BENDS, swapped), compared(BENDS, by_camera=mirrored)):
         causes = found(agreement, 1.0)
         assert set(causes) == set(Culprit)
         assert "swapped" in causes[Culprit.WHEELS]
         assert "mirrored left to right" in causes[Culprit.CAMERA]
-    turns = {"gyro": lambda way, turn: turn + 0.002}
-    assert list(found(compared(BENDS, swapped, **turns), 1.0)) == [Culprit.WHEELS]
-    assert list(found(compared(BENDS, **mirrored, **turns), 1.0)) == [Culprit.CAMERA]
+
+    def turns(way: float, turn: float) -> float:
+        return turn + 0.002
+
+    assert list(found(compared(BENDS, swapped, gyro=turns), 1.0)) == [Culprit.WHEELS]
+    assert list(found(compared(BENDS, by_camera=mirrored, gyro=turns), 1.0)) == [Culprit.CAMERA]
 
 
 def test_a_piece_waits_until_there_is_some_motion() -> None:

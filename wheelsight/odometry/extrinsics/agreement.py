@@ -35,6 +35,7 @@ _LARGEST_FACTOR = 100.0  # a gear that was left out; beyond, one tells of motion
 # measure or protractor is; half of it is explained well.
 _DISAGREES, _EXPLAINED = 0.03, 0.015
 _SAME_SCALE = 0.15  # by which a floor's height may be off, by mount, tilt and what lies on it
+_LEAST_TURN = math.cos(math.radians(8.0))  # of a mount that looks elsewhere; less is within what is called agreement
 _LARGEST_TILT = math.cos(math.radians(10.0))
 _UP = np.array([0.0, 0.0, 1.0])
 _WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
@@ -141,8 +142,9 @@ class Agreement:
         if not self.pieces or self.agrees(_EXPLAINED if is_accused else _DISAGREES):
             return []
         turned = self._turned()
-        fit = [*self._explained(self._of_wheels())[:1], *self._explained([*self._of_camera(), self._of_mount(turned)])]
-        found = fit or self._explained([self._of_mount(turned, self._swings()[:, 1])])
+        looks_elsewhere = [] if turned[0, 0] > _LEAST_TURN and turned[2, 2] > _LEAST_TURN else [self._of_mount(turned)]
+        fit = [*self._explained(self._of_wheels())[:1], *self._explained([*self._of_camera(), *looks_elsewhere])]
+        found = fit or self._explained([self._of_mount(turned, self._swings()[:, 1]) for _ in looks_elsewhere])
         return self._by_gyro(_by_floor(found, floor_ratio))
 
     def _explained(self, candidates: list[Explanation]) -> list[Explanation]:
