@@ -8,6 +8,7 @@ by whole frames more than depth, surfaces and grey values contradict each other 
 from __future__ import annotations
 
 from collections import deque
+from itertools import takewhile
 
 import cv2
 import numpy as np
@@ -23,7 +24,7 @@ _SHIFT_PX = 0.5  # by which a shift is off, as a scale for outliers
 _CLOCK_S = 0.03  # by which the clocks of camera and wheels are usually apart
 _LAGS_S = np.arange(-0.2, 0.401, 0.02)
 _LATEST, _SHORTEST_S = 3, 0.05  # frames that are looked for; a lag that is worth a word
-_FEWEST, _MOST_FRAMES = 20, 600
+_FEWEST, _MOST_FRAMES, _MOST_READINGS = 20, 600, 20_000
 _LEAST_TURN_RAD = 0.5
 # Twice the logarithm of how much likelier it must be that colour is late.
 _LIKELY, _SURE = 6.0, 20.0
@@ -46,7 +47,7 @@ class ColorCheck:
             maxlen=_MOST_FRAMES
         )  # times; colour's and depth's
         self._hanning: Float32Array | None = None
-        self._headings: deque[tuple[float, float]] = deque()
+        self._headings: deque[tuple[float, float]] = deque(maxlen=_MOST_READINGS)
 
     def hear(self, stamp_s: float, heading_rad: float) -> None:
         """Take where the wheels say that the robot heads."""
@@ -56,14 +57,16 @@ class ColorCheck:
                 return
             heading_rad = before_rad + float(np.remainder(heading_rad - before_rad + np.pi, 2 * np.pi) - np.pi)
         self._headings.append((stamp_s, heading_rad))
-        first_s = self._shifts[0][0] if self._shifts else stamp_s
+        first_s = min(self._shifts[0][0] if self._shifts else stamp_s, stamp_s)
         while self._headings[0][0] < first_s - _BEFORE_S:
             self._headings.popleft()
 
     @property
     def _turns(self) -> bool:
         """Whether the robot turned lately, so that an image that is late may show it."""
-        recent = [rad for stamp_s, rad in self._headings if stamp_s > self._headings[-1][0] - _BEFORE_S]
+        now_s = self._headings[-1][0] if self._headings else 0.0
+        newest_first = takewhile(lambda told: told[0] > now_s - _BEFORE_S, reversed(self._headings))
+        recent = [rad for _, rad in newest_first]
         return bool(recent) and max(recent) - min(recent) > _TURNED_RAD
 
     def see(self, frame: RgbdFrame) -> None:
