@@ -250,3 +250,19 @@ def test_one_that_stood_in_the_dark_does_too(run: Run) -> None:
     _, frames = run(made.eye(), made.events())
     assert not any(answer.doubtful for answer in frames)
     assert frames[-1].status is Status.TRACKING
+
+
+def test_a_camera_that_cannot_be_followed_is_left_out_for_its_floor(run: Run) -> None:
+    made = drive(LEGS, lambda seconds: Sight(Reason.POOR_FIT) if seconds > 0.1 else Sight())
+    subject, frames = run(eye_of(made), with_floor(made.events(), 5.0))
+    assert "depth is 5 times the true one" in subject.warnings[0]
+    assert {answer.status for answer in frames} == {Status.COASTING}
+    assert off_m(frames[-1], made.truth) < 0.05
+
+
+def test_wheels_that_are_silent_answer_nothing_for_a_camera_whose_floor_is_elsewhere(run: Run) -> None:
+    made = drive(LEGS)
+    heard = [e for e in with_floor(made.events(), 0.5) if isinstance(e, RgbdFrame) or e.stamp_s < made.begin_s + 0.2]
+    _, frames = run(eye_of(made), heard)
+    assert frames[-1].stamp_s == pytest.approx(heard[-1].stamp_s)
+    assert frames[-1].status is Status.TRACKING

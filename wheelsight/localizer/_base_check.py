@@ -31,11 +31,13 @@ _LIKELY_M, _LIKELY_RAD = 0.05, 0.1
 _SURE_PIECES, _SURE_M, _SURE_RAD = 8, 0.5, 0.6
 # Wheels slip by a factor, too; where the camera leads then anyway, it is no haste.
 _SURE_SLIP_M, _SURE_SLIP_RAD = 1.5, 1.5
-_BLIND_M = 1.0  # by the wheels, after which a camera that cannot be followed is left out if its floor is elsewhere too
+# Metres by the wheels, after which a camera that is followed in so few frames is left out if its floor is elsewhere.
+_BLIND_M, _BLIND_SHARE = 1.0, 0.2
 _AGREED_M = 0.3  # after which a floor that is not where the mount has it is held against nobody
 _VIEWS, _ROWS = 5, 30
 _MOST_OFF = np.log(1.2)  # of the floor's height
-_KEPT_S = 3.0
+_KEPT_S, _MOST_WAITING = 3.0, 100
+_DEAF_S = 0.5  # wheels that have been silent for longer answer nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +66,7 @@ class BaseCheck:
         assert calibration.wheels is not None
         self.left_out: Culprit | None = None
         self.by_wheels: ErrorStateFilter | None = by_wheels
-        self._mount, self._noise = T_base_camera, calibration.depth_noise
+        self._mount = T_base_camera
         camera = calibration.cameras[1]
         step = max(1, camera.height // _ROWS)
         self._grid = np.s_[step // 2 :: step, step // 2 :: step]
@@ -72,7 +74,8 @@ class BaseCheck:
         self._agreement = Agreement(calibration.wheels, T_base_camera)
         self._floors: list[float] = []
         self._wheels: deque[tuple[float, FloatArray]] = deque()
-        self._frames: deque[tuple[float, FloatArray]] = deque()  # whose time no reading has come to yet
+        # Frames whose time no reading has come to yet; of wheels that are not heard, the last ones.
+        self._frames: deque[tuple[float, FloatArray]] = deque(maxlen=_MOST_WAITING)
         self._turned: deque[tuple[float, float]] = deque()  # stamps and angles of the gyroscope
         # Stamp, T_odom_base and T_map_base where a piece begins; and where both were last known to go together.
         self._begin: tuple[float, FloatArray, FloatArray] | None = None
@@ -84,6 +87,7 @@ class BaseCheck:
         self._is_sure = self._has_agreed = False
         self._colors = ColorCheck()
         self._rolled_m = 0.0
+        self._looks = self._tracked = 0
 
     @property
     def doubts_wheels(self) -> bool:
@@ -117,7 +121,8 @@ class BaseCheck:
             self._wheels.clear()
             return
         if self._wheels and not wheels.stamp_s > self._wheels[-1][0]:
-            return
+            self._wheels.clear()
+            self._begin = self._together = None
         if self._wheels:
             self._rolled_m += float(np.linalg.norm(wheels.T_world_body[:3, 3] - self._wheels[-1][1][:3, 3]))
         self._wheels.append((wheels.stamp_s, wheels.T_world_body))
@@ -126,7 +131,8 @@ class BaseCheck:
             self._wheels.popleft()
         while self._frames and self._frames[0][0] <= wheels.stamp_s:
             self._compare(*self._frames.popleft())
-        if self._is_floor_off and self._rolled_m > _BLIND_M:
+        is_blind = self._tracked < _BLIND_SHARE * self._looks
+        if is_blind and self._is_floor_off and self._rolled_m > _BLIND_M and self.left_out is None:
             self._leave_out_blind()
 
     def turn(self, stamp_s: float, yaw_rate_rad_s: float) -> None:
@@ -146,10 +152,14 @@ class BaseCheck:
         self._frames.clear()
         if self._T_world_map is None:
             self._T_world_map = T_world_map.copy()
-        self.see(frame, seen)
+        self._tell(frame, seen, shows_all=True)
 
-    def see(self, frame: RgbdFrame, seen: Estimate, shows_all: bool = True) -> None:
+    def see(self, frame: RgbdFrame, seen: Estimate, *, shows_all: bool) -> None:
         """Take a frame that was tracked, T_map_camera, and whether it shows all directions."""
+        self._tracked += 1
+        self._tell(frame, seen, shows_all=shows_all)
+
+    def _tell(self, frame: RgbdFrame, seen: Estimate, *, shows_all: bool) -> None:
         if self.by_wheels is None or self._T_world_map is None or seen.T_world_body is None:
             return
         T_map_base = motions.times(seen.T_world_body, motions.inverse(self._mount))
@@ -165,12 +175,14 @@ class BaseCheck:
         if wheels is None:
             return answer
         found = self._found or ([self._late_color()] if self._colors.late else [])
-        if not found and self._has_agreed:
+        by_wheels, seen = wheels.estimate, self._seen
+        if by_wheels.T_world_body is None or by_wheels.covariance is None:
+            return answer
+        if (not found and self._has_agreed) or answer.stamp_s - by_wheels.stamp_s > _DEAF_S:
             return answer
         if not found:
-            return replace(wheels.estimate, reason=answer.reason) if self._is_floor_off else self._covered(answer)
-        by_wheels, seen = wheels.estimate, self._seen
-        if by_wheels.T_world_body is None or by_wheels.covariance is None or seen is None:
+            return replace(by_wheels, reason=answer.reason) if self._is_floor_off else self._covered(answer)
+        if seen is None:
             return answer
         whose = {one.culprit for one in found}
         reason = answer.reason or Reason.CONTRADICTION
@@ -223,6 +235,7 @@ class BaseCheck:
         """See how colour and depth go together, and in the first frames how far below the camera the floor lies."""
         if self.by_wheels is None:
             return
+        self._looks += 1
         self._colors.see(frame)
         if self._colors.is_sure and self.left_out is None:
             self._found, self._is_sure, self.left_out = [self._late_color()], True, Culprit.CAMERA

@@ -215,7 +215,7 @@ class ByFusion:
         self._pace.tell(frame.stamp_s, seen.T_world_body)
         if self._anchor is None:
             return self._begun(frame, seen)
-        self._check.see(frame, seen, self.odometry.last_motion.shows_all)
+        self._check.see(frame, seen, shows_all=self.odometry.last_motion.shows_all)
         if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is not None:
             self._go_on_by(self._check.camera_alone())
             return self._begun(frame, seen)
