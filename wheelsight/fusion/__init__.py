@@ -5,6 +5,7 @@ do and with probabilities.
 """
 
 from wheelsight.fusion._settings import ErrorStateSettings
+from wheelsight.fusion._two_beliefs import covering_pose
 from wheelsight.fusion.area_filter import AreaFilter, AreaFilterSettings
 from wheelsight.fusion.error_state import ErrorStateFilter, FusedEstimate
 from wheelsight.fusion.kalman import JoinedEstimate, LigockiFilter, LigockiSettings
@@ -40,6 +41,7 @@ __all__ = [
     "TrainingDrive",
     "Weights",
     "coordinates_of",
+    "covering_pose",
     "fit_weights",
     "rectify_drive",
 ]

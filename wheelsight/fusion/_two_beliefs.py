@@ -62,6 +62,19 @@ def _shift(one: PoseBelief, other: PoseBelief) -> FloatArray:
     """The perturbation (n,) that, to first order, puts every pose where `other` has it, however they are turned."""
     shifts = np.zeros((len(one.T), 6))
     for shift, T, S in zip(shifts, other.T, one.T, strict=True):
-        shift[3:] = motions.log(motions.times(T, motions.inverse(S)))[3:]
-        shift[:3] = T[:3, 3] - S[:3, 3] - np.cross(shift[3:], S[:3, 3])
+        shift[:] = _shift_of(S, T)
     return np.concatenate([shifts.ravel(), other.rest - one.rest])
+
+
+def covering_pose(
+    T_one: FloatArray, one: FloatArray, T_other: FloatArray, other: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The one pose (4, 4), and a covariance (6, 6) by which the other lies within three standard deviations."""
+    apart = _shift_of(T_one, T_other)
+    return T_one, one + other + np.outer(apart, apart) / _COVERED_SIGMAS**2
+
+
+def _shift_of(T_from: FloatArray, T_to: FloatArray) -> FloatArray:
+    """The perturbation (6,) that, to first order, puts one pose (4, 4) where the other is."""
+    turn = motions.log(motions.times(T_to, motions.inverse(T_from)))[3:]
+    return np.concatenate([T_to[:3, 3] - T_from[:3, 3] - np.cross(turn, T_from[:3, 3]), turn])

@@ -15,13 +15,16 @@ from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimat
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._anchor import Anchor, is_far
+from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._camera import blurred, camera_odometry, mount_of
+from wheelsight.localizer._carried import Carried
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer._pace import Pace
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.extrinsics import Culprit
 from wheelsight.odometry.features import MatchedPixels
 from wheelsight.odometry.wheels.reading_times import ReadingTimes
 from wheelsight.places import PlaceMatch
@@ -66,10 +69,13 @@ class ByFusion:
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         self._places = None if places is None else PlaceSense(places)
         T_start, spread = (None, None) if self._places is None else self._places.start
-        self.filter = ErrorStateFilter(self._T_base_camera, T_start, spread, _settings_of(calibration))
+        begin = (self._T_base_camera, T_start, spread, _settings_of(calibration))
+        self.filter = ErrorStateFilter(*begin)
+        self._check = BaseCheck(calibration, self._T_base_camera, ErrorStateFilter(*begin))
         self.T_world_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
+        self._carried = Carried()
         self._gate = FrameGate()
         assert calibration.wheels is not None  # ByWheels has refused it
         self._times = ReadingTimes(calibration.wheels)
@@ -89,8 +95,8 @@ class ByFusion:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the gyroscope, as a sentence."""
-        return self._with_gyro.warnings
+        """What is wrong with the gyroscope, or with what the calibration says, as a sentence each."""
+        return (*self._with_gyro.warnings, *self._check.warnings)
 
     @property
     def last_place(self) -> PlaceMatch | None:
@@ -114,15 +120,18 @@ class ByFusion:
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), note
         if isinstance(event, SkippedFrame):
             return self._miss(event.stamp_s), event.reason
+        if self._check.left_out is Culprit.CAMERA:
+            return self._overlook(event), ""
         expected = self.filter.expect(event.stamp_s, _FRAME)
         why_not = self._gate.why_not(event, None if expected is None else expected[0])
         if why_not is not None:
             return self._repeated() if why_not.is_repeat else self._miss(event.stamp_s), why_not.note
         if self._gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
+        self._check.look(event)
         answer = self._frame(event, self._expected(event.stamp_s, expected and expected[0]))
         self._lead(answer)
-        return self._placed(event, answer), self._deaf
+        return self._checked(self._placed(event, answer)), self._deaf
 
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
         """What is known, at an event whose stamp means nothing; None at a yaw rate."""
@@ -160,6 +169,8 @@ class ByFusion:
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
+        if self._check.doubts_wheels:
+            return (None,)
         if not self._slips:
             return (by_wheels,)
         by_pace = self._pace.expect(stamp_s)
@@ -175,13 +186,28 @@ class ByFusion:
         self._gate.wheels_are_heard = True
         if wheels is None:
             return None, note
+        self._check.hear(wheels)
+        if self._check.left_out is Culprit.CAMERA and self._check.by_wheels is not None:
+            self._go_on_by(self._check.wheels_alone())
+            return self.filter.estimate, note
+        if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is None:
+            return self.filter.drop(wheels.stamp_s, ""), note  # the camera's speed carries the pose on
         answer = self.filter.predict_to(wheels)
         self._deaf = f"the wheels are not heard: {answer.reason}" if answer.reason is Reason.TOO_LATE else ""
-        return answer, note
+        return self._checked(answer), note
+
+    def _go_on_by(self, other: ErrorStateFilter) -> None:
+        """Another filter from now on; it has not been told of the gyroscope's bias yet."""
+        self.filter, self._was_trusted = other, False
+
+    def _checked(self, answer: FusedEstimate) -> FusedEstimate:
+        """What the filter answers, by what it cannot know."""
+        return self._carried.answered(self._check.answered(answer))
 
     def _turn(self, rate: YawRate) -> None:
         """A gyroscope counts once it has agreed with the wheels, and then with the bias it was found to have."""
         self._with_gyro.process(rate)
+        self._check.turn(rate.stamp_s, rate.yaw_rate_rad_s)
         if not self._with_gyro.trusts_gyro or self._is_early(rate.stamp_s):
             return
         if not self._was_trusted:
@@ -212,13 +238,17 @@ class ByFusion:
         self._pace.tell(frame.stamp_s, seen.T_world_body)
         if self._anchor is None:
             return self._begun(frame, seen)
-        motion = blurred(
-            self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion), twist, self._times.noise_s
-        )
+        self._check.see(frame, seen, shows_all=self.odometry.last_motion.shows_all)
+        if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is not None:
+            self._go_on_by(self._check.camera_alone())
+            return self._begun(frame, seen)
+        motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
+        motion = blurred(motion, twist, self._times.noise_s)
         if frame.stamp_s - self._seen_s > _DARK_S and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR, remember=_FRAME)
         self._unknown = 0
+        self._carried.known()
         is_believed = answer.reason is None and not answer.doubtful
         if is_believed:
             self._believe(frame, answer, seen.T_world_body)
@@ -262,6 +292,7 @@ class ByFusion:
         answer = self.filter.clone(frame.stamp_s, _FRAME)
         self._T_map_camera, self._seen_s = seen.T_world_body, frame.stamp_s
         self._lay_map()
+        self._check.begin(frame, seen, self.T_world_map)
         self._anchor_at(frame, seen.T_world_body)
         return replace(answer, reason=reason or answer.reason, matches=seen.matches, inliers=seen.inliers)
 
@@ -273,21 +304,39 @@ class ByFusion:
         """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera starts there."""
         nothing = MotionEstimate.failed(seen.reason or Reason.INVALID, seen.matches, seen.inliers)
         answer = self.filter.update_relative(frame.stamp_s, nothing, _ANCHOR)
-        self._unknown += seen.reason not in _BLIND
+        if seen.reason not in _BLIND:
+            self._unknown += 1
+            self._suspect(frame.stamp_s, answer)
         if (restarts or self._unknown >= _RESTART_AFTER) and answer.covariance is not None:
             self._unknown = 0
             # Where the frame was taken: it may have come late, by its stamp and beside it.
             self.filter.clone(frame.stamp_s, _AGAIN)
             T_world_base = self.filter.remembered(_AGAIN)
             assert T_world_base is not None
+            if self._carried.is_so:
+                spread = self._carried.scatter(T_world_base, answer.covariance)
+                begin = (self._T_base_camera, T_world_base, spread, self.filter.settings)
+                self._go_on_by(ErrorStateFilter(*begin))
             again = self.odometry.restart(frame, self._in_map(T_world_base), answer.covariance)
             if again.T_world_body is not None:
                 return self._begun(frame, again, seen.reason)
         return answer
 
+    def _suspect(self, stamp_s: float, wheels: FusedEstimate) -> None:
+        """An unknown view right after the dark: wheels that stood meanwhile do not know whether they were carried."""
+        dark_s, expected = stamp_s - self._seen_s, self.filter.expect(stamp_s, _FRAME)
+        if self._unknown == 1 and dark_s > _DARK_S and wheels.T_world_body is not None:
+            self._carried.unknown(dark_s, None if expected is None else expected[0], wheels.T_world_body)
+
     def _repeated(self) -> Estimate:
         """What is known, at an image that has come before: neither a look nor a failure of the camera."""
         return replace(self.filter.estimate, reason=Reason.REPEATED)
+
+    def _overlook(self, frame: RgbdFrame) -> Estimate:
+        """The wheels' answer at a frame of a camera whose motions are known to be wrong; it may show an area."""
+        self._T_map_camera = None
+        nothing = MotionEstimate.failed(Reason.CONTRADICTION)
+        return self._placed(frame, self.filter.update_relative(frame.stamp_s, nothing, _ANCHOR))
 
     def _miss(self, stamp_s: float) -> Estimate:
         """The answer at a frame that came to nothing before anyone could look at it."""

@@ -1,5 +1,6 @@
 """Where the camera sits on its robot, and how late the wheels' clock is, from an ordinary drive with both."""
 
+from wheelsight.odometry.extrinsics.agreement import Agreement, Culprit, Explanation, depth_cause
 from wheelsight.odometry.extrinsics.calibrate import (
     QUANTITIES,
     BaseCalibration,
@@ -7,14 +8,17 @@ from wheelsight.odometry.extrinsics.calibrate import (
     calibrate_base,
     mount_values,
 )
-from wheelsight.odometry.extrinsics.floor import Floor, FloorViews, fit_floor, tilt_of
+from wheelsight.odometry.extrinsics.floor import Floor, FloorViews, fit_floor, height_below, tilt_of
 from wheelsight.odometry.extrinsics.hand_eye import MountFit, fit_mount
 from wheelsight.odometry.extrinsics.sightings import Sightings, watch
 from wheelsight.odometry.extrinsics.turning import Turning, common_turning
 
 __all__ = [
     "QUANTITIES",
+    "Agreement",
     "BaseCalibration",
+    "Culprit",
+    "Explanation",
     "Floor",
     "FloorViews",
     "MountFit",
@@ -23,8 +27,10 @@ __all__ = [
     "base_from",
     "calibrate_base",
     "common_turning",
+    "depth_cause",
     "fit_floor",
     "fit_mount",
+    "height_below",
     "mount_values",
     "tilt_of",
     "watch",

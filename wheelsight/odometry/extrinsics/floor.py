@@ -29,6 +29,8 @@ _MOST_SWAY_RAD, _MOST_SWAY_M = np.radians(0.6), 0.02
 _WORST_CONDITION = 1e6
 _MOST_CLUSTERS = 25
 _LEAST_SIGMAS = np.array([2e-4, 2e-4, 5e-4])  # no depth camera is better than a hundredth of a degree and half a mm
+# Of one view: the sine by which a ray points down, and heights in steps of 8 %, up to ten times less or more.
+_STEEP, _BIN_LOG, _RANGE_LOG = 0.2, 0.08, 2.3
 _ADVICE = "tilt the camera down, or drive where more floor lies free before it"
 
 
@@ -93,6 +95,29 @@ def fit_floor(views: FloorViews, up_camera: FloatArray, noise: DepthNoise) -> Fl
     height_m = float(1 / np.linalg.norm(q))
     covariance = _covariance(points, q, agreement)
     return Floor(-q * height_m, height_m, covariance, views.stamps_s[seen], tilts, len(views.stamps_s))
+
+
+def height_below(rays: FloatArray, depth_m: FloatArray, up_camera: FloatArray, expected_m: float) -> float | None:
+    """How high over the floor a camera is, roughly, by one view and where up is said to be; None where it sees none.
+
+    Rays that are steep tell it even where up is some degrees off.
+
+    Args:
+        rays: (N, 3) with z = 1.
+        depth_m: (N,), 0 where nothing was measured; its unit may be wrong.
+        up_camera: (3,) by the mount.
+        expected_m: the height by the mount; searched is from a tenth of that to ten times it.
+    """
+    down = -(rays @ up_camera)
+    is_steep = (down > _STEEP * np.linalg.norm(rays, axis=-1)) & (depth_m > 0)
+    logs = np.log(down[is_steep] * depth_m[is_steep] / expected_m)
+    counts, edges = np.histogram(logs, np.arange(-_RANGE_LOG, _RANGE_LOG, _BIN_LOG))
+    pairs = counts[:-1] + counts[1:]
+    many = np.flatnonzero(pairs >= max(_PEAK_SHARE * pairs.max(initial=0), _FEWEST_POINTS))
+    if not len(many):
+        return None
+    lowest = (logs >= edges[many[-1]]) & (logs < edges[many[-1] + 2])
+    return float(expected_m * np.exp(np.median(logs[lowest])))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,179 @@
+"""What is wrong with wheels or camera is found from motions whose fault is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from wheelsight.calibration import Wheels
+from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.odometry.extrinsics import Agreement, Culprit, height_below
+
+WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
+T_BASE_CAMERA = np.array([[0.0, -0.1, 0.995, 0.3], [-1, 0, 0, 0.0], [0, -0.995, -0.1, 0.9], [0, 0, 0, 1]])
+STRAIGHT = [(0.1, 0.0)] * 10
+BENDS = [(0.1, 0.05)] * 10 + [(0.0, -0.1)] * 6 + [(0.1, 0.0)] * 4
+Piece = tuple[float, float]
+
+
+def seen(
+    T_base: FloatArray, T_true: FloatArray = T_BASE_CAMERA, depth: float = 1.0, flip: int | None = None
+) -> FloatArray:
+    """The base's motion (4, 4) as a camera tells it that truly sits at `T_true`, whose depth and images are wrong."""
+    T = se3.invert(se3.nearest(T_true)) @ T_base @ se3.nearest(T_true)
+    if flip is not None:
+        S = np.eye(4)
+        S[flip, flip] = -1
+        T = S @ T @ S
+    T[:3, 3] *= depth
+    return np.asarray(se3.nearest(T_BASE_CAMERA) @ T @ se3.invert(se3.nearest(T_BASE_CAMERA)))
+
+
+def compared(
+    pieces: list[Piece],
+    told: Callable[[float, float], Piece] = lambda way, turn: (way, turn),
+    by_camera: Callable[[FloatArray], FloatArray] = seen,
+    gyro: Callable[[float, float], float] | None = None,
+) -> Agreement:
+    agreement = Agreement(WHEELS, T_BASE_CAMERA)
+    for way, turn in pieces:
+        T_by_wheels, T_true = (se3.exp([w, 0, 0, 0, 0, t]) for w, t in (told(way, turn), (way, turn)))
+        assert agreement.add(T_by_wheels, by_camera(T_true), None if gyro is None else gyro(way, turn))
+    return agreement
+
+
+def wheels_with(left: float, right: float, *, swaps: bool = False) -> Callable[[float, float], Piece]:
+    """Way and turn that are told where the true ones are given and each wheel counts a factor more."""
+
+    def told(way: float, turn: float) -> Piece:
+        half = WHEELS.track_width_m / 2
+        ways = [(way - turn * half) * left, (way + turn * half) * right]
+        first, second = ways[::-1] if swaps else ways
+        return (first + second) / 2, (second - first) / 2 / half
+
+    return told
+
+
+def turned(axis: int, degrees: float) -> Callable[[FloatArray], FloatArray]:
+    T = T_BASE_CAMERA.copy()
+    T[:3, :3] = so3.exp(np.radians(degrees) * np.eye(3)[axis]) @ T[:3, :3]
+    return lambda T_base: seen(T_base, T)
+
+
+def found(agreement: Agreement, floor_ratio: float | None = None) -> dict[Culprit, str]:
+    told = agreement.explanations(floor_ratio)
+    return {who: "; ".join(one.cause for one in told if one.culprit is who) for who in {one.culprit for one in told}}
+
+
+def test_a_sound_drive_needs_no_explanation() -> None:
+    for pieces in (STRAIGHT, BENDS):
+        agreement = compared(pieces)
+        assert agreement.agrees()
+        assert found(agreement, 1.0) == {}
+
+
+@pytest.mark.parametrize("factor", [0.97, 1.03, 0.9, 1.1])
+def test_nor_do_radii_that_filters_allow_for(factor: float) -> None:
+    assert found(compared(BENDS, wheels_with(factor, factor)), 1.0) == {}
+
+
+def test_nor_do_wheels_that_slip_now_and_then() -> None:
+    def told(way: float, turn: float) -> Piece:
+        return (way * (3.0 if next(count) % 4 == 0 else 1.0), turn)
+
+    count = iter(range(100))
+    assert found(compared(STRAIGHT * 2, told), 1.0) == {}
+
+
+def test_nor_does_a_wheel_that_turns_in_the_air() -> None:
+    assert found(compared([(0.05, 0.19)] * 20, lambda way, turn: (0.1, 0.0)), 1.0) == {}
+
+
+@pytest.mark.parametrize("depth", [0.2, 0.5, 1.3, 5.0])
+@pytest.mark.parametrize("pieces", [STRAIGHT, BENDS], ids=["straight", "bends"])
+def test_depth_is_wrong_where_ways_and_floor_are_by_one_factor(depth: float, pieces: list[Piece]) -> None:
+    causes = found(compared(pieces, by_camera=lambda T: seen(T, depth=depth)), depth)
+    assert list(causes) == [Culprit.CAMERA]
+    assert f"depth is {depth:.2g} times the true one: check depth_factor" in causes[Culprit.CAMERA]
+
+
+@pytest.mark.parametrize("factor", [0.25, 4.0, 1.3])
+def test_wheels_are_wrong_where_ways_are_and_the_floor_is_not(factor: float) -> None:
+    for pieces in (STRAIGHT, BENDS):
+        causes = found(compared(pieces, wheels_with(factor, factor)), 1.02)
+        assert list(causes) == [Culprit.WHEELS]
+        assert f"are {factor:.2g} times the true ones: check ticks_per_turn" in causes[Culprit.WHEELS]
+
+
+def test_without_a_floor_a_straight_way_does_not_tell_whose_are_wrong_but_turns_do() -> None:
+    halved = wheels_with(0.5, 0.5)
+    assert set(found(compared(STRAIGHT, halved))) == set(Culprit)
+    assert list(found(compared(BENDS, halved))) == [Culprit.WHEELS]
+
+
+def test_a_track_width_is_wrong_where_turns_alone_are() -> None:
+    causes = found(compared(BENDS, lambda way, turn: (way, turn / 1.5)), 1.0)
+    assert causes == {Culprit.WHEELS: "their turns are 0.67 times the true ones: check track_width_m"}
+
+
+@pytest.mark.parametrize(
+    ("told", "cause"),
+    [
+        (wheels_with(-1, 1), "the left wheel counts backwards"),
+        (wheels_with(1, -1), "the right wheel counts backwards"),
+        (wheels_with(-1, -1), "both wheels count backwards"),
+        (wheels_with(-1, 1, swaps=True), "left and right wheel are swapped, and one counts backwards"),
+    ],
+)
+def test_signs_of_wheels(told: Callable[[float, float], Piece], cause: str) -> None:
+    causes = found(compared(BENDS, told), 1.0)
+    assert list(causes) == [Culprit.WHEELS]
+    assert causes[Culprit.WHEELS].startswith(cause)
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [(2, 90.0), (2, -30.0), (1, 30.0), (0, 60.0), (1, -90.0)])
+def test_a_mount_is_wrong_where_directions_are(axis: int, degrees: float) -> None:
+    causes = found(compared(BENDS, by_camera=turned(axis, degrees)))
+    assert list(causes) == [Culprit.CAMERA]
+    assert "T_base_camera" in causes[Culprit.CAMERA]
+    if abs(degrees) < 90:
+        told = float(causes[Culprit.CAMERA].split("about ")[1].split("°")[0])
+        assert told == pytest.approx(abs(degrees), abs=3)
+
+
+def test_mirrored_images_and_swapped_wheels_are_alike_until_a_gyroscope_tells() -> None:
+    swapped = wheels_with(1, 1, swaps=True)
+
+    def mirrored(T: FloatArray) -> FloatArray:
+        return seen(T, flip=0)
+
+    for agreement in (compared(BENDS, swapped), compared(BENDS, by_camera=mirrored)):
+        causes = found(agreement, 1.0)
+        assert set(causes) == set(Culprit)
+        assert "swapped" in causes[Culprit.WHEELS]
+        assert "mirrored left to right" in causes[Culprit.CAMERA]
+
+    def turns(way: float, turn: float) -> float:
+        return turn + 0.002
+
+    assert list(found(compared(BENDS, swapped, gyro=turns), 1.0)) == [Culprit.WHEELS]
+    assert list(found(compared(BENDS, by_camera=mirrored, gyro=turns), 1.0)) == [Culprit.CAMERA]
+
+
+def test_a_piece_waits_until_there_is_some_motion() -> None:
+    agreement = Agreement(WHEELS, T_BASE_CAMERA)
+    assert not agreement.add(np.eye(4), se3.exp([0.02, 0, 0, 0, 0, 0.02]), None)
+    assert agreement.pieces == 0
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.2, 5.0])
+def test_the_floor_is_seen_whatever_unit_depth_has(factor: float) -> None:
+    y, x = np.mgrid[-0.4:0.4:30j, -0.5:0.5:40j]
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    up, down = T_BASE_CAMERA[2, :3], -(rays @ T_BASE_CAMERA[2, :3])
+    depth_m = np.where(down > 0.1, 0.9 / np.maximum(down, 0.1), 4.0) * factor
+    assert height_below(rays, depth_m, up, 0.9) == pytest.approx(0.9 * factor, rel=0.05)
+    assert height_below(rays, depth_m, -up, 0.9) != pytest.approx(0.9 * factor, rel=0.2)
+    assert height_below(rays, np.zeros(len(rays)), up, 0.9) is None
