@@ -28,8 +28,6 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, Wheel
 _GYROSCOPE = "gyroscope"
 # Of so many events the usual time between them, and behind the others, is the median.
 _REMEMBERED = 15
-# What was on its way while another sensor's clock leapt tells nothing of its own; the second one does.
-_ON_TIME = 2
 # Nobody reads more sentences on leaps.
 _TOLD = 10
 
@@ -82,7 +80,7 @@ class _Sensor:
 
     `offset_s` is what to take from its stamps; `last_s` its newest session time; `steps_s` and `behind_s` how long
     after its last, and behind the newest of all sensors, its events come; `held_s` stamps, less the offset, that are
-    far away and wait for others; `on_time` how many came as expected since another sensor's were held.
+    far away and wait for others; `goes_on` whether it has told of a time since another's were held, as expected.
     """
 
     offset_s: float
@@ -90,7 +88,7 @@ class _Sensor:
     steps_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     behind_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     held_s: list[float] = field(default_factory=list)
-    on_time: int = 0
+    goes_on: bool = False
 
     @property
     def period_s(self) -> float:
@@ -111,7 +109,7 @@ class SessionClock:
         self._leaps: list[str] = []
         self._apart: dict[str, str] = {}
         self._sensors: dict[str, _Sensor] = {}
-        self._newest_s = -math.inf
+        self._newest_s = self._held_from_s = -math.inf
         self._jump: tuple[str, float] | None = None  # who was last ahead of all by more than usual, and how far
 
     @property
@@ -174,7 +172,7 @@ class SessionClock:
             self._jump = None  # it paused, as the others did
         sensor.steps_s.append(time_s - sensor.last_s)
         sensor.behind_s.append(self._newest_s - time_s)
-        sensor.last_s, sensor.on_time = time_s, sensor.on_time + 1
+        sensor.last_s, sensor.goes_on = time_s, sensor.goes_on or time_s > self._held_from_s
         self._newest_s = max(self._newest_s, time_s)
 
     def _is_far(self, sensor: _Sensor, time_s: float) -> bool:
@@ -186,8 +184,10 @@ class SessionClock:
         """Whether an event comes later than usual by as much as another sensor's clock seems to have leapt."""
         if self._jump is None or self._jump[0] == name or not sensor.behind_s:
             return False
-        later_s = self._newest_s - time_s - median(sensor.behind_s)
-        return abs(later_s - self._jump[1]) < max(self.settings.stall_s / 2, 1.5 * sensor.period_s) and later_s > 0
+        later_s, stall_s = self._newest_s - time_s - median(sensor.behind_s), self.settings.stall_s
+        # What is newest is older the slower the one is that leapt.
+        within_s = max(stall_s / 2, min(1.5 * self._sensors[self._jump[0]].period_s, stall_s))
+        return later_s > 0 and abs(later_s - self._jump[1]) < within_s
 
     def _catch_up(self, sensor: _Sensor, stamp_s: float) -> float:
         """Map a sensor, and all others that have not leapt, to where the one is that has."""
@@ -208,27 +208,23 @@ class SessionClock:
             sensor.held_s.clear()  # noise, not one clock
         if not sensor.held_s:
             for other in self._sensors.values():
-                other.on_time = 0
+                other.goes_on = False
+            self._held_from_s = self._newest_s  # what was on its way then tells nothing of its clock since
         sensor.held_s.append(time_s)
         if len(sensor.held_s) < self.settings.followers:
             return False
         waited = time_s - sensor.held_s[0] > self.settings.active_s
         others = self._others(sensor)
-        return waited or all(other.on_time >= _ON_TIME or self._leaps_with(sensor, other) for other in others)
+        return waited or all(other.goes_on or _leap_alike(sensor, other, self.settings.alike_s) for other in others)
 
     def _others(self, sensor: _Sensor) -> list[_Sensor]:
         """Those that were heard just before it leapt, or since."""
         since_s = sensor.last_s - self.settings.active_s
         return [other for other in self._sensors.values() if other is not sensor and other.last_s >= since_s]
 
-    def _leaps_with(self, sensor: _Sensor, other: _Sensor) -> bool:
-        if not other.held_s:
-            return False
-        return abs((other.held_s[0] - other.last_s) - (sensor.held_s[0] - sensor.last_s)) < self.settings.alike_s
-
     def _follow(self, name: str, sensor: _Sensor) -> None:
         """Go on: this sensor alone, where others went on meanwhile, or all of them."""
-        if any(other.on_time for other in self._others(sensor)):
+        if any(other.goes_on for other in self._others(sensor)):
             by_s, leapt = sensor.held_s[-1] - self._going_on_s(sensor), {name: sensor}
         else:
             # A clock that is set back tells of no pause.
@@ -236,6 +232,7 @@ class SessionClock:
             by_s = sensor.held_s[-1] - self._newest_s - pause_s
             leapt = dict(self._sensors)
             self.shift_s += by_s
+            self._newest_s += pause_s
         for each in leapt.values():
             each.offset_s += by_s
             each.held_s.clear()
@@ -254,6 +251,13 @@ class SessionClock:
         without_loss_s = next_s + sensor.held_s[-1] - sensor.held_s[0]
         is_whole = abs(without_loss_s - among_others_s) <= self.settings.stall_s
         return without_loss_s if is_whole else max(among_others_s, next_s)
+
+
+def _leap_alike(one: _Sensor, other: _Sensor, within_s: float) -> bool:
+    if not (one.held_s and other.held_s):
+        return False
+    first, second = (sensor.held_s[0] - sensor.last_s - sensor.period_s for sensor in (one, other))
+    return abs(first - second) < within_s
 
 
 def _name_of(event: Event) -> str:
