@@ -65,7 +65,7 @@ class ByFusion:
         # does goes on beside it: it tells whether the gyroscope is to be believed, and what that shows at rest.
         self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
         self._uses_gyro = settings.wheels.gyro
-        self._with_gyro, self._was_trusted = ByWheels(calibration, settings.wheels), False
+        self._with_gyro, self._hears_gyro, self._was_trusted = ByWheels(calibration, settings.wheels), False, False
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         self._places = None if places is None else PlaceSense(places)
         T_start, spread = (None, None) if self._places is None else self._places.start
@@ -180,7 +180,7 @@ class ByFusion:
         if isinstance(reading, WheelTicks):  # speeds have no ways of their own to tell the time by
             reading = replace(reading, stamp_s=self._times.time_of(reading))
         wheels, note = self._wheels.process(reading)
-        note = self._with_gyro.process(reading)[1] if self._uses_gyro else note
+        note = self._with_gyro.process(reading)[1] if self._hears_gyro else note
         if wheels is not None and self._is_early(wheels.stamp_s):
             return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body), note
         self._gate.wheels_are_heard = True
@@ -206,6 +206,7 @@ class ByFusion:
 
     def _turn(self, rate: YawRate) -> None:
         """A gyroscope counts once it has agreed with the wheels, and then with the bias it was found to have."""
+        self._hears_gyro = True
         self._with_gyro.process(rate)
         self._check.turn(rate.stamp_s, rate.yaw_rate_rad_s)
         if not self._with_gyro.trusts_gyro or self._is_early(rate.stamp_s):
