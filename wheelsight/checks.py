@@ -33,8 +33,8 @@ def check_event(event: Any) -> None:
         raise ArgumentError(f"{_told(event)} is no event", fix=f"give one of {known}")
     for name in names:
         value = getattr(event, name)
-        if type(value) is not float and (isinstance(value, bool) or not isinstance(value, Real)):
-            raise ArgumentError(f"{name} of {type(event).__name__} is {_told(value)}, not a number")
+        if type(value) is not float:
+            need_number(f"{name} of {type(event).__name__}", value)
 
 
 def check_frame(frame: Any, calibration: Calibration, covariance: Any = None, **motions: Any) -> None:
@@ -62,6 +62,13 @@ def need_motion(name: str, T: Any) -> FloatArray:
     if not se3.is_valid(found, tolerance=_RIGID):
         raise ArgumentError(f"{name} is not a rigid motion: orthonormal rotation, last row 0 0 0 1")
     return found
+
+
+def need_number(name: str, value: Any) -> float:
+    """A number, finite or not. Raises ArgumentError."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise ArgumentError(f"{name} is {_told(value)}, not a number")
+    return float(value)
 
 
 def array_of(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:

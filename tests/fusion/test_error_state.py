@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from wheelsight.errors import ConfigError
+from wheelsight.errors import ArgumentError, ConfigError
 from wheelsight.estimates import MotionEstimate, Reason, Status
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
 from wheelsight.geometry import se3
@@ -244,6 +244,31 @@ def test_numbers_that_are_no_measurement_move_nothing(event):
     assert answer.reason is Reason.INVALID
     np.testing.assert_array_equal(answer.T_world_body, before.T_world_body)
     np.testing.assert_array_equal(fusion.estimate.covariance, before.covariance)
+
+
+@pytest.mark.parametrize("odd", [None, "1.0", [1.0]])
+@pytest.mark.parametrize(
+    "event",
+    [
+        lambda f, odd: f.predict(odd, np.eye(4), NO_NOISE, 2.0),
+        lambda f, odd: f.predict(2.1, np.eye(4), NO_NOISE, odd),
+        lambda f, odd: f.clone(odd, "frame"),
+        lambda f, odd: f.update_yaw_rate(2.1, odd),
+        lambda f, odd: f.update_position(odd, [0, 0], np.eye(2)),
+    ],
+)
+def test_a_stamp_or_rate_that_is_no_number_is_refused_by_its_name(event, odd):
+    fusion = ErrorStateFilter(T_BASE_CAMERA)
+    with pytest.raises(ArgumentError, match=r"(stamp_s|begin_s|yaw_rate_rad_s) is .*not a number"):
+        event(fusion, odd)
+
+
+@pytest.mark.parametrize("odd", [None, "a", {}])
+def test_a_motion_that_is_no_array_is_no_measurement(odd):
+    fusion = ErrorStateFilter(T_BASE_CAMERA)
+    assert fusion.predict(2.1, odd, NO_NOISE, 2.0).reason is Reason.INVALID
+    assert fusion.predict(2.1, np.eye(4), odd, 2.0).reason is Reason.INVALID
+    assert fusion.update_position(2.1, odd, np.eye(2)).reason is Reason.INVALID
 
 
 def test_what_comes_too_late_is_refused():

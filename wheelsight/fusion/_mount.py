@@ -49,14 +49,23 @@ class Mount:
 
 def motion_of(T: ArrayLike | None) -> FloatArray | None:
     """A rigid motion (4, 4), or None where it is none."""
-    T = np.array(T, float)
-    return T if T.shape == (4, 4) and motions.is_motion(T) else None
+    found = numbers_of(T)
+    return found if found is not None and found.shape == (4, 4) and motions.is_motion(found) else None
 
 
 def covariance_of(C: ArrayLike | None, size: int) -> FloatArray | None:
     """A covariance (size, size), made exactly symmetric, or None where it is none."""
-    C = np.array(C, float)
-    return (C + C.T) / 2 if C.shape == (size, size) and motions.is_covariance(C) else None
+    found = numbers_of(C)
+    is_one = found is not None and found.shape == (size, size) and motions.is_covariance(found)
+    return (found + found.T) / 2 if found is not None and is_one else None
+
+
+def numbers_of(value: ArrayLike | None) -> FloatArray | None:
+    """An array of numbers of any shape, or None where it is none."""
+    try:
+        return np.array(value, float)
+    except (TypeError, ValueError):
+        return None
 
 
 def _split(hidden: FloatArray | None) -> tuple[FloatArray, FloatArray] | None:

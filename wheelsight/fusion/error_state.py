@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.checks import need_number
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.fusion import _pose_kernels as kernels
@@ -32,7 +33,7 @@ from wheelsight.fusion._changed import changed
 from wheelsight.fusion._fusion_events import FusionState, Happening, after, moved_to
 from wheelsight.fusion._history import History
 from wheelsight.fusion._measurements import WheelStep
-from wheelsight.fusion._mount import Mount, covariance_of, motion_of
+from wheelsight.fusion._mount import Mount, covariance_of, motion_of, numbers_of
 from wheelsight.fusion._pose_belief import PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
@@ -91,6 +92,7 @@ class ErrorStateFilter:
 
     Raises:
         ConfigError: a motion or covariance that is none.
+        ArgumentError: of its methods: a stamp or rate that is no number.
     """
 
     def __init__(
@@ -121,8 +123,8 @@ class ErrorStateFilter:
             T_prev_now: (4, 4) the base at its end, in the frame of the base at its begin.
             covariance: (6, 6) of its left perturbation, by the wheels' model.
         """
-        T, Q = motion_of(T_prev_now), covariance_of(covariance, 6)
-        if T is None or Q is None or not (np.isfinite(begin_s) and begin_s < stamp_s):
+        T, Q, begin_s = motion_of(T_prev_now), covariance_of(covariance, 6), need_number("begin_s", begin_s)
+        if T is None or Q is None or not (np.isfinite(begin_s) and begin_s < need_number("stamp_s", stamp_s)):
             return self._refused(Reason.INVALID)
         return self._take(Happening(stamp_s, wheels=WheelStep(begin_s, stamp_s, motions.log(T), Q)))
 
@@ -192,9 +194,14 @@ class ErrorStateFilter:
 
     def update_position(self, stamp_s: float, xy: ArrayLike, covariance: ArrayLike) -> FusedEstimate:
         """Take a position (2,) in the world, metres, with its covariance (2, 2), as places tell."""
-        position, spread = np.array(xy, float), covariance_of(covariance, 2)
-        is_one = position.shape == (2,) and bool(np.isfinite(position).all())
-        if not is_one or spread is None or not motions.is_definite(spread):
+        position, spread = numbers_of(xy), covariance_of(covariance, 2)
+        if (
+            position is None
+            or position.shape != (2,)
+            or not np.isfinite(position).all()
+            or spread is None
+            or not motions.is_definite(spread)
+        ):
             return self._refused(Reason.INVALID)
         return self._take(Happening(stamp_s, position=(position, spread)))
 
@@ -203,7 +210,7 @@ class ErrorStateFilter:
 
         Wheels must then be reckoned without it. Measured by is the mean over a step of theirs, or 0.05 s.
         """
-        if not np.isfinite(yaw_rate_rad_s):
+        if not np.isfinite(need_number("yaw_rate_rad_s", yaw_rate_rad_s)):
             return self._refused(Reason.INVALID)
         return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s) - self.settings.gyro_bias_rad_s))
 
@@ -259,7 +266,7 @@ class ErrorStateFilter:
         return then if _is_finite(then) else _gone_astray(state, event)
 
     def _take(self, event: Happening, motion: MotionEstimate | None = None) -> FusedEstimate:
-        if not np.isfinite(event.stamp_s):
+        if not np.isfinite(need_number("stamp_s", event.stamp_s)):
             return self._refused(Reason.INVALID)
         if self._history.is_too_late(event):
             return self._refused(Reason.TOO_LATE)
