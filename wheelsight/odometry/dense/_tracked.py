@@ -66,6 +66,26 @@ class Expected:
         return replace(self, T_world_camera=(T_world_camera,))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """What others tell of a frame: T_last_frame (4, 4), what it may be instead, and its twist (6,); each or None."""
+
+    T_last_frame: FloatArray | None = None
+    T_last_other: FloatArray | None = None
+    twist: FloatArray | None = None
+
+
+def expected(last: Tracked, stamp_s: float, told: Told) -> tuple[Expected, FloatArray]:
+    """Where a frame is expected after the last one, and its twist (6,)."""
+    T_last_frame, prior = at_speed(last, stamp_s), told.T_last_frame
+    poses = [last.T_world_camera @ T_last_frame] if prior is None or last.twist.any() else []
+    if prior is not None:
+        poses, T_last_frame = [last.T_world_camera @ prior, *poses], prior
+    T_world_other = None if told.T_last_other is None else last.T_world_camera @ told.T_last_other
+    ahead = Expected(tuple(poses), T_world_other, is_helped=prior is not None)
+    return ahead, speed_of(T_last_frame, stamp_s - last.frame.stamp_s, told.twist)
+
+
 def at_speed(last: Tracked, stamp_s: float) -> FloatArray:
     """T_last_frame (4, 4) by constant velocity; after a longer gap, as if the camera had stood still."""
     seconds = stamp_s - last.frame.stamp_s

@@ -16,7 +16,7 @@ from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense._doubt import Doubt, is_astray
 from wheelsight.odometry.dense._falloff import Falloff
-from wheelsight.odometry.dense._tracked import Expected, Surface, Tracked, at_speed, fine_share, implausible, speed_of
+from wheelsight.odometry.dense._tracked import Expected, Surface, Told, Tracked, expected, fine_share, implausible
 from wheelsight.odometry.dense._two_ways import met
 from wheelsight.odometry.dense._views import Views
 from wheelsight.odometry.dense.alignment import Aligner, Step
@@ -129,31 +129,19 @@ class DenseOdometry:
         if last is None:
             self._first = frame
             return self._begin(frame, self._T_world_first, _START_VARIANCE * np.eye(6))
-        given = (T_previous_current_other, twist)
-        found = self._find(frame, last, T_previous_current_prior, *given)
+        told = Told(T_previous_current_prior, T_previous_current_other, twist)
+        found = self._find(frame, last, told)
         is_blind = not isinstance(found, Tracked) and found.reason is Reason.TOO_LITTLE_DEPTH
         if not (isinstance(found, Tracked) or is_blind or T_previous_current_prior is None):
             # Wheels that spin expect what is not so, and lead astray.
-            found = self._find(frame, last, None, *given)
+            found = self._find(frame, last, replace(told, T_last_frame=None))
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
 
-    def _find(
-        self,
-        frame: RgbdFrame,
-        last: Tracked,
-        prior: FloatArray | None,
-        other: FloatArray | None,
-        twist: FloatArray | None,
-    ) -> Tracked | MotionEstimate:
-        """Where a frame is, from what a prior (4, 4) or constant velocity expects, or why that is not known."""
-        T_last_frame = at_speed(last, frame.stamp_s)
-        poses = [last.T_world_camera @ T_last_frame] if prior is None or last.twist.any() else []
-        if prior is not None:
-            poses, T_last_frame = [last.T_world_camera @ prior, *poses], prior
-        T_world_other = None if other is None else last.T_world_camera @ other
-        ahead = Expected(tuple(poses), T_world_other, is_helped=prior is not None)
+    def _find(self, frame: RgbdFrame, last: Tracked, told: Told) -> Tracked | MotionEstimate:
+        """Where a frame is, from what others tell or constant velocity expects, or why that is not known."""
+        ahead, twist = expected(last, frame.stamp_s, told)
         with self.watch.stage("prepare"):
-            grid = self._gridder.on_grid(frame, speed_of(T_last_frame, frame.stamp_s - last.frame.stamp_s, twist))
+            grid = self._gridder.on_grid(frame, twist)
         if grid.depth_share < self._settings.min_depth_share:
             return MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
         found = self._locate(grid, last, ahead)
