@@ -115,10 +115,8 @@ class _Judge:
         when_s = self._when(event, answer)
         if when_s is None:
             return
-        T = self.truth.at([when_s])[0]
-        if not np.isfinite(T).all():  # an answer a little beyond the drive's end
-            T = self.truth.at([self.true_s(event)])[0]
-        off = answer.T_world_body[:3, 3] - T[:3, 3]
+        within_s = np.clip(when_s, self.truth.stamps_s[0], self.truth.stamps_s[-1])  # it may be a little off the drive
+        off = answer.T_world_body[:3, 3] - self.truth.at([within_s])[0, :3, 3]
         self.off_m.append(float(np.linalg.norm(off)))
         self.wrong += answer.status is Status.TRACKING and not _covers(answer, off)
 

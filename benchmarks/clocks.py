@@ -51,7 +51,7 @@ def measure_clocks(
 
     Args:
         rows, seeds: what is measured.
-        images: a folder of drives; what is missing is put there, 30 MB each.
+        images: a folder of drives; what is missing is put there, 41 MB each.
         on_figures: is told each result as it comes.
         keep: a folder that keeps results; what it has is not measured again.
         settings: of a drive.
@@ -147,7 +147,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=SEEDS, help="how many drives a row")
     parser.add_argument("--first", type=int, default=1, metavar="SEED", help="of the first drive")
     parser.add_argument("--rows", metavar="NAMES", help="names of rows with commas; a part of a name will do")
-    parser.add_argument("--images", type=Path, metavar="DIR", help="keeps drives, 30 MB each, for next time")
+    parser.add_argument("--images", type=Path, metavar="DIR", help="keeps drives, 41 MB each, for next time")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps results; those kept are not measured again")
     parser.add_argument("--out", type=Path, help="Markdown file for the table")
     return parser.parse_args()
