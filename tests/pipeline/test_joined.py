@@ -113,7 +113,7 @@ def test_frames_of_a_camera_in_another_epoch_keep_their_stamps_and_say_so(ran: R
     given = MemoryRecording(mixed, None, CALIBRATION)
     frames = ran(made, given)["joined"].frames
     assert [frame.stamp_s for frame in frames] == [frame.stamp_s for frame in odd]
-    assert {frame.reason for frame in frames[1:]} == {Reason.TOO_LATE}
+    assert {frame.reason for frame in frames[1:]} == {Reason.CLOCKS_APART}
     assert {frame.status for frame in frames} == {Status.COASTING}
 
 
