@@ -115,7 +115,10 @@ class SessionClock:
     @property
     def warnings(self) -> tuple[str, ...]:
         """A sentence for each of the first leaps that were believed, and for each sensor whose clock is another."""
-        left_out = (f"T{note[1:]}: it is left out; stamp all sensors by one clock." for note in self._apart.values())
+        left_out = (
+            f"The {name} {'are' if name == 'wheels' else 'is'} left out: {note}; stamp all sensors by one clock."
+            for name, note in self._apart.items()
+        )
         return (*left_out, *self._leaps)
 
     def time_of(self, event: Event) -> float | Untimed:

@@ -79,7 +79,7 @@ def turning_folder(folder: Path, factor: float, late_s: float = 0.0) -> Path:
 
 @pytest.mark.parametrize(
     ("factor", "late_s", "said"),
-    [(-1.0, 0.0, "turns the other way"), (57.3, 0.0, "degrees instead of radians?"), (1.0, 1.6e9, "do not overlap")],
+    [(-1.0, 0.0, "turns the other way"), (57.3, 0.0, "degrees instead of radians?"), (1.0, 1.6e9, "")],
 )
 def test_a_gyroscope_that_contradicts_the_wheels_is_warned_of(
     wheelsight: Command, tmp_path: Path, factor: float, late_s: float, said: str
@@ -92,7 +92,10 @@ def test_a_gyroscope_that_contradicts_the_wheels_is_warned_of(
     for result in (told, run):
         (warning,) = [line for line in result.stderr.splitlines() if line.startswith("warning:")]
         assert warning.startswith("warning: The gyroscope is left out: ")
-        assert said in warning
+        assert (
+            said or ("do not overlap" if result is told else "is 1.600e+09 s ahead of that of the wheels")
+        ) in warning
+    (warning,) = [line for line in told.stderr.splitlines() if line.startswith("warning:")]
     assert json.loads(wheelsight("info", recording, "--json").stdout)["warnings"] == [warning.removeprefix("warning: ")]
     assert "left out" not in without.output
     assert (tmp_path / "out" / "trajectory.txt").read_bytes() == (tmp_path / "without" / "trajectory.txt").read_bytes()

@@ -19,7 +19,7 @@ from wheelsight.odometry.features import MatchedPixels
 class ByFrames:
     """Frames answered by the odometry that the settings name, told of the base where it is known."""
 
-    world, answers, hears = "world", (RgbdFrame, SkippedFrame), (RgbdFrame, SkippedFrame)
+    world, answers = "world", (RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
         self.body = "camera" if calibration.T_base_camera is None else "base"
@@ -27,6 +27,7 @@ class ByFrames:
         T_base_camera = calibration.T_base_camera
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
         self._gate = FrameGate()
+        self.hears: tuple[type[Event], ...] = self.answers
         self._status = Status.INITIALIZING
 
     @property

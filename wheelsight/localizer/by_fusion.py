@@ -57,7 +57,6 @@ class ByFusion:
     """
 
     body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
-    hears = (*answers, YawRate)
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
         self._T_base_camera = mount_of(calibration)
@@ -66,6 +65,7 @@ class ByFusion:
         self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
         self._uses_gyro = settings.wheels.gyro
         self._with_gyro, self._hears_gyro, self._was_trusted = ByWheels(calibration, settings.wheels), False, False
+        self.hears: tuple[type[Event], ...] = (*self._with_gyro.hears, RgbdFrame, SkippedFrame)
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         self._places = None if places is None else PlaceSense(places)
         T_start, spread = (None, None) if self._places is None else self._places.start

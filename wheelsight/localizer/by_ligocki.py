@@ -9,7 +9,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.config import Config
 from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.fusion import LigockiFilter
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer._camera import mount_of
@@ -27,11 +27,11 @@ class ByLigocki:
     """
 
     body, world, answers = "base", "world", (RgbdFrame, SkippedFrame)
-    hears = (WheelTicks, WheelSpeeds, YawRate, RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
         mount_of(calibration)  # the camera answers for the base
         self._wheels = ByWheels(calibration, settings.wheels)
+        self.hears: tuple[type[Event], ...] = (*self._wheels.hears, *self.answers)
         self._camera = ByFrames(calibration, settings)
         self.odometry, self.mapper = self._camera.odometry, self._camera.mapper
         assert calibration.wheels is not None  # ByWheels has refused it

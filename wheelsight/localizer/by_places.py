@@ -14,7 +14,7 @@ from wheelsight.clocks import Untimed
 from wheelsight.config import Config, PlaceSettings
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
 from wheelsight.files import StrPath
 from wheelsight.fusion import AreaRectifier, PaperRectifier
 from wheelsight.geometry import FloatArray, se3
@@ -76,11 +76,11 @@ class ByPlaces:
     """
 
     body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
-    hears = (*answers, YawRate)
     last_matches = None
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
         self._wheels = ByWheels(calibration, settings.wheels)
+        self.hears: tuple[type[Event], ...] = (*self._wheels.hears, RgbdFrame, SkippedFrame)
         self.last_place: PlaceMatch | None = None
         self._model, self._begin_s = places.model, places.begin_s
         self._rectifier: _Rectifier = (_ByPaper if settings.places.rectify == "paper" else _ByProbability)(

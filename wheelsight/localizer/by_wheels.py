@@ -22,7 +22,6 @@ class ByWheels:
     """
 
     body, world, answers = "base", "odom", (WheelTicks, WheelSpeeds)
-    hears = (WheelTicks, WheelSpeeds, YawRate)
     last_matches = None
 
     def __init__(self, calibration: Calibration, settings: WheelSettings) -> None:
@@ -37,6 +36,7 @@ class ByWheels:
         self._rates = YawRateMeter()
         self._delay_s = calibration.wheels.delay_s
         self._uses_gyro = settings.gyro
+        self.hears: tuple[type[Event], ...] = (*self.answers, YawRate) if settings.gyro else self.answers
 
     @property
     def odometry(self) -> WheelOdometry:
