@@ -230,8 +230,9 @@ class SessionClock:
         if any(other.goes_on for other in self._others(sensor)):
             by_s, leapt = sensor.held_s[-1] - self._going_on_s(sensor), {name: sensor}
         else:
-            # A clock that is set back tells of no pause.
-            pause_s = self.settings.pause_s if sensor.held_s[-1] > self._newest_s else sensor.period_s
+            # A clock that is set back tells of no pause: what is held was one period after another.
+            without_s = sensor.period_s + sensor.held_s[-1] - sensor.held_s[0]
+            pause_s = self.settings.pause_s if sensor.held_s[-1] > self._newest_s else without_s
             by_s = sensor.held_s[-1] - self._newest_s - pause_s
             leapt = dict(self._sensors)
             self.shift_s += by_s
