@@ -162,13 +162,9 @@ def _wrong(T: FloatArray, T_true: FloatArray, stamps_s: FloatArray, begin_s: flo
 
 
 def _within(T: FloatArray, T_true: FloatArray, covariances: FloatArray) -> BoolArray:
-    """Which positions (N,) lie within three standard deviations, in the world that the first pose began.
-
-    A left perturbation (v, ω) moves a position p by v + ω × p.
-    """
+    """Which positions (N,) lie within three standard deviations, in the world that the first pose began."""
     laid = _laid_upon(T_true, T, 0)
-    J = np.concatenate([np.broadcast_to(np.eye(3), (len(T), 3, 3)), -so3.hat(T[:, :3, 3])], axis=2)
-    P = J @ covariances @ np.swapaxes(J, 1, 2) + 1e-12 * np.eye(3)
+    P = se3.position_covariance(T, covariances) + 1e-12 * np.eye(3)
     off_m = laid[:, :3, 3] - T[:, :3, 3]
     return np.asarray(np.einsum("ni,nij,nj->n", off_m, np.linalg.inv(P), off_m) <= _THREE_SIGMA)
 

@@ -23,7 +23,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer import Localizer
 from wheelsight.recordings import Recording
 from wheelsight.trajectory import Trajectory
@@ -137,11 +137,10 @@ class _Judge:
 
 
 def _covers(answer: Estimate, off: FloatArray) -> bool:
-    """Whether 3σ in the plane reach as far; a left perturbation (v, ω) moves a position p by v + ω × p."""
+    """Whether 3σ in the plane reach as far."""
     if answer.covariance is None or answer.T_world_body is None:
         return False
-    J = np.hstack([np.eye(3), -so3.hat(answer.T_world_body[:3, 3])])
-    P = (J @ answer.covariance @ J.T)[:2, :2] + _STANDS_M**2 * np.eye(2)
+    P = se3.position_covariance(answer.T_world_body, answer.covariance)[:2, :2] + _STANDS_M**2 * np.eye(2)
     return bool(off[:2] @ np.linalg.solve(P, off[:2]) <= _THREE_SIGMA)
 
 

@@ -13,7 +13,7 @@ from benchmarks.joined_cases import Case, Expected
 from benchmarks.joined_runs import CAMERA, JOINED, WHEELS, Answers
 from wheelsight.calibration import Wheels
 from wheelsight.estimates import Status
-from wheelsight.geometry import BoolArray, FloatArray, se3, so3
+from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.simulation import Drive
 from wheelsight.trajectory import Trajectory
 
@@ -158,13 +158,9 @@ def _off(T: FloatArray, T_true: FloatArray) -> FloatArray:
 
 
 def _within(answers: Answers, truth: Trajectory) -> BoolArray:
-    """(N,) which positions lie within three standard deviations; a millimetre more where a base stands, surely so.
-
-    A left perturbation (v, ω) moves a position p by v + ω × p.
-    """
+    """(N,) which positions lie within three standard deviations; a millimetre more where a base stands, surely so."""
     stamps_s, T, covariances = _poses(answers, truth)
-    J = np.concatenate([np.broadcast_to(np.eye(3), (len(T), 3, 3)), -so3.hat(T[:, :3, 3])], axis=2)
-    P = J @ covariances @ np.swapaxes(J, 1, 2) + _STANDS_M**2 * np.eye(3)
+    P = se3.position_covariance(T, covariances) + _STANDS_M**2 * np.eye(3)
     off = _off(T, truth.at(stamps_s))
     return np.asarray(np.einsum("ni,nij,nj->n", off, np.linalg.inv(P), off) <= _THREE_SIGMA)
 

@@ -58,6 +58,16 @@ def test_adjoint_carries_a_tangent_to_the_other_side(T: np.ndarray, xi: np.ndarr
     np.testing.assert_allclose(T @ se3.exp(xi) @ se3.invert(T), se3.exp(se3.adjoint(T) @ xi), atol=1e-9)
 
 
+def test_a_positions_covariance_is_that_of_a_pose_perturbed_from_the_left(rng: np.random.Generator) -> None:
+    T, roots = se3.exp(rng.normal(size=(4, 6))), rng.normal(size=(4, 6, 6))
+    C, step = roots @ np.swapaxes(roots, 1, 2), 1e-6
+    moved = [(se3.exp(step * unit) @ T)[:, :3, 3] - (se3.exp(-step * unit) @ T)[:, :3, 3] for unit in np.eye(6)]
+    J = np.stack(moved, axis=-1) / (2 * step)
+    found = se3.position_covariance(T, C)
+    np.testing.assert_allclose(found, J @ C @ np.swapaxes(J, 1, 2), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(se3.position_covariance(T[1], C[1]), found[1], atol=1e-12)
+
+
 @given(motions, motions)
 def test_adjoint_of_a_product_is_the_product_of_adjoints(T_a_b: np.ndarray, T_b_c: np.ndarray) -> None:
     np.testing.assert_allclose(se3.adjoint(T_a_b @ T_b_c), se3.adjoint(T_a_b) @ se3.adjoint(T_b_c), atol=1e-9)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.errors import EvaluationError
-from wheelsight.geometry import BoolArray, FloatArray, se3, so3
+from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.trajectory import Trajectory
 
 # What two dimensions stay within as probably as one within 3σ: χ² of two degrees of freedom, to 0.9973.
@@ -106,13 +106,9 @@ def start_alignment(estimate: Trajectory, truth: Trajectory, max_gap_s: float = 
 
 
 def position_covariances_m2(trajectory: Trajectory) -> FloatArray:
-    """Covariances (N, 3, 3) of the positions in the world, m², of a trajectory that has covariances.
-
-    A left perturbation (v, ω) moves the position p by v + ω × p: J Σ Jᵀ with J = (I, −p̂).
-    """
+    """Covariances (N, 3, 3) of the positions in the world, m², of a trajectory that has covariances."""
     assert trajectory.covariances is not None
-    J = np.concatenate([np.tile(np.eye(3), (len(trajectory), 1, 1)), -so3.hat(trajectory.positions_m)], axis=-1)
-    return np.asarray(J @ trajectory.covariances @ J.transpose(0, 2, 1))
+    return se3.position_covariance(trajectory.T_world_body, trajectory.covariances)
 
 
 def covariances_ahead_m2(trajectory: Trajectory) -> FloatArray:

@@ -37,7 +37,7 @@ from wheelsight.fusion._mount import Mount, covariance_of, motion_of, numbers_of
 from wheelsight.fusion._pose_belief import PoseBelief
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._trust import Court, Trust
-from wheelsight.geometry import FloatArray, so3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 
 # Of so many readings the mean time between them is taken: longer than a busy host stalls, shorter than rates change.
@@ -324,6 +324,5 @@ def _gone_astray(before: FusionState, event: Happening) -> FusionState:
 
 def _has_meaning(T: FloatArray, covariance: FloatArray) -> bool:
     """Whether the covariance (6, 6) of a pose's left perturbation still says where it is."""
-    J = np.hstack([np.eye(3), -so3.hat(T[:3, 3])])
-    of_position, of_rotation = np.diag(J @ covariance @ J.T), np.diag(covariance)[3:]
+    of_position, of_rotation = np.diag(se3.position_covariance(T, covariance)), np.diag(covariance)[3:]
     return bool((of_rotation < _LARGEST_SIGMA_RAD**2).all() and (of_position < _LARGEST_SIGMA_M**2).all())

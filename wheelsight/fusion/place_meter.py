@@ -107,5 +107,4 @@ def equivalent(mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Fl
 
 def _of_position(T_world_base: FloatArray, covariance: FloatArray) -> FloatArray:
     """(2, 2) of x and y, from that of the left perturbation, which turns about the world's origin."""
-    J = np.hstack([np.eye(3), -so3.hat(T_world_base[:3, 3])])[:2]
-    return np.asarray(J @ covariance @ J.T)
+    return se3.position_covariance(T_world_base, covariance)[:2, :2]

@@ -68,6 +68,16 @@ def adjoint(T: ArrayLike) -> FloatArray:
     return Ad
 
 
+def position_covariance(T: ArrayLike, covariance: ArrayLike) -> FloatArray:
+    """Covariance (..., 3, 3) of where poses (..., 4, 4) are, of that (..., 6, 6) of their left perturbations (v, ω).
+
+    These move a position p by v + ω × p: J Σ Jᵀ with J = (I, −p̂).
+    """
+    p, C = np.asarray(T, float)[..., :3, 3], np.asarray(covariance, float)
+    J = np.concatenate([np.broadcast_to(np.eye(3), (*p.shape[:-1], 3, 3)), -so3.hat(p)], axis=-1)
+    return np.asarray(J @ C @ np.swapaxes(J, -1, -2))
+
+
 def compose(*motions: ArrayLike) -> FloatArray:
     """The product (..., 4, 4) of motions, left to right: `compose(T_a_b, T_b_c)` is `T_a_c`."""
     return np.asarray(reduce(np.matmul, (np.asarray(T, float) for T in motions)))
