@@ -6,14 +6,15 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from wheelsight.calibration import Calibration
 from wheelsight.events import Event, WheelTicks
 from wheelsight.recordings import Recording, open_recording
 from wheelsight.simulation import SimulationSettings, simulate, write_simulation
-from wheelsight.simulation.camera_faults import LowRate
+from wheelsight.simulation.camera_faults import CameraFault, LowRate
 from wheelsight.simulation.clock_faults import (
+    ClockFault,
     ClockLeaps,
     ColorLate,
     ReadingsJitter,
@@ -22,16 +23,10 @@ from wheelsight.simulation.clock_faults import (
     Sensors,
 )
 
+Fault = CameraFault | ClockFault
+
 DRIVE = SimulationSettings("flat", size=(320, 240), rate_hz=10.0, duration_s=25.0)
 _LEAP_S, _MOVING_S = 8.0, 12.0
-
-
-class Fault(Protocol):
-    """From events to events."""
-
-    def apply(self, events: Iterable[Event]) -> Iterable[Event]:
-        """The events as they come with this fault."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate, covering_pose
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray, interpolate_at
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._color_check import ColorCheck
 from wheelsight.odometry.extrinsics import Agreement, Culprit, Explanation, depth_cause, height_below
@@ -266,13 +266,8 @@ class BaseCheck:
 
     def _at(self, stamp_s: float) -> FloatArray | None:
         """T_odom_base (4, 4) by the wheels at a stamp that they tell of."""
-        later = next((i for i, (told_s, _) in enumerate(self._wheels) if told_s >= stamp_s), None)
-        if later is None or (later == 0 and self._wheels[0][0] > stamp_s):
-            return None
-        if later == 0:
-            return self._wheels[0][1]
-        (before_s, T_before), (after_s, T_after) = self._wheels[later - 1], self._wheels[later]
-        return np.asarray(se3.interpolate(T_before, T_after, (stamp_s - before_s) / (after_s - before_s)))
+        (T,) = interpolate_at([told_s for told_s, _ in self._wheels], [T for _, T in self._wheels], stamp_s)
+        return None if np.isnan(T).any() else np.asarray(T)
 
     def _turned_between(self, begin_s: float, end_s: float) -> float | None:
         if not self._turned or not (self._turned[0][0] <= begin_s and end_s <= self._turned[-1][0] + 0.1):

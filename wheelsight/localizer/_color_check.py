@@ -45,9 +45,8 @@ class ColorCheck:
     def __init__(self) -> None:
         self.late, self.is_sure, self.is_sound = 0, False, False
         self._last: tuple[float, Float32Array, Float32Array] | None = None
-        self._shifts: deque[tuple[float, float, float, float]] = deque(
-            maxlen=_MOST_FRAMES
-        )  # times; colour's and depth's
+        # Of pairs of frames: when both were, and by how many pixels colour and depth moved.
+        self._shifts: deque[tuple[float, float, float, float]] = deque(maxlen=_MOST_FRAMES)
         self._hanning: Float32Array | None = None
         self._headings: deque[tuple[float, float]] = deque(maxlen=_MOST_READINGS)
 

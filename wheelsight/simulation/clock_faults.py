@@ -25,7 +25,7 @@ class ClockFault(Protocol):
     """A fault of stamps."""
 
     def apply(self, events: Iterable[Event]) -> list[Event]:
-        """The events, in order of the stamps they have with this fault."""
+        """The events as they come with this fault: in order of their new stamps, but where clocks leap."""
         ...
 
 
