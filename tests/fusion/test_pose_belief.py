@@ -228,7 +228,7 @@ def test_of_too_many_clones_the_oldest_goes(rng):
 
 def test_what_was_doubted_before_a_clone_is_no_doubt_about_motion_since(rng):
     certain = belief_somewhere(rng)
-    doubting = certain.distrusted(1.0, np.array([0.1, 0.0, 0.2]), SETTINGS)
+    doubting = certain.distrusted(1.0, SETTINGS)
     step = WheelStep(9.0, 9.1, rng.normal(size=6) * 0.02, 1e-6 * np.eye(6))
     now = [b.cloned("late", 9.0, 4).rolled(step, 1.0, SETTINGS, False) for b in (certain, doubting)]
     look = look_at(now[0], "late", rng)

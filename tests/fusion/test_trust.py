@@ -10,7 +10,7 @@ from wheelsight.fusion import ErrorStateSettings
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import Look, WheelStep
 from wheelsight.fusion._pose_belief import PoseBelief
-from wheelsight.fusion._trust import Court, Trust, see
+from wheelsight.fusion._trust import Court, Speed, Trust, see
 from wheelsight.geometry import se3
 
 SETTINGS = ErrorStateSettings()
@@ -91,3 +91,20 @@ def test_when_wheels_last_slipped_is_kept_once_they_are_believed_again():
     agrees = Look("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
     court, _ = see(court, 10.0, agrees, SETTINGS)
     assert (court.trust, court.slipped_s) == (Trust.BOTH, 10.0)
+
+
+def test_a_look_that_is_farther_off_than_slipping_wheels_get_is_refused_and_splits_nothing():
+    court = Court(in_doubt(0.0).belief)
+    Z = se3.exp([3.0, 0, 0, 0, 0, 0]) @ se3.invert(court.belief.T[1]) @ court.belief.T[0]
+    look = Look("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
+    after, reason = see(court, 10.0, look, SETTINGS)
+    assert (after.trust, after.rival, reason) == (Trust.BOTH, None, Reason.CONTRADICTION)
+    assert after.belief is court.belief
+
+
+def test_a_few_millimetres_that_a_look_is_off_are_no_leap_of_the_camera():
+    usual = Speed(np.array([0.8, 0.0, 0.1]), 1e-6 * np.eye(3))
+    seconds = 1 / 30
+    for off_m, is_leap in [(0.006, False), (0.1, True)]:
+        now = Speed(usual.mean + np.array([0.0, off_m / seconds, 0.0]), usual.covariance)
+        assert (now.leap_from(usual, seconds, SETTINGS) > 0) == is_leap

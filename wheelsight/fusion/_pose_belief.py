@@ -155,7 +155,7 @@ class PoseBelief:
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         times["turn_known_for_s"] = self.turn_known_for_s + dt_s
         after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
-        after = after.distrusted(dt_s, np.zeros(3), s) if is_slipping else after
+        after = after.distrusted(dt_s, s) if is_slipping else after
         return after._levelled(s) if after.way_m > _LEVEL_EVERY_M else after
 
     def _known_before(self, step: WheelStep) -> FloatArray:
@@ -319,17 +319,13 @@ class PoseBelief:
         T, rest = kernels.perturb(self.T, self.rest, x)
         return changed(self, T=T, rest=rest, covariance=covariance)
 
-    def distrusted(self, seconds: float, step: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
-        """As if wheels had slipped for so long and come off by a step (3,), vx, vy, ωz in the base's frame.
-
-        A wheel that is lifted tilts the base, too.
-        """
-        s, off = settings, np.zeros(6)
-        off[PLANE] = step
+    def distrusted(self, seconds: float, settings: ErrorStateSettings) -> PoseBelief:
+        """As if wheels had slipped for so long; a wheel that is lifted tilts the base, too."""
+        s = settings
         aside = [s.slip_rise_m_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s]
         q = np.square([s.slip_m_per_sqrt_s, s.slip_m_per_sqrt_s, *aside, s.slip_rad_per_sqrt_s]) * seconds
         Ad = motions.adjoint(self.T[0])
-        grown = Ad @ (np.diag(q) + np.outer(off, off)) @ Ad.T
+        grown = (Ad * q) @ Ad.T
         P = self.covariance.copy()
         P[:6, :6] += grown
         return changed(self, covariance=P, doubted=self.doubted + grown)

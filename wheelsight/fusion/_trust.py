@@ -29,7 +29,7 @@ from wheelsight.fusion import _step_kernels as steps
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import Innovation, Look
 from wheelsight.fusion._odometer import Odometer
-from wheelsight.fusion._pose_belief import IN_PLANE, PLANE, PoseBelief, Teaches
+from wheelsight.fusion._pose_belief import IN_PLANE, PoseBelief, Teaches
 from wheelsight.fusion._settings import ErrorStateSettings
 from wheelsight.fusion._two_beliefs import covering, mixed
 from wheelsight.fusion._wheel_noise import Ride, WheelNoise
@@ -69,7 +69,8 @@ class Speed:
         """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
         s = settings
         usual = (s.leap_m_s2 * seconds, s.leap_m_s2 * _SIDEWAYS * seconds, s.leap_rad_s2 * seconds)
-        leap = steps.leap(self.mean, self.covariance, before.mean, before.covariance, usual)
+        noise = np.square([s.leap_noise_m, s.leap_noise_m, s.leap_noise_rad]) / seconds**2
+        leap = steps.leap(self.mean, self.covariance + np.diag(noise), before.mean, before.covariance, usual)
         return min(leap, s.leap_cap) if leap > _quantile(_NO_WONDER, 3) else 0.0
 
 
@@ -293,9 +294,7 @@ def _trusting(court: Court, trust: Trust, stamp_s: float) -> Court:
 def _led_by_camera(belief: PoseBelief, stamp_s: float, look: Look, settings: ErrorStateSettings) -> PoseBelief | None:
     """The belief if wheels slipped since the look's reference; None where not even that explains it."""
     since_s = belief.remembered[belief.reference(look.name) - 1].stamp_s
-    apart = look.seen.T @ np.linalg.pinv(look.seen @ look.seen.T) @ look.seen @ belief.apart(look)
-    from_reference = motions.inverse_adjoint(belief.T[0]) @ motions.adjoint(belief.T[belief.reference(look.name)])
-    distrusting = belief.distrusted(max(stamp_s - since_s, 0.0), (from_reference @ apart)[PLANE], settings)
+    distrusting = belief.distrusted(max(stamp_s - since_s, 0.0), settings)
     by = distrusting.innovation(look)
     return distrusting.corrected(by).believed() if by.nis <= gate(settings, len(look.covariance)) else None
 
