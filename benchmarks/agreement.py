@@ -96,7 +96,7 @@ class DepthPairs:
 
 
 def agreement(pairs: DepthPairs, frames: Many[RgbdFrame], trajectory: Trajectory, gap: int) -> Agreement:
-    """How far a trajectory T_world_camera is from what depth images `gap` frames apart say."""
+    """How far a trajectory T_odom_camera is from what depth images `gap` frames apart say."""
     poses = trajectory.at([frame.stamp_s for frame in frames], _LONGEST_GAP_S)
     changes = []
     for first in range(0, len(frames) - gap, _EVERY):

@@ -141,9 +141,9 @@ DRIVES = (
 class _Given(ManualVelocities):
     """Velocities given for times, from a place given."""
 
-    def __init__(self, T_world_start: FloatArray, *velocities: tuple[float, ...]) -> None:
+    def __init__(self, T_odom_start: FloatArray, *velocities: tuple[float, ...]) -> None:
         super().__init__(*velocities)
-        self.T_world_start = T_world_start
+        self.T_odom_start = T_odom_start
 
 
 def _driven(
@@ -161,11 +161,11 @@ def _driven(
 def _hidden_share(recording: SimulatedRecording, people: Passersby, stamp_s: float) -> float:
     """Share of the view's width behind whoever hides most of it."""
     camera = camera_model(recording.settings.camera, recording.settings.size).camera
-    T_world_base = recording.ground_truth.at(stamp_s)[0]
-    T_camera_world = se3.invert(T_world_base @ recording.settings.robot.T_base_camera)
+    T_odom_base = recording.ground_truth.at(stamp_s)[0]
+    T_camera_odom = se3.invert(T_odom_base @ recording.settings.robot.T_base_camera)
     shares = [0.0]
     for x, y in people.positions_at(stamp_s):
-        right_m, _, ahead_m = T_camera_world[:3, :3] @ (x, y, 0.9) + T_camera_world[:3, 3]
+        right_m, _, ahead_m = T_camera_odom[:3, :3] @ (x, y, 0.9) + T_camera_odom[:3, 3]
         if ahead_m > RADIUS_M:
             edges_px = camera.cx + camera.fx * (right_m + np.array([-RADIUS_M, RADIUS_M])) / ahead_m
             shares.append(float(np.ptp(edges_px.clip(0, camera.width))) / camera.width)

@@ -121,12 +121,12 @@ def _measure_drive(drive: BadDrive) -> Iterator[BadInputFigures]:
 def measure_case(
     case: Case, tracker: str, track: Callable[[RgbdFrame], Answer], events: Sequence[Event], truth: Trajectory
 ) -> BadInputFigures:
-    """One tracker over a drive's events as the case spoils them; truth is T_world_camera."""
+    """One tracker over a drive's events as the case spoils them; truth is T_odom_camera."""
     frames = (event for event in events_with(case.faults, events) if isinstance(event, RgbdFrame))
     answers = [track(frame) for frame in frames]
-    posed = [answer for answer in answers if answer.estimate.T_world_body is not None]
+    posed = [answer for answer in answers if answer.estimate.T_odom_body is not None]
     stamps_s = np.array([answer.estimate.stamp_s for answer in posed])
-    T = np.array([answer.estimate.T_world_body for answer in posed]).reshape(-1, 4, 4)
+    T = np.array([answer.estimate.T_odom_body for answer in posed]).reshape(-1, 4, 4)
     T_true = truth.at(stamps_s)
     covariances = np.array([answer.estimate.covariance for answer in posed]).reshape(-1, 6, 6)
     wrong = _wrong(T, T_true, stamps_s, case.begin_s)

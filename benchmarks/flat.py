@@ -147,10 +147,10 @@ class _Tracker:
         self._poses: list[FloatArray] = []
 
     def track(self, frame: RgbdFrame) -> None:
-        T_world_camera = self._mapper.process(frame).T_world_body
-        if T_world_camera is not None:
+        T_odom_camera = self._mapper.process(frame).T_odom_body
+        if T_odom_camera is not None:
             self._stamps_s.append(frame.stamp_s)
-            self._poses.append(T_world_camera)
+            self._poses.append(T_odom_camera)
 
     def ate_m(self) -> float | None:
         if not self._poses:

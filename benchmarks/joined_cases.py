@@ -216,7 +216,7 @@ def _seconds_for(way_m: float, settings: SimulationSettings) -> float:
 
 def _ice_on(truth: Trajectory) -> Patch:
     """In the sharpest bend of a drive, once it is under way."""
-    yaw_rad = np.unwrap(np.arctan2(truth.T_world_body[:, 1, 0], truth.T_world_body[:, 0, 0]))
+    yaw_rad = np.unwrap(np.arctan2(truth.T_frame_body[:, 1, 0], truth.T_frame_body[:, 0, 0]))
     rates = np.where(truth.stamps_s > fault_begin_s(truth.duration_s), np.abs(np.gradient(yaw_rad)), 0.0)
     x_m, y_m, _ = truth.positions_m[int(np.argmax(rates))]
     return Patch(float(x_m), float(y_m), ICE_RADIUS_M)

@@ -147,14 +147,14 @@ def _poses(answers: Answers, truth: Trajectory) -> tuple[FloatArray, FloatArray,
     """Stamps, poses and covariances of answers that have one and that the truth covers."""
     posed = [e for e in answers.posed if truth.stamps_s[0] <= e.stamp_s <= truth.stamps_s[-1]]
     stamps_s = np.array([estimate.stamp_s for estimate in posed])
-    T = np.array([estimate.T_world_body for estimate in posed]).reshape(-1, 4, 4)
+    T = np.array([estimate.T_odom_body for estimate in posed]).reshape(-1, 4, 4)
     return stamps_s, T, np.array([estimate.covariance for estimate in posed]).reshape(-1, 6, 6)
 
 
 def _off(T: FloatArray, T_true: FloatArray) -> FloatArray:
     """(N, 3) true less told position, in the world that the first pose told began."""
-    T_world_true = T[0] @ se3.invert(T_true[0])
-    return np.asarray((T_world_true @ T_true)[:, :3, 3] - T[:, :3, 3])
+    T_odom_true = T[0] @ se3.invert(T_true[0])
+    return np.asarray((T_odom_true @ T_true)[:, :3, 3] - T[:, :3, 3])
 
 
 def _within(answers: Answers, truth: Trajectory) -> BoolArray:

@@ -86,7 +86,7 @@ def draw_joined(path: Path, odometry: str = "dense", images: Path | None = None)
 
 def _picture(recording: SimulatedRecording, answers: Mapping[str, Answers]) -> bytes:
     truth = recording.ground_truth
-    told = {name: _in_world(answers[name], truth.T_world_body[0]) for name in _COLOURS}
+    told = {name: _in_world(answers[name], truth.T_frame_body[0]) for name in _COLOURS}
     low, high = _window(recording.world, told)
     size = (high - low) * _INCHES / (high - low)[0]
     figure = Figure(figsize=(size[0], size[1] + _LEGEND_INCHES), dpi=_DOTS_PER_INCH, facecolor="white")
@@ -113,12 +113,12 @@ def _line(name: str, accuracy: Accuracy) -> Line2D:
     return Line2D([], [], color=_COLOURS[name], lw=2.4, label=f"{_WORDS[name]}, {rmse_m:.2f} m off (RMSE{told})")
 
 
-def _in_world(answers: Answers, T_world_start: FloatArray) -> FloatArray:
+def _in_world(answers: Answers, T_odom_start: FloatArray) -> FloatArray:
     """Positions (N, 2) in the simulation's world, the first pose laid upon the truth; gaps are NaN."""
     nothing = np.full((4, 4), np.nan)
-    T = np.array([nothing if e.T_world_body is None else e.T_world_body for e in answers.estimates])
+    T = np.array([nothing if e.T_odom_body is None else e.T_odom_body for e in answers.estimates])
     first = T[np.flatnonzero(~np.isnan(T[:, 0, 0]))[0]]
-    return np.asarray((T_world_start @ se3.invert(first) @ T)[:, :2, 3])
+    return np.asarray((T_odom_start @ se3.invert(first) @ T)[:, :2, 3])
 
 
 def _window(world: World, told: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:

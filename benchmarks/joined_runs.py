@@ -31,7 +31,7 @@ class Answers:
     @property
     def posed(self) -> list[Estimate]:
         """Those with a pose."""
-        return [estimate for estimate in self.estimates if estimate.T_world_body is not None]
+        return [estimate for estimate in self.estimates if estimate.T_odom_body is not None]
 
     @property
     def stamps_s(self) -> FloatArray:

@@ -54,8 +54,8 @@ def map_two_frames() -> None:
         mapper = SurfelMapper(calibration)
         for number in range(3):
             estimate = mapper.process(_frame(camera, number))
-        assert estimate.T_world_body is not None, estimate.reason
-        assert se3.is_valid(estimate.T_world_body, tolerance=1e-6)
+        assert estimate.T_odom_body is not None, estimate.reason
+        assert se3.is_valid(estimate.T_odom_body, tolerance=1e-6)
 
 
 def kernels_sheet(times: KernelTimes) -> Sheet:

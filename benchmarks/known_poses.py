@@ -14,9 +14,11 @@ from wheelsight.mapping import SurfelMap
 from wheelsight.mapping._thinning import Thinning
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense.grid import Gridder, Rows
-from wheelsight.odometry.dense.reference import PredictedView, ReferenceMaker
+from wheelsight.odometry.dense.grid import Gridder
+from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.simulation import SimulatedRecording
+from wheelsight.threads import Rows
+from wheelsight.views import PredictedView
 
 VOXEL_M = 0.006
 _BLOCK_VOXELS = 16
@@ -43,7 +45,7 @@ class TruePoses:
         self._T_base_camera = T_base_camera
 
     def at(self, stamp_s: float) -> FloatArray:
-        """T_world_camera (4, 4)."""
+        """T_odom_camera (4, 4)."""
         inside_s = np.clip(stamp_s, *self._truth.stamps_s[[0, -1]])
         return np.asarray(se3.compose(self._truth.at(inside_s)[0], self._T_base_camera))
 
@@ -74,13 +76,13 @@ class KnownSurfels:
         finest = self._gridder.on_grid(frame, poses.twist(frame.stamp_s)).levels[0]
         return finest.depth_m, self._maker.normals(finest), finest.grey
 
-    def step(self, prepared: tuple[Any, Any, Any], T_world_camera: FloatArray, stamp_s: float) -> PredictedView:
+    def step(self, prepared: tuple[Any, Any, Any], T_odom_camera: FloatArray, stamp_s: float) -> PredictedView:
         """What a map does for each frame: a view predicted, which is returned, and the frame fused unless alike."""
         intrinsics = self._gridder.intrinsics
-        view = self.map.predict(T_world_camera, intrinsics, self._gridder.shape)
-        frames = self._thinning.count(T_world_camera, stamp_s)
+        view = self.map.predict(T_odom_camera, intrinsics, self._gridder.shape)
+        frames = self._thinning.count(T_odom_camera, stamp_s)
         if frames:
-            self.map.fuse(*prepared, None, intrinsics, T_world_camera, stamp_s, self._noise, frames)
+            self.map.fuse(*prepared, None, intrinsics, T_odom_camera, stamp_s, self._noise, frames)
         return view
 
 

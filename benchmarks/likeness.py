@@ -79,9 +79,9 @@ def _measure(sequence: Sequence, calibration: Calibration, frames: Iterator[Rgbd
     for number, frame in enumerate(frames):
         frame_count += 1
         estimate = odometry.process(frame)
-        if estimate.status is Status.TRACKING and estimate.T_world_body is not None:
+        if estimate.status is Status.TRACKING and estimate.T_odom_body is not None:
             stamps_s.append(frame.stamp_s)
-            poses.append(estimate.T_world_body)
+            poses.append(estimate.T_odom_body)
         if number % _EVERY == 0:
             features = extractor.extract(frame)
             near = features.has_depth & (features.depth_m < _NEAR_M)

@@ -62,10 +62,10 @@ def drive(recording: SimulatedRecording, surfels: KnownSurfels) -> tuple[Passage
     preparing_s: list[float] = []
     mapping_s: list[float] = []
     for frame in _apart(recording):
-        T_world_camera, begin = poses.at(frame.stamp_s), time.process_time()
+        T_odom_camera, begin = poses.at(frame.stamp_s), time.process_time()
         prepared = surfels.prepare(frame, poses)
         between = time.process_time()
-        surfels.step(prepared, T_world_camera, frame.stamp_s)
+        surfels.step(prepared, T_odom_camera, frame.stamp_s)
         mapping_s.append(time.process_time() - between)
         preparing_s.append(between - begin)
         stamps_s.append(frame.stamp_s)

@@ -58,12 +58,12 @@ def measure_bias(ideal: SimulatedRecording, noisy: SimulatedRecording) -> tuple[
     poses, surfels = TruePoses(noisy), KnownSurfels(noisy.calibration)
     rays, floor, rest = ideal.calibration.cameras[1].rays(), Bias(), Bias()
     for k, (exact, frame) in enumerate(frame_pairs(ideal, noisy)):
-        T_world_camera, prepared = poses.at(frame.stamp_s), surfels.prepare(frame, poses)
-        view = surfels.step(prepared, T_world_camera, frame.stamp_s)
+        T_odom_camera, prepared = poses.at(frame.stamp_s), surfels.prepare(frame, poses)
+        view = surfels.step(prepared, T_odom_camera, frame.stamp_s)
         if k < _FIRST:
             continue
         true_m = exact.depth_m.astype(float)
-        height_m = (true_m[..., None] * rays) @ T_world_camera[2, :3] + T_world_camera[2, 3]
+        height_m = (true_m[..., None] * rays) @ T_odom_camera[2, :3] + T_odom_camera[2, 3]
         is_floor, seen = np.abs(height_m) < 1e-2, (prepared[0].astype(float), view.depth_m.astype(float))
         floor.add(true_m, seen, _on_planes(true_m) & is_floor)
         rest.add(true_m, seen, _on_planes(true_m) & ~is_floor)

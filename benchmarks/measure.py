@@ -60,7 +60,7 @@ class Passage:
 def measure(
     start: Callable[[Calibration], Tracker], recording: Recording, feed: Feed, limit: int | None = None
 ) -> tuple[Passage, Trajectory]:
-    """Run a fresh tracker over the first `limit` frames; the trajectory is T_world_camera of frames with a pose."""
+    """Run a fresh tracker over the first `limit` frames; the trajectory is T_odom_camera of frames with a pose."""
     frames = itertools.islice((event for event in recording.events() if isinstance(event, RgbdFrame)), limit)
     tracker = start(recording.calibration)
     if feed is Feed.STREAMED:
@@ -87,12 +87,12 @@ def _timed(
             return replace(passage, peak_memory_mb=peak_memory_mb()), _trajectory(known_s, poses)
         prepared = prepare(frame)
         begun = time.perf_counter()
-        T_world_camera = tracker.track(prepared)
+        T_odom_camera = tracker.track(prepared)
         passage.seconds.append(time.perf_counter() - begun + got - asked)
         passage.stamps_s.append(stamp_s)
-        if T_world_camera is not None:
+        if T_odom_camera is not None:
             known_s.append(stamp_s)
-            poses.append(np.array(T_world_camera, float))
+            poses.append(np.array(T_odom_camera, float))
 
 
 def _trajectory(stamps_s: list[float], poses: list[FloatArray]) -> Trajectory:

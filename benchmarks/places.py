@@ -164,7 +164,7 @@ def _many(features: Float32Array) -> tuple[Float32Array, IntArray]:
 
 def areas_by_clustering(truth: Trajectory, count: int, seed: int = 0) -> IntArray:
     """Areas (N,) of a hand-held camera's poses: clusters of where it was and where it looked."""
-    looking = truth.T_world_body[:, :3, 2]
+    looking = truth.T_frame_body[:, :3, 2]
     places = np.hstack([truth.positions_m, _METRES_PER_RADIAN * looking])
     labels: IntArray = KMeans(count, n_init=10, random_state=seed).fit(places).labels_.astype(np.int64)
     return labels

@@ -58,7 +58,7 @@ def _walk(recording: Recording) -> tuple[list[Features], list[FloatArray]]:
     T_color_camera = np.eye(4) if calibration.T_color_depth is None else np.array(calibration.T_color_depth)
     features, poses = [], []
     for event in track(recording.events(), "tracking", total=recording.frame_count):
-        if isinstance(event, RgbdFrame) and (T := odometry.process(event).T_world_body) is not None:
+        if isinstance(event, RgbdFrame) and (T := odometry.process(event).T_odom_body) is not None:
             features.append(extractor.extract(event))
             poses.append(T @ se3.invert(T_color_camera))
     inner = range(1, len(poses) - 1)

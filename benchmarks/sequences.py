@@ -30,7 +30,7 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """A recording, its true T_world_camera if it has one, and whether its depth is registered to its colour."""
+    """A recording, its true T_odom_camera if it has one, and whether its depth is registered to its colour."""
 
     name: str
     path: Path
@@ -38,7 +38,7 @@ class Sequence:
     is_registered: bool = True
 
     def accuracy(self, estimate: Trajectory) -> Accuracy:
-        """How far T_world_camera is from the truth, where they share enough to tell."""
+        """How far T_odom_camera is from the truth, where they share enough to tell."""
         if self.truth is None:
             return Accuracy()
         try:

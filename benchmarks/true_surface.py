@@ -63,7 +63,7 @@ class SurfaceBuilder:
         self._focal_px = camera.fx
         self._parts: list[FloatArray] = []
 
-    def add(self, ideal: RgbdFrame, T_world_camera: FloatArray, was_measured: BoolArray) -> None:
+    def add(self, ideal: RgbdFrame, T_odom_camera: FloatArray, was_measured: BoolArray) -> None:
         """What an ideal frame shows from a pose (4, 4), and at which pixels (H, W) the sensor measured."""
         points = self._rays * ideal.depth_m[..., None].astype(float)
         right, down = points[:, 1:] - points[:, :-1], points[1:] - points[:-1]
@@ -76,7 +76,7 @@ class SurfaceBuilder:
         pick = np.zeros_like(there)
         pick[::_STRIDE_PX, ::_STRIDE_PX] = True
         pick &= there
-        R, t = T_world_camera[:3, :3], T_world_camera[:3, 3]
+        R, t = T_odom_camera[:3, :3], T_odom_camera[:3, 3]
         normals = normal[pick] / np.linalg.norm(normal[pick], axis=-1, keepdims=True)
         reach_m = _REACH * depth_m[pick] / self._focal_px
         where = points[:-1, :-1][pick] @ R.T + t

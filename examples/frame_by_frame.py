@@ -16,9 +16,9 @@ for event in recording.events():
     estimate = localizer.process(event)
     if estimate is None:  # not a frame: wheels turned
         continue
-    if estimate.T_world_body is None:
+    if estimate.T_odom_body is None:
         print(f"{estimate.stamp_s:.3f} s  {estimate.status}: {estimate.reason} {localizer.note}")
         continue
-    x, y, z = estimate.T_world_body[:3, 3]
+    x, y, z = estimate.T_odom_body[:3, 3]
     sigma_mm = 0.0 if estimate.covariance is None else 1e3 * np.sqrt(np.trace(estimate.covariance[:3, :3]))
     print(f"{estimate.stamp_s:.3f} s  {estimate.body} at {x:+.3f} {y:+.3f} {z:+.3f} m, σ {sigma_mm:.1f} mm")

@@ -60,15 +60,15 @@ for frame in frames:
     p_current, descriptors = points_and_descriptors(frame, recording.calibration.depth)
     pairs = matcher.match(reference_descriptors, descriptors)
     if not poses and len(p_current) >= FEWEST_PAIRS:
-        T_world_camera = np.eye(4)
+        T_odom_camera = np.eye(4)
     elif len(pairs) >= FEWEST_PAIRS:
         of_reference, of_current = np.array([(pair.queryIdx, pair.trainIdx) for pair in pairs]).T
-        T_world_camera = poses[-1] @ align_most(p_reference[of_reference], p_current[of_current])
+        T_odom_camera = poses[-1] @ align_most(p_reference[of_reference], p_current[of_current])
     else:  # the next frame is matched with the last one that showed something
         unseen += 1
         continue
     stamps_s.append(frame.stamp_s)
-    poses.append(T_world_camera)
+    poses.append(T_odom_camera)
     p_reference, reference_descriptors = p_current, descriptors
 
 estimate = Trajectory(np.array(stamps_s), np.array(poses))

@@ -169,8 +169,8 @@ def rectified_by_paper(
         rectifier.predict(np.linalg.inv(before) @ T)
         before = T
         estimate = rectifier.update(float(stamp_s), None if area < 0 else int(area))
-        assert estimate.T_world_body is not None
-        track.append(estimate.T_world_body[:2, 3])
+        assert estimate.T_odom_body is not None
+        track.append(estimate.T_odom_body[:2, 3])
     return np.array(track)
 
 
@@ -191,8 +191,8 @@ def rectified_by_probability(
                 rectifier.predict_to(estimate)
         last = until
         found = rectifier.update(stamp_s, probabilities[k] if drive.has_depth[k] else None)
-        assert found.T_world_body is not None
-        track.append(found.T_world_body[:2, 3])
+        assert found.T_odom_body is not None
+        track.append(found.T_odom_body[:2, 3])
     return np.array(track)
 
 

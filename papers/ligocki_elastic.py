@@ -64,7 +64,7 @@ class Model:
     Attributes:
         recording: what was seen.
         map: what was made of it.
-        stamps_s, T_world_body: of each frame with a pose, the latter (4, 4).
+        stamps_s, T_odom_body: of each frame with a pose, the latter (4, 4).
         seconds: of work on each frame.
         frames: how many there were.
         last: colour (h, w, 3) of the last frame with a pose.
@@ -73,7 +73,7 @@ class Model:
     recording: Recording
     map: SurfelMap
     stamps_s: list[float] = field(default_factory=list)
-    T_world_body: list[FloatArray] = field(default_factory=list)
+    T_odom_body: list[FloatArray] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     frames: int = 0
     last: ByteArray = field(default_factory=lambda: np.zeros((1, 1, 3), np.uint8))
@@ -81,7 +81,7 @@ class Model:
     @property
     def T_world_camera(self) -> FloatArray:
         """(n, 4, 4)."""
-        poses, T_base_camera = np.array(self.T_world_body), self.recording.calibration.T_base_camera
+        poses, T_base_camera = np.array(self.T_odom_body), self.recording.calibration.T_base_camera
         return poses if T_base_camera is None else poses @ T_base_camera
 
     @property
@@ -166,11 +166,11 @@ def _take(model: Model, localizer: Localizer, event: Any) -> None:
     if not isinstance(event, RgbdFrame | SkippedFrame):
         return
     model.frames += 1
-    if estimate is None or estimate.status is not Status.TRACKING or estimate.T_world_body is None:
+    if estimate is None or estimate.status is not Status.TRACKING or estimate.T_odom_body is None:
         return
     model.seconds.append(time.perf_counter() - started)
     model.stamps_s.append(event.stamp_s)
-    model.T_world_body.append(estimate.T_world_body)
+    model.T_odom_body.append(estimate.T_odom_body)
     if isinstance(event, RgbdFrame):
         model.last = event.color
 
@@ -194,7 +194,7 @@ def _error(model: Model) -> str:
     if truth is None:
         return "no truth"
     try:
-        estimate = Trajectory(np.array(model.stamps_s), np.array(model.T_world_body), body=model.recording.body)
+        estimate = Trajectory(np.array(model.stamps_s), np.array(model.T_odom_body), body=model.recording.body)
         return f"{evaluate(estimate, truth).ate.translation.rmse:.4f} m"
     except EvaluationError:
         return "no truth at these times"

@@ -185,7 +185,7 @@ def _together(track: Trajectory, truth: Trajectory) -> tuple[Trajectory, Traject
 
 def _from_start(near: Trajectory, true: Trajectory) -> Trajectory:
     """The track as it starts where the truth starts."""
-    return near.moved(true.T_world_body[0] @ se3.invert(near.T_world_body[0]))
+    return near.moved(true.T_frame_body[0] @ se3.invert(near.T_frame_body[0]))
 
 
 def _row(name: str, way: str, e: Errors) -> tuple[str, ...]:

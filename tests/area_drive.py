@@ -36,7 +36,7 @@ _EVERY, _FRAME_EVERY = 2, 10
 
 @dataclass(frozen=True)
 class AreaDrive:
-    """Events in order of time, and the true T_world_base at each reading."""
+    """Events in order of time, and the true T_odom_base at each reading."""
 
     events: tuple[Event, ...]
     truth: Trajectory
@@ -57,7 +57,7 @@ def area_drive() -> AreaDrive:
         stamp_s = float(truth.stamps_s[i])
         events.append(WheelTicks(stamp_s, int(drive.left[i]), int(drive.right[i])))
         if i % _FRAME_EVERY == 0:
-            area = int(AREAS.index_at(truth.T_world_body[i, :2, 3]))
+            area = int(AREAS.index_at(truth.T_frame_body[i, :2, 3]))
             shown = frame_of(max(area, 0), rng)
             events.append(replace(shown, stamp_s=stamp_s + 0.001, index=i // _FRAME_EVERY))
     return AreaDrive(tuple(events), truth.select(slice(None, None, _EVERY)))

@@ -31,7 +31,7 @@ MIXED: tuple[Leg, ...] = (
 
 @dataclass(frozen=True)
 class SimulatedDrive:
-    """Readings (N,) of the encoders, and the true T_world_base at the same moments, noise and all."""
+    """Readings (N,) of the encoders, and the true T_odom_base at the same moments, noise and all."""
 
     stamps_s: FloatArray
     left: IntArray

@@ -21,7 +21,7 @@ _STEPS_A_FRAME = 4
 
 
 def make_room_drive(folder: Path, frames: int = 12, *, with_truth: bool = True, mounted: bool = True) -> Trajectory:
-    """Write the recording, 50 readings and 12.5 frames a second, and return the true T_world_base at its readings.
+    """Write the recording, 50 readings and 12.5 frames a second, and return the true T_odom_base at its readings.
 
     It stands for a second, drives for `frames` frames, and stands for another second.
     Not `mounted`, its calibration does not tell where the camera is on the base, and the truth is the camera's.
@@ -32,15 +32,15 @@ def make_room_drive(folder: Path, frames: int = 12, *, with_truth: bool = True, 
     mount = T_BASE_CAMERA if mounted else None
     calibration = Calibration.registered_camera(CAMERA, wheels=WHEELS, T_base_camera=mount, source="room")
     with RecordingWriter(folder, calibration) as writer:
-        for index, (stamp_s, T_world_base) in enumerate(truth):
+        for index, (stamp_s, T_odom_base) in enumerate(truth):
             writer.add(WheelTicks(stamp_s, int(drive.left[index]), int(drive.right[index])))
             if index % _STEPS_A_FRAME == 0:
-                color, depth_m = render_room(T_world_base @ T_BASE_CAMERA)
+                color, depth_m = render_room(T_odom_base @ T_BASE_CAMERA)
                 writer.add(RgbdFrame(stamp_s + 0.001, _noisy(color, rng), depth_m, index // _STEPS_A_FRAME))
         if with_truth and mounted:
             writer.add_ground_truth(truth)
         elif with_truth:
-            writer.add_ground_truth(Trajectory(truth.stamps_s, truth.T_world_body @ T_BASE_CAMERA))
+            writer.add_ground_truth(Trajectory(truth.stamps_s, truth.T_frame_body @ T_BASE_CAMERA))
     return truth
 
 

@@ -69,24 +69,24 @@ def sighted(
     drive = drive_from_ticks(NOMINAL, made.stamps_s, made.left, made.right)
     start_s, end_s = truth.stamps_s[[0, -1]]
     stamps_s = np.arange(start_s, end_s, 1 / _FRAMES_HZ)
-    T_world_camera = truth.at(stamps_s) @ T_base_camera
+    T_odom_camera = truth.at(stamps_s) @ T_base_camera
     noise = np.random.default_rng(5) if rng is None else rng
-    camera = Trajectory(stamps_s + camera_late_s, _blurred(T_world_camera, blur, noise))
+    camera = Trajectory(stamps_s + camera_late_s, _blurred(T_odom_camera, blur, noise))
     kept = slice(None, None, round(_VIEWS_S * _FRAMES_HZ))
-    views = room_views(stamps_s[kept] + camera_late_s, T_world_camera[kept], noise if blur != CLEAR else None)
+    views = room_views(stamps_s[kept] + camera_late_s, T_odom_camera[kept], noise if blur != CLEAR else None)
     return Sightings(drive, camera, len(stamps_s), (camera.stamps_s[0], camera.stamps_s[-1]), views)
 
 
-def room_views(stamps_s: FloatArray, T_world_camera: FloatArray, rng: np.random.Generator | None) -> FloorViews:
+def room_views(stamps_s: FloatArray, T_odom_camera: FloatArray, rng: np.random.Generator | None) -> FloorViews:
     """Depth of the floor z = 0 and of four walls around the way, noisy with `rng`."""
     rays = CAMERA.rays()[_STEP_PX // 2 :: _STEP_PX, _STEP_PX // 2 :: _STEP_PX].reshape(-1, 3)
-    low, high = (edge(T_world_camera[:, :2, 3], axis=0) for edge in (np.min, np.max))
+    low, high = (edge(T_odom_camera[:, :2, 3], axis=0) for edge in (np.min, np.max))
     walls = [(axis, low[axis] - _AIR_M) for axis in (0, 1)] + [(axis, high[axis] + _AIR_M) for axis in (0, 1)]
-    directions = rays @ np.swapaxes(T_world_camera[:, :3, :3], 1, 2)
+    directions = rays @ np.swapaxes(T_odom_camera[:, :3, :3], 1, 2)
     depth_m = np.full(directions.shape[:2], np.inf)
     for axis, place in [(2, 0.0), *walls]:
         with np.errstate(divide="ignore"):
-            reach = (place - T_world_camera[:, axis, 3])[:, None] / directions[..., axis]
+            reach = (place - T_odom_camera[:, axis, 3])[:, None] / directions[..., axis]
         depth_m = np.minimum(depth_m, np.where(reach > 0, reach, np.inf))
     if rng is not None:
         depth_m = depth_m + NOISE.sigma_m(depth_m) * rng.standard_normal(depth_m.shape)
@@ -98,30 +98,30 @@ def with_late_camera(sightings: Sightings, late_s: float) -> Sightings:
     camera, views = sightings.camera, sightings.views
     return replace(
         sightings,
-        camera=Trajectory(camera.stamps_s + late_s, camera.T_world_body),
+        camera=Trajectory(camera.stamps_s + late_s, camera.T_odom_body),
         span_s=(sightings.span_s[0] + late_s, sightings.span_s[1] + late_s),
         views=replace(views, stamps_s=views.stamps_s + late_s),
     )
 
 
 def _slid(truth: Trajectory, slide_s: float) -> Trajectory:
-    steps = se3.invert(truth.T_world_body[:-1]) @ truth.T_world_body[1:]
+    steps = se3.invert(truth.T_frame_body[:-1]) @ truth.T_frame_body[1:]
     turned = np.arctan2(steps[:, 1, 0], steps[:, 0, 0])
     steps[:, 1, 3] -= slide_s * steps[:, 0, 3] * turned / np.diff(truth.stamps_s)
-    poses = [truth.T_world_body[0]]
+    poses = [truth.T_frame_body[0]]
     for step in steps:
         poses.append(poses[-1] @ step)
     return Trajectory(truth.stamps_s, np.array(poses), body="base")
 
 
-def _blurred(T_world_camera: FloatArray, blur: Blur, rng: np.random.Generator) -> FloatArray:
-    count = len(T_world_camera)
+def _blurred(T_odom_camera: FloatArray, blur: Blur, rng: np.random.Generator) -> FloatArray:
+    count = len(T_odom_camera)
 
     def draws(m: float, rad: float) -> FloatArray:
         return rng.standard_normal((count, 6)) * np.repeat([m, rad], 3)
 
-    steps = se3.invert(T_world_camera[:-1]) @ T_world_camera[1:] @ se3.exp(draws(blur.step_m, blur.step_rad)[1:])
-    poses = [T_world_camera[0]]
+    steps = se3.invert(T_odom_camera[:-1]) @ T_odom_camera[1:] @ se3.exp(draws(blur.step_m, blur.step_rad)[1:])
+    poses = [T_odom_camera[0]]
     for step in steps:
         poses.append(poses[-1] @ step)
     return np.asarray(np.array(poses) @ se3.exp(draws(blur.pose_m, blur.pose_rad)))

@@ -24,7 +24,7 @@ def room(geoms: str, surfaces: dict[str, Surface] | None = None) -> World:
 
 
 def looking(x: float = 0.0, y: float = 0.0, z: float = 1.0, yaw: float = 0.0, pitch: float = 0.0) -> FloatArray:
-    """T_world_camera of a camera that looks along the world's x, turned to the left by yaw and down by pitch."""
+    """T_odom_camera of a camera that looks along the world's x, turned to the left by yaw and down by pitch."""
     c, s = np.cos(pitch), np.sin(pitch)
     tilt = np.array([[0, -s, c], [-1, 0, 0], [0, -c, -s]])
     c, s = np.cos(yaw), np.sin(yaw)

@@ -34,7 +34,7 @@ _LOOKING_ALONG_X = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 
 
 def render_room(
-    T_world_camera: FloatArray,
+    T_odom_camera: FloatArray,
     camera: PinholeCamera = CAMERA,
     seed: int = 0,
     depth_noise: bool = False,
@@ -45,27 +45,27 @@ def render_room(
     `seed` chooses the textures. `depth_noise` adds Kinect v1's σ(z) = 1.425e-3 z², seeded by pose and `seed`.
     `blank` paints every surface the same grey; depth stays.
     """
-    origin, rays = T_world_camera[:3, 3], camera.rays() @ T_world_camera[:3, :3].T
+    origin, rays = T_odom_camera[:3, 3], camera.rays() @ T_odom_camera[:3, :3].T
     depth_m, face = (image.reshape(rays.shape[:2]) for image in _cast(origin, rays.reshape(-1, 3)))
     color = _paint(origin + rays * depth_m[..., None], face, seed)
     if blank:
         color = np.full_like(color, 128)
     if depth_noise:
-        rng = np.random.default_rng([seed, *T_world_camera.tobytes()])
+        rng = np.random.default_rng([seed, *T_odom_camera.tobytes()])
         depth_m = depth_m + 1.425e-3 * depth_m**2 * rng.standard_normal(depth_m.shape)
     return color, depth_m.astype(np.float32)
 
 
 def wobbling_trajectory(frames: int, rate_hz: float = 30.0, speed: float = 1.0, start_s: float = 100.0) -> Trajectory:
-    """T_world_camera of a hand-held camera that sways and turns before the boxes; `speed` 1 is about 0.4 m/s."""
+    """T_odom_camera of a hand-held camera that sways and turns before the boxes; `speed` 1 is about 0.4 m/s."""
     stamps_s = start_s + np.arange(frames) / rate_hz
     phase = speed * (stamps_s - start_s)
     sway = np.stack([0.25 * np.sin(0.9 * phase), 0.35 * np.sin(1.1 * phase), 0.12 * np.sin(1.7 * phase)], axis=-1)
     yaw, pitch, roll = 0.35 * np.sin(0.7 * phase), 0.15 + 0.10 * np.sin(1.3 * phase), 0.06 * np.sin(0.9 * phase)
     zero = np.zeros(frames)
     turns = [so3.exp(np.stack(axis, axis=-1)) for axis in ((zero, zero, yaw), (zero, pitch, zero), (roll, zero, zero))]
-    R_world_camera = turns[0] @ turns[1] @ turns[2] @ _LOOKING_ALONG_X
-    return Trajectory(stamps_s, se3.from_parts(R_world_camera, np.array([-1.2, 0.0, 1.3]) + sway))
+    R_odom_camera = turns[0] @ turns[1] @ turns[2] @ _LOOKING_ALONG_X
+    return Trajectory(stamps_s, se3.from_parts(R_odom_camera, np.array([-1.2, 0.0, 1.3]) + sway))
 
 
 def make_tum_recording(
@@ -81,7 +81,7 @@ def make_tum_recording(
     covered: Collection[int] = (),
     depth_delay_s: float = 0.002,
 ) -> Trajectory:
-    """Write a TUM recording of the room with calibration.yaml, and return the true T_world_camera at its colour stamps.
+    """Write a TUM recording of the room with calibration.yaml, and return the true T_odom_camera at its colour stamps.
 
     `blank` frames see bare grey walls; `dark` frames are black but keep their depth; `covered` ones are black
     and have none. Depth images are stamped `depth_delay_s` after their colour image, though exact at its pose.
@@ -90,8 +90,8 @@ def make_tum_recording(
     lists: dict[str, list[str]] = {"rgb": ["# color images"], "depth": ["# depth maps"]}
     for name in lists:
         (folder / name).mkdir(parents=True, exist_ok=True)
-    for index, (stamp_s, T_world_camera) in enumerate(truth):
-        color, depth_m = render_room(T_world_camera, camera, seed, depth_noise, blank=index in blank)
+    for index, (stamp_s, T_odom_camera) in enumerate(truth):
+        color, depth_m = render_room(T_odom_camera, camera, seed, depth_noise, blank=index in blank)
         if index in dark or index in covered:
             color = np.zeros_like(color)
         if index in covered:
@@ -134,11 +134,11 @@ def _slabs(
     return (near[row, enter_axis], enter_face), (far[row, leave_axis], leave_face)
 
 
-def _paint(p_world: FloatArray, face: IntArray, seed: int) -> ByteArray:
+def _paint(p_odom: FloatArray, face: IntArray, seed: int) -> ByteArray:
     """Colours (H, W, 3) uint8 of points (H, W, 3) on surfaces (H, W): each shows its own part of one texture."""
     axis = face % 3
-    u = np.where(axis == 0, p_world[..., 1], p_world[..., 0]) / _TEXEL_M + 197.3 * face
-    v = np.where(axis == 2, p_world[..., 1], p_world[..., 2]) / _TEXEL_M + 89.7 * face
+    u = np.where(axis == 0, p_odom[..., 1], p_odom[..., 0]) / _TEXEL_M + 197.3 * face
+    v = np.where(axis == 2, p_odom[..., 1], p_odom[..., 2]) / _TEXEL_M + 89.7 * face
     u, v = (np.float32(px % _TEXTURE_SIZE) for px in (u, v))
     return np.asarray(cv2.remap(_texture(seed), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
 

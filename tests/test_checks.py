@@ -20,7 +20,7 @@ from wheelsight.odometry.features import FeatureOdometry
 from wheelsight.odometry.wheels import WheelOdometry
 
 CALIBRATION = Calibration.registered_camera(CAMERA, wheels=Wheels(0.17, 0.17, 0.5, 3200.0), T_base_camera=np.eye(4))
-FRAME = RgbdFrame(1.0, *render_room(wobbling_trajectory(1).T_world_body[0]))
+FRAME = RgbdFrame(1.0, *render_room(wobbling_trajectory(1).T_frame_body[0]))
 AREAS = AreaMap((Area("hall", [[0, 0], [1, 0], [1, 1], [0, 1]], x_m=0.5),))
 WRONG_FRAMES = (
     ({"color": FRAME.color[..., 0]}, r"color is of shape \(240, 320\), not \(240, 320, 3\)"),
@@ -87,7 +87,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
 def test_motions_that_are_none_are_refused(kind: Callable[..., Any], prior: Any, told: str) -> None:
     with pytest.raises(ArgumentError, match="prior " + told):
         kind(CALIBRATION).process(FRAME, prior)
-    with pytest.raises(ArgumentError, match="T_world_camera " + told):
+    with pytest.raises(ArgumentError, match="T_map_camera " + told):
         kind(CALIBRATION).restart(FRAME, prior, np.eye(6))
     with pytest.raises(ArgumentError, match=r"covariance is of shape \(3, 3\), not \(6, 6\)"):
         kind(CALIBRATION).restart(FRAME, np.eye(4), np.eye(3))
@@ -104,7 +104,7 @@ def test_rectifiers_take_steps_alone() -> None:
     paper = PaperRectifier(AREAS, np.eye(4), Weights())
     with pytest.raises(ArgumentError, match=r"T_before_now is of shape \(3, 3\), not \(4, 4\)"):
         paper.predict(np.eye(3))
-    with pytest.raises(ArgumentError, match=r"T_world_base is of shape \(2,\), not \(4, 4\)"):
+    with pytest.raises(ArgumentError, match=r"T_odom_base is of shape \(2,\), not \(4, 4\)"):
         PaperRectifier(AREAS, [1, 2], Weights())
     with pytest.raises(ArgumentError, match=r"covariance is of shape \(3, 3\), not \(6, 6\)"):
         AreaRectifier(AREAS, np.eye(4)).predict(np.eye(4), np.eye(3))

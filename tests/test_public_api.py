@@ -77,8 +77,8 @@ calibration: Calibration = load_calibration("calibration.yaml", "mount.yaml")
 localizer = Localizer(recording.calibration, Config(odometry=("wheels", "dense"), map="surfels"))
 for event in recording.events():
     estimate = localizer.process(event)
-    if estimate is not None and estimate.T_world_body is not None:
-        print(estimate.T_world_body[:3, 3], estimate.status)
+    if estimate is not None and estimate.T_odom_body is not None:
+        print(estimate.T_odom_body[:3, 3], estimate.status)
 settings = Config(features=FeatureSettings(seed=3), report=ReportSettings(pictures=8), recording=RecordingSettings())
 print(read_tum("trajectory.txt").length_m, settings.to_dict())
 """

@@ -64,7 +64,7 @@ def test_the_covariance_is_that_of_x_y_and_yaw(rng: np.random.Generator) -> None
     odometry = WheelOdometry(WHEELS)
     for reading in drive(200, 50, 70):
         estimate = odometry.process(reading)
-    T = estimate.T_world_body
+    T = estimate.T_odom_body
     samples = rng.multivariate_normal(np.zeros(6), 1e-4 * estimate.covariance, 20_000, method="svd")
     moved = np.array([se3.exp(sample) @ T for sample in samples])
     yaws = np.arctan2(moved[:, 1, 0], moved[:, 0, 0]) - np.arctan2(T[1, 0], T[0, 0])

@@ -36,7 +36,7 @@ class TestValues:
         trajectory = Trajectory(stamps_s, np.tile(np.eye(4), (3, 1, 1)), np.tile(np.eye(6), (3, 1, 1)))
         stamps_s[0] = -5
         assert trajectory.stamps_s[0] == 0
-        for array in (trajectory.stamps_s, trajectory.T_world_body, trajectory.covariances, trajectory.positions_m):
+        for array in (trajectory.stamps_s, trajectory.T_frame_body, trajectory.covariances, trajectory.positions_m):
             assert array is not None
             with pytest.raises(ValueError, match="read-only"):
                 array[0] = 1
@@ -80,21 +80,21 @@ class TestValues:
         trajectory = random_trajectory(4)
         for k, (stamp_s, T) in enumerate(trajectory):
             assert stamp_s == trajectory.stamps_s[k]
-            np.testing.assert_array_equal(T, trajectory.T_world_body[k])
+            np.testing.assert_array_equal(T, trajectory.T_frame_body[k])
 
 
 class TestParts:
     def test_select_takes_mask_indices_or_slice_with_covariances(self) -> None:
         covariances = np.arange(20.0)[:, None, None] * np.eye(6)
-        trajectory = random_trajectory(covariances=covariances, body="base", world="odom")
+        trajectory = random_trajectory(covariances=covariances, body="base", frame="odom")
         mask = np.zeros(20, bool)
         mask[3:9:2] = True
         for which in (mask, [3, 5, 7], slice(3, 9, 2)):
             part = trajectory.select(which)
             np.testing.assert_array_equal(part.stamps_s, trajectory.stamps_s[3:9:2])
-            np.testing.assert_array_equal(part.T_world_body, trajectory.T_world_body[3:9:2])
+            np.testing.assert_array_equal(part.T_frame_body, trajectory.T_frame_body[3:9:2])
             np.testing.assert_array_equal(part.covariances, covariances[3:9:2])  # type: ignore[arg-type]
-            assert (part.body, part.world) == ("base", "odom")
+            assert (part.body, part.frame) == ("base", "odom")
         assert len(trajectory.select([])) == 0
         with pytest.raises(TrajectoryError, match="growing"):
             trajectory.select([2, 1])
@@ -117,17 +117,17 @@ class TestParts:
 
 class TestMoved:
     def test_multiplies_from_the_left_and_keeps_names(self) -> None:
-        trajectory, T_new_world = random_trajectory(body="base"), se3.exp([1, 2, 3, 0.1, 0.2, 0.3])
-        moved = trajectory.moved(T_new_world)
-        np.testing.assert_allclose(moved.T_world_body, T_new_world @ trajectory.T_world_body)
+        trajectory, T_new_frame = random_trajectory(body="base"), se3.exp([1, 2, 3, 0.1, 0.2, 0.3])
+        moved = trajectory.moved(T_new_frame)
+        np.testing.assert_allclose(moved.T_frame_body, T_new_frame @ trajectory.T_frame_body)
         assert (moved.body, moved.covariances) == ("base", None)
 
     def test_covariance_is_that_of_moved_samples(self, rng: np.random.Generator) -> None:
         root = 0.01 * rng.standard_normal((6, 6))
-        T_mean, T_new_world = se3.exp(rng.standard_normal(6)), se3.exp([1.5, -0.7, 0.4, 0.3, -0.8, 0.5])
+        T_mean, T_new_frame = se3.exp(rng.standard_normal(6)), se3.exp([1.5, -0.7, 0.4, 0.3, -0.8, 0.5])
         samples = se3.exp(rng.standard_normal((100_000, 6)) @ root.T) @ T_mean
-        moved = Trajectory([0.0], T_mean[None], (root @ root.T)[None]).moved(T_new_world)
-        deltas = se3.log(T_new_world @ samples @ se3.invert(moved.T_world_body[0]))
+        moved = Trajectory([0.0], T_mean[None], (root @ root.T)[None]).moved(T_new_frame)
+        deltas = se3.log(T_new_frame @ samples @ se3.invert(moved.T_frame_body[0]))
         assert moved.covariances is not None
         sampled, expected = np.cov(deltas.T), moved.covariances[0]
         spread = np.sqrt(np.diag(expected))
@@ -138,12 +138,12 @@ class TestTum:
     @given(seed=st.integers(0, 2**16), n=st.integers(1, 30), body=st.sampled_from(["camera", "base"]))
     def test_reads_what_it_wrote(self, tmp_path_factory: pytest.TempPathFactory, seed: int, n: int, body: str) -> None:
         path = tmp_path_factory.mktemp("tum") / "trajectory.txt"
-        trajectory = random_trajectory(n, seed, body=body, world="odom")
+        trajectory = random_trajectory(n, seed, body=body, frame="odom")
         write_tum(trajectory, path)
         again = read_tum(path)
         np.testing.assert_array_equal(again.stamps_s, trajectory.stamps_s)
-        np.testing.assert_allclose(again.T_world_body, trajectory.T_world_body, atol=5e-9)
-        assert (again.body, again.world) == (body, "odom")
+        np.testing.assert_allclose(again.T_frame_body, trajectory.T_frame_body, atol=5e-9)
+        assert (again.body, again.frame) == (body, "odom")
 
     def test_stamps_closer_than_a_microsecond_stay_apart(self, tmp_path: Path) -> None:
         trajectory = Trajectory([0.0, 1e-7, 1.0], np.tile(np.eye(4), (3, 1, 1)))
@@ -152,7 +152,7 @@ class TestTum:
 
     def test_header_says_the_frames(self, tmp_path: Path) -> None:
         write_tum(random_trajectory(1, body="base"), tmp_path / "t.txt")
-        assert (tmp_path / "t.txt").read_text().startswith("# frames: T_world_base ")
+        assert (tmp_path / "t.txt").read_text().startswith("# frames: T_map_base ")
 
     @pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
     @pytest.mark.parametrize("mark", ["", "\ufeff"])
@@ -171,7 +171,7 @@ class TestTum:
 
     def test_brings_slightly_long_quaternions_to_unit_length(self, tmp_path: Path) -> None:
         path = tum_file(tmp_path, "0 0 0 0 0.5030 0.5030 0.5030 0.5030")
-        np.testing.assert_allclose(so3.angle(read_tum(path).T_world_body[0, :3, :3]), 2 * np.pi / 3, atol=1e-12)
+        np.testing.assert_allclose(so3.angle(read_tum(path).T_frame_body[0, :3, :3]), 2 * np.pi / 3, atol=1e-12)
 
     @pytest.mark.parametrize(
         ("lines", "where", "says"),
@@ -234,7 +234,7 @@ class TestKitti:
         trajectory = random_trajectory(n, seed)
         write_kitti(trajectory, path)
         again = read_kitti(path, period_s=0.5, body="base")
-        np.testing.assert_allclose(again.T_world_body, trajectory.T_world_body, atol=5e-8)
+        np.testing.assert_allclose(again.T_frame_body, trajectory.T_frame_body, atol=5e-8)
         np.testing.assert_array_equal(again.stamps_s, 0.5 * np.arange(n))
         assert again.body == "base"
 
@@ -242,7 +242,7 @@ class TestKitti:
         R = so3.exp([0.3, -0.2, 0.5])
         rows = np.hstack([R.round(4), [[1.0], [2.0], [3.0]]])
         path = tum_file(tmp_path, " ".join(map(str, rows.ravel())))
-        np.testing.assert_allclose(read_kitti(path).T_world_body[0, :3, :3], R, atol=1e-4)
+        np.testing.assert_allclose(read_kitti(path).T_frame_body[0, :3, :3], R, atol=1e-4)
 
     @pytest.mark.parametrize(
         ("lines", "where", "says"),
@@ -296,7 +296,7 @@ def test_tum_text_of_all_dialects_is_read(tmp_path: Path, text: str | bytes) -> 
     trajectory = read_tum(path)
     np.testing.assert_array_equal(trajectory.stamps_s, [1.5, 2.5])
     np.testing.assert_array_equal(trajectory.positions_m, [[0.25, 2, 3], [0.5, 2, 3]])
-    np.testing.assert_allclose(trajectory.T_world_body[:, :3, :3], [np.eye(3)] * 2)
+    np.testing.assert_allclose(trajectory.T_frame_body[:, :3, :3], [np.eye(3)] * 2)
 
 
 @pytest.mark.parametrize(
@@ -341,5 +341,5 @@ def test_many_poses_are_read_at_once_as_line_by_line(tmp_path: Path, rng: np.ran
     odd.write_text("# frames: T_odom_base\n" + "".join(rows) + "# the end\n")
     a, b = read_tum(plain), read_tum(odd)
     np.testing.assert_array_equal(a.stamps_s, b.stamps_s)
-    np.testing.assert_array_equal(a.T_world_body, b.T_world_body)
-    assert (a.world, a.body) == (b.world, b.body) == ("odom", "base")
+    np.testing.assert_array_equal(a.T_frame_body, b.T_frame_body)
+    assert (a.frame, a.body) == (b.frame, b.body) == ("odom", "base")

@@ -31,7 +31,7 @@ class Area:
 
     Attributes:
         name: what labels and forests call it.
-        polygon: (N, 2) corners in the world frame, metres, in either direction, not closed.
+        polygon: (N, 2) corners in the map frame, metres, in either direction, not closed.
         x_m: the coordinate x of whoever is in it, or None where it does not tell: a corridor along x.
         y_m: the same for y.
 
@@ -75,7 +75,7 @@ class Area:
             low, high = self.polygon[:, axis].min(), self.polygon[:, axis].max()
             if value is not None and not low <= value <= high:
                 problem = f"tells {name} {value}, but its polygon reaches from {low:g} to {high:g} m"
-                raise _area_error(self.name, problem, "coordinates are metres in the world frame, as the polygon's")
+                raise _area_error(self.name, problem, "coordinates are metres in the map frame, as the polygon's")
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +211,7 @@ def _corners(polygon: Any, name: str) -> FloatArray:
     if len(corners) < 3:
         raise _area_error(name, f"has a polygon of {len(corners)} corners", "give at least three")
     if not np.isfinite(corners).all():
-        raise _area_error(name, "has a corner that is not finite", "metres in the world frame")
+        raise _area_error(name, "has a corner that is not finite", "metres in the map frame")
     return corners
 
 
@@ -221,7 +221,7 @@ def _number(value: Any, name: str, key: str) -> float:
     except (TypeError, ValueError):
         number = np.nan
     if isinstance(value, bool) or not np.isfinite(number):
-        raise _area_error(name, f"has {key} {value!r}, not a number", "metres in the world frame, or leave it out")
+        raise _area_error(name, f"has {key} {value!r}, not a number", "metres in the map frame, or leave it out")
     return number
 
 

@@ -97,7 +97,7 @@ def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
 
 
 class StartSettings(_Settings):
-    """Where the base stands in the world at the first wheel reading."""
+    """Where the base stands in the map at the first wheel reading."""
 
     x_m: float = Field(ge=-1e6, le=1e6)
     y_m: float = Field(ge=-1e6, le=1e6)
@@ -112,7 +112,7 @@ class StartSettings(_Settings):
         )
 
     @property
-    def T_world_base(self) -> FloatArray:
+    def T_odom_base(self) -> FloatArray:
         """(4, 4), in the plane."""
         return se3.from_plane(self.x_m, self.y_m, np.radians(self.yaw_deg))
 

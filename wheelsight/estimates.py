@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -11,6 +11,8 @@ from wheelsight.geometry import FloatArray
 
 # Of (v, ω) in `MotionEstimate.degenerate`: turns count as the way of a point 2 m off, to be compared with ways.
 DEGENERATE_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+_IDENTITY = np.eye(4)
+_IDENTITY.setflags(write=False)
 
 
 class Reason(StrEnum):
@@ -92,19 +94,27 @@ class Estimate:
     Attributes:
         stamp_s: time of the event answered, seconds.
         status: what the pose can be used for.
-        T_world_body: (4, 4), or None while it is not known. `body` is "camera" or "base". Where a wheel reading was
-            refused it is the pose before, and the covariance has grown by what may have happened since.
-        covariance: (6, 6) of the left perturbation (v, ω) of `T_world_body`, or None.
+        T_odom_body: (4, 4) in the frame that never jumps, or None while it is not known. `body` is "camera" or "base".
+            Where a wheel reading was refused it is the pose before, and the covariance has grown by what may have
+            happened since.
+        covariance: (6, 6) of the left perturbation (v, ω) of `T_odom_body`, or None.
         reason: why the event gave no pose of its own, or None.
         matches: of this frame's alignment.
         inliers: likewise.
+        T_map_odom: (4, 4) where the frame odom lies in the map (ROS REP 105); it moves where the map knows better.
     """
 
     stamp_s: float
     status: Status
-    T_world_body: FloatArray | None = None
+    T_odom_body: FloatArray | None = None
     covariance: FloatArray | None = None
     reason: Reason | None = None
     body: str = "camera"
     matches: int = 0
     inliers: int = 0
+    T_map_odom: FloatArray = field(default_factory=lambda: _IDENTITY, kw_only=True)
+
+    @property
+    def T_map_body(self) -> FloatArray | None:
+        """(4, 4) in the map, or None while it is not known: what was seen lies there, and poses may jump."""
+        return None if self.T_odom_body is None else self.T_map_odom @ self.T_odom_body

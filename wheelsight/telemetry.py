@@ -70,12 +70,12 @@ def serve(source: LiveTicks, telemetry: Telemetry, pipe: TelemetryPipe, is_over:
 
 
 def covariance_of_pose(estimate: Estimate) -> FloatArray:
-    """(3, 3) of (x, y, yaw), from that of the left perturbation (v, ω): a turn ω about the world's origin moves
+    """(3, 3) of (x, y, yaw), from that of the left perturbation (v, ω): a turn ω about the map's origin moves
     the base by ω × its position.
     """
-    assert estimate.T_world_body is not None
+    assert estimate.T_odom_body is not None
     assert estimate.covariance is not None
-    x_m, y_m = estimate.T_world_body[:2, 3]
+    x_m, y_m = estimate.T_odom_body[:2, 3]
     J = np.array([[1, 0, -y_m], [0, 1, x_m], [0, 0, 1]])
     return np.asarray(J @ estimate.covariance[np.ix_(_PLANE, _PLANE)] @ J.T)
 

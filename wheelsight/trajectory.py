@@ -35,7 +35,7 @@ _COLUMN_NAMES = (
 _UNIT_APART = re.compile(r"\s+(?=[\[(])")  # of "timestamp [ns]", one name
 _FILE = Kind("a trajectory", most_mb=192)
 _LARGEST_STAMP, _LARGEST = 1e20, 1e12  # of which squares are summed up; stamps may be of a wrong unit
-_FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<world>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
+_FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<frame>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,48 +44,48 @@ class Trajectory:
 
     Attributes:
         stamps_s: (N,) seconds.
-        T_world_body: (N, 4, 4); `body` says of which frame, "camera" or "base".
+        T_frame_body: (N, 4, 4); `body` says of which frame, "camera" or "base".
         covariances: (N, 6, 6) of the left perturbation (v, ω), or None.
         body: name of the frame whose poses these are.
-        world: name of the frame they are in.
+        frame: name of the fixed frame they are in: "map" or "odom".
 
     Raises:
         TrajectoryError: shapes that do not fit, stamps that do not grow, poses that are no rigid motions.
     """
 
     stamps_s: FloatArray
-    T_world_body: FloatArray
+    T_frame_body: FloatArray
     covariances: FloatArray | None = None
     body: str = "camera"
-    world: str = "world"
+    frame: str = "map"
 
     def __post_init__(self) -> None:
-        for name in ("stamps_s", "T_world_body", "covariances"):
+        for name in ("stamps_s", "T_frame_body", "covariances"):
             if getattr(self, name) is not None:
                 values = np.array(getattr(self, name), float)
                 values.setflags(write=False)
                 object.__setattr__(self, name, values)
         n = self.stamps_s.size
-        if self.stamps_s.shape != (n,) or self.T_world_body.shape != (n, 4, 4):
-            shapes = f"{self.stamps_s.shape} and {self.T_world_body.shape}"
+        if self.stamps_s.shape != (n,) or self.T_frame_body.shape != (n, 4, 4):
+            shapes = f"{self.stamps_s.shape} and {self.T_frame_body.shape}"
             raise TrajectoryError(f"a trajectory needs (N,) stamps and (N, 4, 4) poses, not {shapes}")
         if self.covariances is not None and self.covariances.shape != (n, 6, 6):
             raise TrajectoryError(f"covariances must be ({n}, 6, 6), not {self.covariances.shape}")
         if not np.isfinite(self.stamps_s).all() or (np.diff(self.stamps_s) <= 0).any():
             raise TrajectoryError("stamps must be finite and strictly growing")
-        if n and not se3.is_valid(self.T_world_body, tolerance=1e-6):
+        if n and not se3.is_valid(self.T_frame_body, tolerance=1e-6):
             raise TrajectoryError("poses must be finite rigid motions")
 
     def __len__(self) -> int:
         return len(self.stamps_s)
 
     def __iter__(self) -> Iterator[tuple[float, FloatArray]]:
-        return iter(zip(self.stamps_s.tolist(), self.T_world_body, strict=True))
+        return iter(zip(self.stamps_s.tolist(), self.T_frame_body, strict=True))
 
     @property
     def positions_m(self) -> FloatArray:
-        """Positions (N, 3) of the body in the world."""
-        return self.T_world_body[:, :3, 3]
+        """Positions (N, 3) of the body in the map."""
+        return self.T_frame_body[:, :3, 3]
 
     @property
     def duration_s(self) -> float:
@@ -105,7 +105,7 @@ class Trajectory:
 
     def at(self, stamps_s: ArrayLike, max_gap_s: float = np.inf) -> FloatArray:
         """Poses (M, 4, 4) at stamps (M,), on geodesics between neighbours; NaN outside and in gaps over `max_gap_s`."""
-        return interpolate_at(self.stamps_s, self.T_world_body, stamps_s, max_gap_s)
+        return interpolate_at(self.stamps_s, self.T_frame_body, stamps_s, max_gap_s)
 
     def between(self, start_s: float, end_s: float) -> Trajectory:
         """The part with start ≤ stamp ≤ end, seconds."""
@@ -118,14 +118,14 @@ class Trajectory:
             which = which if which.size else which.astype(int)
         index = np.arange(len(self))[which]
         covariances = None if self.covariances is None else self.covariances[index]
-        return Trajectory(self.stamps_s[index], self.T_world_body[index], covariances, self.body, self.world)
+        return Trajectory(self.stamps_s[index], self.T_frame_body[index], covariances, self.body, self.frame)
 
-    def moved(self, T_new_world: ArrayLike) -> Trajectory:
+    def moved(self, T_new_frame: ArrayLike) -> Trajectory:
         """The same trajectory seen from another fixed frame: every pose multiplied by (4, 4) from the left."""
-        T = np.asarray(T_new_world, float)
+        T = np.asarray(T_new_frame, float)
         Ad = se3.adjoint(T)
         covariances = None if self.covariances is None else Ad @ self.covariances @ Ad.T
-        return Trajectory(self.stamps_s, T @ self.T_world_body, covariances, self.body, self.world)
+        return Trajectory(self.stamps_s, T @ self.T_frame_body, covariances, self.body, self.frame)
 
 
 def read_tum(path: StrPath, body: str = "camera", warn: Callable[[str], None] = _log.warning) -> Trajectory:
@@ -134,7 +134,7 @@ def read_tum(path: StrPath, body: str = "camera", warn: Callable[[str], None] = 
     Commas, semicolons (with decimal commas) or white space part the numbers; a first line may name the columns, which
     may then stand in any order among others.
 
-    A line "# frames: T_world_base" (wheelsight writes it) names the frames; else `body` does.
+    A line "# frames: T_frame_base" (wheelsight writes it) names the frames; else `body` does.
     Quaternions are brought to unit length when they are within 1 % of it. Of lines that repeat the stamp
     before them the first is kept, and `warn` is told in one sentence, as long as they are under 1 % of all.
 
@@ -150,8 +150,8 @@ def read_tum(path: StrPath, body: str = "camera", warn: Callable[[str], None] = 
             f"quaternion has length {norms[bad]:.4g}, not 1", path=path, line=int(lines[bad]), fix="write qx qy qz qw"
         )
     values = values[_first_of_each_stamp(values[:, 0], lines, path, warn)]
-    world, body = frames or ("world", body)
-    return Trajectory(values[:, 0], se3.from_quaternion(values[:, 1:4], values[:, 4:]), None, body, world)
+    frame, body = frames or ("map", body)
+    return Trajectory(values[:, 0], se3.from_quaternion(values[:, 1:4], values[:, 4:]), None, body, frame)
 
 
 def _first_of_each_stamp(stamps_s: FloatArray, lines: IntArray, path: Path, warn: Callable[[str], None]) -> BoolArray:
@@ -187,14 +187,14 @@ def write_tum(trajectory: Trajectory, path: StrPath) -> None:
 
 def tum_header(trajectory: Trajectory) -> str:
     """The comment lines that TUM text begins with; they name the trajectory's frames."""
-    name = f"T_{trajectory.world}_{trajectory.body}"
-    frames = f"# frames: {name} (pose of the {trajectory.body} in the {trajectory.world} frame)"
+    name = f"T_{trajectory.frame}_{trajectory.body}"
+    frames = f"# frames: {name} (pose of the {trajectory.body} in the {trajectory.frame} frame)"
     return f"{frames}\n# timestamp tx ty tz qx qy qz qw\n"
 
 
 def tum_lines(trajectory: Trajectory) -> Iterator[str]:
     """A line of TUM text for each pose."""
-    t, q = trajectory.positions_m, so3.to_quaternion(trajectory.T_world_body[:, :3, :3])
+    t, q = trajectory.positions_m, so3.to_quaternion(trajectory.T_frame_body[:, :3, :3])
     for stamp, position, quaternion in zip(trajectory.stamps_s, t, q, strict=True):
         seconds = np.format_float_positional(stamp, min_digits=6)
         yield f"{seconds} " + " ".join(f"{x:.9f}" for x in (*position, *quaternion)) + "\n"
@@ -212,15 +212,15 @@ def read_kitti(path: StrPath, period_s: float = 0.1, body: str = "camera") -> Tr
     R = so3.nearest(values[:, :, :3])
     for bad in np.flatnonzero(np.abs(R - values[:, :, :3]).max(axis=(1, 2), initial=0) > _ORTHONORMAL_TOLERANCE):
         raise TrajectoryError("the first 3×3 numbers are no rotation", path=path, line=int(lines[bad]))
-    world, body = frames or ("world", body)
+    frame, body = frames or ("map", body)
     stamps_s: FloatArray = period_s * np.arange(len(values), dtype=np.float64)
-    return Trajectory(stamps_s, se3.from_parts(R, values[:, :, 3]), None, body, world)
+    return Trajectory(stamps_s, se3.from_parts(R, values[:, :, 3]), None, body, frame)
 
 
 def write_kitti(trajectory: Trajectory, path: StrPath) -> None:
     """Write KITTI text, atomically; stamps are not part of the format. Raises OutputError."""
     path = Path(path)
-    rows = trajectory.T_world_body[:, :3, :].reshape(-1, 12)
+    rows = trajectory.T_frame_body[:, :3, :].reshape(-1, 12)
     write_text(path, "".join(" ".join(f"{x:.9e}" for x in row) + "\n" for row in rows))
 
 
@@ -248,12 +248,17 @@ def _comments_above(text: str) -> tuple[int, int, tuple[str, str] | None, StampU
         end = text.find("\n", begin)
         line = text[begin : end if end >= 0 else None]
         if named := _FRAMES_LINE.match(line):
-            frames = (named["world"], named["body"])
+            frames = _frames_of(named)
         unit = column_unit(line.lstrip("# \t")) or unit
         if end < 0:
             return len(text), number, frames, unit
         begin, number = end + 1, number + 1
     return begin, number, frames, unit
+
+
+def _frames_of(named: re.Match[str]) -> tuple[str, str]:
+    """Names of the frame and the body; files of before 2026-12 call the map frame "world"."""
+    return "map" if named["frame"] == "world" else named["frame"], named["body"]
 
 
 def _read_lines(
@@ -266,7 +271,7 @@ def _read_lines(
         bare = line
         if "#" in line:
             if named := _FRAMES_LINE.match(line):
-                frames = (named["world"], named["body"])
+                frames = _frames_of(named)
             bare = line.split("#")[0]
         words = split_words(bare)
         if not words:

@@ -25,22 +25,22 @@ class FrameToFrame(ABC):
         self._images = PlainImages(calibration, register)
         self.K = self._images.camera.K
         self._previous: Any = None
-        self._T_world_previous = np.eye(4)
+        self._T_odom_previous = np.eye(4)
 
     def prepare(self, frame: RgbdFrame) -> Any:
         """The undistorted frame in the peer's own form."""
         return self.native(self._images.of(frame))
 
     def track(self, prepared: Any) -> FloatArray | None:
-        """T_world_camera (4, 4), or None where the peer found no motion."""
+        """T_odom_camera (4, 4), or None where the peer found no motion."""
         current = self.take_in(prepared)
         if self._previous is not None:
             T_previous_current = self.motion(self._previous, current)
             if T_previous_current is None:
                 return None
-            self._T_world_previous = self._T_world_previous @ T_previous_current
+            self._T_odom_previous = self._T_odom_previous @ T_previous_current
         self._previous = current
-        return self._T_world_previous @ self._images.T_view_depth
+        return self._T_odom_previous @ self._images.T_view_depth
 
     @abstractmethod
     def native(self, frame: RgbdFrame) -> Any:

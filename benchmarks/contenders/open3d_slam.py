@@ -34,8 +34,8 @@ class Open3dSlam:
         self._slam: Any = self._o3d.t.pipelines.slam
         self._device: Any = self._o3d.core.Device("CPU:0")
         self._images = PlainImages(calibration, register=not calibration.is_registered)
-        self._T_world_view = np.eye(4)
-        start = self._o3d.core.Tensor(self._T_world_view)
+        self._T_odom_view = np.eye(4)
+        start = self._o3d.core.Tensor(self._T_odom_view)
         self._model: Any = self._slam.Model(voxel_m, _BLOCK_VOXELS, _BLOCKS, start, self._device)
         camera = self._images.camera
         about = (camera.height, camera.width, self._o3d.core.Tensor(camera.K), self._device)
@@ -49,17 +49,17 @@ class Open3dSlam:
         return self._image(steps), self._image(plain.color)
 
     def track(self, prepared: tuple[Any, Any]) -> FloatArray | None:
-        """T_world_camera (4, 4), or None where the model does not explain the frame, which then is not integrated."""
+        """T_odom_camera (4, 4), or None where the model does not explain the frame, which then is not integrated."""
         for name, image in zip(("depth", "color"), prepared, strict=True):
             self._seen.set_data_from_image(name, image)
         if self._count and not self._locate():
             return None
         model, scale = self._model, _STEPS_PER_M
-        model.update_frame_pose(self._count, self._o3d.core.Tensor(self._T_world_view))
+        model.update_frame_pose(self._count, self._o3d.core.Tensor(self._T_odom_view))
         model.integrate(self._seen, scale, _DEPTH_MAX_M, _TRUNCATION_VOXELS)
         model.synthesize_model_frame(self._predicted, scale, _DEPTH_MIN_M, _DEPTH_MAX_M, _TRUNCATION_VOXELS, False)
         self._count += 1
-        return self._T_world_view @ self._images.T_view_depth
+        return self._T_odom_view @ self._images.T_view_depth
 
     def _locate(self) -> bool:
         given = (self._seen, self._predicted, _STEPS_PER_M, _DEPTH_MAX_M, _ODOMETRY_DISTANCE_M)
@@ -68,7 +68,7 @@ class Open3dSlam:
         except RuntimeError:
             return False
         if result.fitness > 0:
-            self._T_world_view = self._T_world_view @ result.transformation.numpy()
+            self._T_odom_view = self._T_odom_view @ result.transformation.numpy()
         return bool(result.fitness > 0)
 
     def _image(self, values: Any) -> Any:

@@ -19,7 +19,7 @@ class Tracker(Protocol):
         ...
 
     def track(self, prepared: Any) -> FloatArray | None:
-        """T_world_camera (4, 4) of a prepared frame, the depth camera's, or None; timed."""
+        """T_odom_camera (4, 4) of a prepared frame, the depth camera's, or None; timed."""
         ...
 
 

@@ -28,8 +28,8 @@ class WheelsightDense:
         return frame
 
     def track(self, prepared: RgbdFrame) -> FloatArray | None:
-        """T_world_camera (4, 4), or None."""
-        return self._odometry.process(prepared).T_world_body
+        """T_odom_camera (4, 4), or None."""
+        return self._odometry.process(prepared).T_odom_body
 
 
 class WheelsightSurfels:
@@ -46,8 +46,8 @@ class WheelsightSurfels:
         return frame
 
     def track(self, prepared: RgbdFrame) -> FloatArray | None:
-        """T_world_camera (4, 4), or None."""
-        return self._mapper.process(prepared).T_world_body
+        """T_odom_camera (4, 4), or None."""
+        return self._mapper.process(prepared).T_odom_body
 
 
 def _as_many_threads() -> DenseSettings:

@@ -26,8 +26,8 @@ class WheelsightFeatures:
         return frame
 
     def track(self, prepared: RgbdFrame) -> FloatArray | None:
-        """T_world_camera (4, 4), or None."""
-        return self._odometry.process(prepared).T_world_body
+        """T_odom_camera (4, 4), or None."""
+        return self._odometry.process(prepared).T_odom_body
 
 
 KEYFRAMES = Contender(

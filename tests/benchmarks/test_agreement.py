@@ -23,7 +23,7 @@ TRUTH = synthetic.wobbling_trajectory(31)
 
 @pytest.fixture(scope="module")
 def frames() -> list[RgbdFrame]:
-    poses = zip(TRUTH.stamps_s, TRUTH.T_world_body, strict=True)
+    poses = zip(TRUTH.stamps_s, TRUTH.T_frame_body, strict=True)
     return [RgbdFrame(float(stamp_s), *synthetic.render_room(T)) for stamp_s, T in poses]
 
 
@@ -42,7 +42,7 @@ def test_true_poses_agree_with_depth(pairs: DepthPairs, frames: list[RgbdFrame])
 def test_what_is_wrong_shows(pairs: DepthPairs, frames: list[RgbdFrame]) -> None:
     """Each pose off by its time along one axis: over 15 frames, half a second, by a known way."""
     speed_m_s = 0.04
-    T = TRUTH.T_world_body.copy()
+    T = TRUTH.T_frame_body.copy()
     T[:, 0, 3] += speed_m_s * TRUTH.stamps_s
     way_m = speed_m_s * (TRUTH.stamps_s[15] - TRUTH.stamps_s[0])
     found = agreement(pairs, frames, Trajectory(TRUTH.stamps_s, T), 15)
@@ -51,7 +51,7 @@ def test_what_is_wrong_shows(pairs: DepthPairs, frames: list[RgbdFrame]) -> None
 
 def test_frames_without_a_pose_are_not_compared(pairs: DepthPairs, frames: list[RgbdFrame]) -> None:
     known = np.r_[0:12, 20:31]
-    few = Trajectory(TRUTH.stamps_s[known], TRUTH.T_world_body[known])
+    few = Trajectory(TRUTH.stamps_s[known], TRUTH.T_frame_body[known])
     assert agreement(pairs, frames, few, 15).pairs == 1
 
 

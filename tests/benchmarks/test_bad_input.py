@@ -28,7 +28,7 @@ VARIANCE = 0.02**2
 
 @pytest.fixture(scope="module")
 def truth():
-    """T_world_camera along a straight line, turned somehow, at 0.5 m/s."""
+    """T_odom_camera along a straight line, turned somehow, at 0.5 m/s."""
     positions_m = np.stack([1 + 0.5 * STAMPS_S, np.full(FRAMES, 2.0), np.full(FRAMES, 0.9)], axis=1)
     R = np.broadcast_to(so3.exp([0.3, -0.2, 0.5]), (FRAMES, 3, 3))
     return Trajectory(STAMPS_S, se3.from_parts(R, positions_m), body="camera")
@@ -45,7 +45,7 @@ class Tracker:
     """Knows the truth from its own start, but for what it is told to get wrong."""
 
     def __init__(self, truth, *, off_m=0.0, off_rad=0.0, wrong_s=(9, 9), silent_s=(9, 9), fuses=False):
-        self._T_start_world = se3.invert(truth.T_world_body[0])
+        self._T_start_world = se3.invert(truth.T_frame_body[0])
         self._truth, self._fuses = truth, fuses
         self._wrong_s, self._silent_s = wrong_s, silent_s
         self._T_off = se3.from_parts(so3.exp([0, 0, off_rad]), [0, off_m, 0])
@@ -97,12 +97,12 @@ def test_positions_within_three_sigma_are_counted(truth, events):
     for off_m, share in ((0.074, 1.0), (0.077, 0.5)):
         tracker = Tracker(truth, off_m=off_m, wrong_s=(3.0, 9.0))
         # The covariance is that of a perturbation about the world's origin: near it, position's alone.
-        close = replace(truth, T_world_body=_standing(truth))
+        close = replace(truth, T_frame_body=_standing(truth))
         assert measure_case(Case("x"), "dense", _on(tracker, close), events, close).within == share
 
 
 def _standing(truth):
-    return np.broadcast_to(truth.T_world_body[0], truth.T_world_body.shape).copy()
+    return np.broadcast_to(truth.T_frame_body[0], truth.T_frame_body.shape).copy()
 
 
 def _on(tracker, truth):

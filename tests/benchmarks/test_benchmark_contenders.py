@@ -34,7 +34,7 @@ def drift(tracker: contenders.Tracker, frames: list[RgbdFrame]) -> float:
     poses = [tracker.track(tracker.prepare(frame)) for frame in frames]
     assert poses[0] is not None
     assert poses[-1] is not None
-    T_first_last = relative(TRUTH.T_world_body[0], TRUTH.T_world_body[-1])
+    T_first_last = relative(TRUTH.T_frame_body[0], TRUTH.T_frame_body[-1])
     error = relative(T_first_last, relative(poses[0], poses[-1]))
     return float(np.linalg.norm(error[:3, 3]) / np.linalg.norm(T_first_last[:3, 3]))
 
@@ -44,13 +44,13 @@ def allowed(contender: Contender) -> float:
     return 0.4 if contender in SLAM else 0.25
 
 
-def relative(T_world_a: FloatArray, T_world_b: FloatArray) -> FloatArray:
-    return se3.invert(T_world_a) @ T_world_b
+def relative(T_odom_a: FloatArray, T_odom_b: FloatArray) -> FloatArray:
+    return se3.invert(T_odom_a) @ T_odom_b
 
 
 @pytest.fixture(scope="module")
 def frames() -> list[RgbdFrame]:
-    return [RgbdFrame(stamp_s, *render_room(T_world_camera, CAMERA)) for stamp_s, T_world_camera in TRUTH]
+    return [RgbdFrame(stamp_s, *render_room(T_odom_camera, CAMERA)) for stamp_s, T_odom_camera in TRUTH]
 
 
 @pytest.fixture(scope="module")

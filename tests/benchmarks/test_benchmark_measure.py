@@ -84,10 +84,10 @@ def test_a_contender_that_fails_says_why_in_one_line(bench_data: Path) -> None:
     assert result.problem == "KeyError: 'nobody'"
 
 
-def leave_passage(folder: Path, T_world_camera: FloatArray, seconds: list[float]) -> Path:
+def leave_passage(folder: Path, T_odom_camera: FloatArray, seconds: list[float]) -> Path:
     folder.mkdir()
     stamps_s = np.arange(len(seconds)) / 10
-    write_tum(Trajectory(stamps_s[: len(T_world_camera)], T_world_camera), folder / "trajectory.txt")
+    write_tum(Trajectory(stamps_s[: len(T_odom_camera)], T_odom_camera), folder / "trajectory.txt")
     (folder / "passage.json").write_text(json.dumps(asdict(Passage(stamps_s.tolist(), seconds, 123.0))))
     return folder
 

@@ -45,10 +45,10 @@ def drive(slip_s=(9.9, 9.9), runs_on_m_s=0.0):
 
 def answers_to(drive, *, off_m=0.0, status=lambda t: Status.TRACKING, slip=lambda t: False, known=lambda t: True):
     """What somebody says who knows the truth, laid into a world of his own, and is off by so much to the left."""
-    T_world_true = se3.from_parts(so3.exp([0.1, -0.2, 0.3]), [5.0, 1.0, 0.2])
+    T_odom_true = se3.from_parts(so3.exp([0.1, -0.2, 0.3]), [5.0, 1.0, 0.2])
     said = []
     for index, (stamp_s, T) in enumerate(drive.truth):
-        T_told = T_world_true @ T @ se3.from_parts(np.eye(3), [0, off_m * (index > 0), 0])
+        T_told = T_odom_true @ T @ se3.from_parts(np.eye(3), [0, off_m * (index > 0), 0])
         pose = (T_told, VARIANCE * np.eye(6)) if known(stamp_s) else (None, None)
         said.append(FusedEstimate(stamp_s, status(stamp_s), *pose, slip=slip(stamp_s)))
     return Answers(said)
@@ -86,7 +86,7 @@ def test_a_heading_that_is_lost_is_an_error():
     T_turned = [
         T
         if i == 0
-        else straight.truth.T_world_body[0] @ se3.from_plane(0, 0, 0.1) @ se3.invert(straight.truth.T_world_body[0]) @ T
+        else straight.truth.T_frame_body[0] @ se3.from_plane(0, 0, 0.1) @ se3.invert(straight.truth.T_frame_body[0]) @ T
         for i, (_, T) in enumerate(straight.truth)
     ]
     told = Answers([Estimate(float(t), Status.TRACKING, T, np.eye(6)) for t, T in zip(STAMPS_S, T_turned, strict=True)])
@@ -137,7 +137,7 @@ def test_people_in_the_way_are_no_slip():
 
 def test_a_base_that_slides_sideways_slips():
     straight = drive()
-    T = straight.truth.T_world_body.copy()
+    T = straight.truth.T_frame_body.copy()
     T[:, :3, 3] += 0.06 * STAMPS_S[:, None] * T[:, :3, 1]
     assert slip_spans_s(replace(straight, truth=Trajectory(STAMPS_S, T, body="base")), WHEELS_TRUE)
 

@@ -57,8 +57,8 @@ def _seen_x_m(recording, index):
     frame, calibration = recording.renderer.frame(int(index)), recording.true_calibration
     rows, columns = np.nonzero(frame.depth_m)
     points = calibration.cameras[1].back_project(np.column_stack([columns, rows]), frame.depth_m[rows, columns])
-    T_world_camera = recording.ground_truth.at([frame.stamp_s])[0] @ calibration.T_base_camera
-    return points @ T_world_camera[0, :3] + T_world_camera[0, 3]
+    T_odom_camera = recording.ground_truth.at([frame.stamp_s])[0] @ calibration.T_base_camera
+    return points @ T_odom_camera[0, :3] + T_odom_camera[0, 3]
 
 
 @pytest.mark.slow

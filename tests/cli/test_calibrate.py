@@ -190,7 +190,7 @@ def test_the_pages_draw_all_they_promise(
 def test_the_reference_is_read_as_told(wheelsight: Command, refusal: Refusal, drive: Path, tmp_path: Path) -> None:
     camera = tmp_path / "camera.txt"
     truth = read_tum(drive / "groundtruth_base.txt")
-    write_tum(Trajectory(truth.stamps_s, truth.T_world_body, body="camera"), camera)
+    write_tum(Trajectory(truth.stamps_s, truth.T_frame_body, body="camera"), camera)
     told = refusal("calibrate", "wheels", drive, "--reference", camera, "--out", tmp_path / "wheels.yaml")
     assert "give T_base_camera" in told
 

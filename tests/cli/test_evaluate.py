@@ -21,7 +21,7 @@ Command = Callable[..., Result]
 def files(tmp_path: Path) -> tuple[Path, Path]:
     """An estimate 1 % too large, and the truth."""
     truth = wobbling_trajectory(90)
-    T = truth.T_world_body.copy()
+    T = truth.T_frame_body.copy()
     T[:, :3, 3] *= 1.01
     write_tum(Trajectory(truth.stamps_s, T), tmp_path / "estimate.txt")
     write_tum(truth, tmp_path / "truth.txt")
@@ -41,19 +41,19 @@ def test_json_holds_figures_with_units(wheelsight: Command, files: tuple[Path, P
     figures = json.loads(wheelsight("evaluate", *files, "--json").stdout)
     assert 0 < figures["ate_m"]["rmse"] < 0.01
     assert figures["scale"] is None
-    assert figures["frame"] == "T_world_camera"
+    assert figures["frame"] == "T_odom_camera"
 
 
 def test_the_frame_is_told_and_what_headers_leave_out_can_be_said(
     wheelsight: Command, refusal: Callable[..., str], files: tuple[Path, Path]
 ) -> None:
     estimate, truth = files
-    assert "T_world_camera: 90 pairs" in wheelsight("evaluate", *files).stdout
-    estimate.write_text(estimate.read_text().replace("T_world_camera", "T_world_base"))
+    assert "T_odom_camera: 90 pairs" in wheelsight("evaluate", *files).stdout
+    estimate.write_text(estimate.read_text().replace("T_odom_camera", "T_odom_base"))
     assert "move differently" in refusal("evaluate", *files)
     truth.write_text("\n".join(line for line in truth.read_text().splitlines() if not line.startswith("#")))
     assert "move differently" in refusal("evaluate", *files)
-    assert "T_world_base: 90 pairs" in wheelsight("evaluate", *files, "--body", "base").stdout
+    assert "T_odom_base: 90 pairs" in wheelsight("evaluate", *files, "--body", "base").stdout
 
 
 def test_scale_is_fitted_when_asked(wheelsight: Command, files: tuple[Path, Path]) -> None:
@@ -66,7 +66,7 @@ def test_scale_is_fitted_when_asked(wheelsight: Command, files: tuple[Path, Path
 def test_max_gap_decides_what_is_compared(wheelsight: Command, files: tuple[Path, Path]) -> None:
     estimate, truth = files
     shifted = wobbling_trajectory(90)
-    write_tum(Trajectory(shifted.stamps_s + 0.012, shifted.T_world_body), estimate)
+    write_tum(Trajectory(shifted.stamps_s + 0.012, shifted.T_frame_body), estimate)
     assert json.loads(wheelsight("evaluate", estimate, truth, "--json").stdout)["pairs"] == 90
     result = wheelsight("evaluate", estimate, truth, "--max-gap", "0.005")
     assert result.exit_code == 2
@@ -122,7 +122,7 @@ def test_doubts_are_told_after_the_table_and_in_json(wheelsight: Command, files:
     estimate, truth = files
     sound = read_tum(truth)
     for path, scale in ((estimate, 1.0), (truth, 1e3)):
-        write_tum(Trajectory(scale * (sound.stamps_s - sound.stamps_s[0]), sound.T_world_body), path)
+        write_tum(Trajectory(scale * (sound.stamps_s - sound.stamps_s[0]), sound.T_frame_body), path)
     result = wheelsight("evaluate", estimate, truth, "--max-gap", "100")
     assert result.exit_code == 0, result.output
     assert "look like milliseconds" in " ".join(result.stderr.split())
@@ -135,14 +135,14 @@ def test_the_truth_of_the_estimates_body_is_taken_where_it_lies_beside(
     wheelsight: Command, refusal: Callable[..., str], files: tuple[Path, Path]
 ) -> None:
     estimate, truth = files
-    of_base = estimate.read_text().replace("T_world_camera", "T_world_base")
+    of_base = estimate.read_text().replace("T_odom_camera", "T_odom_base")
     estimate.write_text(of_base)
     truth = truth.rename(truth.with_name("groundtruth.txt"))
     assert "move differently" in refusal("evaluate", estimate, truth)
     truth.with_name("groundtruth_base.txt").write_text(of_base)
     result = wheelsight("evaluate", estimate, truth)
     assert result.exit_code == 0, result.output
-    assert "T_world_base: 90 pairs" in result.stdout
+    assert "T_odom_base: 90 pairs" in result.stdout
     assert "groundtruth_base.txt beside it, of the base, is taken" in result.stderr
 
 

@@ -123,7 +123,7 @@ def test_a_blank_wall_gives_no_pose_and_says_why(wheelsight: Command, tmp_path: 
 def test_a_blackout_of_two_seconds_is_lost_and_found_again(wheelsight: Command, tmp_path: Path, kind: str) -> None:
     away = range(10, 70)
     there_and_back = wobbling_trajectory(80)
-    T = there_and_back.T_world_body.copy()
+    T = there_and_back.T_frame_body.copy()
     T[70:] = T[9::-1]  # what is seen after the blackout was seen before it
     stamps_s = there_and_back.stamps_s
     make_tum_recording(tmp_path / "room", trajectory=Trajectory(stamps_s, T), **{kind: away})

@@ -24,7 +24,7 @@ def winding_path(n: int = 60, seed: int = 0) -> Trajectory:
 
 def noisy(truth: Trajectory, sigma: float = 0.02, seed: int = 1) -> Trajectory:
     noise = se3.exp(np.random.default_rng(seed).normal(0, sigma, (len(truth), 6)))
-    return Trajectory(truth.stamps_s, truth.T_world_body @ noise)
+    return Trajectory(truth.stamps_s, truth.T_frame_body @ noise)
 
 
 def test_of_the_truth_itself_is_zero() -> None:
@@ -39,11 +39,11 @@ def test_of_the_truth_itself_is_zero() -> None:
 @given(xi=st.lists(st.floats(-3, 3), min_size=6, max_size=6))
 def test_forgives_any_rigid_motion_of_the_estimate(xi: list[float]) -> None:
     truth = winding_path()
-    estimate, T_new_world = noisy(truth), se3.exp(np.array(xi))
-    before, after = ate(estimate, truth), ate(estimate.moved(T_new_world), truth)
+    estimate, T_new_frame = noisy(truth), se3.exp(np.array(xi))
+    before, after = ate(estimate, truth), ate(estimate.moved(T_new_frame), truth)
     np.testing.assert_allclose(after.errors_m, before.errors_m, atol=1e-9)
     np.testing.assert_allclose(after.errors_rad, before.errors_rad, atol=1e-7)
-    np.testing.assert_allclose(after.T_truth_estimate @ T_new_world, before.T_truth_estimate, atol=1e-9)
+    np.testing.assert_allclose(after.T_truth_estimate @ T_new_frame, before.T_truth_estimate, atol=1e-9)
 
 
 def test_of_opposite_offsets_is_their_size() -> None:
@@ -58,13 +58,13 @@ def test_of_opposite_offsets_is_their_size() -> None:
 
 def test_scale_only_on_request() -> None:
     truth = winding_path()
-    T = truth.T_world_body.copy()
+    T = truth.T_frame_body.copy()
     T[:, :3, 3] *= 0.5
     half = Trajectory(truth.stamps_s, T, np.tile(np.eye(6), (len(truth), 1, 1))).moved(se3.exp([1, 2, 3, 0.4, 0, 0]))
     assert ate(half, truth).translation.rmse > 0.1
     error = ate(half, truth, with_scale=True)
     assert error.scale == pytest.approx(2.0)
-    np.testing.assert_allclose(error.aligned.T_world_body, truth.T_world_body, atol=1e-9)
+    np.testing.assert_allclose(error.aligned.T_frame_body, truth.T_frame_body, atol=1e-9)
     assert error.aligned.covariances is not None
     # (v, ω) of the body at the world's origin: positions doubled, angles kept.
     Ad = se3.adjoint(error.T_truth_estimate @ se3.exp([1, 2, 3, 0.4, 0, 0]))
@@ -74,7 +74,7 @@ def test_scale_only_on_request() -> None:
 def test_rotation_error_is_what_alignment_leaves() -> None:
     truth = winding_path()
     R_true_estimated = so3.exp([0.0, 0.3, 0.0])
-    T = truth.T_world_body.copy()
+    T = truth.T_frame_body.copy()
     T[:, :3, :3] = T[:, :3, :3] @ R_true_estimated
     error = ate(Trajectory(truth.stamps_s, T), truth)
     assert error.translation.max < 1e-12
@@ -103,7 +103,7 @@ def test_of_a_robot_that_stood_still() -> None:
 
 def test_compares_only_poses_near_in_time() -> None:
     truth = winding_path()
-    estimate = Trajectory(truth.stamps_s[::2] + 0.004, truth.T_world_body[::2])
+    estimate = Trajectory(truth.stamps_s[::2] + 0.004, truth.T_frame_body[::2])
     assert ate(estimate, truth).translation.max < 1e-12
     error = ate(estimate, truth)
     np.testing.assert_array_equal(error.stamps_s, estimate.stamps_s)
@@ -129,8 +129,8 @@ def test_a_mirrored_path_near_a_plane_is_not_laid_on_its_image(
     mount = np.eye(4) if body == "base" else np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 1], [0, 0, 0, 1]])
     truth = bent_path(0.05)
     uneven = se3.exp(rng.normal(0, 0.005, (len(truth), 6)))
-    truth = Trajectory(truth.stamps_s, truth.T_world_body @ uneven @ mount, body=body)
-    T = bent_path(0.05).T_world_body.copy()
+    truth = Trajectory(truth.stamps_s, truth.T_frame_body @ uneven @ mount, body=body)
+    T = bent_path(0.05).T_frame_body.copy()
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])
     T = mirror @ T @ mirror @ se3.exp(rng.normal(0, 0.005, (len(truth), 6))) @ mount
     T[:, 2, 3] += np.linspace(0, 0.1, len(T))
@@ -140,20 +140,20 @@ def test_a_mirrored_path_near_a_plane_is_not_laid_on_its_image(
     assert np.sqrt(np.mean(turned**2)) < 0.1  # in space the mirror image can be had
     error = ate(estimate, truth, with_scale=with_scale)
     assert error.translation.rmse > 0.8
-    up = error.aligned.T_world_body[:, :3, :3] @ mount[:3, :3].T
+    up = error.aligned.T_frame_body[:, :3, :3] @ mount[:3, :3].T
     assert (up[:, 2, 2] > 0.95).all()
 
 
 def test_a_path_in_space_is_laid_as_it_fits_whatever_orientations_say() -> None:
     truth = winding_path()
-    T = truth.T_world_body @ se3.from_parts(so3.exp([np.pi, 0, 0]), np.zeros(3))  # a body named by other axes
+    T = truth.T_frame_body @ se3.from_parts(so3.exp([np.pi, 0, 0]), np.zeros(3))  # a body named by other axes
     assert ate(Trajectory(truth.stamps_s, T), truth).translation.max < 1e-9
 
 
 def test_an_estimate_of_another_size_is_said_to_be_one() -> None:
     truth = bent_path(0.05)
     stood = Trajectory(truth.stamps_s, np.tile(np.eye(4), (len(truth), 1, 1)), body="base")
-    wild = truth.T_world_body.copy()
+    wild = truth.T_frame_body.copy()
     wild[:, :3, 3] *= 1e38
     with pytest.raises(EvaluationError, match=r"cannot be laid upon the truth: its 200 poses reach over .*e\+39 m"):
         ate(Trajectory(truth.stamps_s, wild, body="base"), stood)

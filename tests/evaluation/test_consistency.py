@@ -26,7 +26,7 @@ def growing(n: int = 400, seed: int = 0) -> tuple[Trajectory, Trajectory]:
     true, errors = driving(n), np.cumsum(sigmas * rng.standard_normal((n, 6)), axis=0)
     errors -= errors[0]
     covariances = np.arange(n)[:, None, None] * np.diag(sigmas**2)
-    T = se3.invert(se3.exp(errors)) @ true.T_world_body
+    T = se3.invert(se3.exp(errors)) @ true.T_frame_body
     return Trajectory(true.stamps_s, T, covariances, body="base"), true.moved(T_TRUTH_START)
 
 
@@ -50,7 +50,7 @@ def test_an_error_of_known_size_is_told_along_the_way_and_aside() -> None:
     true = driving(covariances=np.tile(1e-4 * np.eye(6), (400, 1, 1)))
     ahead = np.zeros((400, 6))
     ahead[:, 0], ahead[:, 1] = np.linspace(0, 0.3, 400), np.linspace(0, -0.1, 400)
-    T = true.T_world_body.copy()
+    T = true.T_frame_body.copy()
     T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], ahead[:, :3])
     found = consistency(Trajectory(true.stamps_s, T, true.covariances, body="base"), driving().moved(T_TRUTH_START))
     np.testing.assert_allclose(found.errors_m, ahead[:, :2], atol=1e-9)
@@ -67,7 +67,7 @@ def test_the_share_of_time_is_that_of_chi_squared() -> None:
 
 def test_one_that_states_too_little_is_found_out() -> None:
     estimate, truth = growing()
-    boasting = Trajectory(estimate.stamps_s, estimate.T_world_body, estimate.covariances / 1e4, body="base")
+    boasting = Trajectory(estimate.stamps_s, estimate.T_frame_body, estimate.covariances / 1e4, body="base")
     assert consistency(boasting, truth, truth_sigma_m=1e-6).share < 0.5
 
 
@@ -88,6 +88,6 @@ def test_what_cannot_be_compared_is_refused() -> None:
     with pytest.raises(EvaluationError, match="no covariances"):
         consistency(driving(), truth)
     with pytest.raises(EvaluationError, match="of the base, the ground truth of the camera"):
-        consistency(estimate, Trajectory(truth.stamps_s, truth.T_world_body, body="camera"))
+        consistency(estimate, Trajectory(truth.stamps_s, truth.T_frame_body, body="camera"))
     with pytest.raises(EvaluationError, match="0 of the estimate's poses have a truth"):
-        consistency(estimate, Trajectory(truth.stamps_s + 1e4, truth.T_world_body, body="base"))
+        consistency(estimate, Trajectory(truth.stamps_s + 1e4, truth.T_frame_body, body="base"))

@@ -31,12 +31,12 @@ def drive(body: str = "base", rate_hz: float = 10.0) -> Trajectory:
 
 
 def restamped(trajectory: Trajectory, stamps: np.ndarray) -> Trajectory:
-    return Trajectory(stamps, trajectory.T_world_body, body=trajectory.body)
+    return Trajectory(stamps, trajectory.T_frame_body, body=trajectory.body)
 
 
 def with_w_first(trajectory: Trajectory) -> Trajectory:
     """As read from a file that was written qw qx qy qz."""
-    q = so3.to_quaternion(trajectory.T_world_body[:, :3, :3])
+    q = so3.to_quaternion(trajectory.T_frame_body[:, :3, :3])
     T = se3.from_quaternion(trajectory.positions_m, q[:, [3, 0, 1, 2]])
     return Trajectory(trajectory.stamps_s, T, body=trajectory.body)
 
@@ -45,7 +45,7 @@ def with_w_first(trajectory: Trajectory) -> Trajectory:
 def test_sound_files_raise_none(rng: np.random.Generator, body: str) -> None:
     truth = drive(body, rate_hz=100.0)
     noise = se3.exp(rng.normal(0, 0.01, (250, 6)))
-    estimate = Trajectory(truth.stamps_s[::10], truth.T_world_body[::10] @ noise, body=body)
+    estimate = Trajectory(truth.stamps_s[::10], truth.T_frame_body[::10] @ noise, body=body)
     assert doubts_of(estimate, truth, GAP_S) == ()
     assert evaluate(estimate, truth).warnings == ()
 
@@ -90,7 +90,7 @@ def test_quaternions_that_begin_with_w_are_told_and_in_which_file(body: str) -> 
 
 def test_a_camera_that_turns_wrongly_is_no_order_of_numbers() -> None:
     truth = drive("camera")
-    R = truth.T_world_body[:, :3, :3]
+    R = truth.T_frame_body[:, :3, :3]
     wrong = Trajectory(truth.stamps_s, se3.from_parts(np.swapaxes(R, 1, 2), truth.positions_m))
     assert doubts_of(wrong, truth, GAP_S) == ()
 

@@ -20,7 +20,7 @@ def path(n: int = 90, start_s: float = 100.0, body: str = "camera") -> Trajector
 
 def drifting(truth: Trajectory) -> Trajectory:
     wander = np.cumsum(np.random.default_rng(3).normal(0, 0.002, (len(truth), 6)), axis=0)
-    return Trajectory(truth.stamps_s, truth.T_world_body @ se3.exp(wander), body=truth.body)
+    return Trajectory(truth.stamps_s, truth.T_frame_body @ se3.exp(wander), body=truth.body)
 
 
 def test_joins_what_each_measure_says_alone() -> None:
@@ -45,7 +45,7 @@ def test_joins_what_each_measure_says_alone() -> None:
 
 def test_with_scale_the_relative_errors_are_of_the_scaled_estimate() -> None:
     truth = path()
-    T = truth.T_world_body.copy()
+    T = truth.T_frame_body.copy()
     T[:, :3, 3] *= 2
     double = Trajectory(truth.stamps_s, T)
     found = evaluate(double, truth, with_scale=True)
@@ -85,7 +85,7 @@ def test_goes_into_json_with_units() -> None:
         (path(2), "^2 of the estimate's poses within 0.02 s of a true one, 3 needed"),
         (path(30, start_s=102.94), "^2 of .* they share 0.027 s"),
         (Trajectory(np.empty(0), np.empty((0, 4, 4))), r"the estimate spans nothing \(no poses\)"),
-        (path(body="base"), "T_world_base but the ground truth T_world_camera.*T_base_camera"),
+        (path(body="base"), "T_map_base but the ground truth T_map_camera.*T_base_camera"),
     ],
 )
 def test_says_why_trajectories_cannot_be_compared(estimate: Trajectory, says: str) -> None:

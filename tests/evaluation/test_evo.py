@@ -43,7 +43,7 @@ def pair(request: pytest.FixtureRequest, data_folder: Path) -> tuple[Trajectory,
 
 
 def in_evo(trajectory: Trajectory) -> PoseTrajectory3D:
-    return PoseTrajectory3D(timestamps=trajectory.stamps_s, poses_se3=list(trajectory.T_world_body))
+    return PoseTrajectory3D(timestamps=trajectory.stamps_s, poses_se3=list(trajectory.T_frame_body))
 
 
 def associated(pair: tuple[Trajectory, Trajectory]) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:

@@ -63,7 +63,7 @@ def test_takes_the_nearest_pair_as_defined(unit: str, rng: np.random.Generator) 
     for step in steps[1:]:
         T.append(T[-1] @ se3.exp(step))
     truth = Trajectory(stamps_s, np.array(T))
-    estimate = Trajectory(stamps_s, truth.T_world_body @ se3.exp(rng.normal(0, 0.01, (200, 6))))
+    estimate = Trajectory(stamps_s, truth.T_frame_body @ se3.exp(rng.normal(0, 0.01, (200, 6))))
 
     along = stamps_s if unit == "seconds" else truth.distances_m
     errors = []
@@ -71,8 +71,8 @@ def test_takes_the_nearest_pair_as_defined(unit: str, rng: np.random.Generator) 
         off = [abs(along[j] - along[i] - 1.0) if j > i else np.inf for j in range(200)]
         j = int(np.argmin(off))
         if off[j] <= 0.1:
-            T_true = np.linalg.inv(truth.T_world_body[i]) @ truth.T_world_body[j]
-            T_estimated = np.linalg.inv(estimate.T_world_body[i]) @ estimate.T_world_body[j]
+            T_true = np.linalg.inv(truth.T_frame_body[i]) @ truth.T_frame_body[j]
+            T_estimated = np.linalg.inv(estimate.T_frame_body[i]) @ estimate.T_frame_body[j]
             E = np.linalg.inv(T_true) @ T_estimated
             errors.append((stamps_s[i], stamps_s[j], np.linalg.norm(E[:3, 3]), so3.angle(E[:3, :3])))
     assert 50 < len(errors) < 200

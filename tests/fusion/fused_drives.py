@@ -145,17 +145,17 @@ def run(
 
 def error_of(answer: FusedEstimate, T_truth: FloatArray) -> FloatArray:
     """Left perturbation (6,) from the answer to the truth."""
-    assert answer.T_world_body is not None
-    return np.asarray(motions.log(T_truth @ se3.invert(answer.T_world_body)))
+    assert answer.T_odom_body is not None
+    return np.asarray(motions.log(T_truth @ se3.invert(answer.T_odom_body)))
 
 
 def position_error(answer: FusedEstimate, T_truth: FloatArray) -> tuple[FloatArray, FloatArray]:
     """x, y off the truth (2,) and their covariance (2, 2)."""
-    assert answer.T_world_body is not None
+    assert answer.T_odom_body is not None
     assert answer.covariance is not None
-    x, y, z = answer.T_world_body[:3, 3]
+    x, y, z = answer.T_odom_body[:3, 3]
     J = np.array([[1.0, 0, 0, 0, z, -y], [0, 1.0, 0, -z, 0, x]])
-    return T_truth[:2, 3] - answer.T_world_body[:2, 3], J @ answer.covariance @ J.T
+    return T_truth[:2, 3] - answer.T_odom_body[:2, 3], J @ answer.covariance @ J.T
 
 
 def within_three_sigma(answer: FusedEstimate, T_truth: FloatArray) -> bool:

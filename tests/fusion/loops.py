@@ -118,7 +118,7 @@ def rectify(
         if t:
             rectifier.predict(drive.steps[t - 1], drive.covariance)
         estimate = rectifier.update(t * PERIOD_S, None if probabilities is None else probabilities[t])
-        T = estimate.T_world_body
+        T = estimate.T_odom_body
         x, y, yaw = T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])
         J = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
         poses.append((x, y, yaw))

@@ -71,11 +71,11 @@ def drifting(steps: list[Step], settings: ErrorStateSettings, spread: FloatArray
             seen = T_BASE_CAMERA @ look.T_reference_current @ se3.invert(T_BASE_CAMERA)
             T_seen = T_seen @ seen
             fusion.clone(step.end_s, "anchor", spread)
-    assert answer.T_world_body is not None
+    assert answer.T_odom_body is not None
     assert answer.covariance is not None
-    off = answer.T_world_body[:2, 3] - steps[-1].T_truth[:2, 3]
+    off = answer.T_odom_body[:2, 3] - steps[-1].T_truth[:2, 3]
     C = answer.covariance
-    x, y = answer.T_world_body[:2, 3]
+    x, y = answer.T_odom_body[:2, 3]
     J = np.array([[1.0, 0, 0, 0, 0, -y], [0, 1.0, 0, 0, 0, x]])
     return float(np.linalg.norm(off)), float(np.sqrt(np.trace(J @ C @ J.T)))
 

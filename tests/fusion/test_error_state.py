@@ -38,7 +38,7 @@ def events_of(steps):
 
 
 def same(one, other, atol):
-    np.testing.assert_allclose(one.T_world_body, other.T_world_body, atol=atol)
+    np.testing.assert_allclose(one.T_odom_body, other.T_odom_body, atol=atol)
     np.testing.assert_allclose(one.covariance, other.covariance, atol=atol)
     np.testing.assert_allclose(one.twist, other.twist, atol=atol)
     assert (one.stamp_s, one.status) == (other.stamp_s, other.status)
@@ -46,7 +46,7 @@ def same(one, other, atol):
 
 def test_no_pose_before_any_event():
     answer = ErrorStateFilter().estimate
-    assert (answer.status, answer.T_world_body) == (Status.INITIALIZING, None)
+    assert (answer.status, answer.T_odom_body) == (Status.INITIALIZING, None)
 
 
 def test_wheels_alone_are_followed_and_the_covariance_grows():
@@ -83,13 +83,13 @@ def test_silence_is_lost_until_a_remembered_pose_is_seen(rng):
     fusion = ErrorStateFilter(T_BASE_CAMERA)
     run(drive(), fusion=fusion)
     lost = fusion.predict(6.02, np.eye(4), NO_NOISE, 6.0)
-    assert (lost.status, lost.T_world_body, lost.covariance) == (Status.LOST, None, None)
+    assert (lost.status, lost.T_odom_body, lost.covariance) == (Status.LOST, None, None)
     assert fusion.update_position(6.1, [1.0, 0.5], 0.01 * np.eye(2)).status is Status.LOST
-    T_world_frame = run(drive())[-1].T_world_body
+    T_odom_frame = run(drive())[-1].T_odom_body
     T_frame_base = se3.from_plane(-1.0, 0.5, 1.0)
     back = fusion.update_relative(6.1, looked(rng, T_frame_base), "frame")
     assert back.status is Status.TRACKING
-    np.testing.assert_allclose(back.T_world_body, T_world_frame @ T_frame_base, atol=0.02)
+    np.testing.assert_allclose(back.T_odom_body, T_odom_frame @ T_frame_base, atol=0.02)
 
 
 def test_a_keyframe_recovers_what_coasting_lost(rng):
@@ -100,7 +100,7 @@ def test_a_keyframe_recovers_what_coasting_lost(rng):
     before = run(steps, fusion=fusion)[-1]
     after = fusion.update_relative(steps[-1].end_s, looked(rng, steps[-1].T_truth), "keyframe")
     assert after.status is Status.TRACKING
-    off = [np.abs((a.T_world_body - steps[-1].T_truth)[:2, 3]).max() for a in (before, after)]
+    off = [np.abs((a.T_odom_body - steps[-1].T_truth)[:2, 3]).max() for a in (before, after)]
     assert off[0] > 0.05
     assert off[1] < 0.015  # how the camera is mounted is not known any better
 
@@ -109,10 +109,10 @@ def test_a_place_pulls_within_its_gate_and_not_outside():
     fusion = ErrorStateFilter(covariance=np.diag([0.25, 0.25, 0, 0, 0, 0.01]))
     fusion.predict(0.1, np.eye(4), NO_NOISE, 0.0)
     near = fusion.update_position(0.2, [0.5, 0.0], 0.25 * np.eye(2))
-    np.testing.assert_allclose(near.T_world_body[:2, 3], [0.25, 0], atol=1e-3)
+    np.testing.assert_allclose(near.T_odom_body[:2, 3], [0.25, 0], atol=1e-3)
     far = fusion.update_position(0.3, [20.0, 0.0], 0.25 * np.eye(2))
     assert far.reason is Reason.OUTLIER
-    np.testing.assert_allclose(far.T_world_body[:2, 3], [0.25, 0], atol=1e-3)
+    np.testing.assert_allclose(far.T_odom_body[:2, 3], [0.25, 0], atol=1e-3)
 
 
 def test_a_gyroscope_tells_the_turn_that_wheels_get_wrong(rng):
@@ -149,8 +149,8 @@ def test_a_corridor_keeps_the_wheels_motion_along_and_the_cameras_turn(rng):
     assert answer.degenerate
     assert answer.reason is None
     # Unseen is the camera's shift along its axis; the base turns about another point, 0.05 m aside.
-    np.testing.assert_allclose(answer.T_world_body[0, 3], 0.1, atol=0.005)
-    np.testing.assert_allclose(np.arctan2(answer.T_world_body[1, 0], answer.T_world_body[0, 0]), 0.05, atol=1e-3)
+    np.testing.assert_allclose(answer.T_odom_body[0, 3], 0.1, atol=0.005)
+    np.testing.assert_allclose(np.arctan2(answer.T_odom_body[1, 0], answer.T_odom_body[0, 0]), 0.05, atol=1e-3)
     assert answer.covariance[0, 0] > 0.5e-4
     assert answer.covariance[5, 5] < 1e-6
 
@@ -194,18 +194,18 @@ def test_a_frame_between_readings_that_come_after_it(rng):
 
 def test_the_same_events_give_the_same_bits():
     one, other = (run(drive())[-1] for _ in range(2))
-    assert one.T_world_body.tobytes() == other.T_world_body.tobytes()
+    assert one.T_odom_body.tobytes() == other.T_odom_body.tobytes()
     assert one.covariance.tobytes() == other.covariance.tobytes()
 
 
 @hypothesis_settings(max_examples=5)
 @given(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3))
 def test_the_world_may_lie_anywhere(x, y, yaw):
-    steps, T_world_odom = drive(seconds=1.0), se3.from_plane(x, y, yaw)
+    steps, T_there_here = drive(seconds=1.0), se3.from_plane(x, y, yaw)
     here = run(steps)[-1]
-    there = run(steps, fusion=ErrorStateFilter(T_BASE_CAMERA, T_world_odom))[-1]
-    np.testing.assert_allclose(there.T_world_body, T_world_odom @ here.T_world_body, atol=1e-8)
-    Ad = se3.adjoint(T_world_odom)
+    there = run(steps, fusion=ErrorStateFilter(T_BASE_CAMERA, T_there_here))[-1]
+    np.testing.assert_allclose(there.T_odom_body, T_there_here @ here.T_odom_body, atol=1e-8)
+    Ad = se3.adjoint(T_there_here)
     np.testing.assert_allclose(there.covariance, Ad @ here.covariance @ Ad.T, atol=1e-8, rtol=1e-6)
 
 
@@ -242,7 +242,7 @@ def test_numbers_that_are_no_measurement_move_nothing(event):
     before = run(drive(), fusion=fusion)[-1]
     answer = event(fusion)
     assert answer.reason is Reason.INVALID
-    np.testing.assert_array_equal(answer.T_world_body, before.T_world_body)
+    np.testing.assert_array_equal(answer.T_odom_body, before.T_odom_body)
     np.testing.assert_array_equal(fusion.estimate.covariance, before.covariance)
 
 
@@ -309,7 +309,7 @@ def test_an_unknown_reference_is_refused(rng):
     "arguments",
     [
         {"T_base_camera": 2 * np.eye(4)},
-        {"T_world_base": np.full((4, 4), np.nan)},
+        {"T_odom_base": np.full((4, 4), np.nan)},
         {"covariance": -np.eye(6)},
         {"covariance": np.eye(3)},
     ],

@@ -24,8 +24,8 @@ def updated(mean, covariance, told):
     return mean + gain @ (value - mean), covariance - gain @ covariance
 
 
-def in_world(xy, sigma_m, yaw=0.0):
-    """T_world_base there, and the covariance of its left perturbation with `sigma_m` in x and y and a sure heading."""
+def in_map(xy, sigma_m, yaw=0.0):
+    """T_odom_base there, and the covariance of its left perturbation with `sigma_m` in x and y and a sure heading."""
     T = se3.from_plane(*xy, yaw)
     Ad = se3.adjoint(T)
     return T, Ad @ np.diag([sigma_m**2, sigma_m**2, 0, 0, 0, 0]) @ Ad.T
@@ -71,7 +71,7 @@ def test_the_first_frame_takes_the_belief_to_its_product_with_the_likelihood(yaw
     """By sums over a fine grid: of the Gaussian times the likelihood of "south" at each of its points."""
     xy, sigma = np.array([2.3, 1.4]), 0.8
     settings = AreaRectifierSettings()
-    told = PlaceMeter(loop()).measure(*in_world(xy, sigma, yaw), saying(SOUTH))
+    told = PlaceMeter(loop()).measure(*in_map(xy, sigma, yaw), saying(SOUTH))
     mean, covariance = updated(xy, sigma**2 * np.eye(2), told)
 
     forest = settings.forest
@@ -102,21 +102,21 @@ def test_the_first_frame_takes_the_belief_to_its_product_with_the_likelihood(yaw
 
 def test_what_says_nothing_or_nothing_that_fits_is_no_measurement():
     meter = PlaceMeter(loop())
-    here = in_world((7.0, 1.0), 0.1)
+    here = in_map((7.0, 1.0), 0.1)
     assert meter.measure(*here, None) is None
     assert meter.measure(*here, np.full(8, 1 / 8)) is None
     assert PlaceMeter(loop(), AreaRectifierSettings(least_support=0.5)).measure(*here, saying(WEST, 0.99)) is None
 
 
 def test_in_the_middle_of_a_corridor_nothing_is_told_along_it():
-    told = PlaceMeter(loop()).measure(*in_world((7.0, 1.0), 0.3), saying(SOUTH))
+    told = PlaceMeter(loop()).measure(*in_map((7.0, 1.0), 0.3), saying(SOUTH))
     assert told is not None
     np.testing.assert_allclose(told[0], (7.0, 1.0), atol=1e-6)
     assert told[1][0, 0] > 1e3 > 10 > told[1][1, 1]
 
 
 def test_the_same_frame_seen_twice_from_one_spot_says_nothing_new():
-    meter, here = PlaceMeter(loop()), in_world((2.3, 1.0), 0.8)
+    meter, here = PlaceMeter(loop()), in_map((2.3, 1.0), 0.8)
     first = meter.measure(*here, saying(SOUTH))
     assert first is not None
     xy, covariance = updated(here[0][:2, 3], 0.64 * np.eye(2), first)
@@ -141,11 +141,11 @@ def followed(drive, told):
     for t in range(len(drive.truth)):
         if t:
             answer = fusion.predict(t * PERIOD_S, drive.steps[t - 1], drive.covariance, (t - 1) * PERIOD_S)
-        place = meter.measure(answer.T_world_body, answer.covariance, told[t])
+        place = meter.measure(answer.T_odom_body, answer.covariance, told[t])
         if place is not None:
             answer = fusion.update_position(t * PERIOD_S, *place)
             refused += answer.reason is Reason.OUTLIER
-        T = answer.T_world_body
+        T = answer.T_odom_body
         poses.append((T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])))
     return np.array(poses), refused
 
@@ -177,4 +177,4 @@ def test_what_cannot_be_is_refused():
         PlaceMeter(loop(), area_shares=np.zeros(8))
     for wrong in (np.ones(3), np.full(8, np.nan), np.zeros(8)):
         with pytest.raises(ConfigError, match="probabilities"):
-            PlaceMeter(loop()).measure(*in_world((7.0, 1.0), 0.1), wrong)
+            PlaceMeter(loop()).measure(*in_map((7.0, 1.0), 0.1), wrong)

@@ -10,7 +10,7 @@ from wheelsight.fusion import ErrorStateSettings
 from wheelsight.fusion._changed import changed
 from wheelsight.fusion._measurements import Look, WheelStep
 from wheelsight.fusion._pose_belief import PoseBelief
-from wheelsight.fusion._trust import Court, Speed, Trust, see
+from wheelsight.fusion._trust import Court, Trust, see
 from wheelsight.geometry import se3
 
 SETTINGS = ErrorStateSettings()
@@ -100,11 +100,3 @@ def test_a_look_that_is_farther_off_than_slipping_wheels_get_is_refused_and_spli
     after, reason = see(court, 10.0, look, SETTINGS)
     assert (after.trust, after.rival, reason) == (Trust.BOTH, None, Reason.CONTRADICTION)
     assert after.belief is court.belief
-
-
-def test_a_few_millimetres_that_a_look_is_off_are_no_leap_of_the_camera():
-    usual = Speed(np.array([0.8, 0.0, 0.1]), 1e-6 * np.eye(3))
-    seconds = 1 / 30
-    for off_m, is_leap in [(0.006, False), (0.1, True)]:
-        now = Speed(usual.mean + np.array([0.0, off_m / seconds, 0.0]), usual.covariance)
-        assert (now.leap_from(usual, seconds, SETTINGS) > 0) == is_leap

@@ -15,21 +15,21 @@ def stamps_s(rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.fixture
-def T_world_body(rng: np.random.Generator) -> np.ndarray:
+def T_map_body(rng: np.random.Generator) -> np.ndarray:
     return se3.exp(rng.normal(scale=0.5, size=(20, 6)))
 
 
-def test_rotation_is_scipys_slerp(rng: np.random.Generator, stamps_s: np.ndarray, T_world_body: np.ndarray) -> None:
+def test_rotation_is_scipys_slerp(rng: np.random.Generator, stamps_s: np.ndarray, T_map_body: np.ndarray) -> None:
     wanted_s = rng.uniform(stamps_s[0], stamps_s[-1], 200)
-    expected = Slerp(stamps_s, Rotation.from_matrix(T_world_body[:, :3, :3]))(wanted_s).as_matrix()
-    found = interpolate_at(stamps_s, T_world_body, wanted_s)
+    expected = Slerp(stamps_s, Rotation.from_matrix(T_map_body[:, :3, :3]))(wanted_s).as_matrix()
+    found = interpolate_at(stamps_s, T_map_body, wanted_s)
     np.testing.assert_allclose(found[:, :3, :3], expected, atol=1e-12)
 
 
-def test_each_answer_lies_between_its_neighbours(stamps_s: np.ndarray, T_world_body: np.ndarray) -> None:
+def test_each_answer_lies_between_its_neighbours(stamps_s: np.ndarray, T_map_body: np.ndarray) -> None:
     wanted_s = 0.75 * stamps_s[:-1] + 0.25 * stamps_s[1:]
-    expected = se3.interpolate(T_world_body[:-1], T_world_body[1:], np.full(19, 0.25))
-    np.testing.assert_allclose(interpolate_at(stamps_s, T_world_body, wanted_s), expected, atol=1e-12)
+    expected = se3.interpolate(T_map_body[:-1], T_map_body[1:], np.full(19, 0.25))
+    np.testing.assert_allclose(interpolate_at(stamps_s, T_map_body, wanted_s), expected, atol=1e-12)
 
 
 def test_a_steady_motion_is_exact(rng: np.random.Generator, stamps_s: np.ndarray) -> None:
@@ -39,8 +39,8 @@ def test_a_steady_motion_is_exact(rng: np.random.Generator, stamps_s: np.ndarray
     np.testing.assert_allclose(found, se3.exp(wanted_s[:, None] * xi), atol=1e-12)
 
 
-def test_known_stamps_give_known_poses_bit_for_bit(stamps_s: np.ndarray, T_world_body: np.ndarray) -> None:
-    np.testing.assert_array_equal(interpolate_at(stamps_s, T_world_body, stamps_s, max_gap_s=0.0), T_world_body)
+def test_known_stamps_give_known_poses_bit_for_bit(stamps_s: np.ndarray, T_map_body: np.ndarray) -> None:
+    np.testing.assert_array_equal(interpolate_at(stamps_s, T_map_body, stamps_s, max_gap_s=0.0), T_map_body)
 
 
 def test_outside_and_within_long_gaps_there_is_no_pose() -> None:
@@ -53,12 +53,12 @@ def test_outside_and_within_long_gaps_there_is_no_pose() -> None:
 
 
 def test_order_of_the_wanted_stamps_is_free(
-    rng: np.random.Generator, stamps_s: np.ndarray, T_world_body: np.ndarray
+    rng: np.random.Generator, stamps_s: np.ndarray, T_map_body: np.ndarray
 ) -> None:
     wanted_s = rng.uniform(stamps_s[0] - 0.1, stamps_s[-1] + 0.1, 50)
-    found = interpolate_at(stamps_s, T_world_body, wanted_s)
+    found = interpolate_at(stamps_s, T_map_body, wanted_s)
     order = np.argsort(wanted_s)
-    np.testing.assert_array_equal(interpolate_at(stamps_s, T_world_body, wanted_s[order]), found[order])
+    np.testing.assert_array_equal(interpolate_at(stamps_s, T_map_body, wanted_s[order]), found[order])
 
 
 def test_one_pose_holds_at_its_stamp_only() -> None:

@@ -50,12 +50,12 @@ class Sight:
 
 
 class Eye:
-    """Camera odometry by keyframes that is told the truth, T_world_base, and what each stamp's frame shows.
+    """Camera odometry by keyframes that is told the truth, T_odom_base, and what each stamp's frame shows.
 
     Attributes:
         taken_s: when frames were taken, by their index, where their stamps do not tell it.
         priors: by stamps, that of the frame tracked before, and the motion since then that was to be expected.
-        restarts: by stamps, the poses T_world_camera that it was told to go on at.
+        restarts: by stamps, the poses T_odom_camera that it was told to go on at.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Eye:
     ) -> None:
         self._truth, self._sight, self._T_base_camera = truth, sight, T_base_camera
         self._rng = np.random.default_rng(7)
-        self._key: tuple[float, FloatArray] | None = None  # stamp and T_world_camera
+        self._key: tuple[float, FloatArray] | None = None  # stamp and T_odom_camera
         self._last: tuple[float, FloatArray] | None = None
         self._place, self._wrong = 0, np.eye(4)
         self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
@@ -77,7 +77,7 @@ class Eye:
         self.restarts: dict[float, FloatArray] = {}
         self.taken_s: dict[int, float] = {}
 
-    def T_world_camera(self, stamp_s: float) -> FloatArray:
+    def T_odom_camera(self, stamp_s: float) -> FloatArray:
         """The truth (4, 4)."""
         known_s = np.clip(np.nan_to_num(stamp_s), *self._truth.stamps_s[[0, -1]])
         return np.asarray(self._truth.at([known_s])[0] @ self._T_base_camera)
@@ -97,20 +97,20 @@ class Eye:
             return self._fail(shows.blind or Reason.NOT_RECOGNISED, frame.stamp_s)
         self.priors[frame.stamp_s] = self._last[0], T_previous_current_prior
         self.others[frame.stamp_s] = others
-        T_key_now, T_world_key = self._look(shows, frame.stamp_s), self._key[1]
+        T_key_now, T_odom_key = self._look(shows, frame.stamp_s), self._key[1]
         T_prior = T_previous_current_prior
-        T_key_prior = None if T_prior is None else se3.invert(T_world_key) @ self._last[1] @ T_prior
+        T_key_prior = None if T_prior is None else se3.invert(T_odom_key) @ self._last[1] @ T_prior
         self.last_motion = _judged(T_key_now, T_key_prior, shows.hidden)
         T_key_now = self.last_motion.T_reference_current
-        self._last = frame.stamp_s, se3.nearest(T_world_key @ T_key_now)
+        self._last = frame.stamp_s, se3.nearest(T_odom_key @ T_key_now)
         if np.linalg.norm(T_key_now[:3, 3]) > _KEYFRAME_M:
             self._key, self._wrong = self._last, np.eye(4)
         return self._tracking(frame.stamp_s)
 
-    def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
-        self.restarts[frame.stamp_s] = T_world_camera
+    def restart(self, frame: RgbdFrame, T_odom_camera: FloatArray, covariance: FloatArray) -> Estimate:
+        self.restarts[frame.stamp_s] = T_odom_camera
         self._place = self._sight(frame.stamp_s).place
-        return self._begin(frame.stamp_s, T_world_camera)
+        return self._begin(frame.stamp_s, T_odom_camera)
 
     def miss(self, stamp_s: float) -> Estimate:
         return self._fail(Reason.FRAME_UNUSABLE, stamp_s)
@@ -122,11 +122,11 @@ class Eye:
         vx, vy, turn = np.multiply(shows.wrong, stamp_s - self._last[0])
         self._wrong = self._wrong @ se3.exp([vx, vy, 0, 0, 0, turn]) if any(shows.wrong) else np.eye(4)
         wrong = se3.invert(self._T_base_camera) @ self._wrong @ self._T_base_camera
-        T = se3.invert(self.T_world_camera(self._key[0])) @ self.T_world_camera(stamp_s)
+        T = se3.invert(self.T_odom_camera(self._key[0])) @ self.T_odom_camera(stamp_s)
         return np.asarray(se3.exp(_SIGMAS * self._rng.standard_normal(6)) @ T @ wrong)
 
-    def _begin(self, stamp_s: float, T_world_camera: FloatArray) -> Estimate:
-        self._key = self._last = stamp_s, T_world_camera
+    def _begin(self, stamp_s: float, T_odom_camera: FloatArray) -> Estimate:
+        self._key = self._last = stamp_s, T_odom_camera
         self.last_motion = MotionEstimate(np.eye(4), 1e-12 * np.eye(6))
         return self._tracking(stamp_s)
 
@@ -168,8 +168,8 @@ class MapOfFrames:
     def track_map(self, tracks: bool) -> None:
         self.is_tracked = tracks
 
-    def fuse(self, frame: RgbdFrame, T_world_camera: FloatArray) -> None:
-        self.fused[frame.stamp_s], self.last_fused = T_world_camera, object()
+    def fuse(self, frame: RgbdFrame, T_odom_camera: FloatArray) -> None:
+        self.fused[frame.stamp_s], self.last_fused = T_odom_camera, object()
 
 
 @dataclass(frozen=True)
@@ -229,15 +229,15 @@ def pushed(made: Drive, at_s: float, left_m: float) -> Drive:
     truth = made.truth
     aside = np.zeros((len(truth), 6))
     aside[:, 1] = left_m * np.clip((truth.stamps_s - made.begin_s - at_s) / 0.16, 0, 1)
-    T_world_then = truth.at([made.begin_s + at_s])[0]
-    T_world_moved = T_world_then @ se3.exp(aside) @ se3.invert(T_world_then) @ truth.T_world_body
-    moved = Trajectory(truth.stamps_s, T_world_moved, body="base")
+    T_odom_then = truth.at([made.begin_s + at_s])[0]
+    T_odom_moved = T_odom_then @ se3.exp(aside) @ se3.invert(T_odom_then) @ truth.T_frame_body
+    moved = Trajectory(truth.stamps_s, T_odom_moved, body="base")
     return replace(made, readings=replace(made.readings, truth=moved))
 
 
 def yaw_rates(made: Drive, bias_rad_s: float = 0.0) -> list[Event]:
     """What a gyroscope tells at each reading but the first, a little before it."""
-    T, stamps_s = made.truth.T_world_body, made.truth.stamps_s
+    T, stamps_s = made.truth.T_frame_body, made.truth.stamps_s
     turned = se3.invert(T[:-1]) @ T[1:]
     rates = np.arctan2(turned[:, 1, 0], turned[:, 0, 0]) / np.diff(stamps_s) + bias_rad_s
     return [YawRate(float(s) - 1e-4, float(rate)) for s, rate in zip(stamps_s[1:], rates, strict=True)]
@@ -272,15 +272,15 @@ def of_frames(answers: Iterable[tuple[Event, FusedEstimate]]) -> list[FusedEstim
 
 def off_m(answer: Estimate, truth: Trajectory, stamp_s: float | None = None) -> float:
     """Metres between the answer's pose and the truth, which ends where the robot stands."""
-    assert answer.T_world_body is not None, f"no pose: {answer.reason}"
+    assert answer.T_odom_body is not None, f"no pose: {answer.reason}"
     T = truth.at([min(answer.stamp_s if stamp_s is None else stamp_s, truth.stamps_s[-1])])[0]
-    return float(np.linalg.norm(answer.T_world_body[:3, 3] - T[:3, 3]))
+    return float(np.linalg.norm(answer.T_odom_body[:3, 3] - T[:3, 3]))
 
 
 def spread_m(answer: Estimate) -> float:
     """The position's standard deviation in the plane."""
-    assert answer.T_world_body is not None
+    assert answer.T_odom_body is not None
     assert answer.covariance is not None
-    x, y, z = answer.T_world_body[:3, 3]
+    x, y, z = answer.T_odom_body[:3, 3]
     J = np.array([[1.0, 0, 0, 0, z, -y], [0, 1.0, 0, -z, 0, x]])
     return float(np.sqrt(np.trace(J @ answer.covariance @ J.T)))

@@ -42,8 +42,8 @@ class WrongEye(Eye):
 
     depth, mirrors = 1.0, False
 
-    def T_world_camera(self, stamp_s: float) -> FloatArray:
-        T = super().T_world_camera(stamp_s)
+    def T_odom_camera(self, stamp_s: float) -> FloatArray:
+        T = super().T_odom_camera(stamp_s)
         T[:3, 3] *= self.depth
         return MIRROR @ T @ MIRROR if self.mirrors else T
 

@@ -80,15 +80,15 @@ def test_readings_and_frames_are_answered_with_the_bases_pose(ran: Callable[...,
 def test_there_is_no_pose_before_wheels_begin_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(SHORT)
     subject, kept = joined(monkeypatch, made.eye())
-    assert (subject.body, subject.world) == ("base", "world")
+    assert (subject.body, subject.frame) == ("base", "map")
     assert {WheelTicks, RgbdFrame} <= set(subject.answers)
     begin, first_frame, *rest = made.events()
     waiting = subject.process(first_frame)
     assert waiting is not None
-    assert (waiting.status, waiting.body, waiting.T_world_body) == (Status.INITIALIZING, "base", None)
+    assert (waiting.status, waiting.body, waiting.T_odom_body) == (Status.INITIALIZING, "base", None)
     (_, told), *_ = answers_to(subject, [begin])
     assert (told.status, told.stamp_s) == (Status.COASTING, begin.stamp_s)
-    np.testing.assert_allclose(told.T_world_body, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(told.T_odom_body, np.eye(4), atol=1e-12)
     assert not kept.fused
     assert of_frames(answers_to(subject, rest))[-1].status is Status.TRACKING
 
@@ -98,7 +98,7 @@ def test_the_camera_is_handed_the_motion_that_wheels_expect(ran: Callable[..., R
     assert len(eye.priors) > 100
     for stamp_s, (last_s, prior) in eye.priors.items():
         assert prior is not None
-        T = se3.invert(eye.T_world_camera(last_s)) @ eye.T_world_camera(stamp_s)
+        T = se3.invert(eye.T_odom_camera(last_s)) @ eye.T_odom_camera(stamp_s)
         off = se3.invert(T) @ prior
         sigma_m = WHEELS.slip_m_per_sqrt_m * np.sqrt(np.linalg.norm(T[:3, 3])) + 2 * WHEELS.left_m_per_tick
         assert np.linalg.norm(off[:3, 3]) < 5 * sigma_m
@@ -137,7 +137,7 @@ def test_where_nothing_known_is_in_sight_the_camera_starts_again_where_wheels_ha
     made, eye, _, _ = run
     ((restart_s, T_map_camera),) = eye.restarts.items()
     assert restart_s - made.begin_s == pytest.approx(3.0 + 4 * 0.04, abs=0.01)  # five frames in a row
-    assert np.linalg.norm((T_map_camera - eye.T_world_camera(restart_s))[:3, 3]) < 0.03
+    assert np.linalg.norm((T_map_camera - eye.T_odom_camera(restart_s))[:3, 3]) < 0.03
     assert {a.status for a in between(run, 2.4, 3.14)} == {Status.COASTING}
     assert {a.reason for a in between(run, 3.0, 3.17)} == {Reason.NOT_RECOGNISED}
     assert {a.status for a in between(run, 3.2, 99)} == {Status.TRACKING}
@@ -224,7 +224,7 @@ def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeyp
         last_s, prior = eye.priors.get(event.stamp_s, (0.0, None))
         assert len(eye.others.get(event.stamp_s, ())) == (slips and event.stamp_s in eye.priors)
         if prior is not None and 2.1 < event.stamp_s - made.begin_s < 3.4:
-            T = se3.invert(eye.T_world_camera(last_s)) @ eye.T_world_camera(event.stamp_s)
+            T = se3.invert(eye.T_odom_camera(last_s)) @ eye.T_odom_camera(event.stamp_s)
             off_by_slip[slips].append(float(np.linalg.norm((se3.invert(T) @ prior)[:3, 3])))
         slips = answer.slip
     assert len(off_by_slip[True]) > 30
@@ -305,8 +305,8 @@ def test_directions_that_the_camera_does_not_show_are_the_wheels(ran: Callable[.
     assert all(a.degenerate and a.status is Status.TRACKING and a.reason is None for a in told)
     assert not any(a.degenerate for a in [*between(hidden, 3.5, 99), *between(seen, 0.0, 99)])
     T_truth = hidden[0].truth.at([told[-1].stamp_s])[0]
-    assert told[-1].T_world_body is not None
-    off = se3.invert(T_truth) @ told[-1].T_world_body
+    assert told[-1].T_odom_body is not None
+    off = se3.invert(T_truth) @ told[-1].T_odom_body
     assert 0.05 < np.linalg.norm(off[:2, 3]) < 0.08
     assert so3.angle(off[:3, :3]) < 0.01
     assert off_m(between(seen, 2.02, 3.5)[-1], seen[0].truth) < 0.015
@@ -321,7 +321,7 @@ def test_a_pause_of_all_sensors_is_bridged_by_a_view_that_is_known(monkeypatch: 
     after = [(event, answer) for event, answer in answers if event.stamp_s >= pause[1]]
     first = after[0][1]
     assert first.status in (Status.COASTING, Status.LOST)
-    assert first.T_world_body is None or off_m(first, made.truth) < 3 * spread_m(first)
+    assert first.T_odom_body is None or off_m(first, made.truth) < 3 * spread_m(first)
     assert {answer.status for answer in of_frames(after)[3:]} == {Status.TRACKING}
     assert max(off_m(answer, made.truth) for answer in of_frames(after)) < 0.05
 
@@ -372,7 +372,7 @@ def test_frames_that_come_late_end_where_those_in_time_do(monkeypatch: pytest.Mo
 def test_the_same_events_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(SHORT)
     one, other = (answers_to(joined(monkeypatch, made.eye())[0], made.events())[-1][1] for _ in range(2))
-    np.testing.assert_array_equal(one.T_world_body, other.T_world_body)
+    np.testing.assert_array_equal(one.T_odom_body, other.T_odom_body)
     np.testing.assert_array_equal(one.covariance, other.covariance)
 
 

@@ -44,7 +44,7 @@ def seconds_of(made: Drive, answer: Estimate) -> float:
 def test_only_frames_are_answered_with_the_bases_pose(paper: Callable[..., Localizer]) -> None:
     made = drive()
     subject = paper(made.eye())
-    assert (subject.body, subject.world, subject.map) == ("base", "world", None)
+    assert (subject.body, subject.frame, subject.map) == ("base", "map", None)
     assert set(subject.answers) == {RgbdFrame, SkippedFrame}
     answers = answered(subject, made.events())
     assert all(isinstance(event, RgbdFrame) and event.stamp_s == answer.stamp_s for event, answer in answers)
@@ -66,12 +66,12 @@ def test_it_is_eq_2_over_both_alone(paper: Callable[..., Localizer]) -> None:
         if isinstance(event, WheelTicks):
             rolled = wheels.process(event)
             continue
-        T = camera.process(event).T_world_body @ se3.invert(CALIBRATION.T_base_camera)
-        T_odom_base = rolled.T_world_body  # a millisecond later the wheels have gone on by less than one
+        T = camera.process(event).T_odom_body @ se3.invert(CALIBRATION.T_base_camera)
+        T_odom_base = rolled.T_odom_body  # a millisecond later the wheels have gone on by less than one
         T_begin_odom = T @ se3.invert(T_odom_base) if T_begin_odom is None else T_begin_odom
         expected.append(by_hand.update(event.stamp_s, se3.nearest(T_begin_odom @ T_odom_base), se3.nearest(T)))
     for answer, wanted in zip(joined, expected, strict=True):
-        np.testing.assert_allclose(answer.T_world_body, wanted.T_world_body, atol=2e-3)
+        np.testing.assert_allclose(answer.T_odom_body, wanted.T_frame_body, atol=2e-3)
         np.testing.assert_allclose(answer.covariance, wanted.covariance, rtol=0.05, atol=1e-6)
 
 
@@ -82,20 +82,20 @@ def test_both_begin_where_the_first_frame_is_tracked(paper: Callable[..., Locali
     answers = [answer for _, answer in answered(paper(made.eye()), made.events())]
     before = [answer for answer in answers if answer.stamp_s < begin_s]
     assert len(before) == 50
-    assert all((a.T_world_body, a.status) == (None, Status.INITIALIZING) for a in before)
+    assert all((a.T_odom_body, a.status) == (None, Status.INITIALIZING) for a in before)
     assert {answer.reason for answer in before} == {Reason.TOO_FEW_KEYPOINTS}
     first, *rest = answers[50:]
-    np.testing.assert_allclose(first.T_world_body, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(first.T_odom_body, np.eye(4), atol=1e-9)
     T_first_truth = se3.invert(made.truth.at([first.stamp_s])[0]) @ made.truth.at([answers[-1].stamp_s])[0]
     assert {answer.status for answer in rest} == {Status.TRACKING}
-    np.testing.assert_allclose(answers[-1].T_world_body, T_first_truth, atol=0.03)
+    np.testing.assert_allclose(answers[-1].T_odom_body, T_first_truth, atol=0.03)
 
 
 def test_before_any_reading_there_is_no_pose(paper: Callable[..., Localizer]) -> None:
     made = drive()
     frames = [event for event in made.events() if isinstance(event, RgbdFrame)]
     answers = [answer for _, answer in answered(paper(made.eye()), frames[:5])]
-    assert all((a.T_world_body, a.covariance, a.status) == (None, None, Status.INITIALIZING) for a in answers)
+    assert all((a.T_odom_body, a.covariance, a.status) == (None, None, Status.INITIALIZING) for a in answers)
 
 
 def test_without_the_camera_it_coasts_by_the_wheels(paper: Callable[..., Localizer]) -> None:
@@ -104,7 +104,7 @@ def test_without_the_camera_it_coasts_by_the_wheels(paper: Callable[..., Localiz
     dark = [answer for answer in answers if 2.0 < seconds_of(made, answer) < 3.5]
     assert {(answer.status, answer.reason) for answer in dark} == {(Status.COASTING, Reason.TOO_FEW_KEYPOINTS)}
     assert max(off_m(answer, made.truth) for answer in dark) < 0.03
-    way_m = np.linalg.norm(dark[-1].T_world_body[:3, 3] - dark[0].T_world_body[:3, 3])
+    way_m = np.linalg.norm(dark[-1].T_odom_body[:3, 3] - dark[0].T_odom_body[:3, 3])
     assert way_m > 0.6
     after = [answer for answer in answers if seconds_of(made, answer) > 3.5]
     assert {answer.status for answer in after} == {Status.TRACKING}
@@ -137,7 +137,7 @@ def test_wheels_that_fall_silent_are_carried_no_farther_than_a_gap_may_be(paper:
     events = [e for e in made.events() if isinstance(e, RgbdFrame) or e.stamp_s < made.begin_s + 3.0]
     answers = [answer for _, answer in answered(paper(made.eye()), events)]
     silent = [answer for answer in answers if seconds_of(made, answer) > 3.0]
-    x_m = np.array([answer.T_world_body[0, 3] for answer in silent])
+    x_m = np.array([answer.T_odom_body[0, 3] for answer in silent])
     at_end = made.truth.at([made.begin_s + 3.0])[0][0, 3]
     assert x_m.max() < at_end + 0.8 * WHEELS.max_gap_s + 0.03
     assert x_m.max() > at_end + 0.8 * WHEELS.max_gap_s - 0.03
@@ -153,7 +153,7 @@ def test_frames_out_of_order_are_refused_and_move_nothing(paper: Callable[..., L
     assert late is not None
     assert late.reason is not None
     assert "does not come after" in subject.note
-    np.testing.assert_allclose(late.T_world_body, before.T_world_body, atol=0.02)
+    np.testing.assert_allclose(late.T_odom_body, before.T_odom_body, atol=0.02)
     *_, (_, after) = answered(subject, made.events()[91:])
     assert after.status is Status.TRACKING
     assert off_m(after, made.truth) < 0.02
@@ -171,7 +171,7 @@ def test_a_frame_whose_stamp_is_no_number_has_no_pose_and_moves_nothing(
     answered(subject, made.events()[:91])
     odd = subject.process(make(stamp_s))
     assert odd is not None
-    assert (odd.T_world_body, odd.reason) == (None, Reason.FRAME_UNUSABLE)
+    assert (odd.T_odom_body, odd.reason) == (None, Reason.FRAME_UNUSABLE)
     assert subject.note
     *_, (_, after) = answered(subject, made.events()[91:])
     assert after.status is Status.TRACKING

@@ -40,10 +40,10 @@ def driven(subject: Localizer, until: int = 60) -> Estimate:
 
 def test_it_tells_of_the_base_in_the_world_of_the_areas() -> None:
     subject = localizer()
-    assert (subject.body, subject.world) == ("base", "world")
+    assert (subject.body, subject.frame) == ("base", "map")
     first = subject.process(area_drive().events[0])
     assert first is not None
-    np.testing.assert_allclose(first.T_world_body, T_WORLD_START, atol=1e-12)
+    np.testing.assert_allclose(first.T_odom_body, T_WORLD_START, atol=1e-12)
 
 
 @pytest.mark.parametrize("rectify", ["probabilistic", "paper"])
@@ -53,8 +53,8 @@ def test_without_a_frame_it_is_the_wheels_from_the_start(rectify: str) -> None:
         if isinstance(event, WheelTicks):
             estimate, alone = subject.process(event), wheels.process(event)
             assert estimate is not None
-            assert alone.T_world_body is not None
-            np.testing.assert_allclose(estimate.T_world_body, T_WORLD_START @ alone.T_world_body, atol=1e-9)
+            assert alone.T_odom_body is not None
+            np.testing.assert_allclose(estimate.T_odom_body, T_WORLD_START @ alone.T_odom_body, atol=1e-9)
 
 
 def test_between_frames_the_covariance_grows() -> None:
@@ -79,10 +79,10 @@ def test_areas_bring_wheels_nearer_to_the_truth(rectify: str, left: float) -> No
         assert estimate is not None
         assert estimate.status is Status.TRACKING
         if isinstance(event, WheelTicks):
-            T_odom_base = alone.process(event).T_world_body
+            T_odom_base = alone.process(event).T_odom_body
             true_xy = drive.truth.at([event.stamp_s])[0, :2, 3]
-            assert estimate.T_world_body is not None
-            errors.append(np.hypot(*(estimate.T_world_body[:2, 3] - true_xy)))
+            assert estimate.T_odom_body is not None
+            errors.append(np.hypot(*(estimate.T_odom_body[:2, 3] - true_xy)))
             errors_alone.append(np.hypot(*((T_WORLD_START @ T_odom_base)[:2, 3] - true_xy)))
     assert np.mean(errors_alone) > 1
     assert np.mean(errors) < left * np.mean(errors_alone)
@@ -97,13 +97,13 @@ def test_the_papers_way_is_eq_5_with_the_weights_given() -> None:
     for event in area_drive().events[:300]:
         estimate = subject.process(event)
         if isinstance(event, WheelTicks):
-            T_odom_base = wheels.process(event).T_world_body
+            T_odom_base = wheels.process(event).T_odom_body
             assert T_odom_base is not None
             eq5.predict(se3.invert(T_before) @ T_odom_base)
             T_before = T_odom_base
             expected = eq5.estimate(event.stamp_s)
             assert estimate is not None
-            np.testing.assert_allclose(estimate.T_world_body, expected.T_world_body, atol=1e-12)
+            np.testing.assert_allclose(estimate.T_odom_body, expected.T_odom_body, atol=1e-12)
         elif isinstance(event, RgbdFrame):
             eq5.update(event.stamp_s, trained().predict(event).area_index)
 
@@ -116,9 +116,9 @@ def test_a_frame_is_answered_where_the_robot_is_by_then() -> None:
     frame = replace(area_drive().frames[0], stamp_s=reading.stamp_s + 0.1)
     estimate = subject.process(frame)
     assert estimate is not None
-    assert estimate.T_world_body is not None
-    assert reading.T_world_body is not None
-    gone = se3.invert(reading.T_world_body) @ estimate.T_world_body
+    assert estimate.T_odom_body is not None
+    assert reading.T_odom_body is not None
+    gone = se3.invert(reading.T_odom_body) @ estimate.T_odom_body
     assert gone[0, 3] == pytest.approx(0.1 * speed, rel=0.1)
 
 
@@ -156,7 +156,7 @@ def test_a_frame_that_measures_nothing_moves_nothing_and_says_why(rectify: str, 
         return
     assert (estimate.status, estimate.reason) == (Status.TRACKING, None)
     if rectify == "probabilistic":  # eq. 5 weighs the last coordinate at every frame
-        np.testing.assert_allclose(estimate.T_world_body, before.T_world_body, atol=1e-9)
+        np.testing.assert_allclose(estimate.T_odom_body, before.T_odom_body, atol=1e-9)
 
 
 def test_a_frame_long_after_the_last_reading_has_no_pose() -> None:
@@ -173,11 +173,11 @@ def test_before_the_start_is_known_there_is_no_pose() -> None:
     events = area_drive().events
     subject = localizer(replace(PLACES, begin_s=events[30].stamp_s))
     early = [subject.process(event) for event in events[:30]]
-    assert all(estimate is not None and estimate.T_world_body is None for estimate in early)
+    assert all(estimate is not None and estimate.T_odom_body is None for estimate in early)
     assert {estimate.status for estimate in early if estimate is not None} == {Status.INITIALIZING}
     first = subject.process(next(event for event in events[30:] if isinstance(event, WheelTicks)))
     assert first is not None
-    np.testing.assert_allclose(first.T_world_body, T_WORLD_START, atol=1e-12)
+    np.testing.assert_allclose(first.T_odom_body, T_WORLD_START, atol=1e-12)
 
 
 def test_a_refused_reading_is_refused_here_too() -> None:
@@ -186,7 +186,7 @@ def test_a_refused_reading_is_refused_here_too() -> None:
     estimate = subject.process(WheelTicks(before.stamp_s + 0.02, 10**7, 10**7))
     assert estimate is not None
     assert (estimate.status, estimate.reason) == (Status.FAILING, Reason.IMPLAUSIBLE_MOTION)
-    np.testing.assert_allclose(estimate.T_world_body, before.T_world_body, atol=1e-9)
+    np.testing.assert_allclose(estimate.T_odom_body, before.T_odom_body, atol=1e-9)
 
 
 def test_a_frame_of_another_size_is_refused_by_its_number() -> None:
@@ -203,7 +203,7 @@ def test_areas_and_start_may_all_stand_in_the_settings(tmp_path: Path) -> None:
     config = by_areas(tmp_path, areas=str(tmp_path / "areas.yaml"), start="0.5,0,0")
     first = Localizer(calibration(), config).process(area_drive().events[0])
     assert first is not None
-    np.testing.assert_allclose(first.T_world_body, T_WORLD_START, atol=1e-12)
+    np.testing.assert_allclose(first.T_odom_body, T_WORLD_START, atol=1e-12)
 
 
 def test_what_is_missing_is_named(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def events_of(drive: Drive, change: Change = lambda rate: rate, rest_s: float = 
 
 def bias_of(drive: Drive) -> float:
     """What the gyroscope shows on average beyond what the base turned."""
-    R = drive.truth.T_world_body[:, :2, :2]
+    R = drive.truth.T_frame_body[:, :2, :2]
     yaw = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
     shown = np.mean([rate.yaw_rate_rad_s for rate in drive.yaw_rates])
     return float(shown - (yaw[-1] - yaw[0]) / drive.truth.duration_s)
@@ -59,7 +59,7 @@ def rmse_m(answers: Sequence[Estimate], drive: Drive) -> float:
     """Of the positions, from the true start."""
     told = [answer for answer in answers if answer.stamp_s >= 0]
     T_true = drive.truth.at([answer.stamp_s for answer in told])
-    T = np.array([answer.T_world_body for answer in told])
+    T = np.array([answer.T_odom_body for answer in told])
     start = se3.invert(T_true[0]) @ T_true
     return float(np.sqrt(np.mean(np.sum((T[:, :2, 3] - start[:, :2, 3]) ** 2, axis=1))))
 
@@ -108,7 +108,7 @@ def test_a_gyroscope_that_contradicts_the_wheels_is_named_and_moves_nothing(faul
     assert any(said in warning for warning in subject.warnings)
     assert len(notes) == (0 if "clock" in fault else 1)
     for ours, theirs in zip(both, alone, strict=True):
-        np.testing.assert_array_equal(ours.T_world_body, theirs.T_world_body)
+        np.testing.assert_array_equal(ours.T_odom_body, theirs.T_odom_body)
         np.testing.assert_array_equal(ours.covariance, theirs.covariance)
 
 
@@ -120,7 +120,7 @@ def test_where_it_fails_on_the_way_the_wheels_go_on_from_where_both_agreed(rate_
     subject, both, (note,) = answers_to(broken)
     assert "left out" in note
     assert subject.warnings
-    T, expected = both[-1].T_world_body, answers_to(ended)[1][-1].T_world_body
+    T, expected = both[-1].T_odom_body, answers_to(ended)[1][-1].T_odom_body
     assert T is not None
     assert expected is not None
     off = se3.invert(expected) @ T

@@ -78,14 +78,14 @@ def test_a_camera_whose_clock_is_in_another_epoch_is_never_called_tracking(
 ) -> None:
     made = drive(SHORT)
     eye = made.eye()
-    eye.T_world_camera = lambda stamp_s, honest=eye.T_world_camera: honest(stamp_s - ahead_s)  # type: ignore[method-assign]
+    eye.T_odom_camera = lambda stamp_s, honest=eye.T_odom_camera: honest(stamp_s - ahead_s)  # type: ignore[method-assign]
     subject, kept = joined(monkeypatch, eye, kind)
     answers = answers_to(subject, with_clock(made, ahead_s, frames_first=False))[1:]
     assert not any(answer.status is Status.TRACKING for _, answer in answers)
     told = of_frames(answers)
     assert {answer.reason for answer in told[1:]} == {Reason.CLOCKS_APART}
     assert "clock of the camera" in subject.warnings[0]
-    moving = [answer for answer in told if answer.T_world_body is not None]
+    moving = [answer for answer in told if answer.T_odom_body is not None]
     assert len(moving) > 40
     assert max(off_m(answer, made.truth) for answer in moving) < 0.05
     assert spread_m(moving[-1]) > 1.8 * spread_m(moving[len(moving) // 2])
@@ -95,17 +95,17 @@ def test_a_camera_whose_clock_is_in_another_epoch_is_never_called_tracking(
 def test_of_two_clocks_that_of_the_sensor_heard_first_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     made, ahead_s = drive(SHORT), -1e9
     eye = made.eye()
-    eye.T_world_camera = lambda stamp_s, honest=eye.T_world_camera: honest(stamp_s - ahead_s)  # type: ignore[method-assign]
+    eye.T_odom_camera = lambda stamp_s, honest=eye.T_odom_camera: honest(stamp_s - ahead_s)  # type: ignore[method-assign]
     subject, _ = joined(monkeypatch, eye)
     answers = answers_to(subject, with_clock(made, ahead_s, frames_first=True))
     readings = [answer for event, answer in answers if not isinstance(event, RgbdFrame)]
     assert {answer.reason for answer in readings} == {Reason.CLOCKS_APART}
     assert "clock of the wheels" in subject.warnings[0]
-    seen = [answer for answer in of_frames(answers) if answer.T_world_body is not None]
+    seen = [answer for answer in of_frames(answers) if answer.T_odom_body is not None]
     assert {answer.status for answer in seen[1:]} == {Status.TRACKING}
     first_s = seen[0].stamp_s - ahead_s
     T = se3.invert(made.truth.at([first_s])[0]) @ made.truth.at([min(seen[-1].stamp_s - ahead_s, first_s + 10)])[0]
-    np.testing.assert_allclose(seen[-1].T_world_body, T, atol=0.05)
+    np.testing.assert_allclose(seen[-1].T_odom_body, T, atol=0.05)
 
 
 @pytest.mark.parametrize("stamp_s", [np.nan, np.inf, -np.inf])
@@ -123,7 +123,7 @@ def test_a_frame_whose_stamp_is_no_number_moves_nothing(
     ((_, odd),) = answers_to(subject, [make(stamp_s)])
     assert odd.reason in (Reason.INVALID, Reason.CLOCKS_APART, Reason.TOO_LATE, Reason.FRAME_UNUSABLE)
     assert subject.note
-    np.testing.assert_array_equal(odd.T_world_body, before.T_world_body)
+    np.testing.assert_array_equal(odd.T_odom_body, before.T_odom_body)
     np.testing.assert_array_equal(odd.covariance, before.covariance)
     assert len(kept.fused) == fused
     after = answers_to(subject, events[60:])
@@ -134,7 +134,7 @@ def test_a_frame_whose_stamp_is_no_number_moves_nothing(
 def test_a_frame_whose_stamp_is_no_number_may_be_the_first_event(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(SHORT)
     ((_, odd),) = answers_to(joined(monkeypatch, made.eye())[0], [frame(0, np.nan)])
-    assert (odd.status, odd.T_world_body) == (Status.INITIALIZING, None)
+    assert (odd.status, odd.T_odom_body) == (Status.INITIALIZING, None)
 
 
 def test_one_frame_from_the_far_future_does_not_end_the_camera(monkeypatch: pytest.MonkeyPatch) -> None:

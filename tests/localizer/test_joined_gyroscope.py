@@ -39,7 +39,7 @@ def test_the_gyroscope_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
             expected = by_hand.predict_to(wheels.process(event))
         else:
             by_hand.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
-    np.testing.assert_array_equal(answers[-1][1].T_world_body, expected.T_world_body)
+    np.testing.assert_array_equal(answers[-1][1].T_odom_body, expected.T_odom_body)
     np.testing.assert_array_equal(answers[-1][1].covariance, expected.covariance)
 
 
@@ -85,8 +85,8 @@ def test_straight_on_a_bias_does_not_turn_the_base(monkeypatch: pytest.MonkeyPat
     assert isinstance(subject._way, ByFusion)
     assert subject._way._was_trusted
     begin = next(answer for answer in answers if answer.stamp_s > made.begin_s + 6.6)
-    assert begin.T_world_body is not None
-    turned = se3.invert(begin.T_world_body) @ answers[-1].T_world_body
+    assert begin.T_odom_body is not None
+    turned = se3.invert(begin.T_odom_body) @ answers[-1].T_odom_body
     truth = se3.invert(made.truth.at([begin.stamp_s])[0]) @ made.truth.at([answers[-1].stamp_s])[0]
     assert so3.angle((se3.invert(truth) @ turned)[:3, :3]) < np.radians(0.3)
 
@@ -106,7 +106,7 @@ def test_a_gyroscope_that_contradicts_the_wheels_changes_nothing(
         answers.append(subject.process(event))
         notes += [subject.note] if subject.note else []
     last = [answer for answer in answers if answer is not None][-1]
-    np.testing.assert_array_equal(last.T_world_body, without[-1][1].T_world_body)
+    np.testing.assert_array_equal(last.T_odom_body, without[-1][1].T_odom_body)
     np.testing.assert_array_equal(last.covariance, without[-1][1].covariance)
     (note,), (warning,) = notes, subject.warnings
     assert note.startswith("the gyroscope is left out: ")

@@ -38,7 +38,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
 
 
 def since_begin(truth: Trajectory) -> Trajectory:
-    return Trajectory(truth.stamps_s, se3.invert(truth.T_world_body[0]) @ truth.T_world_body, body="base")
+    return Trajectory(truth.stamps_s, se3.invert(truth.T_frame_body[0]) @ truth.T_frame_body, body="base")
 
 
 def seen_as(change: Callable[[RgbdFrame], RgbdFrame], events: list[Event], when_s: tuple[float, float]) -> list[Event]:
@@ -85,7 +85,7 @@ def test_a_blackout_on_a_drive(room: Room, camera: str) -> None:
     assert max(off_m(a, way, frame.stamp_s) for frame, a, _ in answers) < 0.02
     assert all(off_m(a, way, frame.stamp_s) < 3 * spread_m(a) + 2e-3 for frame, a, _ in answers)
     assert spread_m(dark[-1][1]) > spread_m(dark[0][1])
-    assert way.T_world_body[-1][0, 3] > 0.5
+    assert way.T_odom_body[-1][0, 3] > 0.5
     if camera == "map":
         sizes = [size for _, _, size in dark]
         assert sizes[0] == sizes[-1] > 0
@@ -117,8 +117,8 @@ def test_after_a_blackout_the_map_goes_on_where_nothing_is_known(room: Room) -> 
     way, T_other_here = since_begin(truth), se3.exp([0.3, 0.2, 0, 0, 0, 0]) @ se3.exp([0, 0, 0, 0, 0, np.pi])
 
     def elsewhere(frame: RgbdFrame) -> RgbdFrame:
-        T_world_base = truth.at([min(frame.stamp_s - 0.001, truth.stamps_s[-1])])[0]
-        color, depth_m = render_room(T_other_here @ T_world_base @ T_BASE_CAMERA)
+        T_odom_base = truth.at([min(frame.stamp_s - 0.001, truth.stamps_s[-1])])[0]
+        color, depth_m = render_room(T_other_here @ T_odom_base @ T_BASE_CAMERA)
         return replace(frame, color=color, depth_m=depth_m)
 
     settings = load_config(

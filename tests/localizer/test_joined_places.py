@@ -70,12 +70,12 @@ def answers_to(subject: Localizer, events: tuple[Event, ...] = area_drive().even
     return [(event, answer) for event, answer in given if answer is not None]
 
 
-def errors_m(answers: Answers, T_world_begin: FloatArray | None = None) -> FloatArray:
-    """Metres between each pose and the truth; `T_world_begin` where the answers' world is that of the start."""
-    T_world_begin = np.eye(4) if T_world_begin is None else T_world_begin
+def errors_m(answers: Answers, T_odom_begin: FloatArray | None = None) -> FloatArray:
+    """Metres between each pose and the truth; `T_odom_begin` where the answers' world is that of the start."""
+    T_odom_begin = np.eye(4) if T_odom_begin is None else T_odom_begin
     truth = area_drive().truth
     stamps_s = np.minimum([event.stamp_s for event, _ in answers], truth.stamps_s[-1])
-    T = np.array([T_world_begin @ answer.T_world_body for _, answer in answers])
+    T = np.array([T_odom_begin @ answer.T_odom_body for _, answer in answers])
     return np.asarray(np.linalg.norm((T - truth.at(stamps_s))[:, :2, 3], axis=1))
 
 
@@ -97,9 +97,9 @@ def test_the_covariance_is_honest_while_they_hold_it(made: Callable[..., Localiz
     answers = answers_to(made(Forest(), dark_after(0.0)))
     spread_m = []
     for _, answer in answers:
-        assert answer.T_world_body is not None
+        assert answer.T_odom_body is not None
         assert answer.covariance is not None
-        x, y, _ = answer.T_world_body[:3, 3]
+        x, y, _ = answer.T_odom_body[:3, 3]
         J = np.array([[1.0, 0, 0, 0, 0, -y], [0, 1.0, 0, 0, 0, x]])
         spread_m.append(np.sqrt(np.trace(J @ answer.covariance @ J.T)))
     assert (errors_m(answers) < 3 * np.array(spread_m)).mean() > 0.95
@@ -123,7 +123,7 @@ def test_a_forest_that_is_worth_nothing_harms_little(
 
 def test_it_tells_what_the_model_said_and_how_long_it_took(made: Callable[..., Localizer]) -> None:
     subject, events = made(Forest()), area_drive().events
-    assert subject.world == "world"
+    assert subject.frame == "map"
     answers_to(subject, events[:60])
     frame = next(event for event in events[60:] if isinstance(event, RgbdFrame))
     answer = subject.process(frame)
@@ -143,7 +143,7 @@ def test_it_starts_where_places_say(made: Callable[..., Localizer]) -> None:
     forest = Forest()
     subject = made(forest, begin_s=begin_s)
     early = [subject.process(event) for event in events if event.stamp_s < begin_s]
-    assert all(answer is not None and answer.T_world_body is None for answer in early)
+    assert all(answer is not None and answer.T_odom_body is None for answer in early)
     assert {answer.status for answer in early if answer is not None} == {Status.INITIALIZING}
     assert subject.process(SkippedFrame(begin_s - 0.01, "cut off")).status is Status.INITIALIZING  # type: ignore[union-attr]
     assert subject.note == "cut off"
@@ -152,7 +152,7 @@ def test_it_starts_where_places_say(made: Callable[..., Localizer]) -> None:
     first = next(event for event in events if isinstance(event, WheelTicks) and event.stamp_s >= begin_s)
     answer = subject.process(first)
     assert answer is not None
-    np.testing.assert_allclose(answer.T_world_body, T_WORLD_START, atol=1e-9)
+    np.testing.assert_allclose(answer.T_odom_body, T_WORLD_START, atol=1e-9)
     assert answer.covariance is not None
     J = np.array([[1.0, 0, 0, 0, 0, -T_WORLD_START[1, 3]], [0, 1.0, 0, 0, 0, T_WORLD_START[0, 3]]])
     np.testing.assert_allclose(J @ answer.covariance @ J.T, 0.05**2 * np.eye(2), atol=1e-4)
@@ -164,7 +164,7 @@ def test_frames_before_any_reading_wait_for_the_start(made: Callable[..., Locali
     subject = made(forest)
     answer = subject.process(replace(area_drive().frames[0], stamp_s=area_drive().events[0].stamp_s - 0.1))
     assert answer is not None
-    assert (answer.status, answer.T_world_body) == (Status.INITIALIZING, None)
+    assert (answer.status, answer.T_odom_body) == (Status.INITIALIZING, None)
     assert forest.asked == 0
 
 
@@ -174,7 +174,7 @@ def test_a_frame_without_depth_is_no_place(made: Callable[..., Localizer]) -> No
     whole = area_drive().frames[0]
     answer = subject.process(replace(whole, stamp_s=before.stamp_s, depth_m=np.zeros_like(whole.depth_m)))
     assert answer is not None
-    np.testing.assert_allclose(answer.T_world_body, before.T_world_body, atol=1e-9)
+    np.testing.assert_allclose(answer.T_odom_body, before.T_odom_body, atol=1e-9)
 
 
 def test_the_map_comes_along_with_the_pose(made: Callable[..., Localizer]) -> None:
@@ -182,8 +182,8 @@ def test_the_map_comes_along_with_the_pose(made: Callable[..., Localizer]) -> No
     subject = made(Forest(), kept=kept)
     answers = answers_to(subject, area_drive().events[:700])
     event, answer = next(pair for pair in reversed(answers) if isinstance(pair[0], RgbdFrame))
-    assert answer.T_world_body is not None
-    T_map_camera = se3.invert(subject.T_world_map) @ answer.T_world_body
+    assert answer.T_odom_body is not None
+    T_map_camera = se3.invert(subject.T_odom_map) @ answer.T_odom_body
     moved = [a for e, a in answers if isinstance(e, WheelTicks) and e.stamp_s > event.stamp_s]
     assert len(moved) <= 5
     np.testing.assert_allclose(T_map_camera, kept.fused[event.stamp_s], atol=1e-4)  # but for the camera's lag

@@ -35,14 +35,14 @@ def test_a_frame_is_answered_by_odometry(truth: Trajectory) -> None:
     estimate = localizer().process(frame(3, 3.0))
     assert estimate is not None
     assert estimate.body == "camera"
-    np.testing.assert_allclose(estimate.T_world_body, truth.T_world_body[3])
+    np.testing.assert_allclose(estimate.T_odom_body, truth.T_frame_body[3])
 
 
 def test_a_skipped_frame_gets_no_pose_and_says_why() -> None:
     subject = localizer()
     estimate = subject.process(SkippedFrame(0.0, "depth/0.png is truncated"))
     assert estimate is not None
-    assert estimate.T_world_body is None
+    assert estimate.T_odom_body is None
     assert estimate.reason is Reason.FRAME_UNUSABLE
     assert estimate.status is Status.INITIALIZING
     assert subject.note == "depth/0.png is truncated"
@@ -69,7 +69,7 @@ def test_a_frame_that_is_not_newer_is_refused_with_the_reason_said(late_s: float
     subject.process(frame(0, 5.0))
     estimate = subject.process(frame(1, late_s))
     assert estimate is not None
-    assert estimate.T_world_body is None
+    assert estimate.T_odom_body is None
     assert estimate.reason is Reason.FRAME_UNUSABLE
     assert subject.note == ("its stamp does not come after 5.000000 s" if late_s == 5 else NOTE_OF_LEAP)
     assert len(TrueOdometry.seen) == 1
@@ -84,7 +84,7 @@ def test_a_frame_whose_stamp_is_no_number_is_refused_and_those_after_it_are_not(
     subject.process(frame(0, 5.0))
     odd = subject.process(frame(1, stamp_s))
     assert odd is not None
-    assert (odd.T_world_body, odd.reason) == (None, Reason.FRAME_UNUSABLE)
+    assert (odd.T_odom_body, odd.reason) == (None, Reason.FRAME_UNUSABLE)
     newer = subject.process(frame(2, 6.0))
     assert newer is not None
     assert newer.status is Status.TRACKING
@@ -95,7 +95,7 @@ def test_poses_of_the_base_start_where_the_base_was(truth: Trajectory, rng: np.r
     estimate = localizer(T_base_camera).process(frame(3, 3.0))
     assert estimate is not None
     assert estimate.body == "base"
-    T_start_base, T_camera0_camera = estimate.T_world_body, truth.T_world_body[3]
+    T_start_base, T_camera0_camera = estimate.T_odom_body, truth.T_frame_body[3]
     # A point fixed to the base, seen by either way round.
     p_camera = rng.standard_normal(3)
     p_base = se3.apply(T_base_camera, p_camera)
@@ -107,21 +107,21 @@ def test_covariance_of_the_base_moves_as_the_pose_does(truth: Trajectory, rng: n
     T_base_camera = se3.exp(rng.standard_normal(6))
     estimate = localizer(T_base_camera).process(frame(3, 3.0))
     assert estimate is not None
-    assert estimate.T_world_body is not None
+    assert estimate.T_odom_body is not None
     T_camera_base = se3.invert(T_base_camera)
     J = np.empty((6, 6))  # of the base's perturbation by the camera's, measured
     for axis in range(6):
         xi = np.zeros(6)
         xi[axis] = 1e-6
-        moved = T_base_camera @ se3.exp(xi) @ truth.T_world_body[3] @ T_camera_base
-        J[:, axis] = se3.log(moved @ se3.invert(estimate.T_world_body)) / 1e-6
+        moved = T_base_camera @ se3.exp(xi) @ truth.T_frame_body[3] @ T_camera_base
+        J[:, axis] = se3.log(moved @ se3.invert(estimate.T_odom_body)) / 1e-6
     np.testing.assert_allclose(estimate.covariance, J @ (1e-6 * np.eye(6)) @ J.T, rtol=1e-5, atol=1e-12)
 
 
 def test_a_failing_frame_of_a_robot_with_a_base_is_still_of_the_base() -> None:
     estimate = localizer(np.eye(4)).process(frame(3, 3.0, dark=True))
     assert estimate is not None
-    assert (estimate.body, estimate.T_world_body) == ("base", None)
+    assert (estimate.body, estimate.T_odom_body) == ("base", None)
 
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0, slip_m_per_sqrt_m=0.02)
@@ -134,14 +134,14 @@ def wheeled(**settings: object) -> Localizer:
 
 def test_wheels_answer_readings_of_wheels_alone() -> None:
     subject = wheeled()
-    assert (subject.body, subject.world) == ("base", "odom")
+    assert (subject.body, subject.frame) == ("base", "odom")
     assert subject.process(frame(0, 0.0)) is None
     assert subject.process(SkippedFrame(0.0, "cut off")) is None
     subject.process(WheelTicks(0.0, 0, 0))
     estimate = subject.process(WheelTicks(0.02, 100, 100))
     assert estimate is not None
-    assert estimate.T_world_body is not None
-    assert estimate.T_world_body[0, 3] == pytest.approx(100 * WHEELS.left_m_per_tick)
+    assert estimate.T_odom_body is not None
+    assert estimate.T_odom_body[0, 3] == pytest.approx(100 * WHEELS.left_m_per_tick)
     assert (subject.last_matches, subject.stage_seconds) == (None, {})
 
 
@@ -151,7 +151,7 @@ def test_the_integration_is_as_set() -> None:
         for reading in (WheelTicks(0.0, 0, 0), WheelTicks(0.02, 20, 90), WheelTicks(0.04, 50, 200)):
             estimate, wanted = subject.process(reading), expected.process(reading)
             assert estimate is not None
-            np.testing.assert_array_equal(estimate.T_world_body, wanted.T_world_body)
+            np.testing.assert_array_equal(estimate.T_odom_body, wanted.T_frame_body)
 
 
 @pytest.mark.parametrize("gyro", [True, False])
@@ -164,8 +164,8 @@ def test_the_gyroscope_turns_the_robot_where_it_is_wanted(gyro: bool) -> None:
         subject.process(YawRate(0.02 * i, 1.1 * rate))
         estimate = subject.process(WheelTicks(0.02 * i, -round(ticks_a_rad * turned), round(ticks_a_rad * turned)))
     assert estimate is not None
-    assert estimate.T_world_body is not None
-    yaw = np.arctan2(estimate.T_world_body[1, 0], estimate.T_world_body[0, 0])
+    assert estimate.T_odom_body is not None
+    yaw = np.arctan2(estimate.T_odom_body[1, 0], estimate.T_odom_body[0, 0])
     off = (yaw - turned * (1.1 if gyro else 1.0) + np.pi) % (2 * np.pi) - np.pi
     assert abs(off) < (0.02 if gyro else 1e-3)
     assert subject.note == ""
@@ -188,7 +188,7 @@ def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.Monkey
     made: list[object] = []
 
     class Dense(TrueOdometry):
-        def __init__(self, calibration: Calibration, settings: object, T_world_first: object = None) -> None:
+        def __init__(self, calibration: Calibration, settings: object, T_odom_first: object = None) -> None:
             super().__init__(calibration, settings)
             made.append(settings)
 
@@ -200,6 +200,6 @@ def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.Monkey
     subject.process(frame(2, 2.0))
     estimate = subject.process(frame(3, 3.0))
     assert estimate is not None
-    np.testing.assert_allclose(estimate.T_world_body, truth.T_world_body[3])
+    np.testing.assert_allclose(estimate.T_odom_body, truth.T_frame_body[3])
     assert subject.last_matches is None
-    assert (subject.body, subject.world) == ("camera", "world")
+    assert (subject.body, subject.frame) == ("camera", "map")

@@ -56,7 +56,7 @@ def test_a_frame_that_fails_is_never_fused(tmp_path: Path, change: Callable[[Rgb
     for index, event in enumerate(recording.events()):
         estimate = localizer.process(change(event) if index == bad and isinstance(event, RgbdFrame) else event)
         assert estimate is not None
-        assert (estimate.T_world_body is None) == (index == bad)
+        assert (estimate.T_odom_body is None) == (index == bad)
         fused.append(localizer.last_fused is not None)
         assert localizer.map is not None
         sizes.append(len(localizer.map))

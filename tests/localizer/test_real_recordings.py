@@ -38,7 +38,7 @@ def answers_to(localizer: Localizer, recording: Recording) -> list[Estimate]:
 
 def rmse_m(answers: list[Estimate], recording: Recording) -> float:
     assert recording.ground_truth is not None
-    newest = {answer.stamp_s: answer.T_world_body for answer in answers}  # one that came late is answered as of that
+    newest = {answer.stamp_s: answer.T_odom_body for answer in answers}  # one that came late is answered as of that
     stamps, poses = zip(*sorted(newest.items()), strict=True)
     return ate(Trajectory(np.array(stamps), np.array(poses), body="base"), recording.ground_truth).translation.rmse
 
@@ -57,7 +57,7 @@ def test_wheels_are_no_worse_joined_with_a_dark_camera_than_alone(data_folder: P
         assert rmse_m(joined, recording) < rmse_m(alone, recording)
         return
     for ours, theirs in zip(joined, alone, strict=True):
-        np.testing.assert_allclose(ours.T_world_body, theirs.T_world_body, atol=1e-9)
+        np.testing.assert_allclose(ours.T_odom_body, theirs.T_odom_body, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["skid_steer_run20", "mocap_floor"])
@@ -69,7 +69,7 @@ def test_wheels_through_a_localizer_are_wheel_odometry(data_folder: Path, name: 
     through = answers_to(Localizer(recording.calibration, settings), recording)
     readings = [event for event in recording.events() if isinstance(event, WheelTicks | WheelSpeeds)]
     for ours, reading in zip(through, readings, strict=True):
-        np.testing.assert_array_equal(ours.T_world_body, plain.process(reading).T_world_body)
+        np.testing.assert_array_equal(ours.T_odom_body, plain.process(reading).T_odom_body)
 
 
 @pytest.mark.parametrize("name", ["freiburg1_rpy_part", "red_kitchen"])
@@ -81,7 +81,7 @@ def test_a_camera_through_a_localizer_is_dense_odometry(data_folder: Path, name:
     for frame in islice(frames, 60):
         ours, theirs = through.process(frame), plain.process(frame)
         assert ours is not None
-        np.testing.assert_array_equal(ours.T_world_body, theirs.T_world_body)
+        np.testing.assert_array_equal(ours.T_odom_body, theirs.T_odom_body)
         np.testing.assert_array_equal(ours.covariance, theirs.covariance)
 
 
@@ -97,8 +97,8 @@ def test_real_images_listed_twice_are_tracked_as_if_listed_once(data_folder: Pat
         assert expected is not None
         assert answer is not None
         assert again is not None
-        assert (expected.reason, again.reason, again.T_world_body) == (None, Reason.REPEATED, None)
-        np.testing.assert_array_equal(answer.T_world_body, expected.T_world_body)
+        assert (expected.reason, again.reason, again.T_odom_body) == (None, Reason.REPEATED, None)
+        np.testing.assert_array_equal(answer.T_odom_body, expected.T_odom_body)
 
 
 @pytest.mark.parametrize(("name", "repeated"), [("freiburg1_rpy_part", 0), ("red_kitchen", 31)])

@@ -70,9 +70,9 @@ def test_images_listed_twice_are_tracked_as_if_listed_once(room: Recording, sett
     assert len(both) == 2 * len(once) == 12
     for stamp_s, answer in once.items():
         again = both[stamp_s + 0.01]
-        assert (again.status, again.reason, again.T_world_body) == (Status.FAILING, Reason.REPEATED, None)
+        assert (again.status, again.reason, again.T_odom_body) == (Status.FAILING, Reason.REPEATED, None)
         assert both[stamp_s].status is answer.status is Status.TRACKING
-        np.testing.assert_array_equal(both[stamp_s].T_world_body, answer.T_world_body)
+        np.testing.assert_array_equal(both[stamp_s].T_odom_body, answer.T_odom_body)
 
 
 def test_beside_wheels_an_image_listed_twice_is_no_look(drive: Recording) -> None:
@@ -85,8 +85,8 @@ def test_beside_wheels_an_image_listed_twice_is_no_look(drive: Recording) -> Non
     assert {answer.status for answer in repeated} == {Status.TRACKING}
     for stamp_s, answer in once.items():
         assert both[stamp_s].status is answer.status
-        assert answer.T_world_body is not None
-        np.testing.assert_allclose(both[stamp_s].T_world_body, answer.T_world_body, atol=1e-3)
+        assert answer.T_odom_body is not None
+        np.testing.assert_allclose(both[stamp_s].T_odom_body, answer.T_odom_body, atol=1e-3)
 
 
 def test_by_the_papers_filter_an_image_listed_twice_changes_nothing(drive: Recording) -> None:
@@ -98,8 +98,8 @@ def test_by_the_papers_filter_an_image_listed_twice_changes_nothing(drive: Recor
     assert {answer.reason for stamp_s, answer in both.items() if stamp_s not in once} == {Reason.REPEATED}
     for stamp_s, answer in once.items():
         assert both[stamp_s].status is answer.status
-        assert answer.T_world_body is not None
-        np.testing.assert_array_equal(both[stamp_s].T_world_body, answer.T_world_body)
+        assert answer.T_odom_body is not None
+        np.testing.assert_array_equal(both[stamp_s].T_odom_body, answer.T_odom_body)
 
 
 def test_a_mount_is_found_by_images_listed_twice_as_by_images_listed_once(drive: Recording) -> None:
@@ -107,7 +107,7 @@ def test_a_mount_is_found_by_images_listed_twice_as_by_images_listed_once(drive:
     given = MemoryRecording(list(twice(drive.events(), 0.02)), calibration=drive.calibration)
     once, both = watch(drive, drive.calibration.wheels), watch(given, drive.calibration.wheels)
     np.testing.assert_array_equal(both.camera.stamps_s, once.camera.stamps_s)
-    np.testing.assert_array_equal(both.camera.T_world_body, once.camera.T_world_body)
+    np.testing.assert_array_equal(both.camera.T_odom_body, once.camera.T_odom_body)
     assert both.frame_count == once.frame_count == len(once.camera) < given.frame_count / 2 + 1
 
 

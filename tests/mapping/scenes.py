@@ -43,7 +43,7 @@ class View:
 
 
 def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> FloatArray:
-    """T_world_camera of a camera that looks along z, turned about y."""
+    """T_map_camera of a camera that looks along z, turned about y."""
     return se3.from_parts(so3.exp(np.array([0.0, yaw, 0.0])), np.array([x, y, z]))
 
 
@@ -54,21 +54,21 @@ def rays(grid: FloatArray = GRID, shape: tuple[int, int] = SHAPE) -> FloatArray:
 
 def see(
     walls: list[Wall],
-    T_world_camera: FloatArray,
+    T_map_camera: FloatArray,
     rng: np.random.Generator | None = None,
     grid: FloatArray = GRID,
     shape: tuple[int, int] = SHAPE,
 ) -> View:
     """The nearest of the walls at each pixel; with the noise of NOISE where `rng` is given."""
-    directions = rays(grid, shape) @ T_world_camera[:3, :3].T
+    directions = rays(grid, shape) @ T_map_camera[:3, :3].T
     depth_m, normal = np.full(shape, np.inf), np.zeros((*shape, 3))
     for wall in walls:
-        z = -wall.distance(T_world_camera[:3, 3]) / (directions @ wall.normal)
-        x = T_world_camera[0, 3] + z * directions[..., 0]
+        z = -wall.distance(T_map_camera[:3, 3]) / (directions @ wall.normal)
+        x = T_map_camera[0, 3] + z * directions[..., 0]
         nearer = (z > 0) & (z < depth_m) & (wall.low <= x) & (x <= wall.high)
-        depth_m[nearer], normal[nearer] = z[nearer], wall.normal @ T_world_camera[:3, :3]
+        depth_m[nearer], normal[nearer] = z[nearer], wall.normal @ T_map_camera[:3, :3]
     depth_m[np.isinf(depth_m)] = 0.0
-    points = T_world_camera[:3, 3] + directions * depth_m[..., None]
+    points = T_map_camera[:3, 3] + directions * depth_m[..., None]
     grey = 128 + 60 * np.sin(4 * points[..., 0]) * np.cos(3 * points[..., 1])
     color = np.stack([grey, 0.5 * grey, 255 - grey], axis=-1)
     if rng is not None:
@@ -76,9 +76,9 @@ def see(
     return View(*(image.astype(np.float32) for image in (depth_m, normal, grey, color)))
 
 
-def fuse(surfel_map: SurfelMap, view: View, T_world_camera: FloatArray, stamp_s: float) -> FusedFrame:
+def fuse(surfel_map: SurfelMap, view: View, T_map_camera: FloatArray, stamp_s: float) -> FusedFrame:
     images = (view.depth_m, view.normal, view.grey, view.color)
-    return surfel_map.fuse(*images, GRID, T_world_camera, stamp_s, NOISE)
+    return surfel_map.fuse(*images, GRID, T_map_camera, stamp_s, NOISE)
 
 
 def look_at(

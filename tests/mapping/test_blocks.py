@@ -32,9 +32,9 @@ def any_pose(rng: np.random.Generator) -> FloatArray:
     return se3.from_parts(so3.exp(rng.normal(0, 2, 3)), rng.uniform(-8, 8, 3))
 
 
-def seen_of(points: np.ndarray, T_world_camera: FloatArray, far_m: float) -> np.ndarray:
+def seen_of(points: np.ndarray, T_map_camera: FloatArray, far_m: float) -> np.ndarray:
     """By projecting all of them."""
-    p = se3.apply(se3.invert(T_world_camera), points.astype(float))
+    p = se3.apply(se3.invert(T_map_camera), points.astype(float))
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = GRID[0] * p[:, 0] / p[:, 2] + GRID[2], GRID[1] * p[:, 1] / p[:, 2] + GRID[3]
     inside = (u >= -0.5) & (u <= SHAPE[1] - 0.5) & (v >= -0.5) & (v <= SHAPE[0] - 0.5)

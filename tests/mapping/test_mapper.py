@@ -23,7 +23,7 @@ TRUTH = synthetic.wobbling_trajectory(6)
 
 @pytest.fixture(scope="module")
 def frames() -> list[RgbdFrame]:
-    poses = zip(TRUTH.stamps_s, TRUTH.T_world_body, strict=True)
+    poses = zip(TRUTH.stamps_s, TRUTH.T_frame_body, strict=True)
     return [RgbdFrame(float(stamp_s), *synthetic.render_room(T)) for stamp_s, T in poses]
 
 

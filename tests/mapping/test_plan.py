@@ -36,8 +36,8 @@ CUPBOARD_TOP = sheet(2.0, BLUE, (-2.0, -1.5), (-1.0, 1.0), UP)
 ROOM = joined(CEILING, TABLE, FLOOR, CUPBOARD_TOP)
 
 
-def color_at(plan: Plan, *p_world: float) -> list[int]:
-    ((u, v),) = np.rint(plan.project(np.array([p_world]))).astype(int)
+def color_at(plan: Plan, *p_map: float) -> list[int]:
+    ((u, v),) = np.rint(plan.project(np.array([p_map]))).astype(int)
     return plan.image[v, u].tolist()
 
 
@@ -82,7 +82,7 @@ def test_any_direction_may_be_up():
     level, tilted = made(ROOM), made(turned, up=R @ UP, right=R @ RIGHT)
     assert level.image.shape == tilted.image.shape
     assert np.mean(np.abs(level.image.astype(int) - tilted.image).max(axis=2) > 3) < 0.02
-    np.testing.assert_allclose(tilted.R_plan_world, R.T, atol=1e-9)
+    np.testing.assert_allclose(tilted.R_plan_map, R.T, atol=1e-9)
 
 
 def test_upright_surfaces_are_darker():
@@ -114,8 +114,8 @@ def test_large_maps_are_drawn_coarser():
 
 def test_up_may_be_where_right_was():
     plan = made(FLOOR, up=np.array([1.0, 0.0, 0.0]))
-    np.testing.assert_allclose(plan.R_plan_world @ plan.R_plan_world.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(plan.R_plan_world) == pytest.approx(1)
+    np.testing.assert_allclose(plan.R_plan_map @ plan.R_plan_map.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(plan.R_plan_map) == pytest.approx(1)
 
 
 def test_nothing_to_see_gives_no_plan():

@@ -25,7 +25,7 @@ def frames() -> list[RgbdFrame]:
 def positions_m(frames: list[RgbdFrame], threads: int) -> tuple[FloatArray, FloatArray]:
     """Of the camera at each frame (n, 3), and of all surfels in the end (m, 3)."""
     mapper = SurfelMapper(CALIBRATION, DenseSettings(threads=threads), SurfelSettings(threads=threads))
-    poses = [mapper.process(frame).T_world_body for frame in frames]
+    poses = [mapper.process(frame).T_odom_body for frame in frames]
     assert all(T is not None for T in poses)
     return np.array(poses)[:, :3, 3], mapper.map.surfels().position
 

@@ -35,7 +35,7 @@ def normals_of(depth_m: np.ndarray) -> np.ndarray:
 def test_the_model_of_a_room_is_where_its_surfaces_are():
     surfel_map, seen = SurfelMap(), []
     trajectory = synthetic.wobbling_trajectory(60)
-    for stamp_s, T in zip(trajectory.stamps_s, trajectory.T_world_body, strict=True):
+    for stamp_s, T in zip(trajectory.stamps_s, trajectory.T_frame_body, strict=True):
         exact_m = synthetic.render_room(T)[1]
         color, depth_m = synthetic.render_room(T, depth_noise=True)
         grey = (color @ [0.299, 0.587, 0.114]).astype(np.float32)

@@ -44,12 +44,12 @@ def test_at_five_frames_a_second_turns_of_a_right_angle_a_second_are_followed_or
     subject, apart = SurfelMapper(recording.calibration), []
     frames = [event for event in events_with((LowRate(),), recording.events()) if isinstance(event, RgbdFrame)]
     T_first = truth.at(frames[0].stamp_s)[0]
-    T_world_first = recording.calibration.T_base_camera
+    T_map_first = recording.calibration.T_base_camera
     for frame in frames:
         answer = subject.process(frame)
-        if answer.T_world_body is not None:
-            T_true = T_world_first @ se3.invert(T_first) @ truth.at(frame.stamp_s)[0]
-            T = se3.invert(T_true) @ answer.T_world_body
+        if answer.T_odom_body is not None:
+            T_true = T_map_first @ se3.invert(T_first) @ truth.at(frame.stamp_s)[0]
+            T = se3.invert(T_true) @ answer.T_odom_body
             apart.append((np.linalg.norm(T[:3, 3]), so3.angle(T[:3, :3])))
     assert len(apart) > 0.6 * len(frames)
     assert (np.array(apart) < (0.1, math.radians(5))).all()

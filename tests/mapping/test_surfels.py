@@ -285,9 +285,9 @@ def test_the_count_of_surfels_is_that_of_those_there(rng):
 @pytest.mark.parametrize(
     ("changed", "word"),
     [
-        ({"T_world_camera": np.full((4, 4), np.nan)}, "T_world_camera"),
-        ({"T_world_camera": 2 * np.eye(4)}, "T_world_camera"),
-        ({"T_world_camera": np.eye(3)}, "T_world_camera"),
+        ({"T_map_camera": np.full((4, 4), np.nan)}, "T_map_camera"),
+        ({"T_map_camera": 2 * np.eye(4)}, "T_map_camera"),
+        ({"T_map_camera": np.eye(3)}, "T_map_camera"),
         ({"intrinsics": np.array([0.0, 1, 1, 1])}, "intrinsics"),
         ({"intrinsics": np.array([np.nan, 1, 1, 1])}, "intrinsics"),
         ({"stamp_s": 0.5}, "stamp_s"),
@@ -303,7 +303,7 @@ def test_what_cannot_be_fused_is_refused_and_leaves_the_map_as_it_was(changed, w
     fuse(surfel_map, view, pose(), 1.0)
     before = contents(surfel_map)
     images = {"depth_m": view.depth_m, "normal": view.normal, "grey": view.grey, "color": view.color}
-    given = {**images, "intrinsics": GRID, "T_world_camera": pose(), "stamp_s": 2.0} | changed
+    given = {**images, "intrinsics": GRID, "T_map_camera": pose(), "stamp_s": 2.0} | changed
     with pytest.raises(MapError, match=word) as raised:
         surfel_map.fuse(**given)
     assert "\n" not in str(raised.value)

@@ -122,7 +122,7 @@ def test_another_camera_may_look_at_the_map():
 
 
 def test_a_pose_that_is_none_is_refused():
-    with pytest.raises(MapError, match="T_world_camera"):
+    with pytest.raises(MapError, match="T_map_camera"):
         made_map().predict(np.full((4, 4), np.nan), GRID, SHAPE)
 
 

@@ -17,7 +17,7 @@ FRAME_S = 1 / 30
 
 
 def room_frame(
-    T_world_camera: FloatArray,
+    T_map_camera: FloatArray,
     stamp_s: float,
     camera: PinholeCamera = CAMERA,
     seed: int = 0,
@@ -26,7 +26,7 @@ def room_frame(
     blank: bool = False,
 ) -> RgbdFrame:
     """The room as a registered camera sees it."""
-    return RgbdFrame(stamp_s, *render_room(T_world_camera, camera, seed, depth_noise, blank))
+    return RgbdFrame(stamp_s, *render_room(T_map_camera, camera, seed, depth_noise, blank))
 
 
 def covered_frame(stamp_s: float, camera: PinholeCamera = CAMERA) -> RgbdFrame:
@@ -37,7 +37,7 @@ def covered_frame(stamp_s: float, camera: PinholeCamera = CAMERA) -> RgbdFrame:
 
 def room_frames(trajectory: Iterable[tuple[float, FloatArray]], **how: object) -> list[RgbdFrame]:
     """The room seen along a trajectory."""
-    return [room_frame(T_world_camera, stamp_s, **how) for stamp_s, T_world_camera in trajectory]
+    return [room_frame(T_map_camera, stamp_s, **how) for stamp_s, T_map_camera in trajectory]
 
 
 def odometry(calibration: Calibration | None = None, **settings: object) -> FeatureOdometry:
@@ -50,19 +50,19 @@ def run(subject: FeatureOdometry, frames: Iterable[RgbdFrame]) -> list[Estimate]
     return [subject.process(frame) for frame in frames]
 
 
-def from_start(T_world_camera: FloatArray) -> FloatArray:
+def from_start(T_map_camera: FloatArray) -> FloatArray:
     """Poses (N, 4, 4) in the frame of the first, which is odometry's world."""
-    return se3.invert(T_world_camera[0]) @ T_world_camera
+    return se3.invert(T_map_camera[0]) @ T_map_camera
 
 
-def error_of(estimate: Estimate, T_world_camera: FloatArray) -> tuple[float, float]:
+def error_of(estimate: Estimate, T_map_camera: FloatArray) -> tuple[float, float]:
     """Metres and radians between an estimate and the truth (4, 4) in its world."""
-    assert estimate.T_world_body is not None, f"no pose: {estimate.reason}"
-    apart = se3.invert(T_world_camera) @ estimate.T_world_body
+    assert estimate.T_odom_body is not None, f"no pose: {estimate.reason}"
+    apart = se3.invert(T_map_camera) @ estimate.T_odom_body
     return float(np.linalg.norm(apart[:3, 3])), float(so3.angle(apart[:3, :3]))
 
 
-def nees(estimate: Estimate, T_world_camera: FloatArray) -> float:
+def nees(estimate: Estimate, T_map_camera: FloatArray) -> float:
     """Normalised estimation error squared of a pose: chi-square with six degrees of freedom where it is honest."""
-    error = se3.log(T_world_camera @ se3.invert(estimate.T_world_body))
+    error = se3.log(T_map_camera @ se3.invert(estimate.T_odom_body))
     return float(error @ np.linalg.solve(estimate.covariance, error))

@@ -41,7 +41,7 @@ def drive(tmp_path: Path) -> Path:
     turn = 18 * np.sin(t / 4) * np.sin(t / 11)
     left, right = (np.cumsum(np.rint(speed + sign * turn)).astype(int) for sign in (-1, 1))
     path = integrate_log(TRUE, t, left, right)
-    truth = Trajectory(t, path.trajectory().T_world_body, body="base")
+    truth = Trajectory(t, path.trajectory().T_odom_body, body="base")
     yaw = np.unwrap(path.poses[:, 2])
     with RecordingWriter(tmp_path / "drive", Calibration(wheels=NOMINAL)) as writer:
         writer.add_ground_truth(truth)
@@ -79,7 +79,7 @@ def test_errors_in_closed_form(wheels_real: ModuleType) -> None:
     x = 2.0 * t
     zero = np.zeros(len(t))
     truth = Trajectory(t, wheels_real.se3.from_plane(x, zero, zero), body="base")
-    short = Trajectory(t, wheels_real.se3.from_plane(0.99 * x, zero, zero), body="base", world="odom")
+    short = Trajectory(t, wheels_real.se3.from_plane(0.99 * x, zero, zero), body="base", frame="odom")
     errors = wheels_real.errors_of(short, truth)
     assert errors.way_m == pytest.approx(199.8)
     assert errors.end_m == pytest.approx(0.01 * 199.8)

@@ -36,7 +36,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     truth = Trajectory(stamps_s, se3.exp(xi))
     drift = se3.exp(np.cumsum(np.random.default_rng(0).normal(0, 0.003, (len(xi), 6)), axis=0))
     write_tum(truth, tmp_path / "loop-groundtruth.txt")
-    write_tum(Trajectory(stamps_s, truth.T_world_body @ drift), tmp_path / "estimate.txt")
+    write_tum(Trajectory(stamps_s, truth.T_frame_body @ drift), tmp_path / "estimate.txt")
     return tmp_path / "loop-groundtruth.txt", tmp_path / "estimate.txt"
 
 

@@ -45,7 +45,7 @@ def test_wheels_are_followed_alone_and_rectified(tmp_path: Path) -> None:
     alone, beside = ((tmp_path / place / "trajectory.txt").read_bytes() for place in ("alone", "out/wheels"))
     assert alone == beside
     written = read_tum(out / "rectified" / "trajectory.txt")
-    assert (written.world, written.body) == ("world", "base")
+    assert (written.frame, written.body) == ("map", "base")
     readings = sum(isinstance(event, WheelTicks) for event in area_drive().events)
     assert len(written) == readings + len(area_drive().frames)
 
@@ -57,10 +57,10 @@ def test_beside_a_camera_they_are_rectified_and_joined(tmp_path: Path) -> None:
     assert [record.odometry for record in records] == ["wheels", "features", "rectified", "joined"]
     assert names_in(out / "joined") == OF_ONE
     wheels, joined = records[0].estimate, records[3].estimate
-    assert (joined.world, joined.body) == ("world", "base")
-    np.testing.assert_allclose(joined.T_world_body[0], T_WORLD_START, atol=1e-9)
-    end, T_world_end = area_drive().truth.stamps_s[-1:], area_drive().truth.T_world_body[-1]
-    off_m = [np.hypot(*(path.at(end)[0] - T_world_end)[:2, 3]) for path in (wheels.moved(T_WORLD_START), joined)]
+    assert (joined.frame, joined.body) == ("map", "base")
+    np.testing.assert_allclose(joined.T_odom_body[0], T_WORLD_START, atol=1e-9)
+    end, T_odom_end = area_drive().truth.stamps_s[-1:], area_drive().truth.T_frame_body[-1]
+    off_m = [np.hypot(*(path.at(end)[0] - T_odom_end)[:2, 3]) for path in (wheels.moved(T_WORLD_START), joined)]
     assert off_m[1] < 0.3 * off_m[0]
     assert {"name the area", "measure by the area"} <= metrics_in(out / "joined")["timing"]["stages_median_ms"].keys()
 
@@ -79,7 +79,7 @@ def test_errors_in_the_world_are_of_paths_where_they_say_they_are(tmp_path: Path
     np.testing.assert_allclose(errors.rectified_m, np.hypot(*(rectified_xy - true_xy).T), atol=1e-9)
     assert errors.left < 0.5
     figures = metrics_in(tmp_path / "out")["odometry"]["rectified"]["rectification"]
-    assert figures["world_error_m"]["wheels"]["mean"] == errors.wheels.mean
+    assert figures["map_error_m"]["wheels"]["mean"] == errors.wheels.mean
     assert figures["share_of_mean_error_left"] == pytest.approx(errors.rectified.mean / errors.wheels.mean)
     assert figures["model_accuracy"] > 0.9
 
@@ -113,9 +113,9 @@ def test_the_papers_way_has_neither_belief_nor_trust(tmp_path: Path) -> None:
 def test_a_start_taken_from_the_truth_is_told(tmp_path: Path) -> None:
     records = run_each(shortened(area_recording(tmp_path)), by_areas(tmp_path), tmp_path / "out")
     assert any("taken from the ground truth" in warning for warning in records[1].warnings)
-    np.testing.assert_allclose(records[1].estimate.T_world_body[0], T_WORLD_START, atol=1e-9)
+    np.testing.assert_allclose(records[1].estimate.T_frame_body[0], T_WORLD_START, atol=1e-9)
     given = run_each(shortened(area_recording(tmp_path)), by_areas(tmp_path, start="1,0.5,90"), tmp_path / "given")
-    np.testing.assert_allclose(given[1].estimate.T_world_body[0], se3.from_plane(1, 0.5, np.pi / 2), atol=1e-9)
+    np.testing.assert_allclose(given[1].estimate.T_frame_body[0], se3.from_plane(1, 0.5, np.pi / 2), atol=1e-9)
     assert given[1].warnings == ()
     page = (tmp_path / "given" / "report.html").read_text()
     assert "The start is the one that was given: x 1.00 m, y 0.50 m, yaw 90.0°." in page
@@ -128,7 +128,7 @@ def test_the_path_begins_where_the_truth_does(tmp_path: Path) -> None:
     wheels, path = rectified(records).wheels, records[1].estimate
     for trajectory in (wheels, path):
         assert trajectory.stamps_s[0] == pytest.approx(truth.stamps_s[0], abs=2e-3)
-        np.testing.assert_allclose(trajectory.T_world_body[0], truth.T_world_body[0], atol=0.01)
+        np.testing.assert_allclose(trajectory.T_frame_body[0], truth.T_frame_body[0], atol=0.01)
 
 
 def test_without_truth_a_given_start_serves(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_without_truth_a_given_start_serves(tmp_path: Path) -> None:
     assert rectified(records).errors is None
     assert rectified(records).true_areas is None
     figures = metrics_in(tmp_path / "out" / "rectified")["rectification"]
-    assert (figures["world_error_m"], figures["model_accuracy"]) == (None, None)
+    assert (figures["map_error_m"], figures["model_accuracy"]) == (None, None)
 
 
 def test_frames_that_measure_nothing_are_told_and_keep_their_pose(tmp_path: Path) -> None:
@@ -185,10 +185,10 @@ def test_what_cannot_be_rectified_is_refused_in_one_line(tmp_path: Path) -> None
     blind = replace(recording, given=[event for event in recording.given if isinstance(event, WheelTicks)])
     assert "has no images that could show places" in refusal(blind, tmp_path)
     assert "no ground truth (give --start" in refusal(area_recording(tmp_path, with_truth=False), tmp_path)
-    camera_truth = Trajectory(area_drive().truth.stamps_s, area_drive().truth.T_world_body)
+    camera_truth = Trajectory(area_drive().truth.stamps_s, area_drive().truth.T_frame_body)
     nowhere = replace(recording, ground_truth=camera_truth, calibration=replace(calibration(), T_base_camera=None))
     assert "cannot be told for 'base' (give --start" in refusal(nowhere, tmp_path)
-    earlier = Trajectory(area_drive().truth.stamps_s[:2] - 10, area_drive().truth.T_world_body[:2], body="base")
+    earlier = Trajectory(area_drive().truth.stamps_s[:2] - 10, area_drive().truth.T_frame_body[:2], body="base")
     said = refusal(replace(recording, ground_truth=earlier), tmp_path)
     assert "no ground truth at 1000.000 s (give --start" in said
     (tmp_path / "areas.yaml").unlink()

@@ -35,12 +35,12 @@ def test_a_run_leaves_every_file_and_a_true_trajectory(tmp_path: Path, truth: Tr
     assert {path.name for path in out.iterdir()} == FILES
     written = read_tum(out / "trajectory.txt")
     assert [float(row["stamp_s"]) for row in status_in(out)] == written.stamps_s.tolist()
-    np.testing.assert_allclose(written.T_world_body, truth.T_world_body, atol=1e-8)
-    assert (out / "trajectory.txt").read_text().startswith("# frames: T_world_camera")
+    np.testing.assert_allclose(written.T_frame_body, truth.T_frame_body, atol=1e-8)
+    assert (out / "trajectory.txt").read_text().startswith("# frames: T_odom_camera")
     assert record.estimate.covariances is not None
     assert record.estimate.covariances.shape == (20, 6, 6)
     metrics = metrics_in(out)
-    assert metrics["frame"] == "T_world_camera"
+    assert metrics["frame"] == "T_odom_camera"
     assert metrics["evaluation"]["ate_m"]["rmse"] < 1e-9
     assert metrics["evaluation"]["frames_with_pose"] == 1
     assert not metrics["interrupted"]
@@ -97,7 +97,7 @@ def test_without_ground_truth_the_rest_is_written(tmp_path: Path, truth: Traject
 
 
 def test_ground_truth_of_another_time_is_told_not_raised(tmp_path: Path, truth: Trajectory) -> None:
-    elsewhen = Trajectory(truth.stamps_s + 1000, truth.T_world_body)
+    elsewhen = Trajectory(truth.stamps_s + 1000, truth.T_frame_body)
     record = run(MemoryRecording(frames_at(truth), elsewhen), Config(), tmp_path)
     assert record.evaluation is None
     assert "do not overlap in time" in (record.evaluation_problem or "")

@@ -29,7 +29,7 @@ def test_wheels_leave_every_file_too(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == FILES
     assert heard == [Status.TRACKING] * 300
     written = read_tum(tmp_path / "trajectory.txt")
-    assert (written.world, written.body, len(written)) == ("odom", "base", 300)
+    assert (written.frame, written.body, len(written)) == ("odom", "base", 300)
     metrics = metrics_in(tmp_path)
     assert metrics["frame"] == "T_odom_base"
     assert "frames" not in metrics
@@ -59,7 +59,7 @@ def test_frames_and_wheels_of_one_recording_do_not_mix(tmp_path: Path, truth: Tr
     run(MemoryRecording(events, calibration=both), Config(), tmp_path / "frames")
     assert len(status_in(tmp_path / "wheels")) == len(status_in(tmp_path / "frames")) == 20
     assert "T_odom_base" in (tmp_path / "wheels" / "trajectory.txt").read_text()
-    assert "T_world_camera" in (tmp_path / "frames" / "trajectory.txt").read_text()
+    assert "T_odom_camera" in (tmp_path / "frames" / "trajectory.txt").read_text()
 
 
 def test_truth_of_a_camera_says_nothing_of_a_base_that_is_nowhere(tmp_path: Path, truth: Trajectory) -> None:

@@ -42,8 +42,8 @@ def moved(color: ByteArray, right: float, down: float, scale: float) -> ByteArra
 
 def room_frames(right: float = 0, down: float = 0, scale: float = 1) -> list[Event]:
     frames: list[Event] = []
-    for index, (stamp_s, T_world_camera) in enumerate(wobbling_trajectory(8, rate_hz=1.0)):
-        color, depth_m = render_room(T_world_camera)
+    for index, (stamp_s, T_frame_camera) in enumerate(wobbling_trajectory(8, rate_hz=1.0)):
+        color, depth_m = render_room(T_frame_camera)
         frames.append(RgbdFrame(stamp_s, moved(color, right, down, scale), depth_m, index))
     return frames
 

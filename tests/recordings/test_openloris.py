@@ -89,7 +89,7 @@ def test_depth_is_in_millimetres(folder):
 
 def test_odometry_is_kept_and_said_to_be_no_ticks(folder):
     recording = open_recording(folder)
-    assert (recording.odometry.world, recording.odometry.body) == ("odom", "base")
+    assert (recording.odometry.frame, recording.odometry.body) == ("odom", "base")
     np.testing.assert_allclose(recording.odometry.positions_m[:, 0], np.arange(5))
     assert any("no encoder ticks" in warning for warning in recording.warnings)
     (folder / "odom.txt").unlink()

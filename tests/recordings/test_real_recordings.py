@@ -46,7 +46,7 @@ def test_red_kitchen(kitchen):
     assert kitchen.calibration.depth.fx == 585
     assert not kitchen.calibration.is_registered
     assert len(kitchen.ground_truth) == 500
-    assert se3.is_valid(kitchen.ground_truth.T_world_body, tolerance=1e-9)
+    assert se3.is_valid(kitchen.ground_truth.T_frame_body, tolerance=1e-9)
     frame = next(kitchen.events())
     assert frame.depth_m.max() < 10
     assert (frame.depth_m == 0).any()

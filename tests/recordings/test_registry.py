@@ -86,9 +86,9 @@ def test_express_for_goes_there_and_back(tum_folder):
     T = se3.exp(rng.normal(size=(4, 6)))
     camera = Trajectory(np.arange(4.0), T, np.tile(np.eye(6), (4, 1, 1)))
     base = express_for("base", camera, robot)
-    assert (base.body, base.world) == ("base", "world")
-    np.testing.assert_allclose(base.T_world_body @ T_base_camera, T, atol=1e-12)
-    np.testing.assert_allclose(express_for("camera", base, robot).T_world_body, T, atol=1e-12)
+    assert (base.body, base.frame) == ("base", "map")
+    np.testing.assert_allclose(base.T_frame_body @ T_base_camera, T, atol=1e-12)
+    np.testing.assert_allclose(express_for("camera", base, robot).T_frame_body, T, atol=1e-12)
     np.testing.assert_array_equal(base.covariances, camera.covariances)
     with pytest.raises(CalibrationError):
         express_for("base", camera, calibration)

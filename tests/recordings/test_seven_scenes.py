@@ -16,13 +16,13 @@ TRUTH = wobbling_trajectory(3)
 
 @pytest.fixture(scope="module")
 def rendered():
-    return [render_room(T_world_camera, CAMERA) for T_world_camera in TRUTH.T_world_body]
+    return [render_room(T_frame_camera, CAMERA) for T_frame_camera in TRUTH.T_frame_body]
 
 
 @pytest.fixture
 def folder(tmp_path, rendered):
     """Frames 0, 1 and 4, millimetres, a corner of each depth image not measured."""
-    for number, (color, depth_m), T in zip((0, 1, 4), rendered, TRUTH.T_world_body, strict=True):
+    for number, (color, depth_m), T in zip((0, 1, 4), rendered, TRUTH.T_frame_body, strict=True):
         units = np.rint(depth_m * 1000).astype(np.uint16)
         units[:10, :10], units[:10, 10:20] = 65535, 0
         cv2.imwrite(str(tmp_path / f"frame-{number:06}.color.png"), color[..., ::-1])
@@ -46,7 +46,7 @@ def test_reads_what_was_rendered(folder, rendered):
 def test_rotations_are_made_orthonormal(folder):
     truth = open_recording(folder).ground_truth
     assert truth.body == "camera"
-    np.testing.assert_allclose(truth.T_world_body, TRUTH.T_world_body, atol=1e-3)
+    np.testing.assert_allclose(truth.T_frame_body, TRUTH.T_frame_body, atol=1e-3)
 
 
 def test_says_what_a_user_must_know(folder):

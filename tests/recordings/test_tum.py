@@ -21,10 +21,10 @@ def test_reads_what_was_rendered(tum_folder, small_camera):
     assert recording.calibration.color == small_camera
     assert recording.association.pairs == 6
     assert recording.association.largest_gap_s == pytest.approx(0.002)
-    np.testing.assert_allclose(recording.ground_truth.T_world_body, truth.T_world_body, atol=1e-8)
+    np.testing.assert_allclose(recording.ground_truth.T_frame_body, truth.T_frame_body, atol=1e-8)
     events = list(recording.events())
-    for index, (event, (stamp_s, T_world_camera)) in enumerate(zip(events, truth, strict=True)):
-        color, depth_m = render_room(T_world_camera, small_camera)
+    for index, (event, (stamp_s, T_frame_camera)) in enumerate(zip(events, truth, strict=True)):
+        color, depth_m = render_room(T_frame_camera, small_camera)
         assert isinstance(event, RgbdFrame)
         assert event.index == index
         assert event.stamp_s == pytest.approx(stamp_s, abs=1e-6)
@@ -86,7 +86,7 @@ def test_ready_associations_are_used_as_they_are(tum_folder, depth_first):
     assert recording.association.largest_gap_s == pytest.approx(1 / 30 + 0.002, abs=1e-5)
     assert recording.association.dropped_color == 4
     assert "associations.txt" in recording.warnings[0]
-    _, second_depth = render_room(wobbling_trajectory(6).T_world_body[1], recording.calibration.color)
+    _, second_depth = render_room(wobbling_trajectory(6).T_frame_body[1], recording.calibration.color)
     np.testing.assert_allclose(next(recording.events()).depth_m, second_depth, atol=1e-3)
 
 
@@ -122,8 +122,8 @@ def test_truth_is_told_for_the_base_where_there_is_one(tum_folder):
     (tum_folder / "calibration.yaml").write_text(text + mounted)
     recording = open_recording(tum_folder)
     assert recording.body == recording.ground_truth.body == "base"
-    back = recording.ground_truth.T_world_body @ recording.calibration.T_base_camera
-    np.testing.assert_allclose(back, plain.T_world_body, atol=1e-9)
+    back = recording.ground_truth.T_frame_body @ recording.calibration.T_base_camera
+    np.testing.assert_allclose(back, plain.T_frame_body, atol=1e-9)
 
 
 @pytest.mark.parametrize("options", [{"max_gap_s": -1.0}, {"max_gap_s": np.nan}, {"depth_factor": 0.0}])

@@ -37,11 +37,11 @@ def calibration(small_camera):
 def events(small_camera):
     """Six frames with two wheel readings before each."""
     result = []
-    for index, (stamp_s, T_world_camera) in enumerate(TRUTH):
+    for index, (stamp_s, T_frame_camera) in enumerate(TRUTH):
         for delay_s in (0.02, 0.01):
             ticks = WheelTicks(stamp_s - delay_s, 100 * index - int(1000 * delay_s), -7 * index)
             result.append(ticks)
-        result.append(RgbdFrame(stamp_s, *render_room(T_world_camera, small_camera), index))
+        result.append(RgbdFrame(stamp_s, *render_room(T_frame_camera, small_camera), index))
     return result
 
 
@@ -72,8 +72,8 @@ def test_what_was_written_is_read_again(tmp_path, calibration, events):
     assert (recording.format, recording.body, recording.frame_count) == ("wheelsight", "base", 6)
     assert recording.warnings == ()
     check_alike(list(recording.events()), events)
-    T_world_base = TRUTH.T_world_body @ se3.invert(T_BASE_CAMERA)
-    np.testing.assert_allclose(recording.ground_truth.T_world_body, T_world_base, atol=1e-8)
+    T_frame_base = TRUTH.T_frame_body @ se3.invert(T_BASE_CAMERA)
+    np.testing.assert_allclose(recording.ground_truth.T_frame_body, T_frame_base, atol=1e-8)
 
 
 def test_any_tum_tool_can_read_it(tmp_path, calibration, events):
@@ -82,17 +82,17 @@ def test_any_tum_tool_can_read_it(tmp_path, calibration, events):
     check_alike(list(as_tum.events()), [event for event in events if isinstance(event, RgbdFrame)])
     camera = read_tum(tmp_path / "new" / "groundtruth.txt")
     assert camera.body == "camera"
-    np.testing.assert_allclose(camera.T_world_body, TRUTH.T_world_body, atol=1e-8)
-    assert "# frames: T_world_camera" in (tmp_path / "new" / "groundtruth.txt").read_text()
+    np.testing.assert_allclose(camera.T_frame_body, TRUTH.T_frame_body, atol=1e-8)
+    assert "# frames: T_frame_camera" in (tmp_path / "new" / "groundtruth.txt").read_text()
 
 
 def test_truth_of_the_base_is_kept_and_told_for_the_camera(tmp_path, calibration, events):
-    base = Trajectory(TRUTH.stamps_s, TRUTH.T_world_body @ se3.invert(T_BASE_CAMERA), body="base")
+    base = Trajectory(TRUTH.stamps_s, TRUTH.T_frame_body @ se3.invert(T_BASE_CAMERA), body="base")
     write(tmp_path / "new", calibration, events, base)
     recording = open_recording(tmp_path / "new")
-    np.testing.assert_allclose(recording.ground_truth.T_world_body, base.T_world_body, atol=1e-8)
+    np.testing.assert_allclose(recording.ground_truth.T_frame_body, base.T_frame_body, atol=1e-8)
     camera = read_tum(tmp_path / "new" / "groundtruth.txt")
-    np.testing.assert_allclose(camera.T_world_body, TRUTH.T_world_body, atol=1e-8)
+    np.testing.assert_allclose(camera.T_frame_body, TRUTH.T_frame_body, atol=1e-8)
 
 
 def test_a_camera_without_a_robot(tmp_path, calibration, events):
@@ -111,7 +111,7 @@ def test_images_that_are_not_registered_keep_their_sizes(tmp_path, small_camera)
     T_color_depth = se3.exp([0.03, 0, 0, 0, 0.01, 0])
     calibration = Calibration(color, small_camera, T_color_depth)
     frame = RgbdFrame(
-        1.5, render_room(TRUTH.T_world_body[0], color)[0], render_room(TRUTH.T_world_body[0], small_camera)[1]
+        1.5, render_room(TRUTH.T_frame_body[0], color)[0], render_room(TRUTH.T_frame_body[0], small_camera)[1]
     )
     write(tmp_path / "new", calibration, [frame])
     recording = open_recording(tmp_path / "new")
@@ -216,7 +216,7 @@ def test_any_recording_can_be_written_as_our_own(tmp_path, small_camera):
     for got, wanted in zip(new.events(), usable, strict=True):
         np.testing.assert_array_equal(got.depth_m, wanted.depth_m)
         np.testing.assert_array_equal(got.color, wanted.color)
-    np.testing.assert_allclose(new.ground_truth.T_world_body, old.ground_truth.T_world_body, atol=1e-8)
+    np.testing.assert_allclose(new.ground_truth.T_frame_body, old.ground_truth.T_frame_body, atol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_cannot_write_below_a_file(tmp_path, calibration):
 
 
 def test_truth_and_labels_may_come_as_they_become_known(tmp_path, calibration, events):
-    base = Trajectory(TRUTH.stamps_s, TRUTH.T_world_body @ se3.invert(T_BASE_CAMERA), body="base")
+    base = Trajectory(TRUTH.stamps_s, TRUTH.T_frame_body @ se3.invert(T_BASE_CAMERA), body="base")
     with RecordingWriter(tmp_path / "new", calibration) as writer:
         for index, event in enumerate(event for event in events if isinstance(event, RgbdFrame)):
             for truth in (TRUTH, base):

@@ -12,7 +12,7 @@ from wheelsight.estimates import Status
 from wheelsight.evaluation import evaluate
 from wheelsight.geometry import se3
 from wheelsight.places import labels_on_the_way
-from wheelsight.report import FrameRecord, Look, RectificationRecord, RunRecord, WorldErrors
+from wheelsight.report import FrameRecord, Look, MapErrors, RectificationRecord, RunRecord
 from wheelsight.trajectory import Trajectory
 
 
@@ -20,9 +20,9 @@ def area_runs(way: str = "probabilistic", with_truth: bool = True) -> tuple[RunR
     """Records of both; the rectified path keeps half a metre off, frames 10 to 12 tell nothing, frame 20 is wrong."""
     truth = area_drive().truth.select(slice(None, None, 5))
     stamps_s = truth.stamps_s
-    turned = se3.from_plane(0, 0, 0.1) @ truth.T_world_body
-    wheels = Trajectory(stamps_s, turned, body="base", world="odom")
-    path = Trajectory(stamps_s, se3.from_plane(0.3, 0.4, 0) @ truth.T_world_body, body="base")
+    turned = se3.from_plane(0, 0, 0.1) @ truth.T_frame_body
+    wheels = Trajectory(stamps_s, turned, body="base", frame="odom")
+    path = Trajectory(stamps_s, se3.from_plane(0.3, 0.4, 0) @ truth.T_frame_body, body="base")
     true_areas = labels_on_the_way(AREAS, truth, stamps_s)
     looks = tuple(
         _look(i, float(s), max(int(a), 0), way) for i, (s, a) in enumerate(zip(stamps_s, true_areas, strict=True))
@@ -30,7 +30,7 @@ def area_runs(way: str = "probabilistic", with_truth: bool = True) -> tuple[RunR
     found = RectificationRecord(way, AREAS, looks, wheels, "The start is the one that was given: x 0 m.")
     if with_truth:
         apart = [np.hypot(*(p.positions_m - truth.positions_m)[:, :2].T) for p in (wheels, path)]
-        found = replace(found, true_areas=true_areas, errors=WorldErrors(stamps_s, *apart))
+        found = replace(found, true_areas=true_areas, errors=MapErrors(stamps_s, *apart))
     frames = tuple(FrameRecord(i, float(s), Status.TRACKING, None, 0, 0, 0.001) for i, s in enumerate(stamps_s))
     common = {"frames": frames, "ground_truth": truth if with_truth else None, "recording": "three areas"}
     records = [

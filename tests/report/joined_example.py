@@ -27,8 +27,8 @@ def joined_run(with_truth: bool = True, boldness: float = 1.0, **others: Any) ->
     truth = _truth()
     stamps_s = truth.stamps_s
     errors = np.cumsum(_SIGMAS * np.random.default_rng(5).standard_normal((len(stamps_s), 6)), axis=0)
-    T_start = truth.T_world_body[0]
-    T = se3.invert(se3.exp(errors - errors[0])) @ se3.invert(T_start) @ truth.T_world_body
+    T_start = truth.T_frame_body[0]
+    T = se3.invert(se3.exp(errors - errors[0])) @ se3.invert(T_start) @ truth.T_frame_body
     covariances = np.arange(len(stamps_s))[:, None, None] * np.diag((_SIGMAS / boldness) ** 2)
     estimate = Trajectory(stamps_s, T, covariances, body="base")
     frames_s = START_S + np.arange(FRAMES) / RATE_HZ
@@ -53,7 +53,7 @@ def joined_runs(with_truth: bool = True, **others: Any) -> tuple[RunRecord, RunR
     at_frames = np.arange(0, len(joined.estimate), 5)
     jitter = se3.exp(np.random.default_rng(6).normal(0, 0.02, (len(at_frames), 6)))
     seen = joined.estimate.select(at_frames)
-    camera = Trajectory(seen.stamps_s, seen.T_world_body @ jitter, body="base")
+    camera = Trajectory(seen.stamps_s, seen.T_frame_body @ jitter, body="base")
     frames = tuple(replace(f, status=Status.TRACKING, reason=None, flags=()) for f in joined.frames)
     evaluation = evaluate(camera, joined.ground_truth) if joined.ground_truth is not None else None
     return wheels, replace(joined, estimate=camera, frames=frames, evaluation=evaluation, odometry="dense"), joined

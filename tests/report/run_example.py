@@ -79,7 +79,7 @@ def wheel_run(readings: int = 400, with_truth: bool = True) -> RunRecord:
         for i, stamp in enumerate(stamps_s.tolist())
     )
     true = integrate_log(replace(wheels, track_width_m=0.55), stamps_s, 30 * np.arange(readings), right).trajectory()
-    truth = Trajectory(true.stamps_s, true.T_world_body, body="base") if with_truth else None
+    truth = Trajectory(true.stamps_s, true.T_frame_body, body="base") if with_truth else None
     return replace(
         example_run(3, with_truth=False),
         frames=records,
@@ -154,6 +154,6 @@ def _drifting(stamps_s: np.ndarray, rng: np.random.Generator) -> Trajectory:
     noise = rng.normal(0, (0.0012, 0.0012, 0.0012, 0.0004, 0.0004, 0.0004), (len(stamps_s), 6))
     T = [np.eye(4)]
     for i in range(1, len(stamps_s)):
-        step = se3.invert(true.T_world_body[i - 1]) @ true.T_world_body[i]
+        step = se3.invert(true.T_frame_body[i - 1]) @ true.T_frame_body[i]
         T.append(T[-1] @ step @ se3.exp(noise[i]))
     return Trajectory(stamps_s, np.array(T))

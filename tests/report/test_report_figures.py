@@ -220,7 +220,7 @@ def test_uncertainty_is_that_of_the_body_not_of_the_origin() -> None:
     at_body = np.diag([0.01, 0.01, 0.0, 0.0, 0.0, 0.04])
     lever = se3.from_parts(np.eye(3), T[:3, 3])
     covariance = se3.adjoint(lever) @ at_body @ se3.adjoint(lever).T
-    estimate = Trajectory([0.0], T[None], covariance[None], body="base", world="odom")
+    estimate = Trajectory([0.0], T[None], covariance[None], body="base", frame="odom")
     position_m, yaw_deg = standard_deviations(estimate)
     np.testing.assert_allclose(position_m, [0.1], rtol=1e-9)
     np.testing.assert_allclose(yaw_deg, np.degrees([0.2]), rtol=1e-9)

@@ -47,7 +47,7 @@ def test_poses_at_readings_are_told_from_those_at_frames() -> None:
 def test_errors_are_those_from_the_true_start() -> None:
     run = joined_run()
     found = facts_of(run).consistency
-    true = run.ground_truth.moved(se3.invert(run.ground_truth.T_world_body[0]))
+    true = run.ground_truth.moved(se3.invert(run.ground_truth.T_frame_body[0]))
     off_m = run.estimate.positions_m - true.positions_m
     np.testing.assert_allclose(np.linalg.norm(found.errors_m, axis=1), np.linalg.norm(off_m[:, :2], axis=1), atol=1e-9)
     assert found.share > 0.95

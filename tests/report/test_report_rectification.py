@@ -14,7 +14,7 @@ from html_page import Page
 from run_example import example_run
 
 from wheelsight.areas import Area, AreaMap
-from wheelsight.report import area_map_figure, area_time_figure, error_rows, world_error_figure, write_comparison
+from wheelsight.report import area_map_figure, area_time_figure, error_rows, map_error_figure, write_comparison
 from wheelsight.report.comparison import render_comparison
 from wheelsight.report.places_sheet import area_colour
 
@@ -105,7 +105,7 @@ def test_an_hour_of_frames_is_thinned_to_means() -> None:
 def test_errors_are_those_of_the_record() -> None:
     _, record = area_runs()
     found = record.rectification
-    figure = world_error_figure(record)
+    figure = map_error_figure(record)
     np.testing.assert_array_equal(traces(figure, "rectified")[0].y, found.errors.rectified_m)
     assert found.errors.rectified.mean == pytest.approx(0.5)
     rows = error_rows(found)
@@ -127,7 +127,7 @@ def test_the_page_tells_what_areas_did() -> None:
     assert {"plot-area-map", "plot-area-time", "plot-world-error", "plot-overlay"} <= set(page.plots)
     found = area_runs()[1].rectification
     assert f"Areas bring the wheels from {found.errors.wheels.mean:.2f} m to 50.0 cm off (mean)" in page.text
-    assert page.tiles["In the world, mean error"][0] == "50.0 cm"
+    assert page.tiles["In the map, mean error"][0] == "50.0 cm"
     assert "3 frames told nothing of the area: the frame has no depth (3)." in page.text
     assert "The model was not trusted in" in page.text
     assert "The start is the one that was given" in page.text
@@ -147,7 +147,7 @@ def test_without_truth_the_page_says_so_and_draws_the_rest() -> None:
     assert {"plot-area-map", "plot-area-time"} <= set(page.plots)
     assert "plot-world-error" not in page.plots
     assert "Without a ground truth, how far off either is cannot be said." in page.text
-    assert "In the world, mean error" not in page.tiles
+    assert "In the map, mean error" not in page.tiles
 
 
 def test_a_run_without_places_has_no_such_section() -> None:

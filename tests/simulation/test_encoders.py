@@ -106,7 +106,7 @@ def test_the_gyroscope_of_a_drive_feels_its_turns() -> None:
     np.testing.assert_allclose(np.diff(stamps_s), 0.01, atol=1e-9)
     bias = rates[:100].mean()
     assert 0 < abs(bias) < 0.1
-    T = drive.truth.T_world_body[-1]
+    T = drive.truth.T_frame_body[-1]
     assert np.sum(rates - bias) * 0.01 == pytest.approx(math.atan2(T[1, 0], T[0, 0]), abs=0.02)
     assert not simulate_drive(plane(), ROBOT, driver, time_limit_s=0.1).yaw_rates
 
@@ -119,7 +119,7 @@ def test_reckoning_is_what_odometry_makes_of_the_counts(rng: np.random.Generator
     for reading in readings:
         T_world_base = reckoning.update(reading.left, reading.right)
     path = integrate_log(ROBOT.nominal, stamps_s, left.astype(int), right.astype(int)).trajectory()
-    np.testing.assert_allclose(T_world_base, T_world_start @ path.T_world_body[-1], atol=1e-3)
+    np.testing.assert_allclose(T_world_base, T_world_start @ path.T_frame_body[-1], atol=1e-3)
 
 
 def test_a_span_has_its_start_and_not_its_end() -> None:

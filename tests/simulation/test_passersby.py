@@ -57,7 +57,7 @@ def walked(people: Passersby, drive: Drive) -> FloatArray:
 
 def distance_to_chair(drive: Drive, xy_m: FloatArray) -> FloatArray:
     """(N, K) from axes to the outline: 0.3 m behind the axle, 0.8 m before it, 0.3 m to each side."""
-    T = drive.truth.T_world_body
+    T = drive.truth.T_frame_body
     ahead, left = T[:, None, :2, 0], T[:, None, :2, 1]
     apart = xy_m - T[:, None, :2, 3]
     x, y = (apart * ahead).sum(-1), (apart * left).sum(-1)

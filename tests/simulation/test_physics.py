@@ -44,7 +44,7 @@ def test_without_slip_true_wheels_close_to_a_thousandth(robot: Robot) -> None:
     assert drive.truth.length_m == pytest.approx(2 * 20, rel=0.05)
     assert errors_m[-1] < 1e-3 * drive.truth.length_m
     assert errors_m.max() < 0.02
-    assert np.abs(yaws_rad(path.T_world_body) - yaws_rad(truth)).max() < 0.01
+    assert np.abs(yaws_rad(path.T_frame_body) - yaws_rad(truth)).max() < 0.01
 
 
 def test_with_slip_what_turns_do_to_the_heading_outweighs_what_straights_do_to_the_way() -> None:
@@ -53,7 +53,7 @@ def test_with_slip_what_turns_do_to_the_heading_outweighs_what_straights_do_to_t
     for seed in range(3):
         drive = simulate_drive(WORLD, ROBOT, follow_route(WORLD.route, is_loop=True), seed=seed)
         path, truth = by_wheels(drive, ROBOT.wheels)
-        off_rad = yaws_rad(path.T_world_body) - yaws_rad(truth)
+        off_rad = yaws_rad(path.T_frame_body) - yaws_rad(truth)
         steps_m = np.diff(truth[:, :2, 3], axis=0) @ np.array([1, 1j])
         turned_m.append(abs(np.sum(steps_m * (np.exp(1j * off_rad[1:]) - 1))))
         is_straight = np.abs(np.diff(yaws_rad(truth))) < 0.002
@@ -69,7 +69,7 @@ def test_the_way_on_the_spot_is_no_way_and_its_error_is_of_heading() -> None:
     drive = simulate_drive(WORLD, ROBOT, turn)
     path, truth = by_wheels(drive, ROBOT.wheels)
     assert yaws_rad(truth)[-1] == pytest.approx(6.3, rel=0.03)
-    slip_rad = yaws_rad(path.T_world_body)[-1] - yaws_rad(truth)[-1]
+    slip_rad = yaws_rad(path.T_frame_body)[-1] - yaws_rad(truth)[-1]
     assert 1e-4 < slip_rad < 0.05, "castors drag, so that wheels turn more than the wheelchair"
     assert np.linalg.norm(truth[-1, :2, 3]) < 0.02
 
@@ -79,7 +79,7 @@ def square_run(robot: Robot, sense: int, seed: int, *, slip: bool = True) -> Squ
     drive = simulate_drive(WORLD, robot, driver, seed=seed, slip=slip)
     assert drive.is_complete
     stamps_s, left, right = np.array([(t.stamp_s, t.left, t.right) for t in drive.ticks]).T
-    T_start_end = np.linalg.inv(drive.truth.T_world_body[0]) @ drive.truth.T_world_body[-1]
+    T_start_end = np.linalg.inv(drive.truth.T_frame_body[0]) @ drive.truth.T_frame_body[-1]
     turned = drive_from_ticks(robot.nominal, stamps_s, left, right)
     return SquareRun(f"{sense}-{seed}", turned, 0.0, float(stamps_s[-1]), T_start_end[:2, 3])
 
@@ -146,13 +146,13 @@ def test_dropouts_and_an_unplugged_cable_reach_the_readings() -> None:
     faults = WheelFaults(dropouts_s=((1.0, 1.5),), unplugged_s=((3.0, 4.0),))
     whole, broken = (simulate_drive(WORLD, ROBOT, straight(), faults=f) for f in (WheelFaults(), faults))
     assert len(whole.ticks) - len(broken.ticks) == 25
-    np.testing.assert_array_equal(whole.truth.T_world_body, broken.truth.T_world_body)
+    np.testing.assert_array_equal(whole.truth.T_frame_body, broken.truth.T_frame_body)
     lost = whole.ticks[-1].left - broken.ticks[-1].left
     assert lost == pytest.approx(0.5 * 3200 / (2 * math.pi * 0.17), rel=0.02)
 
 
 def same(a: Drive, b: Drive) -> bool:
-    return a.truth.T_world_body.tobytes() == b.truth.T_world_body.tobytes() and (a.ticks, a.yaw_rates) == (
+    return a.truth.T_frame_body.tobytes() == b.truth.T_frame_body.tobytes() and (a.ticks, a.yaw_rates) == (
         b.ticks,
         b.yaw_rates,
     )
@@ -216,7 +216,7 @@ def test_truth_is_of_the_base_at_200_hz_and_starts_where_the_route_does() -> Non
     np.testing.assert_allclose(np.diff(drive.truth.stamps_s), 0.005, atol=1e-9)
     assert drive.truth.body == "base"
     assert drive.truth.stamps_s[0] == 0
-    np.testing.assert_allclose(drive.truth.T_world_body[0], se3.from_plane(1, 2, np.pi / 2), atol=1e-3)
+    np.testing.assert_allclose(drive.truth.T_frame_body[0], se3.from_plane(1, 2, np.pi / 2), atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_a_robot_stands_before_it_starts():
     driven = drive()
     before = renderer(driven=driven).row_poses(0.0)[:24]
     np.testing.assert_allclose(before, np.broadcast_to(before[0], before.shape))
-    np.testing.assert_allclose(before[0], driven.truth.T_world_body[0] @ SETTINGS.robot.T_base_camera)
+    np.testing.assert_allclose(before[0], driven.truth.T_frame_body[0] @ SETTINGS.robot.T_base_camera)
 
 
 def test_the_floor_is_seen_where_it_is():

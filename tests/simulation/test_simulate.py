@@ -64,14 +64,14 @@ def test_it_reads_back_as_it_was(recording, folder):
         else:
             assert got == wanted
     assert read.calibration.wheels == recording.calibration.wheels
-    np.testing.assert_allclose(read.ground_truth.T_world_body, recording.ground_truth.T_world_body, atol=1e-8)
+    np.testing.assert_allclose(read.ground_truth.T_frame_body, recording.ground_truth.T_frame_body, atol=1e-8)
 
 
 def test_truth_holds_for_the_robot_as_it_is(folder):
     base, camera = read_tum(folder / "groundtruth_base.txt", "base"), read_tum(folder / "groundtruth.txt")
     assert (base.body, camera.body) == ("base", "camera")
     np.testing.assert_array_equal(base.stamps_s, camera.stamps_s)
-    np.testing.assert_allclose(camera.T_world_body, base.T_world_body @ ROBOT.T_base_camera, atol=1e-8)
+    np.testing.assert_allclose(camera.T_frame_body, base.T_frame_body @ ROBOT.T_base_camera, atol=1e-8)
     true = load_calibration(folder / "truth" / "calibration.yaml")
     assert true.wheels == ROBOT.wheels
     np.testing.assert_allclose(se3.log(true.T_base_camera @ se3.invert(ROBOT.T_base_camera)), 0, atol=1e-12)

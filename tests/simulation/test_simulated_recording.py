@@ -94,9 +94,9 @@ def test_a_run_needs_no_disk_but_for_its_results(recording, tmp_path):
 def test_a_seed_makes_the_drive(recording):
     again = simulate(SETTINGS)
     assert again.drive.ticks == recording.drive.ticks
-    np.testing.assert_array_equal(again.ground_truth.T_world_body, recording.ground_truth.T_world_body)
+    np.testing.assert_array_equal(again.ground_truth.T_frame_body, recording.ground_truth.T_frame_body)
     other = simulate(replace(SETTINGS, seed=5))
-    assert (other.ground_truth.T_world_body != recording.ground_truth.T_world_body).any()
+    assert (other.ground_truth.T_frame_body != recording.ground_truth.T_frame_body).any()
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ Areas = Annotated[
 Start = Annotated[
     str | None,
     typer.Option(
-        metavar="X,Y,YAW_DEG", help="Where the base stands in the areas' world.", show_default="by ground truth"
+        metavar="X,Y,YAW_DEG", help="Where the base stands in the areas' map.", show_default="by ground truth"
     ),
 ]
 OdometryTerm = Annotated[

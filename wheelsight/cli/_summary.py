@@ -25,11 +25,11 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
         stdout.print(_joint_table(records))
         for record in records:
             if record.rectification is not None and record.rectification.errors is not None:
-                stdout.print(_world_table(record.rectification))
+                stdout.print(_map_error_table(record.rectification))
         if any(record.is_joined for record in records):
             stdout.print(facts_table("what joining came to", _joined_facts(records)))
     else:
-        stdout.print(facts_table(f"{first.recording}: T_{first.estimate.world}_{first.estimate.body}", _facts(first)))
+        stdout.print(facts_table(f"{first.recording}: T_{first.estimate.frame}_{first.estimate.body}", _facts(first)))
     if len(records) == 1 and first.evaluation is not None:
         stdout.print(evaluation_table(first.evaluation))
     if first.realtime is not None:
@@ -92,7 +92,7 @@ def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
         yield "stated 3σ", f"holds {percent(found.share)} of the time"
 
 
-def _world_table(found: RectificationRecord) -> Table:
+def _map_error_table(found: RectificationRecord) -> Table:
     """What areas leave of the wheels' error."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table

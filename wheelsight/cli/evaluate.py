@@ -60,7 +60,7 @@ def evaluate(
     if as_json:
         aligned = evaluation.ate.aligned
         warnings = list(evaluation.warnings)
-        print_json({"frame": f"T_{aligned.world}_{aligned.body}", **evaluation.to_dict(), "warnings": warnings})
+        print_json({"frame": f"T_{aligned.frame}_{aligned.body}", **evaluation.to_dict(), "warnings": warnings})
         return
     console().print(evaluation_table(evaluation))
     for warning in evaluation.warnings:
@@ -102,7 +102,7 @@ def evaluation_table(evaluation: Evaluation) -> Table:
     from wheelsight.cli._console import percent
 
     aligned = evaluation.ate.aligned
-    pairs = f"T_{aligned.world}_{aligned.body}: {evaluation.pairs} pairs of poses"
+    pairs = f"T_{aligned.frame}_{aligned.body}: {evaluation.pairs} pairs of poses"
     covered = f"{pairs}; {percent(evaluation.truth_time_covered)} of the truth's time covered"
     scaled = "" if evaluation.scale is None else f"; estimate scaled by {evaluation.scale:.4f}"
     table = Table(box=SIMPLE_HEAD, caption=covered + scaled, caption_justify="left", caption_style="")

@@ -34,7 +34,7 @@ def export(
 ) -> None:
     """Write the map of a run as a PLY file, which Open3D, MeshLab, CloudCompare and Blender open.
 
-    Metres, in the world of the run's trajectory. A mesh needs scikit-image, which the extra mesh brings.
+    Metres, in the map of the run's trajectory. A mesh needs scikit-image, which the extra mesh brings.
 
     [bold]Examples[/bold]
 

@@ -65,7 +65,7 @@ def info(
 def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
     span = f" in {inspection.duration_s:.2f} s, {inspection.rate_hz:.1f} Hz"
     yield "format", inspection.format
-    yield "trajectory of", f"the {inspection.body} (T_world_{inspection.body})"
+    yield "trajectory of", f"the {inspection.body} (T_map_{inspection.body})"
     if inspection.camera is not None:
         yield "camera", inspection.camera
     if inspection.wheels is not None:

@@ -17,7 +17,7 @@ def matched(estimate: Trajectory, truth: Trajectory, max_gap_s: float) -> tuple[
     """
     if estimate.body != truth.body:
         raise EvaluationError(
-            f"the estimate is T_{estimate.world}_{estimate.body} but the ground truth T_{truth.world}_{truth.body}: "
+            f"the estimate is T_{estimate.frame}_{estimate.body} but the ground truth T_{truth.frame}_{truth.body}: "
             f"the {estimate.body} and the {truth.body} move differently (convert one by T_base_camera; where a file's "
             "header does not name its frames, say --body)"
         )

@@ -25,9 +25,9 @@ class AbsoluteError:
         stamps_s: (M,) of the estimate, seconds.
         errors_m: (M,) distances between estimated and true position, after alignment.
         errors_rad: (M,) angles between estimated and true orientation, after alignment.
-        T_truth_estimate: (4, 4) that lays the estimate's world upon the truth's (after scaling).
+        T_truth_estimate: (4, 4) that lays the estimate's frame upon the truth's (after scaling).
         scale: by which positions of the estimate were multiplied; 1 unless asked for.
-        aligned: the whole estimate, scaled and moved into the truth's world.
+        aligned: the whole estimate, scaled and moved into the truth's frame.
         truth: the true poses of the pairs.
         translation: statistics of `errors_m`.
         rotation: statistics of `errors_rad`.
@@ -63,7 +63,7 @@ def ate(estimate: Trajectory, truth: Trajectory, *, max_gap_s: float = 0.02, wit
     near, true = matched(estimate, truth, max_gap_s)
     T_truth_estimate, scale = _alignment(near, true, with_scale)
     moved = _scaled(near, scale).moved(T_truth_estimate)
-    R_error = np.swapaxes(true.T_world_body[:, :3, :3], 1, 2) @ moved.T_world_body[:, :3, :3]
+    R_error = np.swapaxes(true.T_frame_body[:, :3, :3], 1, 2) @ moved.T_frame_body[:, :3, :3]
     return AbsoluteError(
         stamps_s=near.stamps_s,
         errors_m=np.linalg.norm(moved.positions_m - true.positions_m, axis=1),
@@ -77,7 +77,7 @@ def ate(estimate: Trajectory, truth: Trajectory, *, max_gap_s: float = 0.02, wit
 
 def _alignment(estimate: Trajectory, truth: Trajectory, with_scale: bool) -> tuple[FloatArray, float]:
     """T_truth_estimate (4, 4) and scale that lay M estimated positions on M true ones."""
-    R_truth, R_estimate = (t.T_world_body[:, :3, :3] for t in (truth, estimate))
+    R_truth, R_estimate = (t.T_frame_body[:, :3, :3] for t in (truth, estimate))
     like = np.mean(R_truth @ np.swapaxes(R_estimate, 1, 2), axis=0)
     try:
         given = (truth.positions_m, estimate.positions_m)
@@ -87,7 +87,7 @@ def _alignment(estimate: Trajectory, truth: Trajectory, with_scale: bool) -> tup
             raise EvaluationError(f"no scale can be found: {error}") from error
     extent_m = np.linalg.norm(np.ptp(truth.positions_m, axis=0))
     arms = (_ARM_SHARE * extent_m if extent_m > 0 else 1.0) * np.vstack([np.eye(3), -np.eye(3)])
-    p_truth, p_estimate = (se3.apply(t.T_world_body, arms).reshape(-1, 3) for t in (truth, estimate))
+    p_truth, p_estimate = (se3.apply(t.T_frame_body, arms).reshape(-1, 3) for t in (truth, estimate))
     try:
         return align_points(p_truth, p_estimate), 1.0
     except DegenerateGeometryError as error:
@@ -101,8 +101,8 @@ def _alignment(estimate: Trajectory, truth: Trajectory, with_scale: bool) -> tup
 def _scaled(trajectory: Trajectory, scale: float) -> Trajectory:
     if scale == 1.0:
         return trajectory
-    T = trajectory.T_world_body.copy()
+    T = trajectory.T_frame_body.copy()
     T[:, :3, 3] *= scale
     S = np.diag([scale] * 3 + [1.0] * 3)
     covariances = None if trajectory.covariances is None else S @ trajectory.covariances @ S
-    return Trajectory(trajectory.stamps_s, T, covariances, trajectory.body, trajectory.world)
+    return Trajectory(trajectory.stamps_s, T, covariances, trajectory.body, trajectory.frame)

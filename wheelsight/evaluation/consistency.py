@@ -64,7 +64,7 @@ def consistency(
     against the best fit of whole paths (ATE) it would say nothing. An error of that true pose counts as the estimate's.
 
     Args:
-        estimate: of a body with covariances, in a world whose z axis is up.
+        estimate: of a body with covariances, in a frame whose z axis is up.
         max_gap_s: true poses are interpolated between neighbours at most so far apart.
         truth_sigma_m: what the truth itself may be off, which joins the stated covariances.
 
@@ -82,8 +82,8 @@ def consistency(
     near = estimate.select(known)
     T_truth_estimate = start_alignment(near, truth, max_gap_s)
     true = Trajectory(near.stamps_s, T_truth_body[known], body=truth.body).moved(se3.invert(T_truth_estimate))
-    R_body_world = _turned_back(near)
-    errors_m = np.einsum("nij,nj->ni", R_body_world, (near.positions_m - true.positions_m)[:, :2])
+    R_body_frame = _turned_back(near)
+    errors_m = np.einsum("nij,nj->ni", R_body_frame, (near.positions_m - true.positions_m)[:, :2])
     C = covariances_ahead_m2(near)
     stated = C + truth_sigma_m**2 * np.eye(2)
     squared = np.einsum("ni,ni->n", errors_m, np.linalg.solve(stated, errors_m[..., None])[..., 0])
@@ -102,24 +102,24 @@ def start_alignment(estimate: Trajectory, truth: Trajectory, max_gap_s: float = 
     known = np.flatnonzero(np.isfinite(T_truth_body[:, 0, 0]))
     if not len(known):
         raise EvaluationError("none of the estimate's poses has a truth")
-    return np.asarray(T_truth_body[known[0]] @ se3.invert(estimate.T_world_body[known[0]]))
+    return np.asarray(T_truth_body[known[0]] @ se3.invert(estimate.T_frame_body[known[0]]))
 
 
 def position_covariances_m2(trajectory: Trajectory) -> FloatArray:
-    """Covariances (N, 3, 3) of the positions in the world, m², of a trajectory that has covariances."""
+    """Covariances (N, 3, 3) of the positions in the map, m², of a trajectory that has covariances."""
     assert trajectory.covariances is not None
-    return se3.position_covariance(trajectory.T_world_body, trajectory.covariances)
+    return se3.position_covariance(trajectory.T_frame_body, trajectory.covariances)
 
 
 def covariances_ahead_m2(trajectory: Trajectory) -> FloatArray:
     """Covariances (N, 2, 2) of the positions in x and y along the body's x axis and to its left, m²."""
-    R_body_world = _turned_back(trajectory)
+    R_body_frame = _turned_back(trajectory)
     C = position_covariances_m2(trajectory)[:, :2, :2]
-    return np.asarray(R_body_world @ C @ R_body_world.transpose(0, 2, 1))
+    return np.asarray(R_body_frame @ C @ R_body_frame.transpose(0, 2, 1))
 
 
 def _turned_back(trajectory: Trajectory) -> FloatArray:
-    """Rotations (N, 2, 2) from the world's x and y to the body's x axis, seen from above, and its left."""
-    x, y = trajectory.T_world_body[:, 0, 0], trajectory.T_world_body[:, 1, 0]
+    """Rotations (N, 2, 2) from the map's x and y to the body's x axis, seen from above, and its left."""
+    x, y = trajectory.T_frame_body[:, 0, 0], trajectory.T_frame_body[:, 1, 0]
     yaw = np.arctan2(y, x)
     return np.stack([np.stack([np.cos(yaw), np.sin(yaw)], -1), np.stack([-np.sin(yaw), np.cos(yaw)], -1)], -2)

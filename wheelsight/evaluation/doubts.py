@@ -78,7 +78,7 @@ def _order_doubt(estimate: Trajectory, truth: Trajectory) -> str | None:
 
     Angles between poses do not change with the order, axes do. `estimate` and `truth` are M pairs.
     """
-    R_estimate, R_truth = (t.T_world_body[:, :3, :3] for t in (estimate, truth))
+    R_estimate, R_truth = (t.T_frame_body[:, :3, :3] for t in (estimate, truth))
     first, second = _turns(R_truth)
     if len(first) < _FEWEST_TURNS:
         return None

@@ -68,7 +68,7 @@ def rpe(estimate: Trajectory, truth: Trajectory, delta: float, unit: Unit, *, ma
     start, end = _steps(true, delta, unit)
     if not len(start):
         raise EvaluationError(f"the trajectories are too short for a step of {delta:g} {unit}")
-    P, Q = near.T_world_body, true.T_world_body
+    P, Q = near.T_frame_body, true.T_frame_body
     T_error = se3.invert(se3.invert(Q[start]) @ Q[end]) @ (se3.invert(P[start]) @ P[end])
     return RelativeError(
         delta=delta,

@@ -27,7 +27,7 @@ class SequenceStatistics:
             shorter, since it cuts corners and leaves out the last, broken step.
         mean_speed_m_per_s: over windows of `window_s`, averaged over all of them.
         mean_angular_speed_rad_per_s: likewise.
-        extent_m: along the world's x, y and z.
+        extent_m: along the map's x, y and z.
         window_s: of the windows; the duration, where that is shorter than what was asked for.
     """
 
@@ -73,7 +73,7 @@ def sequence_statistics(trajectory: Trajectory, window_s: float = 1.0) -> Sequen
 
 def _mean_speeds(trajectory: Trajectory, window_s: float) -> tuple[float, float]:
     """Mean speed (m/s) and angular speed (rad/s) over all windows that end within the trajectory."""
-    stamps_s, R = trajectory.stamps_s, trajectory.T_world_body[:, :3, :3]
+    stamps_s, R = trajectory.stamps_s, trajectory.T_frame_body[:, :3, :3]
     start, end = steps_along(stamps_s, window_s)
     whole = stamps_s[start] + window_s <= stamps_s[-1] + _STAMP_ROUNDING_S
     start, end = start[whole], end[whole]

@@ -66,7 +66,7 @@ class Happening:
         wheels: a step of the wheels that ends then.
         yaw_rate_rad_s: of a gyroscope.
         look: of the camera. `failure`: why it had none.
-        position: x, y (2,) in the world, and covariance (2, 2).
+        position: x, y (2,) in the map, and covariance (2, 2).
         gyro_bias: what the gyroscope shows at rest beyond what was said before the drive, and its variance.
         clone: the pose is remembered by that name; `spread` (6, 6) by which the camera may have it wrong. `drop`: it no
             longer is.

@@ -91,9 +91,9 @@ def seen_from(
     """The camera's motion (4, 4) since the pose at a place, in that one's frame, and its covariance (6, 6)."""
     here = slice(6 * at, 6 * at + 6)
     T_imaged, rows, spread = imaged_now(T[0], rest, P)
-    T_camera_world = inverse(times(T[at], T_base_camera))
+    T_camera_odom = inverse(times(T[at], T_base_camera))
     apart = spread - rows[:, here] - rows[:, here].T + P[here, here]
-    return times(times(T_camera_world, T_imaged), T_base_camera), carried(T_camera_world, apart)
+    return times(times(T_camera_odom, T_imaged), T_base_camera), carried(T_camera_odom, apart)
 
 
 @njit(cache=True, nogil=True)
@@ -113,10 +113,10 @@ def expected(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The motion (4, 4) between two poses, how the camera's errors change it (6, 9), and how perturbations do (6, 6).
 
-    `told` (6, 3) is how the wheels' errors moved the one since the other, as left perturbations in the world.
+    `told` (6, 3) is how the wheels' errors moved the one since the other, as left perturbations in odom.
     """
-    T_reference_world = inverse(T_reference)
-    Z, Ad = times(T_reference_world, T_imaged), adjoint(T_reference_world)
+    T_reference_odom = inverse(T_reference)
+    Z, Ad = times(T_reference_odom, T_imaged), adjoint(T_reference_odom)
     return Z, by_camera_errors(Z, times(Ad, told)), Ad
 
 

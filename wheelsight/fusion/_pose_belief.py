@@ -86,7 +86,7 @@ class PoseBelief:
     """The belief; see the module.
 
     Attributes:
-        T: (1 + K, 4, 4) T_world_base now, and when the images were taken that have the remembered stamps.
+        T: (1 + K, 4, 4) T_odom_base now, and when the images were taken that have the remembered stamps.
         remembered: these instants.
         rest: (17,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's (the same, its drift in
             pitch, its mount's shift and rotation, how late its stamps are), the gyroscope's bias.
@@ -97,7 +97,7 @@ class PoseBelief:
         part_s: length of the last part of a wheel step.
         known_twist: (3,) the twist when a measurement last told it; `known_for_s` ago, its yaw rate by a gyroscope
             `turn_known_for_s` ago.
-        told: (6, 3) how the wheels' errors moved the pose since the begin, as left perturbations in the world.
+        told: (6, 3) how the wheels' errors moved the pose since the begin, as left perturbations in the map.
     """
 
     T: FloatArray
@@ -113,14 +113,14 @@ class PoseBelief:
     told: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
 
     @classmethod
-    def begin(cls, T_world_base: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
+    def begin(cls, T_odom_base: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
         """At rest, at a pose with its covariance (6, 6)."""
         s = settings
         P = np.zeros((6 + REST_SIZE, 6 + REST_SIZE))
         P[:6, :6] = covariance
         still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
         P[6:, 6:] = np.diag([*np.square(still), *s.variances])
-        return cls(T_world_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_DOUBT)
+        return cls(T_odom_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_DOUBT)
 
     @property
     def gyro_bias_rad_s(self) -> float:
@@ -220,8 +220,8 @@ class PoseBelief:
     def chained(self, look: Look, stamp_s: float, spread: FloatArray) -> PoseBelief:
         """With the pose now, seen just so against a remembered one, remembered in that one's place.
 
-        The camera has both in a world of its own, so in the plane what that has wrong of the one it has wrong of the
-        other: errors of single looks do not add up along a way. What its world gains by error on the way is `spread`
+        The camera has both in the map, so in the plane what that has wrong of the one it has wrong of the
+        other: errors of single looks do not add up along a way. What the map gains by error on the way is `spread`
         (6, 6), in the base's own frame. Height, roll and pitch are those of now, of which the floor knows more.
         """
         at = self.reference(look.name)
@@ -288,7 +288,7 @@ class PoseBelief:
         return self.T[0], self.T[at], self.told - self.remembered[at - 1].told
 
     def position(self, xy: FloatArray, covariance: FloatArray) -> Innovation:
-        """What a position (2,) in the world with its covariance (2, 2) says."""
+        """What a position (2,) in the map with its covariance (2, 2) says."""
         x, y, z = self.T[0][:3, 3]
         H = np.array([[1.0, 0, 0, 0, z, -y], [0, 1.0, 0, -z, 0, x]])
         PHt = self.covariance[:, :6] @ H.T

@@ -47,8 +47,6 @@ class ErrorStateSettings:
         clock_sigma_s: by which stamps of camera and wheels are apart; at speed, that is a way.
         acceleration_m_s2, acceleration_rad_s2: how speeds change in a second while no wheel tells.
         leap_m_s2, leap_rad_s2: standard deviation of what a robot's accelerations may be; more is a leap.
-        leap_noise_m, leap_noise_rad: what a step may be off, beyond its covariance, without being a leap (guessed; on
-            the simulator, 3 mm are too few).
         gyro_noise_rad_per_sqrt_s, gyro_bias_rad_s, gyro_bias_sigma_rad_s, gyro_bias_walk_rad_s: of the yaw rate, what
             it shows at rest, how far off that may be, and how it wanders in 1 s.
         slip_m_per_sqrt_s, slip_rad_per_sqrt_s: where slipping wheels may have gone instead.
@@ -102,8 +100,6 @@ class ErrorStateSettings:
     acceleration_rad_s2: float = 3.0
     leap_m_s2: float = 2.0
     leap_rad_s2: float = 6.0
-    leap_noise_m: float = 0.007
-    leap_noise_rad: float = 0.002
     gyro_noise_rad_per_sqrt_s: float = 1e-3
     gyro_bias_rad_s: float = 0.0
     gyro_bias_sigma_rad_s: float = 0.02

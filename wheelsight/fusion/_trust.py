@@ -69,8 +69,7 @@ class Speed:
         """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
         s = settings
         usual = (s.leap_m_s2 * seconds, s.leap_m_s2 * _SIDEWAYS * seconds, s.leap_rad_s2 * seconds)
-        noise = np.square([s.leap_noise_m, s.leap_noise_m, s.leap_noise_rad]) / seconds**2
-        leap = steps.leap(self.mean, self.covariance + np.diag(noise), before.mean, before.covariance, usual)
+        leap = steps.leap(self.mean, self.covariance, before.mean, before.covariance, usual)
         return min(leap, s.leap_cap) if leap > _quantile(_NO_WONDER, 3) else 0.0
 
 

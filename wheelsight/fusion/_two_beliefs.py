@@ -40,7 +40,7 @@ def covering(one: PoseBelief, other: PoseBelief, since_s: float) -> PoseBelief:
 def _less_known(one: PoseBelief, other: PoseBelief) -> FloatArray:
     """Covariance (6 + 6K, 6 + 6K) that the one's poses lack to be as uncertain as those of `other`.
 
-    What both were uncertain of before they went apart counts once; where one is in the world is of no account, so they
+    What both were uncertain of before they went apart counts once; where one is in the map is of no account, so they
     are compared from where the base is.
     """
     same = np.eye(len(one.T))

@@ -86,7 +86,7 @@ class ErrorStateFilter:
 
     Args:
         T_base_camera: (4, 4), or None where no camera is used.
-        T_world_base: (4, 4) at the first event; None for the identity, in a frame `odom` with z up.
+        T_odom_base: (4, 4) at the first event; None for the identity, in a frame `odom` with z up.
         covariance: (6, 6) of its left perturbation; None for zero.
         settings: see there.
 
@@ -98,12 +98,12 @@ class ErrorStateFilter:
     def __init__(
         self,
         T_base_camera: ArrayLike | None = None,
-        T_world_base: ArrayLike | None = None,
+        T_odom_base: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
         settings: ErrorStateSettings | None = None,
     ) -> None:
         self.settings = settings or ErrorStateSettings()
-        begin = np.eye(4) if T_world_base is None else motion_of(T_world_base)
+        begin = np.eye(4) if T_odom_base is None else motion_of(T_odom_base)
         spread = np.zeros((6, 6)) if covariance is None else covariance_of(covariance, 6)
         T_base_camera = np.eye(4) if T_base_camera is None else motion_of(T_base_camera)
         if begin is None or spread is None or T_base_camera is None:
@@ -130,12 +130,12 @@ class ErrorStateFilter:
 
     def predict_to(self, wheels: Estimate) -> FusedEstimate:
         """Take the next estimate of wheel odometry, in order: T_odom_base with covariance; the first is the start."""
-        before, T, C = self._wheels, np.array(wheels.T_world_body, float), np.array(wheels.covariance, float)
+        before, T, C = self._wheels, np.array(wheels.T_odom_body, float), np.array(wheels.covariance, float)
         is_one = T.shape == (4, 4) and C.shape == (6, 6) and motions.is_pose(T, C)
         if not is_one or wheels.reason is Reason.CLOCK_BACKWARDS:
             return self._refused(wheels.reason or Reason.INVALID)
         self._reading_stamps_s.append(wheels.stamp_s)
-        if before is None or before.T_world_body is None or before.covariance is None:
+        if before is None or before.T_odom_body is None or before.covariance is None:
             self._wheels = wheels
             return self._take(Happening(wheels.stamp_s, drop=""))  # which begins the clock
         if not before.stamp_s < wheels.stamp_s:
@@ -146,7 +146,7 @@ class ErrorStateFilter:
         if wheels.stamp_s - before.stamp_s < self._shortest_step_s():
             return self._take(Happening(wheels.stamp_s, drop=""))  # its way counts with the next reading's
         self._wheels = wheels
-        xi, spread = motions.step_between(before.T_world_body, before.covariance, T, C)
+        xi, spread = motions.step_between(before.T_odom_body, before.covariance, T, C)
         if wheels.stamp_s - before.stamp_s > self.settings.even_s:
             spread = spread + _of_unknown_path(xi)
         return self._take(Happening(wheels.stamp_s, wheels=WheelStep(before.stamp_s, wheels.stamp_s, xi, spread)))
@@ -193,7 +193,7 @@ class ErrorStateFilter:
         return self._take(Happening(stamp_s, look=look, clone=remember), motion)
 
     def update_position(self, stamp_s: float, xy: ArrayLike, covariance: ArrayLike) -> FusedEstimate:
-        """Take a position (2,) in the world, metres, with its covariance (2, 2), as places tell."""
+        """Take a position (2,) in the map, metres, with its covariance (2, 2), as places tell."""
         position, spread = numbers_of(xy), covariance_of(covariance, 2)
         if (
             position is None
@@ -227,7 +227,7 @@ class ErrorStateFilter:
         return self._take(Happening(stamp_s, gyro_bias=bias))
 
     def remembered(self, name: str) -> FloatArray | None:
-        """T_world_base (4, 4) at the instant remembered as `name`, by all that is known now; None where none is.
+        """T_odom_base (4, 4) at the instant remembered as `name`, by all that is known now; None where none is.
 
         The camera's instant: when the image was taken that has the stamp, by what is known of how late its stamps are.
         """

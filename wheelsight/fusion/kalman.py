@@ -65,7 +65,7 @@ class JoinedEstimate(Estimate):
     """The joined pose, and how fast it moves.
 
     Attributes:
-        velocity: (3,) of x, y in m/s in the world frame and of yaw in rad/s: the second rows of eq. 2. Or None.
+        velocity: (3,) of x, y in m/s in the map frame and of yaw in rad/s: the second rows of eq. 2. Or None.
         velocity_covariance: (3, 3), or None.
     """
 
@@ -103,13 +103,13 @@ class LigockiFilter:
         self._stamp_s: float | None = None
         self._wheels = np.zeros(3)
 
-    def update(self, stamp_s: float, T_odom_base: ArrayLike, T_world_base_visual: ArrayLike | None) -> JoinedEstimate:
+    def update(self, stamp_s: float, T_odom_base: ArrayLike, T_map_base_visual: ArrayLike | None) -> JoinedEstimate:
         """The joined pose at a stamp at which both are known.
 
         Args:
             stamp_s: later than the last one.
             T_odom_base: (4, 4) or (3, 3) by the wheels alone.
-            T_world_base_visual: (4, 4) or (3, 3) by vision alone, in the frame that began where odom did; or None.
+            T_map_base_visual: (4, 4) or (3, 3) by vision alone, in the frame that began where odom did; or None.
 
         Returns:
             `Status.TRACKING` with the pose, `COASTING` without vision; `FAILING` with `CLOCK_BACKWARDS`, and the pose
@@ -119,7 +119,7 @@ class LigockiFilter:
             ConfigError: a pose or stamp that is none.
         """
         wheels = _planar(T_odom_base)
-        visual = None if T_world_base_visual is None else _planar(T_world_base_visual)
+        visual = None if T_map_base_visual is None else _planar(T_map_base_visual)
         if not np.isfinite(stamp_s):
             raise ConfigError(f"stamp_s is {stamp_s}", fix="seconds")
         status = Status.TRACKING if visual is not None else Status.COASTING
@@ -151,7 +151,7 @@ class LigockiFilter:
         H = measurement_matrix(self.settings.weight, dt_s or 1.0)
         joined, spread = self._x @ H.T, H @ self._P @ H.T
         x, y, yaw = joined[:, 0]
-        # From x, y, yaw to the perturbation from the left, which turns about the world's origin.
+        # From x, y, yaw to the perturbation from the left, which turns about the map's origin.
         J = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
         covariance = np.zeros((6, 6))
         covariance[np.ix_(_PLANE, _PLANE)] = J @ np.diag(spread[:, 0, 0]) @ J.T

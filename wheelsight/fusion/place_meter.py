@@ -40,29 +40,29 @@ class PlaceMeter:
         self._areas, self._shares = areas, checked_shares(areas, area_shares)
         self._floor = FloorShares(areas, self.settings.border_m)
         self._filter: AreaFilter | None = None
-        self._T_world_last = np.eye(4)
+        self._T_odom_last = np.eye(4)
 
     def measure(
-        self, T_world_base: FloatArray, covariance: FloatArray, probabilities: ArrayLike | None
+        self, T_odom_base: FloatArray, covariance: FloatArray, probabilities: ArrayLike | None
     ) -> tuple[FloatArray, FloatArray] | None:
         """The position that a frame tells.
 
         Args:
-            T_world_base: (4, 4) at the frame, as it is believed without it.
+            T_odom_base: (4, 4) at the frame, as it is believed without it.
             covariance: (6, 6) of its left perturbation.
             probabilities: (A,) of the areas, from the forest, or None where it does not know.
 
         Returns:
-            x, y (2,) in the world, metres, and covariance (2, 2); or None where the frame tells nothing, or what hardly
+            x, y (2,) in the map, metres, and covariance (2, 2); or None where the frame tells nothing, or what hardly
             agrees with the belief.
 
         Raises:
             ConfigError: not one probability an area, negative, not finite, or all zero.
         """
         evidence = None if probabilities is None else evidence_of(probabilities, self._shares)
-        xy = T_world_base[:2, 3]
-        parts, axes = self._floor.parts_of(xy, _of_position(T_world_base, covariance))
-        areas = self._moved_to(T_world_base, parts[:, 0])
+        xy = T_odom_base[:2, 3]
+        parts, axes = self._floor.parts_of(xy, _of_position(T_odom_base, covariance))
+        areas = self._moved_to(T_odom_base, parts[:, 0])
         if evidence is None:
             return None
         likelihoods = areas.update(evidence)
@@ -76,16 +76,16 @@ class PlaceMeter:
         offset, spread = axes @ told[0], axes @ told[1] @ axes.T
         return xy + offset, (spread + spread.T) / 2
 
-    def _moved_to(self, T_world_base: FloatArray, places: FloatArray) -> AreaFilter:
+    def _moved_to(self, T_odom_base: FloatArray, places: FloatArray) -> AreaFilter:
         """The area filter at a frame's pose, which is in the places (A + 1,) by these probabilities."""
         if self._filter is None:
             self._filter = AreaFilter(self._areas, self.settings.forest, places)
         else:
-            T_last_now = se3.invert(self._T_world_last) @ T_world_base
+            T_last_now = se3.invert(self._T_odom_last) @ T_odom_base
             self._filter.predict(float(np.hypot(*T_last_now[:2, 3])), float(so3.angle(T_last_now[:3, :3])))
             stray = self.settings.stray
             self._filter.agree_with((1 - stray) * places + stray * self._filter.places)
-        self._T_world_last = T_world_base
+        self._T_odom_last = T_odom_base
         return self._filter
 
 
@@ -105,6 +105,6 @@ def equivalent(mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Fl
     return directions @ values, (directions * spread) @ directions.T
 
 
-def _of_position(T_world_base: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(2, 2) of x and y, from that of the left perturbation, which turns about the world's origin."""
-    return se3.position_covariance(T_world_base, covariance)[:2, :2]
+def _of_position(T_odom_base: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(2, 2) of x and y, from that of the left perturbation, which turns about the map's origin."""
+    return se3.position_covariance(T_odom_base, covariance)[:2, :2]

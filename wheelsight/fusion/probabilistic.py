@@ -90,7 +90,7 @@ class AreaRectifier:
 
     Args:
         areas: in the order of the forest's probabilities, at least one.
-        T_world_base: (4, 4) pose at the start, in the plane.
+        T_odom_base: (4, 4) pose at the start, in the plane.
         settings: see there.
         area_shares: (A,) of the frames that the forest was trained on, which its probabilities take for granted
             (`PlaceModel.area_shares`); None: all alike.
@@ -102,14 +102,14 @@ class AreaRectifier:
     def __init__(
         self,
         areas: AreaMap,
-        T_world_base: ArrayLike,
+        T_odom_base: ArrayLike,
         settings: AreaRectifierSettings | None = None,
         *,
         area_shares: ArrayLike | None = None,
     ) -> None:
         self.settings = settings or AreaRectifierSettings()
         self._shares = checked_shares(areas, area_shares)
-        self._corrected, self._alone = (_start(T_world_base, self.settings) for _ in range(2))
+        self._corrected, self._alone = (_start(T_odom_base, self.settings) for _ in range(2))
         self._floor = FloorShares(areas, self.settings.border_m)
         self._filter = AreaFilter(areas, self.settings.forest, self._parts()[0][:, 0])
         self._way_m = self._turn_rad = 0.0
@@ -143,9 +143,9 @@ class AreaRectifier:
         Raises:
             ConfigError: an estimate without pose or covariance.
         """
-        if wheels.T_world_body is None or wheels.covariance is None:
+        if wheels.T_odom_body is None or wheels.covariance is None:
             raise ConfigError("an estimate of the wheels has no pose or no covariance", fix="leave it out")
-        now = wheels.T_world_body, wheels.covariance
+        now = wheels.T_odom_body, wheels.covariance
         if self._last is not None:
             self.predict(*_step_between(*self._last, *now))
         self._last = now
@@ -184,7 +184,7 @@ class AreaRectifier:
     def _estimate(self, stamp_s: float, support: float) -> RectifiedEstimate:
         pose, spread = pose_of(self._corrected, self._alone, self._filter.worth)
         x, y, yaw = pose
-        # From x, y, yaw to the perturbation from the left, which turns about the world's origin.
+        # From x, y, yaw to the perturbation from the left, which turns about the map's origin.
         J = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
         covariance = np.zeros((6, 6))
         covariance[np.ix_(PLANE, PLANE)] = J @ spread @ J.T
@@ -200,10 +200,10 @@ class AreaRectifier:
         )
 
 
-def _start(T_world_base: ArrayLike, settings: AreaRectifierSettings) -> PlaneBelief:
-    T = np.asarray(T_world_base, float)
+def _start(T_odom_base: ArrayLike, settings: AreaRectifierSettings) -> PlaneBelief:
+    T = np.asarray(T_odom_base, float)
     if not se3.is_valid(T):
-        raise ConfigError("the pose at the start is none", fix="give T_world_base (4, 4)")
+        raise ConfigError("the pose at the start is none", fix="give T_odom_base (4, 4)")
     of_pose = (settings.position_sigma_m, settings.position_sigma_m, settings.yaw_sigma_rad)
     of_wheels = (settings.scale_sigma, settings.drift_sigma_rad_per_m, settings.turn_sigma)
     walk = np.square([settings.scale_walk, settings.drift_walk_rad_per_m, settings.turn_walk])

@@ -86,27 +86,27 @@ class PaperRectifier:
 
     Args:
         areas: in the order of the forest's labels.
-        T_world_base: (4, 4) pose at the start, where the wheels begin.
+        T_odom_base: (4, 4) pose at the start, where the wheels begin.
         weights: from `fit_weights`.
         odometry_term: "absolute" or "increment".
     """
 
     def __init__(
-        self, areas: AreaMap, T_world_base: ArrayLike, weights: Weights, odometry_term: OdometryTerm = "increment"
+        self, areas: AreaMap, T_odom_base: ArrayLike, weights: Weights, odometry_term: OdometryTerm = "increment"
     ) -> None:
         if odometry_term not in ("absolute", "increment"):
             raise ConfigError(f"odometry_term is {odometry_term!r}", fix="absolute or increment")
         self._told = coordinates_of(areas)
         self._weights = (weights.untold.as_array(), weights.told.as_array())
         self._is_increment = odometry_term == "increment"
-        self._T_world_odometry = need_motion("T_world_base", T_world_base).copy()
-        self._odometry_at_frame = self._T_world_odometry[:2, 3].copy()
+        self._T_map_wheels = need_motion("T_odom_base", T_odom_base).copy()
+        self._odometry_at_frame = self._T_map_wheels[:2, 3].copy()
         self._rectified = self._odometry_at_frame.copy()
         self._has_frame = False
 
     def predict(self, T_before_now: ArrayLike) -> None:
         """Go on by a step (4, 4) of the wheels. Raises ArgumentError for what is none."""
-        self._T_world_odometry = self._T_world_odometry @ need_motion("T_before_now", T_before_now)
+        self._T_map_wheels = self._T_map_wheels @ need_motion("T_before_now", T_before_now)
 
     def update(self, stamp_s: float, area_index: int | None) -> Estimate:
         """The pose at a frame whose area is `area_index`, or None where it is not known.
@@ -118,7 +118,7 @@ class PaperRectifier:
         """
         if area_index is not None and not 0 <= area_index < len(self._told) - 1:
             raise AreaError(f"area index is {area_index}", fix=f"0 to {len(self._told) - 2}, or None")
-        odometry = self._T_world_odometry[:2, 3]
+        odometry = self._T_map_wheels[:2, 3]
         if self._has_frame:
             told = self._told[-1 if area_index is None else area_index]
             term = self._rectified + odometry - self._odometry_at_frame if self._is_increment else odometry
@@ -129,9 +129,9 @@ class PaperRectifier:
 
     def estimate(self, stamp_s: float) -> Estimate:
         """The pose now, by the wheels since the last frame; eq. 5 knows no covariance."""
-        T_world_base = self._T_world_odometry.copy()
-        T_world_base[:2, 3] += self._rectified - self._odometry_at_frame
-        return Estimate(stamp_s, Status.TRACKING, T_world_base, body="base")
+        T_odom_base = self._T_map_wheels.copy()
+        T_odom_base[:2, 3] += self._rectified - self._odometry_at_frame
+        return Estimate(stamp_s, Status.TRACKING, T_odom_base, body="base")
 
     def _next(self, last: float, term: float, told: float) -> float:
         if np.isnan(told):
@@ -145,7 +145,7 @@ class TrainingDrive:
     """A drive with truth, at its frames.
 
     Attributes:
-        odometry: (N, 2) x, y in metres of the wheels alone, in the world frame.
+        odometry: (N, 2) x, y in metres of the wheels alone, in the map frame.
         area_indices: (N,) the forest's answers, -1 where unknown.
         truth: (N, 2) x, y in metres.
     """

@@ -1,7 +1,7 @@
 """Rigid motions in space: SE(3) as 4×4 matrices, in batches of any shape (`...`).
 
 The conventions, said once. `T_a_b` maps points of frame b into frame a: `p_a = T_a_b @ p_b`, so
-`T_world_base @ T_base_camera` cancels by eye. Tangents are ξ = (v, ω), translation first.
+`T_odom_base @ T_base_camera` cancels by eye. Tangents are ξ = (v, ω), translation first.
 Perturbations multiply from the left, `T = exp(δ) @ T_mean`, and a pose's 6×6 covariance is that of δ.
 """
 

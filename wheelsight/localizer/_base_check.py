@@ -42,7 +42,7 @@ _DEAF_S = 0.5  # wheels that have been silent for longer answer nothing
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pose:
-    """Of the base, by the camera alone: T_world_base (4, 4), its covariance (6, 6), and the stamp."""
+    """Of the base, by the camera alone: T_odom_base (4, 4), its covariance (6, 6), and the stamp."""
 
     stamp_s: float
     T: FloatArray
@@ -81,7 +81,7 @@ class BaseCheck:
         self._begin: tuple[float, FloatArray, FloatArray] | None = None
         self._together: tuple[float, FloatArray, FloatArray] | None = None
         self._newest: tuple[float, FloatArray] | None = None
-        self._T_world_map: FloatArray | None = None
+        self._T_odom_map: FloatArray | None = None
         self._seen: _Pose | None = None
         self._found: list[Explanation] = []
         self._is_sure = self._has_agreed = False
@@ -116,7 +116,7 @@ class BaseCheck:
         if self.by_wheels is None:
             return
         self.by_wheels.predict_to(wheels)
-        if wheels.T_world_body is None or wheels.reason is not None or not np.isfinite(wheels.T_world_body).all():
+        if wheels.T_odom_body is None or wheels.reason is not None or not np.isfinite(wheels.T_odom_body).all():
             self._begin = self._together = None
             self._wheels.clear()
             return
@@ -124,9 +124,9 @@ class BaseCheck:
             self._wheels.clear()
             self._begin = self._together = None
         if self._wheels:
-            self._rolled_m += float(np.linalg.norm(wheels.T_world_body[:3, 3] - self._wheels[-1][1][:3, 3]))
-        self._wheels.append((wheels.stamp_s, wheels.T_world_body))
-        self._colors.hear(wheels.stamp_s, float(np.arctan2(wheels.T_world_body[1, 0], wheels.T_world_body[0, 0])))
+            self._rolled_m += float(np.linalg.norm(wheels.T_odom_body[:3, 3] - self._wheels[-1][1][:3, 3]))
+        self._wheels.append((wheels.stamp_s, wheels.T_odom_body))
+        self._colors.hear(wheels.stamp_s, float(np.arctan2(wheels.T_odom_body[1, 0], wheels.T_odom_body[0, 0])))
         while self._wheels[0][0] < wheels.stamp_s - _KEPT_S:
             self._wheels.popleft()
         while self._frames and self._frames[0][0] <= wheels.stamp_s:
@@ -146,12 +146,12 @@ class BaseCheck:
         while self._turned[0][0] < stamp_s - _KEPT_S:
             self._turned.popleft()
 
-    def begin(self, frame: RgbdFrame, seen: Estimate, T_world_map: FloatArray) -> None:
-        """The camera begins, or begins again, at a frame; its world lies at `T_world_map` (4, 4)."""
+    def begin(self, frame: RgbdFrame, seen: Estimate, T_odom_map: FloatArray) -> None:
+        """The camera begins, or begins again, at a frame; its map lies at `T_odom_map` (4, 4)."""
         self._begin = self._together = None
         self._frames.clear()
-        if self._T_world_map is None:
-            self._T_world_map = T_world_map.copy()
+        if self._T_odom_map is None:
+            self._T_odom_map = T_odom_map.copy()
         self._tell(frame, seen, shows_all=True)
 
     def see(self, frame: RgbdFrame, seen: Estimate, *, shows_all: bool) -> None:
@@ -160,11 +160,11 @@ class BaseCheck:
         self._tell(frame, seen, shows_all=shows_all)
 
     def _tell(self, frame: RgbdFrame, seen: Estimate, *, shows_all: bool) -> None:
-        if self.by_wheels is None or self._T_world_map is None or seen.T_world_body is None:
+        if self.by_wheels is None or self._T_odom_map is None or seen.T_odom_body is None:
             return
-        T_map_base = motions.times(seen.T_world_body, motions.inverse(self._mount))
-        C = np.zeros((6, 6)) if seen.covariance is None else motions.carried(self._T_world_map, seen.covariance)
-        self._seen = _Pose(frame.stamp_s, motions.mended(motions.times(self._T_world_map, T_map_base)), C)
+        T_map_base = motions.times(seen.T_odom_body, motions.inverse(self._mount))
+        C = np.zeros((6, 6)) if seen.covariance is None else motions.carried(self._T_odom_map, seen.covariance)
+        self._seen = _Pose(frame.stamp_s, motions.mended(motions.times(self._T_odom_map, T_map_base)), C)
         if shows_all:
             self._newest = frame.stamp_s, T_map_base
             self._frames.append(self._newest)
@@ -176,7 +176,7 @@ class BaseCheck:
             return answer
         found = self._found or ([self._late_color()] if self._colors.late else [])
         by_wheels, seen = wheels.estimate, self._seen
-        if by_wheels.T_world_body is None or by_wheels.covariance is None:
+        if by_wheels.T_odom_body is None or by_wheels.covariance is None:
             return answer
         if (not found and self._has_agreed) or answer.stamp_s - by_wheels.stamp_s > _DEAF_S:
             return answer
@@ -186,17 +186,17 @@ class BaseCheck:
             return answer
         whose = {one.culprit for one in found}
         reason = answer.reason or Reason.CONTRADICTION
-        first, second = (by_wheels.T_world_body, by_wheels.covariance), (seen.T, seen.covariance)
+        first, second = (by_wheels.T_odom_body, by_wheels.covariance), (seen.T, seen.covariance)
         if whose == {Culprit.WHEELS}:
             first, second = second, first
         T, C = covering_pose(*first, *second)
-        return replace(by_wheels, T_world_body=T, covariance=C, doubtful=True, slip=False, reason=reason)
+        return replace(by_wheels, T_odom_body=T, covariance=C, doubtful=True, slip=False, reason=reason)
 
     def _covered(self, answer: FusedEstimate) -> FusedEstimate:
         """The answer to a frame, less certain by what both have gone apart since they were last known to agree."""
         if self._together is None or self._newest is None or self._newest[0] != answer.stamp_s:
             return answer
-        if answer.T_world_body is None or answer.covariance is None or not self._wheels:
+        if answer.T_odom_body is None or answer.covariance is None or not self._wheels:
             return answer
         _, T_odom_begin, T_map_begin = self._together
         T_odom_base = self._at(answer.stamp_s)
@@ -204,8 +204,8 @@ class BaseCheck:
             motions.inverse(T_odom_begin), self._wheels[-1][1] if T_odom_base is None else T_odom_base
         )
         by_camera = motions.times(motions.inverse(T_map_begin), self._newest[1])
-        other = motions.times(answer.T_world_body, motions.times(motions.inverse(by_wheels), by_camera))
-        _, C = covering_pose(answer.T_world_body, answer.covariance, motions.mended(other), np.zeros((6, 6)))
+        other = motions.times(answer.T_odom_body, motions.times(motions.inverse(by_wheels), by_camera))
+        _, C = covering_pose(answer.T_odom_body, answer.covariance, motions.mended(other), np.zeros((6, 6)))
         return replace(answer, covariance=C)
 
     def wheels_alone(self) -> ErrorStateFilter:

@@ -38,7 +38,7 @@ def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) ->
 def camera_odometry(
     calibration: Calibration, settings: Config
 ) -> tuple[FeatureOdometry | DenseOdometry, SurfelMapper | None]:
-    """Feature or dense odometry, whose world is where the base was where that is known; and what builds a map.
+    """Feature or dense odometry, whose map begins where the base was where that is known; and what builds a map.
 
     Beside wheels, tracking begins against keyframes; who joins both says when the map shows more.
     """
@@ -47,5 +47,5 @@ def camera_odometry(
         mapper = SurfelMapper(calibration, settings.dense, settings.surfels, tracks=tracks)
         return mapper.odometry, mapper
     if "dense" in settings.odometry:
-        return DenseOdometry(calibration, settings.dense, T_world_first=calibration.T_base_camera), None
-    return FeatureOdometry(calibration, settings.features, T_world_first=calibration.T_base_camera), None
+        return DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera), None
+    return FeatureOdometry(calibration, settings.features, T_map_first=calibration.T_base_camera), None

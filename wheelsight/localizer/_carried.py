@@ -38,31 +38,31 @@ class Carried:
         """See the class."""
         return self._from is not None
 
-    def unknown(self, dark_s: float, T_last_now: FloatArray | None, T_world_base: FloatArray) -> None:
+    def unknown(self, dark_s: float, T_last_now: FloatArray | None, T_odom_base: FloatArray) -> None:
         """Take a frame that shows nothing known, the first one after so long a dark.
 
         Args:
             dark_s: since the last frame that was believed.
             T_last_now: (4, 4) how the camera moved since then by the wheels, or None where that is forgotten.
-            T_world_base: (4, 4) where the wheels have the base.
+            T_odom_base: (4, 4) where the wheels have the base.
         """
         if self.is_so or T_last_now is None or motions.view_shift_m(T_last_now) > _SAME_VIEW_M:
             return
-        self._dark_s, self._from = dark_s, T_world_base[:2, 3].copy()
+        self._dark_s, self._from = dark_s, T_odom_base[:2, 3].copy()
 
     def known(self) -> None:
         """The frame shows what was known before: nobody has carried anything."""
         if not self._is_scattered:
             self._from = None
 
-    def scatter(self, T_world_base: FloatArray, covariance: FloatArray) -> FloatArray:
+    def scatter(self, T_odom_base: FloatArray, covariance: FloatArray) -> FloatArray:
         """The covariance (6, 6) of a pose from which the camera starts again, by all that may have happened."""
         self._is_scattered = True
-        return covariance + self._spread(T_world_base)
+        return covariance + self._spread(T_odom_base)
 
     def answered(self, answer: FusedEstimate) -> FusedEstimate:
         """The answer, doubtful until areas have told where the robot was put."""
-        T, C = answer.T_world_body, answer.covariance
+        T, C = answer.T_odom_body, answer.covariance
         if self._from is None or T is None or C is None:
             return answer
         if not self._is_scattered:
@@ -75,8 +75,8 @@ class Carried:
         reason = answer.reason or Reason.CONTRADICTION
         return replace(answer, status=Status.COASTING, covariance=C, doubtful=True, reason=reason)
 
-    def _spread(self, T_world_base: FloatArray) -> FloatArray:
+    def _spread(self, T_odom_base: FloatArray) -> FloatArray:
         """Of a base (6, 6) that was carried on and put down turned any way, in the plane."""
         carried_m = _CARRIED_M_S * self._dark_s
-        Ad = motions.adjoint(T_world_base)
+        Ad = motions.adjoint(T_odom_base)
         return np.asarray(Ad @ np.diag(np.square([carried_m, carried_m, 0, 0, 0, _TURNED_RAD])) @ Ad.T)

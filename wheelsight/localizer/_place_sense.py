@@ -25,7 +25,7 @@ class PlaceSense:
     def __init__(self, places: Places) -> None:
         self.begin_s = places.begin_s
         self.last_place: PlaceMatch | None = None
-        self._model, self._T_world_begin = places.model, places.T_world_base
+        self._model, self._T_odom_begin = places.model, places.T_odom_base
         self._meter = PlaceMeter(places.areas, area_shares=places.model.area_shares)
         self._stopwatch = Stopwatch()
 
@@ -36,10 +36,10 @@ class PlaceSense:
 
     @property
     def start(self) -> tuple[FloatArray, FloatArray]:
-        """T_world_base (4, 4) at the start, and covariance (6, 6) of its left perturbation, as the rectifier has it."""
-        s, Ad = AreaRectifierSettings(), se3.adjoint(self._T_world_begin)
+        """T_odom_base (4, 4) at the start, and covariance (6, 6) of its left perturbation, as the rectifier has it."""
+        s, Ad = AreaRectifierSettings(), se3.adjoint(self._T_odom_begin)
         in_base = np.diag(np.square([s.position_sigma_m, s.position_sigma_m, 0.0, 0.0, 0.0, s.yaw_sigma_rad]))
-        return self._T_world_begin, Ad @ in_base @ Ad.T
+        return self._T_odom_begin, Ad @ in_base @ Ad.T
 
     def forget(self) -> None:
         """The last frame is over."""
@@ -54,11 +54,11 @@ class PlaceSense:
         """
         with self._stopwatch.stage("name the area"):
             self.last_place = match = self._model.predict(frame)
-        if answer.T_world_body is None or answer.covariance is None:
+        if answer.T_odom_body is None or answer.covariance is None:
             return answer
         probabilities = None if match.reason is Unknown.NO_DEPTH else match.probabilities
         with self._stopwatch.stage("measure by the area"):
-            told = self._meter.measure(answer.T_world_body, answer.covariance, probabilities)
+            told = self._meter.measure(answer.T_odom_body, answer.covariance, probabilities)
             if told is None:
                 return answer
             placed = to.update_position(frame.stamp_s, *told)

@@ -19,7 +19,7 @@ from wheelsight.odometry.features import MatchedPixels
 class ByFrames:
     """Frames answered by the odometry that the settings name, told of the base where it is known."""
 
-    world, answers = "world", (RgbdFrame, SkippedFrame)
+    frame, answers = "map", (RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
         self.body = "camera" if calibration.T_base_camera is None else "base"
@@ -68,10 +68,10 @@ class ByFrames:
         return Estimate(stamp_s, status, reason=Reason.REPEATED, body=self.body)
 
     def _of_body(self, estimate: Estimate) -> Estimate:
-        """The camera's estimate as the base's; the covariance, of a perturbation in the world, is that of both."""
+        """The camera's estimate as the base's; the covariance, of a perturbation in the map, is that of both."""
         self._status = estimate.status
         if self._T_camera_base is None:
             return estimate
-        if estimate.T_world_body is None:
+        if estimate.T_odom_body is None:
             return replace(estimate, body="base")
-        return replace(estimate, T_world_body=estimate.T_world_body @ self._T_camera_base, body="base")
+        return replace(estimate, T_odom_body=estimate.T_odom_body @ self._T_camera_base, body="base")

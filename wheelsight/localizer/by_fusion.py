@@ -46,17 +46,17 @@ _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOIN
 class ByFusion:
     """Wheel readings and frames answered by the default filter; dense odometry builds its map where all agree.
 
-    With places, the world is that of the areas, and the area that a frame shows is one more measurement.
+    With places, the map is that of the areas, and the area that a frame shows is one more measurement.
 
     Attributes:
         odometry: the camera's.
         filter: what joins it with the wheels.
         mapper: builds a map, where one is asked for.
-        T_world_map: (4, 4) where the world of the camera's odometry, and of the map, lies by now. What the filter knows
+        T_odom_map: (4, 4) where the map, of the camera and its surfels, lies by now. What the filter knows
             better moves the pose but no surfel, which would tear the map.
     """
 
-    body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
+    body, frame, answers = "base", "map", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
         self._T_base_camera = mount_of(calibration)
@@ -72,7 +72,7 @@ class ByFusion:
         begin = (self._T_base_camera, T_start, spread, _settings_of(calibration))
         self.filter = ErrorStateFilter(*begin)
         self._check = BaseCheck(calibration, self._T_base_camera, ErrorStateFilter(*begin))
-        self.T_world_map: FloatArray = np.eye(4)
+        self.T_odom_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
         self._carried = Carried()
@@ -218,7 +218,7 @@ class ByFusion:
         self.filter.update_yaw_rate(rate.stamp_s, rate.yaw_rate_rad_s)
 
     def _is_early(self, stamp_s: float) -> bool:
-        """Whether it is not known yet where the base starts in the world of the areas."""
+        """Whether it is not known yet where the base starts in the map of the areas."""
         return self._places is not None and stamp_s < self._places.begin_s
 
     def _placed(self, frame: RgbdFrame, answer: FusedEstimate) -> FusedEstimate:
@@ -234,16 +234,16 @@ class ByFusion:
         self._T_map_camera = None
         twist = self._camera_twist()
         seen = self.odometry.process(frame, *expected, twist=twist)
-        if seen.T_world_body is None:
+        if seen.T_odom_body is None:
             return self._unseen(frame, seen)
-        self._pace.tell(frame.stamp_s, seen.T_world_body)
+        self._pace.tell(frame.stamp_s, seen.T_odom_body)
         if self._anchor is None:
             return self._begun(frame, seen)
         self._check.see(frame, seen, shows_all=self.odometry.last_motion.shows_all)
         if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is not None:
             self._go_on_by(self._check.camera_alone())
             return self._begun(frame, seen)
-        motion = self._anchor.motion_to(seen.T_world_body, self.odometry.last_motion)
+        motion = self._anchor.motion_to(seen.T_odom_body, self.odometry.last_motion)
         motion = blurred(motion, twist, self._times.noise_s)
         if frame.stamp_s - self._seen_s > _DARK_S and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
@@ -252,10 +252,10 @@ class ByFusion:
         self._carried.known()
         is_believed = answer.reason is None and not answer.doubtful
         if is_believed:
-            self._believe(frame, answer, seen.T_world_body)
+            self._believe(frame, answer, seen.T_odom_body)
         # One mistake of the camera is none of the next frame's, and slip is told by contradicting again and again.
         if not is_believed or is_far(motion):
-            self._anchor_at(frame, seen.T_world_body)
+            self._anchor_at(frame, seen.T_odom_body)
         return answer
 
     def _camera_twist(self) -> FloatArray | None:
@@ -267,8 +267,8 @@ class ByFusion:
         return np.asarray(motions.inverse_adjoint(self._T_base_camera) @ of_base)
 
     def _believe(self, frame: RgbdFrame, answer: FusedEstimate, T_map_camera: FloatArray) -> None:
-        """Camera odometry goes on in a world of its own, that of its map, of which the filter knows where it lies."""
-        if answer.T_world_body is None or answer.status is not Status.TRACKING:
+        """Camera odometry goes on in the map, of which the filter knows where it lies."""
+        if answer.T_odom_body is None or answer.status is not Status.TRACKING:
             return
         self._T_map_camera, self._seen_s = T_map_camera, frame.stamp_s
         self._lay_map()
@@ -277,10 +277,10 @@ class ByFusion:
 
     def _lay_map(self) -> None:
         """To where the camera's pose in it is the one that is known of its frame by now."""
-        T_world_base = self.filter.remembered(_FRAME)
-        if self._T_map_camera is not None and T_world_base is not None:
-            T_world_camera = motions.times(T_world_base, self._T_base_camera)
-            self.T_world_map = motions.mended(motions.times(T_world_camera, motions.inverse(self._T_map_camera)))
+        T_odom_base = self.filter.remembered(_FRAME)
+        if self._T_map_camera is not None and T_odom_base is not None:
+            T_odom_camera = motions.times(T_odom_base, self._T_base_camera)
+            self.T_odom_map = motions.mended(motions.times(T_odom_camera, motions.inverse(self._T_map_camera)))
 
     def _anchor_at(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
         """From here on the camera's motions are told against this frame."""
@@ -289,16 +289,16 @@ class ByFusion:
 
     def _begun(self, frame: RgbdFrame, seen: Estimate, reason: Reason | None = None) -> FusedEstimate:
         """The answer at a frame at which the camera starts, where the wheels have it."""
-        assert seen.T_world_body is not None
+        assert seen.T_odom_body is not None
         answer = self.filter.clone(frame.stamp_s, _FRAME)
-        self._T_map_camera, self._seen_s = seen.T_world_body, frame.stamp_s
+        self._T_map_camera, self._seen_s = seen.T_odom_body, frame.stamp_s
         self._lay_map()
-        self._check.begin(frame, seen, self.T_world_map)
-        self._anchor_at(frame, seen.T_world_body)
+        self._check.begin(frame, seen, self.T_odom_map)
+        self._anchor_at(frame, seen.T_odom_body)
         return replace(answer, reason=reason or answer.reason, matches=seen.matches, inliers=seen.inliers)
 
-    def _in_map(self, T_world_base: FloatArray) -> FloatArray:
-        T_map_base = motions.times(motions.inverse(self.T_world_map), T_world_base)
+    def _in_map(self, T_odom_base: FloatArray) -> FloatArray:
+        T_map_base = motions.times(motions.inverse(self.T_odom_map), T_odom_base)
         return np.asarray(motions.mended(motions.times(T_map_base, self._T_base_camera)))
 
     def _unseen(self, frame: RgbdFrame, seen: Estimate, *, restarts: bool = False) -> FusedEstimate:
@@ -312,22 +312,22 @@ class ByFusion:
             self._unknown = 0
             # Where the frame was taken: it may have come late, by its stamp and beside it.
             self.filter.clone(frame.stamp_s, _AGAIN)
-            T_world_base = self.filter.remembered(_AGAIN)
-            assert T_world_base is not None
+            T_odom_base = self.filter.remembered(_AGAIN)
+            assert T_odom_base is not None
             if self._carried.is_so:
-                spread = self._carried.scatter(T_world_base, answer.covariance)
-                begin = (self._T_base_camera, T_world_base, spread, self.filter.settings)
+                spread = self._carried.scatter(T_odom_base, answer.covariance)
+                begin = (self._T_base_camera, T_odom_base, spread, self.filter.settings)
                 self._go_on_by(ErrorStateFilter(*begin))
-            again = self.odometry.restart(frame, self._in_map(T_world_base), answer.covariance)
-            if again.T_world_body is not None:
+            again = self.odometry.restart(frame, self._in_map(T_odom_base), answer.covariance)
+            if again.T_odom_body is not None:
                 return self._begun(frame, again, seen.reason)
         return answer
 
     def _suspect(self, stamp_s: float, wheels: FusedEstimate) -> None:
         """An unknown view right after the dark: wheels that stood meanwhile do not know whether they were carried."""
         dark_s, expected = stamp_s - self._seen_s, self.filter.expect(stamp_s, _FRAME)
-        if self._unknown == 1 and dark_s > _DARK_S and wheels.T_world_body is not None:
-            self._carried.unknown(dark_s, None if expected is None else expected[0], wheels.T_world_body)
+        if self._unknown == 1 and dark_s > _DARK_S and wheels.T_odom_body is not None:
+            self._carried.unknown(dark_s, None if expected is None else expected[0], wheels.T_odom_body)
 
     def _repeated(self) -> Estimate:
         """What is known, at an image that has come before: neither a look nor a failure of the camera."""

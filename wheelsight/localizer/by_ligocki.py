@@ -26,7 +26,7 @@ class ByLigocki:
         mapper: builds a map of the camera alone, where one is asked for.
     """
 
-    body, world, answers = "base", "world", (RgbdFrame, SkippedFrame)
+    body, frame, answers = "base", "map", (RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config) -> None:
         mount_of(calibration)  # the camera answers for the base
@@ -78,12 +78,12 @@ class ByLigocki:
             return replace(self._answer, reason=Reason.REPEATED)
         T_odom_base = self._rolled_to(seen.stamp_s)
         if T_odom_base is None:
-            return replace(seen, T_world_body=None, covariance=None, status=Status.INITIALIZING)
+            return replace(seen, T_odom_body=None, covariance=None, status=Status.INITIALIZING)
         if self._T_begin_odom is None:
-            if seen.T_world_body is None:
+            if seen.T_odom_body is None:
                 return seen
-            self._T_begin_odom = seen.T_world_body @ se3.invert(T_odom_base)
-        T_visual = None if seen.T_world_body is None else se3.nearest(seen.T_world_body)
+            self._T_begin_odom = seen.T_odom_body @ se3.invert(T_odom_base)
+        T_visual = None if seen.T_odom_body is None else se3.nearest(seen.T_odom_body)
         joined = self._filter.update(seen.stamp_s, se3.nearest(self._T_begin_odom @ T_odom_base), T_visual)
         reason = joined.reason or seen.reason
         self._answer = replace(joined, reason=reason, matches=seen.matches, inliers=seen.inliers)
@@ -91,7 +91,7 @@ class ByLigocki:
 
     def _rolled_to(self, stamp_s: float) -> FloatArray | None:
         """T_odom_base by the wheels, moved on from the last reading by their speed, as far as a gap may be bridged."""
-        if self._rolled is None or self._rolled.T_world_body is None:
+        if self._rolled is None or self._rolled.T_odom_body is None:
             return None
         seconds = min(max(stamp_s - self._rolled.stamp_s, 0.0), self._max_gap_s)
-        return self._rolled.T_world_body @ self._wheels.odometry.motion_in(seconds)
+        return self._rolled.T_odom_body @ self._wheels.odometry.motion_in(seconds)

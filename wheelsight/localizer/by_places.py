@@ -31,21 +31,21 @@ class Places:
 
     Attributes:
         model: names the area of a frame.
-        areas: that it was trained on, in the world frame.
-        T_world_base: (4, 4) where the base is, in the plane, at the first reading from `begin_s` on.
+        areas: that it was trained on, in the map frame.
+        T_odom_base: (4, 4) where the base is, in the plane, at the first reading from `begin_s` on.
         begin_s: readings and frames before it have no pose yet.
     """
 
     model: PlaceModel
     areas: AreaMap
-    T_world_base: FloatArray
+    T_odom_base: FloatArray
     begin_s: float = -np.inf
 
 
 def load_places(
     settings: PlaceSettings,
     areas: StrPath | None = None,
-    T_world_base: FloatArray | None = None,
+    T_odom_base: FloatArray | None = None,
     begin_s: float = -np.inf,
 ) -> Places:
     """Read model and areas; what the settings say wins over what is given beside them.
@@ -61,11 +61,11 @@ def load_places(
     if path is None:
         raise ConfigError("no areas are given", fix="places: {areas: FILE}, the areas.yaml of the model")
     if settings.start is not None:
-        T_world_base, begin_s = settings.start.T_world_base, -np.inf
-    if T_world_base is None:
-        raise ConfigError("where the robot starts in the world is not known", fix="give --start X,Y,YAW_DEG")
+        T_odom_base, begin_s = settings.start.T_odom_base, -np.inf
+    if T_odom_base is None:
+        raise ConfigError("where the robot starts in the map is not known", fix="give --start X,Y,YAW_DEG")
     area_map = load_areas(path)
-    return Places(PlaceModel.load(Path(settings.model), areas=area_map), area_map, T_world_base, begin_s)
+    return Places(PlaceModel.load(Path(settings.model), areas=area_map), area_map, T_odom_base, begin_s)
 
 
 class ByPlaces:
@@ -75,7 +75,7 @@ class ByPlaces:
         last_place: what the model said of the last frame, or None where that could not be asked.
     """
 
-    body, world, answers = "base", "world", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
+    body, frame, answers = "base", "map", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
     last_matches = None
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
@@ -160,9 +160,9 @@ class ByPlaces:
 
     def _moved_on(self, estimate: Estimate) -> Estimate:
         """The estimate, which stands at the last reading, by the wheels' speed at the stamp of its frame."""
-        assert estimate.T_world_body is not None  # rectifiers always tell one
+        assert estimate.T_odom_body is not None  # rectifiers always tell one
         T_reading_frame = self.odometry.motion_in(max(estimate.stamp_s - self._reading_s, 0.0))
-        return replace(estimate, T_world_body=estimate.T_world_body @ T_reading_frame)
+        return replace(estimate, T_odom_body=estimate.T_odom_body @ T_reading_frame)
 
 
 class _Rectifier(Protocol):
@@ -180,7 +180,7 @@ class _Rectifier(Protocol):
 
 class _ByProbability:
     def __init__(self, places: Places, settings: PlaceSettings) -> None:
-        self._inner = AreaRectifier(places.areas, places.T_world_base, area_shares=places.model.area_shares)
+        self._inner = AreaRectifier(places.areas, places.T_odom_base, area_shares=places.model.area_shares)
 
     def go_on(self, wheels: Estimate) -> None:
         self._inner.predict_to(wheels)
@@ -197,14 +197,14 @@ class _ByPaper:
         assert settings.weights is not None  # resolved with the model
         assert settings.odometry_term is not None
         weights = settings.weights.as_weights()
-        self._inner = PaperRectifier(places.areas, places.T_world_base, weights, settings.odometry_term)
+        self._inner = PaperRectifier(places.areas, places.T_odom_base, weights, settings.odometry_term)
         self._T_odom_base: FloatArray | None = None
 
     def go_on(self, wheels: Estimate) -> None:
-        assert wheels.T_world_body is not None  # wheels always tell one
+        assert wheels.T_odom_body is not None  # wheels always tell one
         if self._T_odom_base is not None:
-            self._inner.predict(se3.invert(self._T_odom_base) @ wheels.T_world_body)
-        self._T_odom_base = wheels.T_world_body
+            self._inner.predict(se3.invert(self._T_odom_base) @ wheels.T_odom_body)
+        self._T_odom_base = wheels.T_odom_body
 
     def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
         return self._inner.update(stamp_s, match.area_index)

@@ -21,7 +21,7 @@ class ByWheels:
     later, the way goes on by the wheels alone from where both last agreed.
     """
 
-    body, world, answers = "base", "odom", (WheelTicks, WheelSpeeds)
+    body, frame, answers = "base", "odom", (WheelTicks, WheelSpeeds)
     last_matches = None
 
     def __init__(self, calibration: Calibration, settings: WheelSettings) -> None:

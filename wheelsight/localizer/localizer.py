@@ -32,14 +32,14 @@ class Localizer:
     It goes by one odometry, by places where the configuration names a model of them, or by wheels and a camera joined.
 
     With `odometry: features` or `dense` frames are answered; the body is the robot's base where the calibration knows
-    `T_base_camera`, else the camera; the world is where the body was at the first tracked frame. With `odometry:
+    `T_base_camera`, else the camera; the map begins where the body was at the first tracked frame. With `odometry:
     wheels` the wheel readings are answered; the body is the base, its frame `odom`, which begins at the first reading.
     With `map: surfels` dense odometry builds a map on the way and tracks against it.
     With `odometry: [wheels, dense]` or `[wheels, features]` both are joined, by `fusion`: the default filter answers
     readings and frames with a `FusedEstimate`, whose status and flags say how far to trust it; Ligocki's answers
-    frames. The body is the base, the world is where it was at the first event (Ligocki: at the first tracked frame).
+    frames. The body is the base, the map begins where it was at the first event (Ligocki: at the first tracked frame).
     With `places` beside wheels, both are answered: wheels lead from frame to frame, each frame corrects them by the
-    area it shows; the world is that of the areas. Beside joined wheels and camera the area is one more measurement of
+    area it shows; the map is that of the areas. Beside joined wheels and camera the area is one more measurement of
     the default filter.
 
     Args:
@@ -49,7 +49,7 @@ class Localizer:
 
     Attributes:
         body: "base" or "camera".
-        world: "world" or "odom".
+        frame: "map" or "odom", in which poses are.
         answers: the types of the events that are answered.
         note: what there is to say about the last event beyond its reason; often empty.
 
@@ -73,7 +73,7 @@ class Localizer:
             self._way = ByWheels(calibration, settings.wheels)
         else:
             self._way = ByFrames(calibration, settings)
-        self.body, self.world, self.answers = self._way.body, self._way.world, self._way.answers
+        self.body, self.frame, self.answers = self._way.body, self._way.frame, self._way.answers
         self.note = ""
         self._clock = SessionClock()
         # A model of places, which was trained on images of one size, says itself what is wrong with others.
@@ -97,17 +97,17 @@ class Localizer:
 
     @property
     def map(self) -> SurfelMap | None:
-        """What was built on the way, where `T_world_map` has it; None where the configuration asks for no map."""
+        """What was built on the way, where `T_odom_map` has it; None where the configuration asks for no map."""
         return None if self._mapper is None else self._mapper.map
 
     @property
-    def T_world_map(self) -> FloatArray:
+    def T_odom_map(self) -> FloatArray:
         """(4, 4) where the map lies: the identity where one odometry is followed.
 
-        Joined with wheels, a pose T_world_body gets better by what no camera shows, such as the floor that is level;
-        the map stays as it is. Within the map the body is at `inv(T_world_map) @ T_world_body`.
+        Joined with wheels, a pose T_odom_body gets better by what no camera shows, such as the floor that is level;
+        the map stays as it is. Within the map the body is at `inv(T_odom_map) @ T_odom_body`.
         """
-        return self._way.T_world_map if isinstance(self._way, ByFusion) else np.eye(4)
+        return self._way.T_odom_map if isinstance(self._way, ByFusion) else np.eye(4)
 
     @property
     def last_fused(self) -> FusedFrame | None:

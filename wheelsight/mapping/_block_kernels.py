@@ -150,7 +150,7 @@ def pages_in_view(
     """Write the pages of all cells that may be seen into `out`; how many.
 
     Args:
-        T: (4, 4) T_world_camera. grid: fx, fy, cx, cy.
+        T: (4, 4) T_map_camera. grid: fx, fy, cx, cy.
         since_s: cells of which nothing was seen since are left out.
     """
     low, high = _frustum_box(T, grid, width, height, far_m)

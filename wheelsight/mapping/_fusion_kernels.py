@@ -30,7 +30,7 @@ from wheelsight.mapping._match_kernels import (
 )
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0xBC337156
+_COMPILED_IN = 0xC6766E3A
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Beyond, more sightings change nothing: what is seen for long can still change.
@@ -63,14 +63,14 @@ def read(
     reading: Any,
     radius: Any,
 ) -> None:
-    """Readings (h·w, READING) of rows `begin` to `end` in the world, and the radius (h·w,) a surfel would have.
+    """Readings (h·w, READING) of rows `begin` to `end` in the map, and the radius (h·w,) a surfel would have.
 
     Depth errs along the ray; what of it counts is its share along the normal, bounded where planes are grazed. The
     radius is that of a disk that covers a pixel on its plane: z / (f·|cos|), after Whelan et al. 2015, III.A.
 
     Args:
         weight: (h, w) of a reading by its place in the image. pitch: 1 / f.
-        T: (4, 4) T_world_camera.
+        T: (4, 4) T_map_camera.
     """
     far_m = settings[FAR_M]
     far_m = min(noise[FAR], far_m + _BEYOND_SIGMAS * deviation(noise, far_m))
@@ -140,7 +140,7 @@ def update(
     passes along the rim would need four times as many.
 
     Args:
-        T: (4, 4) T_world_camera.
+        T: (4, 4) T_map_camera.
         color: (h·w, 3), or (0, 3) where the frame has none.
         frames: how many the frame counts as.
         candidates: (pages, 2) how many, and something else.

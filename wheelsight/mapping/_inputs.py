@@ -27,7 +27,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """T_world_camera (4, 4) and fx, fy, cx, cy (4,)."""
+    """T_map_camera (4, 4) and fx, fy, cx, cy (4,)."""
 
     T: FloatArray
     grid: FloatArray
@@ -67,11 +67,11 @@ def checked_frame(depth_m: Float32Array, normal: Float32Array, grey: Float32Arra
     return Frame(*(np.ascontiguousarray(image, np.float32) for image in (depth_m, normal, color, grey)))
 
 
-def checked_pose(T_world_camera: FloatArray, intrinsics: FloatArray) -> Pose:
+def checked_pose(T_map_camera: FloatArray, intrinsics: FloatArray) -> Pose:
     """The pose, if it is one; else MapError."""
-    T, grid = np.ascontiguousarray(T_world_camera, float), np.ascontiguousarray(intrinsics, float)
+    T, grid = np.ascontiguousarray(T_map_camera, float), np.ascontiguousarray(intrinsics, float)
     if T.shape != (4, 4) or not np.isfinite(T).all() or not se3.is_valid(T, tolerance=1e-4):
-        raise MapError("T_world_camera is not a rigid motion", fix="fuse and predict only where the pose is known")
+        raise MapError("T_map_camera is not a rigid motion", fix="fuse and predict only where the pose is known")
     if grid.shape != (4,) or not np.isfinite(grid).all() or min(grid[:2]) <= 0:
         raise MapError("intrinsics are not fx, fy, cx, cy with positive focal lengths")
     return Pose(T, grid)

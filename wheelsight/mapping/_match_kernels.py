@@ -14,7 +14,7 @@ from numba import njit
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x85AFD1F0
+_COMPILED_IN = 0x1272C3C0
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 # Order in which surfels are preferred to each other where several fit a pixel; added to a distance in pixels².
@@ -33,7 +33,7 @@ _PLACE, _Z, _OFF, _OUTSIDE = 5, 3, 4, np.int32(-1)
 STABLE, GATE_SIGMAS, GATE_M, MIN_NORMAL_DOT, MIN_COSINE, FREE_M, DRIFT_M, FAR_M, GAP_M = range(9)
 # What each entry of `noise` is.
 CONSTANT, QUADRATIC, NEAR, FAR = range(4)
-# What a reading is, in the world: point (3), variance along the normal, normal (3), weight; weight 0 is not fused.
+# What a reading is, in the map: point (3), variance along the normal, normal (3), weight; weight 0 is not fused.
 READING, VARIANCE, WEIGHT = 8, 3, 7
 
 

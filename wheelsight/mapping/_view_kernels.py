@@ -13,7 +13,7 @@ from numba import njit
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x85AFD1F0
+_COMPILED_IN = 0x1272C3C0
 
 _ZERO, _QUARTER, _ONE = np.float32(0.0), np.float32(0.25), np.float32(1.0)
 # Unstable surfels show only where no stable one does: they rank as if so far away.
@@ -66,7 +66,7 @@ def project_disks(
     Page k's stable ones are from entry k·PAGE on, and its unstable ones before entry (k + 1)·PAGE.
 
     Args:
-        T: (4, 4) T_world_camera, float32. grid: fx, fy, cx, cy, float32.
+        T: (4, 4) T_map_camera, float32. grid: fx, fy, cx, cy, float32.
         stable: confidence from which surfels are stable. least: confidence from which they are shown.
         vague_m2: unstable surfels with a larger variance are left out.
         since_s: surfels not seen since are left out.

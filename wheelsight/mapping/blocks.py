@@ -78,11 +78,11 @@ class Blocks:
         return alive
 
     def pages_in_view(
-        self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int], far_m: float, since_s: float
+        self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int], far_m: float, since_s: float
     ) -> Int32Array:
         """Pages of surfels that a camera may see, leaving out cells of which nothing was seen since `since_s`."""
         out = np.empty(self._counters[PAGES], np.int32)
-        view = (T_world_camera, intrinsics, shape[1], shape[0], far_m, since_s, self.block_m)
+        view = (T_map_camera, intrinsics, shape[1], shape[0], far_m, since_s, self.block_m)
         cells = (self.cell_xyz, self._cell_pages, self.cell_seen_s, self.page_next, self._table)
         count: int = kernels.pages_in_view(*view, *cells, out)
         return out[:count]

@@ -34,7 +34,7 @@ class Mesh:
     """Triangles.
 
     Attributes:
-        vertices: (v, 3) float32 in metres, in the world frame.
+        vertices: (v, 3) float32 in metres, in the map frame.
         normals: (v, 3) float32 of length 1.
         colors: (v, 3) uint8 red, green, blue.
         triangles: (t, 3) int32 of vertices, counter-clockwise as seen from where the surface was seen from.
@@ -132,7 +132,7 @@ def _chunks(surfels: Surfels, voxel_m: float) -> Iterator[tuple[int, int, np.nda
 def _triangles(
     surfels: Surfels, first: np.ndarray, inside: np.ndarray, voxel_m: float, measure: _MarchingCubes
 ) -> tuple[FloatArray, np.ndarray] | None:
-    """Vertices (v, 3) in the world and triangles (t, 3) of one chunk; None where it has none.
+    """Vertices (v, 3) in the map and triangles (t, 3) of one chunk; None where it has none.
 
     Chunks share their outermost voxels, whose values are the same in both, so that surfaces meet.
     """
@@ -208,7 +208,7 @@ def _fill(table: np.ndarray, position: np.ndarray, normal: np.ndarray, colors: n
 
 def _ply_header(table: np.ndarray) -> bytes:
     """Up to and without the end of the header."""
-    lines = ["ply", "format binary_little_endian 1.0", "comment wheelsight: metres, world frame"]
+    lines = ["ply", "format binary_little_endian 1.0", "comment wheelsight: metres, map frame"]
     lines.append(f"element vertex {len(table)}")
     for name in table.dtype.names or ():
         kind = table.dtype[name].str.replace("|", "")

@@ -28,7 +28,7 @@ class SurfelMapper:
 
     Without `tracks` frames are aligned with keyframes, and the map is only built.
 
-    The camera that a robot's base carries starts at `T_base_camera`, so that the map's world is where the base was,
+    The camera that a robot's base carries starts at `T_base_camera`, so that the map begins where the base was,
     z up; a camera alone starts at identity.
 
     Attributes:
@@ -57,8 +57,8 @@ class SurfelMapper:
         estimate = self.odometry.process(frame, T_previous_current_prior)
         self.last_fused = None
         is_known = estimate.status is Status.TRACKING and self.odometry.sees_all_motion
-        if is_known and estimate.T_world_body is not None:
-            self.fuse(frame, estimate.T_world_body)
+        if is_known and estimate.T_odom_body is not None:
+            self.fuse(frame, estimate.T_odom_body)
         return estimate
 
     def track_map(self, tracks: bool) -> None:
@@ -79,16 +79,16 @@ class SurfelMapper:
         self.last_fused = None
         return self.odometry.miss(stamp_s)
 
-    def fuse(self, frame: RgbdFrame, T_world_camera: FloatArray) -> None:
+    def fuse(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
         """Average the frame that odometry tracked last into the map, at a pose (4, 4) that may be another's.
 
         A frame that hardly moved since the last one fused is left out.
         """
-        frames = self._thinning.count(T_world_camera, frame.stamp_s)
+        frames = self._thinning.count(T_map_camera, frame.stamp_s)
         if not frames:
             return
         with self.odometry.watch.stage("fuse"):
             surface = self.odometry.last_surface(frame, with_color=self._fused % _COLORED_EVERY == 0)
             self._fused += 1
-            where = (self.odometry.intrinsics, T_world_camera, frame.stamp_s, self._noise, frames)
+            where = (self.odometry.intrinsics, T_map_camera, frame.stamp_s, self._noise, frames)
             self.last_fused = self.map.fuse(surface.depth_m, surface.normal, surface.grey, surface.color, *where)

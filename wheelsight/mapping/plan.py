@@ -29,19 +29,19 @@ class Plan:
         image: (h, w, 3) uint8 red, green, blue; white where nothing is known.
         is_known: (h, w).
         m_per_px: how wide a pixel is.
-        R_plan_world: (3, 3): x to the right of the page, y up the page, z towards the reader.
+        R_plan_map: (3, 3): x to the right of the page, y up the page, z towards the reader.
         corner_m: (2,) x and y in the plan of the middle of the image's first pixel.
     """
 
     image: ByteArray
     is_known: BoolArray
     m_per_px: float
-    R_plan_world: FloatArray
+    R_plan_map: FloatArray
     corner_m: FloatArray
 
-    def project(self, p_world: FloatArray) -> FloatArray:
-        """Pixels (n, 2), u to the right and v down, of points (n, 3) in the world."""
-        p_plan = p_world @ self.R_plan_world.T
+    def project(self, p_map: FloatArray) -> FloatArray:
+        """Pixels (n, 2), u to the right and v down, of points (n, 3) in the map."""
+        p_plan = p_map @ self.R_plan_map.T
         return np.stack([p_plan[:, 0] - self.corner_m[0], self.corner_m[1] - p_plan[:, 1]], axis=-1) / self.m_per_px
 
 
@@ -50,21 +50,21 @@ def plan_of(surfels: Surfels, up: FloatArray, below_m: float, shown: FloatArray,
 
     Args:
         surfels: of the map.
-        up: (3,) of length 1, in the world.
+        up: (3,) of length 1, in the map.
         below_m: height along `up` above which nothing is drawn. Ceilings, which face down, never are.
-        shown: (n, 3) points in the world that the plan must hold too: a path.
+        shown: (n, 3) points in the map that the plan must hold too: a path.
         right: (3,) what points to the right on the page, as far as it is level.
     """
     position, normal = surfels.position.astype(float), surfels.normal.astype(float)
     kept = (normal @ up > _CEILING) & (position @ up < below_m)
     if not kept.any():
         return None
-    R_plan_world = _levelled(up, right)
-    p_plan = position[kept] @ R_plan_world.T
-    low, high = _extent(p_plan[:, :2], shown @ R_plan_world.T)
+    R_plan_map = _levelled(up, right)
+    p_plan = position[kept] @ R_plan_map.T
+    low, high = _extent(p_plan[:, :2], shown @ R_plan_map.T)
     m_per_px = max(float((high - low).max()) / _LONGER_SIDE_PX, _FINEST_M)
     width, height = (int(n) for n in np.ceil((high - low) / m_per_px).astype(int) + 1)
-    plan = Plan(*_blank(height, width), m_per_px, R_plan_world, np.array([low[0], high[1]]))
+    plan = Plan(*_blank(height, width), m_per_px, R_plan_map, np.array([low[0], high[1]]))
     facing = np.clip(normal[kept] @ up, 0, 1)[:, None]
     shade = colors_of(surfels)[kept] * (1 - _SHADE + _SHADE * facing)
     px = np.rint(plan.project(position[kept])).astype(np.int64)
@@ -80,7 +80,7 @@ def _blank(height: int, width: int) -> tuple[ByteArray, BoolArray]:
 
 
 def _levelled(up: FloatArray, right: FloatArray) -> FloatArray:
-    """R_plan_world (3, 3)."""
+    """R_plan_map (3, 3)."""
     level = right - (right @ up) * up
     if np.linalg.norm(level) < 1e-3 * np.linalg.norm(right):
         level = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])

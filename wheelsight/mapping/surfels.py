@@ -20,8 +20,8 @@ from wheelsight.mapping._inputs import Frame, Pose, checked_frame, checked_pose,
 from wheelsight.mapping.blocks import Blocks
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
-from wheelsight.odometry.dense.grid import Rows
-from wheelsight.odometry.dense.reference import PredictedView
+from wheelsight.threads import Rows
+from wheelsight.views import PredictedView
 
 # Duplicates are looked for in one of so many frames, and not in that which brings colour: those of a few frames can be
 # merged at once.
@@ -34,7 +34,7 @@ _RADIAL_SIGMA = 0.6
 
 
 class SurfelMap:
-    """Surfels in one world frame; frames with poses go in, views come out. A `ReferenceModel` to track against.
+    """Surfels in the map frame; frames with poses go in, views come out. A `ReferenceModel` to track against.
 
     Results do not depend on `settings.threads`, to the last bit. Not to be used by two threads at once.
     """
@@ -107,7 +107,7 @@ class SurfelMap:
         grey: Float32Array,
         color: Float32Array | np.ndarray | None,
         intrinsics: FloatArray,
-        T_world_camera: FloatArray,
+        T_map_camera: FloatArray,
         stamp_s: float,
         noise: DepthNoise | None = None,
         frames: int = 1,
@@ -120,7 +120,7 @@ class SurfelMap:
             grey: (h, w) from 0 to 255, -1 where unknown.
             color: (h, w, 3) likewise, or None.
             intrinsics: (4,) fx, fy, cx, cy.
-            T_world_camera: (4, 4) of this frame: one whose tracking failed has none, and cannot be fused.
+            T_map_camera: (4, 4) of this frame: one whose tracking failed has none, and cannot be fused.
             stamp_s: not before that of the last frame.
             noise: of depth; by default Kinect v1's.
             frames: how many it counts as, with those alike that were left out.
@@ -128,7 +128,7 @@ class SurfelMap:
         Raises:
             MapError: shapes that differ, a pose that is no rigid motion, or a stamp before the last.
         """
-        frame, pose = checked_frame(depth_m, normal, grey, color), checked_pose(T_world_camera, intrinsics)
+        frame, pose = checked_frame(depth_m, normal, grey, color), checked_pose(T_map_camera, intrinsics)
         if not np.isfinite(stamp_s) or stamp_s < self.stamp_s:
             raise MapError(f"stamp_s is {stamp_s}, after {self.stamp_s}", fix="fuse frames in order of time")
         self.stamp_s, noise = float(stamp_s), noise or DepthNoise()
@@ -142,18 +142,18 @@ class SurfelMap:
         removed += self._blocks.sweep(self.stamp_s, self._rules)
         return FusedFrame(matched, added, removed, merged, self._blocks.dropped - dropped)
 
-    def predict(self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
+    def predict(self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
         """What the active part of the map looks like: stable surfels, and unstable ones where there is no stable one.
 
         Args: as of `ReferenceModel.predict`. Raises MapError for a pose that is no rigid motion.
         """
-        pose = checked_pose(T_world_camera, intrinsics)
+        pose = checked_pose(T_map_camera, intrinsics)
         limits = (self.settings.far_m, 0.0, self.settings.vague_m**2)
         return PredictedView(*self._show(pose, shape, limits, self._active_since_s, False)[:3])
 
     def render(
         self,
-        T_world_camera: FloatArray,
+        T_map_camera: FloatArray,
         intrinsics: FloatArray,
         shape: tuple[int, int],
         which: Literal["all", "active", "stable"] = "all",
@@ -163,12 +163,12 @@ class SurfelMap:
         least = self.settings.stable_confidence if which == "stable" else 0.0
         far_m = self.settings.far_m if far_m is None else far_m
         since_s = self._active_since_s if which == "active" else -np.inf
-        pose = checked_pose(T_world_camera, intrinsics)
+        pose = checked_pose(T_map_camera, intrinsics)
         return ColoredView(*self._show(pose, shape, (far_m, least, np.inf), since_s, True))
 
-    def in_view(self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> int:
+    def in_view(self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> int:
         """How many surfels may be in view, of the blocks that are: what a frame's time depends on."""
-        pose = checked_pose(T_world_camera, intrinsics)
+        pose = checked_pose(T_map_camera, intrinsics)
         pages = self._blocks.pages_in_view(pose.T, pose.grid, shape, self.settings.far_m, -np.inf)
         return int(self._blocks.page_fill[pages].sum())
 
@@ -196,7 +196,7 @@ class SurfelMap:
     def _readings(
         self, depth_m: Float32Array, normal: Float32Array, pose: Pose, sensor: Float32Array
     ) -> tuple[Float32Array, Float32Array]:
-        """What each pixel says of the world (h·w, 8), and the radius (h·w,) a surfel there would have."""
+        """What each pixel says of the map (h·w, 8), and the radius (h·w,) a surfel there would have."""
         shape = depth_m.shape
         reading = self._room("reading", (depth_m.size, match.READING), np.float32)
         radius = self._room("radius", (depth_m.size,), np.float32)

@@ -1,4 +1,4 @@
-"""Which way is up in a map whose world nobody has levelled."""
+"""Which way is up in a map that nobody has levelled."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ _CONES_DEG = (40.0, 20.0, 10.0)
 _LEAST_SURFELS = 100
 
 
-def upward(surfels: Surfels, R_world_camera: FloatArray) -> FloatArray:
+def upward(surfels: Surfels, R_map_camera: FloatArray) -> FloatArray:
     """The direction (3,) of length 1 that floors and tables face, by the area of all that face about the camera's up.
 
     Args:
         surfels: of the map.
-        R_world_camera: (3, 3) of a camera that was held upright, within 40°; where nothing faces up, its own up is
+        R_map_camera: (3, 3) of a camera that was held upright, within 40°; where nothing faces up, its own up is
             all that is known.
     """
-    up = -np.asarray(R_world_camera, float)[:, 1]
+    up = -np.asarray(R_map_camera, float)[:, 1]
     for cone_deg in _CONES_DEG:
         facing = surfels.normal @ up > np.cos(np.radians(cone_deg))
         if np.count_nonzero(facing) < _LEAST_SURFELS:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wheelsight.geometry import Float32Array, FloatArray
-from wheelsight.odometry.dense.reference import PredictedView
+from wheelsight.views import PredictedView
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Surfels:
     """Surfels as flat arrays, copied out of a map.
 
     Attributes:
-        position: (n, 3) float32 in metres, in the world frame.
+        position: (n, 3) float32 in metres, in the map frame.
         normal: (n, 3) float32, of length 1, towards where they were seen from.
         radius_m: (n,) float32.
         color: (n, 3) float32 red, green, blue from 0 to 255; -1 where unknown.

@@ -10,7 +10,7 @@ from wheelsight.geometry import FloatArray, se3, so3
 LONGEST_STEP_S = 0.35
 
 
-def twist_between(T_world_before: FloatArray, T_world_now: FloatArray, seconds: float) -> FloatArray:
+def twist_between(T_map_before: FloatArray, T_map_now: FloatArray, seconds: float) -> FloatArray:
     """Mean velocity (6,) of a camera between two poses, (v, ω) a second in its own frame."""
-    T_before_now = se3.invert(T_world_before) @ T_world_now
+    T_before_now = se3.invert(T_map_before) @ T_map_now
     return np.concatenate([T_before_now[:3, 3], so3.log(T_before_now[:3, :3])]) / seconds

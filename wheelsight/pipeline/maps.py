@@ -51,12 +51,12 @@ class Stops:
         return cls([int((number + 0.5) * frame_count / wanted) for number in range(wanted)])
 
     def look(
-        self, frame: RgbdFrame, estimate: Estimate, T_world_map: FloatArray, T_base_camera: FloatArray | None
+        self, frame: RgbdFrame, estimate: Estimate, T_odom_map: FloatArray, T_base_camera: FloatArray | None
     ) -> None:
         """Keep where a frame is, if its pose is known, and all of it if one is due."""
-        if estimate.T_world_body is None:
+        if estimate.T_odom_body is None:
             return
-        T_map_body = se3.invert(T_world_map) @ estimate.T_world_body
+        T_map_body = se3.invert(T_odom_map) @ estimate.T_odom_body
         self.T_map_body.append(T_map_body)
         if not self.due or frame.index < self.due[0]:
             return

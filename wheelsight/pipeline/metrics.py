@@ -27,7 +27,7 @@ def metrics_of(record: RunRecord, passage: Passage, recording: Recording) -> dic
     """The figures of one odometry, and of the pass it was part of."""
     return {
         "recording": _recording(recording),
-        "frame": f"T_{record.estimate.world}_{record.estimate.body}",
+        "frame": f"T_{record.estimate.frame}_{record.estimate.body}",
         "interrupted": passage.interruption is not None,
         **_real_time(record),
         **_of_odometry(record, passage, recording),
@@ -42,7 +42,7 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, recording: Rec
     shared = [*recording.warnings, *passage.unused]
     of_each = {
         record.odometry: {
-            "frame": f"T_{record.estimate.world}_{record.estimate.body}",
+            "frame": f"T_{record.estimate.frame}_{record.estimate.body}",
             **_of_odometry(record, passage, recording),
             "warnings": [warning for warning in record.warnings if warning not in shared],
         }
@@ -113,7 +113,7 @@ def _joined(facts: JoinedFacts) -> dict[str, Any]:
 
 
 def _rectification(found: RectificationRecord) -> dict[str, Any]:
-    """What areas did to the wheels: counts, shares of frames, and errors in the world, nothing aligned."""
+    """What areas did to the wheels: counts, shares of frames, and errors in the map, nothing aligned."""
     errors, belief = found.errors, found.belief
     measured = sum(look.probabilities is not None for look in found.looks)
     return {
@@ -125,7 +125,7 @@ def _rectification(found: RectificationRecord) -> dict[str, Any]:
         "model_accuracy": _finite(found.accuracy(found.forest)),
         "belief_accuracy": None if belief is None else _finite(found.accuracy(belief)),
         "lowest_trust": _finite(np.nanmin(found.trust)) if np.isfinite(found.trust).any() else None,
-        "world_error_m": None
+        "map_error_m": None
         if errors is None
         else {"wheels": asdict(errors.wheels), "rectified": asdict(errors.rectified)},
         "share_of_mean_error_left": None if errors is None else _finite(errors.left),

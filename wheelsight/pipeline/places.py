@@ -1,4 +1,4 @@
-"""What a run with places needs beforehand, and what it comes to: model, areas and start; errors in the world."""
+"""What a run with places needs beforehand, and what it comes to: model, areas and start; errors in the map."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wheelsight.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.localizer import Places, load_places
 from wheelsight.places import PlaceModel, labels_on_the_way
 from wheelsight.recordings import Recording, express_for
-from wheelsight.report import Look, RectificationRecord, WorldErrors
+from wheelsight.report import Look, MapErrors, RectificationRecord
 from wheelsight.trajectory import Trajectory
 
 _MAX_GAP_S = 0.5  # true poses further apart tell nothing of the time between them
@@ -51,12 +51,12 @@ def places_of(recording: Recording, config: Config) -> PlacesOfRun | None:
         places = load_places(settings, areas)
         sentence = "The start is the one that was given"
     else:
-        T_world_base, begin_s = _true_start(recording)
-        places = load_places(settings, areas, T_world_base, begin_s)
+        T_odom_base, begin_s = _true_start(recording)
+        places = load_places(settings, areas, T_odom_base, begin_s)
         sentence = "The start was taken from the ground truth, which a robot on its own does not have"
     _check_size(places.model, recording)
-    x_m, y_m = places.T_world_base[:2, 3].round(2) + 0.0  # no minus before a zero
-    yaw_deg = np.degrees(np.arctan2(places.T_world_base[1, 0], places.T_world_base[0, 0])).round(1) + 0.0
+    x_m, y_m = places.T_odom_base[:2, 3].round(2) + 0.0  # no minus before a zero
+    yaw_deg = np.degrees(np.arctan2(places.T_odom_base[1, 0], places.T_odom_base[0, 0])).round(1) + 0.0
     told = f"{sentence}: x {x_m:.2f} m, y {y_m:.2f} m, yaw {yaw_deg:.1f}°."
     return PlacesOfRun(places, told, settings.start is None)
 
@@ -76,18 +76,18 @@ def rectification_of(
         way: "probabilistic" or "paper".
         looks: one for each frame.
         wheels: T_odom_base of the wheels alone.
-        rectified: T_world_base.
-        truth: T_world_base, or None.
+        rectified: T_odom_base.
+        truth: T_odom_base, or None.
     """
-    in_world = _from_start(wheels, run.places)
+    in_map = _from_start(wheels, run.places)
     stamps_s = np.array([look.stamp_s for look in looks], float)
     areas = run.places.areas
-    record = RectificationRecord(way, areas, looks, in_world, run.start)
+    record = RectificationRecord(way, areas, looks, in_map, run.start)
     if truth is None or not len(truth) or not len(stamps_s):
         return record
     true_areas = labels_on_the_way(areas, truth, stamps_s, _MAX_GAP_S)
-    errors = _world_errors(in_world, rectified, truth, stamps_s)
-    return RectificationRecord(way, areas, looks, in_world, run.start, true_areas, errors)
+    errors = _map_errors(in_map, rectified, truth, stamps_s)
+    return RectificationRecord(way, areas, looks, in_map, run.start, true_areas, errors)
 
 
 def looks_csv(record: RectificationRecord) -> str:
@@ -147,20 +147,18 @@ def _from_start(wheels: Trajectory, places: Places) -> Trajectory:
     """The wheels alone, led on from the start that the rectified path has."""
     later = wheels.between(places.begin_s, np.inf)
     if not len(later):
-        return Trajectory(later.stamps_s, later.T_world_body, None, "base", "world")
-    moved = later.moved(places.T_world_base @ se3.invert(later.T_world_body[0]))
-    return Trajectory(moved.stamps_s, moved.T_world_body, moved.covariances, "base", "world")
+        return Trajectory(later.stamps_s, later.T_frame_body, None, "base", "map")
+    moved = later.moved(places.T_odom_base @ se3.invert(later.T_frame_body[0]))
+    return Trajectory(moved.stamps_s, moved.T_frame_body, moved.covariances, "base", "map")
 
 
-def _world_errors(
-    wheels: Trajectory, rectified: Trajectory, truth: Trajectory, stamps_s: FloatArray
-) -> WorldErrors | None:
+def _map_errors(wheels: Trajectory, rectified: Trajectory, truth: Trajectory, stamps_s: FloatArray) -> MapErrors | None:
     paths = [_xy_at(path, stamps_s) for path in (truth, wheels, rectified)]
     known = np.isfinite(np.concatenate(paths, axis=1)).all(axis=1)
     if not known.any():
         return None
     true_xy, *others = (xy[known] for xy in paths)
-    return WorldErrors(stamps_s[known], *(np.hypot(*(xy - true_xy).T) for xy in others))
+    return MapErrors(stamps_s[known], *(np.hypot(*(xy - true_xy).T) for xy in others))
 
 
 def _xy_at(path: Trajectory, stamps_s: FloatArray) -> FloatArray:

@@ -124,10 +124,10 @@ def _trajectory(track: Track) -> Trajectory:
     covariances = [estimate.covariance for estimate in poses]
     return Trajectory(
         np.array([estimate.stamp_s for estimate in poses], float),
-        np.array([estimate.T_world_body for estimate in poses], float).reshape(-1, 4, 4),
+        np.array([estimate.T_odom_body for estimate in poses], float).reshape(-1, 4, 4),
         None if not poses or any(c is None for c in covariances) else np.array(covariances, float),
         body=track.localizer.body,
-        world=track.localizer.world,
+        frame=track.localizer.frame,
     )
 
 

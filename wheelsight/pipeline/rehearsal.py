@@ -52,13 +52,13 @@ def write_rehearsal(folder: Path, *, is_registered: bool) -> None:
     """Write the drive, by a camera with a rolling shutter: of one pixel grid, or of two, with a lens that distorts."""
     with RecordingWriter(folder, _calibration(is_registered)) as writer:
         stamps_s, poses = [], []
-        for index, (stamp_s, T_world_base, leg, ticks, is_frame) in enumerate(_steps()):
+        for index, (stamp_s, T_odom_base, leg, ticks, is_frame) in enumerate(_steps()):
             stamps_s.append(stamp_s)
-            poses.append(T_world_base)
+            poses.append(T_odom_base)
             writer.add(YawRate(stamp_s, leg.yaw_rate_rad_s))
             writer.add(WheelTicks(stamp_s, *ticks))
             if is_frame:
-                color, depth_m = _seen(T_world_base @ _MOUNT, leg)
+                color, depth_m = _seen(T_odom_base @ _MOUNT, leg)
                 writer.add(RgbdFrame(stamp_s + 1e-3, color, depth_m, index // _STEPS_A_FRAME))
         writer.add_ground_truth(Trajectory(np.array(stamps_s), np.array(poses), body="base"))
 
@@ -77,7 +77,7 @@ def _calibration(is_registered: bool) -> Calibration:
 
 
 def _steps() -> Iterator[tuple[float, FloatArray, _Leg, tuple[int, int], bool]]:
-    """Stamp, T_world_base, leg, counters and whether a frame is due, reading by reading."""
+    """Stamp, T_odom_base, leg, counters and whether a frame is due, reading by reading."""
     x, y, yaw, left_m, right_m, index = -1.6, -0.4, 0.1, 0.0, 0.0, 0
     for leg in _LEGS:
         y += leg.carried_m
@@ -92,10 +92,10 @@ def _steps() -> Iterator[tuple[float, FloatArray, _Leg, tuple[int, int], bool]]:
             index += 1
 
 
-def _seen(T_world_camera: FloatArray, leg: _Leg) -> tuple[ByteArray, Float32Array]:
+def _seen(T_odom_camera: FloatArray, leg: _Leg) -> tuple[ByteArray, Float32Array]:
     """Colour (H, W, 3) and depth (H, W) of the box from inside."""
-    rays = _CAMERA.rays() @ T_world_camera[:3, :3].T
-    origin = T_world_camera[:3, 3]
+    rays = _CAMERA.rays() @ T_odom_camera[:3, :3].T
+    origin = T_odom_camera[:3, 3]
     rays = np.where(rays == 0, 1e-9, rays)
     ways = np.where(rays > 0, (_HIGH - origin) / rays, (_LOW - origin) / rays)
     axis = ways.argmin(axis=-1)

@@ -43,7 +43,7 @@ class Photographer:
 
     def look(self, frame: RgbdFrame, estimate: Estimate, matches: Any) -> None:
         """Take a picture of `frame` if one is due and its reference is at hand."""
-        if not self._due or estimate.T_world_body is None:
+        if not self._due or estimate.T_odom_body is None:
             return
         kept, self._images = self._images, {frame.stamp_s: frame.color}
         if matches is None or matches.reference_stamp_s not in kept:
@@ -110,18 +110,18 @@ class Track:
         if estimate is None:
             return None
         is_joined = self.odometry == "joined"  # which knows the pose though the event told it nothing
-        if estimate.T_world_body is not None and (estimate.reason is None or is_joined):
+        if estimate.T_odom_body is not None and (estimate.reason is None or is_joined):
             self.poses.append(estimate)
         if isinstance(event, RgbdFrame) and not localizer.note:
             self.photographer.look(event, estimate, localizer.last_matches)
-            self.stops.look(event, estimate, localizer.T_world_map, self.T_base_camera)
+            self.stops.look(event, estimate, localizer.T_odom_map, self.T_base_camera)
             self._add_stages(localizer.stage_seconds)
         self.fused += localizer.last_fused is not None
         outcome = (estimate.status, estimate.reason, estimate.matches, estimate.inliers)
         index = event.index if isinstance(event, RgbdFrame | SkippedFrame) else len(self.frames)
         flags = tuple(flag for flag in _FLAGS if getattr(estimate, flag, False))
         stamp_s = event.stamp_s if isinstance(event, RgbdFrame | SkippedFrame) else estimate.stamp_s
-        told_s = None if estimate.T_world_body is None else estimate.stamp_s
+        told_s = None if estimate.T_odom_body is None else estimate.stamp_s
         answer = FrameRecord(index, stamp_s, *outcome, seconds, localizer.note, *_size(localizer.map), flags, told_s)
         is_frame = isinstance(event, RgbdFrame | SkippedFrame)
         if is_frame or UNITS[self.odometry] == "reading":

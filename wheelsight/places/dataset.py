@@ -94,7 +94,7 @@ def label_source(
         recording: whose frames are to be labelled.
         labels: go before polygons; these then only say which areas there are.
         areas_path: an areas.yaml.
-        trajectory: in the world of the polygons, of the recording's body.
+        trajectory: in the map of the polygons, of the recording's body.
 
     Raises:
         AreaError: an areas.yaml that is wrong, or a label of an area that it lacks.

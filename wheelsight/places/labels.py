@@ -124,7 +124,7 @@ def labels_on_the_way(areas: AreaMap, trajectory: Trajectory, stamps_s: ArrayLik
     """The index of the area that holds the robot at each stamp (N,), -1 in none and where no pose is known.
 
     Args:
-        areas: polygons in the world frame.
+        areas: polygons in the map frame.
         trajectory: of the base, in the same frame; of a camera that is carried by hand, of the camera.
         stamps_s: (N,) of frames.
         max_gap_s: poses further apart tell nothing of the time between them.

@@ -9,9 +9,9 @@ from wheelsight.trajectory import Trajectory
 
 
 def express_for(body: str, trajectory: Trajectory, calibration: Calibration) -> Trajectory:
-    """T_world_body for `body`, "base" or "camera", of a trajectory that describes either.
+    """T_frame_body for `body`, "base" or "camera", of a trajectory that describes either.
 
-    Covariances stay as they are: they perturb from the left, in the world, whatever the body.
+    Covariances stay as they are: they perturb from the left, in the map, whatever the body.
 
     Raises:
         CalibrationError: the two differ and the calibration has no T_base_camera to join them.
@@ -24,5 +24,5 @@ def express_for(body: str, trajectory: Trajectory, calibration: Calibration) -> 
             f"a trajectory of {trajectory.body!r} cannot be told for {body!r}", fix="give T_base_camera"
         )
     T_old_new = T_base_camera if body == "camera" else se3.invert(T_base_camera)
-    T_world_body = se3.compose(trajectory.T_world_body, T_old_new)
-    return Trajectory(trajectory.stamps_s, T_world_body, trajectory.covariances, body, trajectory.world)
+    T_frame_body = se3.compose(trajectory.T_frame_body, T_old_new)
+    return Trajectory(trajectory.stamps_s, T_frame_body, trajectory.covariances, body, trajectory.frame)

@@ -81,7 +81,7 @@ def _read_speeds(path: Path) -> tuple[list[WheelSpeeds], list[str]]:
 
 
 def _read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:
-    """T_world_base where a point and an angle share their stamp."""
+    """T_frame_base where a point and an angle share their stamp."""
     kinds = _read(path)
     points, warnings = keep_growing(kinds["point2"], [m.line for m in kinds["point2"]], path)
     angles, more = keep_growing(kinds["angle"], [m.line for m in kinds["angle"]], path)

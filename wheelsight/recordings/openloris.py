@@ -134,7 +134,7 @@ def _read_odometry(path: Path, warnings: list[str]) -> Trajectory | None:
     growing, left_out = keep_growing(rows, [line.number for line in lines], path)
     warnings += [*left_out, "odom.txt holds poses the robot computed, no encoder ticks; it is kept as `odometry`."]
     values = np.array([row.values for row in growing], np.float64).reshape(-1, 8)
-    return Trajectory(values[:, 0], se3.from_quaternion(values[:, 1:4], values[:, 4:]), body="base", world="odom")
+    return Trajectory(values[:, 0], se3.from_quaternion(values[:, 1:4], values[:, 4:]), body="base", frame="odom")
 
 
 class _Row:

@@ -75,7 +75,7 @@ class Recording(Protocol):
 
     @property
     def ground_truth(self) -> Trajectory | None:
-        """T_world_body of `body`, or None."""
+        """T_frame_body of `body`, or None."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -99,7 +99,7 @@ def _calibration(folder: Path) -> Calibration:
 
 
 def _read_truth(poses: list[ListedFile], warnings: list[str]) -> Trajectory | None:
-    """T_world_camera of the depth camera; poses that are not finite, where tracking was lost, are left out.
+    """T_frame_camera of the depth camera; poses that are not finite, where tracking was lost, are left out.
 
     Rotations are brought to the nearest orthonormal one: the files' are off by 4e-4.
     """

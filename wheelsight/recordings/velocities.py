@@ -55,7 +55,7 @@ def _read_speeds(path: Path) -> tuple[list[WheelSpeeds], list[str]]:
 
 
 def _read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:
-    """T_world_base of the rows that are valid."""
+    """T_frame_base of the rows that are valid."""
     rows, warnings = read_table(path, ("stamp_s", "x_m", "y_m", "yaw_rad", "valid"))
     rows = [row for row in rows if row["valid"] != 0]
     rows, more = keep_growing(rows, [row.number for row in rows], path)

@@ -22,8 +22,8 @@ from wheelsight.report.page import write_report
 from wheelsight.report.pictures import draw_matches
 from wheelsight.report.realtime_record import RealTimeRecord
 from wheelsight.report.record import FrameRecord, MatchPicture, RunRecord
-from wheelsight.report.rectification import Look, RectificationRecord, WorldErrors
-from wheelsight.report.rectification_figures import area_map_figure, area_time_figure, world_error_figure
+from wheelsight.report.rectification import Look, MapErrors, RectificationRecord
+from wheelsight.report.rectification_figures import area_map_figure, area_time_figure, map_error_figure
 from wheelsight.report.summary import Summary, summarise
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "FrameRecord",
     "JoinedFacts",
     "Look",
+    "MapErrors",
     "MapPicture",
     "MapRecord",
     "MatchPicture",
@@ -41,7 +42,6 @@ __all__ = [
     "Rival",
     "RunRecord",
     "Summary",
-    "WorldErrors",
     "area_map_figure",
     "area_time_figure",
     "bands_figure",
@@ -53,6 +53,7 @@ __all__ = [
     "errors_figure",
     "facts_of",
     "joined_of",
+    "map_error_figure",
     "matches_figure",
     "overlay_figure",
     "overlay_of",
@@ -65,7 +66,6 @@ __all__ = [
     "time_histogram_figure",
     "trajectory_figure",
     "trust_figure",
-    "world_error_figure",
     "write_comparison",
     "write_report",
 ]

@@ -35,7 +35,7 @@ def tiles(record: RunRecord) -> Iterable[tuple[str, str, str]]:
         return
     if found.errors is not None:
         before = f"wheels alone {words.length(found.errors.wheels.mean)}"
-        yield "In the world, mean error", words.length(found.errors.rectified.mean), before
+        yield "In the map, mean error", words.length(found.errors.rectified.mean), before
     if found.is_judged.any():
         more = "" if found.belief is None else f"filtered {words.percent(found.accuracy(found.belief))}"
         yield "Right area, frame by frame", words.percent(found.accuracy(found.forest)), more
@@ -85,7 +85,7 @@ def section(records: Sequence[RunRecord]) -> str:
     found = record.rectification
     intro = (
         f"Wheels lead from frame to frame; the area that each frame shows corrects them, by {_WAYS[found.way]}. Here "
-        f"nothing is laid upon anything: all paths are where they say they are in the world of the areas. {found.start}"
+        f"nothing is laid upon anything: all paths are where they say they are in the map of the areas. {found.start}"
     )
     return html.section(
         "areas", "What areas did to the wheels", intro, _map(record), _errors(record, found), _time(record)
@@ -110,7 +110,7 @@ def _errors(record: RunRecord, found: RectificationRecord) -> str:
     caption = f"Distance from the true base in x and y, nothing aligned, over {frames}."
     alt = "Distances from the truth over time, " + "; ".join(f"{row[0]} {row[1]} in the mean" for row in rows) + "."
     sentence = "Wheels drift away for good; what is rectified is brought back at each change of area."
-    plot = html.plot("world-error", figures.world_error_figure(record), "Error in the world over time", sentence, alt)
+    plot = html.plot("map-error", figures.map_error_figure(record), "Error in the map over time", sentence, alt)
     return html.table(caption, ERROR_HEAD, rows) + "\n" + plot
 
 

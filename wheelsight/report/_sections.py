@@ -34,13 +34,13 @@ def path(record: RunRecord, summary: Summary) -> str:
         )
     else:
         intro = (
-            f"The {who}'s estimated path in its own {record.estimate.world}. The line breaks where no pose is known."
+            f"The {who}'s estimated path in its own {record.estimate.frame}. The line breaks where no pose is known."
         )
     plots = []
     shown = {"xy": _VIEW_NAMES["xy"]} if record.is_planar else _VIEW_NAMES
     for view, name in shown.items():
-        alt = f"Path seen in the {name} plane of the world, {words.length(summary.length_m)} long in all."
-        sentence = f"Seen along the world's {({*'xyz'} - {*view}).pop()} axis."
+        alt = f"Path seen in the {name} plane of the map, {words.length(summary.length_m)} long in all."
+        sentence = f"Seen along the map's {({*'xyz'} - {*view}).pop()} axis."
         plots.append(html.plot(f"path-{view}", figures.trajectory_figure(record, view), name, sentence, alt))
     return html.section("path", "Where it went", intro, *(plots if record.is_planar else [html.group("triple", plots)]))
 

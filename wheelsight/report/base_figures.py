@@ -50,9 +50,9 @@ def turning_figure(found: BaseCalibration) -> go.Figure:
     camera = found.sightings.camera
     marks = np.arange(camera.stamps_s[0], camera.stamps_s[-1], _RATE_STEP_S)
     cuts = np.unique(np.searchsorted(camera.stamps_s, marks))
-    stamps_s, T_world_camera = camera.stamps_s[cuts], camera.T_world_body[cuts]
-    yaw_camera = _heading(T_world_camera[:, :3, :3] @ _heading_frame(found))
-    path = drive_path(found.sightings.drive, found.fit.wheels, stamps_s).T_world_body
+    stamps_s, T_odom_camera = camera.stamps_s[cuts], camera.T_frame_body[cuts]
+    yaw_camera = _heading(T_odom_camera[:, :3, :3] @ _heading_frame(found))
+    path = drive_path(found.sightings.drive, found.fit.wheels, stamps_s).T_frame_body
     figure = drawing.style(go.Figure(), 300, hovermode="x unified")
     middle_s = (stamps_s[1:] + stamps_s[:-1]) / 2 - found.sightings.span_s[0]
     for name, yaw, line in (
@@ -154,7 +154,7 @@ def _heading_frame(found: BaseCalibration) -> FloatArray:
     return np.asarray(found.T_base_camera[:3, :3].T)
 
 
-def _heading(R_world_base: FloatArray) -> FloatArray:
+def _heading(R_odom_base: FloatArray) -> FloatArray:
     """Unwrapped yaw (N,) of rotations (N, 3, 3), about the first one's z axis."""
-    R = R_world_base[0].T @ R_world_base
+    R = R_odom_base[0].T @ R_odom_base
     return np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))

@@ -124,7 +124,7 @@ def _share_of_the_way(record: RunRecord) -> float:
 
 def _facts(records: Sequence[RunRecord]) -> list[str]:
     when = records[0].finished_at.strftime("%Y-%m-%d %H:%M %Z").strip()
-    frames = ", ".join(f"{r.odometry} T_{r.estimate.world}_{r.estimate.body}" for r in records)
+    frames = ", ".join(f"{r.odometry} T_{r.estimate.frame}_{r.estimate.body}" for r in records)
     return [f"format {records[0].format}", frames, when, f"wheelsight {__version__}"]
 
 

@@ -1,4 +1,4 @@
-"""The figures of several odometries together: each has its own colour, and all share one world and one time axis."""
+"""The figures of several odometries together: each has its own colour, and all share one frame and one time axis."""
 
 from __future__ import annotations
 

@@ -37,9 +37,9 @@ _TIME_HEADROOM = 1.3  # times the 99th percentile: slower frames are marked at t
 
 
 def trajectory_figure(record: RunRecord, view: str = "xy") -> go.Figure:
-    """The path in one view of the world ("xy", "xz" or "yz"), metres, equal aspect, over the ground truth.
+    """The path in one view ("xy", "xz" or "yz"), metres, equal aspect, over the ground truth.
 
-    With an evaluation the estimate is drawn as it was laid upon the truth, in the truth's world; without one it
+    With an evaluation the estimate is drawn as it was laid upon the truth, in the truth's frame; without one it
     stands alone in its own, for two paths that are not aligned say nothing. Gaps are where no pose is known.
     """
     height = 520 if record.is_planar else 380

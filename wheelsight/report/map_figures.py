@@ -38,7 +38,7 @@ def plan_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     _, positions_m = series.with_gaps(
         record.estimate.stamps_s, record.estimate.positions_m, series.poseless_stamps_s(record)
     )
-    path = positions_m @ plan.R_plan_world[:2].T
+    path = positions_m @ plan.R_plan_map[:2].T
     path = path[series.keep_shape(path)]
     hover = "%{x:.2f}, %{y:.2f} m"
     drawing.add_path(figure, path, name="halo", line={"color": "#ffffff", "width": 5}, hover=hover)

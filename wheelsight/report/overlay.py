@@ -1,4 +1,4 @@
-"""Overlay: the paths of several odometries brought into one world, as far as they can be."""
+"""Overlay: the paths of several odometries brought into one frame, as far as they can be."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Overlay:
         by: what they were brought together by: each laid upon the "truth" as ATE lays it, or by its first pose upon
             the "true start", or their "start".
         left_out: why an odometry is not among them, by its name.
-        trajectories: the same estimates in the same world, with their covariances, of those that have some.
+        trajectories: the same estimates in the same frame, with their covariances, of those that have some.
     """
 
     paths_m: dict[str, FloatArray]
@@ -39,7 +39,7 @@ class Overlay:
 
 
 def overlay_of(records: Sequence[RunRecord]) -> Overlay:
-    """The paths of `records` in one world: the truth's where any was evaluated, else one that begins where they do.
+    """The paths of `records` in one frame: the truth's where any was evaluated, else one that begins where they do.
 
     With joined sensors all begin at the true start: what these state of their errors grows from there.
     """
@@ -93,8 +93,8 @@ def _from_one_start(records: Sequence[RunRecord]) -> dict[str, Trajectory]:
     begin_s = max((record.estimate.stamps_s[0] for record in records), default=0.0)
     moved = {}
     for record in records:
-        T_world_start = record.estimate.at([begin_s])[0]
-        if not np.isfinite(T_world_start).all():
-            T_world_start = record.estimate.T_world_body[0]
-        moved[record.odometry] = record.estimate.moved(se3.invert(T_world_start))
+        T_odom_start = record.estimate.at([begin_s])[0]
+        if not np.isfinite(T_odom_start).all():
+            T_odom_start = record.estimate.T_frame_body[0]
+        moved[record.odometry] = record.estimate.moved(se3.invert(T_odom_start))
     return moved

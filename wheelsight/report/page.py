@@ -68,12 +68,12 @@ def _facts(record: RunRecord) -> list[str]:
 
 
 def _frame(record: RunRecord) -> str:
-    return f"T_{record.estimate.world}_{record.estimate.body}"
+    return f"T_{record.estimate.frame}_{record.estimate.body}"
 
 
 def _footer(record: RunRecord) -> str:
     body = _BODIES.get(record.estimate.body, f"poses of the {record.estimate.body}")
-    where = "the world" if record.estimate.world == "world" else f"{record.estimate.world}, where it was at first"
+    where = "the map" if record.estimate.frame == "map" else f"{record.estimate.frame}, where it was at first"
     return f"{_frame(record)}: {body} in {where}. Lengths are in metres, stamps in seconds. This page needs no network."
 
 

@@ -1,4 +1,4 @@
-"""RectificationRecord: what areas did to the wheels, frame by frame, and what is left of their error in the world."""
+"""RectificationRecord: what areas did to the wheels, frame by frame, and what is left of their error in the map."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WorldErrors:
+class MapErrors:
     """Distances in x and y from the true base, nothing aligned, at the frames at which all paths are known.
 
     Attributes:
@@ -69,12 +69,12 @@ class RectificationRecord:
 
     Attributes:
         way: "probabilistic" or "paper".
-        areas: in the world frame.
+        areas: in the map frame.
         looks: one for each frame, in order of time.
-        wheels: the wheels alone, T_world_base from the same start.
+        wheels: the wheels alone, T_odom_base from the same start.
         start: how the start is known, in a sentence.
         true_areas: (N,) index of the true area at each look, -1 in none or unknown; None without ground truth.
-        errors: in the world, or None without ground truth.
+        errors: in the map, or None without ground truth.
     """
 
     way: str
@@ -83,7 +83,7 @@ class RectificationRecord:
     wheels: Trajectory
     start: str
     true_areas: IntArray | None = None
-    errors: WorldErrors | None = None
+    errors: MapErrors | None = None
 
     @property
     def stamps_s(self) -> FloatArray:

@@ -25,7 +25,7 @@ _NAME_PX = 11
 
 
 def area_map_figure(record: RunRecord) -> go.Figure:
-    """Areas with their names, the true path, the wheels alone and the rectified wheels, in the world, nothing aligned.
+    """Areas with their names, the true path, the wheels alone and the rectified wheels, in the map, nothing aligned.
 
     A ring marks the start, squares the ends. `record` has a rectification.
     """
@@ -89,7 +89,7 @@ def area_time_figure(record: RunRecord) -> go.Figure:
     return figure
 
 
-def world_error_figure(record: RunRecord) -> go.Figure:
+def map_error_figure(record: RunRecord) -> go.Figure:
     """Over time, how far the wheels alone and the rectified ones are from the true base, metres, nothing aligned.
 
     `record` has a rectification with errors.

@@ -152,7 +152,7 @@ class _TruthInSteps:
         end = int(np.searchsorted(self._base.stamps_s, stamp_s)) + 1
         base = self._base.select(slice(self._written, end))
         self._written = max(self._written, end)
-        camera = Trajectory(base.stamps_s, se3.compose(base.T_world_body, self._T_base_camera), body="camera")
+        camera = Trajectory(base.stamps_s, se3.compose(base.T_frame_body, self._T_base_camera), body="camera")
         for truth in (base, camera):
             self._writer.append_ground_truth(truth)
 

@@ -12,8 +12,9 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
 from wheelsight.odometry.dense import DenseOdometry, DenseSettings, GridFrame
 from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment
-from wheelsight.odometry.dense.grid import Gridder, Rows
+from wheelsight.odometry.dense.grid import Gridder
 from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
+from wheelsight.threads import Rows
 
 SMALL = PinholeCamera(320, 240, 262.0, 260.0, 161.3, 118.4)
 
@@ -28,11 +29,11 @@ class Plane:
 
 
 def render(
-    planes: Sequence[Plane], T_world_camera: FloatArray, camera: PinholeCamera = SMALL
+    planes: Sequence[Plane], T_map_camera: FloatArray, camera: PinholeCamera = SMALL
 ) -> tuple[np.ndarray, Float32Array]:
     """Colour (H, W, 3) uint8 and depth (H, W) of the nearest planes before a camera at (4, 4), exactly."""
     rays = camera.rays().reshape(-1, 3)
-    rays_world, origin = rays @ T_world_camera[:3, :3].T, T_world_camera[:3, 3]
+    rays_world, origin = rays @ T_map_camera[:3, :3].T, T_map_camera[:3, 3]
     depth_m, grey = np.full(len(rays), np.inf), np.full(len(rays), 128.0)
     for plane in planes:
         normal = np.array(plane.normal)
@@ -48,10 +49,10 @@ def render(
 
 
 def frame_of(
-    planes: Sequence[Plane], T_world_camera: FloatArray, stamp_s: float, noise_seed: int | None = None
+    planes: Sequence[Plane], T_map_camera: FloatArray, stamp_s: float, noise_seed: int | None = None
 ) -> RgbdFrame:
     """A frame of planes, with a Kinect's noise in depth and 2 grey levels in colour where there is a seed for it."""
-    color, depth_m = render(planes, T_world_camera)
+    color, depth_m = render(planes, T_map_camera)
     if noise_seed is not None:
         rng = np.random.default_rng(noise_seed)
         noise = rng.standard_normal(depth_m.shape)

@@ -16,10 +16,11 @@ from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import PinholeCamera, se3, so3
 from wheelsight.odometry.dense.alignment import Step
-from wheelsight.odometry.dense.reference import PredictedView, Reference
+from wheelsight.odometry.dense.reference import Reference
+from wheelsight.views import PredictedView
 
 TRUTH = wobbling_trajectory(30)
-T_WORLD_FIRST = np.array(TRUTH.T_world_body[0])
+T_WORLD_FIRST = np.array(TRUTH.T_frame_body[0])
 MOTIONS = {
     "forward": [0.0, 0.0, 0.05, 0.0, 0.0, 0.0],
     "sideways": [0.06, -0.02, 0.0, 0.0, 0.0, 0.0],
@@ -74,10 +75,10 @@ def test_the_noise_of_walls_does_not_pull_along_a_corridor(is_map: bool) -> None
     assert np.degrees(np.abs(mean[3:]).max()) < 2.5e-3
 
 
-def before_boards(T_world_camera: np.ndarray, stamp_s: float) -> RgbdFrame:
+def before_boards(T_map_camera: np.ndarray, stamp_s: float) -> RgbdFrame:
     """A painted wall, dark boards half before it, and a lens that spreads what is dark by a pixel."""
-    wall, boards = (render([Plane((0, 0, 1), z, is_painted=True)], T_world_camera) for z in (2.0, 1.85))
-    x = T_world_camera[0, 3] + SMALL.rays()[..., 0] * boards[1]
+    wall, boards = (render([Plane((0, 0, 1), z, is_painted=True)], T_map_camera) for z in (2.0, 1.85))
+    x = T_map_camera[0, 3] + SMALL.rays()[..., 0] * boards[1]
     is_board = np.abs(x) % 0.5 < 0.2
     depth_m = np.where(is_board, boards[1], wall[1])
     grey = cv2.GaussianBlur(np.where(is_board, 30, wall[0][..., 0]).astype(np.float32), (0, 0), 1.0)
@@ -89,8 +90,8 @@ def test_what_stands_out_before_a_wall_does_not_carry_the_camera_along() -> None
     off_m = []
     for begin_m in np.arange(6) / 12:
         for way_m in (0.08, -0.08):
-            T_world_first, T = se3.exp([begin_m, 0, 0, 0, 0, 0]), se3.exp([way_m, 0, 0, 0, 0, 0])
-            first, second = before_boards(T_world_first, 0.0), before_boards(T_world_first @ T, 0.1)
+            T_map_first, T = se3.exp([begin_m, 0, 0, 0, 0, 0]), se3.exp([way_m, 0, 0, 0, 0, 0])
+            first, second = before_boards(T_map_first, 0.0), before_boards(T_map_first @ T, 0.1)
             found = bench().align(first, second, T).T_reference_frame
             off_m.append(np.sign(way_m) * (found[0, 3] - way_m))
     assert abs(np.mean(off_m)) < 0.5e-3  # 2.2 mm too far with what is grey beside the boards
@@ -182,8 +183,8 @@ def test_odometry_takes_the_other_motion_where_the_one_expected_is_wrong() -> No
         odometry = dense()
         odometry.process(frame_of(wall, np.eye(4), 0.0, 1))
         found = odometry.process(frame_of(wall, true, 0.1, 2), wrong, *others)
-        assert found.T_world_body is not None
-        assert (apart(true, found.T_world_body)[0] < 1e-3) == is_right
+        assert found.T_odom_body is not None
+        assert (apart(true, found.T_odom_body)[0] < 1e-3) == is_right
 
 
 def test_alignment_begins_where_depth_fits() -> None:
@@ -244,13 +245,13 @@ def test_lens_is_taken_out(rng: np.random.Generator) -> None:
 SHUTTER_S, TWIST = 0.03, np.array([0.3, -0.2, 0.4, 0.4, 1.2, -0.5])
 
 
-def rolling_frame(T_world_middle: np.ndarray, stamp_s: float) -> RgbdFrame:
+def rolling_frame(T_map_middle: np.ndarray, stamp_s: float) -> RgbdFrame:
     """Every row taken from where the camera was at the row's time; bands of rows share a rendering."""
     bands = 24
     rows = []
     for band in range(bands):
         share = (band + 0.5) / bands - 0.5
-        frame = room_frame(T_world_middle @ se3.exp(share * SHUTTER_S * TWIST), stamp_s)
+        frame = room_frame(T_map_middle @ se3.exp(share * SHUTTER_S * TWIST), stamp_s)
         rows += [frame] * (CAMERA.height // bands)
     return rolled(rows, stamp_s)
 
@@ -294,9 +295,9 @@ def test_unregistered_colour_lies_where_it_belongs() -> None:
     T_color_depth = se3.exp(np.array([-0.08, 0.03, 0.02, 0.05, -0.12, 0.08]))
     T = se3.exp(MOTIONS["all"])
 
-    def frame(T_world_depth: np.ndarray) -> RgbdFrame:
-        image, _ = render_room(T_world_depth @ se3.invert(T_color_depth), color)
-        return RgbdFrame(0.0, image, render_room(T_world_depth, depth)[1])
+    def frame(T_map_depth: np.ndarray) -> RgbdFrame:
+        image, _ = render_room(T_map_depth @ se3.invert(T_color_depth), color)
+        return RgbdFrame(0.0, image, render_room(T_map_depth, depth)[1])
 
     parts = bench(Calibration(color, depth, T_color_depth))
     first = frame(T_WORLD_FIRST)
@@ -311,6 +312,6 @@ def test_a_way_through_the_room(reference: str) -> None:
     frames = [room_frame(T, stamp_s, depth_noise=True) for stamp_s, T in TRUTH]
     answers = run(dense(reference=reference), frames)
     worst = max(
-        apart(se3.invert(T_WORLD_FIRST) @ T, a.T_world_body)[0] for (_, T), a in zip(TRUTH, answers, strict=True)
+        apart(se3.invert(T_WORLD_FIRST) @ T, a.T_odom_body)[0] for (_, T), a in zip(TRUTH, answers, strict=True)
     )
     assert worst < 5e-3

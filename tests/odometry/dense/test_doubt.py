@@ -114,7 +114,7 @@ def moved(xi: list[float]) -> FloatArray:
 def test_a_gap_is_bridged_where_surfaces_fit_just_where_wheels_expect_them(
     off: list[float], seconds: float, residual: float, is_bridged: bool
 ) -> None:
-    T_world_expected = moved([1.0, 2.0, 0.5, 0.1, 0.2, 0.3])
-    found = replace(fitting(residual), T_world_camera=T_world_expected @ moved(off))
-    ahead = Expected((T_world_expected,), None, is_helped=True)
+    T_map_expected = moved([1.0, 2.0, 0.5, 0.1, 0.2, 0.3])
+    found = replace(fitting(residual), T_map_camera=T_map_expected @ moved(off))
+    ahead = Expected((T_map_expected,), None, is_helped=True)
     assert after().is_bridged(found, ahead, seconds) == is_bridged

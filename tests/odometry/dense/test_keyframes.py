@@ -35,5 +35,5 @@ def test_on_the_way_to_a_wall_keyframes_are_made_though_all_stays_in_sight() -> 
         answer = subject.process(frame_of(WALL, T, k / 15, noise_seed=k))
         made += [k] if len(subject._views.keyframes) > len(made) else []
         assert answer.status is Status.TRACKING
-        assert apart(T, answer.T_world_body)[0] < 0.02
+        assert apart(T, answer.T_odom_body)[0] < 0.02
     assert 2 <= len(made) <= 6

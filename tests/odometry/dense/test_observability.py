@@ -41,9 +41,9 @@ def test_one_plain_wall_shows_three_directions() -> None:
     assert estimate.status is Status.TRACKING
     assert len(degenerate) == 3
     assert span(degenerate, [0, 1, 5]) > 0.95  # sideways, up and down, and roll about the wall's normal
-    error = se3.log(estimate.T_world_body @ se3.invert(MOTION @ WRONG))
+    error = se3.log(estimate.T_odom_body @ se3.invert(MOTION @ WRONG))
     assert np.abs(error[[0, 1, 5]]).max() < 2e-3  # the prior stands
-    exact = se3.log(estimate.T_world_body @ se3.invert(MOTION))
+    exact = se3.log(estimate.T_odom_body @ se3.invert(MOTION))
     assert np.abs(exact[[2, 3, 4]]).max() < 2e-3  # what is seen is found
 
 
@@ -58,7 +58,7 @@ def test_unseen_directions_have_the_priors_variance() -> None:
 def test_paint_shows_what_the_wall_does_not() -> None:
     odometry, estimate = tracked(PAINTED_WALL, MOTION @ WRONG)
     assert len(odometry.last_motion.degenerate) == 0
-    assert apart(MOTION, estimate.T_world_body)[0] < 2e-3
+    assert apart(MOTION, estimate.T_odom_body)[0] < 2e-3
 
 
 def test_paint_shows_nothing_to_depth_alone() -> None:
@@ -71,7 +71,7 @@ def test_a_plain_corridor_hides_the_way_along_it() -> None:
     degenerate = odometry.last_motion.degenerate
     assert len(degenerate) == 1
     assert abs(degenerate[0, 2]) > 0.95
-    assert apart(MOTION, estimate.T_world_body)[0] < 5e-3
+    assert apart(MOTION, estimate.T_odom_body)[0] < 5e-3
 
 
 def test_judge_keeps_an_alignment_that_shows_all() -> None:

@@ -16,7 +16,7 @@ from wheelsight.odometry.dense import DenseOdometry, alignment
 from wheelsight.odometry.dense.keyframes import Witness
 
 TRUTH = wobbling_trajectory(24)
-IN_WORLD = from_start(np.array(TRUTH.T_world_body))
+IN_WORLD = from_start(np.array(TRUTH.T_frame_body))
 # A corner whose three planes show all motion, and nothing is painted on them.
 CORNER = [Plane((0, 0, 1), 2.0), Plane((1, 0, 0), 0.7), Plane((0, 1, 0), 0.6)]
 WAY = se3.exp([0.005, 0.0, 0.008, 0.0, 0.004, 0.0])
@@ -49,7 +49,7 @@ def test_a_prior_stands_in_for_keypoints_after_a_failure(corner: list[RgbdFrame]
         assert subject.process(covered_frame(corner[5].stamp_s)).reason is Reason.TOO_LITTLE_DEPTH
     told = with_prior.process(corner[6], on_the_way(2))
     assert told.status is Status.TRACKING
-    assert apart(on_the_way(6), told.T_world_body)[0] < 0.01
+    assert apart(on_the_way(6), told.T_odom_body)[0] < 0.01
     assert alone.process(corner[6]).reason is Reason.NOT_RECOGNISED
 
 
@@ -62,12 +62,12 @@ def test_a_gap_is_bridged_where_surfaces_are_found_just_where_wheels_expect_them
     with_priors(subject, corner[:5], WAY)
     again_s = corner[4].stamp_s + dark_s
     for begun in range(1, 6):
-        assert subject.process(covered_frame(corner[4].stamp_s + begun * dark_s / 6)).T_world_body is None
+        assert subject.process(covered_frame(corner[4].stamp_s + begun * dark_s / 6)).T_odom_body is None
     expected = on_the_way(2) @ se3.exp([off_m, 0, 0, 0, 0, 0])
     answer = subject.process(frame_of(CORNER, on_the_way(6), again_s, noise_seed=6), expected)
     if is_bridged:
         assert answer.status is Status.TRACKING
-        assert apart(on_the_way(6), answer.T_world_body)[0] < 0.01
+        assert apart(on_the_way(6), answer.T_odom_body)[0] < 0.01
     else:
         assert answer.reason is Reason.NOT_RECOGNISED
 
@@ -76,8 +76,8 @@ def test_a_leap_against_a_prior_is_believed_only_with_keypoints(
     frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A camera that was still, and wheels that say so: whatever moves the view is no motion but with keypoints."""
-    still = [room_frame(TRUTH.T_world_body[0], k / 30, depth_noise=True) for k in range(3)]
-    leapt = room_frame(TRUTH.T_world_body[0] @ se3.exp([0.06, 0, 0, 0, 0.02, 0]), 3 / 30, depth_noise=True)
+    still = [room_frame(TRUTH.T_frame_body[0], k / 30, depth_noise=True) for k in range(3)]
+    leapt = room_frame(TRUTH.T_frame_body[0] @ se3.exp([0.06, 0, 0, 0, 0.02, 0]), 3 / 30, depth_noise=True)
     seen, blind = dense(), dense()
     for subject in (seen, blind):
         with_priors(subject, still, np.eye(4))
@@ -98,7 +98,7 @@ def test_wheels_that_spin_do_not_lead_the_camera_astray(
     for k in range(5, 11):
         answer = subject.process(shown[k], se3.invert(T_true[k - 1]) @ T_true[k] @ spun)
         assert answer.status is Status.TRACKING
-        assert apart(T_true[k], answer.T_world_body)[0] < 0.01
+        assert apart(T_true[k], answer.T_odom_body)[0] < 0.01
 
 
 def test_it_goes_on_where_others_tell_it_to(frames: list[RgbdFrame]) -> None:
@@ -107,7 +107,7 @@ def test_it_goes_on_where_others_tell_it_to(frames: list[RgbdFrame]) -> None:
     T_told, covariance = se3.exp([0.5, -0.3, 0.2, 0.1, 0.4, 0.0]), np.diag([1e-4] * 3 + [1e-5] * 3)
     again = subject.restart(frames[6], T_told, covariance)
     assert again.status is Status.TRACKING
-    np.testing.assert_array_equal(again.T_world_body, T_told)
+    np.testing.assert_array_equal(again.T_odom_body, T_told)
     np.testing.assert_array_equal(again.covariance, covariance)
     np.testing.assert_array_equal(subject.last_motion.T_reference_current, np.eye(4))
     assert subject.last_surface(frames[6]).depth_m.any()
@@ -115,7 +115,7 @@ def test_it_goes_on_where_others_tell_it_to(frames: list[RgbdFrame]) -> None:
         answer = subject.process(frames[k])
         T_expected = T_told @ se3.invert(IN_WORLD[6]) @ IN_WORLD[k]
         assert answer.status is Status.TRACKING
-        assert apart(T_expected, answer.T_world_body)[0] < 5e-3
+        assert apart(T_expected, answer.T_odom_body)[0] < 5e-3
         assert np.linalg.eigvalsh(answer.covariance - 0.99 * covariance)[0] > 0  # what was told stays uncertain
 
 
@@ -126,23 +126,23 @@ def test_what_was_known_before_a_restart_is_recognised_after_it(
     run(subject, frames[:6])
     later_s = frames[5].stamp_s + 1.0
     elsewhere = [frame_of(CORNER, on_the_way(k), later_s + k / 30, noise_seed=k) for k in range(4)]
-    assert subject.process(elsewhere[0]).T_world_body is None
+    assert subject.process(elsewhere[0]).T_odom_body is None
     assert subject.restart(elsewhere[1], se3.exp([5.0, 0, 0, 0, 0, 0]), 1e-4 * np.eye(6)).status is Status.TRACKING
     for frame in elsewhere[2:]:
         assert subject.process(frame).status is Status.TRACKING
     run(subject, [covered_frame(later_s + 0.2 + k / 30) for k in range(4)])
-    back = [room_frame(TRUTH.T_world_body[0], later_s + 1.0 + k / 30, depth_noise=True) for k in range(4)]
+    back = [room_frame(TRUTH.T_frame_body[0], later_s + 1.0 + k / 30, depth_noise=True) for k in range(4)]
     answers = run(subject, back)
     assert answers[-1].status is Status.TRACKING
-    assert apart(IN_WORLD[0], answers[-1].T_world_body)[0] < 0.01
+    assert apart(IN_WORLD[0], answers[-1].T_odom_body)[0] < 0.01
 
 
 def test_without_depth_there_is_no_restart(frames: list[RgbdFrame]) -> None:
     subject = dense()
     run(subject, frames[:3])
     none = subject.restart(covered_frame(frames[3].stamp_s), np.eye(4), np.eye(6))
-    assert (none.T_world_body, none.reason) == (None, Reason.TOO_LITTLE_DEPTH)
-    assert apart(IN_WORLD[4], subject.process(frames[4]).T_world_body)[0] < 5e-3
+    assert (none.T_odom_body, none.reason) == (None, Reason.TOO_LITTLE_DEPTH)
+    assert apart(IN_WORLD[4], subject.process(frames[4]).T_odom_body)[0] < 5e-3
 
 
 @pytest.mark.parametrize("far", [1e9, np.nan, np.inf])
@@ -161,7 +161,7 @@ def test_an_alignment_that_runs_away_ends_where_it_began_and_tells_nothing(
     np.testing.assert_array_equal(found.information, np.zeros((6, 6)))
     subject = dense()
     answers = run(subject, corner[:3])  # which has no keypoints either
-    assert [answer.T_world_body is None for answer in answers] == [False, True, True]
+    assert [answer.T_odom_body is None for answer in answers] == [False, True, True]
     assert {answer.reason for answer in answers[1:]} == {Reason.TOO_LITTLE_OVERLAP}
 
 
@@ -176,4 +176,4 @@ def test_a_restart_right_after_the_first_frame_forgets_to_straighten_that(frames
     for k, frame in enumerate(elsewhere[1:], 1):
         answer = subject.process(frame, WAY)
         assert answer.status is Status.TRACKING
-        assert apart(T_told @ on_the_way(k), answer.T_world_body)[0] < 0.02
+        assert apart(T_told @ on_the_way(k), answer.T_odom_body)[0] < 0.02

@@ -14,12 +14,13 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import PinholeCamera, se3, so3
-from wheelsight.odometry.dense import DenseOdometry, DenseSettings, PredictedView
+from wheelsight.odometry.dense import DenseOdometry, DenseSettings
 from wheelsight.odometry.dense.grid import Level
 from wheelsight.odometry.dense.keyframes import Witness
+from wheelsight.views import PredictedView
 
 TRUTH = wobbling_trajectory(24)
-IN_WORLD = from_start(np.array(TRUTH.T_world_body))
+IN_WORLD = from_start(np.array(TRUTH.T_frame_body))
 
 
 @pytest.fixture(scope="module")
@@ -39,49 +40,49 @@ def test_covered_camera_is_no_pose_and_then_tracked_again(frames: list[RgbdFrame
     seen = [*frames[:5], *(covered_frame(f.stamp_s) for f in frames[5:9]), *frames[9:14]]
     answers = run(dense(), seen)
     for answer in answers[5:9]:
-        assert (answer.T_world_body, answer.covariance) == (None, None)
+        assert (answer.T_odom_body, answer.covariance) == (None, None)
         assert (answer.status, answer.reason) == (Status.FAILING, Reason.TOO_LITTLE_DEPTH)
     for answer, T in zip(answers[9:], IN_WORLD[9:14], strict=True):
         assert answer.status is Status.TRACKING
-        assert apart(T, answer.T_world_body)[0] < 5e-3
+        assert apart(T, answer.T_odom_body)[0] < 5e-3
 
 
 def test_before_the_first_depth_there_is_no_world(frames: list[RgbdFrame]) -> None:
     answers = run(dense(), [without_depth(frames[0]), *frames[1:3]])
     assert [a.status for a in answers] == [Status.INITIALIZING, Status.TRACKING, Status.TRACKING]
-    np.testing.assert_array_equal(answers[1].T_world_body, np.eye(4))
+    np.testing.assert_array_equal(answers[1].T_odom_body, np.eye(4))
 
 
 def test_depth_carries_on_in_the_dark(frames: list[RgbdFrame]) -> None:
     answers = run(dense(), [*frames[:5], *(dark(f) for f in frames[5:9]), *frames[9:12]])
     assert all(a.status is Status.TRACKING for a in answers)
-    assert max(apart(T, a.T_world_body)[0] for T, a in zip(IN_WORLD, answers, strict=False)) < 5e-3
+    assert max(apart(T, a.T_odom_body)[0] for T, a in zip(IN_WORLD, answers, strict=False)) < 5e-3
 
 
 def test_a_view_of_something_else_is_no_pose(frames: list[RgbdFrame]) -> None:
-    turned = TRUTH.T_world_body[4] @ se3.from_parts(so3.exp([0, np.pi, 0]), [0, 0, 0])
+    turned = TRUTH.T_frame_body[4] @ se3.from_parts(so3.exp([0, np.pi, 0]), [0, 0, 0])
     answers = run(dense(), [*frames[:4], room_frame(turned, frames[4].stamp_s), *frames[5:8]])
-    assert answers[4].T_world_body is None
+    assert answers[4].T_odom_body is None
     assert answers[4].reason in {Reason.TOO_LITTLE_OVERLAP, Reason.POOR_FIT, Reason.IMPLAUSIBLE_MOTION}
     assert answers[-1].status is Status.TRACKING
-    assert apart(IN_WORLD[7], answers[-1].T_world_body)[0] < 5e-3
+    assert apart(IN_WORLD[7], answers[-1].T_odom_body)[0] < 5e-3
 
 
 def test_lost_after_as_many_failures_as_set_and_found_at_a_keyframe(frames: list[RgbdFrame]) -> None:
     subject = dense(lost_after=3)
     answers = run(subject, [*frames[:4], *(covered_frame(f.stamp_s) for f in frames[4:8])])
     assert [a.status for a in answers[4:]] == [Status.FAILING, Status.FAILING, Status.LOST, Status.LOST]
-    back = room_frame(np.array(TRUTH.T_world_body[1]), frames[9].stamp_s)
+    back = room_frame(np.array(TRUTH.T_frame_body[1]), frames[9].stamp_s)
     found = subject.process(back)
     assert found.status is Status.TRACKING
-    assert apart(IN_WORLD[1], found.T_world_body)[0] < 5e-3
+    assert apart(IN_WORLD[1], found.T_odom_body)[0] < 5e-3
 
 
 def test_a_missed_frame_is_counted_as_failed(frames: list[RgbdFrame]) -> None:
     subject = dense()
     run(subject, frames[:3])
     missed = subject.miss(frames[3].stamp_s)
-    assert (missed.status, missed.reason, missed.T_world_body) == (Status.FAILING, Reason.FRAME_UNUSABLE, None)
+    assert (missed.status, missed.reason, missed.T_odom_body) == (Status.FAILING, Reason.FRAME_UNUSABLE, None)
     assert subject.process(frames[4]).status is Status.TRACKING
 
 
@@ -92,24 +93,24 @@ def test_exposure_in_steps(frames: list[RgbdFrame]) -> None:
     ]
     answers = run(dense(), stepped)
     assert all(a.status is Status.TRACKING for a in answers)
-    assert max(apart(T, a.T_world_body)[0] for T, a in zip(IN_WORLD, answers, strict=True)) < 5e-3
+    assert max(apart(T, a.T_odom_body)[0] for T, a in zip(IN_WORLD, answers, strict=True)) < 5e-3
 
 
 def test_five_frames_a_second() -> None:
     truth = wobbling_trajectory(12, rate_hz=5.0)
     answers = run(dense(), [room_frame(T, stamp_s, depth_noise=True) for stamp_s, T in truth])
-    world = from_start(np.array(truth.T_world_body))
+    world = from_start(np.array(truth.T_frame_body))
     assert all(a.status is Status.TRACKING for a in answers)
-    assert max(apart(T, a.T_world_body)[0] for T, a in zip(world, answers, strict=True)) < 0.01
+    assert max(apart(T, a.T_odom_body)[0] for T, a in zip(world, answers, strict=True)) < 0.01
 
 
 def test_turning_by_90_degrees_a_second() -> None:
-    start = np.array(TRUTH.T_world_body[0])
+    start = np.array(TRUTH.T_frame_body[0])
     yaws = np.deg2rad(90) / 30 * np.arange(16)
     world = np.array([se3.from_parts(so3.exp([0, yaw, 0]), [0, 0, 0]) for yaw in yaws])
     answers = run(dense(), [room_frame(start @ T, k / 30, depth_noise=True) for k, T in enumerate(world)])
     assert all(a.status is Status.TRACKING for a in answers)
-    errors = np.array([apart(T, a.T_world_body) for T, a in zip(world, answers, strict=True)])
+    errors = np.array([apart(T, a.T_odom_body) for T, a in zip(world, answers, strict=True)])
     assert errors[:, 0].max() < 0.01
     assert errors[:, 1].max() < 5e-3
 
@@ -117,18 +118,18 @@ def test_turning_by_90_degrees_a_second() -> None:
 def test_two_threads_and_two_runs_answer_alike(frames: list[RgbdFrame]) -> None:
     answers = [run(dense(threads=threads), frames) for threads in (1, 2, 2)]
     for a, b, c in zip(*answers, strict=True):
-        np.testing.assert_array_equal(a.T_world_body, b.T_world_body)
-        np.testing.assert_array_equal(b.T_world_body, c.T_world_body)
+        np.testing.assert_array_equal(a.T_odom_body, b.T_odom_body)
+        np.testing.assert_array_equal(b.T_odom_body, c.T_odom_body)
         np.testing.assert_array_equal(b.covariance, c.covariance)
 
 
 def test_a_prior_saves_a_jump(frames: list[RgbdFrame]) -> None:
     jump = se3.exp([0.35, 0.0, 0.1, 0.0, 0.35, 0.0])
-    T = np.array(TRUTH.T_world_body[3]) @ jump
+    T = np.array(TRUTH.T_frame_body[3]) @ jump
     with_prior = dense(max_speed_m_s=20.0, max_turn_rad_s=20.0)
     run(with_prior, frames[:4])
     found = with_prior.process(room_frame(T, frames[4].stamp_s), jump @ se3.exp([0.01, 0.0, -0.01, 0.0, 0.01, 0.0]))
-    assert apart(IN_WORLD[3] @ jump, found.T_world_body)[0] < 5e-3
+    assert apart(IN_WORLD[3] @ jump, found.T_odom_body)[0] < 5e-3
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -136,41 +137,41 @@ def test_covariance_is_no_smaller_than_the_error(seed: int) -> None:
     """White noise is the least that the variances are made for; they may be too large there, never too small."""
     truth = wobbling_trajectory(16, start_s=10.0 * seed)
     answers = run(dense(), [room_frame(T, s, seed=seed, depth_noise=True) for s, T in truth])
-    ratios = [nees(a, T) for a, T in zip(answers[1:], from_start(np.array(truth.T_world_body))[1:], strict=True)]
+    ratios = [nees(a, T) for a, T in zip(answers[1:], from_start(np.array(truth.T_frame_body))[1:], strict=True)]
     assert 0.02 < np.mean(ratios) < 12
 
 
 class Remembered:
     """A model that predicts the room as it is."""
 
-    def __init__(self, T_room_world: np.ndarray) -> None:
-        self.T_room_world, self.calls = T_room_world, 0
+    def __init__(self, T_room_map: np.ndarray) -> None:
+        self.T_room_map, self.calls = T_room_map, 0
 
-    def predict(self, T_world_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]) -> PredictedView:
+    def predict(self, T_map_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]) -> PredictedView:
         self.calls += 1
         camera = PinholeCamera(shape[1], shape[0], *intrinsics.tolist())
-        frame = room_frame(self.T_room_world @ T_world_camera, 0.0, camera)
+        frame = room_frame(self.T_room_map @ T_map_camera, 0.0, camera)
         grey = (frame.color @ [0.299, 0.587, 0.114]).astype(np.float32)
         normal = bench().maker.normals(Level(intrinsics, frame.depth_m, grey))
         return PredictedView(frame.depth_m, normal, grey)
 
 
 def test_a_model_is_tracked_against(frames: list[RgbdFrame]) -> None:
-    model = Remembered(np.array(TRUTH.T_world_body[0]))
+    model = Remembered(np.array(TRUTH.T_frame_body[0]))
     subject = DenseOdometry(Calibration.registered_camera(SMALL), model=model)
     answers = run(subject, frames)
     assert len(frames) / 3 - 1 < model.calls < len(frames)
     assert subject._last is not None
     assert not subject._last.is_by_keyframe
-    assert max(apart(T, a.T_world_body)[0] for T, a in zip(IN_WORLD, answers, strict=True)) < 4e-3
+    assert max(apart(T, a.T_odom_body)[0] for T, a in zip(IN_WORLD, answers, strict=True)) < 4e-3
 
 
 class Faded:
     """A model of a wall in which nothing is left of what is painted on it."""
 
-    def predict(self, T_world_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]) -> PredictedView:
+    def predict(self, T_map_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]) -> PredictedView:
         camera = PinholeCamera(shape[1], shape[0], *intrinsics.tolist())
-        depth_m = render([Plane((0, 0, 1), 1.5)], T_world_camera, camera)[1]
+        depth_m = render([Plane((0, 0, 1), 1.5)], T_map_camera, camera)[1]
         normal = np.tile(np.float32([0, 0, -1]), (*shape, 1))
         return PredictedView(depth_m, normal, np.full(shape, 128, np.float32))
 
@@ -186,7 +187,7 @@ def test_what_faded_in_a_map_is_seen_by_the_frame_before(is_painted: bool, monke
     assert (answers[-1].status is Status.TRACKING) == is_painted
     if is_painted:
         assert subject.sees_all_motion
-        assert max(apart(T, a.T_world_body)[0] for T, a in zip(poses, answers, strict=True)) < 0.02
+        assert max(apart(T, a.T_odom_body)[0] for T, a in zip(poses, answers, strict=True)) < 0.02
 
 
 def spot(color: np.ndarray) -> np.ndarray:
@@ -199,8 +200,8 @@ def spot(color: np.ndarray) -> np.ndarray:
 class Luring:
     """A model of a wall with a spot on it that looks as if the camera were 3 cm aside."""
 
-    def predict(self, T_world_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]) -> PredictedView:
-        aside = T_world_camera @ se3.from_parts(np.eye(3), [-0.03, 0, 0])
+    def predict(self, T_map_camera: np.ndarray, intrinsics: np.ndarray, shape: tuple[int, int]) -> PredictedView:
+        aside = T_map_camera @ se3.from_parts(np.eye(3), [-0.03, 0, 0])
         color, depth_m = render([Plane((0, 0, 1), 1.5, is_painted=True)], aside)
         normal = np.tile(np.float32([0, 0, -1]), (*shape, 1))
         return PredictedView(depth_m, normal, spot(color)[..., 0].astype(np.float32))
@@ -217,5 +218,5 @@ def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace() -> No
         subject.refer_to(Luring())
         answers = run(subject, [replace(frame, color=spot(frame.color)) for frame in frames[10:]])
         assert not subject.sees_all_motion
-        lured_m.append(answers[-1].T_world_body[0, 3] - poses[-1][0, 3])
+        lured_m.append(answers[-1].T_odom_body[0, 3] - poses[-1][0, 3])
     assert abs(np.mean(lured_m)) < 0.003  # -0.0065 where it is not held

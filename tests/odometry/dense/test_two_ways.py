@@ -47,8 +47,8 @@ def test_ways_meet_where_least_squares_has_them(seed: int) -> None:
         T = T_SHORT @ se3.exp(xi)
         off = []
         for T_told, motion, root in zip((T_SHORT, T_LONG), motions, roots, strict=True):
-            T_world_reference = T_told @ se3.invert(motion.T_reference_current)
-            there = se3.invert(T_world_reference) @ T
+            T_map_reference = T_told @ se3.invert(motion.T_reference_current)
+            there = se3.invert(T_map_reference) @ T
             off.append(root @ se3.log(there @ se3.invert(motion.T_reference_current)))
         return np.concatenate(off)
 
@@ -84,7 +84,7 @@ def test_hops_told_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatch) 
         for seed in range(8):
             frames = [frame_of(corridor, T, 0.1 * k, noise_seed=1000 * seed + k) for k, T in enumerate(poses)]
             odometry = dense()
-            found = run(odometry, frames)[-1].T_world_body
+            found = run(odometry, frames)[-1].T_odom_body
             assert len(odometry._views.keyframes) > 3
             off.append(se3.log(se3.invert(poses[-1]) @ found))
         return np.array(off)

@@ -34,7 +34,7 @@ def at(x_m: float) -> np.ndarray:
 
 
 def places(keyframes: list[Keyframe]) -> list[float]:
-    return [float(each.reference.T_world_reference[0, 3]) for each in keyframes]
+    return [float(each.reference.T_map_reference[0, 3]) for each in keyframes]
 
 
 def test_the_keyframe_used_longest_ago_goes_first(views: Views) -> None:

@@ -18,7 +18,7 @@ from wheelsight.odometry.dense.keyframes import Sighting, Witness
 from wheelsight.simulation import Robot
 
 TRUTH = wobbling_trajectory(24)
-IN_WORLD = from_start(np.array(TRUTH.T_world_body))
+IN_WORLD = from_start(np.array(TRUTH.T_frame_body))
 WALL = [Plane((0, 0, 1), 1.5)]
 # A corner whose three planes show all motion, and nothing is painted on them.
 CORNER = [Plane((0, 0, 1), 2.0), Plane((1, 0, 0), 0.7), Plane((0, 1, 0), 0.6)]
@@ -39,7 +39,7 @@ def test_keypoints_tell_where_a_frame_is_and_nothing_of_another_place(frames: li
     witness, keyframes = subject._witness, subject._views.keyframes
     told = witness.locate(witness.look(frames[6]), keyframes, np.zeros(6))
     assert told is not None
-    assert apart(IN_WORLD[6], told.T_world_camera)[0] < 0.02
+    assert apart(IN_WORLD[6], told.T_map_camera)[0] < 0.02
     assert 20 < told.inliers <= told.matches
     elsewhere = frame_of(CORNER, np.eye(4), 1.0, noise_seed=1)
     assert witness.locate(witness.look(elsewhere), keyframes, np.zeros(6)) is None
@@ -64,7 +64,7 @@ def test_a_plain_wall_is_no_pose_for_long(frames: list[RgbdFrame]) -> None:
     said = [a for a in answers if a.status is Status.TRACKING]
     assert len(said) < 0.7 * 30 + 2
     assert Reason.DEGENERATE in {a.reason for a in answers}
-    assert all(a.T_world_body is None for a in answers[25:])
+    assert all(a.T_odom_body is None for a in answers[25:])
 
 
 def test_a_plain_wall_is_a_pose_where_somebody_else_tells_the_motion() -> None:
@@ -74,7 +74,7 @@ def test_a_plain_wall_is_a_pose_where_somebody_else_tells_the_motion() -> None:
     for k in range(40):
         answer = subject.process(frame_of(WALL, T, k / 30, noise_seed=k), way if k else None)
         missed += answer.status is not Status.TRACKING  # where noise would make a leap
-        assert answer.T_world_body is None or apart(T, answer.T_world_body)[0] < 0.02
+        assert answer.T_odom_body is None or apart(T, answer.T_odom_body)[0] < 0.02
         T = T @ way
     assert missed <= 2
 
@@ -92,7 +92,7 @@ def test_what_was_unseen_for_too_long_is_forgotten_where_keypoints_tell_the_plac
     again = run(subject, frames[5:8])
     assert [a.status for a in again] == [Status.TRACKING] * 3
     assert subject.sees_all_motion
-    assert max(apart(IN_WORLD[5 + k], a.T_world_body)[0] for k, a in enumerate(again)) < 5e-3
+    assert max(apart(IN_WORLD[5 + k], a.T_odom_body)[0] for k, a in enumerate(again)) < 5e-3
 
 
 def test_after_a_gap_like_surfaces_are_no_place() -> None:
@@ -104,10 +104,10 @@ def test_after_a_gap_like_surfaces_are_no_place() -> None:
 
 
 def test_after_a_gap_a_place_is_recognised_by_its_keypoints(frames: list[RgbdFrame]) -> None:
-    later = [room_frame(TRUTH.T_world_body[k], frames[k].stamp_s + 2.0, depth_noise=True) for k in range(8, 12)]
+    later = [room_frame(TRUTH.T_frame_body[k], frames[k].stamp_s + 2.0, depth_noise=True) for k in range(8, 12)]
     answers = run(dense(), [*frames[:10], *later])
     assert [a.status for a in answers[-4:]] == [Status.TRACKING] * 4
-    assert max(apart(IN_WORLD[k], answers[k + 2].T_world_body)[0] for k in range(8, 12)) < 5e-3
+    assert max(apart(IN_WORLD[k], answers[k + 2].T_odom_body)[0] for k in range(8, 12)) < 5e-3
 
 
 @pytest.mark.parametrize("is_helped", [True, False])
@@ -129,27 +129,27 @@ def test_a_keyframe_that_keypoints_contradict_is_none(
     frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch, off_m: float
 ) -> None:
     def elsewhere(self: Witness, *_: object) -> Sighting:
-        T_world_camera = np.asarray(se3.from_parts(np.eye(3), [off_m, 0, 0]) @ IN_WORLD[7])
-        return Sighting(T_world_camera, 1e-4 * np.eye(6), 90, 80)
+        T_map_camera = np.asarray(se3.from_parts(np.eye(3), [off_m, 0, 0]) @ IN_WORLD[7])
+        return Sighting(T_map_camera, 1e-4 * np.eye(6), 90, 80)
 
     subject = dense(keyframe_overlap=0.999)
     run(subject, frames[:7])
     kept = len(subject._views.keyframes)
     monkeypatch.setattr(Witness, "locate", elsewhere)
     answer = subject.process(frames[7])
-    assert (answer.status, answer.reason, answer.T_world_body) == (Status.FAILING, Reason.SURFACES_CONTRADICTED, None)
+    assert (answer.status, answer.reason, answer.T_odom_body) == (Status.FAILING, Reason.SURFACES_CONTRADICTED, None)
     assert len(subject._views.keyframes) == kept
     again = subject.process(frames[8])
     assert again.status is Status.TRACKING
-    np.testing.assert_allclose(again.T_world_body, elsewhere(subject._witness).T_world_camera, atol=1e-12)
+    np.testing.assert_allclose(again.T_odom_body, elsewhere(subject._witness).T_map_camera, atol=1e-12)
     np.testing.assert_allclose(again.covariance, 1e-4 * np.eye(6))
 
 
 SLIP = se3.exp([0.02, 0, 0, 0, 0, 0])  # in a thirtieth of a second
 
 
-def told_at(T_world_camera: FloatArray, inliers: int = 80) -> Sighting:
-    return Sighting(np.asarray(T_world_camera), 1e-4 * np.eye(6), 90, inliers)
+def told_at(T_map_camera: FloatArray, inliers: int = 80) -> Sighting:
+    return Sighting(np.asarray(T_map_camera), 1e-4 * np.eye(6), 90, inliers)
 
 
 @pytest.mark.parametrize("told", [None, told_at(IN_WORLD[7] @ se3.exp([0.2, 0, 0, 0, 0, 0]), 30), told_at(IN_WORLD[7])])
@@ -162,7 +162,7 @@ def test_a_pose_that_wheels_do_not_expect_stays_where_keypoints_do_not_gainsay_i
     monkeypatch.setattr(Witness, "locate", lambda *_: told)
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ IN_WORLD[7] @ SLIP)
     assert answer.status is Status.TRACKING
-    assert apart(IN_WORLD[7], answer.T_world_body)[0] < 5e-3
+    assert apart(IN_WORLD[7], answer.T_odom_body)[0] < 5e-3
 
 
 def test_a_pose_that_neither_wheels_nor_keypoints_expect_is_not_taken(
@@ -176,7 +176,7 @@ def test_a_pose_that_neither_wheels_nor_keypoints_expect_is_not_taken(
     monkeypatch.setattr("wheelsight.odometry.dense._doubt._LEAP", np.array([9.0, 9.0]))  # as smooth as any
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ by_wheels)
     assert answer.status is Status.TRACKING
-    np.testing.assert_allclose(answer.T_world_body, by_wheels, atol=1e-9)
+    np.testing.assert_allclose(answer.T_odom_body, by_wheels, atol=1e-9)
 
 
 @pytest.mark.parametrize("is_off", [True, False])
@@ -193,7 +193,7 @@ def test_after_a_failure_a_pose_that_wheels_do_not_expect_needs_keypoints(
 
 
 def test_a_leap_is_believed_only_with_keypoints(frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch) -> None:
-    leap = np.array(TRUTH.T_world_body[6]) @ se3.exp([0.06, 0, 0, 0, 0.02, 0])
+    leap = np.array(TRUTH.T_frame_body[6]) @ se3.exp([0.06, 0, 0, 0, 0.02, 0])
     leapt = room_frame(leap, frames[7].stamp_s, depth_noise=True)
     seen, blind = dense(), dense()
     run(seen, frames[:7]), run(blind, frames[:7])
@@ -205,21 +205,21 @@ def test_a_leap_is_believed_only_with_keypoints(frames: list[RgbdFrame], monkeyp
 @pytest.mark.parametrize("degrees", [-25, -20, -16, 16, 20, 25])
 def test_a_turn_too_wide_to_follow_is_no_wrong_pose(degrees: float) -> None:
     """On a slow camera: surfaces slide to where something fits, and only how badly it does tells."""
-    start = np.array(TRUTH.T_world_body[0])
+    start = np.array(TRUTH.T_frame_body[0])
     turned = start @ se3.exp([0, 0, 0, 0, np.deg2rad(degrees), 0])
     calibration = replace(Calibration.registered_camera(CAMERA), T_base_camera=Robot().T_base_camera)
     subject = dense(calibration)
     run(subject, [room_frame(start, k / 5, depth_noise=True) for k in range(3)])
     answer = subject.process(room_frame(turned, 0.6, depth_noise=True))
-    assert answer.T_world_body is None or apart(se3.invert(start) @ turned, answer.T_world_body)[0] < 0.01
+    assert answer.T_odom_body is None or apart(se3.invert(start) @ turned, answer.T_odom_body)[0] < 0.01
 
 
 def test_keypoints_are_asked_again_at_the_speed_that_surfaces_found(
     frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A rolling shutter bends keypoints by the speed expected before: a leap is where that was wrong."""
-    leap = np.array(TRUTH.T_world_body[6]) @ se3.exp([0.06, 0, 0, 0, 0.02, 0])
-    T_there = se3.invert(np.array(TRUTH.T_world_body[0])) @ leap
+    leap = np.array(TRUTH.T_frame_body[6]) @ se3.exp([0.06, 0, 0, 0, 0.02, 0])
+    T_there = se3.invert(np.array(TRUTH.T_frame_body[0])) @ leap
     subject, asked = dense(), []
     run(subject, frames[:7])
 
@@ -230,7 +230,7 @@ def test_keypoints_are_asked_again_at_the_speed_that_surfaces_found(
 
     monkeypatch.setattr(Witness, "locate", locate)
     answer = subject.process(room_frame(leap, frames[7].stamp_s, depth_noise=True))
-    assert apart(T_there, answer.T_world_body)[0] < 5e-3
+    assert apart(T_there, answer.T_odom_body)[0] < 5e-3
     assert np.abs(asked[1] - asked[0])[0] > 1.0
 
 
@@ -243,6 +243,6 @@ def test_after_a_while_most_keypoints_must_agree(
     run(subject, [*frames[:7], *(covered_frame(last_s + 0.1 * k) for k in range(1, 24))])
     told = Sighting(IN_WORLD[7], 1e-4 * np.eye(6), 100, inliers)
     monkeypatch.setattr(Witness, "locate", lambda *_: told)
-    answer = subject.process(room_frame(TRUTH.T_world_body[7], last_s + 2.4, depth_noise=True))
-    assert (answer.T_world_body is not None) == (inliers >= 50)
+    answer = subject.process(room_frame(TRUTH.T_frame_body[7], last_s + 2.4, depth_noise=True))
+    assert (answer.T_odom_body is not None) == (inliers >= 50)
     assert inliers >= 50 or answer.reason is Reason.NOT_RECOGNISED

@@ -101,9 +101,9 @@ def test_depth_that_is_empty_is_refused() -> None:
 
 def test_a_camera_that_sways_is_refused(rng: np.random.Generator) -> None:
     sway = so3.exp(np.radians(2) * rng.standard_normal((len(STAMPS_S), 3)) * [0, 1, 0])
-    T_world_camera = T_WORLD_BASE @ se3.from_parts(sway, np.zeros((len(STAMPS_S), 3))) @ MOUNT
+    T_map_camera = T_WORLD_BASE @ se3.from_parts(sway, np.zeros((len(STAMPS_S), 3))) @ MOUNT
     with pytest.raises(CalibrationError, match=r"the floor sways by .* .fix the camera to the robot"):
-        fit_floor(room_views(STAMPS_S, T_world_camera, None), MOUNT[2, :3], NOISE)
+        fit_floor(room_views(STAMPS_S, T_map_camera, None), MOUNT[2, :3], NOISE)
 
 
 def test_few_views_of_the_floor_are_too_few() -> None:

@@ -13,7 +13,7 @@ from wheelsight.estimates import Status
 from wheelsight.geometry import PinholeCamera
 
 TRUTH = wobbling_trajectory(40)
-WORLD = from_start(TRUTH.T_world_body)
+WORLD = from_start(TRUTH.T_frame_body)
 MODES = ["keyframes", "previous"]
 
 
@@ -50,7 +50,7 @@ def test_any_image_size_is_followed(camera, reference):
     truth = TRUTH.select(slice(0, 40, 4))
     frames = room_frames(truth, camera=camera)
     answers = run(odometry(Calibration.registered_camera(camera), reference=reference), frames)
-    for answer, T in zip(answers, from_start(truth.T_world_body), strict=True):
+    for answer, T in zip(answers, from_start(truth.T_frame_body), strict=True):
         metres, radians = error_of(answer, T)
         assert metres < 0.02
         assert radians < 0.008
@@ -64,7 +64,7 @@ def test_keyframes_drift_no_more_than_frame_to_frame(reference, noisy):
 
 def trajectory_bytes(frames, **settings) -> bytes:
     answers = run(odometry(**settings), frames)
-    return b"".join(answer.T_world_body.tobytes() + answer.covariance.tobytes() for answer in answers)
+    return b"".join(answer.T_odom_body.tobytes() + answer.covariance.tobytes() for answer in answers)
 
 
 @pytest.mark.parametrize("reference", MODES)

@@ -14,7 +14,7 @@ from wheelsight.geometry import PinholeCamera
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features, spread
 from wheelsight.odometry.features.settings import FeatureSettings
 
-T_WORLD_CAMERA = wobbling_trajectory(1).T_world_body[0]
+T_WORLD_CAMERA = wobbling_trajectory(1).T_frame_body[0]
 
 
 def extract(frame: RgbdFrame, calibration: Calibration | None = None, **settings: object) -> Features:

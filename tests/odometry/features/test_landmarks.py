@@ -63,8 +63,8 @@ def test_averaging_is_the_mean_weighted_by_the_depths_certainty(rng, points):
     seen = [points + s * rng.standard_normal(points.shape) for s in sigmas]
     landmarks.add_keyframe(view_at(np.eye(4), seen[0], sigma_m=sigmas[0]))
     T = se3.exp(0.3 * rng.standard_normal(6))
-    for p_world, sigma in zip(seen[1:], sigmas[1:], strict=True):
-        features = features_at(se3.apply(se3.invert(T), p_world), sigma)
+    for p_map, sigma in zip(seen[1:], sigmas[1:], strict=True):
+        features = features_at(se3.apply(se3.invert(T), p_map), sigma)
         landmarks.see_again(np.arange(10), features, np.arange(10), T)
     mean = np.average(seen, axis=0, weights=np.array(sigmas) ** -2.0)
     held, _, sightings = landmarks.get(np.arange(10))

@@ -12,7 +12,7 @@ from wheelsight.geometry import se3
 from wheelsight.odometry.features.matching import match_all, match_near
 
 TRUTH = wobbling_trajectory(24, speed=2.0)
-WORLD = from_start(TRUTH.T_world_body)
+WORLD = from_start(TRUTH.T_frame_body)
 STEPS = se3.invert(WORLD[:-1]) @ WORLD[1:]
 MODES = ["keyframes", "previous"]
 
@@ -42,7 +42,7 @@ def test_a_right_prior_gives_the_same_within_noise(frames, reference):
     given = run_with_prior(frames, reference=reference)
     assert worst(given) < max(0.02, 1.5 * worst(without))
     for one, other in zip(given, without, strict=True):
-        apart = se3.invert(one.T_world_body) @ other.T_world_body
+        apart = se3.invert(one.T_odom_body) @ other.T_odom_body
         assert np.linalg.norm(apart[:3, 3]) < 0.03
 
 

@@ -23,6 +23,6 @@ def test_two_seconds_of_a_real_recording_are_followed(data_folder, name):
     answers = [subject.process(frame) for frame in islice(frames, 60)]
     assert [answer.status for answer in answers] == [Status.TRACKING] * 60
     found = Trajectory(
-        np.array([answer.stamp_s for answer in answers]), np.array([answer.T_world_body for answer in answers])
+        np.array([answer.stamp_s for answer in answers]), np.array([answer.T_odom_body for answer in answers])
     )
     assert ate(found, recording.ground_truth).translation.rmse < 0.03

@@ -13,7 +13,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import PinholeCamera, se3
 
 TRUTH = wobbling_trajectory(16)
-WORLD = from_start(TRUTH.T_world_body)
+WORLD = from_start(TRUTH.T_frame_body)
 T_TOLD = se3.exp([0.5, -0.3, 0.2, 0.1, 0.4, 0.0])
 COVARIANCE = np.diag([1e-4] * 3 + [1e-5] * 3)
 
@@ -29,7 +29,7 @@ def test_it_goes_on_where_others_tell_it_to(frames: list[RgbdFrame], reference: 
     run(subject, [*frames[:3], *(covered_frame(f.stamp_s) for f in frames[3:6])])
     again = subject.restart(frames[6], T_TOLD, COVARIANCE)
     assert again.status is Status.TRACKING
-    np.testing.assert_allclose(again.T_world_body, T_TOLD, atol=1e-12)
+    np.testing.assert_allclose(again.T_odom_body, T_TOLD, atol=1e-12)
     np.testing.assert_array_equal(again.covariance, COVARIANCE)
     np.testing.assert_array_equal(subject.last_motion.T_reference_current, np.eye(4))
     assert subject.last_matches is None
@@ -46,8 +46,8 @@ def test_what_was_known_is_given_up(frames: list[RgbdFrame]) -> None:
     run(subject, frames[:3])
     subject.restart(frames[6], T_TOLD, COVARIANCE)
     run(subject, [covered_frame(frames[6].stamp_s + k * FRAME_S) for k in range(1, 4)])
-    back = subject.process(room_frame(TRUTH.T_world_body[0], frames[6].stamp_s + 1.0))
-    if back.T_world_body is not None:
+    back = subject.process(room_frame(TRUTH.T_frame_body[0], frames[6].stamp_s + 1.0))
+    if back.T_odom_body is not None:
         assert error_of(back, T_TOLD @ se3.invert(WORLD[6]) @ WORLD[0])[0] < 0.03
 
 
@@ -55,7 +55,7 @@ def test_without_keypoints_there_is_no_restart(frames: list[RgbdFrame]) -> None:
     subject = odometry()
     run(subject, frames[:3])
     none = subject.restart(covered_frame(frames[3].stamp_s), T_TOLD, COVARIANCE)
-    assert (none.T_world_body, none.status, none.reason) == (None, Status.FAILING, Reason.TOO_FEW_KEYPOINTS)
+    assert (none.T_odom_body, none.status, none.reason) == (None, Status.FAILING, Reason.TOO_FEW_KEYPOINTS)
     assert error_of(subject.process(frames[4]), WORLD[4])[0] < 0.02
 
 
@@ -64,4 +64,4 @@ def test_the_pose_that_is_told_is_the_cameras_not_the_colour_cameras(frames: lis
     T_color_depth = se3.from_parts(np.eye(3), [0.03, 0.0, 0.0])
     subject = odometry(Calibration(color=camera, depth=camera, T_color_depth=T_color_depth))
     again = subject.restart(frames[6], T_TOLD, COVARIANCE)
-    np.testing.assert_allclose(again.T_world_body, T_TOLD, atol=1e-12)
+    np.testing.assert_allclose(again.T_odom_body, T_TOLD, atol=1e-12)

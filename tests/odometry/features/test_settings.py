@@ -21,4 +21,4 @@ def test_impossible_settings_are_refused(wrong):
 def test_the_largest_seed_works():
     frames = room_frames(wobbling_trajectory(3))
     assert frames[1].stamp_s - frames[0].stamp_s == pytest.approx(FRAME_S)
-    assert run(odometry(seed=2**32 - 1), frames)[-1].T_world_body is not None
+    assert run(odometry(seed=2**32 - 1), frames)[-1].T_odom_body is not None

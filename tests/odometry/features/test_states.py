@@ -28,7 +28,7 @@ def covered(frames: list[RgbdFrame], first: int, last: int) -> list[RgbdFrame]:
 
 def statuses(answers: list[Estimate]) -> list[Status]:
     for answer in answers:
-        has_pose = answer.T_world_body is not None
+        has_pose = answer.T_odom_body is not None
         assert (
             has_pose == (answer.status is Status.TRACKING) == (answer.reason is None) == (answer.covariance is not None)
         )
@@ -40,9 +40,9 @@ def test_the_sequence_of_states(frames, reference):
     answers = run(odometry(reference=reference, lost_after=4), covered(covered(frames[:24], 0, 3), 8, 15))
     expected = [Status.INITIALIZING] * 3 + [Status.TRACKING] * 5 + [Status.FAILING] * 3 + [Status.LOST] * 4
     assert statuses(answers) == expected + [Status.TRACKING] * 9
-    world = from_start(TRUTH.T_world_body[3:])
+    world = from_start(TRUTH.T_frame_body[3:])
     for answer, truth in zip(answers[3:], world, strict=False):
-        if answer.T_world_body is not None:
+        if answer.T_odom_body is not None:
             assert error_of(answer, truth)[0] < 0.03
     assert {answer.reason for answer in answers[8:15]} == {Reason.TOO_FEW_KEYPOINTS}
 
@@ -55,7 +55,7 @@ def test_failures_before_the_start_do_not_count_against_it(frames):
 def test_the_world_is_where_the_camera_started(frames):
     subject = odometry()
     first = subject.process(frames[0])
-    np.testing.assert_array_equal(first.T_world_body, np.eye(4))
+    np.testing.assert_array_equal(first.T_odom_body, np.eye(4))
     assert (np.linalg.eigvalsh(first.covariance) > 0).all()
     assert subject.last_matches is None
     assert subject.last_motion.reason is None
@@ -65,8 +65,8 @@ def test_the_world_is_where_the_camera_started(frames):
 def test_a_bare_wall_after_the_start_gives_no_pose(frames, reference):
     subject = odometry(reference=reference)
     subject.process(frames[0])
-    answer = subject.process(room_frame(TRUTH.T_world_body[1], TRUTH.stamps_s[1], blank=True))
-    assert (answer.status, answer.T_world_body, answer.reason) == (Status.FAILING, None, Reason.TOO_FEW_KEYPOINTS)
+    answer = subject.process(room_frame(TRUTH.T_frame_body[1], TRUTH.stamps_s[1], blank=True))
+    assert (answer.status, answer.T_odom_body, answer.reason) == (Status.FAILING, None, Reason.TOO_FEW_KEYPOINTS)
 
 
 def test_frames_of_another_place_give_no_pose_with_the_reason(frames):
@@ -85,7 +85,7 @@ def test_miss_counts_as_a_failed_frame(frames, reference):
     run(subject, frames[:3])
     first, second = subject.miss(200.0), subject.miss(201.0)
     assert [first.status, second.status] == [Status.FAILING, Status.LOST]
-    assert (first.stamp_s, first.reason, first.T_world_body) == (200.0, Reason.FRAME_UNUSABLE, None)
+    assert (first.stamp_s, first.reason, first.T_odom_body) == (200.0, Reason.FRAME_UNUSABLE, None)
     assert subject.last_matches is None
     assert subject.last_motion.reason is Reason.FRAME_UNUSABLE
     assert subject.process(frames[3]).status is Status.TRACKING
@@ -112,12 +112,12 @@ def test_what_is_told_of_the_last_frame(frames):
 
 def test_the_previous_frame_is_the_reference_in_the_paper_s_mode(frames):
     subject = odometry(reference="previous")
-    world = from_start(TRUTH.T_world_body)
+    world = from_start(TRUTH.T_frame_body)
     for i in range(8):
         before = subject.process(frames[i])
     answer = subject.process(frames[8])
     motion = subject.last_motion
-    np.testing.assert_allclose(before.T_world_body @ motion.T_reference_current, answer.T_world_body, atol=1e-12)
+    np.testing.assert_allclose(before.T_odom_body @ motion.T_reference_current, answer.T_odom_body, atol=1e-12)
     true_motion = se3.invert(world[7]) @ world[8]
     np.testing.assert_allclose(motion.T_reference_current, true_motion, atol=0.01)
     assert subject.last_matches.reference_stamp_s == frames[7].stamp_s
@@ -129,7 +129,7 @@ def test_looking_away_and_back_recovers_the_place(reference):
     there = wobbling_trajectory(12)
     turned = se3.exp(np.array([0, 0, 0, 0, np.pi, 0]))
     stamps = 100 + FRAME_S * np.arange(36)
-    views = [*there.T_world_body, *(T @ turned for T in there.T_world_body), *there.T_world_body[::-1]]
+    views = [*there.T_odom_body, *(T @ turned for T in there.T_odom_body), *there.T_odom_body[::-1]]
     answers = run(odometry(reference=reference, lost_after=5), room_frames(zip(stamps, views, strict=True)))
     assert statuses(answers)[:12] == [Status.TRACKING] * 12
     assert statuses(answers)[12:24] == [Status.FAILING] * 4 + [Status.LOST] * 8
@@ -142,19 +142,19 @@ def test_once_lost_an_older_keyframe_is_recognised():
     """After a sweep over the room and a blackout, the camera is back where it began, out of the last view's sight."""
     sweep = wobbling_trajectory(70, speed=3.0).select(slice(0, 70, 2))
     stamps = 100 + FRAME_S * np.arange(35 + 20 + 30)
-    frames = room_frames(zip(stamps[:35], sweep.T_world_body, strict=True))
+    frames = room_frames(zip(stamps[:35], sweep.T_frame_body, strict=True))
     frames += [covered_frame(stamp) for stamp in stamps[35:55]]
-    frames += [room_frame(sweep.T_world_body[0], stamp) for stamp in stamps[55:]]
+    frames += [room_frame(sweep.T_frame_body[0], stamp) for stamp in stamps[55:]]
     answers = run(odometry(), frames)
     assert statuses(answers)[35:45] == [Status.FAILING] * 9 + [Status.LOST]
-    back = [answer for answer in answers[55:] if answer.T_world_body is not None]
+    back = [answer for answer in answers[55:] if answer.T_odom_body is not None]
     assert len(back) > 15
     assert all(error_of(answer, np.eye(4))[0] < 0.05 for answer in back)
 
 
 def teleported(metres: float, after_s: float) -> Estimate:
     """The answer to a frame as far aside, after tracking well; the jump keeps most of the view in sight."""
-    start = TRUTH.T_world_body[0]
+    start = TRUTH.T_frame_body[0]
     subject = odometry()
     aside = se3.from_parts(np.eye(3), [0, metres, 0]) @ start
     run(subject, room_frames(zip(100 + FRAME_S * np.arange(3), [start] * 3, strict=True)))
@@ -163,21 +163,21 @@ def teleported(metres: float, after_s: float) -> Estimate:
 
 def test_a_jump_no_camera_can_make_gives_no_pose():
     answer = teleported(0.5, FRAME_S)
-    assert (answer.status, answer.T_world_body, answer.reason) == (Status.FAILING, None, Reason.IMPLAUSIBLE_MOTION)
+    assert (answer.status, answer.T_odom_body, answer.reason) == (Status.FAILING, None, Reason.IMPLAUSIBLE_MOTION)
     far = teleported(2.0, FRAME_S)
-    assert (far.status, far.T_world_body) == (Status.FAILING, None)
+    assert (far.status, far.T_odom_body) == (Status.FAILING, None)
     assert far.reason is not None
 
 
 def test_the_same_jump_is_believed_where_there_was_time_for_it():
     answer = teleported(0.5, 0.5)
     assert answer.status is Status.TRACKING
-    np.testing.assert_allclose(np.linalg.norm(answer.T_world_body[:3, 3]), 0.5, atol=0.02)
+    np.testing.assert_allclose(np.linalg.norm(answer.T_odom_body[:3, 3]), 0.5, atol=0.02)
 
 
 def test_a_slow_camera_may_not_jump_either():
     """At 4 Hz, 1 m to the side in a frame is allowed 5 m/s, but not a limit of 1 m/s."""
-    start = TRUTH.T_world_body[0]
+    start = TRUTH.T_frame_body[0]
     aside = se3.from_parts(np.eye(3), [0, 0.5, 0]) @ start
     frames = [room_frame(T, stamp) for stamp, T in [(0.0, start), (0.25, start), (0.5, aside)]]
     assert run(odometry(), frames)[-1].status is Status.TRACKING
@@ -192,19 +192,19 @@ def test_keypoints_in_one_tiny_patch_never_give_a_wild_pose(reference):
     answers = []
     subject = odometry(reference=reference, min_inliers=4)
     for i in range(8):
-        frame = room_frame(TRUTH.T_world_body[i], TRUTH.stamps_s[i], depth_noise=True)
+        frame = room_frame(TRUTH.T_frame_body[i], TRUTH.stamps_s[i], depth_noise=True)
         color = frame.color.copy()
         color[outside] = 128
         answers.append(subject.process(RgbdFrame(frame.stamp_s, color, frame.depth_m)))
     statuses(answers)
-    world = from_start(TRUTH.T_world_body)
+    world = from_start(TRUTH.T_frame_body)
     for answer, truth in zip(answers, world, strict=False):
-        if answer.T_world_body is not None:
+        if answer.T_odom_body is not None:
             assert error_of(answer, truth)[0] < 0.3
 
 
 @pytest.mark.parametrize("reference", MODES)
 def test_a_camera_that_stands_still_stays_where_it_is(reference):
-    still = Trajectory(100 + FRAME_S * np.arange(10), np.repeat(TRUTH.T_world_body[:1], 10, axis=0))
+    still = Trajectory(100 + FRAME_S * np.arange(10), np.repeat(TRUTH.T_frame_body[:1], 10, axis=0))
     answers = run(odometry(reference=reference), room_frames(still))
-    assert all(np.allclose(answer.T_world_body, np.eye(4), atol=1e-6) for answer in answers)
+    assert all(np.allclose(answer.T_odom_body, np.eye(4), atol=1e-6) for answer in answers)

@@ -30,9 +30,9 @@ MODES = ["keyframes", "previous"]
 def frames():
     T_depth_color = se3.invert(T_COLOR_DEPTH)
     seen = []
-    for stamp_s, T_world_depth in TRUTH:
-        color, _ = render_room(T_world_depth @ T_depth_color, COLOR)
-        seen.append(RgbdFrame(stamp_s, color, render_room(T_world_depth, DEPTH)[1]))
+    for stamp_s, T_map_depth in TRUTH:
+        color, _ = render_room(T_map_depth @ T_depth_color, COLOR)
+        seen.append(RgbdFrame(stamp_s, color, render_room(T_map_depth, DEPTH)[1]))
     return seen
 
 
@@ -53,19 +53,19 @@ def errors(answers, world):
 @pytest.mark.parametrize("reference", MODES)
 def test_poses_are_the_depth_camera_s(frames, reference):
     subject = FeatureOdometry(calibration(), FeatureSettings(reference=reference))
-    found = errors([subject.process(frame) for frame in frames], from_start(TRUTH.T_world_body))
+    found = errors([subject.process(frame) for frame in frames], from_start(TRUTH.T_frame_body))
     assert found[:, 0].max() < 0.02
     assert found[:, 1].max() < 0.006
     # The test can tell: the colour camera's poses lie further off than that.
-    color_poses = from_start(TRUTH.T_world_body @ se3.invert(T_COLOR_DEPTH))
-    assert np.linalg.norm((color_poses - from_start(TRUTH.T_world_body))[:, :3, 3], axis=1).max() > 0.03
+    color_poses = from_start(TRUTH.T_frame_body @ se3.invert(T_COLOR_DEPTH))
+    assert np.linalg.norm((color_poses - from_start(TRUTH.T_frame_body))[:, :3, 3], axis=1).max() > 0.03
 
 
 def test_the_last_motion_is_the_depth_camera_s(frames):
     subject = FeatureOdometry(calibration(), FeatureSettings(reference="previous"))
     for frame in frames[:2]:
         subject.process(frame)
-    step = se3.invert(TRUTH.T_world_body[0]) @ TRUTH.T_world_body[1]
+    step = se3.invert(TRUTH.T_frame_body[0]) @ TRUTH.T_frame_body[1]
     error = se3.log(step @ se3.invert(subject.last_motion.T_reference_current))
     assert np.linalg.norm(error[:3]) < 0.01
     assert error @ np.linalg.solve(subject.last_motion.covariance, error) < 30
@@ -76,7 +76,7 @@ def test_calling_the_sensor_registered_spoils_it(frames):
     subject = FeatureOdometry(wrong)
     answers = [subject.process(frame) for frame in frames]
     tracked = [
-        (a, T) for a, T in zip(answers, from_start(TRUTH.T_world_body), strict=True) if a.T_world_body is not None
+        (a, T) for a, T in zip(answers, from_start(TRUTH.T_frame_body), strict=True) if a.T_odom_body is not None
     ]
     assert max(error_of(answer, truth)[0] for answer, truth in tracked) > 0.02 or len(tracked) < len(frames)
 
@@ -86,7 +86,7 @@ def test_a_prior_of_the_depth_camera_is_turned_into_the_colour_camera_s(frames, 
     monkeypatch.setattr("wheelsight.odometry.features.tracking._PRIOR_RADII", 0.4)
     subject = FeatureOdometry(calibration(), FeatureSettings(reference="previous"))
     subject.process(frames[0])
-    world = from_start(TRUTH.T_world_body)
+    world = from_start(TRUTH.T_frame_body)
     step = se3.invert(world[0]) @ world[3]
     answer = subject.process(frames[3], step)
     assert error_of(answer, world[3])[0] < 0.02
@@ -96,8 +96,8 @@ def test_a_prior_of_the_depth_camera_is_turned_into_the_colour_camera_s(frames, 
 def test_the_base_s_poses_through_the_localizer(frames):
     subject = Localizer(calibration(T_base_camera=T_BASE_CAMERA), Config())
     answers = [subject.process(frame) for frame in frames]
-    T_world_base = TRUTH.T_world_body @ se3.invert(T_BASE_CAMERA)
-    found = errors(answers, from_start(T_world_base))
+    T_map_base = TRUTH.T_frame_body @ se3.invert(T_BASE_CAMERA)
+    found = errors(answers, from_start(T_map_base))
     assert {answer.body for answer in answers} == {"base"}
     assert found[:, 0].max() < 0.03
     assert found[:, 1].max() < 0.006

@@ -134,7 +134,7 @@ def test_the_path_is_that_of_the_robot() -> None:
     drive = drive_from_ticks(replace(TRUE, ticks_per_turn=1e6), simulated.stamps_s, simulated.left, simulated.right)
     between = simulated.truth.stamps_s[10:-10] + 0.007
     path = drive_path(drive, TRUE, between)
-    assert (path.body, path.world) == ("base", "odom")
+    assert (path.body, path.frame) == ("base", "odom")
     np.testing.assert_allclose(path.positions_m, simulated.truth.at(between)[:, :3, 3], atol=2e-3)
 
 
@@ -170,14 +170,14 @@ def test_too_little_is_refused(legs: list[tuple[float, float, float]]) -> None:
 
 def test_a_reference_of_another_time_is_refused() -> None:
     simulated = simulate(TRUE)
-    later = Trajectory(simulated.truth.stamps_s + 5000, simulated.truth.T_world_body, body="base")
+    later = Trajectory(simulated.truth.stamps_s + 5000, simulated.truth.T_frame_body, body="base")
     with pytest.raises(CalibrationError, match=r"share less than the 1 s"):
         fit_wheels(NOMINAL, drive_of(simulated), later)
 
 
 def test_a_reference_of_the_camera_is_refused() -> None:
     simulated = simulate(TRUE)
-    camera = Trajectory(simulated.truth.stamps_s, simulated.truth.T_world_body, body="camera")
+    camera = Trajectory(simulated.truth.stamps_s, simulated.truth.T_frame_body, body="camera")
     with pytest.raises(CalibrationError, match="the reference is of the camera, but wheels move the base"):
         fit_wheels(NOMINAL, drive_of(simulated), camera)
 
@@ -201,7 +201,7 @@ def test_a_reference_of_another_drive_is_refused() -> None:
 
 def test_wrong_units_are_refused() -> None:
     simulated = simulate(TRUE)
-    T = simulated.truth.T_world_body.copy()
+    T = simulated.truth.T_frame_body.copy()
     T[:, :3, 3] *= 3.28
     feet = Trajectory(simulated.truth.stamps_s, T, body="base")
     with pytest.raises(CalibrationError, match=r"asks for 3\.\d+ times the nominal left radius"):
@@ -216,8 +216,8 @@ def test_a_delay_beyond_the_search_is_refused() -> None:
 
 def test_the_references_world_is_no_matter() -> None:
     simulated = simulate(TRUE)
-    T_map_world = se3.exp(np.array([12.0, -3.0, 0.5, 0.0, 0.0, 2.1]))
-    moved = fit_wheels(NOMINAL, drive_of(simulated), simulated.truth.moved(T_map_world))
+    T_map_odom = se3.exp(np.array([12.0, -3.0, 0.5, 0.0, 0.0, 2.1]))
+    moved = fit_wheels(NOMINAL, drive_of(simulated), simulated.truth.moved(T_map_odom))
     assert moved.wheels.track_width_m == pytest.approx(fit(simulated).wheels.track_width_m, rel=1e-6)
 
 

@@ -191,4 +191,4 @@ def test_a_copy_goes_on_by_itself() -> None:
     other = one.copy()
     one.process(WheelTicks(0.1, 100, 150))
     assert other.pose == (0.0, 0.0, 0.0)
-    np.testing.assert_array_equal(other.process(WheelTicks(0.1, 100, 150)).T_world_body, one.T_odom_base)
+    np.testing.assert_array_equal(other.process(WheelTicks(0.1, 100, 150)).T_odom_body, one.T_odom_base)

@@ -31,7 +31,7 @@ def test_the_rest_shows_what_it_is_worth(recording: Recording) -> None:
     assert trial.fit.segments.end_s.max() <= trial.split_s <= trial.held_out.stamps_s[0]
     assert trial.after.evaluation.ate.translation.rmse < 0.1 * trial.before.evaluation.ate.translation.rmse
     assert trial.after.end_error_m < 0.2 * trial.before.end_error_m
-    np.testing.assert_allclose(trial.after.path.T_world_body[0], trial.held_out.T_world_body[0], atol=1e-12)
+    np.testing.assert_allclose(trial.after.path.T_frame_body[0], trial.held_out.T_frame_body[0], atol=1e-12)
 
 
 def test_the_share_decides_what_is_left(recording: Recording) -> None:
@@ -43,7 +43,7 @@ def test_the_share_decides_what_is_left(recording: Recording) -> None:
 def test_a_marker_that_sits_off_and_looks_aside_is_no_matter(recording: Recording) -> None:
     truth = recording.ground_truth
     assert truth is not None
-    marker = Trajectory(truth.stamps_s, truth.T_world_body @ se3.from_plane(0.22, -0.1, 0.08), body="base")
+    marker = Trajectory(truth.stamps_s, truth.T_frame_body @ se3.from_plane(0.22, -0.1, 0.08), body="base")
     trial = try_calibration(recording, marker)
     np.testing.assert_allclose(trial.fit.mount, [0.22, -0.1, 0.08], atol=4e-3)
     for name in ("left_radius_m", "right_radius_m", "track_width_m"):
@@ -55,7 +55,7 @@ def test_a_marker_that_sits_off_and_looks_aside_is_no_matter(recording: Recordin
 def test_a_camera_whose_place_is_unknown_is_refused(recording: Recording) -> None:
     truth = recording.ground_truth
     assert truth is not None
-    camera = Trajectory(truth.stamps_s, truth.T_world_body, body="camera")
+    camera = Trajectory(truth.stamps_s, truth.T_frame_body, body="camera")
     with pytest.raises(CalibrationError, match="give T_base_camera"):
         try_calibration(recording, camera)
 

@@ -48,7 +48,7 @@ def test_one_step_is_what_each_papers_equation_says() -> None:
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
 def test_an_arc_is_the_exponential_of_its_twist(left: float, right: float) -> None:
     way, turn = (left + right) / 2, (right - left) / 0.5
-    T = integrate_log(METRE_TICKS, [0, 0.1], [0, left], [0, right]).trajectory().T_world_body[-1]
+    T = integrate_log(METRE_TICKS, [0, 0.1], [0, left], [0, right]).trajectory().T_odom_body[-1]
     np.testing.assert_allclose(T, se3.exp([way, 0, 0, 0, 0, turn]), atol=1e-14)
 
 
@@ -100,9 +100,9 @@ def test_a_stream_gives_what_the_whole_log_gives(integration: Integration, rng: 
     assert [e.reason for e in streamed] == [track.reason(i) for i in range(len(track))]
     kept = [e for e in streamed if e.reason is None]
     trajectory = track.trajectory()
-    assert (trajectory.world, trajectory.body) == ("odom", "base")
+    assert (trajectory.frame, trajectory.body) == ("odom", "base")
     np.testing.assert_array_equal(trajectory.stamps_s, [e.stamp_s for e in kept])
-    np.testing.assert_allclose(trajectory.T_world_body, [e.T_world_body for e in kept], atol=1e-9)
+    np.testing.assert_allclose(trajectory.T_frame_body, [e.T_odom_body for e in kept], atol=1e-9)
     np.testing.assert_allclose(trajectory.covariances, [e.covariance for e in kept], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(odometry.pose, track.poses[-1], atol=1e-9)
 
@@ -225,7 +225,7 @@ def test_a_refused_reading_invents_nothing(reading: WheelTicks, reason: Reason) 
     before = odometry.process(WheelTicks(0.02, 10, 12))
     refused = odometry.process(reading)
     assert (refused.status, refused.reason, refused.body) == (Status.FAILING, reason, "base")
-    np.testing.assert_array_equal(refused.T_world_body, before.T_world_body)
+    np.testing.assert_array_equal(refused.T_odom_body, before.T_odom_body)
     growth = np.linalg.eigvalsh((refused.covariance - before.covariance)[np.ix_([0, 1, 5], [0, 1, 5])])
     if reason is Reason.CLOCK_BACKWARDS:
         np.testing.assert_array_equal(refused.covariance, before.covariance)
@@ -271,7 +271,7 @@ def test_a_pose_is_stamped_with_the_time_the_wheels_stood_so() -> None:
 
 def test_the_first_reading_is_where_odom_begins() -> None:
     estimate = WheelOdometry(WHEELCHAIR).process(WheelTicks(3.0, 400, -7))
-    np.testing.assert_array_equal(estimate.T_world_body, np.eye(4))
+    np.testing.assert_array_equal(estimate.T_odom_body, np.eye(4))
     np.testing.assert_array_equal(estimate.covariance, np.zeros((6, 6)))
 
 
@@ -288,7 +288,7 @@ def test_answers_are_not_changed_by_later_readings() -> None:
     first = odometry.process(WheelTicks(0.0, 0, 0))
     held = odometry.T_odom_base, odometry.covariance
     odometry.process(WheelTicks(0.02, 40, 60))
-    np.testing.assert_array_equal(first.T_world_body, np.eye(4))
+    np.testing.assert_array_equal(first.T_odom_body, np.eye(4))
     np.testing.assert_array_equal(held[0], np.eye(4))
     np.testing.assert_array_equal(held[1], np.zeros((6, 6)))
 

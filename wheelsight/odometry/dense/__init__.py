@@ -2,7 +2,6 @@
 
 from wheelsight.odometry.dense.grid import GridFrame
 from wheelsight.odometry.dense.odometry import DenseOdometry
-from wheelsight.odometry.dense.reference import PredictedView, ReferenceModel
 from wheelsight.odometry.dense.settings import DenseSettings
 
-__all__ = ["DenseOdometry", "DenseSettings", "GridFrame", "PredictedView", "ReferenceModel"]
+__all__ = ["DenseOdometry", "DenseSettings", "GridFrame"]

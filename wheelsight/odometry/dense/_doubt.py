@@ -59,7 +59,7 @@ class Doubt:
 
         Surfaces alone may fit in another place, but hardly there.
         """
-        T = se3.invert(ahead.T_world_camera[0]) @ found.T_world_camera
+        T = se3.invert(ahead.T_map_camera[0]) @ found.T_map_camera
         is_near = float(np.linalg.norm(T[:3, 3])) < _NEAR_M and float(so3.angle(T[:3, :3])) < _NEAR_RAD
         return LONGEST_STEP_S < seconds <= _BRIDGED_S and is_near and self.fits(found)
 

@@ -44,9 +44,9 @@ class Falloff:
         self._gridder, self._settings = gridder, settings
         self.exponent, self._variance = 0.0, _SIGMA**2
 
-    def learn(self, frame: GridFrame, T_world_camera: FloatArray, reference: Reference) -> None:
+    def learn(self, frame: GridFrame, T_map_camera: FloatArray, reference: Reference) -> None:
         """Take how plain surfaces look in a frame at a pose (4, 4) and in a reference, a frame before."""
-        here, there, known = self._pairs(frame, reference, se3.invert(reference.T_world_reference) @ T_world_camera)
+        here, there, known = self._pairs(frame, reference, se3.invert(reference.T_map_reference) @ T_map_camera)
         if np.count_nonzero(known) < _FEWEST:
             return
         (grey, fall), (grey_then, fall_then) = here[:, known], there[:, known]

@@ -22,7 +22,7 @@ class Tracked:
     """
 
     frame: GridFrame
-    T_world_camera: FloatArray
+    T_map_camera: FloatArray
     covariance: FloatArray
     twist: FloatArray = field(default_factory=lambda: np.zeros(6))
     overlap: float = 1.0
@@ -52,18 +52,18 @@ class Expected:
     """Where a frame is expected before it is compared with anything.
 
     Attributes:
-        T_world_camera: each (4, 4); the first counts unless another fits clearly better.
-        T_world_other: (4, 4) where it may be instead, and is where grey values say so; or None.
+        T_map_camera: each (4, 4); the first counts unless another fits clearly better.
+        T_map_other: (4, 4) where it may be instead, and is where grey values say so; or None.
         is_helped: whether it is another sensor that expects the first, rather than constant velocity.
     """
 
-    T_world_camera: tuple[FloatArray, ...]
-    T_world_other: FloatArray | None = None
+    T_map_camera: tuple[FloatArray, ...]
+    T_map_other: FloatArray | None = None
     is_helped: bool = False
 
-    def at(self, T_world_camera: FloatArray) -> Expected:
+    def at(self, T_map_camera: FloatArray) -> Expected:
         """The same, of a pose (4, 4) that is known better by now."""
-        return replace(self, T_world_camera=(T_world_camera,))
+        return replace(self, T_map_camera=(T_map_camera,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,11 +78,11 @@ class Told:
 def expected(last: Tracked, stamp_s: float, told: Told) -> tuple[Expected, FloatArray]:
     """Where a frame is expected after the last one, and its twist (6,)."""
     T_last_frame, prior = at_speed(last, stamp_s), told.T_last_frame
-    poses = [last.T_world_camera @ T_last_frame] if prior is None or last.twist.any() else []
+    poses = [last.T_map_camera @ T_last_frame] if prior is None or last.twist.any() else []
     if prior is not None:
-        poses, T_last_frame = [last.T_world_camera @ prior, *poses], prior
-    T_world_other = None if told.T_last_other is None else last.T_world_camera @ told.T_last_other
-    ahead = Expected(tuple(poses), T_world_other, is_helped=prior is not None)
+        poses, T_last_frame = [last.T_map_camera @ prior, *poses], prior
+    T_map_other = None if told.T_last_other is None else last.T_map_camera @ told.T_last_other
+    ahead = Expected(tuple(poses), T_map_other, is_helped=prior is not None)
     return ahead, speed_of(T_last_frame, stamp_s - last.frame.stamp_s, told.twist)
 
 
@@ -111,9 +111,9 @@ def fine_share(frame: GridFrame, T_reference_frame: FloatArray, least: float) ->
     return float(np.count_nonzero(z >= least * there) / max(len(z), 1))
 
 
-def implausible(last: Tracked, T_world_camera: FloatArray, seconds: float, settings: DenseSettings) -> Reason | None:
+def implausible(last: Tracked, T_map_camera: FloatArray, seconds: float, settings: DenseSettings) -> Reason | None:
     """The reason against a pose (4, 4) that no camera comes to in so short a time, or None."""
-    T = se3.invert(last.T_world_camera) @ T_world_camera
+    T = se3.invert(last.T_map_camera) @ T_map_camera
     fast = np.linalg.norm(T[:3, 3]) > settings.max_speed_m_s * seconds
     turning = so3.angle(T[:3, :3]) > settings.max_turn_rad_s * seconds
     return Reason.IMPLAUSIBLE_MOTION if fast or turning else None

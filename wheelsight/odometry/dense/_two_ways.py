@@ -14,19 +14,19 @@ _HOPS = 2.0
 _CHI2 = 22.5
 
 
-def met(T_world_short: FloatArray, short: MotionEstimate, T_world_long: FloatArray, long: MotionEstimate) -> FloatArray:
-    """T_world_camera (4, 4) by the motions against the last reference and the one before, each as sure as it says.
+def met(T_map_short: FloatArray, short: MotionEstimate, T_map_long: FloatArray, long: MotionEstimate) -> FloatArray:
+    """T_map_camera (4, 4) by the motions against the last reference and the one before, each as sure as it says.
 
     Where they contradict each other, or one does not show all directions, it is the short one's.
     """
     if not (short.shows_all and long.shows_all):
-        return T_world_short
+        return T_map_short
     C_short, C_long = _HOPS * _at_its_end(short), _at_its_end(long)
-    off = se3.log(se3.invert(T_world_short) @ T_world_long)
+    off = se3.log(se3.invert(T_map_short) @ T_map_long)
     innovation = np.linalg.solve(C_short + C_long, off)
     if not off @ innovation < _CHI2:
-        return T_world_short
-    return np.asarray(se3.nearest(T_world_short @ se3.exp(C_short @ innovation)))
+        return T_map_short
+    return np.asarray(se3.nearest(T_map_short @ se3.exp(C_short @ innovation)))
 
 
 def _at_its_end(motion: MotionEstimate) -> FloatArray:

@@ -11,8 +11,9 @@ from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry.dense._tracked import Tracked
 from wheelsight.odometry.dense.grid import Gridder
 from wheelsight.odometry.dense.keyframes import Keyframe
-from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
+from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.views import ReferenceModel
 
 # So many keyframes, those used last, are held ready; of others depth and grey alone, of which they are made in 5 ms.
 _AT_HAND = 6
@@ -66,10 +67,10 @@ class Views:
         self.keyframes.append(keyframe)
         del self.keyframes[: -self._settings.kept_keyframes]
 
-    def nearest(self, T_world_camera: FloatArray) -> Keyframe:
+    def nearest(self, T_map_camera: FloatArray) -> Keyframe:
         """The keyframe whose view is nearest to one from there (4, 4)."""
-        T_world_keyframe = np.array([keyframe.reference.T_world_reference for keyframe in self.keyframes])
-        return self.keyframes[int(np.argmin(se3.view_shift_m(se3.invert(T_world_keyframe) @ T_world_camera)))]
+        T_map_keyframe = np.array([keyframe.reference.T_map_reference for keyframe in self.keyframes])
+        return self.keyframes[int(np.argmin(se3.view_shift_m(se3.invert(T_map_keyframe) @ T_map_camera)))]
 
     def lack(self, found: Tracked, *, is_helped: bool) -> bool:
         """Whether a frame is to become a keyframe: the last one shows too little of it; beside a map, by the way."""
@@ -77,37 +78,37 @@ class Views:
             # Alone, a frame that only the one before could place is none: people's backs would carry the camera along.
             is_settled = found.is_by_keyframe or not is_helped
             return found.overlap < self._settings.keyframe_overlap or not is_settled
-        nearest = self.nearest(found.T_world_camera)
-        return nearest.distance_m(found.T_world_camera) > self._settings.keyframe_way_m
+        nearest = self.nearest(found.T_map_camera)
+        return nearest.distance_m(found.T_map_camera) > self._settings.keyframe_way_m
 
-    def around(self, T_world_camera: FloatArray, failures: int) -> Iterator[Keyframe]:
+    def around(self, T_map_camera: FloatArray, failures: int) -> Iterator[Keyframe]:
         """What the model predicts, then the newest keyframe; after failures the nearest; once lost, others in turn."""
         for keyframe in self.keyframes[:-_AT_HAND]:
             keyframe.reference.forget()
         if self._model is not None:
-            yield self._predicted(self._model, T_world_camera, afresh=failures > 0)
+            yield self._predicted(self._model, T_map_camera, afresh=failures > 0)
         yield self.keyframes[-1]
         if failures:
-            yield self.nearest(T_world_camera)
+            yield self.nearest(T_map_camera)
         yield from self._in_turn(failures)
 
-    def familiar(self, T_world_camera: FloatArray, failures: int) -> list[Keyframe]:
+    def familiar(self, T_map_camera: FloatArray, failures: int) -> list[Keyframe]:
         """Keyframes that a frame may show: the nearest, the newest, and once lost an older one in turn."""
-        keyframes = [self.nearest(T_world_camera), self.keyframes[-1], *self._in_turn(failures)]
+        keyframes = [self.nearest(T_map_camera), self.keyframes[-1], *self._in_turn(failures)]
         return list(dict.fromkeys(keyframes))
 
     def _in_turn(self, failures: int) -> Iterator[Keyframe]:
         if failures >= self._settings.lost_after:
             yield self.keyframes[-1 - failures % len(self.keyframes)]
 
-    def _predicted(self, model: ReferenceModel, T_world_camera: FloatArray, *, afresh: bool) -> Keyframe:
+    def _predicted(self, model: ReferenceModel, T_map_camera: FloatArray, *, afresh: bool) -> Keyframe:
         """What the model looks like from there; one view serves for some frames, while the camera is near."""
         known, served = self._prediction
-        is_near = known is not None and known.distance_m(T_world_camera) < self._settings.predicted_way_m
+        is_near = known is not None and known.distance_m(T_map_camera) < self._settings.predicted_way_m
         if known is None or afresh or not is_near or served >= self._settings.predicted_frames:
             with self._watch.stage("predict"):
-                view = model.predict(T_world_camera, self._gridder.intrinsics, self._gridder.shape)
-                reference = self._maker.of_view(view, T_world_camera, self._gridder.intrinsics)
-            known, served = Keyframe(reference, self.nearest(T_world_camera).covariance), 0
+                view = model.predict(T_map_camera, self._gridder.intrinsics, self._gridder.shape)
+                reference = self._maker.of_view(view, T_map_camera, self._gridder.intrinsics)
+            known, served = Keyframe(reference, self.nearest(T_map_camera).covariance), 0
         self._prediction = known, served + 1
         return known

@@ -16,9 +16,10 @@ from wheelsight.odometry.dense import _alignment_kernels as kernels
 from wheelsight.odometry.dense import _shown_kernels as shown
 from wheelsight.odometry.dense import _step_kernels as steps
 from wheelsight.odometry.dense._turn_kernels import find_turn
-from wheelsight.odometry.dense.grid import Gridder, GridFrame, Level, Rows
+from wheelsight.odometry.dense.grid import Gridder, GridFrame, Level
 from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.threads import Rows
 
 # Of a twist (v, ω) in the base's frame, what wheels do not roll: sideways, up, roll and pitch.
 _NOT_ROLLED = [1, 2, 3, 4]

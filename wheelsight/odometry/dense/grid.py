@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,42 +13,14 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera
 from wheelsight.odometry.dense import _grid_kernels as kernels
 from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.threads import Rows
 
-# Images lower than this are done sooner by one thread than handed to several.
-_FEWEST_ROWS = 100
-# A thread that is done early takes another part: rows are not all the same work, nor are threads there at once.
-_PARTS_A_THREAD = 2
 _NO_IMAGE = np.empty((0, 0), np.float32)
 # An image is dark if fewer of its pixels than this share are brighter than this: what is left in the dark is noise.
 _DARK_SHARE, _DARK_GREY = 0.01, 12
 _BRIGHTEST = np.float32(255)
 # Of the pixels asked whether it is dark, the distance.
 _DARK_STRIDE = 8
-
-
-class Rows:
-    """Shares the rows of an image among threads; the outcome does not depend on how many."""
-
-    def __init__(self, threads: int) -> None:
-        self._threads = threads
-        self._pool = ThreadPoolExecutor(threads, "wheelsight-dense") if threads > 1 else None
-
-    def share(self, height: int, work: Callable[[int, int], None]) -> None:
-        """Call `work(begin, end)` until all rows below `height` are done."""
-        if self._pool is None or height < _FEWEST_ROWS:
-            work(0, height)
-            return
-        todo, parts = itertools.count(), _PARTS_A_THREAD * self._threads
-
-        def take() -> None:
-            while (part := next(todo)) < parts:
-                work(height * part // parts, height * (part + 1) // parts)
-
-        others = [self._pool.submit(take) for _ in range(1, self._threads)]
-        take()
-        for other in others:
-            if not other.cancel():
-                other.result()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

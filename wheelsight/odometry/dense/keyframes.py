@@ -38,12 +38,12 @@ class Keyframe:
 
     def with_motion(self, covariance: FloatArray) -> FloatArray:
         """The covariance (6, 6) of a pose that lies off this one by a motion with its covariance (6, 6)."""
-        Ad = se3.adjoint(self.reference.T_world_reference)
+        Ad = se3.adjoint(self.reference.T_map_reference)
         return np.asarray(self.covariance + Ad @ covariance @ Ad.T)
 
-    def distance_m(self, T_world_camera: FloatArray) -> float:
+    def distance_m(self, T_map_camera: FloatArray) -> float:
         """How far a view from there (4, 4) is from this one; a turn by a radian counts as 1.5 m."""
-        return float(se3.view_shift_m(se3.invert(self.reference.T_world_reference) @ T_world_camera))
+        return float(se3.view_shift_m(se3.invert(self.reference.T_map_reference) @ T_map_camera))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,12 +51,12 @@ class Sighting:
     """Where a frame is by its keypoints.
 
     Attributes:
-        T_world_camera: (4, 4).
+        T_map_camera: (4, 4).
         covariance: (6, 6) of its left perturbation (v, ω), that of the keyframe included.
         matches: keypoints that were matched; inliers: those that agree.
     """
 
-    T_world_camera: FloatArray
+    T_map_camera: FloatArray
     covariance: FloatArray
     matches: int
     inliers: int
@@ -71,19 +71,19 @@ class Sighting:
         """Whether keypoints are to be believed even where surfaces say otherwise."""
         return self.inliers >= max(_CLEAR_INLIERS, _CLEAR_SHARE * self.matches)
 
-    def agrees_with(self, T_world_camera: FloatArray) -> bool:
+    def agrees_with(self, T_map_camera: FloatArray) -> bool:
         """Whether a pose (4, 4) is as near as two ways to find one leave them."""
-        T = se3.invert(self.T_world_camera) @ T_world_camera
+        T = se3.invert(self.T_map_camera) @ T_map_camera
         apart = max(float(np.linalg.norm(T[:3, 3])) / _AGREE_M, float(so3.angle(T[:3, :3])) / _AGREE_RAD)
-        off = se3.log(self.T_world_camera @ se3.invert(T_world_camera))
+        off = se3.log(self.T_map_camera @ se3.invert(T_map_camera))
         return bool(apart < 1 or (apart < _VAGUE and off @ np.linalg.solve(self.covariance, off) < _CHI2))
 
-    def motion_from(self, T_world_reference: FloatArray) -> MotionEstimate:
+    def motion_from(self, T_map_reference: FloatArray) -> MotionEstimate:
         """As a motion against a reference at (4, 4)."""
-        T_reference_world = se3.invert(T_world_reference)
-        Ad = se3.adjoint(T_reference_world)
+        T_reference_map = se3.invert(T_map_reference)
+        Ad = se3.adjoint(T_reference_map)
         counts = (None, self.matches, self.inliers)
-        return MotionEstimate(T_reference_world @ self.T_world_camera, Ad @ self.covariance @ Ad.T, *counts)
+        return MotionEstimate(T_reference_map @ self.T_map_camera, Ad @ self.covariance @ Ad.T, *counts)
 
 
 class Witness:
@@ -110,11 +110,11 @@ class Witness:
             frame = replace(frame, depth_m=np.asarray(depth_m, np.float32))
         return self._extractor.extract(frame)
 
-    def view(self, features: Features, T_world_camera: FloatArray, covariance: FloatArray, twist: FloatArray) -> View:
+    def view(self, features: Features, T_map_camera: FloatArray, covariance: FloatArray, twist: FloatArray) -> View:
         """Features of a keyframe whose pose (4, 4), and velocity (6,) in its own frame, are known."""
-        T_world_color = T_world_camera @ se3.invert(self._T_color_camera)
+        T_map_color = T_map_camera @ se3.invert(self._T_color_camera)
         straight = self._tracker.straighten(features, se3.adjoint(self._T_color_camera) @ twist)
-        return View(straight, T_world_color, covariance, np.full(len(features), -1))
+        return View(straight, T_map_color, covariance, np.full(len(features), -1))
 
     def locate(self, features: Features, keyframes: Iterable[Keyframe], twist: FloatArray) -> Sighting | None:
         """Where a frame is by the first keyframe that it shows; None where it shows none."""
@@ -124,8 +124,8 @@ class Witness:
             if keyframe.view is not None:
                 found = self._tracker.track(features, keyframe.view, velocity, None, self._asked)
                 if isinstance(found, Fix):
-                    T_world_camera = np.asarray(found.view.T_world_color @ self._T_color_camera)
-                    return Sighting(T_world_camera, found.view.covariance, found.motion.matches, found.motion.inliers)
+                    T_map_camera = np.asarray(found.view.T_map_color @ self._T_color_camera)
+                    return Sighting(T_map_camera, found.view.covariance, found.motion.matches, found.motion.inliers)
         return None
 
 

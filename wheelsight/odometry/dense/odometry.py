@@ -20,12 +20,14 @@ from wheelsight.odometry.dense._tracked import Expected, Surface, Told, Tracked,
 from wheelsight.odometry.dense._two_ways import met
 from wheelsight.odometry.dense._views import Views
 from wheelsight.odometry.dense.alignment import Aligner, Step
-from wheelsight.odometry.dense.grid import Gridder, GridFrame, Rows
+from wheelsight.odometry.dense.grid import Gridder, GridFrame
 from wheelsight.odometry.dense.keyframes import Keyframe, Witness
 from wheelsight.odometry.dense.observability import Prior, judge
-from wheelsight.odometry.dense.reference import ReferenceMaker, ReferenceModel
+from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.features.extraction import Features
+from wheelsight.threads import Rows
+from wheelsight.views import ReferenceModel
 
 _START_VARIANCE = 1e-12
 # Of a frame's resolution, what a keyframe must have to show it: along a corridor a frame is 3 mm off at half of it, and
@@ -40,7 +42,7 @@ _STRAIGHT_ENOUGH_PX = 0.3, 1.0
 class DenseOdometry:
     """Aligns each frame with a keyframe, with the previous frame, or with what a map predicts.
 
-    The first frame with depth starts the world. A turn is found first, by grey values alone; then depth and grey are
+    The first frame with depth starts the map. A turn is found first, by grey values alone; then depth and grey are
     aligned from coarse to fine. Directions of motion that the view does not show are left to the prior and named.
     A frame that fails is counted; after `lost_after` in a row the state is LOST, until a keyframe is recognised.
 
@@ -48,7 +50,7 @@ class DenseOdometry:
         calibration: of the cameras.
         settings: or the defaults.
         model: what predicts the view to align with, if anything does.
-        T_world_first: (4, 4) where the camera is at the first frame with depth; by default at the world's origin.
+        T_map_first: (4, 4) where the camera is at the first frame with depth; by default at the map's origin.
 
     Attributes:
         last_motion: of the last frame against its reference.
@@ -61,7 +63,7 @@ class DenseOdometry:
         calibration: Calibration,
         settings: DenseSettings | None = None,
         model: ReferenceModel | None = None,
-        T_world_first: FloatArray | None = None,
+        T_map_first: FloatArray | None = None,
     ) -> None:
         self._calibration, self._settings = calibration, settings or DenseSettings()
         rows = Rows(self._settings.threads)
@@ -73,7 +75,7 @@ class DenseOdometry:
         self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
         self._doubt = Doubt(self._settings)
         self._falloff = Falloff(self._gridder, self._settings)
-        self._T_world_first = np.eye(4) if T_world_first is None else np.asarray(T_world_first, float)
+        self._T_map_first = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
         self._first: RgbdFrame | None = None
         self._last: Tracked | None = None
         self._failures = 0
@@ -110,7 +112,7 @@ class DenseOdometry:
         *,
         twist: FloatArray | None = None,
     ) -> Estimate:
-        """The camera's pose at a frame, T_world_camera, or why there is none. Raises ArgumentError for no frame.
+        """The camera's pose at a frame, T_map_camera, or why there is none. Raises ArgumentError for no frame.
 
         Args:
             frame: newer than the one before.
@@ -128,7 +130,7 @@ class DenseOdometry:
         last = self._last
         if last is None:
             self._first = frame
-            return self._begin(frame, self._T_world_first, _START_VARIANCE * np.eye(6))
+            return self._begin(frame, self._T_map_first, _START_VARIANCE * np.eye(6))
         told = Told(T_previous_current_prior, T_previous_current_other, twist)
         found = self._find(frame, last, told)
         is_blind = not isinstance(found, Tracked) and found.reason is Reason.TOO_LITTLE_DEPTH
@@ -160,22 +162,22 @@ class DenseOdometry:
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
     def refer_to(self, model: ReferenceModel | None) -> None:
-        """Align frames from now on with what a model predicts that stands in this world, or with keyframes alone."""
+        """Align frames from now on with what a model predicts that stands in this map, or with keyframes alone."""
         self._views.refer_to(model)
 
-    def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
+    def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Estimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
-        check_frame(frame, self._calibration, T_world_camera=T_world_camera, covariance=covariance)
+        check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
         self.watch.restart()
         self._first, self._doubt.unseen_s = None, 0.0
-        return self._begin(frame, T_world_camera, covariance)
+        return self._begin(frame, T_map_camera, covariance)
 
-    def _begin(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
+    def _begin(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Estimate:
         with self.watch.stage("prepare"):
             grid = self._gridder.on_grid(frame, np.zeros(6))
         if grid.depth_share < self._settings.min_depth_share:
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
-        start = Tracked(grid, T_world_camera, covariance)
+        start = Tracked(grid, T_map_camera, covariance)
         with self.watch.stage("keyframe"):
             self._views.begin(self._keyframe(start, self._witness.look(frame)))
         self.last_motion = MotionEstimate(np.eye(4), _START_VARIANCE * np.eye(6))
@@ -189,14 +191,14 @@ class DenseOdometry:
         self._last = replace(self._last, frame=self._gridder.on_grid(first, found.twist), twist=found.twist)
         keyframe = self._keyframe(self._last, self._witness.look(first))
         self._views.keyframes[:] = [keyframe]
-        return self._align(found.frame, keyframe, self._last, ahead, [found.T_world_camera])
+        return self._align(found.frame, keyframe, self._last, ahead, [found.T_map_camera])
 
     def _locate(self, grid: GridFrame, last: Tracked, ahead: Expected) -> Tracked | MotionEstimate:
-        """Align with the first reference that fits, beginning at the best of the expected poses T_world_camera."""
+        """Align with the first reference that fits, beginning at the best of the expected poses T_map_camera."""
         failure: MotionEstimate | None = None
         for place, view in enumerate(self._references(last, ahead)):
             is_elsewhere = place > 0 and self._is_lost
-            begun = (view.reference.T_world_reference,) if is_elsewhere else ahead.T_world_camera
+            begun = (view.reference.T_map_reference,) if is_elsewhere else ahead.T_map_camera
             found = self._align(grid, view, last, ahead, begun)
             if isinstance(found, Tracked):
                 return self._seen_sharper(found, view, last, ahead)
@@ -206,7 +208,7 @@ class DenseOdometry:
 
     def _references(self, last: Tracked, ahead: Expected) -> Iterator[Keyframe]:
         """Views from about there; while no frame has failed, the frame before too."""
-        yield from self._views.around(ahead.T_world_camera[0], self._failures)
+        yield from self._views.around(ahead.T_map_camera[0], self._failures)
         if self._failures == 0:
             yield self._keyframe(last)
 
@@ -219,7 +221,7 @@ class DenseOdometry:
         if not self._views.has_model or self._failures or motion.shows_all:
             return found
         for keyframe, is_held in [(self._keyframe(last), False), (by, True)][: 1 if ahead.is_helped else 2]:
-            again = self._align(found.frame, keyframe, last, ahead, ahead.T_world_camera, is_held=is_held)
+            again = self._align(found.frame, keyframe, last, ahead, ahead.T_map_camera, is_held=is_held)
             if isinstance(again, Tracked) and (is_held or self.last_motion.shows_all):
                 return again
         self.last_motion = motion
@@ -239,22 +241,22 @@ class DenseOdometry:
         *,
         is_held: bool = False,
     ) -> Tracked | MotionEstimate:
-        """Where a frame is by one view, begun at the best of some poses T_world_camera; or why that is not known."""
+        """Where a frame is by one view, begun at the best of some poses T_map_camera; or why that is not known."""
         reference, seconds = keyframe.reference, grid.stamp_s - last.frame.stamp_s
-        T_reference_world = se3.invert(reference.T_world_reference)
-        step = Step(T_reference_world @ last.T_world_camera, seconds) if seconds <= LONGEST_STEP_S else None
+        T_reference_map = se3.invert(reference.T_map_reference)
+        step = Step(T_reference_map @ last.T_map_camera, seconds) if seconds <= LONGEST_STEP_S else None
         sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
         # One's own guess is held only where nothing tells more: what noise pulls off is to betray itself by a leap.
         held_m = sigma_m if ahead.is_helped or is_held else np.inf, self._settings.nonholonomic_share * sigma_m
         with self.watch.stage("align"):
-            starts = [self._aligner.start(grid, reference, [T_reference_world @ T for T in begun])]
-            if ahead.T_world_other is not None:
-                starts.append(self._aligner.turn(grid, reference, T_reference_world @ ahead.T_world_other))
+            starts = [self._aligner.start(grid, reference, [T_reference_map @ T for T in begun])]
+            if ahead.T_map_other is not None:
+                starts.append(self._aligner.turn(grid, reference, T_reference_map @ ahead.T_map_other))
             found = self._aligner.align_clearest(grid, reference, starts, step, held_m)
-        first, *others = (T_reference_world @ T for T in ahead.T_world_camera)
+        first, *others = (T_reference_map @ T for T in ahead.T_map_camera)
         judged = judge(found, Prior(first, sigma_m, tuple(others)), self._settings)
-        T_world_camera = se3.nearest(reference.T_world_reference @ judged.T_reference_frame)
-        reason = judged.reason or implausible(last, T_world_camera, seconds, self._settings)
+        T_map_camera = se3.nearest(reference.T_map_reference @ judged.T_reference_frame)
+        reason = judged.reason or implausible(last, T_map_camera, seconds, self._settings)
         if reason is not None:
             return MotionEstimate.failed(reason, found.pairs, found.planes)
         counts = (None, found.pairs, found.planes, judged.degenerate)
@@ -262,7 +264,7 @@ class DenseOdometry:
         twist = step.twist_to(judged.T_reference_frame) if step else grid.twist
         overlap = found.planes / max(found.points, 1) * fine_share(grid, judged.T_reference_frame, _FINE)
         fit = (overlap, keyframe in self._views.keyframes, found.residual)
-        return Tracked(grid, T_world_camera, keyframe.with_motion(judged.covariance), twist, *fit)
+        return Tracked(grid, T_map_camera, keyframe.with_motion(judged.covariance), twist, *fit)
 
     def _doubted(
         self, frame: RgbdFrame, last: Tracked, found: Tracked | MotionEstimate, grid: GridFrame, ahead: Expected
@@ -303,7 +305,7 @@ class DenseOdometry:
         Unless they are needed, it is kept as well where too few of them tell anything.
         """
         with self.watch.stage("recognise"):
-            T_guess = found.T_world_camera if isinstance(found, Tracked) else last.T_world_camera
+            T_guess = found.T_map_camera if isinstance(found, Tracked) else last.T_map_camera
             features, familiar = self._witness.look(frame), self._views.familiar(T_guess, self._failures)
             told = self._witness.locate(features, familiar, grid.twist)
         if not is_needed and (told is None or not told.is_likely):
@@ -312,17 +314,17 @@ class DenseOdometry:
         if told is None or (is_anywhere and not told.is_likely):
             missing = Reason.DEGENERATE if self._doubt.is_blind and not ahead.is_helped else Reason.NOT_RECOGNISED
             return MotionEstimate.failed(missing) if isinstance(found, Tracked) else found
-        if not isinstance(found, Tracked) or not told.agrees_with(found.T_world_camera):
-            found = self._locate(grid, last, ahead.at(told.T_world_camera))
-            if isinstance(found, Tracked) and not told.agrees_with(found.T_world_camera):
+        if not isinstance(found, Tracked) or not told.agrees_with(found.T_map_camera):
+            found = self._locate(grid, last, ahead.at(told.T_map_camera))
+            if isinstance(found, Tracked) and not told.agrees_with(found.T_map_camera):
                 # The rolling shutter bends keypoints by the speed expected; surfaces have corrected it.
                 told = self._witness.locate(features, familiar, found.twist) or told
-        if not (isinstance(found, Tracked) and told.agrees_with(found.T_world_camera)):
+        if not (isinstance(found, Tracked) and told.agrees_with(found.T_map_camera)):
             if not told.is_clear:
                 return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED, told.matches, told.inliers)
             # Between two frames keypoints err by more than a camera's speed changes.
-            found = Tracked(grid, se3.nearest(told.T_world_camera), told.covariance, grid.twist)
-            self.last_motion = told.motion_from(self._views.nearest(told.T_world_camera).reference.T_world_reference)
+            found = Tracked(grid, se3.nearest(told.T_map_camera), told.covariance, grid.twist)
+            self.last_motion = told.motion_from(self._views.nearest(told.T_map_camera).reference.T_map_reference)
         self._doubt.unseen_s = 0.0  # keypoints show all motion
         return found
 
@@ -340,20 +342,20 @@ class DenseOdometry:
         straight = self._straightened(frame, self._told_by_two(found, ahead))
         features = self._witness.look(frame)
         told = self._witness.locate(features, self._views.keyframes[-1:], found.twist)
-        if told is not None and not told.agrees_with(found.T_world_camera) and (told.is_clear or not ahead.is_helped):
+        if told is not None and not told.agrees_with(found.T_map_camera) and (told.is_clear or not ahead.is_helped):
             return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED)
-        self._falloff.learn(straight.frame, straight.T_world_camera, self._views.keyframes[-1].reference)
+        self._falloff.learn(straight.frame, straight.T_map_camera, self._views.keyframes[-1].reference)
         self._views.keep(self._keyframe(straight, features))
         return straight
 
     def _seen_from_before(self, found: Tracked, ahead: Expected) -> Tracked | None:
         """The frame by an older keyframe that is nearer and shows the same, which ends the drift, if there is one."""
-        nearest = self._views.nearest(found.T_world_camera)
+        nearest = self._views.nearest(found.T_map_camera)
         if self._views.has_model or nearest is self._views.keyframes[-1] or self._last is None:
             return None
         motion = self.last_motion
-        here = ahead.at(found.T_world_camera)
-        seen = self._align(found.frame, nearest, self._last, here, here.T_world_camera)
+        here = ahead.at(found.T_map_camera)
+        seen = self._align(found.frame, nearest, self._last, here, here.T_map_camera)
         if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
             self._views.keep(nearest)
             return seen
@@ -365,12 +367,12 @@ class DenseOdometry:
         before = self._views.keyframes[-2:-1]
         if not before or self._views.has_model or self._last is None or not found.is_by_keyframe:
             return found
-        short, here = self.last_motion, ahead.at(found.T_world_camera)
-        seen = self._align(found.frame, before[0], self._last, here, here.T_world_camera)
+        short, here = self.last_motion, ahead.at(found.T_map_camera)
+        seen = self._align(found.frame, before[0], self._last, here, here.T_map_camera)
         long, self.last_motion = self.last_motion, short
         if not isinstance(seen, Tracked):
             return found
-        return replace(found, T_world_camera=met(found.T_world_camera, short, seen.T_world_camera, long))
+        return replace(found, T_map_camera=met(found.T_map_camera, short, seen.T_map_camera, long))
 
     def _straightened(self, frame: RgbdFrame, found: Tracked, *, is_kept: bool = True) -> Tracked:
         """The same frame, its rows straightened by the speed that was found rather than the one expected."""
@@ -380,14 +382,14 @@ class DenseOdometry:
         return replace(found, frame=self._gridder.on_grid(frame, found.twist))
 
     def _keyframe(self, tracked: Tracked, features: Features | None = None) -> Keyframe:
-        T, covariance = tracked.T_world_camera, tracked.covariance
+        T, covariance = tracked.T_map_camera, tracked.covariance
         view = None if features is None else self._witness.view(features, T, covariance, tracked.twist)
         return Keyframe(self._maker.of_frame(tracked.frame, T), covariance, view)
 
     def _accept(self, found: Tracked) -> Estimate:
         self._last, self._failures, self.last_frame = found, 0, found.frame
         self._doubt.learn(found)
-        motion, pose = self.last_motion, (found.T_world_camera, found.covariance)
+        motion, pose = self.last_motion, (found.T_map_camera, found.covariance)
         return Estimate(found.frame.stamp_s, Status.TRACKING, *pose, matches=motion.matches, inliers=motion.inliers)
 
     def _fail(self, stamp_s: float, failure: MotionEstimate) -> Estimate:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -12,8 +11,10 @@ from wheelsight.calibration import DepthNoise
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.odometry.dense import _reference_kernels as kernels
 from wheelsight.odometry.dense._alignment_kernels import CHANNELS
-from wheelsight.odometry.dense.grid import GridFrame, Level, Rows, coarser
+from wheelsight.odometry.dense.grid import GridFrame, Level, coarser
 from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.threads import Rows
+from wheelsight.views import PredictedView
 
 # Standard deviations of depth by which neighbours differ at most by noise: √2 times three.
 _SPREAD = 4.2
@@ -24,28 +25,6 @@ _AS_NOISY, _MAPPED = 0.5, 1.0
 # What stands out before a surface by this share of its depth and so many standard deviations hems it with its own grey,
 # which moves as what stands out does.
 _HEM, _HEM_SIGMAS = 0.02, 3.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedView:
-    """What a model looks like from a pose, on the ideal grid at the finest level.
-
-    Attributes:
-        depth_m: (h, w) float32, 0 where the model has nothing.
-        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
-        grey: (h, w) float32, -1 where unknown.
-    """
-
-    depth_m: Float32Array
-    normal: Float32Array
-    grey: Float32Array
-
-
-class ReferenceModel(Protocol):
-    """Predicts what the camera sees from a pose: a surfel map, for instance."""
-
-    def predict(self, T_world_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
-        """The view (h, w) = `shape` of a camera with `intrinsics` (4,) fx, fy, cx, cy at a pose (4, 4)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,17 +74,17 @@ class Reference:
     Its scales are made when they are asked for, and may be forgotten: the frame they are made of takes a sixth of them.
 
     Attributes:
-        T_world_reference: (4, 4).
+        T_map_reference: (4, 4).
         own_noise: how much of what a frame is off this is the frame's own noise.
         falloff: the exponent by which its grey was evened.
     """
 
-    __slots__ = ("T_world_reference", "_made", "_make", "falloff", "own_noise")
+    __slots__ = ("T_map_reference", "_made", "_make", "falloff", "own_noise")
 
     def __init__(
-        self, T_world_reference: FloatArray, make: Callable[[], Scales], own_noise: float, falloff: float = 0.0
+        self, T_map_reference: FloatArray, make: Callable[[], Scales], own_noise: float, falloff: float = 0.0
     ) -> None:
-        self.T_world_reference, self.own_noise, self.falloff = T_world_reference, own_noise, falloff
+        self.T_map_reference, self.own_noise, self.falloff = T_map_reference, own_noise, falloff
         self._make = make
         self._made: Scales | None = None
 
@@ -139,23 +118,23 @@ class ReferenceMaker:
         self._settings, self._rows = settings, rows
         self._hem = self._step(_HEM, _HEM_SIGMAS)
 
-    def of_frame(self, frame: GridFrame, T_world_camera: FloatArray) -> Reference:
+    def of_frame(self, frame: GridFrame, T_map_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
 
         def make() -> Scales:
             levels = tuple(self._level(level, self.normals(level)) for level in frame.levels)
             return Scales(levels, self._steep(frame.levels))
 
-        return Reference(T_world_camera, make, _AS_NOISY, frame.falloff)
+        return Reference(T_map_camera, make, _AS_NOISY, frame.falloff)
 
-    def of_view(self, view: PredictedView, T_world_camera: FloatArray, intrinsics: FloatArray) -> Reference:
+    def of_view(self, view: PredictedView, T_map_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
         finest = Level(intrinsics, view.depth_m, view.grey)
         levels = coarser(finest, self._settings, self._rows)
         fitted = (self._level(level, self.normals(level)) for level in levels[1:])
         pyramid = (self._level(finest, view.normal), *fitted)
         scales = Scales(pyramid, self._steep(levels))
-        return Reference(T_world_camera, lambda: scales, _MAPPED)
+        return Reference(T_map_camera, lambda: scales, _MAPPED)
 
     def shown_by(self, frame: GridFrame) -> Shown:
         """What a frame itself shows."""

@@ -36,7 +36,7 @@ def refuse_if_hardly_moving(drive: Drive, wheels: Wheels) -> None:
     if len(samples) < 2:
         raise CalibrationError(f"the wheels tell of {np.ptp(drive.stamps_s):.2f} s only", fix=WHAT_TO_DRIVE)
     path = drive_path(drive, wheels, samples - wheels.delay_s)
-    yaw_rad = np.unwrap(np.arctan2(path.T_world_body[:, 1, 0], path.T_world_body[:, 0, 0]))
+    yaw_rad = np.unwrap(np.arctan2(path.T_frame_body[:, 1, 0], path.T_frame_body[:, 0, 0]))
     turned_rad = float(np.abs(np.diff(yaw_rad)).sum())
     if path.length_m < _LEAST_WAY_M and turned_rad < _LEAST_TURN_RAD:
         raise CalibrationError(f"by its wheels the robot stands, it goes {path.length_m:.2f} m", fix=WHAT_TO_DRIVE)

@@ -74,9 +74,9 @@ def level_rotation(up_camera: FloatArray) -> FloatArray:
 
 
 def levelled(camera: Trajectory, up_camera: FloatArray) -> Trajectory:
-    """T_world_level of a frame that sits where the camera does, from T_world_camera."""
+    """T_map_level of a frame that sits where the camera does, from T_map_camera."""
     T_camera_level = se3.from_parts(level_rotation(up_camera), np.zeros(3))
-    return Trajectory(camera.stamps_s, camera.T_world_body @ T_camera_level, body="base")
+    return Trajectory(camera.stamps_s, camera.T_frame_body @ T_camera_level, body="base")
 
 
 def cut_level(drive: Drive, wheels: Wheels, level: Trajectory) -> Segments:

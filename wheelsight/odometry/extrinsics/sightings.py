@@ -29,7 +29,7 @@ class Sightings:
 
     Attributes:
         drive: the wheels' readings.
-        camera: T_world_camera of the frames that were tracked in all directions, by dense odometry; its world is the
+        camera: T_map_camera of the frames that were tracked in all directions, by dense odometry; its map is the
             first of them.
         frame_count: of all frames, lost ones included.
         span_s: stamps of the first and last of them; NaN without any.
@@ -72,8 +72,8 @@ def watch(recording: Recording, wheels: Wheels, on_frame: Callable[[str], None] 
         else:
             continue
         frame_count, span_s = frame_count + 1, (event.stamp_s if not frame_count else span_s[0], event.stamp_s)
-        if estimate.T_world_body is not None and odometry.last_motion.shows_all:
-            poses.append((estimate.stamp_s, estimate.T_world_body))
+        if estimate.T_odom_body is not None and odometry.last_motion.shows_all:
+            poses.append((estimate.stamp_s, estimate.T_odom_body))
         on_frame(estimate.status)
     stamps_s = np.array([stamp_s for stamp_s, _ in poses])
     motions = np.array([T for _, T in poses]).reshape(-1, 4, 4)

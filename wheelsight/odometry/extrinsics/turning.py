@@ -39,13 +39,13 @@ class Turning:
 
 
 def common_turning(drive: Drive, wheels: Wheels, camera: Trajectory) -> Turning:
-    """The axis and delay for which the turns of `camera` (T_world_camera) and of the wheels agree best.
+    """The axis and delay for which the turns of `camera` (T_map_camera) and of the wheels agree best.
 
     Turns that share no time with the readings, at a delay, have no say in it; where fewer than half do, the delay is
     not considered. Without turns the agreement is 0.
     """
     start, end = _intervals(camera.stamps_s)
-    turns = so3.log(se3.invert(camera.T_world_body[start])[:, :3, :3] @ camera.T_world_body[end, :3, :3])
+    turns = so3.log(se3.invert(camera.T_frame_body[start])[:, :3, :3] @ camera.T_frame_body[end, :3, :3])
     steps = round(LARGEST_OFFSET_S / _STEP_S)
     best = Turning(np.array([0.0, -1.0, 0.0]), wheels.delay_s, 0.0)
     for delay_s in wheels.delay_s + _STEP_S * np.arange(-steps, steps + 1):

@@ -20,13 +20,13 @@ class View:
 
     Attributes:
         features: of the frame.
-        T_world_color: (4, 4) its colour camera's pose.
+        T_map_color: (4, 4) its colour camera's pose.
         covariance: (6, 6) of the left perturbation of that pose.
         landmark: (N,) number of the landmark each keypoint shows, -1 for none.
     """
 
     features: Features
-    T_world_color: FloatArray
+    T_map_color: FloatArray
     covariance: FloatArray
     landmark: IntArray
 
@@ -37,7 +37,7 @@ class LandmarkMap:
     Attributes:
         keyframes: those kept, oldest first.
         numbers: (L,) of the landmarks, growing.
-        points: (L, 3) in the world, metres.
+        points: (L, 3) in the map, metres.
         descriptors: (L, 4) of the last view.
         sightings: (L,) how often each was seen.
     """
@@ -64,24 +64,24 @@ class LandmarkMap:
         landmark[new] = self._next_number + np.arange(len(new))
         self._next_number += len(new)
         self.numbers = np.concatenate([self.numbers, landmark[new]])
-        self.points = np.concatenate([self.points, se3.apply(view.T_world_color, features.points[new])])
+        self.points = np.concatenate([self.points, se3.apply(view.T_map_color, features.points[new])])
         self.descriptors = np.concatenate([self.descriptors, features.descriptors[new]])
         self.sightings = np.concatenate([self.sightings, np.ones(len(new))])
         self._weight = np.concatenate([self._weight, features.sigma_m[new] ** -2.0])
         self._last_keyframe = np.concatenate([self._last_keyframe, np.full(len(new), number)])
-        keyframe = View(features, view.T_world_color, view.covariance, landmark)
+        keyframe = View(features, view.T_map_color, view.covariance, landmark)
         self.keyframes.append(keyframe)
         if len(self.keyframes) > self._kept_keyframes:
             self._forget_oldest()
         return keyframe
 
-    def near(self, T_world_color: FloatArray, count: int) -> IntArray:
+    def near(self, T_map_color: FloatArray, count: int) -> IntArray:
         """Numbers (M,) of landmarks last kept by the `count` keyframes that look where this camera (4, 4) looks."""
         if len(self.keyframes) <= count:
             return self.numbers
-        views = np.array([keyframe.T_world_color for keyframe in self.keyframes])
+        views = np.array([keyframe.T_map_color for keyframe in self.keyframes])
         ahead = views[:, :3, 3] + _VIEW_DISTANCE_M * views[:, :3, 2]
-        here = T_world_color[:3, 3] + _VIEW_DISTANCE_M * T_world_color[:3, 2]
+        here = T_map_color[:3, 3] + _VIEW_DISTANCE_M * T_map_color[:3, 2]
         chosen = np.zeros(len(self.keyframes), bool)
         chosen[np.argsort(np.linalg.norm(ahead - here, axis=1), kind="stable")[:count]] = True
         return self.numbers[chosen[self._last_keyframe - self._forgotten]]
@@ -95,7 +95,7 @@ class LandmarkMap:
         """(M,) which of the landmarks (M,) are still held."""
         return np.isin(numbers, self.numbers, assume_unique=True)
 
-    def see_again(self, numbers: IntArray, features: Features, seen: IntArray, T_world_color: FloatArray) -> None:
+    def see_again(self, numbers: IntArray, features: Features, seen: IntArray, T_map_color: FloatArray) -> None:
         """Average landmarks (M,) with the points that keypoints `seen` (M,) show of them, each weighted by 1/σ_z²."""
         rows = self._rows(numbers)
         self.descriptors[rows] = features.descriptors[seen]
@@ -104,8 +104,8 @@ class LandmarkMap:
         rows, seen = rows[lifted], seen[lifted]
         weight = features.sigma_m[seen] ** -2.0
         total = self._weight[rows] + weight
-        p_world = se3.apply(T_world_color, features.points[seen])
-        self.points[rows] += (weight / total)[:, None] * (p_world - self.points[rows])
+        p_map = se3.apply(T_map_color, features.points[seen])
+        self.points[rows] += (weight / total)[:, None] * (p_map - self.points[rows])
         self._weight[rows] = total
 
     def _rows(self, numbers: IntArray) -> IntArray:

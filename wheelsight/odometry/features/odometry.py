@@ -18,7 +18,7 @@ from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
 
-# Of a fresh start: nothing is uncertain about where the world begins, but no covariance may be singular.
+# Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
 _START_VARIANCE = 1e-12
 
 
@@ -41,14 +41,14 @@ class MatchedPixels:
 class FeatureOdometry:
     """ORB + 3D–3D alignment with the state machine of Zhang's Fig. 3, and recovery.
 
-    The first frame with enough keypoints starts the world. Each later frame is aligned with the frame tracked last
+    The first frame with enough keypoints starts the map. Each later frame is aligned with the frame tracked last
     and, unless `reference` is "previous", with the landmarks of near keyframes. A frame that fails is counted;
     after `lost_after` in a row the state is LOST, and goes on being so until the last keyframes are recognised.
 
     Args:
         calibration: of the cameras.
         settings: or the defaults.
-        T_world_first: (4, 4) where the camera is at the first frame tracked; by default at the world's origin.
+        T_map_first: (4, 4) where the camera is at the first frame tracked; by default at the map's origin.
 
     Attributes:
         last_motion: of the last frame against its reference keyframe (or the previous frame).
@@ -60,7 +60,7 @@ class FeatureOdometry:
         self,
         calibration: Calibration,
         settings: FeatureSettings | None = None,
-        T_world_first: FloatArray | None = None,
+        T_map_first: FloatArray | None = None,
     ) -> None:
         self._calibration, self._settings = calibration, settings or FeatureSettings()
         self._extractor = FeatureExtractor(calibration, self._settings)
@@ -70,8 +70,8 @@ class FeatureOdometry:
         self._map_tracker = MapTracker(calibration, self._settings)
         T = calibration.T_color_depth
         self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
-        T_world_camera = np.eye(4) if T_world_first is None else np.asarray(T_world_first, float)
-        self._T_world_first: FloatArray = T_world_camera @ se3.invert(self._T_color_camera)
+        T_map_camera = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
+        self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
         self._last: View | None = None
         self._first_raw: Features | None = None
         self._velocity: FloatArray = np.zeros(6)
@@ -92,7 +92,7 @@ class FeatureOdometry:
         *,
         twist: FloatArray | None = None,
     ) -> Estimate:
-        """The camera's pose at a frame, T_world_camera, or why there is none.
+        """The camera's pose at a frame, T_map_camera, or why there is none.
 
         Args:
             frame: newer than the one before.
@@ -128,21 +128,21 @@ class FeatureOdometry:
         self.last_matches = None
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
-    def restart(self, frame: RgbdFrame, T_world_camera: FloatArray, covariance: FloatArray) -> Estimate:
+    def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Estimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is given up."""
-        check_frame(frame, self._calibration, T_world_camera=T_world_camera, covariance=covariance)
+        check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
         self._watch.restart()
         self.last_matches, self._first_raw = None, None
         with self._watch.stage("extract"):
             raw = self._extractor.extract(frame)
         if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
             return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
-        return self._start(raw, T_world_camera @ se3.invert(self._T_color_camera), covariance)
+        return self._start(raw, T_map_camera @ se3.invert(self._T_color_camera), covariance)
 
     def _start(
-        self, features: Features, T_world_color: FloatArray | None = None, covariance: FloatArray | None = None
+        self, features: Features, T_map_color: FloatArray | None = None, covariance: FloatArray | None = None
     ) -> Estimate:
-        T = self._T_world_first if T_world_color is None else T_world_color
+        T = self._T_map_first if T_map_color is None else T_map_color
         certain = _START_VARIANCE * np.eye(6)
         self._map = LandmarkMap(self._settings.kept_keyframes)
         view = View(features, T, certain if covariance is None else covariance, np.full(len(features), -1))
@@ -200,7 +200,7 @@ class FeatureOdometry:
 
     def _is_plausible(self, last: View, fix: Fix) -> bool:
         seconds = fix.view.features.stamp_s - last.features.stamp_s
-        velocity = twist_between(last.T_world_color, fix.view.T_world_color, seconds)
+        velocity = twist_between(last.T_map_color, fix.view.T_map_color, seconds)
         fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
         return not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s)
 
@@ -220,7 +220,7 @@ class FeatureOdometry:
             self._map.keyframes[:] = [fix.view]
             return fix.view
         seen = np.flatnonzero(fix.view.landmark >= 0)
-        self._map.see_again(fix.view.landmark[seen], fix.view.features, seen, fix.view.T_world_color)
+        self._map.see_again(fix.view.landmark[seen], fix.view.features, seen, fix.view.T_map_color)
         known = np.count_nonzero(self._map.keyframes[-1].landmark >= 0)
         if len(seen) < self._settings.keyframe_share * known:
             return self._map.add_keyframe(fix.view)
@@ -240,7 +240,7 @@ class FeatureOdometry:
         return Estimate(
             view.features.stamp_s,
             Status.TRACKING,
-            view.T_world_color @ self._T_color_camera,
+            view.T_map_color @ self._T_color_camera,
             view.covariance,
             matches=self.last_motion.matches,
             inliers=self.last_motion.inliers,

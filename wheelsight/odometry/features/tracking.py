@@ -43,7 +43,7 @@ def velocity_of(before: View, now: View, seconds: float) -> FloatArray:
     """Mean velocity (6,), (v, ω) in the colour camera's own frame a second, between two views; 0 over a long gap."""
     if not 0 < seconds <= LONGEST_STEP_S:
         return np.zeros(6)
-    return twist_between(before.T_world_color, now.T_world_color, seconds)
+    return twist_between(before.T_map_color, now.T_map_color, seconds)
 
 
 class _Tracker:
@@ -107,8 +107,8 @@ class ViewTracker(_Tracker):
                 return MotionEstimate.failed(T, len(pairs))
             found = refine_motion(pairs, T)
             if self._shutter_s:
-                T_world_color = reference.T_world_color @ se3.invert(found.T_current_reference)
-                guess = View(raw, T_world_color, reference.covariance, reference.landmark)
+                T_map_color = reference.T_map_color @ se3.invert(found.T_current_reference)
+                guess = View(raw, T_map_color, reference.covariance, reference.landmark)
                 better = velocity_of(reference, guess, raw.stamp_s - reference.features.stamp_s)
                 features = self.straighten(raw, better if better.any() else velocity)
                 pairs = self._pairs(features, reference.features, matches)
@@ -144,11 +144,11 @@ class ViewTracker(_Tracker):
         T_reference_current = se3.invert(found.T_current_reference)
         Ad = se3.adjoint(T_reference_current)
         motion_covariance = Ad @ found.covariance @ Ad.T
-        Ad_world = se3.adjoint(reference.T_world_color)
+        Ad_map = se3.adjoint(reference.T_map_color)
         view = View(
             features,
-            reference.T_world_color @ T_reference_current,
-            reference.covariance + Ad_world @ motion_covariance @ Ad_world.T,
+            reference.T_map_color @ T_reference_current,
+            reference.covariance + Ad_map @ motion_covariance @ Ad_map.T,
             np.full(len(features), -1),
         )
         inliers = found.inliers
@@ -165,7 +165,7 @@ class MapTracker(_Tracker):
         numbers, pairs, seen = self._find_landmarks(rough.view, landmarks)
         if len(pairs) < self._settings.min_inliers:
             return MotionEstimate.failed(Reason.TOO_FEW_MATCHES, len(pairs))
-        found = refine_motion(pairs, se3.invert(rough.view.T_world_color))
+        found = refine_motion(pairs, se3.invert(rough.view.T_map_color))
         features = rough.view.features
         if self._shutter_s:
             guess = View(raw, se3.invert(found.T_current_reference), last.covariance, last.landmark)
@@ -181,9 +181,9 @@ class MapTracker(_Tracker):
 
     def _find_landmarks(self, rough: View, landmarks: LandmarkMap) -> tuple[np.ndarray, PointPairs, np.ndarray]:
         """Numbers (M,) of the landmarks found, the pairs, and the keypoints (M,) that show them."""
-        numbers = landmarks.near(rough.T_world_color, self._settings.local_keyframes)
+        numbers = landmarks.near(rough.T_map_color, self._settings.local_keyframes)
         points, descriptors, _ = landmarks.get(numbers)
-        expected_px = self._project(se3.apply(se3.invert(rough.T_world_color), points))
+        expected_px = self._project(se3.apply(se3.invert(rough.T_map_color), points))
         visible = np.flatnonzero(np.isfinite(expected_px[:, 0]))
         features = rough.features
         matches = match_near(
@@ -208,13 +208,13 @@ class MapTracker(_Tracker):
         self, features: Features, landmark: np.ndarray, found: Alignment, rough: Fix, matches: int, keyframe: View
     ) -> Fix:
         """The map drifted as far as its newest keyframe; the frame's own uncertainty comes on top."""
-        T_world_color = se3.invert(found.T_current_reference)
-        Ad = se3.adjoint(T_world_color)
+        T_map_color = se3.invert(found.T_current_reference)
+        Ad = se3.adjoint(T_map_color)
         in_map = Ad @ found.covariance @ Ad.T
-        view = View(features, T_world_color, keyframe.covariance + in_map, landmark)
-        T_keyframe_world = se3.invert(keyframe.T_world_color)
-        Ad_keyframe = se3.adjoint(T_keyframe_world)
+        view = View(features, T_map_color, keyframe.covariance + in_map, landmark)
+        T_keyframe_map = se3.invert(keyframe.T_map_color)
+        Ad_keyframe = se3.adjoint(T_keyframe_map)
         covariance = Ad_keyframe @ in_map @ Ad_keyframe.T
         inliers = found.inliers
-        motion = MotionEstimate(T_keyframe_world @ T_world_color, covariance, None, matches, inliers)
+        motion = MotionEstimate(T_keyframe_map @ T_map_color, covariance, None, matches, inliers)
         return Fix(view, motion, rough.pixels)

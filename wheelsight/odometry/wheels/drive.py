@@ -81,7 +81,7 @@ def drive_path(drive: Drive, wheels: Wheels, stamps_s: ArrayLike) -> Trajectory:
     """T_odom_base at stamps (M,) of the robot's clock (not the readings'), with circular arcs between readings."""
     sizes = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
     x, y, yaw_rad = poses_at(drive, sizes, np.asarray(stamps_s, float) + wheels.delay_s).T
-    return Trajectory(np.asarray(stamps_s, float), se3.from_plane(x, y, yaw_rad), body="base", world="odom")
+    return Trajectory(np.asarray(stamps_s, float), se3.from_plane(x, y, yaw_rad), body="base", frame="odom")
 
 
 def poses_at(drive: Drive, sizes_m: FloatArray, stamps_s: FloatArray) -> FloatArray:

@@ -81,7 +81,7 @@ def fit_wheels(
     Args:
         wheels: nominal ones: radii and track width right to a factor of two, delay to half a second.
         drive: the readings of both wheels.
-        reference: T_world_base, with a base that is right to a few decimetres and degrees (see
+        reference: T_odom_base, with a base that is right to a few decimetres and degrees (see
             `recordings.bodies.express_for` for one of the camera).
         segment_m: way between two poses that are compared: long for a noisy reference, short for frequent slips.
         with_delay: also fit `delay_s`; else the nominal one is kept.

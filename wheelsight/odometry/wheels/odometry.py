@@ -196,7 +196,7 @@ class WheelTrack:
         poses = self.poses[kept]
         covariances = np.zeros((len(poses), 6, 6))
         covariances[np.ix_(np.arange(len(poses)), _PLANE, _PLANE)] = self.covariances[kept]
-        return Trajectory(self.stamps_s[kept], se3.from_plane(*poses.T), covariances, body="base", world="odom")
+        return Trajectory(self.stamps_s[kept], se3.from_plane(*poses.T), covariances, body="base", frame="odom")
 
 
 def integrate_log(

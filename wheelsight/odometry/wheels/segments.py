@@ -75,7 +75,7 @@ def cut(
     marks = np.arange(np.floor(progress[-1]) + 1) if progress[-1] >= 1 else np.zeros(1)
     cuts = np.unique(np.searchsorted(progress, marks).clip(0, len(inside) - 1))
     start, end = cuts[:-1], cuts[1:]
-    T_start_end = se3.invert(inside.T_world_body[start]) @ inside.T_world_body[end]
+    T_start_end = se3.invert(inside.T_frame_body[start]) @ inside.T_frame_body[end]
     yaw_rad = np.arctan2(T_start_end[:, 1, 0], T_start_end[:, 0, 0])
     motions = np.column_stack([T_start_end[:, :2, 3], yaw_rad])
     start_s, end_s = inside.stamps_s[start], inside.stamps_s[end]

@@ -76,7 +76,7 @@ def square_run(recording: Recording, wheels: Wheels) -> SquareRun:
             f"{recording.name} has no true poses of start and end", fix="write them to its ground truth, or a table"
         )
     truth = express_for("base", truth, recording.calibration)
-    T_start_end = np.linalg.inv(truth.T_world_body[0]) @ truth.T_world_body[-1]
+    T_start_end = np.linalg.inv(truth.T_frame_body[0]) @ truth.T_frame_body[-1]
     start_s, end_s = float(truth.stamps_s[0]), float(truth.stamps_s[-1])
     run = SquareRun(recording.name, drive_of(recording, wheels), start_s, end_s, T_start_end[:2, 3])
     turn_rad = abs(run.path(wheels)[-1, 2])

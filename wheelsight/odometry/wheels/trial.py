@@ -23,7 +23,7 @@ class Attempt:
     """What some wheels make of the part of a recording that they were not fitted to.
 
     Attributes:
-        path: dead-reckoned T_world_base at the reference's stamps, begun at the reference's first pose there.
+        path: dead-reckoned T_odom_base at the reference's stamps, begun at the reference's first pose there.
         evaluation: of it.
         end_error_m: how far from the reference it ends.
     """
@@ -40,7 +40,7 @@ class WheelTrial:
     Attributes:
         recording: its name.
         fit: to the part before `split_s`, a stamp in seconds.
-        reference: of the whole recording, T_world_base.
+        reference: of the whole recording, T_odom_base.
         held_out: the part of the reference after `split_s`, of the axle's middle: `fit.mount` taken off.
         before, after: nominal and fitted wheels on that part.
         warnings: of the recording, one sentence each.
@@ -114,16 +114,16 @@ def _reference(recording: Recording, given: Trajectory | None) -> Trajectory:
 
 
 def _at_axle(reference: Trajectory, mount: FloatArray) -> Trajectory:
-    """T_world_axle from the trajectory of a body that sits there by x, y, yaw (3,) of T_axle_body."""
+    """T_odom_axle from the trajectory of a body that sits there by x, y, yaw (3,) of T_axle_body."""
     T_body_axle = se3.invert(se3.from_plane(*mount))
-    return Trajectory(reference.stamps_s, reference.T_world_body @ T_body_axle, body="base", world=reference.world)
+    return Trajectory(reference.stamps_s, reference.T_frame_body @ T_body_axle, body="base", frame=reference.frame)
 
 
 def _attempt(drive: Drive, wheels: Wheels, held_out: Trajectory) -> Attempt:
     path = drive_path(drive, wheels, held_out.stamps_s)
     if len(path):
-        T_world_odom = held_out.T_world_body[0] @ se3.invert(path.T_world_body[0])
-        path = Trajectory(path.stamps_s, T_world_odom @ path.T_world_body, body="base", world=held_out.world)
+        T_there_here = held_out.T_frame_body[0] @ se3.invert(path.T_frame_body[0])
+        path = Trajectory(path.stamps_s, T_there_here @ path.T_frame_body, body="base", frame=held_out.frame)
     try:
         evaluation = evaluate(path, held_out)
     except EvaluationError as error:

@@ -1,0 +1,99 @@
+"""KeyframeStore: one table of poses, which all that hangs on keyframes follows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wheelsight.errors import ArgumentError
+from wheelsight.geometry import se3
+from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+
+INTRINSICS = np.array([10.0, 10.0, 3.5, 2.5])
+
+
+def keyframe(stamp_s: float = 0.0) -> Keyframe:
+    return Keyframe.of_images(stamp_s, INTRINSICS, np.ones((6, 8), np.float32), np.full((6, 8), 7, np.float32))
+
+
+def poses(count: int, seed: int) -> np.ndarray:
+    return se3.exp(np.random.default_rng(seed).normal(size=(count, 6)))
+
+
+def test_images_are_kept_to_a_fraction_of_a_millimetre() -> None:
+    rng = np.random.default_rng(1)
+    depth_m, grey = rng.uniform(0.3, 10, (48, 64)).astype(np.float32), rng.uniform(0, 255, (48, 64)).astype(np.float32)
+    depth_m[3, 4], grey[5, 6] = 0, -1
+    kept = Keyframe.of_images(1.5, INTRINSICS, depth_m, grey)
+    assert np.abs(kept.depth_m - depth_m).max() < 1.01e-4
+    assert np.abs(kept.grey - np.maximum(grey, 0)).max() <= 0.501
+    assert (kept.depth_m[3, 4], kept.grey[5, 6]) == (0, 0)
+    assert len(kept.depth_png) + len(kept.grey_png) < depth_m.nbytes + grey.nbytes
+
+
+def test_a_keyframe_is_known_by_its_number_and_where_it_is_by_the_store() -> None:
+    store, T = KeyframeStore(), poses(40, 2)
+    numbers = [store.add(keyframe(k), T[k]) for k in range(40)]
+    assert numbers == list(store) == list(range(40))
+    assert [store[number].stamp_s for number in numbers] == list(range(40))
+    np.testing.assert_array_equal(store.T_map_keyframe, T)
+    assert store.revision == 0
+    with pytest.raises(ValueError, match="read-only"):
+        store.T_map_keyframe[0] = np.eye(4)
+
+
+def test_what_follows_is_told_how_keyframes_moved_since_it_asked() -> None:
+    store = KeyframeStore()
+    follower = store.follow()
+    T, after, last = poses(3, 3), poses(3, 4), poses(1, 5)
+    a, b = store.add(keyframe(), T[0]), store.add(keyframe(), T[1])
+    assert follower.moves() is None
+    store.move([b], after[1:2])
+    c = store.add(keyframe(), T[2])
+    store.move([c, b], np.stack([after[2], last[0]]))
+    moves = follower.moves()
+    assert moves is not None
+    assert store.revision == 2
+    np.testing.assert_array_equal(moves[a], np.eye(4))
+    np.testing.assert_allclose(moves[b] @ T[1], last[0], atol=1e-12)
+    np.testing.assert_allclose(moves[c] @ T[2], after[2], atol=1e-12)
+    assert follower.moves() is None
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(1, 20), st.integers(0, 10_000))
+def test_a_point_that_follows_stays_where_it_is_relative_to_its_keyframe(count: int, seed: int) -> None:
+    rng, store = np.random.default_rng(seed), KeyframeStore()
+    T = poses(count, seed)
+    for pose in T:
+        store.add(keyframe(), pose)
+    of, points = rng.integers(0, count, 50), rng.normal(size=(50, 3))
+    follower = store.follow()
+    p_map = se3.apply(store.T_map_keyframe[of], points[:, None])[:, 0]
+    for step in range(3):
+        moved = rng.permutation(count)[: 1 + count // 2]
+        store.move([KeyframeId(int(k)) for k in moved], poses(len(moved), seed + step + 1))
+    moves = follower.moves()
+    assert moves is not None
+    p_map = se3.apply(moves[of], p_map[:, None])[:, 0]
+    np.testing.assert_allclose(p_map, se3.apply(store.T_map_keyframe[of], points[:, None])[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "T", "says"),
+    [
+        ([5], np.eye(4)[None], "there is no keyframe 5"),
+        ([-1], np.eye(4)[None], "there is no keyframe -1"),
+        ([0, 0], np.tile(np.eye(4), (2, 1, 1)), "each keyframe once"),
+        ([0], np.tile(np.eye(4), (2, 1, 1)), "1 keyframes and 2 poses"),
+        ([0], np.full((1, 4, 4), np.nan), "not finite"),
+    ],
+)
+def test_moves_that_are_none_are_refused(numbers: list[KeyframeId], T: np.ndarray, says: str) -> None:
+    store = KeyframeStore()
+    store.add(keyframe(), np.eye(4))
+    with pytest.raises(ArgumentError, match=says):
+        store.move(numbers, T)
+    assert store.revision == 0

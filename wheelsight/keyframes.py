@@ -1,0 +1,184 @@
+"""Keyframes have an identity and no pose: one table, the store, holds where they are.
+
+All that remembers a place remembers a keyframe and where it is relative to it. Who holds positions in the map follows
+the store: it asks how keyframes have moved since it asked last, and moves what hangs on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NewType
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wheelsight.errors import ArgumentError
+from wheelsight.geometry import Float32Array, FloatArray, IntArray, se3
+
+KeyframeId = NewType("KeyframeId", int)
+
+# Depth in files of the field: 16 bits, a fifth of a millimetre each; up to 13 m.
+_DEPTH_UNITS_PER_M = 5000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeFeatures:
+    """Keypoints of a keyframe, by which it is recognised and verified.
+
+    Attributes:
+        px: (N, 2) where they were detected, pixels of the colour camera.
+        points: (N, 3) in the keyframe's frame, metres; 0 where there is no depth.
+        descriptors: (N, 4) uint64, the 256 bits of ORB.
+    """
+
+    px: FloatArray
+    points: FloatArray
+    descriptors: NDArray[np.uint64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """A camera frame that is kept: what was seen, not where.
+
+    Attributes:
+        stamp_s: of the frame, seconds.
+        intrinsics: (4,) fx, fy, cx, cy of the ideal camera that its images are of.
+        depth_png, grey_png: its images, compressed; see `depth_m` and `grey`.
+        features: keypoints, or None.
+        code: (D,) for recognition, or None.
+    """
+
+    stamp_s: float
+    intrinsics: FloatArray
+    depth_png: bytes
+    grey_png: bytes
+    features: KeyframeFeatures | None = None
+    code: FloatArray | None = None
+
+    @classmethod
+    def of_images(
+        cls,
+        stamp_s: float,
+        intrinsics: FloatArray,
+        depth_m: Float32Array,
+        grey: Float32Array,
+        features: KeyframeFeatures | None = None,
+    ) -> Keyframe:
+        """From depth (h, w) in metres, 0 where unknown, and grey (h, w) from 0 to 255, below 0 where unknown."""
+        units = np.clip(np.rint(depth_m * _DEPTH_UNITS_PER_M), 0, np.iinfo(np.uint16).max).astype(np.uint16)
+        return cls(stamp_s, intrinsics, _png(units), _png(np.clip(np.rint(grey), 0, 255).astype(np.uint8)), features)
+
+    @property
+    def depth_m(self) -> Float32Array:
+        """(h, w) metres, in steps of 0.2 mm; 0 where unknown."""
+        return _image(self.depth_png).astype(np.float32) / np.float32(_DEPTH_UNITS_PER_M)
+
+    @property
+    def grey(self) -> Float32Array:
+        """(h, w) from 0 to 255; 0 where unknown."""
+        return _image(self.grey_png).astype(np.float32)
+
+
+class KeyframeStore:
+    """All keyframes, and the only table of where they are.
+
+    Attributes:
+        revision: grows each time keyframes are moved; adding one moves none.
+    """
+
+    def __init__(self) -> None:
+        self._keyframes: list[Keyframe] = []
+        self._T_map_keyframe = np.zeros((16, 4, 4))
+        self._followers: list[Follower] = []
+        self.revision = 0
+
+    def __len__(self) -> int:
+        return len(self._keyframes)
+
+    def __iter__(self) -> Iterator[KeyframeId]:
+        return (KeyframeId(number) for number in range(len(self)))
+
+    def __getitem__(self, number: KeyframeId) -> Keyframe:
+        """Raises ArgumentError for a keyframe that it does not hold."""
+        self._check([number])
+        return self._keyframes[number]
+
+    @property
+    def T_map_keyframe(self) -> FloatArray:
+        """Poses (N, 4, 4) of all keyframes, by number; not to be written to."""
+        view = self._T_map_keyframe[: len(self)]
+        view.setflags(write=False)
+        return view
+
+    def pose(self, number: KeyframeId) -> FloatArray:
+        """T_map_keyframe (4, 4), a copy. Raises ArgumentError for a keyframe that it does not hold."""
+        self._check([number])
+        return np.array(self._T_map_keyframe[number])
+
+    def add(self, keyframe: Keyframe, T_map_keyframe: ArrayLike) -> KeyframeId:
+        """Keep a keyframe that is at a pose (4, 4) by what is known now."""
+        number = len(self)
+        if number == len(self._T_map_keyframe):
+            self._T_map_keyframe = np.concatenate([self._T_map_keyframe, np.zeros_like(self._T_map_keyframe)])
+        self._T_map_keyframe[number] = np.asarray(T_map_keyframe, float)
+        self._keyframes.append(keyframe)
+        return KeyframeId(number)
+
+    def move(self, numbers: Sequence[KeyframeId], T_map_keyframe: ArrayLike) -> None:
+        """Put keyframes to new poses (K, 4, 4); all that follows them is told. Raises ArgumentError."""
+        self._check(numbers)
+        rows, T = np.asarray(numbers, np.int64), np.asarray(T_map_keyframe, float).reshape(-1, 4, 4)
+        if len(T) != len(rows) or len(np.unique(rows)) != len(rows):
+            raise ArgumentError(f"{len(rows)} keyframes and {len(T)} poses", fix="give each keyframe once, with a pose")
+        if not np.isfinite(T).all():
+            raise ArgumentError("T_map_keyframe has numbers that are not finite", fix="give rigid motions")
+        if not len(rows):
+            return
+        T_new_old = T @ se3.invert(self._T_map_keyframe[rows])
+        self._T_map_keyframe[rows] = T
+        self.revision += 1
+        for follower in self._followers:
+            follower.hear(rows, T_new_old, len(self))
+
+    def follow(self) -> Follower:
+        """For someone who holds positions in the map that hang on keyframes."""
+        follower = Follower()
+        self._followers.append(follower)
+        return follower
+
+    def _check(self, numbers: Sequence[KeyframeId]) -> None:
+        for number in numbers:
+            if not 0 <= number < len(self):
+                raise ArgumentError(f"there is no keyframe {number}", fix=f"numbers go from 0 to {len(self) - 1}")
+
+
+class Follower:
+    """How keyframes have moved since it was asked last."""
+
+    def __init__(self) -> None:
+        self._T_new_old: FloatArray | None = None
+
+    def hear(self, rows: IntArray, T_new_old: FloatArray, count: int) -> None:
+        """Keyframes (K,) of `count` have moved by (K, 4, 4), from the left, in the map."""
+        known = np.zeros((0, 4, 4)) if self._T_new_old is None else self._T_new_old
+        if len(known) < count:
+            known = np.concatenate([known, np.tile(np.eye(4), (count - len(known), 1, 1))])
+        known[rows] = T_new_old @ known[rows]
+        self._T_new_old = known
+
+    def moves(self) -> FloatArray | None:
+        """T_new_old (N, 4, 4) by keyframe, of those held by then, since it was asked last; None if none has moved."""
+        moved, self._T_new_old = self._T_new_old, None
+        return moved
+
+
+def _png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    written, code = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    assert written
+    return code.tobytes()
+
+
+def _image(code: bytes) -> NDArray[Any]:
+    return np.asarray(cv2.imdecode(np.frombuffer(code, np.uint8), cv2.IMREAD_UNCHANGED))
