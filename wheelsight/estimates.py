@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from wheelsight.geometry import FloatArray
+from wheelsight.keyframes import KeyframeId
 
 # Of (v, ω) in `MotionEstimate.degenerate`: turns count as the way of a point 2 m off, to be compared with ways.
 DEGENERATE_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
@@ -102,6 +103,9 @@ class Estimate:
         matches: of this frame's alignment.
         inliers: likewise.
         T_map_odom: (4, 4) where the frame odom lies in the map (ROS REP 105); it moves where the map knows better.
+        keyframe: by which this pose is remembered, or None; see `wheelsight.keyframes`.
+        T_keyframe_body: (4, 4) where the body is relative to that keyframe, or None. When keyframes move,
+            `T_map_keyframe @ T_keyframe_body` is where the body has been.
     """
 
     stamp_s: float
@@ -113,8 +117,28 @@ class Estimate:
     matches: int = 0
     inliers: int = 0
     T_map_odom: FloatArray = field(default_factory=lambda: _IDENTITY, kw_only=True)
+    keyframe: KeyframeId | None = field(default=None, kw_only=True)
+    T_keyframe_body: FloatArray | None = field(default=None, kw_only=True)
 
     @property
     def T_map_body(self) -> FloatArray | None:
         """(4, 4) in the map, or None while it is not known: what was seen lies there, and poses may jump."""
         return None if self.T_odom_body is None else self.T_map_odom @ self.T_odom_body
+
+
+_NO_MOTION = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraEstimate(Estimate):
+    """What an odometry by a camera answers at a frame: its pose, and the motion that it was found by.
+
+    The camera has no other frame than the map, so `T_odom_body` is T_map_camera, and `T_map_odom` the identity.
+
+    Attributes:
+        motion: of this frame against its reference, or why there is none.
+        shows_all: whether the last frames showed every direction of motion; else part of the pose is what was expected.
+    """
+
+    motion: MotionEstimate = field(default=_NO_MOTION, kw_only=True)
+    shows_all: bool = field(default=True, kw_only=True)

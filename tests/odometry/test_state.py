@@ -1,0 +1,33 @@
+"""TrackingState: when an odometry has begun, fails, and is lost."""
+
+from __future__ import annotations
+
+import pytest
+
+from wheelsight.estimates import Status
+from wheelsight.odometry.state import TrackingState
+
+I, T, F, L = Status.INITIALIZING, Status.TRACKING, Status.FAILING, Status.LOST
+
+
+@pytest.mark.parametrize(
+    ("frames", "told"),
+    [
+        ("xx", [I, I]),
+        ("xxxxo", [I, I, I, I, T]),
+        ("oxxxo", [T, F, F, L, T]),
+        ("oxxox", [T, F, F, T, F]),
+        ("oxxxx", [T, F, F, L, L]),
+    ],
+)
+def test_states_follow_what_frames_come_to(frames: str, told: list[Status]) -> None:
+    state, found = TrackingState(lost_after=3), []
+    for frame in frames:
+        state = state.tracked() if frame == "o" else state.failed()
+        found.append(state.status)
+    assert found == told
+
+
+def test_what_has_not_begun_is_not_lost() -> None:
+    state = TrackingState(lost_after=1).failed().failed()
+    assert (state.status, state.is_lost, state.failures) == (I, False, 2)
