@@ -7,14 +7,14 @@ import pytest
 from wheelsight.estimates import Status
 from wheelsight.odometry.state import TrackingState
 
-I, T, F, L = Status.INITIALIZING, Status.TRACKING, Status.FAILING, Status.LOST
+NOT_YET, T, F, L = Status.INITIALIZING, Status.TRACKING, Status.FAILING, Status.LOST
 
 
 @pytest.mark.parametrize(
     ("frames", "told"),
     [
-        ("xx", [I, I]),
-        ("xxxxo", [I, I, I, I, T]),
+        ("xx", [NOT_YET, NOT_YET]),
+        ("xxxxo", [NOT_YET, NOT_YET, NOT_YET, NOT_YET, T]),
         ("oxxxo", [T, F, F, L, T]),
         ("oxxox", [T, F, F, T, F]),
         ("oxxxx", [T, F, F, L, L]),
@@ -30,4 +30,4 @@ def test_states_follow_what_frames_come_to(frames: str, told: list[Status]) -> N
 
 def test_what_has_not_begun_is_not_lost() -> None:
     state = TrackingState(lost_after=1).failed().failed()
-    assert (state.status, state.is_lost, state.failures) == (I, False, 2)
+    assert (state.status, state.is_lost, state.failures) == (NOT_YET, False, 2)
