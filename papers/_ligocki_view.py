@@ -33,12 +33,12 @@ class Viewpoint:
     """A pinhole camera without distortion.
 
     Attributes:
-        T_world_camera: (4, 4).
+        T_map_camera: (4, 4).
         intrinsics: (4,) fx, fy, cx, cy in pixels; pixel centres lie at integers.
         size: (width, height).
     """
 
-    T_world_camera: FloatArray
+    T_map_camera: FloatArray
     intrinsics: FloatArray
     size: tuple[int, int]
 
@@ -46,16 +46,16 @@ class Viewpoint:
         """The same camera with so many times the pixels a side."""
         intrinsics = self.intrinsics * factor
         intrinsics[2:] += 0.5 * (factor - 1)
-        return Viewpoint(self.T_world_camera, intrinsics, (round(self.size[0] * factor), round(self.size[1] * factor)))
+        return Viewpoint(self.T_map_camera, intrinsics, (round(self.size[0] * factor), round(self.size[1] * factor)))
 
-    def project(self, p_world: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def project(self, p_map: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (n, 2) and depths (n,) in metres of points (n, 3) in front of the camera."""
-        p = (p_world - self.T_world_camera[:3, 3]) @ self.T_world_camera[:3, :3]
+        p = (p_map - self.T_map_camera[:3, 3]) @ self.T_map_camera[:3, :3]
         return p[:, :2] / p[:, 2:] * self.intrinsics[:2] + self.intrinsics[2:], p[:, 2]
 
-    def hides(self, depth_m: Float32Array, p_world: FloatArray) -> BoolArray:
+    def hides(self, depth_m: Float32Array, p_map: FloatArray) -> BoolArray:
         """Which of points (n, 3) lie behind what the image `depth_m` of this camera shows, or out of the picture."""
-        px, far_m = self.project(p_world)
+        px, far_m = self.project(p_map)
         u, v = np.rint(px).astype(np.int64).T
         is_inside = (u >= 0) & (u < self.size[0]) & (v >= 0) & (v < self.size[1])
         shown_m = depth_m[np.clip(v, 0, self.size[1] - 1), np.clip(u, 0, self.size[0] - 1)]
@@ -83,7 +83,7 @@ def outside(
 def _upright_px(surfel_map: SurfelMap, up: FloatArray, view: Viewpoint) -> int:
     """How many pixels show walls and what else stands upright: floors are seen from everywhere."""
     seen = _render(surfel_map, view.scaled(0.25))
-    rise = seen.normal @ (view.T_world_camera[:3, :3].T @ up)
+    rise = seen.normal @ (view.T_map_camera[:3, :3].T @ up)
     return int(np.count_nonzero((seen.depth_m > 0) & (np.abs(rise) < _UPRIGHT)))
 
 
@@ -95,12 +95,12 @@ def _from(surfel_map: SurfelMap, up: FloatArray, ahead: FloatArray, azimuth_deg:
     forward = np.cos(azimuth) * level + np.sin(azimuth) * np.cross(up, level)
     z = np.cos(down) * forward - np.sin(down) * up
     x = np.cross(forward, up)
-    R_world_camera = np.stack([x, np.cross(z, x), z], axis=1)
+    R_map_camera = np.stack([x, np.cross(z, x), z], axis=1)
     shown = surfels.position[surfels.normal @ z < 0].astype(float)
-    shown = shown[:: max(1, len(shown) // _FITTED)] @ R_world_camera
-    T_world_camera = np.eye(4)
-    T_world_camera[:3, :3], T_world_camera[:3, 3] = R_world_camera, R_world_camera @ _eye(shown)
-    return Viewpoint(T_world_camera, np.array([_FOCAL_PX, _FOCAL_PX, *(0.5 * np.array(SIZE) - 0.5)]), SIZE)
+    shown = shown[:: max(1, len(shown) // _FITTED)] @ R_map_camera
+    T_map_camera = np.eye(4)
+    T_map_camera[:3, :3], T_map_camera[:3, 3] = R_map_camera, R_map_camera @ _eye(shown)
+    return Viewpoint(T_map_camera, np.array([_FOCAL_PX, _FOCAL_PX, *(0.5 * np.array(SIZE) - 0.5)]), SIZE)
 
 
 def _eye(points: FloatArray) -> FloatArray:
@@ -134,13 +134,13 @@ def picture_of(surfel_map: SurfelMap, view: Viewpoint) -> tuple[ByteArray, Float
 
 def _render(surfel_map: SurfelMap, view: Viewpoint) -> ColoredView:
     shape = (view.size[1], view.size[0])
-    return surfel_map.render(view.T_world_camera, view.intrinsics, shape, which="stable", far_m=_FAR_M)
+    return surfel_map.render(view.T_map_camera, view.intrinsics, shape, which="stable", far_m=_FAR_M)
 
 
-def frustum_of(view: Viewpoint, T_world_camera: FloatArray, slopes: Sequence[FloatArray], far_m: float) -> FloatArray:
+def frustum_of(view: Viewpoint, T_map_camera: FloatArray, slopes: Sequence[FloatArray], far_m: float) -> FloatArray:
     """The edges (8, 2, 2) in pixels, from a camera's centre to four corners by their `slopes` x/z, y/z, and round."""
     corners = np.array([[*slope, 1.0] for slope in slopes]) * far_m
-    p_world = np.vstack([np.zeros(3), corners]) @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
-    px, _ = view.project(p_world)
+    p_map = np.vstack([np.zeros(3), corners]) @ T_map_camera[:3, :3].T + T_map_camera[:3, 3]
+    px, _ = view.project(p_map)
     edges = [(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)]
     return np.array([[px[a], px[b]] for a, b in edges])

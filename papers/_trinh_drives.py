@@ -65,29 +65,29 @@ class DescribedDrive:
 
     Attributes:
         stamps_s: (N,).
-        T_world_base: (N, 4, 4) where the base truly was.
+        T_map_base: (N, 4, 4) where the base truly was.
         labels: (N,) index of the area it truly was in.
         histograms, layout: (N, D) the frames in numbers.
         has_depth: (N,) whether enough depth was measured for the area to be told.
         frame_size: (4,) height and width of colour, then of depth.
         ticks: (M, 3) stamps and counts of the left and the right wheel.
-        T_world_start: (4, 4) where the base was at the first of these.
+        T_map_start: (4, 4) where the base was at the first of these.
     """
 
     stamps_s: FloatArray
-    T_world_base: FloatArray
+    T_map_base: FloatArray
     labels: IntArray
     histograms: Float32Array
     layout: Float32Array
     has_depth: Any
     frame_size: IntArray
     ticks: FloatArray
-    T_world_start: FloatArray
+    T_map_start: FloatArray
 
     @property
     def truth(self) -> FloatArray:
         """(N, 2) metres."""
-        return self.T_world_base[:, :2, 3]
+        return self.T_map_base[:, :2, 3]
 
     def reckoned(self, wheels: Wheels) -> Trajectory:
         """T_odom_base at the readings, with covariances."""
@@ -96,7 +96,7 @@ class DescribedDrive:
     def odometry(self, wheels: Wheels) -> FloatArray:
         """(N, 2) metres in the world, by the wheels alone from the true start on."""
         T_odom_base = self.reckoned(wheels).at(np.clip(self.stamps_s, *self.ticks[[0, -1], 0]))
-        return np.asarray(se3.compose(self.T_world_start, T_odom_base)[:, :2, 3])
+        return np.asarray(se3.compose(self.T_map_start, T_odom_base)[:, :2, 3])
 
     def save(self, path: Path) -> None:
         """Write it, atomically."""
@@ -148,11 +148,11 @@ def described(recording: SimulatedRecording, count: int, advance: Any = lambda w
     rows = [_row(frame, advance) for frame in _frames(recording, numbers)]
     histograms, layout, seen, sizes, stamps_s = zip(*rows, strict=True)
     truth, ticks = recording.ground_truth, recording.drive.ticks
-    T_world_base = truth.at(np.clip(stamps_s, *truth.stamps_s[[0, -1]]))
+    T_map_base = truth.at(np.clip(stamps_s, *truth.stamps_s[[0, -1]]))
     return DescribedDrive(
         np.array(stamps_s),
-        T_world_base,
-        recording.world.areas.index_at(T_world_base[:, :2, 3]),
+        T_map_base,
+        recording.world.areas.index_at(T_map_base[:, :2, 3]),
         np.array(histograms),
         np.array(layout),
         np.array(seen),

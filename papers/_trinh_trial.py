@@ -163,7 +163,7 @@ def rectified_by_paper(
     told = _best(model.predict_features(drive.histograms), drive)
     reckoned = drive.reckoned(wheels)
     T_odom_base = reckoned.at(np.clip(drive.stamps_s, *reckoned.stamps_s[[0, -1]]))
-    rectifier = PaperRectifier(areas, drive.T_world_start, weights, term)
+    rectifier = PaperRectifier(areas, drive.T_map_start, weights, term)
     before, track = np.eye(4), []
     for stamp_s, area, T in zip(drive.stamps_s, told, T_odom_base, strict=True):
         rectifier.predict(np.linalg.inv(before) @ T)
@@ -178,7 +178,7 @@ def rectified_by_probability(
     areas: AreaMap, wheels: Wheels, drive: DescribedDrive, model: PlaceModel, description: str
 ) -> FloatArray:
     """(N, 2) metres at the frames, by the probabilistic way with its own settings."""
-    rectifier = AreaRectifier(areas, drive.T_world_start, area_shares=model.area_shares)
+    rectifier = AreaRectifier(areas, drive.T_map_start, area_shares=model.area_shares)
     odometry = WheelOdometry(wheels)
     probabilities = model.predict_features(getattr(drive, description))
     readings = [WheelTicks(stamp_s, int(left), int(right)) for stamp_s, left, right in drive.ticks.tolist()]

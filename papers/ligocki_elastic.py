@@ -79,7 +79,7 @@ class Model:
     last: ByteArray = field(default_factory=lambda: np.zeros((1, 1, 3), np.uint8))
 
     @property
-    def T_world_camera(self) -> FloatArray:
+    def T_map_camera(self) -> FloatArray:
         """(n, 4, 4)."""
         poses, T_base_camera = np.array(self.T_odom_body), self.recording.calibration.T_base_camera
         return poses if T_base_camera is None else poses @ T_base_camera
@@ -89,7 +89,7 @@ class Model:
         """(3,) of length 1, in the world: known of a robot, else judged by floors and tables."""
         if self.recording.calibration.T_base_camera is not None:
             return np.array([0.0, 0.0, 1.0])
-        return upward(self.map.surfels("stable"), self.T_world_camera[0, :3, :3])
+        return upward(self.map.surfels("stable"), self.T_map_camera[0, :3, :3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,13 +208,13 @@ def table(rows: list[tuple[str, ...]]) -> str:
 
 def look_at(model: Model, azimuth_deg: float | None, down_deg: float) -> Look:
     """A model from outside."""
-    view = outside(model.map, model.up, model.T_world_camera[0, :3, 2], azimuth_deg, down_deg)
+    view = outside(model.map, model.up, model.T_map_camera[0, :3, 2], azimuth_deg, down_deg)
     return Look(model, view, *picture_of(model.map, view))
 
 
 def beside_camera(look: Look) -> Figure:
     """The model from outside; beside it the camera's last frame, and the model seen from there."""
-    last = _last_view(look.model.recording.calibration, look.model.T_world_camera[-1])
+    last = _last_view(look.model.recording.calibration, look.model.T_map_camera[-1])
     from_there, _ = picture_of(look.model.map, last)
     figure = _figure(11, 6)
     _draw(figure.add_axes((0, 0, 8 / 11, 1)), look)
@@ -237,28 +237,28 @@ def in_a_row(looks: Sequence[Look]) -> Figure:
 
 def _draw(axes: Axes, look: Look) -> None:
     """The picture with the camera's way, pale where something stands before it, and the camera at the end."""
-    view, T_world_camera = look.view, look.model.T_world_camera
-    path = T_world_camera[:, :3, 3]
+    view, T_map_camera = look.view, look.model.T_map_camera
+    path = T_map_camera[:, :3, 3]
     px, _ = view.project(path)
     shown = np.where(view.hides(look.depth_m, path)[:, None], np.nan, px)
     axes.imshow(look.picture)
     axes.plot(*px.T, color=BLUE, linewidth=1.2, alpha=0.4)
     axes.plot(*shown.T, color=HALO, linewidth=3.6, solid_capstyle="round")
     axes.plot(*shown.T, color=BLUE, linewidth=2, solid_capstyle="round")
-    last = _last_view(look.model.recording.calibration, T_world_camera[-1])
-    far_m = _FRUSTUM_SHARE * float(np.linalg.norm(view.T_world_camera[:3, 3] - path[-1]))
-    for edge in frustum_of(view, T_world_camera[-1], _corner_slopes(last), far_m):
+    last = _last_view(look.model.recording.calibration, T_map_camera[-1])
+    far_m = _FRUSTUM_SHARE * float(np.linalg.norm(view.T_map_camera[:3, 3] - path[-1]))
+    for edge in frustum_of(view, T_map_camera[-1], _corner_slopes(last), far_m):
         axes.plot(*edge.T, color=HALO, linewidth=2.8, solid_capstyle="round")
         axes.plot(*edge.T, color=BLUE, linewidth=1.5, solid_capstyle="round")
     axes.set(xlim=(-0.5, view.size[0] - 0.5), ylim=(view.size[1] - 0.5, -0.5))
     axes.set_axis_off()
 
 
-def _last_view(calibration: Calibration, T_world_camera: FloatArray) -> Viewpoint:
+def _last_view(calibration: Calibration, T_map_camera: FloatArray) -> Viewpoint:
     """The depth camera, free of distortion."""
     _, camera = calibration.cameras
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    return Viewpoint(T_world_camera, intrinsics, (camera.width, camera.height))
+    return Viewpoint(T_map_camera, intrinsics, (camera.width, camera.height))
 
 
 def _corner_slopes(view: Viewpoint) -> list[FloatArray]:

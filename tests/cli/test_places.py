@@ -103,7 +103,7 @@ def test_areas_and_a_trajectory_of_the_camera_may_come_from_elsewhere(
     camera = tmp_path / "camera.txt"
     # 0.3 m ahead of a base that stands at 2.8 m, within the corridor; the camera itself is in the hall
     lines = [f"{0.5 * i} 3.1 0 0.9 -0.5 0.5 -0.5 0.5\n" for i in range(13)]
-    camera.write_text("# frames: T_odom_camera\n" + "".join(lines))
+    camera.write_text("# frames: T_map_camera\n" + "".join(lines))
     places = ("--areas", drives[0] / "areas.yaml", "--trajectory", camera)
     told = json.loads(wheelsight("places", "test", model, bare, *places, "--json").stdout)
     assert [sum(row) for row in told["confusion"]] == [60, 0, 0]

@@ -151,7 +151,7 @@ def test_the_integration_is_as_set() -> None:
         for reading in (WheelTicks(0.0, 0, 0), WheelTicks(0.02, 20, 90), WheelTicks(0.04, 50, 200)):
             estimate, wanted = subject.process(reading), expected.process(reading)
             assert estimate is not None
-            np.testing.assert_array_equal(estimate.T_odom_body, wanted.T_frame_body)
+            np.testing.assert_array_equal(estimate.T_odom_body, wanted.T_odom_body)
 
 
 @pytest.mark.parametrize("gyro", [True, False])
@@ -181,14 +181,14 @@ def test_a_localizer_goes_by_one_odometry() -> None:
     both = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})
     with pytest.raises(ConfigError, match=r"not by wheels and features .*alone"):
         Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both)
-    assert Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both.alone("wheels")).world == "odom"
+    assert Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both.alone("wheels")).frame == "odom"
 
 
 def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.MonkeyPatch, truth: Trajectory) -> None:
     made: list[object] = []
 
     class Dense(TrueOdometry):
-        def __init__(self, calibration: Calibration, settings: object, T_odom_first: object = None) -> None:
+        def __init__(self, calibration: Calibration, settings: object, T_map_first: object = None) -> None:
             super().__init__(calibration, settings)
             made.append(settings)
 

@@ -82,7 +82,7 @@ def test_all_of_a_map_is_in_the_picture_and_fills_it(parts: dict[str, ModuleType
     for azimuth in (0.0, 70.0, 200.0):
         view = parts["_ligocki_view"].outside(room, UP, AHEAD, azimuth, 40)
         surfels = room.surfels()
-        facing = surfels.normal @ view.T_odom_camera[:3, 2] < 0
+        facing = surfels.normal @ view.T_map_camera[:3, 2] < 0
         px, depth_m = view.project(surfels.position[facing].astype(float))
         inside = ((px > 0) & (px < view.size)).all(axis=1)
         assert depth_m.min() > 0
@@ -92,7 +92,7 @@ def test_all_of_a_map_is_in_the_picture_and_fills_it(parts: dict[str, ModuleType
 
 def test_looks_the_way_it_is_told_and_keeps_upright(parts: dict[str, ModuleType], room: SurfelMap) -> None:
     for azimuth, down in ((0.0, 30.0), (110.0, 55.0)):
-        R = parts["_ligocki_view"].outside(room, UP, AHEAD, azimuth, down).T_odom_camera[:3, :3]
+        R = parts["_ligocki_view"].outside(room, UP, AHEAD, azimuth, down).T_map_camera[:3, :3]
         np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) == pytest.approx(1)
         assert np.degrees(np.arctan2(R[1, 2], R[0, 2])) == pytest.approx(azimuth)
@@ -115,7 +115,7 @@ def test_ceiling_and_near_walls_are_cut_away(parts: dict[str, ModuleType], room:
 
 def test_the_side_with_more_wall_is_chosen(parts: dict[str, ModuleType], room: SurfelMap) -> None:
     view = parts["_ligocki_view"].outside(room, UP, AHEAD, None, 40)
-    assert view.T_odom_camera[0, 2] > 0.5
+    assert view.T_map_camera[0, 2] > 0.5
 
 
 def test_points_behind_walls_are_hidden(parts: dict[str, ModuleType], room: SurfelMap) -> None:

@@ -64,14 +64,14 @@ def made_drive(parts: dict[str, ModuleType], world: Any, seed: int, laps: int = 
     T_odom_base = se3.from_plane(*poses.T)
     return parts["_trinh_drives"].DescribedDrive(
         stamps_s=stamps_s[chosen],
-        T_odom_base=T_odom_base[chosen],
+        T_map_base=T_odom_base[chosen],
         labels=labels,
         histograms=histograms.astype(np.float32),
         layout=layout.astype(np.float32),
         has_depth=np.ones(frames, bool),
         frame_size=np.array([240, 320, 240, 320]),
         ticks=np.column_stack([stamps_s, ticks]),
-        T_odom_start=T_odom_base[0],
+        T_map_start=T_odom_base[0],
     )
 
 

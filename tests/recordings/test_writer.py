@@ -37,11 +37,11 @@ def calibration(small_camera):
 def events(small_camera):
     """Six frames with two wheel readings before each."""
     result = []
-    for index, (stamp_s, T_frame_camera) in enumerate(TRUTH):
+    for index, (stamp_s, T_map_camera) in enumerate(TRUTH):
         for delay_s in (0.02, 0.01):
             ticks = WheelTicks(stamp_s - delay_s, 100 * index - int(1000 * delay_s), -7 * index)
             result.append(ticks)
-        result.append(RgbdFrame(stamp_s, *render_room(T_frame_camera, small_camera), index))
+        result.append(RgbdFrame(stamp_s, *render_room(T_map_camera, small_camera), index))
     return result
 
 
@@ -83,7 +83,7 @@ def test_any_tum_tool_can_read_it(tmp_path, calibration, events):
     camera = read_tum(tmp_path / "new" / "groundtruth.txt")
     assert camera.body == "camera"
     np.testing.assert_allclose(camera.T_frame_body, TRUTH.T_frame_body, atol=1e-8)
-    assert "# frames: T_frame_camera" in (tmp_path / "new" / "groundtruth.txt").read_text()
+    assert "# frames: T_map_camera" in (tmp_path / "new" / "groundtruth.txt").read_text()
 
 
 def test_truth_of_the_base_is_kept_and_told_for_the_camera(tmp_path, calibration, events):

@@ -51,7 +51,7 @@ def test_the_plan_is_where_its_pixels_are_and_the_path_lies_on_it():
 def test_the_path_turns_with_the_plan():
     found = example_map()
     aslant = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
-    run = example_run(60, map=replace(found, plan=replace(found.plan, R_plan_odom=aslant)))
+    run = example_run(60, map=replace(found, plan=replace(found.plan, R_plan_map=aslant)))
     path = _trace(plan_figure(run), "path")
     np.testing.assert_allclose(path[~np.isnan(path).any(axis=1)], run.estimate.positions_m[:, 1:])
 

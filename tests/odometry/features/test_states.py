@@ -129,7 +129,7 @@ def test_looking_away_and_back_recovers_the_place(reference):
     there = wobbling_trajectory(12)
     turned = se3.exp(np.array([0, 0, 0, 0, np.pi, 0]))
     stamps = 100 + FRAME_S * np.arange(36)
-    views = [*there.T_odom_body, *(T @ turned for T in there.T_odom_body), *there.T_odom_body[::-1]]
+    views = [*there.T_frame_body, *(T @ turned for T in there.T_frame_body), *there.T_frame_body[::-1]]
     answers = run(odometry(reference=reference, lost_after=5), room_frames(zip(stamps, views, strict=True)))
     assert statuses(answers)[:12] == [Status.TRACKING] * 12
     assert statuses(answers)[12:24] == [Status.FAILING] * 4 + [Status.LOST] * 8
