@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from run_example import empty_run, example_map, example_run, wheel_run
 
-from wheelsight.report import MapPicture, plan_figure, write_comparison, write_report
+from wheelsight.pipeline import MapPicture
+from wheelsight.report import plan_figure, write_comparison, write_report
 from wheelsight.report.map_figures import bar_length_m, draw_view
 
 
@@ -51,7 +52,7 @@ def test_the_plan_is_where_its_pixels_are_and_the_path_lies_on_it():
 def test_the_path_turns_with_the_plan():
     found = example_map()
     aslant = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
-    run = example_run(60, map=replace(found, plan=replace(found.plan, R_plan_odom=aslant)))
+    run = example_run(60, map=replace(found, plan=replace(found.plan, R_plan_map=aslant)))
     path = _trace(plan_figure(run), "path")
     np.testing.assert_allclose(path[~np.isnan(path).any(axis=1)], run.estimate.positions_m[:, 1:])
 

@@ -18,8 +18,8 @@ from wheelsight.cli._summary import print_summary
 
 if TYPE_CHECKING:
     from wheelsight.config import Config
+    from wheelsight.pipeline import FrameRecord, RunRecord
     from wheelsight.recordings import Recording
-    from wheelsight.report import FrameRecord, RunRecord
 
 
 def run(
@@ -103,7 +103,7 @@ def _open(folder: Path, settings: Config) -> Recording:
 
 
 def _track(source: Recording, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
-    from wheelsight import pipeline
+    from wheelsight import runs
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note
     from wheelsight.cli._progress import FrameProgress
@@ -125,7 +125,7 @@ def _track(source: Recording, settings: Config, out: Path, force: bool) -> Seque
                 compile_missing(parts_of(settings))
                 shown.enter_context(progress)
 
-            return pipeline.run_each(source, settings, out, force=force, on_ready=begin, on_event=show)
+            return runs.run_each(source, settings, out, force=force, on_ready=begin, on_event=show)
     except KeyboardInterrupt as interruption:
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")

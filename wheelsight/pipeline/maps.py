@@ -15,7 +15,7 @@ from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCame
 from wheelsight.mapping import SurfelMap
 from wheelsight.mapping.plan import Plan, plan_of
 from wheelsight.mapping.upright import upward
-from wheelsight.report import MapPicture, MapRecord
+from wheelsight.pipeline.map_record import MapPicture, MapRecord
 
 MAP_FILE = "map.surfels"
 _WIDTHS_PX = (640, 320, 160)

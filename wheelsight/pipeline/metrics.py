@@ -10,17 +10,12 @@ from typing import Any
 import numpy as np
 
 from wheelsight import __version__
+from wheelsight.pipeline.joined import JoinedFacts, facts_of, joined_of, rival_of
+from wheelsight.pipeline.map_record import MapRecord
+from wheelsight.pipeline.rectification_record import RectificationRecord
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import Passage
 from wheelsight.recordings import Recording
-from wheelsight.report import (
-    JoinedFacts,
-    MapRecord,
-    RectificationRecord,
-    RunRecord,
-    facts_of,
-    joined_of,
-    rival_of,
-)
 
 
 def metrics_of(record: RunRecord, passage: Passage, recording: Recording) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from wheelsight.errors import CalibrationError, ConfigError, PlaceError
 from wheelsight.events import WheelSpeeds, WheelTicks
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.localizer import Places, load_places
+from wheelsight.pipeline.rectification_record import Look, MapErrors, RectificationRecord
 from wheelsight.places import PlaceModel, labels_on_the_way
 from wheelsight.recordings import Recording, express_for
-from wheelsight.report import Look, MapErrors, RectificationRecord
 from wheelsight.trajectory import Trajectory
 
 _MAX_GAP_S = 0.5  # true poses further apart tell nothing of the time between them

@@ -10,12 +10,13 @@ import numpy as np
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate
+from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.maps import map_record_of
 from wheelsight.pipeline.places import PlacesOfRun, rectification_of
 from wheelsight.pipeline.realtime import RealTimeRecording
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import UNITS, Passage, Track
 from wheelsight.recordings import Recording, express_for
-from wheelsight.report import MapRecord, RunRecord
 from wheelsight.trajectory import Trajectory
 
 

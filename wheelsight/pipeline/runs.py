@@ -9,54 +9,14 @@ from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
 from wheelsight.localizer import Localizer
-from wheelsight.pipeline.outputs import write_results
+from wheelsight.pipeline.outputs import Draw, write_results
 from wheelsight.pipeline.places import PlacesOfRun, places_of
 from wheelsight.pipeline.realtime import RealTimeRecording
 from wheelsight.pipeline.records import records_of
+from wheelsight.pipeline.run_record import FrameRecord, RunRecord
 from wheelsight.pipeline.track import UNITS, follow
 from wheelsight.recordings import Recording
 from wheelsight.recordings.clocks import refuse_if_apart
-from wheelsight.report import FrameRecord, RunRecord
-
-
-def run(
-    recording: Recording,
-    config: Config,
-    out: StrPath,
-    *,
-    force: bool = False,
-    on_frame: Callable[[FrameRecord], None] | None = None,
-) -> RunRecord:
-    """Track a whole recording and leave trajectory, status, metrics, configuration and report in the folder `out`.
-
-    Ctrl-C, or a recording that breaks off, loses nothing: what was tracked until then is written and marked
-    as interrupted, and then the exception goes on its way.
-
-    Args:
-        recording: from `open_recording`; or from `in_real_time`, then frames may be dropped.
-        config: all settings; of one odometry, without places.
-        out: folder for the results; made if need be.
-        force: write into a folder that holds something already.
-        on_frame: called after each frame, for a progress bar.
-
-    Raises:
-        ConfigError: the configuration names several odometries or places, or the recording has no images, or no wheel
-            readings, that the odometry asked for needs.
-        CalibrationError: the calibration lacks its cameras, or its wheels.
-        OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
-        RecordingError: the recording cannot be read on; or wheels and camera, which are to be joined, share no time.
-    """
-    out = Path(out)
-    if len(config.tracks) > 1:
-        raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")
-
-    def on_event(answers: Mapping[str, FrameRecord]) -> None:
-        for frame in answers.values():
-            if on_frame is not None:
-                on_frame(frame)
-
-    (record,) = run_each(recording, config, out, force=force, on_event=on_event)
-    return record
 
 
 def run_each(
@@ -67,22 +27,32 @@ def run_each(
     force: bool = False,
     on_ready: Callable[[], None] = lambda: None,
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
+    draw: Draw | None = None,
 ) -> tuple[RunRecord, ...]:
     """Run every odometry that `config` names over one pass of the recording, each alone, and report them together.
 
-    One odometry leaves what `run` does. Of several, each has its trajectory, status and metrics in a folder of its
-    name, and `out` holds metrics, configuration and one report of all. Wheels that places rectify are followed twice,
-    alone and as "rectified".
+    One odometry leaves trajectory, status, metrics and configuration in the folder `out`. Of several, each has its
+    trajectory, status and metrics in a folder of its name, and `out` holds metrics and configuration of all. Wheels
+    that places rectify are followed twice, alone and as "rectified".
 
-    Ctrl-C before the first answer leaves nothing.
+    Ctrl-C, or a recording that breaks off, loses nothing: what was tracked until then is written and marked as
+    interrupted, and then the exception goes on its way. Ctrl-C before the first answer leaves nothing.
 
     Args:
+        recording: from `open_recording`; or from `in_real_time`, then frames may be dropped.
+        config: all settings.
+        out: folder for the results; made if need be.
+        force: write into a folder that holds something already.
         on_ready: called once all is checked and `out` is made, before the first event.
         on_event: called after each event that was answered, with each odometry's answer by its name.
-        recording, config, out, force: as in `run`.
+        draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
 
     Raises:
-        As `run`, for any of the odometries; and AreaError or PlaceError, for places.
+        ConfigError: the recording has no images, or no wheel readings, that an odometry asked for needs.
+        CalibrationError: the calibration lacks its cameras, or its wheels.
+        AreaError, PlaceError: places cannot be read, or do not fit.
+        OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
+        RecordingError: the recording cannot be read on; or wheels and camera, which are to be joined, share no time.
     """
     out = Path(out)
     places = _check(recording, config)
@@ -92,7 +62,7 @@ def run_each(
     if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in passage.tracks):
         raise passage.interruption
     records = records_of(passage, recording, config, places)
-    write_results(records, passage, recording, config, folder)
+    write_results(records, passage, recording, config, folder, draw)
     if passage.interruption is not None:
         raise passage.interruption
     return records

@@ -19,8 +19,9 @@ from wheelsight.pipeline.choice import unused_of
 from wheelsight.pipeline.interrupts import whole_step
 from wheelsight.pipeline.maps import Stops
 from wheelsight.pipeline.realtime import RealTimeRecording, rehearse
+from wheelsight.pipeline.rectification_record import Look
+from wheelsight.pipeline.run_record import FrameRecord, MatchPicture
 from wheelsight.recordings import Recording
-from wheelsight.report import FrameRecord, Look, MatchPicture
 
 # What a track's record lists; of rectified and joined ones frames, though they tell a pose at each reading too.
 UNITS: dict[TrackName, Literal["frame", "reading"]] = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from wheelsight.report import _words as words
-from wheelsight.report.record import RunRecord
+from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.report import words
 from wheelsight.report.summary import Summary
 
 Tone = Literal["good", "fair", "poor"]

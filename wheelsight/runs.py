@@ -1,0 +1,65 @@
+"""A run with its page: what most users call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from wheelsight import pipeline
+from wheelsight.config import Config
+from wheelsight.errors import ConfigError
+from wheelsight.files import StrPath
+from wheelsight.pipeline import FrameRecord, RunRecord
+from wheelsight.recordings import Recording
+from wheelsight.report import write_page
+
+
+def run(
+    recording: Recording,
+    config: Config,
+    out: StrPath,
+    *,
+    force: bool = False,
+    on_frame: Callable[[FrameRecord], None] | None = None,
+) -> RunRecord:
+    """Track a whole recording and leave trajectory, status, metrics, configuration and report in the folder `out`.
+
+    Ctrl-C, or a recording that breaks off, loses nothing: what was tracked until then is written and marked
+    as interrupted, and then the exception goes on its way.
+
+    Args:
+        recording: from `open_recording`; or from `in_real_time`, then frames may be dropped.
+        config: all settings; of one odometry, without places.
+        out: folder for the results; made if need be.
+        force: write into a folder that holds something already.
+        on_frame: called after each frame, for a progress bar.
+
+    Raises:
+        ConfigError: the configuration names several odometries or places, or the recording has no images, or no wheel
+            readings, that the odometry asked for needs.
+        CalibrationError: the calibration lacks its cameras, or its wheels.
+        OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
+        RecordingError: the recording cannot be read on; or wheels and camera, which are to be joined, share no time.
+    """
+    if len(config.tracks) > 1:
+        raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")
+
+    def on_event(answers: Mapping[str, FrameRecord]) -> None:
+        for frame in answers.values():
+            if on_frame is not None:
+                on_frame(frame)
+
+    (record,) = run_each(recording, config, out, force=force, on_event=on_event)
+    return record
+
+
+def run_each(
+    recording: Recording,
+    config: Config,
+    out: StrPath,
+    *,
+    force: bool = False,
+    on_ready: Callable[[], None] = lambda: None,
+    on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
+) -> tuple[RunRecord, ...]:
+    """`pipeline.run_each`, which says all about it, with one page of everything: `report.html` in `out`."""
+    return pipeline.run_each(recording, config, out, force=force, on_ready=on_ready, on_event=on_event, draw=write_page)
