@@ -83,9 +83,9 @@ class TrueOdometry:
     truth: ClassVar[Trajectory]
     seen: ClassVar[list[RgbdFrame]]
 
-    def __init__(self, calibration: Calibration, settings: object, T_odom_first: FloatArray | None = None) -> None:
+    def __init__(self, calibration: Calibration, settings: object, T_map_first: FloatArray | None = None) -> None:
         type(self).seen = []
-        self._T_odom_first = np.eye(4) if T_odom_first is None else T_odom_first
+        self._T_map_first = np.eye(4) if T_map_first is None else T_map_first
         self.last_matches: Matches | None = None
         self.stage_seconds: dict[str, float] = {}
         self._reference_s: float | None = None
@@ -104,6 +104,6 @@ class TrueOdometry:
             px = np.full((3, 2), float(frame.index))
             self.last_matches = Matches(self._reference_s, px, px - 1, np.array([True, True, False]))
         self._reference_s = frame.stamp_s
-        T = self._T_odom_first @ self.truth.at([frame.stamp_s])[0]
-        Ad = se3.adjoint(self._T_odom_first)
+        T = self._T_map_first @ self.truth.at([frame.stamp_s])[0]
+        Ad = se3.adjoint(self._T_map_first)
         return Estimate(frame.stamp_s, Status.TRACKING, T, 1e-6 * Ad @ Ad.T, None, "camera", 3, 2)

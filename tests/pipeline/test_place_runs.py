@@ -58,7 +58,7 @@ def test_beside_a_camera_they_are_rectified_and_joined(tmp_path: Path) -> None:
     assert names_in(out / "joined") == OF_ONE
     wheels, joined = records[0].estimate, records[3].estimate
     assert (joined.frame, joined.body) == ("map", "base")
-    np.testing.assert_allclose(joined.T_odom_body[0], T_WORLD_START, atol=1e-9)
+    np.testing.assert_allclose(joined.T_frame_body[0], T_WORLD_START, atol=1e-9)
     end, T_odom_end = area_drive().truth.stamps_s[-1:], area_drive().truth.T_frame_body[-1]
     off_m = [np.hypot(*(path.at(end)[0] - T_odom_end)[:2, 3]) for path in (wheels.moved(T_WORLD_START), joined)]
     assert off_m[1] < 0.3 * off_m[0]

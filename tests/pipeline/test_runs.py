@@ -36,11 +36,11 @@ def test_a_run_leaves_every_file_and_a_true_trajectory(tmp_path: Path, truth: Tr
     written = read_tum(out / "trajectory.txt")
     assert [float(row["stamp_s"]) for row in status_in(out)] == written.stamps_s.tolist()
     np.testing.assert_allclose(written.T_frame_body, truth.T_frame_body, atol=1e-8)
-    assert (out / "trajectory.txt").read_text().startswith("# frames: T_odom_camera")
+    assert (out / "trajectory.txt").read_text().startswith("# frames: T_map_camera")
     assert record.estimate.covariances is not None
     assert record.estimate.covariances.shape == (20, 6, 6)
     metrics = metrics_in(out)
-    assert metrics["frame"] == "T_odom_camera"
+    assert metrics["frame"] == "T_map_camera"
     assert metrics["evaluation"]["ate_m"]["rmse"] < 1e-9
     assert metrics["evaluation"]["frames_with_pose"] == 1
     assert not metrics["interrupted"]

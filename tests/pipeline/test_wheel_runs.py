@@ -59,7 +59,7 @@ def test_frames_and_wheels_of_one_recording_do_not_mix(tmp_path: Path, truth: Tr
     run(MemoryRecording(events, calibration=both), Config(), tmp_path / "frames")
     assert len(status_in(tmp_path / "wheels")) == len(status_in(tmp_path / "frames")) == 20
     assert "T_odom_base" in (tmp_path / "wheels" / "trajectory.txt").read_text()
-    assert "T_odom_camera" in (tmp_path / "frames" / "trajectory.txt").read_text()
+    assert "T_map_camera" in (tmp_path / "frames" / "trajectory.txt").read_text()
 
 
 def test_truth_of_a_camera_says_nothing_of_a_base_that_is_nowhere(tmp_path: Path, truth: Trajectory) -> None:

@@ -41,15 +41,15 @@ def test_every_figure_has_its_place_and_its_words(tmp_path: Path) -> None:
 
 def test_the_headline_says_what_the_run_was(tmp_path: Path) -> None:
     page = _page(example_run(60), tmp_path)
-    for fact in ("corridor with a lost while", "format tum", "T_odom_camera", "2024-08-17 14:03 UTC", __version__):
+    for fact in ("corridor with a lost while", "format tum", "T_map_camera", "2024-08-17 14:03 UTC", __version__):
         assert fact in page.text
 
 
 def test_the_frame_is_that_of_the_trajectory(tmp_path: Path) -> None:
     run = example_run(60, with_truth=False)
     page = _page(replace(run, estimate=replace(run.estimate, body="base")), tmp_path)
-    assert "T_odom_base: poses of the robot's base (x forward" in page.text
-    assert "T_odom_camera" not in page.text
+    assert "T_map_base: poses of the robot's base (x forward" in page.text
+    assert "T_map_camera" not in page.text
 
 
 @pytest.mark.parametrize("seed", [1, 5])

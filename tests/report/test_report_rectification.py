@@ -124,7 +124,7 @@ def test_accuracy_counts_frames_that_say_something_and_have_a_true_area() -> Non
 
 def test_the_page_tells_what_areas_did() -> None:
     page = Page(render_comparison(area_runs()))
-    assert {"plot-area-map", "plot-area-time", "plot-world-error", "plot-overlay"} <= set(page.plots)
+    assert {"plot-area-map", "plot-area-time", "plot-map-error", "plot-overlay"} <= set(page.plots)
     found = area_runs()[1].rectification
     assert f"Areas bring the wheels from {found.errors.wheels.mean:.2f} m to 50.0 cm off (mean)" in page.text
     assert page.tiles["In the map, mean error"][0] == "50.0 cm"
@@ -145,7 +145,7 @@ def test_areas_that_do_harm_are_not_praised() -> None:
 def test_without_truth_the_page_says_so_and_draws_the_rest() -> None:
     page = Page(render_comparison(area_runs(with_truth=False)))
     assert {"plot-area-map", "plot-area-time"} <= set(page.plots)
-    assert "plot-world-error" not in page.plots
+    assert "plot-map-error" not in page.plots
     assert "Without a ground truth, how far off either is cannot be said." in page.text
     assert "In the map, mean error" not in page.tiles
 
