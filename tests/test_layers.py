@@ -31,6 +31,7 @@ LAYERS = (
     "threads",
     "views",
     "evaluation",
+    "sources",
     "recordings",
     "devices",
     "simulation",

@@ -9,29 +9,32 @@ from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
 from wheelsight.pipeline import FrameRecord, RunRecord
-from wheelsight.recordings import Recording
 from wheelsight.report import write_page
+from wheelsight.sources import EventSource
 
 
 def run(
-    recording: Recording,
+    source: EventSource,
     config: Config,
     out: StrPath,
     *,
     force: bool = False,
     on_frame: Callable[[FrameRecord], None] | None = None,
+    duration_s: float | None = None,
 ) -> RunRecord:
-    """Track a whole recording and leave trajectory, status, metrics, configuration and report in the folder `out`.
+    """Follow events to their end and leave trajectory, status, metrics, configuration and report in the folder `out`.
 
-    Ctrl-C, or a recording that breaks off, loses nothing: what was tracked until then is written and marked
+    Ctrl-C, or a source that breaks off, loses nothing: what was tracked until then is written and marked
     as interrupted, and then the exception goes on its way.
 
     Args:
-        recording: from `open_recording`; or from `in_real_time`, then frames may be dropped.
+        source: a recording from `open_recording`, or from `in_real_time`, then frames may be dropped; or events that
+            come from anywhere else, as long as they do.
         config: all settings; of one odometry, without places.
         out: folder for the results; made if need be.
         force: write into a folder that holds something already.
         on_frame: called after each frame, for a progress bar.
+        duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
 
     Raises:
         ConfigError: the configuration names several odometries or places, or the recording has no images, or no wheel
@@ -48,18 +51,21 @@ def run(
             if on_frame is not None:
                 on_frame(frame)
 
-    (record,) = run_each(recording, config, out, force=force, on_event=on_event)
+    (record,) = run_each(source, config, out, force=force, on_event=on_event, duration_s=duration_s)
     return record
 
 
 def run_each(
-    recording: Recording,
+    source: EventSource,
     config: Config,
     out: StrPath,
     *,
     force: bool = False,
     on_ready: Callable[[], None] = lambda: None,
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
+    duration_s: float | None = None,
 ) -> tuple[RunRecord, ...]:
     """`pipeline.run_each`, which says all about it, with one page of everything: `report.html` in `out`."""
-    return pipeline.run_each(recording, config, out, force=force, on_ready=on_ready, on_event=on_event, draw=write_page)
+    return pipeline.run_each(
+        source, config, out, force=force, on_ready=on_ready, on_event=on_event, draw=write_page, duration_s=duration_s
+    )

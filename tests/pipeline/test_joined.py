@@ -11,13 +11,13 @@ import pytest
 from localizer.joined_drives import CALIBRATION, Drive, Sight, drive, spinning
 from pipeline.made import OF_ONE, metrics_in, names_in, status_in
 from stand_ins import MemoryRecording
-from wheelsight.runs import run_each
 
 from wheelsight.config import load_config
 from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.pipeline import RunRecord
+from wheelsight.runs import run_each
 from wheelsight.trajectory import read_tum
 
 JOINED = load_config(overrides={"odometry": "wheels,features"})

@@ -12,7 +12,6 @@ from pipeline.made import FILES, metrics_in, names_in
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 from synthetic import make_tum_recording
-from wheelsight.runs import run, run_each
 
 from wheelsight.config import Config, load_config
 from wheelsight.errors import RecordingError
@@ -20,6 +19,7 @@ from wheelsight.events import Event, RgbdFrame
 from wheelsight.mapping import SurfelMap, load_map
 from wheelsight.pipeline import MAP_FILE
 from wheelsight.recordings import Recording, open_recording
+from wheelsight.runs import run, run_each
 
 pytestmark = pytest.mark.usefixtures("real_odometry")
 

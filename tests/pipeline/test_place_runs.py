@@ -10,7 +10,6 @@ from area_drive import AREAS, T_WORLD_START, area_drive, area_recording, by_area
 from pipeline.made import OF_ONE, metrics_in, names_in, status_in
 from places.made import trained
 from stand_ins import MemoryRecording
-from wheelsight.runs import run, run_each
 
 from wheelsight.areas import Area, AreaMap, save_areas
 from wheelsight.config import load_config
@@ -19,6 +18,7 @@ from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import PinholeCamera, se3
 from wheelsight.pipeline import RectificationRecord, RunRecord
 from wheelsight.places import read_labels
+from wheelsight.runs import run, run_each
 from wheelsight.trajectory import Trajectory, read_tum
 
 pytestmark = pytest.mark.usefixtures("real_odometry")

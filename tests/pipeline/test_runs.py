@@ -17,7 +17,6 @@ from pipeline.made import (
 )
 from stand_ins import MemoryRecording
 from synthetic import make_tum_recording
-from wheelsight.runs import run
 
 from wheelsight.config import Config, load_config
 from wheelsight.errors import OutputError, RecordingError
@@ -26,6 +25,7 @@ from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.pipeline.track import Track
 from wheelsight.recordings import open_recording
 from wheelsight.report import summarise
+from wheelsight.runs import run
 from wheelsight.trajectory import Trajectory, read_tum
 
 

@@ -14,12 +14,12 @@ from pipeline.made import (
     wheel_recording,
 )
 from stand_ins import MemoryRecording
-from wheelsight.runs import run
 
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Status
 from wheelsight.events import WheelTicks
+from wheelsight.runs import run
 from wheelsight.trajectory import Trajectory, read_tum
 
 

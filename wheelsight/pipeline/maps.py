@@ -45,11 +45,6 @@ class Stops:
     found: list[Stop] = field(default_factory=list)
     T_map_body: list[FloatArray] = field(default_factory=list)
 
-    @classmethod
-    def spread(cls, wanted: int, frame_count: int) -> Stops:
-        """So many, none at the very ends."""
-        return cls([int((number + 0.5) * frame_count / wanted) for number in range(wanted)])
-
     def look(
         self, frame: RgbdFrame, estimate: Estimate, T_odom_map: FloatArray, T_base_camera: FloatArray | None
     ) -> None:

@@ -19,7 +19,7 @@ from wheelsight.pipeline.metrics import joint_metrics, metrics_of
 from wheelsight.pipeline.places import looks_csv
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import Passage
-from wheelsight.recordings import Recording
+from wheelsight.sources import EventSource
 from wheelsight.trajectory import write_tum
 
 PAGE_FILE = "report.html"
@@ -32,7 +32,7 @@ Draw = Callable[[Sequence[RunRecord], Path], None]
 def write_results(
     records: Sequence[RunRecord],
     passage: Passage,
-    recording: Recording,
+    source: EventSource,
     config: Config,
     folder: Path,
     draw: Draw | None = None,
@@ -45,11 +45,11 @@ def write_results(
         _forget_others(records, folder)
     save_config(config, folder / "config.yaml")
     if len(records) == 1:
-        _write_one(records[0], passage, recording, folder)
+        _write_one(records[0], passage, source, folder)
     else:
         for record in records:
-            _write_one(record, passage, recording, make_output_folder(folder / record.odometry, force=True))
-        _write_json(joint_metrics(records, passage, recording), folder / "metrics.json")
+            _write_one(record, passage, source, make_output_folder(folder / record.odometry, force=True))
+        _write_json(joint_metrics(records, passage, source), folder / "metrics.json")
     if draw is None:
         _forget(folder / PAGE_FILE)
     else:
@@ -69,13 +69,13 @@ def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
             raise output_error(error, place) from error
 
 
-def _write_one(record: RunRecord, passage: Passage, recording: Recording, folder: Path) -> None:
+def _write_one(record: RunRecord, passage: Passage, source: EventSource, folder: Path) -> None:
     write_tum(record.estimate, folder / "trajectory.txt")
     write_text(folder / "status.csv", _status_csv(record))
     if record.rectification is not None:
         write_text(folder / "areas.csv", looks_csv(record.rectification))
     _write_map(record, passage, folder / MAP_FILE)
-    _write_json(metrics_of(record, passage, recording), folder / "metrics.json")
+    _write_json(metrics_of(record, passage, source), folder / "metrics.json")
 
 
 def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:

@@ -95,13 +95,13 @@ class RunRecord:
     """A finished run.
 
     Attributes:
-        recording: the recording's name.
-        format: its reader's name.
+        recording: the recording's name, or the live source's.
+        format: its reader's name, or "live".
         frames: one record for each frame listed, skipped ones included; of wheel odometry, for each wheel reading.
         estimate: the trajectory; frames without a pose are not in it.
         ground_truth: or None.
         evaluation: against the ground truth, or None without one; `evaluation_problem` then says why.
-        association: how colour and depth were paired.
+        association: how colour and depth were paired, or None where a live source gives them as frames.
         warnings: about the recording, one sentence each.
         pictures: a few frames with their matches.
         stage_seconds: median time a frame of each stage (extract, match, align, …).
@@ -122,7 +122,7 @@ class RunRecord:
     estimate: Trajectory
     ground_truth: Trajectory | None
     evaluation: Evaluation | None
-    association: AssociationReport
+    association: AssociationReport | None
     warnings: tuple[str, ...] = ()
     evaluation_problem: str | None = None
     pictures: tuple[MatchPicture, ...] = ()

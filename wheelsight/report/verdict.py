@@ -122,7 +122,7 @@ def _counted(reasons: tuple[tuple[str, int], ...]) -> str:
 
 def _association_notes(record: RunRecord) -> list[str]:
     pairing = record.association
-    if not (pairing.dropped_color or pairing.dropped_depth):
+    if pairing is None or not (pairing.dropped_color or pairing.dropped_depth):
         return []
     return [
         f"{pairing.dropped_color:,} of {words.count(pairing.color_images, 'colour image')} and "
