@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight import __version__
+from wheelsight._version import __version__
 from wheelsight.pipeline.joined import JoinedFacts, facts_of, joined_of, rival_of
 from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.origin import format_of, frame_count_of, path_of, wheel_count_of
