@@ -13,6 +13,7 @@ PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 LAYERS = (
     "_version",
     "errors",
+    "extras",
     "files",
     "inputs",
     "geometry",

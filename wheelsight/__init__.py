@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from wheelsight.runs import run, run_each
     from wheelsight.simulation import SimulatedRecording, SimulationSettings, write_simulation
     from wheelsight.simulation.simulate import simulate
+    from wheelsight.sources import EventSource
     from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "Config",
     "Estimate",
     "Evaluation",
+    "EventSource",
     "FeatureOdometry",
     "Gyro",
     "Localizer",
@@ -85,6 +87,7 @@ _NAMES_OF = {
     "odometry.wheels": ("WheelOdometry",),
     "runs": ("run", "run_each"),
     "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
+    "sources": ("EventSource",),
     "simulation": ("SimulatedRecording", "SimulationSettings", "simulate", "write_simulation"),
     "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),
 }

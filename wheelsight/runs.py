@@ -9,7 +9,7 @@ from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
 from wheelsight.pipeline import FrameRecord, RunRecord
-from wheelsight.report import write_page
+from wheelsight.report import why_no_page, write_page
 from wheelsight.sources import EventSource
 
 
@@ -23,6 +23,8 @@ def run(
     duration_s: float | None = None,
 ) -> RunRecord:
     """Follow events to their end and leave trajectory, status, metrics, configuration and report in the folder `out`.
+
+    The report needs plotly, which the extra `report` brings; without it all else is done.
 
     Ctrl-C, or a source that breaks off, loses nothing: what was tracked until then is written and marked
     as interrupted, and then the exception goes on its way.
@@ -65,7 +67,11 @@ def run_each(
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
     duration_s: float | None = None,
 ) -> tuple[RunRecord, ...]:
-    """`pipeline.run_each`, which says all about it, with one page of everything: `report.html` in `out`."""
+    """`pipeline.run_each`, which says all about it, with one page of everything: `report.html` in `out`.
+
+    Without plotly, which the extra `report` brings, all is done but the page.
+    """
+    draw = write_page if why_no_page() is None else None
     return pipeline.run_each(
-        source, config, out, force=force, on_ready=on_ready, on_event=on_event, draw=write_page, duration_s=duration_s
+        source, config, out, force=force, on_ready=on_ready, on_event=on_event, draw=draw, duration_s=duration_s
     )

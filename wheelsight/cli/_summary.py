@@ -18,6 +18,7 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
     """Figures of the only odometry, or a table of several with one row each; warnings and files."""
     from wheelsight.cli._console import console, facts_table, print_warning
     from wheelsight.cli.evaluate import evaluation_table
+    from wheelsight.report import why_no_page
 
     stdout = console()
     first = records[0]
@@ -41,7 +42,8 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
             folder, status = out / record.odometry if len(records) > 1 else out, record.map.status
             surfels = f"{status.surfels:,} surfels, {status.stable:,} of them stable"
             stdout.print(f"map: {folder / record.map.file} ({surfels})")
-    stdout.print(f"report: {out / 'report.html'}")
+    if why_no_page() is None:
+        stdout.print(f"report: {out / 'report.html'}")
 
 
 def _joint_table(records: Sequence[RunRecord]) -> Table:

@@ -107,6 +107,7 @@ def _track(source: EventSource, settings: Config, out: Path, force: bool) -> Seq
     from wheelsight import runs
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note
+    from wheelsight.cli._outputs import can_draw
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
     from wheelsight.pipeline.kernels import parts_of
@@ -123,6 +124,7 @@ def _track(source: EventSource, settings: Config, out: Path, force: bool) -> Seq
         with ExitStack() as shown:
 
             def begin() -> None:
+                can_draw()
                 compile_missing(parts_of(settings))
                 shown.enter_context(progress)
 

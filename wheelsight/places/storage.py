@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from wheelsight.errors import PlaceError
+from wheelsight.extras import needed
 from wheelsight.files import StrPath, write_bytes
 from wheelsight.inputs import Kind, parse_json, read_bytes
 
@@ -39,9 +40,7 @@ _PLAIN = {
 
 def save_document(document: dict[str, Any], path: StrPath) -> None:
     """Write plain values and arrays atomically. Raises OutputError."""
-    import skops.io
-
-    write_bytes(path, skops.io.dumps(document, compression=zipfile.ZIP_DEFLATED))
+    write_bytes(path, needed("skops.io").dumps(document, compression=zipfile.ZIP_DEFLATED))
 
 
 def load_document(path: StrPath, made_into: Callable[[Any], Made]) -> Made:
@@ -50,14 +49,13 @@ def load_document(path: StrPath, made_into: Callable[[Any], Made]) -> Made:
     Raises:
         PlaceError: naming the file: it cannot be read, is no model, holds more than plain values and arrays (nothing
             of it is then made), is of another version, or contradicts itself.
+        ConfigError: skops is not installed.
     """
-    path = Path(path)
-    import skops.io
-
+    path, skops_io = Path(path), needed("skops.io")
     data = read_bytes(path, _FILE, PlaceError)
     try:
         _refuse_all_but_plain(data)
-        return made_into(skops.io.loads(data, trusted=[]))
+        return made_into(skops_io.loads(data, trusted=[]))
     except PlaceError as error:
         raise PlaceError(error.problem, path=path, fix=error.fix) from error
     except ValidationError as error:
@@ -68,8 +66,6 @@ def load_document(path: StrPath, made_into: Callable[[Any], Made]) -> Made:
 
 def _refuse_all_but_plain(data: bytes) -> None:
     """Read the file's table of contents, and only that; whatever it names but plain values is refused."""
-    import skops.io
-
     if not zipfile.is_zipfile(io.BytesIO(data)):
         raise PlaceError("is no model of places", fix=NO_MODEL)
     if data.count(b"PK\x01\x02") > _MOST_ENTRIES:
@@ -93,7 +89,7 @@ def _refuse_all_but_plain(data: bytes) -> None:
             loader, kind = sorted(odd)[0]
             raise PlaceError(f"holds a {kind} ({loader}), which no model of places does", fix=_DISTRUST)
         _refuse_large_arrays(archive, schema, sizes)
-    untrusted = skops.io.get_untrusted_types(data=data)
+    untrusted = needed("skops.io").get_untrusted_types(data=data)
     if untrusted:
         raise PlaceError(f"holds a {untrusted[0]}, which no model of places does", fix=_DISTRUST)
 

@@ -17,7 +17,7 @@ from wheelsight.report.joined_figures import trust_figure
 from wheelsight.report.map_figures import plan_figure
 from wheelsight.report.overlay import Overlay, overlay_of
 from wheelsight.report.page import write_report
-from wheelsight.report.pages import write_page
+from wheelsight.report.pages import why_no_page, write_page
 from wheelsight.report.pictures import draw_matches
 from wheelsight.report.rectification_figures import area_map_figure, area_time_figure, map_error_figure
 from wheelsight.report.summary import Summary, summarise
@@ -47,6 +47,7 @@ __all__ = [
     "time_histogram_figure",
     "trajectory_figure",
     "trust_figure",
+    "why_no_page",
     "write_comparison",
     "write_page",
     "write_report",

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
 from wheelsight.geometry import FloatArray
 from wheelsight.pipeline.label_runs import runs
 from wheelsight.pipeline.run_record import FrameRecord, RunRecord
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 
 # Okabe and Ito's colours; these four also stand out from white and from near black.
@@ -37,23 +37,21 @@ _AXIS = {
     "spikethickness": 1,
     "spikedash": "solid",
 }
-_STYLE = go.layout.Template(
-    layout={
-        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#333333"},
-        "paper_bgcolor": "rgba(0,0,0,0)",
-        "plot_bgcolor": "rgba(0,0,0,0)",
-        "hoverlabel": {"bgcolor": "#2b2f36", "bordercolor": "#2b2f36", "font": {"color": "#ffffff"}},
-        "legend": {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.0, "yanchor": "bottom"},
-        "margin": {"l": 62, "r": 14, "t": 36, "b": 46},
-        "xaxis": _AXIS,
-        "yaxis": _AXIS,
-    }
-)
+_LAYOUT = {
+    "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#333333"},
+    "paper_bgcolor": "rgba(0,0,0,0)",
+    "plot_bgcolor": "rgba(0,0,0,0)",
+    "hoverlabel": {"bgcolor": "#2b2f36", "bordercolor": "#2b2f36", "font": {"color": "#ffffff"}},
+    "legend": {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.0, "yanchor": "bottom"},
+    "margin": {"l": 62, "r": 14, "t": 36, "b": 46},
+    "xaxis": _AXIS,
+    "yaxis": _AXIS,
+}
 
 
 def style(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
     """`figure` in the report's style, `height` in px; its width is that of its place."""
-    figure.update_layout(template=_STYLE, height=height, **layout)
+    figure.update_layout(template=go.layout.Template(layout=_LAYOUT), height=height, **layout)
     return figure
 
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
 from wheelsight.pipeline.joined import JOINED
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import GREY
+from wheelsight.report._plotly import make_subplots
 from wheelsight.report.figures import STATUS_COLOURS, add_band, status_labels
 from wheelsight.report.joined_figures import add_ellipses
 from wheelsight.report.overlay import Overlay

@@ -8,8 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.errors import EvaluationError
 from wheelsight.estimates import Status
@@ -18,9 +16,11 @@ from wheelsight.geometry import FloatArray
 from wheelsight.pipeline.label_runs import runs
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report import words
 from wheelsight.report._drawing import BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, YELLOW
+from wheelsight.report._plotly import make_subplots
 from wheelsight.report.summary import SKIPPED, summarise
 from wheelsight.trajectory import Trajectory
 

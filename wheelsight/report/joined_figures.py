@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.evaluation import THREE_SIGMA_RADIUS, Consistency, covariances_ahead_m2, position_covariances_m2
 from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.pipeline.joined import FLAGS
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import INK, VERMILLION
+from wheelsight.report._plotly import make_subplots
 from wheelsight.report.figures import STATUS_COLOURS, add_band, status_labels
 from wheelsight.trajectory import Trajectory
 

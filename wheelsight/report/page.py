@@ -9,7 +9,6 @@ from pathlib import Path
 from string import Template
 
 import yaml
-from plotly.offline import get_plotlyjs
 
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
@@ -18,6 +17,7 @@ from wheelsight.report import _html as html
 from wheelsight.report import _map as surfels
 from wheelsight.report import _sections as sections
 from wheelsight.report import words
+from wheelsight.report._plotly import get_plotlyjs
 from wheelsight.report.summary import Summary, summarise
 from wheelsight.report.verdict import judge, notes
 

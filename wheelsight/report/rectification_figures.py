@@ -6,16 +6,16 @@ from html import escape
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.areas import AreaMap
 from wheelsight.geometry import FloatArray
 from wheelsight.pipeline.rectification_record import RectificationRecord
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import GREY
+from wheelsight.report._plotly import make_subplots
 from wheelsight.report.places_sheet import area_colour
 
 _MOST_COLUMNS = 1200
