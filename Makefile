@@ -26,12 +26,12 @@ QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),, and not slow)
 ifeq ($(RECORDING),)
 # A square of 4 m at 320×240 by a wheelchair whose wheels are not quite what its owner measured, as wheels never are. On
 # the way something lies on the camera, and a wheel is lifted.
-demo: $(VENV)/.installed-sim
+demo: $(VENV)/.installed-sim,report
 	$(BIN)/wheelsight simulate square --rate 15 --right-radius 0.171 --track 0.525 --cover 10:13 --lift 19:22 \
 		--out "$(OUT)/drive" --force
 	$(BIN)/wheelsight run "$(OUT)/drive" --odometry wheels,dense --map surfels --out "$(OUT)/results" --force
 else
-demo: $(VENV)/.installed-core
+demo: $(VENV)/.installed-report
 	$(BIN)/wheelsight run "$(RECORDING)" $(if $(ODOMETRY),--odometry "$(ODOMETRY)") --out "$(OUT)/results" --force
 endif
 

@@ -79,8 +79,8 @@ def track(sequence: Path, out: Path, force: bool) -> Trajectory | None:
     """The estimate of wheelsight's feature odometry, or None where `sequence` has no images."""
     if not (sequence / "rgb.txt").is_file():
         return None
+    from wheelsight import run
     from wheelsight.config import Config
-    from wheelsight.pipeline import run
     from wheelsight.recordings import open_recording
 
     recording = open_recording(sequence)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 LAYERS = (
     "_version",
     "errors",
+    "extras",
     "files",
     "inputs",
     "compiled",
@@ -32,6 +34,7 @@ LAYERS = (
     "threads",
     "views",
     "evaluation",
+    "sources",
     "recordings",
     "devices",
     "simulation",
@@ -42,9 +45,10 @@ LAYERS = (
     "navigation",
     "config",
     "localizer",
-    "report",
     "telemetry",
     "pipeline",
+    "report",
+    "runs",
     "cli",
     "__main__",
 )
@@ -80,6 +84,29 @@ def wrong_imports(source: str, layer: str) -> list[str]:
     ]
 
 
+def module_of(path: Path) -> str:
+    """Its dotted name; a package's is that of its `__init__`."""
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def circle_in(sources: Mapping[str, str]) -> list[str]:
+    """Modules, by name with their text, that import each other in a circle, the first one again at the end; or none."""
+    graph = {name: {_module_named(found, sources) for _, found in imports_of(text)} for name, text in sources.items()}
+    try:
+        TopologicalSorter({name: found - {None, name} for name, found in graph.items()}).prepare()
+    except CycleError as error:
+        return list(reversed(error.args[1]))
+    return []
+
+
+def _module_named(name: str, sources: Mapping[str, str]) -> str | None:
+    """The module that an imported name is, or is a part of."""
+    while name and name not in sources:
+        name = name.rpartition(".")[0]
+    return name or None
+
+
 def layer_of_file(path: Path) -> str:
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
@@ -88,6 +115,31 @@ def layer_of_file(path: Path) -> str:
 def test_a_module_imports_only_what_stands_above_it(path: Path) -> None:
     assert layer_of_file(path) in LAYERS, "a new part of the package needs its place in the list"
     assert not wrong_imports(path.read_text(encoding="utf-8"), layer_of_file(path))
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    sources = {module_of(path): path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
+    assert " imports ".join(circle_in(sources)) == ""
+
+
+@pytest.mark.parametrize(
+    "back",
+    [
+        "from wheelsight.places import model",
+        "import wheelsight.places.model",
+        "from wheelsight.places.model import PlaceModel",
+        "def later():\n    from wheelsight.places.model import PlaceModel",
+        "if TYPE_CHECKING:\n    from wheelsight.places.model import PlaceModel",
+    ],
+)
+def test_a_circle_is_found(back: str) -> None:
+    there = "from wheelsight.places.forest import grow"
+    sources = {"wheelsight.places": "", "wheelsight.places.model": there, "wheelsight.places.forest": "import numpy"}
+    assert circle_in(sources) == []
+    sources["wheelsight.places.forest"] = back
+    found = circle_in(sources)
+    assert found[0] == found[-1]
+    assert set(found) == {"wheelsight.places.model", "wheelsight.places.forest"}
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.glob("cli/*.py")), ids=lambda path: path.name)
@@ -101,7 +153,7 @@ def test_a_command_is_thin(path: Path) -> None:
         "from wheelsight.cli import main",
         "import wheelsight.odometry.features",
         "def later():\n    from wheelsight import pipeline",
-        "if TYPE_CHECKING:\n    from wheelsight.report.record import RunRecord",
+        "if TYPE_CHECKING:\n    from wheelsight.pipeline.run_record import RunRecord",
         "from wheelsight import Trajectory",
         "import wheelsight",
     ],

@@ -61,7 +61,7 @@ def test_the_installed_command_tracks_a_recording(fresh_bin: Path, tmp_path: Pat
     run(fresh_bin / "wheelsight", "run", "room", "--odometry", "features", "--out", "results", folder=tmp_path)
     poses = np.loadtxt(tmp_path / "results" / "trajectory.txt")
     assert poses.shape == (10, 8)
-    assert (tmp_path / "results" / "report.html").stat().st_size > 10_000
+    assert not (tmp_path / "results" / "report.html").exists()  # it needs the extra `report`
 
 
 def test_the_installed_dependencies_agree(fresh_bin: Path, tmp_path: Path) -> None:

@@ -23,10 +23,11 @@ if TYPE_CHECKING:
     from wheelsight.localizer import Localizer
     from wheelsight.odometry.features import FeatureOdometry
     from wheelsight.odometry.wheels import WheelOdometry
-    from wheelsight.pipeline import run, run_each
     from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
+    from wheelsight.runs import run, run_each
     from wheelsight.simulation import SimulatedRecording, SimulationSettings, write_simulation
     from wheelsight.simulation.simulate import simulate
+    from wheelsight.sources import EventSource
     from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "Config",
     "Estimate",
     "Evaluation",
+    "EventSource",
     "FeatureOdometry",
     "Gyro",
     "Localizer",
@@ -83,8 +85,9 @@ _NAMES_OF = {
     "localizer": ("Localizer",),
     "odometry.features": ("FeatureOdometry",),
     "odometry.wheels": ("WheelOdometry",),
-    "pipeline": ("run", "run_each"),
+    "runs": ("run", "run_each"),
     "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
+    "sources": ("EventSource",),
     "simulation": ("SimulatedRecording", "SimulationSettings", "simulate", "write_simulation"),
     "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),
 }

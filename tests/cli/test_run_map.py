@@ -10,7 +10,7 @@ from typer.testing import Result
 
 from wheelsight.cli._run_status import RunStatus, count
 from wheelsight.estimates import Status
-from wheelsight.report import FrameRecord
+from wheelsight.pipeline import FrameRecord
 
 Command = Callable[..., Result]
 MAPPED = ("--odometry", "dense", "--map", "surfels")

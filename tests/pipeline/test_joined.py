@@ -16,8 +16,8 @@ from wheelsight.config import load_config
 from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.pipeline import run_each
-from wheelsight.report import RunRecord
+from wheelsight.pipeline import RunRecord
+from wheelsight.runs import run_each
 from wheelsight.trajectory import read_tum
 
 JOINED = load_config(overrides={"odometry": "wheels,features"})

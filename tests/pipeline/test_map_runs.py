@@ -17,8 +17,9 @@ from wheelsight.config import Config, load_config
 from wheelsight.errors import RecordingError
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.mapping import SurfelMap, load_map
-from wheelsight.pipeline import MAP_FILE, run, run_each
+from wheelsight.pipeline import MAP_FILE
 from wheelsight.recordings import Recording, open_recording
+from wheelsight.runs import run, run_each
 
 pytestmark = pytest.mark.usefixtures("real_odometry")
 

@@ -16,9 +16,9 @@ from wheelsight.config import load_config
 from wheelsight.errors import AreaError, ConfigError, InputError, PlaceError
 from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.pipeline import run, run_each
+from wheelsight.pipeline import RectificationRecord, RunRecord
 from wheelsight.places import read_labels
-from wheelsight.report import RectificationRecord, RunRecord
+from wheelsight.runs import run, run_each
 from wheelsight.trajectory import Trajectory, read_tum
 
 pytestmark = pytest.mark.usefixtures("real_odometry")

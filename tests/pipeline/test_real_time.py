@@ -18,17 +18,17 @@ from room_drive import make_room_drive
 from simulated_controller import SimulatedController
 from stand_ins import MemoryRecording, TrueOdometry, frame
 from virtual_time import VirtualClock
+from wheelsight.runs import run, run_each
 
 from wheelsight.calibration import Wheels
 from wheelsight.config import Config, load_config
 from wheelsight.devices import TelemetryPipe
 from wheelsight.errors import ConfigError, DeviceError, RecordingError
 from wheelsight.events import RgbdFrame, WheelTicks
-from wheelsight.pipeline import RealTimeRecording, in_real_time, run, run_each
+from wheelsight.pipeline import FrameRecord, RealTimeRecord, RealTimeRecording, RunRecord, in_real_time
 from wheelsight.pipeline.live_wheels import LiveWheels
 from wheelsight.pipeline.playing import THREAD
 from wheelsight.recordings import ListedFrame, Recording, open_recording
-from wheelsight.report import FrameRecord, RealTimeRecord, RunRecord
 from wheelsight.telemetry import Telemetry
 from wheelsight.trajectory import Trajectory
 

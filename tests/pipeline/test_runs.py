@@ -22,10 +22,10 @@ from wheelsight.config import Config, load_config
 from wheelsight.errors import OutputError, RecordingError
 from wheelsight.estimates import Status
 from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.pipeline import run
 from wheelsight.pipeline.track import Track
 from wheelsight.recordings import open_recording
 from wheelsight.report import summarise
+from wheelsight.runs import run
 from wheelsight.trajectory import Trajectory, read_tum
 
 

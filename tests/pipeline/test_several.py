@@ -16,10 +16,10 @@ from pipeline.made import (
 )
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording
+from wheelsight.runs import run, run_each
 
 from wheelsight.config import Config, load_config
 from wheelsight.errors import ConfigError
-from wheelsight.pipeline import run, run_each
 from wheelsight.recordings import _image_recording, open_recording
 from wheelsight.trajectory import Trajectory, read_tum
 

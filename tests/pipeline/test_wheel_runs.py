@@ -19,7 +19,7 @@ from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Status
 from wheelsight.events import WheelTicks
-from wheelsight.pipeline import run
+from wheelsight.runs import run
 from wheelsight.trajectory import Trajectory, read_tum
 
 

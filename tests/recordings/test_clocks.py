@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from room_drive import make_room_drive
 from synthetic import make_tum_recording
+from wheelsight.runs import run_each
 
 from wheelsight.config import load_config
 from wheelsight.errors import ConfigError, InputError, RecordingError
 from wheelsight.odometry.extrinsics import calibrate_base
-from wheelsight.pipeline import in_real_time, run_each
+from wheelsight.pipeline import in_real_time
 from wheelsight.recordings import OpenOptions, open_recording
 from wheelsight.recordings.clocks import FRAMES, TRUTH, WHEELS, apart, listed_stamps, refuse_if_apart, stamp_warnings
 

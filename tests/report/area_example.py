@@ -11,8 +11,8 @@ from run_example import wheel_run
 from wheelsight.estimates import Status
 from wheelsight.evaluation import evaluate
 from wheelsight.geometry import se3
+from wheelsight.pipeline import FrameRecord, Look, MapErrors, RectificationRecord, RunRecord
 from wheelsight.places import labels_on_the_way
-from wheelsight.report import FrameRecord, Look, MapErrors, RectificationRecord, RunRecord
 from wheelsight.trajectory import Trajectory
 
 

@@ -11,7 +11,7 @@ from run_example import START_S, example_run, wheel_run
 from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import evaluate
 from wheelsight.geometry import se3
-from wheelsight.report import FrameRecord, RunRecord
+from wheelsight.pipeline import FrameRecord, RunRecord
 from wheelsight.trajectory import Trajectory
 
 RATE_HZ, FRAMES = 10.0, 160

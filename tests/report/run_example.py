@@ -16,8 +16,8 @@ from wheelsight.geometry import ByteArray, se3
 from wheelsight.mapping import MapStatus
 from wheelsight.mapping.plan import Plan
 from wheelsight.odometry.wheels import integrate_log
+from wheelsight.pipeline import FrameRecord, MapPicture, MapRecord, MatchPicture, RunRecord
 from wheelsight.recordings import AssociationReport
-from wheelsight.report import FrameRecord, MapPicture, MapRecord, MatchPicture, RunRecord
 from wheelsight.trajectory import Trajectory
 
 START_S = 1305031102.17

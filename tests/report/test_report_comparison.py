@@ -11,14 +11,8 @@ from run_example import empty_run, example_picture, example_run, wheel_run
 from wheelsight.estimates import Status
 from wheelsight.evaluation import evaluate
 from wheelsight.geometry import se3
-from wheelsight.report import (
-    RunRecord,
-    bands_figure,
-    comparison_rows,
-    errors_figure,
-    overlay_figure,
-    overlay_of,
-)
+from wheelsight.pipeline import RunRecord
+from wheelsight.report import bands_figure, comparison_rows, errors_figure, overlay_figure, overlay_of
 from wheelsight.report._drawing import ODOMETRY_COLOURS
 from wheelsight.report.comparison import render_comparison
 from wheelsight.report.figures import STATUS_COLOURS

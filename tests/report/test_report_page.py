@@ -11,7 +11,8 @@ from run_example import empty_run, example_picture, example_run, wheel_run
 
 from wheelsight import __version__
 from wheelsight.errors import OutputError
-from wheelsight.report import RunRecord, write_report
+from wheelsight.pipeline import RunRecord
+from wheelsight.report import write_report
 
 ALL_PLOTS = {
     f"plot-{name}"

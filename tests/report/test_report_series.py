@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -53,13 +51,6 @@ def test_nothing_to_break(n: int) -> None:
     x, y = series.with_gaps(np.zeros(n), np.zeros((n, 3)), np.array([0.5]))
     assert x.shape == (n,)
     assert y.shape == (n, 3)
-
-
-@given(st.lists(st.sampled_from("ab"), max_size=60))
-def test_runs_are_whole(labels: list[str]) -> None:
-    found = series.runs(labels)
-    assert [label for first, after, label in found for _ in range(after - first)] == labels
-    assert all(a[2] != b[2] for a, b in pairwise(found))
 
 
 def test_lone_values_are_those_a_line_would_not_show() -> None:

@@ -8,8 +8,9 @@ import pytest
 from run_example import START_S, empty_run, example_run
 
 from wheelsight.estimates import Reason, Status
+from wheelsight.pipeline import FrameRecord, RealTimeRecord, RunRecord
 from wheelsight.recordings import AssociationReport
-from wheelsight.report import FrameRecord, RealTimeRecord, RunRecord, summarise
+from wheelsight.report import summarise
 from wheelsight.report.verdict import judge, notes
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.report import _words as words
+from wheelsight.report import words
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
-from wheelsight import __version__
+from wheelsight._version import __version__
 from wheelsight.cli import calibrate, evaluate, export, info, places, record, run, simulate, warm_up, wheels
 from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error, speak_any_encoding
 from wheelsight.errors import WheelsightError

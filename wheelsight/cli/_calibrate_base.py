@@ -41,5 +41,6 @@ def base(
         found = calibrate_base(source, progress.advance)
     parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}
     written = save_found(parts, kept, source.calibration, f"mount found on {source.name}", out)
-    write_base_page(found, page)
+    if page is not None:
+        write_base_page(found, page)
     print_mount(found, written, page)

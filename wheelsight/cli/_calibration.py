@@ -77,7 +77,7 @@ def squares_from_recordings(recordings: Sequence[Recording], side_m: float | Non
     return Squares(name, result, after_m, recordings[0].calibration, unused_m, told)
 
 
-def print_trial(trial: WheelTrial, written: str, page: Path) -> None:
+def print_trial(trial: WheelTrial, written: str, page: Path | None) -> None:
     """Wheels and errors before and after, and where the files are."""
     stdout, fit = console(), trial.fit
     along, across, turn = fit.spread
@@ -91,7 +91,7 @@ def print_trial(trial: WheelTrial, written: str, page: Path) -> None:
     _print_end(trial.warnings, written, page)
 
 
-def print_squares(squares: Squares, written: str, page: Path) -> None:
+def print_squares(squares: Squares, written: str, page: Path | None) -> None:
     """The same for UMBmark."""
     stdout, result = console(), squares.result
     stdout.print(_table(f"{squares.name}: wheels", HEAD, square_rows(result)))
@@ -103,7 +103,7 @@ def print_squares(squares: Squares, written: str, page: Path) -> None:
     _print_end(squares.warnings, written, page)
 
 
-def print_mount(found: BaseCalibration, written: str, page: Path) -> None:
+def print_mount(found: BaseCalibration, written: str, page: Path | None) -> None:
     """A camera's mount before and after, and where the files are."""
     stdout, fit = console(), found.fit
     stdout.print(_table(f"{found.recording}: where the camera sits", HEAD, mount_rows(found)))
@@ -140,7 +140,9 @@ def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Ta
     return table
 
 
-def _print_end(warnings: Sequence[str], written: str, page: Path) -> None:
+def _print_end(warnings: Sequence[str], written: str, page: Path | None) -> None:
     for warning in warnings:
         print_warning(warning)
-    console().print(f"calibration: {written}\npage: {page}", markup=False)
+    console().print(f"calibration: {written}", markup=False)
+    if page is not None:
+        console().print(f"page: {page}", markup=False)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wheelsight.cli._options import settings_from
+from wheelsight.cli._outputs import can_draw
 
 if TYPE_CHECKING:
     from wheelsight.calibration import Calibration, Wheels
@@ -32,8 +33,12 @@ def open_for(folder: Path, calibration: Sequence[str] | None, rate_hz: float | N
     )
 
 
-def page_beside(out: Path, force: bool) -> Path:
-    """Where the page goes; raises OutputError, before any work, where it or `out` cannot or must not be written."""
+def page_beside(out: Path, force: bool) -> Path | None:
+    """Where the page goes, or None where none can be drawn; before any work.
+
+    Raises:
+        OutputError: it or `out` cannot or must not be written.
+    """
     from wheelsight.errors import OutputError
     from wheelsight.files import check_name, make_output_folder
 
@@ -47,7 +52,7 @@ def page_beside(out: Path, force: bool) -> Path:
         if path.exists() and not force:
             raise OutputError("is there already", path=path, fix="choose another --out, or add --force to overwrite")
     make_output_folder(out.parent, force=True)
-    return page
+    return page if can_draw() else None
 
 
 def kept_in(out: Path, calibration: Sequence[str] | None) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from wheelsight.config import Config
-    from wheelsight.recordings import Recording
+    from wheelsight.sources import EventSource
 
 # Settings that any odometry has go with these two; which ones it is to be is decided once the recording is known.
 ANY = "wheels,dense"
@@ -20,8 +20,8 @@ def names_odometry(config: Path | None) -> bool:
     return is_named("odometry", config)
 
 
-def chosen_odometry(recording: Recording, settings: Config) -> str:
-    """What suits the recording, as `--odometry` takes it."""
+def chosen_odometry(source: EventSource, settings: Config) -> str:
+    """What suits the source, as `--odometry` takes it."""
     from wheelsight.pipeline import default_odometry
 
-    return ",".join(default_odometry(recording, settings).odometry)
+    return ",".join(default_odometry(source, settings).odometry)

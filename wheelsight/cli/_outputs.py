@@ -5,6 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 
+def can_draw() -> bool:
+    """Whether a page can be drawn; warns where it cannot, and all but the page will be written."""
+    from wheelsight.cli._console import print_warning
+    from wheelsight.report import why_no_page
+
+    why = why_no_page()
+    if why is not None:
+        print_warning(f"no page is drawn: {why}")
+    return why is None
+
+
 def check_out(out: Path, force: bool) -> None:
     """Raises OutputError, before any work, where `out` cannot or must not be written."""
     from wheelsight.errors import OutputError

@@ -50,6 +50,7 @@ def train(
     from wheelsight.cli._console import console
     from wheelsight.cli._places_tables import training_tables
     from wheelsight.errors import ConfigError
+    from wheelsight.extras import needed
     from wheelsight.places import (
         ForestSettings,
         check_every_area,
@@ -60,6 +61,8 @@ def train(
         train_on_drives,
     )
 
+    for library in ("sklearn", "skops"):  # refused before the long work
+        needed(library)
     if labels and len(labels) != len(folders):
         fix = "give --labels once for each recording, in their order, or not at all"
         raise ConfigError(f"{len(labels)} --labels for {len(folders)} recordings", fix=fix)
@@ -96,10 +99,12 @@ def try_model(
     """Try a model on a labelled recording."""
     from wheelsight.cli._console import console, print_json
     from wheelsight.cli._places_tables import trial_document, trial_tables
+    from wheelsight.extras import needed
     from wheelsight.places import PlaceModel, frames_of, stamps_of, try_places
     from wheelsight.report.places_page import write_places_page
 
     if out is not None:
+        needed("plotly")
         check_out(out, force)
     model, recording = PlaceModel.load(model_path), open_listed(folder)
     source = source_of(recording, labels, areas, trajectory, needed=True)

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from wheelsight.cli._console import facts_table
 from wheelsight.places import LabelledDrive, PlaceModel, PlaceTrial
-from wheelsight.report import _words as words
+from wheelsight.report import words
 from wheelsight.report.places_tables import (
     AREA_HEAD,
     CURVE_HEAD,

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.pipeline import RealTimeRecording
     from wheelsight.recordings import Recording
+    from wheelsight.sources import EventSource
 
 
 @contextmanager
@@ -39,21 +40,21 @@ def played(
         yield live
 
 
-def counts_frames(recording: Recording, settings: Config) -> bool:
+def counts_frames(source: EventSource, settings: Config) -> bool:
     """Whether progress is that of frames passing by, some of them dropped."""
     from wheelsight.pipeline import RealTimeRecording
 
-    return isinstance(recording, RealTimeRecording) and settings.tracks != ("wheels",)
+    return isinstance(source, RealTimeRecording) and settings.tracks != ("wheels",)
 
 
-def show_progress(progress: FrameProgress, recording: Recording, settings: Config, status: str) -> None:
+def show_progress(progress: FrameProgress, source: EventSource, settings: Config, status: str) -> None:
     """One event more was answered; in real time also how well that keeps up."""
     from wheelsight.pipeline import RealTimeRecording
 
-    if isinstance(recording, RealTimeRecording):
-        status = " · ".join(filter(None, [status, words(recording)]))
-        if counts_frames(recording, settings):
-            progress.reach(recording.frames_so_far[0], recording.frame_count, status)
+    if isinstance(source, RealTimeRecording):
+        status = " · ".join(filter(None, [status, words(source)]))
+        if counts_frames(source, settings):
+            progress.reach(source.frames_so_far[0], source.frame_count, status)
             return
     progress.advance(status)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from wheelsight.report import FrameRecord
+from wheelsight.pipeline import FrameRecord
 
 _JOINED = "joined"
 

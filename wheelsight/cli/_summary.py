@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from wheelsight.report import RectificationRecord, RunRecord
+    from wheelsight.pipeline import RectificationRecord, RunRecord
 
 _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
 
@@ -18,6 +18,7 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
     """Figures of the only odometry, or a table of several with one row each; warnings and files."""
     from wheelsight.cli._console import console, facts_table, print_warning
     from wheelsight.cli.evaluate import evaluation_table
+    from wheelsight.report import why_no_page
 
     stdout = console()
     first = records[0]
@@ -41,7 +42,8 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
             folder, status = out / record.odometry if len(records) > 1 else out, record.map.status
             surfels = f"{status.surfels:,} surfels, {status.stable:,} of them stable"
             stdout.print(f"map: {folder / record.map.file} ({surfels})")
-    stdout.print(f"report: {out / 'report.html'}")
+    if why_no_page() is None:
+        stdout.print(f"report: {out / 'report.html'}")
 
 
 def _joint_table(records: Sequence[RunRecord]) -> Table:
@@ -72,13 +74,14 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
 def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
     """What joining came to."""
     from wheelsight.cli._console import percent
-    from wheelsight.report import facts_of, joined_of, rival_of
+    from wheelsight.pipeline import facts_of, joined_of, rival_of
+    from wheelsight.report import words
 
     joined = joined_of(records)
     assert joined is not None
     facts, rival = facts_of(joined), rival_of(records)
     if rival is not None:
-        yield "error", f"{rival.times} times that of {rival.odometry} alone"
+        yield "error", f"{words.number(rival.ratio, 2)} times that of {rival.odometry} alone"
     for status, seconds in facts.seconds.items():
         episodes = len(facts.coasting_s)
         times = "once" if episodes == 1 else f"{episodes} times"

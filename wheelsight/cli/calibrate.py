@@ -80,7 +80,8 @@ def wheels(
     against = "its ground truth" if reference is None else reference.name
     found = wheel_fields(trial.fit.wheels, delay="delay_s" in trial.fit.sigmas)
     written = save_found(found, kept, source.calibration, f"wheels fitted on {source.name} to {against}", out)
-    write_wheel_page(trial, page)
+    if page is not None:
+        write_wheel_page(trial, page)
     print_trial(trial, written, page)
 
 
@@ -109,5 +110,6 @@ def umbmark(runs: Runs, out: Out, calibration: CalibrationFile = None, side: Sid
         squares = squares_from_recordings([open_for(run, calibration) for run in runs], side)
     found = wheel_fields(squares.result.wheels, delay=False)
     written = save_found(found, kept, squares.nominal, f"UMBmark, {squares.name}", out)
-    write_squares_page(squares.result, squares.after_m, squares.name, page)
+    if page is not None:
+        write_squares_page(squares.result, squares.after_m, squares.name, page)
     print_squares(squares, written, page)

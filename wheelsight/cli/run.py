@@ -18,8 +18,9 @@ from wheelsight.cli._summary import print_summary
 
 if TYPE_CHECKING:
     from wheelsight.config import Config
+    from wheelsight.pipeline import FrameRecord, RunRecord
     from wheelsight.recordings import Recording
-    from wheelsight.report import FrameRecord, RunRecord
+    from wheelsight.sources import EventSource
 
 
 def run(
@@ -102,15 +103,16 @@ def _open(folder: Path, settings: Config) -> Recording:
     return open_recording(folder, settings.recording.open_options())
 
 
-def _track(source: Recording, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
-    from wheelsight import pipeline
+def _track(source: EventSource, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
+    from wheelsight import runs
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note
+    from wheelsight.cli._outputs import can_draw
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
     from wheelsight.pipeline.kernels import parts_of
 
-    count, unit = _expected(source, settings)
+    count, unit = expected(source, settings)
     status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
     answered: list[bool] = []
 
@@ -122,22 +124,26 @@ def _track(source: Recording, settings: Config, out: Path, force: bool) -> Seque
         with ExitStack() as shown:
 
             def begin() -> None:
+                can_draw()
                 compile_missing(parts_of(settings))
                 shown.enter_context(progress)
 
-            return pipeline.run_each(source, settings, out, force=force, on_ready=begin, on_event=show)
+            return runs.run_each(source, settings, out, force=force, on_ready=begin, on_event=show)
     except KeyboardInterrupt as interruption:
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")
         raise typer.Exit(INTERRUPTED) from interruption
 
 
-def _expected(source: Recording, settings: Config) -> tuple[int, str]:
-    """How many events will be answered, and what they are called; "" where their rate says nothing."""
+def expected(source: EventSource, settings: Config) -> tuple[int | None, str]:
+    """How many events will be answered, where that is known, and their name; "" where their rate says nothing."""
+    from wheelsight.pipeline.origin import frame_count_of, wheel_count_of
+
+    frames, readings = frame_count_of(source), wheel_count_of(source)
     if counts_frames(source, settings):
-        return source.frame_count, ""
+        return frames, ""
     if settings.tracks == ("wheels",):
-        return source.wheel_count, "readings"
+        return readings, "readings"
     if "wheels" not in settings.tracks:
-        return source.frame_count, "frames"
-    return source.wheel_count + source.frame_count, "events"
+        return frames, "frames"
+    return None if frames is None or readings is None else frames + readings, "events"

@@ -1,8 +1,37 @@
-"""From a recording to a folder of results: track, compare, write."""
+"""From events to a folder of results: track, compare, write; and the records of what was learned."""
 
 from wheelsight.pipeline.choice import Choice, default_odometry
+from wheelsight.pipeline.joined import FLAGS, JoinedFacts, Rival, facts_of, joined_of, rival_of
+from wheelsight.pipeline.map_record import MapPicture, MapRecord
 from wheelsight.pipeline.maps import MAP_FILE
+from wheelsight.pipeline.outputs import PAGE_FILE
 from wheelsight.pipeline.realtime import RealTimeRecording, in_real_time
-from wheelsight.pipeline.runs import run, run_each
+from wheelsight.pipeline.realtime_record import RealTimeRecord
+from wheelsight.pipeline.rectification_record import Look, MapErrors, RectificationRecord
+from wheelsight.pipeline.run_record import FrameRecord, MatchPicture, RunRecord
+from wheelsight.pipeline.runs import run_each
 
-__all__ = ["MAP_FILE", "Choice", "RealTimeRecording", "default_odometry", "in_real_time", "run", "run_each"]
+__all__ = [
+    "FLAGS",
+    "MAP_FILE",
+    "PAGE_FILE",
+    "Choice",
+    "FrameRecord",
+    "JoinedFacts",
+    "Look",
+    "MapErrors",
+    "MapPicture",
+    "MapRecord",
+    "MatchPicture",
+    "RealTimeRecord",
+    "RealTimeRecording",
+    "RectificationRecord",
+    "Rival",
+    "RunRecord",
+    "default_odometry",
+    "facts_of",
+    "in_real_time",
+    "joined_of",
+    "rival_of",
+    "run_each",
+]

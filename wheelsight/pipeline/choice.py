@@ -7,58 +7,71 @@ from dataclasses import dataclass
 from wheelsight.config import Config, OdometryName
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.features import FeatureSettings
+from wheelsight.pipeline.origin import frame_count_of, wheel_count_of
 from wheelsight.pipeline.realtime import RealTimeRecording
-from wheelsight.recordings import Recording
+from wheelsight.sources import EventSource
+
+_FRAMES, _READINGS = "frames", "wheel readings"
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Odometries for a recording, and one line about what is not used of it and why; empty where all is used."""
+    """Odometries for a source, and one line about what is not used of it and why; empty where all is used."""
 
     odometry: tuple[OdometryName, ...]
     unused: str = ""
 
 
-def default_odometry(recording: Recording, config: Config) -> Choice:
+def default_odometry(source: EventSource, config: Config) -> Choice:
     """Wheels and camera where both can be used together, else what can; of `config` all but its odometry counts.
 
     Beside wheels the camera is followed by dense odometry, or by features where settings of these alone are given; by
-    itself by features.
+    itself by features. A source whose counts nobody knows gives what its calibration tells of.
     """
-    calibration, frames, readings = recording.calibration, recording.frame_count, recording.wheel_count
-    elsewhere = recording.wheels if isinstance(recording, RealTimeRecording) else None
-    if not frames or (not readings and elsewhere is None):
+    calibration, frames, readings = source.calibration, frame_count_of(source), wheel_count_of(source)
+    elsewhere = source.wheels if isinstance(source, RealTimeRecording) else None
+    if frames == 0 or (readings == 0 and elsewhere is None):
         return Choice(("features",))
-    told = f"wheels from {elsewhere.where} are" if elsewhere is not None else f"{readings:,} wheel readings are"
+    told = f"wheels from {elsewhere.where}" if elsewhere is not None else _counted(readings, _READINGS)
     if calibration.color is None:
-        return Choice(("wheels",), f"{frames:,} frames are not used: the calibration has no cameras")
+        return Choice(("wheels",), f"{_counted(frames, _FRAMES)} are not used: the calibration has no cameras")
     if calibration.wheels is None:
-        return Choice(("features",), f"{told} not used: the calibration has no wheels (give them by --calibration)")
+        return Choice(("features",), f"{told} are not used: the calibration has no wheels (give them by --calibration)")
     if calibration.T_base_camera is None:
         why = "the calibration has no T_base_camera (wheelsight calibrate base finds it)"
-        return Choice(("features",), f"{told} not used: {why}")
+        return Choice(("features",), f"{told} are not used: {why}")
     asks_dense = config.map is not None or config.dense != DenseSettings()
     by_features = config.features != FeatureSettings() and not asks_dense
     return Choice(("wheels", "features" if by_features else "dense"))
 
 
-def unused_of(recording: Recording, config: Config, yaw_rates: int) -> tuple[str, ...]:
-    """One sentence about each sensor of the recording that a run of `config` does not use, and why.
+def unused_of(source: EventSource, config: Config, yaw_rates: int) -> tuple[str, ...]:
+    """One sentence about each sensor of the source that a run of `config` does not use, and why.
 
     Args:
-        yaw_rates: how many readings of a gyroscope the recording was found to have.
+        source: what was followed.
+        config: all settings of the run.
+        yaw_rates: how many readings of a gyroscope came.
     """
     named, told = ",".join(config.odometry), list[str]()
-    choice = default_odometry(recording, config)
+    choice, calibration = default_odometry(source, config), source.calibration
+    frames, readings = frame_count_of(source), wheel_count_of(source)
+    has_frames = frames > 0 if frames is not None else calibration.color is not None
+    has_readings = readings > 0 if readings is not None else calibration.wheels is not None
     is_left_out = {
-        f"{recording.frame_count:,} frames": config.tracks == ("wheels",) and recording.frame_count > 0,
-        f"{recording.wheel_count:,} wheel readings": "wheels" not in config.odometry and recording.wheel_count > 0,
+        _counted(frames, _FRAMES): config.tracks == ("wheels",) and has_frames,
+        _counted(readings, _READINGS): "wheels" not in config.odometry and has_readings,
     }
-    for readings, is_unused in is_left_out.items():
+    for counted, is_unused in is_left_out.items():
         if is_unused:
-            cannot = choice.unused.startswith(readings)
-            told.append(choice.unused if cannot else f"{readings} are not used: --odometry {named} leaves them out")
+            cannot = choice.unused.startswith(counted)
+            told.append(choice.unused if cannot else f"{counted} are not used: --odometry {named} leaves them out")
     if yaw_rates and not (config.wheels.gyro and "wheels" in config.odometry):
         why = "--no-gyro leaves them out" if "wheels" in config.odometry else "they go with wheels"
         told.append(f"{yaw_rates:,} readings of the gyroscope are not used: {why}")
-    return tuple(f"{sentence}." for sentence in told)
+    return tuple(f"{sentence[0].upper()}{sentence[1:]}." for sentence in told)
+
+
+def _counted(count: int | None, what: str) -> str:
+    """Such as "1,234 frames", or "frames" where nobody knows how many."""
+    return what if count is None else f"{count:,} {what}"

@@ -15,7 +15,7 @@ from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCame
 from wheelsight.mapping import SurfelMap
 from wheelsight.mapping.plan import Plan, plan_of
 from wheelsight.mapping.upright import upward
-from wheelsight.report import MapPicture, MapRecord
+from wheelsight.pipeline.map_record import MapPicture, MapRecord
 
 MAP_FILE = "map.surfels"
 _WIDTHS_PX = (640, 320, 160)
@@ -44,11 +44,6 @@ class Stops:
     due: list[int]
     found: list[Stop] = field(default_factory=list)
     T_map_body: list[FloatArray] = field(default_factory=list)
-
-    @classmethod
-    def spread(cls, wanted: int, frame_count: int) -> Stops:
-        """So many, none at the very ends."""
-        return cls([int((number + 0.5) * frame_count / wanted) for number in range(wanted)])
 
     def look(
         self, frame: RgbdFrame, estimate: Estimate, T_odom_map: FloatArray, T_base_camera: FloatArray | None

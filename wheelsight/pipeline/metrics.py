@@ -9,47 +9,43 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight import __version__
+from wheelsight._version import __version__
+from wheelsight.pipeline.joined import JoinedFacts, facts_of, joined_of, rival_of
+from wheelsight.pipeline.map_record import MapRecord
+from wheelsight.pipeline.origin import format_of, frame_count_of, path_of, wheel_count_of
+from wheelsight.pipeline.rectification_record import RectificationRecord
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import Passage
-from wheelsight.recordings import Recording
-from wheelsight.report import (
-    JoinedFacts,
-    MapRecord,
-    RectificationRecord,
-    RunRecord,
-    facts_of,
-    joined_of,
-    rival_of,
-)
+from wheelsight.sources import EventSource
 
 
-def metrics_of(record: RunRecord, passage: Passage, recording: Recording) -> dict[str, Any]:
+def metrics_of(record: RunRecord, passage: Passage, source: EventSource) -> dict[str, Any]:
     """The figures of one odometry, and of the pass it was part of."""
     return {
-        "recording": _recording(recording),
+        "recording": _recording(source),
         "frame": f"T_{record.estimate.frame}_{record.estimate.body}",
         "interrupted": passage.interruption is not None,
         **_real_time(record),
-        **_of_odometry(record, passage, recording),
+        **_of_odometry(record, passage, source),
         "peak_memory_mb": record.peak_memory_mb,
         "warnings": list(record.warnings),
         "versions": _versions(),
     }
 
 
-def joint_metrics(records: Sequence[RunRecord], passage: Passage, recording: Recording) -> dict[str, Any]:
+def joint_metrics(records: Sequence[RunRecord], passage: Passage, source: EventSource) -> dict[str, Any]:
     """The figures of every odometry of one pass: what they share once, the rest below each one's name."""
-    shared = [*recording.warnings, *passage.unused]
+    shared = [*source.warnings, *passage.unused]
     of_each = {
         record.odometry: {
             "frame": f"T_{record.estimate.frame}_{record.estimate.body}",
-            **_of_odometry(record, passage, recording),
+            **_of_odometry(record, passage, source),
             "warnings": [warning for warning in record.warnings if warning not in shared],
         }
         for record in records
     }
     return {
-        "recording": _recording(recording),
+        "recording": _recording(source),
         "interrupted": passage.interruption is not None,
         "elapsed_s": passage.elapsed_s,
         **_real_time(records[0]),
@@ -61,8 +57,9 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, recording: Rec
     }
 
 
-def _recording(recording: Recording) -> dict[str, str]:
-    return {"name": recording.name, "format": recording.format, "path": str(recording.path)}
+def _recording(source: EventSource) -> dict[str, str | None]:
+    path = path_of(source)
+    return {"name": source.name, "format": format_of(source), "path": None if path is None else str(path)}
 
 
 def _real_time(record: RunRecord) -> dict[str, Any]:
@@ -70,9 +67,9 @@ def _real_time(record: RunRecord) -> dict[str, Any]:
     return {} if record.realtime is None else {"realtime": record.realtime.to_dict()}
 
 
-def _of_odometry(record: RunRecord, passage: Passage, recording: Recording) -> dict[str, Any]:
+def _of_odometry(record: RunRecord, passage: Passage, source: EventSource) -> dict[str, Any]:
     return {
-        "frames" if record.unit == "frame" else "wheel_readings": _frame_counts(record, recording),
+        "frames" if record.unit == "frame" else "wheel_readings": _frame_counts(record, source),
         "timing": _timing(record, passage),
         "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
         "evaluation": None if record.evaluation is None else record.evaluation.to_dict(),
@@ -142,19 +139,20 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _frame_counts(record: RunRecord, recording: Recording) -> dict[str, Any]:
+def _frame_counts(record: RunRecord, source: EventSource) -> dict[str, Any]:
     frames = [frame for frame in record.frames if not frame.is_repeat]
     statuses = [str(frame.status) for frame in frames]
     reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
+    paired = record.association
     return {
-        "listed": recording.frame_count if record.unit == "frame" else recording.wheel_count,
+        "listed": frame_count_of(source) if record.unit == "frame" else wheel_count_of(source),
         "processed": len(frames),
         "with_pose": record.posed,
         "with_pose_share": record.posed / len(frames) if frames else 0.0,
         "skipped": sum(frame.is_skipped for frame in frames),
         "repeated_images": len(record.frames) - len(frames),
-        "dropped_color_images": record.association.dropped_color,
-        "dropped_depth_images": record.association.dropped_depth,
+        "dropped_color_images": None if paired is None else paired.dropped_color,
+        "dropped_depth_images": None if paired is None else paired.dropped_depth,
         "status": {status: statuses.count(status) for status in sorted(set(statuses))},
         "reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
     }

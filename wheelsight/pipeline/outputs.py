@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,32 +17,43 @@ from wheelsight.mapping import save_map
 from wheelsight.pipeline.maps import MAP_FILE
 from wheelsight.pipeline.metrics import joint_metrics, metrics_of
 from wheelsight.pipeline.places import looks_csv
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import Passage
-from wheelsight.recordings import Recording
-from wheelsight.report import RunRecord, write_comparison, write_report
+from wheelsight.sources import EventSource
 from wheelsight.trajectory import write_tum
 
+PAGE_FILE = "report.html"
 _OF_ONE = ("trajectory.txt", "status.csv", "metrics.json", "areas.csv", MAP_FILE)
 
 
+Draw = Callable[[Sequence[RunRecord], Path], None]
+
+
 def write_results(
-    records: Sequence[RunRecord], passage: Passage, recording: Recording, config: Config, folder: Path
+    records: Sequence[RunRecord],
+    passage: Passage,
+    source: EventSource,
+    config: Config,
+    folder: Path,
+    draw: Draw | None = None,
 ) -> None:
     """Everything about a run: of one odometry into `folder`, of several each into a folder of its name and all joined.
 
-    What an earlier run of other odometries left there under these names goes. Raises OutputError.
+    `draw` writes the page of it all. What an earlier run left there under these names goes. Raises OutputError.
     """
     if (folder / "config.yaml").exists():  # a run's folder, not just any
         _forget_others(records, folder)
     save_config(config, folder / "config.yaml")
     if len(records) == 1:
-        _write_one(records[0], passage, recording, folder)
-        write_report(records[0], folder / "report.html")
-        return
-    for record in records:
-        _write_one(record, passage, recording, make_output_folder(folder / record.odometry, force=True))
-    _write_json(joint_metrics(records, passage, recording), folder / "metrics.json")
-    write_comparison(records, folder / "report.html")
+        _write_one(records[0], passage, source, folder)
+    else:
+        for record in records:
+            _write_one(record, passage, source, make_output_folder(folder / record.odometry, force=True))
+        _write_json(joint_metrics(records, passage, source), folder / "metrics.json")
+    if draw is None:
+        _forget(folder / PAGE_FILE)
+    else:
+        draw(records, folder / PAGE_FILE)
 
 
 def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
@@ -58,13 +69,13 @@ def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
             raise output_error(error, place) from error
 
 
-def _write_one(record: RunRecord, passage: Passage, recording: Recording, folder: Path) -> None:
+def _write_one(record: RunRecord, passage: Passage, source: EventSource, folder: Path) -> None:
     write_tum(record.estimate, folder / "trajectory.txt")
     write_text(folder / "status.csv", _status_csv(record))
     if record.rectification is not None:
         write_text(folder / "areas.csv", looks_csv(record.rectification))
     _write_map(record, passage, folder / MAP_FILE)
-    _write_json(metrics_of(record, passage, recording), folder / "metrics.json")
+    _write_json(metrics_of(record, passage, source), folder / "metrics.json")
 
 
 def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:
@@ -72,7 +83,12 @@ def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:
     (surfel_map,) = (track.localizer.map for track in passage.tracks if track.odometry == record.odometry)
     if record.map is not None and surfel_map is not None:
         save_map(surfel_map, path)
-        return
+    else:
+        _forget(path)
+
+
+def _forget(path: Path) -> None:
+    """Remove what an earlier run left there, if anything."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:

@@ -14,9 +14,11 @@ from wheelsight.errors import CalibrationError, ConfigError, PlaceError
 from wheelsight.events import WheelSpeeds, WheelTicks
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.localizer import Places, load_places
+from wheelsight.pipeline.origin import frame_count_of, path_of, where
+from wheelsight.pipeline.rectification_record import Look, MapErrors, RectificationRecord
 from wheelsight.places import PlaceModel, labels_on_the_way
 from wheelsight.recordings import Recording, express_for
-from wheelsight.report import Look, MapErrors, RectificationRecord
+from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
 _MAX_GAP_S = 0.5  # true poses further apart tell nothing of the time between them
@@ -32,7 +34,7 @@ class PlacesOfRun:
     is_start_true: bool
 
 
-def places_of(recording: Recording, config: Config) -> PlacesOfRun | None:
+def places_of(source: EventSource, config: Config) -> PlacesOfRun | None:
     """Model, areas and start of a run whose configuration names a model; None of any other.
 
     Raises:
@@ -42,23 +44,31 @@ def places_of(recording: Recording, config: Config) -> PlacesOfRun | None:
     settings = config.places
     if settings.model is None:
         return None
-    if not recording.frame_count:
-        raise ConfigError(f"{recording.path}: the recording has no images that could show places", fix="no --places")
-    areas = Path(settings.areas) if settings.areas is not None else recording.path / _AREAS
-    if settings.areas is None and not areas.exists():
-        raise ConfigError(f"{recording.path}: the recording has no {_AREAS}", fix="give --areas FILE")
+    if frame_count_of(source) == 0:
+        raise ConfigError(f"{where(source)}: the recording has no images that could show places", fix="no --places")
+    areas = _areas_file(source, settings.areas)
     if settings.start is not None:
         places = load_places(settings, areas)
         sentence = "The start is the one that was given"
     else:
-        T_odom_base, begin_s = _true_start(recording)
+        T_odom_base, begin_s = _true_start(source)
         places = load_places(settings, areas, T_odom_base, begin_s)
         sentence = "The start was taken from the ground truth, which a robot on its own does not have"
-    _check_size(places.model, recording)
+    _check_size(places.model, source)
     x_m, y_m = places.T_odom_base[:2, 3].round(2) + 0.0  # no minus before a zero
     yaw_deg = np.degrees(np.arctan2(places.T_odom_base[1, 0], places.T_odom_base[0, 0])).round(1) + 0.0
     told = f"{sentence}: x {x_m:.2f} m, y {y_m:.2f} m, yaw {yaw_deg:.1f}°."
     return PlacesOfRun(places, told, settings.start is None)
+
+
+def _areas_file(source: EventSource, given: str | None) -> Path:
+    """The file of areas: as given, or beside the recording. Raises ConfigError."""
+    if given is not None:
+        return Path(given)
+    folder = path_of(source)
+    if folder is None or not (folder / _AREAS).exists():
+        raise ConfigError(f"{where(source)}: the recording has no {_AREAS}", fix="give --areas FILE")
+    return folder / _AREAS
 
 
 def rectification_of(
@@ -108,30 +118,30 @@ def looks_csv(record: RectificationRecord) -> str:
     return text.getvalue()
 
 
-def _true_start(recording: Recording) -> tuple[FloatArray, float]:
+def _true_start(source: EventSource) -> tuple[FloatArray, float]:
     """Where the base truly is, in the plane, and when: at the first reading, or where the truth begins later."""
     fix = "give --start X,Y,YAW_DEG"
-    if recording.ground_truth is None or not len(recording.ground_truth):
-        raise ConfigError(f"{recording.path}: where the robot starts is not known: no ground truth", fix=fix)
+    if not isinstance(source, Recording) or source.ground_truth is None or not len(source.ground_truth):
+        raise ConfigError(f"{where(source)}: where the robot starts is not known: no ground truth", fix=fix)
     try:
-        truth = express_for("base", recording.ground_truth, recording.calibration)
+        truth = express_for("base", source.ground_truth, source.calibration)
     except CalibrationError as error:
-        raise ConfigError(f"{recording.path}: where the robot starts is not known: {error.problem}", fix=fix) from error
-    delay_s = recording.calibration.wheels.delay_s if recording.calibration.wheels is not None else 0.0
-    stamps_s = (e.stamp_s - delay_s for e in recording.events(images=False) if isinstance(e, WheelTicks | WheelSpeeds))
+        raise ConfigError(f"{where(source)}: where the robot starts is not known: {error.problem}", fix=fix) from error
+    delay_s = source.calibration.wheels.delay_s if source.calibration.wheels is not None else 0.0
+    stamps_s = (e.stamp_s - delay_s for e in source.events(images=False) if isinstance(e, WheelTicks | WheelSpeeds))
     begin_s = max(next(stamps_s, -np.inf), float(truth.stamps_s[0]))
     T = truth.at([begin_s], _MAX_GAP_S)[0]
     if not np.isfinite(T).all():
-        problem = f"{recording.path}: where the robot starts is not known: no ground truth at {begin_s:.3f} s"
+        problem = f"{where(source)}: where the robot starts is not known: no ground truth at {begin_s:.3f} s"
         raise ConfigError(problem, fix=fix)
     return se3.from_plane(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])), begin_s
 
 
-def _check_size(model: PlaceModel, recording: Recording) -> None:
-    color = recording.calibration.color
+def _check_size(model: PlaceModel, source: EventSource) -> None:
+    color = source.calibration.color
     if model.frame_size is None or color is None:
         return
-    depth = recording.calibration.depth or color
+    depth = source.calibration.depth or color
 
     def words(first: PinholeCamera | tuple[int, int], second: PinholeCamera | tuple[int, int]) -> str:
         (h, w), (dh, dw) = (c if isinstance(c, tuple) else (c.height, c.width) for c in (first, second))
@@ -139,7 +149,7 @@ def _check_size(model: PlaceModel, recording: Recording) -> None:
 
     wanted = words(model.frame_size[:2], model.frame_size[2:])
     if words(color, depth) != wanted:
-        problem = f"{recording.path}: images are {words(color, depth)}; the model was trained on {wanted}"
+        problem = f"{where(source)}: images are {words(color, depth)}; the model was trained on {wanted}"
         raise PlaceError(problem, fix="use one camera at one resolution, or train a model for this one")
 
 

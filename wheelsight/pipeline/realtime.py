@@ -18,8 +18,8 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, Wheel
 from wheelsight.localizer import Localizer
 from wheelsight.pipeline.live_wheels import LiveWheels, RecordedWheels
 from wheelsight.pipeline.playing import Clock, MonotonicClock, Playing
+from wheelsight.pipeline.realtime_record import RealTimeRecord
 from wheelsight.recordings import AssociationReport, ListedFrame, ListsFrames, Recording
-from wheelsight.report import RealTimeRecord
 from wheelsight.trajectory import Trajectory
 
 _MANY = 0.1

@@ -10,20 +10,23 @@ import numpy as np
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate
+from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.maps import map_record_of
+from wheelsight.pipeline.origin import format_of
 from wheelsight.pipeline.places import PlacesOfRun, rectification_of
 from wheelsight.pipeline.realtime import RealTimeRecording
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import UNITS, Passage, Track
 from wheelsight.recordings import Recording, express_for
-from wheelsight.report import MapRecord, RunRecord
+from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
 
 def records_of(
-    passage: Passage, recording: Recording, config: Config, places: PlacesOfRun | None
+    passage: Passage, source: EventSource, config: Config, places: PlacesOfRun | None
 ) -> tuple[RunRecord, ...]:
     """The record of each track of a pass that is over."""
-    records = {track.odometry: _record_of(track, passage, recording, config) for track in passage.tracks}
+    records = {track.odometry: _record_of(track, passage, source, config) for track in passage.tracks}
     if places is not None:
         records["rectified"] = _with_rectification(records["rectified"], records["wheels"], passage, config, places)
     return tuple(records.values())
@@ -40,23 +43,23 @@ def _with_rectification(
     return replace(record, rectification=found, warnings=warnings)
 
 
-def _record_of(track: Track, passage: Passage, recording: Recording, config: Config) -> RunRecord:
+def _record_of(track: Track, passage: Passage, source: EventSource, config: Config) -> RunRecord:
     estimate = _trajectory(track)
-    truth, problem = _truth(recording, track.localizer.body)
+    truth, problem = _truth(source, track.localizer.body)
     evaluation = None
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
-    surfels = _map(track, passage, recording)
+    surfels = _map(track, passage, source)
     return RunRecord(
-        recording=recording.name,
-        format=recording.format,
+        recording=source.name,
+        format=format_of(source),
         frames=tuple(track.frames),
         estimate=estimate,
         ground_truth=truth,
         evaluation=evaluation,
-        association=recording.association,
+        association=source.association if isinstance(source, Recording) else None,
         warnings=(
-            *recording.warnings,
+            *source.warnings,
             *passage.unused,
             *track.localizer.warnings,
             *_interruption(track, passage),
@@ -72,15 +75,15 @@ def _record_of(track: Track, passage: Passage, recording: Recording, config: Con
         unit=UNITS[track.odometry],
         odometry=track.odometry,
         map=surfels,
-        realtime=recording.report() if isinstance(recording, RealTimeRecording) else None,
+        realtime=source.report() if isinstance(source, RealTimeRecording) else None,
     )
 
 
-def _map(track: Track, passage: Passage, recording: Recording) -> MapRecord | None:
+def _map(track: Track, passage: Passage, source: EventSource) -> MapRecord | None:
     if track.localizer.map is None or passage.is_torn:
         return None
     way = (track.stops.found, np.array(track.stops.T_map_body, float).reshape(-1, 4, 4))
-    return map_record_of(track.localizer.map, track.fused, *way, recording.calibration)
+    return map_record_of(track.localizer.map, track.fused, *way, source.calibration)
 
 
 def _map_warnings(track: Track, passage: Passage, config: Config) -> tuple[str, ...]:
@@ -103,7 +106,7 @@ def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
     if passage.interruption is None:
         return ()
     why = "by the user" if isinstance(passage.interruption, KeyboardInterrupt) else f"by {passage.interruption}"
-    of_all = f" of {track.listed}" if track.listed else ""  # nobody knows how many live wheels will give
+    of_all = f" of {track.listed}" if track.listed else ""  # nobody knows how many a live source will give
     return (f"Interrupted {why} after {len(track.frames)}{of_all} {UNITS[track.odometry]}s.",)
 
 
@@ -131,12 +134,13 @@ def _trajectory(track: Track) -> Trajectory:
     )
 
 
-def _truth(recording: Recording, body: str) -> tuple[Trajectory | None, str | None]:
+def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | None]:
     """The ground truth of the body that was followed, or why there is none."""
-    if recording.ground_truth is None:
-        return None, "the recording has no ground truth"
+    if not isinstance(source, Recording) or source.ground_truth is None:
+        kind = "recording" if isinstance(source, Recording) else "live source"
+        return None, f"the {kind} has no ground truth"
     try:
-        return express_for(body, recording.ground_truth, recording.calibration), None
+        return express_for(body, source.ground_truth, source.calibration), None
     except CalibrationError as error:
         return None, f"ground truth: {error}"
 

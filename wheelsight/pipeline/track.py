@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -18,9 +18,11 @@ from wheelsight.mapping import SurfelMap
 from wheelsight.pipeline.choice import unused_of
 from wheelsight.pipeline.interrupts import whole_step
 from wheelsight.pipeline.maps import Stops
+from wheelsight.pipeline.origin import frame_count_of, spread, wheel_count_of
 from wheelsight.pipeline.realtime import RealTimeRecording, rehearse
-from wheelsight.recordings import Recording
-from wheelsight.report import FrameRecord, Look, MatchPicture
+from wheelsight.pipeline.rectification_record import Look
+from wheelsight.pipeline.run_record import FrameRecord, MatchPicture
+from wheelsight.sources import EventSource
 
 # What a track's record lists; of rectified and joined ones frames, though they tell a pose at each reading too.
 UNITS: dict[TrackName, Literal["frame", "reading"]] = {
@@ -34,11 +36,11 @@ _FLAGS = ("slip", "degenerate", "doubtful")
 
 
 class Photographer:
-    """Takes a few pictures of matched frames, evenly spread over the recording, keeping hardly any image meanwhile."""
+    """Takes pictures of matched frames at or after `due` indices, keeping hardly any image meanwhile."""
 
-    def __init__(self, wanted: int, frame_count: int) -> None:
+    def __init__(self, due: list[int]) -> None:
         self.pictures: list[MatchPicture] = []
-        self._due = [int((number + 0.5) * frame_count / wanted) for number in range(wanted)]
+        self._due = due
         self._images: dict[float, ByteArray] = {}
 
     def look(self, frame: RgbdFrame, estimate: Estimate, matches: Any) -> None:
@@ -63,7 +65,7 @@ class Track:
 
     Attributes:
         odometry: its name.
-        listed: how many frames or readings of the recording it is to answer.
+        listed: how many frames or readings of the recording it is to answer; None where nobody knows.
         localizer: what answers.
         photographer: what takes pictures.
         T_base_camera: (4, 4), or None where the body that is followed is the camera.
@@ -76,7 +78,7 @@ class Track:
     """
 
     odometry: TrackName
-    listed: int
+    listed: int | None
     localizer: Localizer
     photographer: Photographer
     T_base_camera: FloatArray | None = None
@@ -88,13 +90,13 @@ class Track:
     fused: int = 0
 
     @classmethod
-    def begin(cls, odometry: TrackName, recording: Recording, config: Config, places: Places | None) -> Track:
-        """At the start. Raises CalibrationError."""
-        listed = recording.wheel_count if UNITS[odometry] == "reading" else recording.frame_count
-        photographer = Photographer(config.report.pictures, recording.frame_count)
-        localizer = Localizer(recording.calibration, config.alone(odometry), places)
-        stops = Stops.spread(config.report.pictures if localizer.map is not None else 0, recording.frame_count)
-        return cls(odometry, listed, localizer, photographer, recording.calibration.T_base_camera, stops=stops)
+    def begin(cls, odometry: TrackName, source: EventSource, config: Config, places: Places | None) -> Track:
+        """At the start. Raises CalibrationError, ConfigError."""
+        listed = wheel_count_of(source) if UNITS[odometry] == "reading" else frame_count_of(source)
+        localizer = Localizer(source.calibration, config.alone(odometry), places)
+        due = spread(config.report.pictures, frame_count_of(source))
+        stops = Stops(list(due) if localizer.map is not None else [])
+        return cls(odometry, listed, localizer, Photographer(due), source.calibration.T_base_camera, stops=stops)
 
     @property
     def needs_images(self) -> bool:
@@ -173,33 +175,43 @@ class Passage:
     unused: tuple[str, ...] = ()
 
 
-def _followed(recording: Recording, config: Config) -> tuple[TrackName, ...]:
+def begin_all(source: EventSource, config: Config, places: Places | None) -> tuple[Track, ...]:
+    """Every track of a run at its start. Raises CalibrationError, ConfigError."""
+    return tuple(Track.begin(track, source, config, places) for track in _followed(source, config))
+
+
+def _followed(source: EventSource, config: Config) -> tuple[TrackName, ...]:
     """The tracks; in real time, where sensors are joined, not the camera alone once more, which would cost frames."""
-    if isinstance(recording, RealTimeRecording) and config.fusion != "none":
+    if isinstance(source, RealTimeRecording) and config.fusion != "none":
         return tuple(track for track in config.tracks if track not in ("features", "dense"))
     return config.tracks
 
 
 def follow(
-    recording: Recording,
+    tracks: tuple[Track, ...],
+    source: EventSource,
     config: Config,
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
     places: Places | None = None,
+    duration_s: float | None = None,
 ) -> Passage:
-    """Hand each event to every track, in their order; without one that looks, no image is decoded."""
-    passage = Passage(tuple(Track.begin(track, recording, config, places) for track in _followed(recording, config)))
-    events = recording.events(images=any(track.needs_images for track in passage.tracks))
-    started, yaw_rates = time.perf_counter(), 0
+    """Hand each event to every track, in their order; without one that looks, no image is decoded.
+
+    Ends with the source, at the first event `duration_s` after the first, or by Ctrl-C.
+    """
+    passage, yaw_rates = Passage(tracks), 0
+    events = source.events(images=any(track.needs_images for track in tracks))
+    started = time.perf_counter()
     try:
-        if isinstance(recording, RealTimeRecording):
-            alone = [config.alone(track.odometry) for track in passage.tracks]
-            rehearse(recording, [Localizer(recording.calibration, settings, places) for settings in alone])
+        if isinstance(source, RealTimeRecording):
+            # Localizers of its own: those of the run must not have heard anything.
+            rehearse(source, [track.localizer for track in begin_all(source, config, places)])
             started = time.perf_counter()
-        for event in events:
+        for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)
             with whole_step():
                 passage.is_torn = True
-                given = [(track.odometry, track.step(event)) for track in passage.tracks]
+                given = [(track.odometry, track.step(event)) for track in tracks]
                 passage.is_torn = False
             answers: dict[str, FrameRecord] = {odometry: answer for odometry, answer in given if answer is not None}
             if answers and on_event is not None:
@@ -211,5 +223,15 @@ def follow(
         if isinstance(events, Generator):
             events.close()  # stops the reader's thread
     passage.elapsed_s = time.perf_counter() - started
-    passage.unused = unused_of(recording, config, yaw_rates)
+    passage.unused = unused_of(source, config, yaw_rates)
     return passage
+
+
+def _until(events: Iterable[Event], duration_s: float | None) -> Iterator[Event]:
+    """Those stamped within `duration_s` of the first; all without one."""
+    begin_s: float | None = None
+    for event in events:
+        begin_s = event.stamp_s if begin_s is None else begin_s
+        if duration_s is not None and event.stamp_s - begin_s >= duration_s:
+            return
+        yield event

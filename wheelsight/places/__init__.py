@@ -20,7 +20,8 @@ from wheelsight.places.dataset import (
     stamps_of,
     train_on_drives,
 )
-from wheelsight.places.describer import Describer, FrameSize, describer_from
+from wheelsight.places.describer import Describer, FrameSize
+from wheelsight.places.describers import describer_from
 from wheelsight.places.forest import Forest, ForestSettings, grow_forest
 from wheelsight.places.histograms import HistogramDescriber, HistogramSettings
 from wheelsight.places.labels import LabelFile, labels_on_the_way, read_labels

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
 
 from wheelsight.errors import PlaceError
+from wheelsight.extras import needed
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array, IntArray
 from wheelsight.places import _kernels as kernels
 
@@ -96,10 +97,11 @@ def grow_forest(
     Splits gain the most information, eq. 6 of Trinh et al., among √D features drawn anew at each node. Out of bag,
     each frame is asked of those trees that were grown without it; frames that are in all of them are left out. Frames
     have neighbours that are alike, so that this flatters; held-out blocks do not. NaN where it is not asked for.
-    """
-    from sklearn.ensemble import RandomForestClassifier
 
-    grown = RandomForestClassifier(
+    Raises:
+        ConfigError: scikit-learn is not installed.
+    """
+    grown = needed("sklearn.ensemble").RandomForestClassifier(
         settings.trees,
         criterion="entropy",
         max_depth=settings.max_depth,

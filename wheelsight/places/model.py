@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,12 @@ from wheelsight.files import StrPath
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.places.calibration import ProbabilityScale
 from wheelsight.places.describer import Describer, FrameSize, has_depth, size_error, size_of
+from wheelsight.places.describers import describer_from
 from wheelsight.places.forest import Forest, ForestSettings
+from wheelsight.places.storage import NO_MODEL, RETRAIN, load_document, save_document
+
+FORMAT = "wheelsight-places-1"
+_ARRAYS = ("roots", "left", "right", "feature", "threshold", "share")
 
 
 class Unknown(StrEnum):
@@ -129,10 +134,7 @@ class PlaceModel:
 
     def save(self, path: StrPath) -> None:
         """Write the model atomically, with skops, as plain values and arrays. Raises OutputError."""
-        path = Path(path)
-        from wheelsight.places.storage import save_model
-
-        save_model(self, path)
+        save_document(_to_document(self), path)
 
     @classmethod
     def load(cls, path: StrPath, areas: AreaMap | Sequence[str] | None = None) -> PlaceModel:
@@ -142,13 +144,65 @@ class PlaceModel:
             PlaceError: no such file, a file that is no model, one that holds anything but plain values and arrays
                 (refused before these are made), another version, or other areas.
         """
-        path = Path(path)
-        from wheelsight.places.storage import load_model
-
-        model = load_model(path)
+        model = load_document(path, _from_document)
         if areas is not None:
             try:
                 model.check_areas(areas)
             except PlaceError as error:
                 raise PlaceError(error.problem, path=path, fix=error.fix) from error
         return model
+
+
+def _to_document(model: PlaceModel) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "area_names": list(model.area_names),
+        "area_shares": model.area_shares.tolist(),
+        "describer": model.describer.settings,
+        "frame_size": None if model.frame_size is None else list(model.frame_size),
+        "settings": model.settings.model_dump(mode="json"),
+        "scale": asdict(model.scale),
+        "least_confidence": model.least_confidence,
+        "figures": asdict(model.figures) | {"area_accuracy": list(model.figures.area_accuracy)},
+        "forest": {name: getattr(model.forest, name) for name in _ARRAYS} | {"size": model.forest.size},
+    }
+
+
+def _from_document(document: Any) -> PlaceModel:
+    if not isinstance(document, dict) or "format" not in document:
+        raise PlaceError("is no model of places", fix=NO_MODEL)
+    if document["format"] != FORMAT:
+        raise PlaceError(f"is of version {document['format']!r}", fix=f"this wheelsight reads {FORMAT!r}; {RETRAIN}")
+    describer = describer_from(document["describer"])
+    forest = Forest(**{name: document["forest"][name] for name in _ARRAYS}, size=int(document["forest"]["size"]))
+    size = document["frame_size"]
+    model = PlaceModel(
+        forest,
+        tuple(str(name) for name in document["area_names"]),
+        describer,
+        ProbabilityScale(**{f.name: float(document["scale"][f.name]) for f in fields(ProbabilityScale)}),
+        float(document["least_confidence"]),
+        np.array(document["area_shares"], float),
+        ForestSettings.model_validate(document["settings"]),
+        _figures_from(document["figures"]),
+        None if size is None else (int(size[0]), int(size[1]), int(size[2]), int(size[3])),
+    )
+    _check_agreement(model)
+    return model
+
+
+def _figures_from(told: dict[str, Any]) -> HeldOutFigures:
+    area_accuracy = tuple(float(value) for value in told["area_accuracy"])
+    singles = {f.name: float(told[f.name]) for f in fields(HeldOutFigures) if f.name != "area_accuracy"}
+    return HeldOutFigures(**singles, area_accuracy=area_accuracy)
+
+
+def _check_agreement(model: PlaceModel) -> None:
+    areas, forest, scale = len(model.area_names), model.forest, model.scale
+    if forest.size != model.describer.size:
+        problem = f"describes frames with {model.describer.size} numbers, but its forest takes {forest.size}"
+        raise PlaceError(problem, fix=RETRAIN)
+    if forest.share.shape[1] != areas or model.area_shares.shape != (areas,) or areas < 2:
+        raise PlaceError(f"names {areas} areas, but its forest has {forest.share.shape[1]}", fix=RETRAIN)
+    if not (0 < scale.temperature < np.inf and 0 <= scale.blend <= 1 and 0 <= model.least_confidence <= 1):
+        raise PlaceError("has impossible probabilities", fix=RETRAIN)

@@ -5,34 +5,29 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from collections.abc import Iterator
-from dataclasses import asdict, fields
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
 
 from wheelsight.errors import PlaceError
+from wheelsight.extras import needed
 from wheelsight.files import StrPath, write_bytes
 from wheelsight.inputs import Kind, parse_json, read_bytes
-from wheelsight.places.calibration import ProbabilityScale
-from wheelsight.places.describer import describer_from
-from wheelsight.places.forest import Forest, ForestSettings
-from wheelsight.places.model import HeldOutFigures, PlaceModel
 
-FORMAT = "wheelsight-places-1"
+Made = TypeVar("Made")
 # A forest of 64 trees takes some megabytes, and 20 unpacked; one of 1000, on ten times as many frames, 400.
 _MOST_BYTES = 1 << 28
 _MOST_SCHEMA_BYTES = 1 << 20
 _MOST_ENTRIES = 1000
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others are unpacked whole, whatever size they name
 _NUMBERS = "biuf"
-_RETRAIN = "train the model again"
-_NO_MODEL = "give a file that `PlaceModel.save` wrote"
+RETRAIN = "train the model again"
+NO_MODEL = "give a file that `PlaceModel.save` wrote"
 _DISTRUST = "do not trust this file"
-_FILE = Kind("a model of places", most_mb=256, fix=_NO_MODEL)
-_ARRAYS = ("roots", "left", "right", "feature", "threshold", "share")
+_FILE = Kind("a model of places", most_mb=256, fix=NO_MODEL)
 # What a model of ours is made of; skops itself would allow far more, such as estimators and functions of numpy.
 _PLAIN = {
     ("DictNode", "builtins.dict"),
@@ -43,48 +38,41 @@ _PLAIN = {
 }
 
 
-def save_model(model: PlaceModel, path: StrPath) -> None:
-    """Write a model atomically. Raises OutputError."""
-    path = Path(path)
-    import skops.io
-
-    write_bytes(path, skops.io.dumps(_to_document(model), compression=zipfile.ZIP_DEFLATED))
+def save_document(document: dict[str, Any], path: StrPath) -> None:
+    """Write plain values and arrays atomically. Raises OutputError."""
+    write_bytes(path, needed("skops.io").dumps(document, compression=zipfile.ZIP_DEFLATED))
 
 
-def load_model(path: StrPath) -> PlaceModel:
-    """Read a model.
+def load_document(path: StrPath, made_into: Callable[[Any], Made]) -> Made:
+    """Read plain values and arrays, and make a model of them by `made_into`, whose errors become this file's.
 
     Raises:
         PlaceError: naming the file: it cannot be read, is no model, holds more than plain values and arrays (nothing
             of it is then made), is of another version, or contradicts itself.
+        ConfigError: skops is not installed.
     """
-    path = Path(path)
-    import skops.io
-
+    path, skops_io = Path(path), needed("skops.io")
     data = read_bytes(path, _FILE, PlaceError)
     try:
         _refuse_all_but_plain(data)
-        document = skops.io.loads(data, trusted=[])
-        return _from_document(document)
+        return made_into(skops_io.loads(data, trusted=[]))
     except PlaceError as error:
         raise PlaceError(error.problem, path=path, fix=error.fix) from error
     except ValidationError as error:
-        raise PlaceError(f"settings: {error.errors()[0]['msg']}", path=path, fix=_RETRAIN) from error
+        raise PlaceError(f"settings: {error.errors()[0]['msg']}", path=path, fix=RETRAIN) from error
     except Exception as error:  # a damaged file fails inside zip, json, numpy or skops in ways of their own
-        raise PlaceError(f"is damaged: {type(error).__name__}", path=path, fix=_RETRAIN) from error
+        raise PlaceError(f"is damaged: {type(error).__name__}", path=path, fix=RETRAIN) from error
 
 
 def _refuse_all_but_plain(data: bytes) -> None:
     """Read the file's table of contents, and only that; whatever it names but plain values is refused."""
-    import skops.io
-
     if not zipfile.is_zipfile(io.BytesIO(data)):
-        raise PlaceError("is no model of places", fix=_NO_MODEL)
+        raise PlaceError("is no model of places", fix=NO_MODEL)
     if data.count(b"PK\x01\x02") > _MOST_ENTRIES:
         raise PlaceError("lists more than a model of places ever holds", fix=_DISTRUST)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         if "schema.json" not in archive.namelist():
-            raise PlaceError("is no model of places", fix=_NO_MODEL)
+            raise PlaceError("is no model of places", fix=NO_MODEL)
         if any(entry.compress_type not in _PACKED for entry in archive.infolist()):
             raise PlaceError("is packed in a way that models of places are not", fix=_DISTRUST)
         sizes = {entry.filename: entry.file_size for entry in archive.infolist()}
@@ -101,7 +89,7 @@ def _refuse_all_but_plain(data: bytes) -> None:
             loader, kind = sorted(odd)[0]
             raise PlaceError(f"holds a {kind} ({loader}), which no model of places does", fix=_DISTRUST)
         _refuse_large_arrays(archive, schema, sizes)
-    untrusted = skops.io.get_untrusted_types(data=data)
+    untrusted = needed("skops.io").get_untrusted_types(data=data)
     if untrusted:
         raise PlaceError(f"holds a {untrusted[0]}, which no model of places does", fix=_DISTRUST)
 
@@ -138,58 +126,3 @@ def _types_in(schema: Any) -> Iterator[tuple[str, str]]:
     for node in _nodes_in(schema):
         if "__loader__" in node or "__class__" in node:
             yield str(node.get("__loader__")), f"{node.get('__module__')}.{node.get('__class__')}"
-
-
-def _to_document(model: PlaceModel) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "area_names": list(model.area_names),
-        "area_shares": model.area_shares.tolist(),
-        "describer": model.describer.settings,
-        "frame_size": None if model.frame_size is None else list(model.frame_size),
-        "settings": model.settings.model_dump(mode="json"),
-        "scale": asdict(model.scale),
-        "least_confidence": model.least_confidence,
-        "figures": asdict(model.figures) | {"area_accuracy": list(model.figures.area_accuracy)},
-        "forest": {name: getattr(model.forest, name) for name in _ARRAYS} | {"size": model.forest.size},
-    }
-
-
-def _from_document(document: Any) -> PlaceModel:
-    if not isinstance(document, dict) or "format" not in document:
-        raise PlaceError("is no model of places", fix=_NO_MODEL)
-    if document["format"] != FORMAT:
-        raise PlaceError(f"is of version {document['format']!r}", fix=f"this wheelsight reads {FORMAT!r}; {_RETRAIN}")
-    describer = describer_from(document["describer"])
-    forest = Forest(**{name: document["forest"][name] for name in _ARRAYS}, size=int(document["forest"]["size"]))
-    size = document["frame_size"]
-    model = PlaceModel(
-        forest,
-        tuple(str(name) for name in document["area_names"]),
-        describer,
-        ProbabilityScale(**{f.name: float(document["scale"][f.name]) for f in fields(ProbabilityScale)}),
-        float(document["least_confidence"]),
-        np.array(document["area_shares"], float),
-        ForestSettings.model_validate(document["settings"]),
-        _figures_from(document["figures"]),
-        None if size is None else (int(size[0]), int(size[1]), int(size[2]), int(size[3])),
-    )
-    _check_agreement(model)
-    return model
-
-
-def _figures_from(told: dict[str, Any]) -> HeldOutFigures:
-    area_accuracy = tuple(float(value) for value in told["area_accuracy"])
-    singles = {f.name: float(told[f.name]) for f in fields(HeldOutFigures) if f.name != "area_accuracy"}
-    return HeldOutFigures(**singles, area_accuracy=area_accuracy)
-
-
-def _check_agreement(model: PlaceModel) -> None:
-    areas, forest, scale = len(model.area_names), model.forest, model.scale
-    if forest.size != model.describer.size:
-        problem = f"describes frames with {model.describer.size} numbers, but its forest takes {forest.size}"
-        raise PlaceError(problem, fix=_RETRAIN)
-    if forest.share.shape[1] != areas or model.area_shares.shape != (areas,) or areas < 2:
-        raise PlaceError(f"names {areas} areas, but its forest has {forest.share.shape[1]}", fix=_RETRAIN)
-    if not (0 < scale.temperature < np.inf and 0 <= scale.blend <= 1 and 0 <= model.least_confidence <= 1):
-        raise PlaceError("has impossible probabilities", fix=_RETRAIN)

@@ -9,10 +9,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from wheelsight.calibration import Calibration
 from wheelsight.errors import ConfigError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.files import StrPath
+from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
 
@@ -38,12 +38,8 @@ class AssociationReport:
 
 
 @runtime_checkable
-class Recording(Protocol):
-    """A finished recording: calibration, events in order of time, and the true trajectory if it has one."""
-
-    @property
-    def name(self) -> str:
-        """For titles and file names."""
+class Recording(EventSource, Protocol):
+    """A finished recording: a source that ends, and knows its counts and the true trajectory if it has one."""
 
     @property
     def path(self) -> Path:
@@ -56,10 +52,6 @@ class Recording(Protocol):
     @property
     def body(self) -> str:
         """The frame its trajectory describes: "base" where the calibration says T_base_camera, else "camera"."""
-
-    @property
-    def calibration(self) -> Calibration:
-        """Of the sensors."""
 
     @property
     def frame_count(self) -> int:
@@ -76,10 +68,6 @@ class Recording(Protocol):
     @property
     def ground_truth(self) -> Trajectory | None:
         """T_frame_body of `body`, or None."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a user should know before trusting results, one sentence each."""
 
     def events(self, *, images: bool = True) -> Iterator[Event]:
         """The events in order of time, from the start at each call; images are decoded as they are asked for.

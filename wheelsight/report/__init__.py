@@ -1,4 +1,4 @@
-"""The report of a run: what it learned (RunRecord), its figures, and the page that shows them."""
+"""The report of a run: figures of its records, and the page that shows them."""
 
 from wheelsight.report._rectification import ERROR_HEAD, error_rows
 from wheelsight.report.comparison import comparison_rows, write_comparison
@@ -13,34 +13,18 @@ from wheelsight.report.figures import (
     time_histogram_figure,
     trajectory_figure,
 )
-from wheelsight.report.joined import FLAGS, JoinedFacts, Rival, facts_of, joined_of, rival_of
 from wheelsight.report.joined_figures import trust_figure
 from wheelsight.report.map_figures import plan_figure
-from wheelsight.report.map_record import MapPicture, MapRecord
 from wheelsight.report.overlay import Overlay, overlay_of
 from wheelsight.report.page import write_report
+from wheelsight.report.pages import why_no_page, write_page
 from wheelsight.report.pictures import draw_matches
-from wheelsight.report.realtime_record import RealTimeRecord
-from wheelsight.report.record import FrameRecord, MatchPicture, RunRecord
-from wheelsight.report.rectification import Look, MapErrors, RectificationRecord
 from wheelsight.report.rectification_figures import area_map_figure, area_time_figure, map_error_figure
 from wheelsight.report.summary import Summary, summarise
 
 __all__ = [
     "ERROR_HEAD",
-    "FLAGS",
-    "FrameRecord",
-    "JoinedFacts",
-    "Look",
-    "MapErrors",
-    "MapPicture",
-    "MapRecord",
-    "MatchPicture",
     "Overlay",
-    "RealTimeRecord",
-    "RectificationRecord",
-    "Rival",
-    "RunRecord",
     "Summary",
     "area_map_figure",
     "area_time_figure",
@@ -51,14 +35,11 @@ __all__ = [
     "error_figure",
     "error_rows",
     "errors_figure",
-    "facts_of",
-    "joined_of",
     "map_error_figure",
     "matches_figure",
     "overlay_figure",
     "overlay_of",
     "plan_figure",
-    "rival_of",
     "stage_figure",
     "status_figure",
     "summarise",
@@ -66,6 +47,8 @@ __all__ = [
     "time_histogram_figure",
     "trajectory_figure",
     "trust_figure",
+    "why_no_page",
     "write_comparison",
+    "write_page",
     "write_report",
 ]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
 from wheelsight.geometry import FloatArray
+from wheelsight.pipeline.label_runs import runs
+from wheelsight.pipeline.run_record import FrameRecord, RunRecord
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
-from wheelsight.report.record import FrameRecord, RunRecord
 
 # Okabe and Ito's colours; these four also stand out from white and from near black.
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
@@ -37,23 +37,21 @@ _AXIS = {
     "spikethickness": 1,
     "spikedash": "solid",
 }
-_STYLE = go.layout.Template(
-    layout={
-        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#333333"},
-        "paper_bgcolor": "rgba(0,0,0,0)",
-        "plot_bgcolor": "rgba(0,0,0,0)",
-        "hoverlabel": {"bgcolor": "#2b2f36", "bordercolor": "#2b2f36", "font": {"color": "#ffffff"}},
-        "legend": {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.0, "yanchor": "bottom"},
-        "margin": {"l": 62, "r": 14, "t": 36, "b": 46},
-        "xaxis": _AXIS,
-        "yaxis": _AXIS,
-    }
-)
+_LAYOUT = {
+    "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#333333"},
+    "paper_bgcolor": "rgba(0,0,0,0)",
+    "plot_bgcolor": "rgba(0,0,0,0)",
+    "hoverlabel": {"bgcolor": "#2b2f36", "bordercolor": "#2b2f36", "font": {"color": "#ffffff"}},
+    "legend": {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.0, "yanchor": "bottom"},
+    "margin": {"l": 62, "r": 14, "t": 36, "b": 46},
+    "xaxis": _AXIS,
+    "yaxis": _AXIS,
+}
 
 
 def style(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
     """`figure` in the report's style, `height` in px; its width is that of its place."""
-    figure.update_layout(template=_STYLE, height=height, **layout)
+    figure.update_layout(template=go.layout.Template(layout=_LAYOUT), height=height, **layout)
     return figure
 
 
@@ -89,7 +87,7 @@ def add_area(figure: go.Figure, x: FloatArray, low: FloatArray, high: FloatArray
     known = ~np.isnan(low + high)
     kept = np.union1d(series.keep_peaks(low), series.keep_peaks(high))
     outline = []
-    for i, j, is_known in series.runs([str(found) for found in known[kept]]):
+    for i, j, is_known in runs([str(found) for found in known[kept]]):
         part = kept[i:j]
         if is_known == "True":
             there_and_back = np.concatenate([x[part], x[part][::-1]]), np.concatenate([low[part], high[part][::-1]])
@@ -123,7 +121,7 @@ def horizontal(figure: go.Figure, y: float, text: str) -> None:
 
 def time_axis(figure: go.Figure, record: RunRecord) -> None:
     """The same time axis for every figure of a run, so that they can be compared by eye."""
-    end_s = max(seconds_since_start(record, [frame.stamp_s for frame in record.frames]), default=0.0)
+    end_s = max(record.seconds_since_start([frame.stamp_s for frame in record.frames]), default=0.0)
     time_axis_until(figure, end_s, f"seconds since the first {record.unit}")
 
 
@@ -136,20 +134,6 @@ def time_axis_until(figure: go.Figure, end_s: float, title: str) -> None:
     lowest.title.text = title
 
 
-def seconds_since_start(record: RunRecord, stamps_s: Sequence[float] | FloatArray) -> FloatArray:
-    """Stamps (N,) as seconds after the run's first frame."""
-    start_s = record.frames[0].stamp_s if record.frames else 0.0
-    return np.asarray(stamps_s, float) - start_s
-
-
 def used_frames(record: RunRecord) -> list[FrameRecord]:
     """The frames that odometry judged."""
     return [frame for frame in record.frames if not frame.is_skipped]
-
-
-def frame_spans_s(record: RunRecord) -> tuple[FloatArray, FloatArray]:
-    """From when (N,) to when (N,) each frame's answer holds, in seconds since the first: till the next frame."""
-    starts_s = seconds_since_start(record, [frame.stamp_s for frame in record.frames])
-    steps_s = np.diff(starts_s)
-    last_s = float(np.median(steps_s)) if len(steps_s) else 1.0
-    return starts_s, starts_s + np.append(steps_s, last_s)[: len(starts_s)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
-import plotly.graph_objects as go
+from wheelsight.report import _plotly as go
 
 
 def section(key: str, title: str, intro: str, *parts: str) -> str:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from wheelsight.estimates import Status
+from wheelsight.pipeline.joined import JoinedFacts, Rival
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _html as html
 from wheelsight.report import _sections as sections
-from wheelsight.report import _words as words
-from wheelsight.report import figures
-from wheelsight.report.joined import JoinedFacts, Rival
+from wheelsight.report import figures, words
 from wheelsight.report.joined_figures import trust_figure
-from wheelsight.report.record import RunRecord
 from wheelsight.report.summary import Summary
 from wheelsight.report.verdict import Tone, Verdict, accuracy_sentence, speed_sentence, tracking_phrase
 
@@ -44,7 +43,7 @@ def tiles(record: RunRecord, facts: JoinedFacts, rival: Rival | None) -> Iterabl
     if record.evaluation is None:
         yield "ATE, joined", words.UNKNOWN, "not evaluated"
     else:
-        more = "RMSE" if rival is None else f"{rival.times} times that of {rival.odometry}"
+        more = "RMSE" if rival is None else f"{words.number(rival.ratio, 2)} times that of {rival.odometry}"
         yield "ATE, joined", words.length(record.evaluation.ate.translation.rmse), more
     found = facts.consistency
     if found is not None:
@@ -93,7 +92,7 @@ def _beside(rival: Rival | None) -> str:
     if rival is None:
         return ""
     better = ", which is better" if rival.ratio > 1 else ""
-    return f", {rival.times} times the error of {rival.odometry} alone{better}"
+    return f", {words.number(rival.ratio, 2)} times the error of {rival.odometry} alone{better}"
 
 
 def _tone(facts: JoinedFacts, rival: Rival | None) -> Tone:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from wheelsight.pipeline.map_record import MapPicture, MapRecord
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
 from wheelsight.report import _html as html
-from wheelsight.report import _words as words
 from wheelsight.report import map_figures as figures
-from wheelsight.report.map_record import MapPicture, MapRecord
-from wheelsight.report.record import RunRecord
+from wheelsight.report import words
 
 
 def section(record: RunRecord, of: str = "") -> str:

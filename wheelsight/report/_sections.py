@@ -8,12 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.evaluation import Statistics
+from wheelsight.pipeline.run_record import MatchPicture, RunRecord
 from wheelsight.report import _drawing as drawing
 from wheelsight.report import _html as html
-from wheelsight.report import _words as words
-from wheelsight.report import figures
+from wheelsight.report import figures, words
 from wheelsight.report.pictures import data_uri
-from wheelsight.report.record import MatchPicture, RunRecord
 from wheelsight.report.summary import Summary
 
 MOST_PICTURES = 12

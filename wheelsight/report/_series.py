@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
-from wheelsight.report.record import RunRecord
+from wheelsight.pipeline.run_record import RunRecord
 
 DRAWN_POINTS = 4000
 _SAME_STAMP_S = 1e-3  # stamps of one frame in two files differ by no more than their last decimal
@@ -70,9 +70,3 @@ def alone(values: FloatArray) -> BoolArray:
     before, after = np.roll(known, 1), np.roll(known, -1)
     before[:1], after[-1:] = False, False
     return known & ~before & ~after
-
-
-def runs(labels: list[str]) -> list[tuple[int, int, str]]:
-    """Unbroken runs of equal labels, as (first, one past the last, label)."""
-    starts = [i for i, label in enumerate(labels) if i == 0 or label != labels[i - 1]]
-    return [(i, j, labels[i]) for i, j in zip(starts, [*starts, len(labels)][1:], strict=True)]

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.geometry import BoolArray, FloatArray
 from wheelsight.odometry.extrinsics import BaseCalibration
 from wheelsight.odometry.wheels import drive_path
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report._drawing import BLUE, GREY, ORANGE, PURPLE, VERMILLION
+from wheelsight.report._plotly import make_subplots
 
 _RATE_STEP_S = 0.2
 _LOOK_M = 0.3

@@ -9,17 +9,17 @@ from pathlib import Path
 
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
+from wheelsight.pipeline.joined import JOINED, JoinedFacts, Rival, facts_of, joined_of, rival_of
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _html as html
 from wheelsight.report import _joined as fusion
 from wheelsight.report import _map as surfels
 from wheelsight.report import _rectification as rectification
 from wheelsight.report import _sections as sections
-from wheelsight.report import _words as words
 from wheelsight.report import comparison_figures as figures
-from wheelsight.report.joined import JOINED, JoinedFacts, Rival, facts_of, joined_of, rival_of
+from wheelsight.report import words
 from wheelsight.report.overlay import Overlay, overlay_of
 from wheelsight.report.page import fill_template, settings
-from wheelsight.report.record import RunRecord
 from wheelsight.report.summary import Summary, summarise
 from wheelsight.report.verdict import Tone, Verdict, judge, notes
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
+from wheelsight.pipeline.joined import JOINED
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import GREY
+from wheelsight.report._plotly import make_subplots
 from wheelsight.report.figures import STATUS_COLOURS, add_band, status_labels
-from wheelsight.report.joined import JOINED
 from wheelsight.report.joined_figures import add_ellipses
 from wheelsight.report.overlay import Overlay
-from wheelsight.report.record import RunRecord
 
 _TIME = "seconds since the first event"
 
@@ -80,7 +80,7 @@ def bands_figure(records: Sequence[RunRecord]) -> go.Figure:
     for record in records:
         labels = status_labels(record)
         offset_s = record.frames[0].stamp_s - start_s if record.frames else 0.0
-        starts_s, ends_s = (offset_s + edge for edge in drawing.frame_spans_s(record))
+        starts_s, ends_s = (offset_s + edge for edge in record.frame_spans_s())
         for label in STATUS_COLOURS:
             if label not in labels:
                 continue

@@ -8,18 +8,19 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.errors import EvaluationError
 from wheelsight.estimates import Status
 from wheelsight.evaluation import Evaluation, position_covariances_m2
 from wheelsight.geometry import FloatArray
+from wheelsight.pipeline.label_runs import runs
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
-from wheelsight.report import _words as words
+from wheelsight.report import words
 from wheelsight.report._drawing import BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, YELLOW
-from wheelsight.report.record import RunRecord
+from wheelsight.report._plotly import make_subplots
 from wheelsight.report.summary import SKIPPED, summarise
 from wheelsight.trajectory import Trajectory
 
@@ -74,7 +75,7 @@ def error_figure(record: RunRecord) -> go.Figure:
     drawing.style(figure, 80 + 160 * len(lines), hovermode="x unified", showlegend=False)
     for row, (name, unit, stamps_s, errors) in enumerate(lines, start=1):
         x, y = series.with_gaps(stamps_s, errors, breaks_s)
-        x = drawing.seconds_since_start(record, x)
+        x = record.seconds_since_start(x)
         line = {"color": VERMILLION if row == 1 else BLUE, "width": 1.5}
         drawing.add_line(figure, x, y, name=name, line=line, hover=f"%{{y:.4f}} {unit}", row=row)
         drawing.panel_title(figure, f"{name}, {unit}", y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
@@ -87,7 +88,7 @@ def certainty_figure(record: RunRecord, colour: str | None = None) -> go.Figure:
     """Over time: one standard deviation of position and yaw, of an estimate in the plane that has covariances."""
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.11)
     drawing.style(figure, 360, hovermode="x unified", showlegend=False)
-    x = drawing.seconds_since_start(record, record.estimate.stamps_s)
+    x = record.seconds_since_start(record.estimate.stamps_s)
     panels = zip(("σ of position, m", "σ of yaw, °"), standard_deviations(record.estimate), strict=True)
     for row, (name, sigmas) in enumerate(panels, start=1):
         line = {"color": colour or (VERMILLION if row == 1 else BLUE), "width": 1.5}
@@ -108,7 +109,7 @@ def standard_deviations(estimate: Trajectory) -> tuple[FloatArray, FloatArray]:
 def status_figure(record: RunRecord) -> go.Figure:
     """What the answer to each frame was, as one lane a status over time; a skipped frame shows as such unless lost."""
     labels = status_labels(record)
-    starts_s, ends_s = drawing.frame_spans_s(record)
+    starts_s, ends_s = record.frame_spans_s()
     lanes = [lane for lane in STATUS_COLOURS if lane in labels or lane == Status.TRACKING]
     figure = drawing.style(go.Figure(), 84 + 26 * len(lanes), hovermode="closest", showlegend=False)
     for lane in lanes:
@@ -142,7 +143,7 @@ def add_band(
 ) -> None:
     """The spans in which frames bear `label`, as one band at the height `y`; the shortest are widened to be seen."""
     least_s = _LEAST_WIDTH * float(ends_s[-1]) if labels else 0.0
-    spans = [(starts_s[i], ends_s[j - 1], j - i) for i, j, found in series.runs(labels) if found == label]
+    spans = [(starts_s[i], ends_s[j - 1], j - i) for i, j, found in runs(labels) if found == label]
     x = [value for a, b, _ in spans for value in (a, max(b, a + least_s), None)]
     text = [t for a, b, n in spans for t in (f"{a:.2f} to {b:.2f} s, {words.count(n, record.unit)}",) * 2 + ("",)]
     figure.add_scatter(
@@ -160,7 +161,7 @@ def add_band(
 def matches_figure(record: RunRecord) -> go.Figure:
     """How many matches each frame had with its reference, and how many of them agreed on one motion."""
     figure = drawing.style(go.Figure(), 270, hovermode="x unified")
-    x = drawing.seconds_since_start(record, [frame.stamp_s for frame in record.frames])
+    x = record.seconds_since_start([frame.stamp_s for frame in record.frames])
     for name, colour in (("matches", GREY), ("inliers", GREEN)):
         counts = np.array([np.nan if frame.is_skipped else getattr(frame, name) for frame in record.frames], float)
         line = {"color": colour, "width": 1.5}
@@ -175,7 +176,7 @@ def time_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     """How long each frame took, ms; frames far slower than the rest are marked at the upper edge."""
     figure = drawing.style(go.Figure(), 270, hovermode="closest", showlegend=False)
     frames = drawing.used_frames(record)
-    x = drawing.seconds_since_start(record, [frame.stamp_s for frame in frames])
+    x = record.seconds_since_start([frame.stamp_s for frame in frames])
     ms = np.array([1e3 * frame.seconds for frame in frames], float)
     top = _time_ceiling_ms(ms)
     above, line = ms > top, {"color": colour, "width": 1.5}

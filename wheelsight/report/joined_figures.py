@@ -5,17 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.evaluation import THREE_SIGMA_RADIUS, Consistency, covariances_ahead_m2, position_covariances_m2
 from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.pipeline.joined import FLAGS
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import INK, VERMILLION
+from wheelsight.report._plotly import make_subplots
 from wheelsight.report.figures import STATUS_COLOURS, add_band, status_labels
-from wheelsight.report.joined import FLAGS
-from wheelsight.report.record import RunRecord
 from wheelsight.trajectory import Trajectory
 
 _MOST_ELLIPSES = 24
@@ -99,7 +99,7 @@ def _errors_beside_sigmas(record: RunRecord, found: Consistency | None) -> tuple
     sigmas_m = np.sqrt(np.diagonal(C, axis1=1, axis2=2).clip(0))
     every = np.concatenate([sigmas_m[:, None], errors_m], axis=1)
     stamps_s, every = series.with_gaps(stamps_s, every, series.poseless_stamps_s(record))
-    return drawing.seconds_since_start(record, stamps_s), every[:, 0], every[:, 1:]
+    return record.seconds_since_start(stamps_s), every[:, 0], every[:, 1:]
 
 
 def _add_errors(figure: go.Figure, x: FloatArray, errors_m: FloatArray, row: int) -> None:
@@ -112,7 +112,7 @@ def _add_errors(figure: go.Figure, x: FloatArray, errors_m: FloatArray, row: int
 
 def _add_lanes(figure: go.Figure, record: RunRecord, lanes: list[str]) -> None:
     """Statuses as one band, and flags as thin ones beneath, in the lowest panel."""
-    starts_s, ends_s = drawing.frame_spans_s(record)
+    starts_s, ends_s = record.frame_spans_s()
     labels = status_labels(record)
     where: dict[str, Any] = {"row": 3, "col": 1}
     for label in (label for label in STATUS_COLOURS if label in labels):

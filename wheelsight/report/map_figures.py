@@ -7,15 +7,15 @@ import math
 
 import cv2
 import numpy as np
-import plotly.graph_objects as go
 
 from wheelsight.geometry import ByteArray
 from wheelsight.mapping.plan import Plan
+from wheelsight.pipeline.map_record import MapPicture
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import BLUE
-from wheelsight.report.map_record import MapPicture
-from wheelsight.report.record import RunRecord
 
 _HEIGHT_PX = 640
 _QUALITY = 82

@@ -11,10 +11,10 @@ import numpy as np
 from wheelsight.errors import EvaluationError
 from wheelsight.evaluation import start_alignment
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.pipeline.joined import joined_of
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _series as series
 from wheelsight.report.figures import estimated_path_m, truth_path_m
-from wheelsight.report.joined import joined_of
-from wheelsight.report.record import RunRecord
 from wheelsight.trajectory import Trajectory
 
 

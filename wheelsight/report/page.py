@@ -9,15 +9,15 @@ from pathlib import Path
 from string import Template
 
 import yaml
-from plotly.offline import get_plotlyjs
 
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _html as html
 from wheelsight.report import _map as surfels
 from wheelsight.report import _sections as sections
-from wheelsight.report import _words as words
-from wheelsight.report.record import RunRecord
+from wheelsight.report import words
+from wheelsight.report._plotly import get_plotlyjs
 from wheelsight.report.summary import Summary, summarise
 from wheelsight.report.verdict import judge, notes
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
-from wheelsight.report.record import MatchPicture
+from wheelsight.pipeline.run_record import MatchPicture
 
 INLIER_RGB = (0, 158, 115)
 OUTLIER_RGB = (213, 94, 0)

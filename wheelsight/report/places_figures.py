@@ -7,10 +7,10 @@ from html import escape
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
 from wheelsight.places import PlaceTrial
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report._drawing import BLUE, GREY, VERMILLION
 
 _CELL_PX, _LEAST_PX = 52, 320

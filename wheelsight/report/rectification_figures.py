@@ -6,17 +6,17 @@ from html import escape
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.areas import AreaMap
 from wheelsight.geometry import FloatArray
+from wheelsight.pipeline.rectification_record import RectificationRecord
+from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import GREY
+from wheelsight.report._plotly import make_subplots
 from wheelsight.report.places_sheet import area_colour
-from wheelsight.report.record import RunRecord
-from wheelsight.report.rectification import RectificationRecord
 
 _MOST_COLUMNS = 1200
 _ROW_PX, _TRUST_PX, _GAP_PX = 24, 84, 54
@@ -73,7 +73,7 @@ def area_time_figure(record: RunRecord) -> go.Figure:
         vertical_spacing=_GAP_PX / (sum(heights) + _GAP_PX * (len(heights) - 1)) if len(heights) > 1 else 0,
     )
     drawing.style(figure, 90 + sum(heights) + _GAP_PX * (len(heights) - 1), hovermode="closest")
-    seconds = drawing.seconds_since_start(record, found.stamps_s)
+    seconds = record.seconds_since_start(found.stamps_s)
     for row, (title, probabilities) in enumerate(panels.items(), start=1):
         _add_rows(figure, found, seconds, probabilities, row)
         _panel_title(figure, title, row)
@@ -97,7 +97,7 @@ def map_error_figure(record: RunRecord) -> go.Figure:
     found = _of(record)
     assert found.errors is not None
     figure = drawing.style(go.Figure(), 270, hovermode="x")
-    x = drawing.seconds_since_start(record, found.errors.stamps_s)
+    x = record.seconds_since_start(found.errors.stamps_s)
     for name, errors_m in (("wheels", found.errors.wheels_m), ("rectified", found.errors.rectified_m)):
         line = {"color": drawing.ODOMETRY_COLOURS[name], "width": 1.5}
         drawing.add_line(figure, x, errors_m, name=name, line=line, hover="%{y:.2f} m")

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.estimates import Status
-from wheelsight.report._series import runs
-from wheelsight.report.record import RunRecord
+from wheelsight.pipeline.label_runs import runs
+from wheelsight.pipeline.run_record import RunRecord
 
 SKIPPED = "skipped"
 

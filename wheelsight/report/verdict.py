@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from wheelsight.report import _words as words
-from wheelsight.report.record import RunRecord
+from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.report import words
 from wheelsight.report.summary import Summary
 
 Tone = Literal["good", "fair", "poor"]
@@ -122,7 +122,7 @@ def _counted(reasons: tuple[tuple[str, int], ...]) -> str:
 
 def _association_notes(record: RunRecord) -> list[str]:
     pairing = record.association
-    if not (pairing.dropped_color or pairing.dropped_depth):
+    if pairing is None or not (pairing.dropped_color or pairing.dropped_depth):
         return []
     return [
         f"{pairing.dropped_color:,} of {words.count(pairing.color_images, 'colour image')} and "

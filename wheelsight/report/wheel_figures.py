@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from wheelsight.geometry import FloatArray
 from wheelsight.odometry.wheels.trial import WheelTrial
 from wheelsight.odometry.wheels.umbmark import Umbmark
 from wheelsight.report import _drawing as drawing
+from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import BLUE, GREY, ORANGE, SKY, VERMILLION
+from wheelsight.report._plotly import make_subplots
 
 _LOOKS = {"nominal": {"color": ORANGE, "width": 2}, "calibrated": {"color": BLUE, "width": 2}}
 _PANELS = (("along the way", "mm", 1e3), ("across", "mm", 1e3), ("turn", "°", 180 / np.pi))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight import __version__
+from wheelsight._version import __version__
 from wheelsight.areas import save_areas
 from wheelsight.calibration import save_calibration
 from wheelsight.errors import ConfigError

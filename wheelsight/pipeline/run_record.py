@@ -1,18 +1,21 @@
-"""RunRecord: all that one run learned, as the report and the metrics file take it."""
+"""RunRecord: all that one run learned, as the metrics file and a report take it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Literal
 
+import numpy as np
+
 from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import Evaluation
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray
+from wheelsight.pipeline.map_record import MapRecord
+from wheelsight.pipeline.realtime_record import RealTimeRecord
+from wheelsight.pipeline.rectification_record import RectificationRecord
 from wheelsight.recordings import AssociationReport
-from wheelsight.report.map_record import MapRecord
-from wheelsight.report.realtime_record import RealTimeRecord
-from wheelsight.report.rectification import RectificationRecord
 from wheelsight.trajectory import Trajectory
 
 _POSED = (Status.TRACKING, Status.COASTING)
@@ -92,13 +95,13 @@ class RunRecord:
     """A finished run.
 
     Attributes:
-        recording: the recording's name.
-        format: its reader's name.
+        recording: the recording's name, or the live source's.
+        format: its reader's name, or "live".
         frames: one record for each frame listed, skipped ones included; of wheel odometry, for each wheel reading.
         estimate: the trajectory; frames without a pose are not in it.
         ground_truth: or None.
         evaluation: against the ground truth, or None without one; `evaluation_problem` then says why.
-        association: how colour and depth were paired.
+        association: how colour and depth were paired, or None where a live source gives them as frames.
         warnings: about the recording, one sentence each.
         pictures: a few frames with their matches.
         stage_seconds: median time a frame of each stage (extract, match, align, …).
@@ -119,7 +122,7 @@ class RunRecord:
     estimate: Trajectory
     ground_truth: Trajectory | None
     evaluation: Evaluation | None
-    association: AssociationReport
+    association: AssociationReport | None
     warnings: tuple[str, ...] = ()
     evaluation_problem: str | None = None
     pictures: tuple[MatchPicture, ...] = ()
@@ -137,6 +140,18 @@ class RunRecord:
     def posed(self) -> int:
         """How many of `frames` have a pose."""
         return sum(frame.has_pose for frame in self.frames)
+
+    def seconds_since_start(self, stamps_s: Sequence[float] | FloatArray) -> FloatArray:
+        """Stamps (N,) as seconds after the first of `frames`."""
+        start_s = self.frames[0].stamp_s if self.frames else 0.0
+        return np.asarray(stamps_s, float) - start_s
+
+    def frame_spans_s(self) -> tuple[FloatArray, FloatArray]:
+        """From when (N,) to when (N,) each frame's answer holds, in seconds since the first: till the next frame."""
+        starts_s = self.seconds_since_start([frame.stamp_s for frame in self.frames])
+        steps_s = np.diff(starts_s)
+        last_s = float(np.median(steps_s)) if len(steps_s) else 1.0
+        return starts_s, starts_s + np.append(steps_s, last_s)[: len(starts_s)]
 
     @property
     def is_planar(self) -> bool:

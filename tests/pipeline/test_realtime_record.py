@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from wheelsight.report import RealTimeRecord
+from wheelsight.pipeline import RealTimeRecord
 
 
 def test_the_sentence_says_rate_drops_and_latency() -> None:

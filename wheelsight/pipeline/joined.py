@@ -10,10 +10,8 @@ import numpy as np
 from wheelsight.errors import EvaluationError
 from wheelsight.estimates import Status
 from wheelsight.evaluation import Consistency, consistency
-from wheelsight.report._drawing import frame_spans_s
-from wheelsight.report._series import runs
-from wheelsight.report._words import number
-from wheelsight.report.record import RunRecord
+from wheelsight.pipeline.label_runs import runs
+from wheelsight.pipeline.run_record import RunRecord
 
 JOINED = "joined"
 _NO_SENSORS = (JOINED, "rectified")
@@ -54,11 +52,6 @@ class Rival:
     odometry: str
     ratio: float
 
-    @property
-    def times(self) -> str:
-        """The ratio as people read it."""
-        return number(self.ratio, 2)
-
 
 def joined_of(records: Sequence[RunRecord]) -> RunRecord | None:
     """The record of joined sensors, or None where none were."""
@@ -67,7 +60,7 @@ def joined_of(records: Sequence[RunRecord]) -> RunRecord | None:
 
 def facts_of(record: RunRecord) -> JoinedFacts:
     """What came of it."""
-    starts_s, ends_s = frame_spans_s(record)
+    starts_s, ends_s = record.frame_spans_s()
     lasted_s, statuses = ends_s - starts_s, [str(frame.status) for frame in record.frames]
     flags = () if record.config.get("fusion") == "ligocki" else FLAGS
     flagged = {flag: np.array([flag in frame.flags for frame in record.frames], bool) for flag in flags}

@@ -1,0 +1,92 @@
+"""Without the libraries that extras bring the core runs, and what needs them says what to install."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pipeline.made import wheel_recording
+
+import wheelsight
+from wheelsight.errors import ConfigError
+from wheelsight.extras import needed, why_missing
+from wheelsight.recordings import write_recording
+
+LIBRARIES = ("plotly", "sklearn", "skops")
+ROOT = Path(wheelsight.__file__).parent
+MODULES = [
+    ".".join(path.relative_to(ROOT.parent).with_suffix("").parts).removesuffix(".__init__")
+    for path in sorted(ROOT.rglob("*.py"))
+    if path.name != "__main__.py"
+]
+BLOCK = f"import sys; sys.modules.update(dict.fromkeys({LIBRARIES}))\n"
+
+
+def run_without(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run Python in `folder` that cannot import the libraries of extras."""
+    path = [str(ROOT.parent), *(entry for entry in sys.path if entry)]
+    code = f"import sys; sys.path[:0] = {path!r}\n{BLOCK}{code}"
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def wheelsight_without(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """The command."""
+    return run_without(f"sys.argv = {['wheelsight', *arguments]!r}\nfrom wheelsight.cli import main\nmain()", folder)
+
+
+def test_no_module_loads_them_when_imported(tmp_path: Path) -> None:
+    code = f"from importlib import import_module\nfor name in {MODULES!r}: import_module(name)\nprint(len(sys.modules))"
+    done = run_without(code, tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_run_without_plotly_leaves_all_but_the_page_and_says_what_to_install(tmp_path: Path) -> None:
+    write_recording(tmp_path / "drive", wheel_recording(100))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.html").write_text("of an earlier run")
+    done = wheelsight_without(tmp_path, "run", "drive", "--odometry", "wheels", "--out", "out", "--force")
+    assert done.returncode == 0, done.stderr
+    assert 'no page is drawn: plotly is missing (pip install "wheelsight[report]")' in " ".join(done.stderr.split())
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert files == {"trajectory.txt", "status.csv", "metrics.json", "config.yaml"}
+    assert "report" not in done.stdout
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["evaluation"] is not None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "library"),
+    [
+        (("train", "drive", "--out", "new.places"), "scikit-learn"),
+        (("predict", "a.places", "drive", "--out", "new.csv"), "skops"),
+    ],
+)
+def test_places_say_what_to_install(tmp_path: Path, arguments: tuple[str, ...], library: str) -> None:
+    (tmp_path / "drive").mkdir()
+    (tmp_path / "a.places").write_bytes(b"")
+    done = wheelsight_without(tmp_path, "places", *arguments)
+    assert done.returncode == 2
+    assert f'{library} is missing (pip install "wheelsight[places]")' in " ".join(done.stderr.split())
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_figure_says_what_to_install(tmp_path: Path) -> None:
+    done = run_without(
+        "from wheelsight.errors import ConfigError\nfrom wheelsight.report._plotly import make_subplots\n"
+        "try: make_subplots(rows=1)\nexcept ConfigError as error: print(error)",
+        tmp_path,
+    )
+    assert done.stdout == 'plotly is missing (pip install "wheelsight[report]")\n'
+
+
+def test_what_is_installed_is_handed_out() -> None:
+    assert needed("sklearn.ensemble").RandomForestClassifier.__name__ == "RandomForestClassifier"
+    assert why_missing("plotly") is None
+
+
+def test_what_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "skops.io", None)
+    with pytest.raises(ConfigError, match=r"^skops is missing .pip install \"wheelsight\[places\]\"."):
+        needed("skops.io")

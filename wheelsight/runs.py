@@ -1,0 +1,77 @@
+"""A run with its page: what most users call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from wheelsight import pipeline
+from wheelsight.config import Config
+from wheelsight.errors import ConfigError
+from wheelsight.files import StrPath
+from wheelsight.pipeline import FrameRecord, RunRecord
+from wheelsight.report import why_no_page, write_page
+from wheelsight.sources import EventSource
+
+
+def run(
+    source: EventSource,
+    config: Config,
+    out: StrPath,
+    *,
+    force: bool = False,
+    on_frame: Callable[[FrameRecord], None] | None = None,
+    duration_s: float | None = None,
+) -> RunRecord:
+    """Follow events to their end and leave trajectory, status, metrics, configuration and report in the folder `out`.
+
+    The report needs plotly, which the extra `report` brings; without it all else is done.
+
+    Ctrl-C, or a source that breaks off, loses nothing: what was tracked until then is written and marked
+    as interrupted, and then the exception goes on its way.
+
+    Args:
+        source: a recording from `open_recording`, or from `in_real_time`, then frames may be dropped; or events that
+            come from anywhere else, as long as they do.
+        config: all settings; of one odometry, without places.
+        out: folder for the results; made if need be.
+        force: write into a folder that holds something already.
+        on_frame: called after each frame, for a progress bar.
+        duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
+
+    Raises:
+        ConfigError: the configuration names several odometries or places, or the recording has no images, or no wheel
+            readings, that the odometry asked for needs.
+        CalibrationError: the calibration lacks its cameras, or its wheels.
+        OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
+        RecordingError: the recording cannot be read on; or wheels and camera, which are to be joined, share no time.
+    """
+    if len(config.tracks) > 1:
+        raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")
+
+    def on_event(answers: Mapping[str, FrameRecord]) -> None:
+        for frame in answers.values():
+            if on_frame is not None:
+                on_frame(frame)
+
+    (record,) = run_each(source, config, out, force=force, on_event=on_event, duration_s=duration_s)
+    return record
+
+
+def run_each(
+    source: EventSource,
+    config: Config,
+    out: StrPath,
+    *,
+    force: bool = False,
+    on_ready: Callable[[], None] = lambda: None,
+    on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
+    duration_s: float | None = None,
+) -> tuple[RunRecord, ...]:
+    """`pipeline.run_each`, which says all about it, with one page of everything: `report.html` in `out`.
+
+    Without plotly, which the extra `report` brings, all is done but the page.
+    """
+    draw = write_page if why_no_page() is None else None
+    return pipeline.run_each(
+        source, config, out, force=force, on_ready=on_ready, on_event=on_event, draw=draw, duration_s=duration_s
+    )
