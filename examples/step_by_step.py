@@ -10,19 +10,17 @@ import cv2
 import numpy as np
 
 from wheelsight import RgbdFrame, Trajectory, evaluate, open_recording
-from wheelsight.errors import DegenerateGeometryError
 from wheelsight.geometry import align_points, se3
 from wheelsight.recordings import express_for
 
 INLIER_M = 0.03
-FEWEST_PAIRS = 20  # of a camera that sees: one that something lies on has none
+FEWEST_PAIRS = 20  # fewer determine no motion: something lies on the camera
 
 orb = cv2.ORB_create(1000)
 matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
-rng = np.random.default_rng(0)
 
 
-def points_and_descriptors(frame, camera):
+def keypoints_of(frame, camera):
     """Points (N, 3) in the camera frame, metres, and BRIEF descriptors (N, 32) of keypoints that have a depth."""
     keypoints, descriptors = orb.detectAndCompute(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), None)
     if descriptors is None:
@@ -30,49 +28,44 @@ def points_and_descriptors(frame, camera):
     px = cv2.KeyPoint.convert(keypoints)
     columns, rows = np.rint(px).astype(int).T
     depth_m = frame.depth_m[rows, columns]
-    measured = depth_m > 0
-    return camera.back_project(px[measured], depth_m[measured]), descriptors[measured]
+    has_depth = depth_m > 0
+    return camera.back_project(px[has_depth], depth_m[has_depth]), descriptors[has_depth]
 
 
-def align_most(p_reference, p_current, trials=200):
-    """T_reference_current on which most point pairs agree: RANSAC over closed-form alignment."""
-    agreeing = np.zeros(len(p_current), bool)
-    for _ in range(trials):
-        three = rng.choice(len(p_current), 3, replace=False)
-        try:
-            T_reference_current = align_points(p_reference[three], p_current[three])
-        except DegenerateGeometryError:
-            continue
+def motion_between(reference, current):
+    """T_reference_current on which most matches agree, or None; closed form, pairs far apart count for less."""
+    (p_reference, descriptors_reference), (p_current, descriptors_current) = reference, current
+    pairs = matcher.match(descriptors_reference, descriptors_current)
+    if len(pairs) < FEWEST_PAIRS:
+        return None
+    i, j = np.array([(pair.queryIdx, pair.trainIdx) for pair in pairs]).T
+    p_reference, p_current = p_reference[i], p_current[j]
+    T_reference_current = np.eye(4)
+    for scale_m in np.geomspace(0.5, INLIER_M, 20):
         distance_m = np.linalg.norm(se3.apply(T_reference_current, p_current) - p_reference, axis=1)
-        if (distance_m < INLIER_M).sum() > agreeing.sum():
-            agreeing = distance_m < INLIER_M
-    return align_points(p_reference[agreeing], p_current[agreeing])
+        T_reference_current = align_points(p_reference, p_current, 1 / (1 + (distance_m / scale_m) ** 2) ** 2)
+    return T_reference_current
 
 
 recording = open_recording(sys.argv[1])
 if not recording.calibration.is_registered:
     sys.exit("this example looks depth up at colour pixels, so both must share one pixel grid")
 
-frames = (event for event in recording.events() if isinstance(event, RgbdFrame))
-stamps_s, poses, unseen = [], [], 0
-p_reference, reference_descriptors = np.empty((0, 3)), np.empty((0, 32), np.uint8)
-for frame in frames:
-    p_current, descriptors = points_and_descriptors(frame, recording.calibration.depth)
-    pairs = matcher.match(reference_descriptors, descriptors)
-    if not poses and len(p_current) >= FEWEST_PAIRS:
-        T_odom_camera = np.eye(4)
-    elif len(pairs) >= FEWEST_PAIRS:
-        of_reference, of_current = np.array([(pair.queryIdx, pair.trainIdx) for pair in pairs]).T
-        T_odom_camera = poses[-1] @ align_most(p_reference[of_reference], p_current[of_current])
-    else:  # the next frame is matched with the last one that showed something
-        unseen += 1
+stamps_s, poses, reference = [], [], None
+for frame in filter(lambda event: isinstance(event, RgbdFrame), recording.events()):
+    current = keypoints_of(frame, recording.calibration.depth)
+    if len(current[0]) < FEWEST_PAIRS:
         continue
+    T_reference_current = np.eye(4) if reference is None else motion_between(reference, current)
+    if T_reference_current is None:  # the next frame is matched with the last one that showed something
+        continue
+    T_map_reference = poses[-1] if poses else np.eye(4)
+    poses.append(T_map_reference @ T_reference_current)
     stamps_s.append(frame.stamp_s)
-    poses.append(T_odom_camera)
-    p_reference, reference_descriptors = p_current, descriptors
+    reference = current
 
 estimate = Trajectory(np.array(stamps_s), np.array(poses))
-print(f"{len(estimate)} poses over {estimate.length_m:.3f} m; {unseen} frames show nothing known")
+print(f"{len(estimate)} poses over {estimate.length_m:.3f} m")
 if recording.ground_truth is not None:
     evaluation = evaluate(estimate, express_for("camera", recording.ground_truth, recording.calibration))
     print(f"ATE {evaluation.ate.translation.rmse:.4f} m RMSE")

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import json
+import re
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -14,6 +17,10 @@ import pytest
 import wheelsight
 
 HEAVY = ("cv2", "matplotlib", "numba", "open3d", "pandas", "plotly", "pydantic", "rich", "scipy", "typer", "yaml")
+IMPORTED_AS = {"scikit-image": "skimage", "scikit-learn": "sklearn"}
+# Parts without a page of their own: the command line is typed, inputs are read by what is public, the modules of
+# geometry are shown one by one, and worlds are had by their names.
+NO_PAGE = tuple(f"wheelsight{part}" for part in ("", ".cli", ".inputs", ".geometry", ".simulation.worlds"))
 PACKAGES = sorted(
     f"wheelsight.{path.parent.relative_to(Path(wheelsight.__file__).parent).as_posix().replace('/', '.')}".rstrip(".")
     for path in Path(wheelsight.__file__).parent.rglob("__init__.py")
@@ -40,6 +47,17 @@ def test_importing_wheelsight_is_quick() -> None:
     assert extra < 0.3
 
 
+def test_every_public_name_can_be_had_without_the_extras(project_folder: Path) -> None:
+    extras = tomllib.loads((project_folder / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    wanted = [one for name, needed in extras.items() if name not in ("bench", "dev", "docs") for one in needed]
+    missing = [IMPORTED_AS.get(name, name) for name in (re.split(r"[<>=;\[]", one)[0] for one in wanted)]
+    assert "mujoco" in missing
+    run_python(
+        f"import sys\nsys.modules.update(dict.fromkeys({missing}))\n"
+        "import wheelsight\nfor name in wheelsight.__all__: getattr(wheelsight, name)"
+    )
+
+
 @pytest.mark.parametrize("name", wheelsight.__all__)
 def test_every_public_name_can_be_had(name: str) -> None:
     assert getattr(wheelsight, name) is not None
@@ -62,6 +80,17 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 def test_the_documentation_lists_every_public_name(project_folder: Path) -> None:
     listed = (project_folder / "docs" / "api" / "index.md").read_text(encoding="utf-8")
     assert all(f"`{name}`" in listed for name in wheelsight.__all__ if name != "__version__")
+
+
+@pytest.mark.parametrize("package", [package for package in PACKAGES if package not in NO_PAGE])
+def test_the_api_pages_show_every_part(package: str, project_folder: Path) -> None:
+    pages = (project_folder / "docs" / "api").glob("*.md")
+    shown = {line.removeprefix("::: ") for page in pages for line in page.read_text(encoding="utf-8").splitlines()}
+    module = importlib.import_module(package)
+    # Where a name is that of its module, too, the page of the package finds the module and leaves the name out.
+    hidden = [name for name in module.__all__ if importlib.util.find_spec(f"{package}.{name}") is not None]
+    assert {f"{package}.{name}.{name}" for name in hidden} <= shown
+    assert package in shown or not module.__all__
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -1,8 +1,9 @@
 """Where a wheeled robot is and what its place looks like: wheel encoders and a depth camera, joined.
 
 All in one: `run(open_recording(folder), Config(), out)`; `simulate(SimulationSettings())` where there is no recording.
-Frame by frame: `Localizer(calibration).process(frame)`. Every step by hand: the sub-packages. The names below are
-loaded when first asked for, so `import wheelsight` costs next to nothing.
+Frame by frame: `Localizer(calibration).process(event)`. Every step by hand: `DenseOdometry`, `ErrorStateFilter`,
+`SurfelMap` and the other names below, and the sub-packages. A name is loaded when it is first asked for, so
+`import wheelsight` costs next to nothing.
 """
 
 from __future__ import annotations
@@ -13,42 +14,72 @@ from typing import TYPE_CHECKING, Any
 from wheelsight._version import __version__
 
 if TYPE_CHECKING:
+    from wheelsight.areas import AreaMap, load_areas, save_areas
     from wheelsight.calibration import Calibration, Gyro, Wheels, load_calibration, save_calibration
+    from wheelsight.clocks import ClockSettings, SessionClock
     from wheelsight.config import Config, load_config, save_config
     from wheelsight.errors import WheelsightError
-    from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+    from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
     from wheelsight.evaluation import Evaluation, evaluate
-    from wheelsight.events import RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+    from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+    from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate, LigockiFilter, LigockiSettings
     from wheelsight.geometry import PinholeCamera
+    from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
     from wheelsight.localizer import Localizer
-    from wheelsight.odometry.features import FeatureOdometry
+    from wheelsight.mapping import SurfelMap, SurfelSettings, load_map, mesh_of, save_map, write_mesh_ply, write_ply
+    from wheelsight.odometry.dense import DenseOdometry, DenseSettings
+    from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
     from wheelsight.odometry.wheels import WheelOdometry
+    from wheelsight.places import PlaceMatch, PlaceModel
     from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
     from wheelsight.runs import run, run_each
     from wheelsight.simulation import SimulatedRecording, SimulationSettings, write_simulation
     from wheelsight.simulation.simulate import simulate
     from wheelsight.sources import EventSource
     from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
+    from wheelsight.views import PredictedView, ReferenceModel
 
 __all__ = [
+    "AreaMap",
     "Calibration",
+    "CameraEstimate",
+    "ClockSettings",
     "Config",
+    "DenseOdometry",
+    "DenseSettings",
+    "ErrorStateFilter",
+    "ErrorStateSettings",
     "Estimate",
     "Evaluation",
+    "Event",
     "EventSource",
     "FeatureOdometry",
+    "FeatureSettings",
+    "FusedEstimate",
     "Gyro",
+    "Keyframe",
+    "KeyframeId",
+    "KeyframeStore",
+    "LigockiFilter",
+    "LigockiSettings",
     "Localizer",
     "MotionEstimate",
     "OpenOptions",
     "PinholeCamera",
+    "PlaceMatch",
+    "PlaceModel",
+    "PredictedView",
     "Reason",
     "Recording",
+    "ReferenceModel",
     "RgbdFrame",
+    "SessionClock",
     "SimulatedRecording",
     "SimulationSettings",
     "SkippedFrame",
     "Status",
+    "SurfelMap",
+    "SurfelSettings",
     "Trajectory",
     "WheelOdometry",
     "WheelSpeeds",
@@ -58,38 +89,53 @@ __all__ = [
     "YawRate",
     "__version__",
     "evaluate",
+    "load_areas",
     "load_calibration",
     "load_config",
+    "load_map",
+    "mesh_of",
     "open_recording",
     "read_kitti",
     "read_tum",
     "run",
     "run_each",
+    "save_areas",
     "save_calibration",
     "save_config",
+    "save_map",
     "simulate",
     "write_kitti",
+    "write_mesh_ply",
+    "write_ply",
     "write_recording",
     "write_simulation",
     "write_tum",
 ]
 
 _NAMES_OF = {
+    "areas": ("AreaMap", "load_areas", "save_areas"),
     "calibration": ("Calibration", "Gyro", "Wheels", "load_calibration", "save_calibration"),
+    "clocks": ("ClockSettings", "SessionClock"),
     "config": ("Config", "load_config", "save_config"),
     "errors": ("WheelsightError",),
-    "estimates": ("Estimate", "MotionEstimate", "Reason", "Status"),
+    "estimates": ("CameraEstimate", "Estimate", "MotionEstimate", "Reason", "Status"),
     "evaluation": ("Evaluation", "evaluate"),
-    "events": ("RgbdFrame", "SkippedFrame", "WheelSpeeds", "WheelTicks", "YawRate"),
+    "events": ("Event", "RgbdFrame", "SkippedFrame", "WheelSpeeds", "WheelTicks", "YawRate"),
+    "fusion": ("ErrorStateFilter", "ErrorStateSettings", "FusedEstimate", "LigockiFilter", "LigockiSettings"),
     "geometry": ("PinholeCamera",),
+    "keyframes": ("Keyframe", "KeyframeId", "KeyframeStore"),
     "localizer": ("Localizer",),
-    "odometry.features": ("FeatureOdometry",),
+    "mapping": ("SurfelMap", "SurfelSettings", "load_map", "mesh_of", "save_map", "write_mesh_ply", "write_ply"),
+    "odometry.dense": ("DenseOdometry", "DenseSettings"),
+    "odometry.features": ("FeatureOdometry", "FeatureSettings"),
     "odometry.wheels": ("WheelOdometry",),
-    "runs": ("run", "run_each"),
+    "places": ("PlaceMatch", "PlaceModel"),
     "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
     "sources": ("EventSource",),
+    "runs": ("run", "run_each"),
     "simulation": ("SimulatedRecording", "SimulationSettings", "simulate", "write_simulation"),
     "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),
+    "views": ("PredictedView", "ReferenceModel"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
 

@@ -63,3 +63,4 @@ class SkippedFrame:
 
 
 Event = RgbdFrame | WheelTicks | WheelSpeeds | YawRate | SkippedFrame
+"""What a sensor says at one stamp."""

@@ -18,6 +18,7 @@ from wheelsight.errors import ArgumentError
 from wheelsight.geometry import Float32Array, FloatArray, IntArray, se3
 
 KeyframeId = NewType("KeyframeId", int)
+"""Names a keyframe: its number in the store, for good."""
 
 # Depth in files of the field: 16 bits, a fifth of a millimetre each; up to 13 m.
 _DEPTH_UNITS_PER_M = 5000.0
