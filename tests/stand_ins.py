@@ -13,7 +13,8 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.geometry import BoolArray, FloatArray, PinholeCamera, se3
+from wheelsight.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 from wheelsight.recordings import AssociationReport
 from wheelsight.trajectory import Trajectory
 
@@ -69,14 +70,6 @@ class MemoryRecording:
             self.was_closed = True
 
 
-@dataclass(frozen=True)
-class Matches:
-    reference_stamp_s: float
-    px: FloatArray
-    reference_px: FloatArray
-    is_inlier: BoolArray
-
-
 class TrueOdometry:
     """Answers with the true pose at each frame's stamp, and with failure where the frame is dark."""
 
@@ -86,7 +79,6 @@ class TrueOdometry:
     def __init__(self, calibration: Calibration, settings: object, T_map_first: FloatArray | None = None) -> None:
         type(self).seen = []
         self._T_map_first = np.eye(4) if T_map_first is None else T_map_first
-        self.last_matches: Matches | None = None
         self.stage_seconds: dict[str, float] = {}
         self._reference_s: float | None = None
 
@@ -97,13 +89,15 @@ class TrueOdometry:
     def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
         self.seen.append(frame)
         self.stage_seconds = {"extract": 0.002, "align": 0.001}
-        self.last_matches = None
         if not frame.color.any():
             return Estimate(frame.stamp_s, Status.FAILING, reason=Reason.TOO_FEW_KEYPOINTS)
+        matched = None
         if self._reference_s is not None:
             px = np.full((3, 2), float(frame.index))
-            self.last_matches = Matches(self._reference_s, px, px - 1, np.array([True, True, False]))
+            matched = MatchedPixels(self._reference_s, px, px - 1, np.array([True, True, False]))
         self._reference_s = frame.stamp_s
         T = self._T_map_first @ self.truth.at([frame.stamp_s])[0]
         Ad = se3.adjoint(self._T_map_first)
-        return Estimate(frame.stamp_s, Status.TRACKING, T, 1e-6 * Ad @ Ad.T, None, "camera", 3, 2)
+        return FeatureEstimate(
+            frame.stamp_s, Status.TRACKING, T, 1e-6 * Ad @ Ad.T, None, "camera", 3, 2, matched=matched
+        )

@@ -14,7 +14,7 @@ from stand_ins import CAMERA, frame
 
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import FloatArray, se3
@@ -69,8 +69,6 @@ class Eye:
         self._key: tuple[float, FloatArray] | None = None  # stamp and T_odom_camera
         self._last: tuple[float, FloatArray] | None = None
         self._place, self._wrong = 0, np.eye(4)
-        self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
-        self.last_matches = None
         self.stage_seconds = {"align": 0.001}
         self.priors: dict[float, tuple[float, FloatArray | None]] = {}
         self.others: dict[float, tuple[FloatArray | None, ...]] = {}
@@ -100,12 +98,12 @@ class Eye:
         T_key_now, T_odom_key = self._look(shows, frame.stamp_s), self._key[1]
         T_prior = T_previous_current_prior
         T_key_prior = None if T_prior is None else se3.invert(T_odom_key) @ self._last[1] @ T_prior
-        self.last_motion = _judged(T_key_now, T_key_prior, shows.hidden)
-        T_key_now = self.last_motion.T_reference_current
+        motion = _judged(T_key_now, T_key_prior, shows.hidden)
+        T_key_now = motion.T_reference_current
         self._last = frame.stamp_s, se3.nearest(T_odom_key @ T_key_now)
         if np.linalg.norm(T_key_now[:3, 3]) > _KEYFRAME_M:
             self._key, self._wrong = self._last, np.eye(4)
-        return self._tracking(frame.stamp_s)
+        return self._tracking(frame.stamp_s, motion)
 
     def restart(self, frame: RgbdFrame, T_odom_camera: FloatArray, covariance: FloatArray) -> Estimate:
         self.restarts[frame.stamp_s] = T_odom_camera
@@ -127,16 +125,16 @@ class Eye:
 
     def _begin(self, stamp_s: float, T_odom_camera: FloatArray) -> Estimate:
         self._key = self._last = stamp_s, T_odom_camera
-        self.last_motion = MotionEstimate(np.eye(4), 1e-12 * np.eye(6))
-        return self._tracking(stamp_s)
+        return self._tracking(stamp_s, MotionEstimate(np.eye(4), 1e-12 * np.eye(6)))
 
-    def _tracking(self, stamp_s: float) -> Estimate:
+    def _tracking(self, stamp_s: float, motion: MotionEstimate) -> Estimate:
         assert self._last is not None
-        return Estimate(stamp_s, Status.TRACKING, self._last[1], 1e-6 * np.eye(6), matches=200, inliers=160)
+        told = (Status.TRACKING, self._last[1], 1e-6 * np.eye(6))
+        return CameraEstimate(stamp_s, *told, matches=200, inliers=160, motion=motion)
 
     def _fail(self, reason: Reason, stamp_s: float) -> Estimate:
-        self.last_motion = MotionEstimate.failed(reason)
-        return Estimate(stamp_s, Status.INITIALIZING if self._last is None else Status.FAILING, reason=reason)
+        status = Status.INITIALIZING if self._last is None else Status.FAILING
+        return CameraEstimate(stamp_s, status, reason=reason, motion=MotionEstimate.failed(reason))
 
 
 def _judged(T: FloatArray, T_prior: FloatArray | None, hidden: FloatArray | None) -> MotionEstimate:

@@ -12,12 +12,15 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.geometry import se3
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
-from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import MatchedPixels
+from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 
 
 class ByFrames:
-    """Frames answered by the odometry that the settings name, told of the base where it is known."""
+    """Frames answered by the odometry that the settings name, told of the base where it is known.
+
+    Attributes:
+        last_matches: the pixels that the last frame was found by; None where there are none.
+    """
 
     frame, answers = "map", (RgbdFrame, SkippedFrame)
 
@@ -29,11 +32,7 @@ class ByFrames:
         self._gate = FrameGate()
         self.hears: tuple[type[Event], ...] = self.answers
         self._status = Status.INITIALIZING
-
-    @property
-    def last_matches(self) -> MatchedPixels | None:
-        """What the last frame was aligned by, if it was a frame that could be; dense odometry matches no pixels."""
-        return None if isinstance(self.odometry, DenseOdometry) else self.odometry.last_matches
+        self.last_matches: MatchedPixels | None = None
 
     @property
     def stage_seconds(self) -> dict[str, float]:
@@ -70,8 +69,12 @@ class ByFrames:
     def _of_body(self, estimate: Estimate) -> Estimate:
         """The camera's estimate as the base's; the covariance, of a perturbation in the map, is that of both."""
         self._status = estimate.status
+        self.last_matches = estimate.matched if isinstance(estimate, FeatureEstimate) else None
         if self._T_camera_base is None:
             return estimate
         if estimate.T_odom_body is None:
             return replace(estimate, body="base")
-        return replace(estimate, T_odom_body=estimate.T_odom_body @ self._T_camera_base, body="base")
+        T_keyframe_camera, T_camera_base = estimate.T_keyframe_body, self._T_camera_base
+        T_keyframe_base = None if T_keyframe_camera is None else T_keyframe_camera @ T_camera_base
+        T_odom_base = estimate.T_odom_body @ T_camera_base
+        return replace(estimate, T_odom_body=T_odom_base, T_keyframe_body=T_keyframe_base, body="base")

@@ -9,7 +9,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.config import Config
-from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
 from wheelsight.geometry import FloatArray
@@ -25,7 +25,7 @@ from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.extrinsics import Culprit
-from wheelsight.odometry.features import MatchedPixels
+from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 from wheelsight.odometry.wheels.reading_times import ReadingTimes
 from wheelsight.places import PlaceMatch
 
@@ -81,12 +81,15 @@ class ByFusion:
         self._times = ReadingTimes(calibration.wheels)
         self._pace = Pace()
         self._unknown, self._deaf, self._slips = 0, "", False
+        self.last_matches: MatchedPixels | None = None
         self._seen_s = self._unbelieved_s = -np.inf
 
-    @property
-    def last_matches(self) -> MatchedPixels | None:
-        """What the last frame was aligned by; dense odometry matches no pixels."""
-        return None if isinstance(self.odometry, DenseOdometry) else self.odometry.last_matches
+    def _motion(self, seen: Estimate) -> MotionEstimate:
+        """The motion by which the camera found an estimate."""
+        if isinstance(seen, CameraEstimate):
+            return seen.motion
+        assert isinstance(self.odometry, DenseOdometry)
+        return self.odometry.last_motion
 
     @property
     def stage_seconds(self) -> dict[str, float]:
@@ -233,17 +236,18 @@ class ByFusion:
         """Look, judge, and remember what was believed."""
         self._T_map_camera = None
         twist = self._camera_twist()
-        seen = self.odometry.process(frame, *expected, twist=twist)
+        seen: Estimate = self.odometry.process(frame, *expected, twist=twist)
+        self.last_matches = seen.matched if isinstance(seen, FeatureEstimate) else None
         if seen.T_odom_body is None:
             return self._unseen(frame, seen)
         self._pace.tell(frame.stamp_s, seen.T_odom_body)
         if self._anchor is None:
             return self._begun(frame, seen)
-        self._check.see(frame, seen, shows_all=self.odometry.last_motion.shows_all)
+        self._check.see(frame, seen, shows_all=self._motion(seen).shows_all)
         if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is not None:
             self._go_on_by(self._check.camera_alone())
             return self._begun(frame, seen)
-        motion = self._anchor.motion_to(seen.T_odom_body, self.odometry.last_motion)
+        motion = self._anchor.motion_to(seen.T_odom_body, self._motion(seen))
         motion = blurred(motion, twist, self._times.noise_s)
         if frame.stamp_s - self._seen_s > _DARK_S and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
@@ -255,7 +259,7 @@ class ByFusion:
             self._believe(frame, answer, seen.T_odom_body)
         # One mistake of the camera is none of the next frame's, and slip is told by contradicting again and again.
         if not is_believed or is_far(motion):
-            self._anchor_at(frame, seen.T_odom_body)
+            self._anchor_at(frame, seen)
         return answer
 
     def _camera_twist(self) -> FloatArray | None:
@@ -282,9 +286,10 @@ class ByFusion:
             T_odom_camera = motions.times(T_odom_base, self._T_base_camera)
             self.T_odom_map = motions.mended(motions.times(T_odom_camera, motions.inverse(self._T_map_camera)))
 
-    def _anchor_at(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
+    def _anchor_at(self, frame: RgbdFrame, seen: Estimate) -> None:
         """From here on the camera's motions are told against this frame."""
-        self._anchor = Anchor.at(T_map_camera, self.odometry.last_motion)
+        assert seen.T_odom_body is not None
+        self._anchor = Anchor.at(seen.T_odom_body, self._motion(seen))
         self.filter.clone(frame.stamp_s, _ANCHOR, self._anchor.covariance)
 
     def _begun(self, frame: RgbdFrame, seen: Estimate, reason: Reason | None = None) -> FusedEstimate:
@@ -294,7 +299,7 @@ class ByFusion:
         self._T_map_camera, self._seen_s = seen.T_odom_body, frame.stamp_s
         self._lay_map()
         self._check.begin(frame, seen, self.T_odom_map)
-        self._anchor_at(frame, seen.T_odom_body)
+        self._anchor_at(frame, seen)
         return replace(answer, reason=reason or answer.reason, matches=seen.matches, inliers=seen.inliers)
 
     def _in_map(self, T_odom_base: FloatArray) -> FloatArray:
@@ -303,6 +308,7 @@ class ByFusion:
 
     def _unseen(self, frame: RgbdFrame, seen: Estimate, *, restarts: bool = False) -> FusedEstimate:
         """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera starts there."""
+        self.last_matches = None
         nothing = MotionEstimate.failed(seen.reason or Reason.INVALID, seen.matches, seen.inliers)
         answer = self.filter.update_relative(frame.stamp_s, nothing, _ANCHOR)
         if seen.reason not in _BLIND:
@@ -318,7 +324,7 @@ class ByFusion:
                 spread = self._carried.scatter(T_odom_base, answer.covariance)
                 begin = (self._T_base_camera, T_odom_base, spread, self.filter.settings)
                 self._go_on_by(ErrorStateFilter(*begin))
-            again = self.odometry.restart(frame, self._in_map(T_odom_base), answer.covariance)
+            again: Estimate = self.odometry.restart(frame, self._in_map(T_odom_base), answer.covariance)
             if again.T_odom_body is not None:
                 return self._begun(frame, again, seen.reason)
         return answer
@@ -341,7 +347,7 @@ class ByFusion:
 
     def _miss(self, stamp_s: float) -> Estimate:
         """The answer at a frame that came to nothing before anyone could look at it."""
-        seen = self.odometry.miss(stamp_s)
+        seen, self.last_matches = self.odometry.miss(stamp_s), None
         nothing = MotionEstimate.failed(Reason.FRAME_UNUSABLE, seen.matches, seen.inliers)
         return self.filter.update_relative(stamp_s, nothing, _ANCHOR)
 

@@ -7,8 +7,11 @@ from synthetic import wobbling_trajectory
 
 from wheelsight.estimates import Status
 from wheelsight.geometry import se3
+from wheelsight.keyframes import KeyframeId
 from wheelsight.odometry.features.extraction import Features
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
+
+FIRST = KeyframeId(0)
 
 
 def features_at(points: np.ndarray, sigma_m: float = 0.01, has_depth: np.ndarray | None = None) -> Features:
@@ -38,7 +41,7 @@ def test_keypoints_with_depth_become_landmarks_of_the_world(rng, points):
     T = se3.exp(rng.standard_normal(6))
     has_depth = np.arange(10) % 3 > 0
     landmarks = LandmarkMap(5)
-    keyframe = landmarks.add_keyframe(view_at(T, points, has_depth=has_depth))
+    keyframe = landmarks.add_keyframe(view_at(T, points, has_depth=has_depth), FIRST)
     np.testing.assert_array_equal(keyframe.landmark >= 0, has_depth)
     np.testing.assert_array_equal(landmarks.numbers, np.arange(6))
     held, words, sightings = landmarks.get(keyframe.landmark[has_depth])
@@ -49,10 +52,10 @@ def test_keypoints_with_depth_become_landmarks_of_the_world(rng, points):
 
 def test_known_landmarks_are_not_made_twice(points):
     landmarks = LandmarkMap(5)
-    first = landmarks.add_keyframe(view_at(np.eye(4), points))
+    first = landmarks.add_keyframe(view_at(np.eye(4), points), FIRST)
     again = first.landmark.copy()
     again[6:] = -1
-    second = landmarks.add_keyframe(view_at(np.eye(4), points, again))
+    second = landmarks.add_keyframe(view_at(np.eye(4), points, again), FIRST)
     np.testing.assert_array_equal(second.landmark, [0, 1, 2, 3, 4, 5, 10, 11, 12, 13])
     assert len(landmarks.numbers) == 14
 
@@ -61,7 +64,7 @@ def test_averaging_is_the_mean_weighted_by_the_depths_certainty(rng, points):
     landmarks = LandmarkMap(5)
     sigmas = [0.01, 0.02, 0.005, 0.04]
     seen = [points + s * rng.standard_normal(points.shape) for s in sigmas]
-    landmarks.add_keyframe(view_at(np.eye(4), seen[0], sigma_m=sigmas[0]))
+    landmarks.add_keyframe(view_at(np.eye(4), seen[0], sigma_m=sigmas[0]), FIRST)
     T = se3.exp(0.3 * rng.standard_normal(6))
     for p_map, sigma in zip(seen[1:], sigmas[1:], strict=True):
         features = features_at(se3.apply(se3.invert(T), p_map), sigma)
@@ -74,7 +77,7 @@ def test_averaging_is_the_mean_weighted_by_the_depths_certainty(rng, points):
 
 def test_a_sighting_without_depth_moves_nothing_but_counts(points):
     landmarks = LandmarkMap(5)
-    landmarks.add_keyframe(view_at(np.eye(4), points))
+    landmarks.add_keyframe(view_at(np.eye(4), points), FIRST)
     features = features_at(points + 1, has_depth=np.arange(10) >= 3)
     features.descriptors[:] += np.uint64(7)
     landmarks.see_again(np.array([0, 1, 4]), features, np.array([0, 1, 4]), np.eye(4))
@@ -88,11 +91,11 @@ def test_a_sighting_without_depth_moves_nothing_but_counts(points):
 
 def test_the_oldest_keyframe_is_forgotten_and_numbers_are_not_used_again(points):
     landmarks = LandmarkMap(2)
-    landmarks.add_keyframe(view_at(np.eye(4), points))
+    landmarks.add_keyframe(view_at(np.eye(4), points), FIRST)
     kept_on = np.where(np.arange(10) < 3, np.arange(10), -1)
-    landmarks.add_keyframe(view_at(np.eye(4), points, kept_on))
+    landmarks.add_keyframe(view_at(np.eye(4), points, kept_on), FIRST)
     np.testing.assert_array_equal(landmarks.numbers, np.arange(17))
-    landmarks.add_keyframe(view_at(np.eye(4), points))
+    landmarks.add_keyframe(view_at(np.eye(4), points), FIRST)
     # Gone: 3 to 9, seen by the first keyframe alone. Kept: 0 to 2, kept again by the second.
     np.testing.assert_array_equal(landmarks.numbers, [0, 1, 2, *range(10, 27)])
     np.testing.assert_array_equal(
@@ -100,7 +103,7 @@ def test_the_oldest_keyframe_is_forgotten_and_numbers_are_not_used_again(points)
     )
     assert len(landmarks.keyframes) == 2
     stale = np.array([0, 5, 12, -1, -1, -1, -1, -1, -1, -1])
-    keyframe = landmarks.add_keyframe(view_at(np.eye(4), points, stale))
+    keyframe = landmarks.add_keyframe(view_at(np.eye(4), points, stale), FIRST)
     assert keyframe.landmark[1] == 27
     assert keyframe.landmark[[0, 2]].tolist() == [0, 12]
     assert (np.diff(landmarks.numbers) > 0).all()
@@ -109,7 +112,7 @@ def test_the_oldest_keyframe_is_forgotten_and_numbers_are_not_used_again(points)
 def test_near_are_the_landmarks_of_keyframes_that_look_there(points):
     landmarks = LandmarkMap(100)
     for i in range(10):
-        landmarks.add_keyframe(view_at(aside(2.0 * i), points))
+        landmarks.add_keyframe(view_at(aside(2.0 * i), points), FIRST)
     np.testing.assert_array_equal(landmarks.near(aside(6.1), 1), np.arange(30, 40))
     np.testing.assert_array_equal(landmarks.near(aside(6.4), 2), np.arange(30, 50))
     np.testing.assert_array_equal(landmarks.near(aside(-9.0), 3), np.arange(30))
@@ -120,15 +123,34 @@ def test_a_view_the_other_way_is_not_near(points):
     landmarks = LandmarkMap(100)
     back = se3.exp(np.array([0, 0, 0, 0, np.pi, 0]))
     for T in (back, aside(1.0), aside(1.5)):
-        landmarks.add_keyframe(view_at(T, points))
+        landmarks.add_keyframe(view_at(T, points), FIRST)
     np.testing.assert_array_equal(landmarks.near(np.eye(4), 2), np.arange(10, 30))
 
 
 def test_near_goes_on_after_forgetting(points):
     landmarks = LandmarkMap(4)
     for i in range(9):
-        landmarks.add_keyframe(view_at(aside(2.0 * i), points))
+        landmarks.add_keyframe(view_at(aside(2.0 * i), points), FIRST)
     np.testing.assert_array_equal(landmarks.near(aside(12.2), 1), np.arange(60, 70))
+
+
+def test_landmarks_and_views_go_with_the_keyframe_that_made_them(rng, points):
+    landmarks = LandmarkMap(5)
+    T = se3.exp(0.5 * rng.standard_normal((2, 6)))
+    first = landmarks.add_keyframe(view_at(T[0], points), KeyframeId(0))
+    known = np.where(np.arange(10) < 4, first.landmark, -1)
+    landmarks.add_keyframe(view_at(T[1], points, known), KeyframeId(1))
+    np.testing.assert_array_equal(landmarks.made_by, [0] * 10 + [1] * 6)
+    before = landmarks.points.copy()
+    T_new_old = np.stack([np.eye(4), se3.exp(rng.standard_normal(6))])
+    landmarks.move(T_new_old)
+    np.testing.assert_array_equal(landmarks.points[:10], before[:10])
+    np.testing.assert_allclose(landmarks.points[10:], se3.apply(T_new_old[1], before[10:]), atol=1e-12)
+    still, moved = landmarks.keyframes
+    np.testing.assert_array_equal(still.T_map_color, T[0])
+    np.testing.assert_allclose(moved.T_map_color, T_new_old[1] @ T[1], atol=1e-12)
+    Ad = se3.adjoint(T_new_old[1])
+    np.testing.assert_allclose(moved.covariance, Ad @ Ad.T, atol=1e-12)
 
 
 def test_a_long_drive_stays_within_its_memory():

@@ -31,8 +31,8 @@ def test_it_goes_on_where_others_tell_it_to(frames: list[RgbdFrame], reference: 
     assert again.status is Status.TRACKING
     np.testing.assert_allclose(again.T_odom_body, T_TOLD, atol=1e-12)
     np.testing.assert_array_equal(again.covariance, COVARIANCE)
-    np.testing.assert_array_equal(subject.last_motion.T_reference_current, np.eye(4))
-    assert subject.last_matches is None
+    np.testing.assert_array_equal(again.motion.T_reference_current, np.eye(4))
+    assert again.matched is None
     for k in range(7, 12):
         answer = subject.process(frames[k])
         assert answer.status is Status.TRACKING

@@ -57,8 +57,8 @@ def test_the_world_is_where_the_camera_started(frames):
     first = subject.process(frames[0])
     np.testing.assert_array_equal(first.T_odom_body, np.eye(4))
     assert (np.linalg.eigvalsh(first.covariance) > 0).all()
-    assert subject.last_matches is None
-    assert subject.last_motion.reason is None
+    assert first.matched is None
+    assert first.motion.reason is None
 
 
 @pytest.mark.parametrize("reference", MODES)
@@ -86,8 +86,8 @@ def test_miss_counts_as_a_failed_frame(frames, reference):
     first, second = subject.miss(200.0), subject.miss(201.0)
     assert [first.status, second.status] == [Status.FAILING, Status.LOST]
     assert (first.stamp_s, first.reason, first.T_odom_body) == (200.0, Reason.FRAME_UNUSABLE, None)
-    assert subject.last_matches is None
-    assert subject.last_motion.reason is Reason.FRAME_UNUSABLE
+    assert second.matched is None
+    assert second.motion.reason is Reason.FRAME_UNUSABLE
     assert subject.process(frames[3]).status is Status.TRACKING
 
 
@@ -95,7 +95,7 @@ def test_what_is_told_of_the_last_frame(frames):
     subject = odometry()
     run(subject, frames[:10])
     answer = subject.process(frames[10])
-    matches, motion = subject.last_matches, subject.last_motion
+    matches, motion = answer.matched, answer.motion
     assert matches.reference_stamp_s == frames[9].stamp_s
     assert matches.px.shape == matches.reference_px.shape == (len(matches.is_inlier), 2)
     assert np.median(np.linalg.norm(matches.px - matches.reference_px, axis=1)[matches.is_inlier]) < 10
@@ -104,9 +104,9 @@ def test_what_is_told_of_the_last_frame(frames):
     assert 100 < motion.inliers <= motion.matches
     assert set(subject.stage_seconds) == {"extract", "match", "align", "map"}
     assert all(0 < seconds < 5 for seconds in subject.stage_seconds.values())
-    subject.process(covered_frame(frames[11].stamp_s))
-    assert subject.last_matches is None
-    assert subject.last_motion.T_reference_current is None
+    covered_answer = subject.process(covered_frame(frames[11].stamp_s))
+    assert covered_answer.matched is None
+    assert covered_answer.motion.T_reference_current is None
     assert set(subject.stage_seconds) == {"extract"}
 
 
@@ -116,11 +116,11 @@ def test_the_previous_frame_is_the_reference_in_the_paper_s_mode(frames):
     for i in range(8):
         before = subject.process(frames[i])
     answer = subject.process(frames[8])
-    motion = subject.last_motion
+    motion = answer.motion
     np.testing.assert_allclose(before.T_odom_body @ motion.T_reference_current, answer.T_odom_body, atol=1e-12)
     true_motion = se3.invert(world[7]) @ world[8]
     np.testing.assert_allclose(motion.T_reference_current, true_motion, atol=0.01)
-    assert subject.last_matches.reference_stamp_s == frames[7].stamp_s
+    assert answer.matched.reference_stamp_s == frames[7].stamp_s
 
 
 @pytest.mark.parametrize("reference", MODES)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.geometry.arrays import UInt64Array
+from wheelsight.keyframes import KeyframeId
 from wheelsight.odometry.features.extraction import Features
 
 # Where a camera looks: two views are near when the points this far in front of them are.
@@ -23,12 +24,21 @@ class View:
         T_map_color: (4, 4) its colour camera's pose.
         covariance: (6, 6) of the left perturbation of that pose.
         landmark: (N,) number of the landmark each keypoint shows, -1 for none.
+        keyframe: with which the view moves, or None.
     """
 
     features: Features
     T_map_color: FloatArray
     covariance: FloatArray
     landmark: IntArray
+    keyframe: KeyframeId | None = None
+
+    def moved(self, T_new_old: FloatArray) -> View:
+        """The same after keyframes have moved in the map by (K, 4, 4)."""
+        if self.keyframe is None:
+            return self
+        T, Ad = T_new_old[self.keyframe], se3.adjoint(T_new_old[self.keyframe])
+        return replace(self, T_map_color=T @ self.T_map_color, covariance=Ad @ self.covariance @ Ad.T)
 
 
 class LandmarkMap:
@@ -40,6 +50,7 @@ class LandmarkMap:
         points: (L, 3) in the map, metres.
         descriptors: (L, 4) of the last view.
         sightings: (L,) how often each was seen.
+        made_by: (L,) the keyframes that made them, with which they move.
     """
 
     def __init__(self, kept_keyframes: int) -> None:
@@ -48,18 +59,22 @@ class LandmarkMap:
         self.points: FloatArray = np.zeros((0, 3))
         self.descriptors: UInt64Array = np.zeros((0, 4), np.uint64)
         self.sightings: FloatArray = np.zeros(0)
+        self.made_by: IntArray = np.zeros(0, np.int64)
         self._weight: FloatArray = np.zeros(0)
         self._last_keyframe: IntArray = np.zeros(0, np.int64)
         self._kept_keyframes = kept_keyframes
         self._forgotten = 0
         self._next_number = 0
 
-    def add_keyframe(self, view: View) -> View:
-        """Keep a view; its keypoints with depth that show no landmark yet become new ones. Returns it with those."""
+    def add_keyframe(self, view: View, number: KeyframeId) -> View:
+        """Keep a view as that keyframe; its keypoints with depth that show no landmark yet become new ones.
+
+        Returns it with those.
+        """
         features, landmark = view.features, view.landmark.copy()
         landmark[landmark >= 0] = np.where(self.holds(landmark[landmark >= 0]), landmark[landmark >= 0], -1)
-        number = self._forgotten + len(self.keyframes)
-        self._last_keyframe[self._rows(landmark[landmark >= 0])] = number
+        place = self._forgotten + len(self.keyframes)
+        self._last_keyframe[self._rows(landmark[landmark >= 0])] = place
         new = np.flatnonzero((landmark < 0) & features.has_depth)
         landmark[new] = self._next_number + np.arange(len(new))
         self._next_number += len(new)
@@ -68,12 +83,18 @@ class LandmarkMap:
         self.descriptors = np.concatenate([self.descriptors, features.descriptors[new]])
         self.sightings = np.concatenate([self.sightings, np.ones(len(new))])
         self._weight = np.concatenate([self._weight, features.sigma_m[new] ** -2.0])
-        self._last_keyframe = np.concatenate([self._last_keyframe, np.full(len(new), number)])
-        keyframe = View(features, view.T_map_color, view.covariance, landmark)
+        self._last_keyframe = np.concatenate([self._last_keyframe, np.full(len(new), place)])
+        self.made_by = np.concatenate([self.made_by, np.full(len(new), number)])
+        keyframe = replace(view, landmark=landmark, keyframe=number)
         self.keyframes.append(keyframe)
         if len(self.keyframes) > self._kept_keyframes:
             self._forget_oldest()
         return keyframe
+
+    def move(self, T_new_old: FloatArray) -> None:
+        """Landmarks and views go with their keyframes, which have moved in the map by (K, 4, 4)."""
+        self.keyframes[:] = [keyframe.moved(T_new_old) for keyframe in self.keyframes]
+        self.points = se3.apply(T_new_old[self.made_by], self.points[:, None])[:, 0]
 
     def near(self, T_map_color: FloatArray, count: int) -> IntArray:
         """Numbers (M,) of landmarks last kept by the `count` keyframes that look where this camera (4, 4) looks."""
@@ -117,4 +138,4 @@ class LandmarkMap:
         kept = self._last_keyframe >= self._forgotten
         self.numbers, self.points, self.descriptors = self.numbers[kept], self.points[kept], self.descriptors[kept]
         self.sightings, self._weight = self.sightings[kept], self._weight[kept]
-        self._last_keyframe = self._last_keyframe[kept]
+        self._last_keyframe, self.made_by = self._last_keyframe[kept], self.made_by[kept]

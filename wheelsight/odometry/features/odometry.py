@@ -2,40 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.checks import array_of, check_frame
-from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
+from wheelsight.odometry.features.estimate import FeatureEstimate, MatchedPixels
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
+from wheelsight.odometry.features.keyframes import KeyframeMaker
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
+from wheelsight.odometry.state import TrackingState
 
 # Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
 _START_VARIANCE = 1e-12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MatchedPixels:
-    """Which pixels of the last frame were matched with which of its reference.
-
-    Attributes:
-        reference_stamp_s: of the reference frame, seconds.
-        px, reference_px: (N, 2) in the two colour images.
-        is_inlier: (N,) which pairs agree with the motion found.
-    """
-
-    reference_stamp_s: float
-    px: FloatArray
-    reference_px: FloatArray
-    is_inlier: BoolArray
 
 
 class FeatureOdometry:
@@ -45,14 +33,17 @@ class FeatureOdometry:
     and, unless `reference` is "previous", with the landmarks of near keyframes. A frame that fails is counted;
     after `lost_after` in a row the state is LOST, and goes on being so until the last keyframes are recognised.
 
+    Keyframes are kept in the store, and when they are moved there, all that is known by them moves along before the
+    next frame: landmarks, views, and so the pose. Against the previous frame alone, all hangs on the first one.
+
     Args:
         calibration: of the cameras.
         settings: or the defaults.
         T_map_first: (4, 4) where the camera is at the first frame tracked; by default at the map's origin.
+        store: of the keyframes; by default one of its own.
 
     Attributes:
-        last_motion: of the last frame against its reference keyframe (or the previous frame).
-        last_matches: the pixels matched in the last frame, None where none were.
+        store: of the keyframes.
         stage_seconds: time the last frame spent in "extract", "match", "align" and "map".
     """
 
@@ -61,8 +52,12 @@ class FeatureOdometry:
         calibration: Calibration,
         settings: FeatureSettings | None = None,
         T_map_first: FloatArray | None = None,
+        store: KeyframeStore | None = None,
     ) -> None:
         self._calibration, self._settings = calibration, settings or FeatureSettings()
+        self.store = KeyframeStore() if store is None else store
+        self._moves = self.store.follow()
+        self._maker = KeyframeMaker(calibration)
         self._extractor = FeatureExtractor(calibration, self._settings)
         self._map = LandmarkMap(self._settings.kept_keyframes)
         self._watch = Stopwatch()
@@ -75,10 +70,8 @@ class FeatureOdometry:
         self._last: View | None = None
         self._first_raw: Features | None = None
         self._velocity: FloatArray = np.zeros(6)
-        self._failures = 0
+        self._state = TrackingState(self._settings.lost_after)
         self._frames = 0
-        self.last_motion = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
-        self.last_matches: MatchedPixels | None = None
 
     @property
     def stage_seconds(self) -> dict[str, float]:
@@ -91,7 +84,7 @@ class FeatureOdometry:
         T_previous_current_prior: FloatArray | None = None,
         *,
         twist: FloatArray | None = None,
-    ) -> Estimate:
+    ) -> FeatureEstimate:
         """The camera's pose at a frame, T_map_camera, or why there is none.
 
         Args:
@@ -106,8 +99,8 @@ class FeatureOdometry:
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior)
         self._watch.restart()
+        self._follow()
         self._frames += 1
-        self.last_matches = None
         with self._watch.stage("extract"):
             raw = self._extractor.extract(frame)
         if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
@@ -116,39 +109,53 @@ class FeatureOdometry:
             self._velocity = se3.adjoint(self._T_color_camera) @ array_of("twist", twist, (6,))
         if self._last is None:
             self._first_raw = raw
-            return self._start(raw)
+            return self._start(frame, raw, self._T_map_first)
         fix = self._locate(raw, self._last, T_previous_current_prior)
         if isinstance(fix, Fix) and self._first_raw is not None:
             fix = self._begin_again(self._first_raw, raw, fix)
-        return self._succeed(fix) if isinstance(fix, Fix) else self._fail(raw.stamp_s, fix)
+        return self._succeed(frame, fix) if isinstance(fix, Fix) else self._fail(raw.stamp_s, fix)
 
-    def miss(self, stamp_s: float) -> Estimate:
+    def miss(self, stamp_s: float) -> FeatureEstimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
         self._watch.restart()
-        self.last_matches = None
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
-    def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Estimate:
+    def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> FeatureEstimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is given up."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
         self._watch.restart()
-        self.last_matches, self._first_raw = None, None
+        self._follow()
+        self._first_raw = None
         with self._watch.stage("extract"):
             raw = self._extractor.extract(frame)
         if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
             return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
-        return self._start(raw, T_map_camera @ se3.invert(self._T_color_camera), covariance)
+        return self._start(frame, raw, T_map_camera @ se3.invert(self._T_color_camera), covariance)
+
+    def _follow(self) -> None:
+        """Go with the keyframes that were moved since the last frame."""
+        T_new_old = self._moves.moves()
+        if T_new_old is not None:
+            self._map.move(T_new_old)
+            self._last = None if self._last is None else self._last.moved(T_new_old)
 
     def _start(
-        self, features: Features, T_map_color: FloatArray | None = None, covariance: FloatArray | None = None
-    ) -> Estimate:
-        T = self._T_map_first if T_map_color is None else T_map_color
+        self, frame: RgbdFrame, features: Features, T_map_color: FloatArray, covariance: FloatArray | None = None
+    ) -> FeatureEstimate:
         certain = _START_VARIANCE * np.eye(6)
+        number = self._keep(frame, features, T_map_color)
+        self._last = self._begin(features, T_map_color, certain if covariance is None else covariance, number)
+        self._state = self._state.tracked()
+        return self._answer(self._last, MotionEstimate(np.eye(4), certain), None)
+
+    def _begin(self, features: Features, T_map_color: FloatArray, covariance: FloatArray, number: KeyframeId) -> View:
+        """A new map with its first keyframe."""
         self._map = LandmarkMap(self._settings.kept_keyframes)
-        view = View(features, T, certain if covariance is None else covariance, np.full(len(features), -1))
-        self._last, self._failures = self._map.add_keyframe(view), 0
-        self.last_motion = MotionEstimate(np.eye(4), certain)
-        return self._answer(self._last)
+        return self._map.add_keyframe(View(features, T_map_color, covariance, np.full(len(features), -1)), number)
+
+    def _keep(self, frame: RgbdFrame, features: Features, T_map_color: FloatArray) -> KeyframeId:
+        """The frame as a keyframe of the store."""
+        return self.store.add(self._maker.keyframe(frame, features), T_map_color @ self._T_color_camera)
 
     def _begin_again(self, first_raw: Features, raw: Features, fix: Fix) -> Fix:
         """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
@@ -158,8 +165,9 @@ class FeatureOdometry:
         self._first_raw = None
         if straight is first_raw:
             return fix
+        assert self._last.keyframe is not None
         bent = self._map, self._last
-        self._start(straight)
+        self._last = self._begin(straight, self._last.T_map_color, self._last.covariance, self._last.keyframe)
         better = self._locate(raw, self._last, None)
         if isinstance(better, Fix):
             return better
@@ -192,11 +200,12 @@ class FeatureOdometry:
         """The view tracked last; while frames fail, also the newest keyframe; once lost, some older ones in turn."""
         keyframes = self._map.keyframes
         references = [last]
-        if self._failures > 0:
+        if self._state.failures > 0:
             references.append(keyframes[-1])
-        if self._failures >= self._settings.lost_after and len(keyframes) > 1:
-            references.append(keyframes[-1 - self._failures % len(keyframes)])
-        return [view for place, view in enumerate(references) if all(view is not other for other in references[:place])]
+        if self._state.is_lost and len(keyframes) > 1:
+            references.append(keyframes[-1 - self._state.failures % len(keyframes)])
+        frames = [view.features for view in references]
+        return [view for place, view in enumerate(references) if all(view.features is not f for f in frames[:place])]
 
     def _is_plausible(self, last: View, fix: Fix) -> bool:
         seconds = fix.view.features.stamp_s - last.features.stamp_s
@@ -204,17 +213,15 @@ class FeatureOdometry:
         fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
         return not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s)
 
-    def _succeed(self, fix: Fix) -> Estimate:
+    def _succeed(self, frame: RgbdFrame, fix: Fix) -> FeatureEstimate:
         with self._watch.stage("map"):
-            view = self._update(fix)
+            view = self._update(frame, fix)
         seconds = view.features.stamp_s - self._last.features.stamp_s if self._last else np.inf
         self._velocity = velocity_of(self._last, view, seconds) if self._last else np.zeros(6)
-        self._last, self._failures = view, 0
-        self.last_motion = self._in_camera(fix.motion)
-        self.last_matches = MatchedPixels(*fix.pixels)
-        return self._answer(view)
+        self._last, self._state = view, self._state.tracked()
+        return self._answer(view, self._in_camera(fix.motion), fix.matched)
 
-    def _update(self, fix: Fix) -> View:
+    def _update(self, frame: RgbdFrame, fix: Fix) -> View:
         """Remember what was seen; keep the view as a keyframe when too little of the last one is in sight."""
         if self._settings.reference == "previous":
             self._map.keyframes[:] = [fix.view]
@@ -223,27 +230,35 @@ class FeatureOdometry:
         self._map.see_again(fix.view.landmark[seen], fix.view.features, seen, fix.view.T_map_color)
         known = np.count_nonzero(self._map.keyframes[-1].landmark >= 0)
         if len(seen) < self._settings.keyframe_share * known:
-            return self._map.add_keyframe(fix.view)
+            return self._map.add_keyframe(fix.view, self._keep(frame, fix.view.features, fix.view.T_map_color))
         return fix.view
 
-    def _fail(self, stamp_s: float, failure: MotionEstimate) -> Estimate:
-        self._failures += 1
+    def _fail(self, stamp_s: float, failure: MotionEstimate) -> FeatureEstimate:
+        self._state = self._state.failed()
         self._velocity = np.zeros(6)
-        self.last_motion = failure
-        lost = self._failures >= self._settings.lost_after
-        status = Status.LOST if lost else Status.FAILING
-        if self._last is None:
-            status = Status.INITIALIZING
-        return Estimate(stamp_s, status, reason=failure.reason, matches=failure.matches, inliers=failure.inliers)
+        return FeatureEstimate(
+            stamp_s,
+            self._state.status,
+            reason=failure.reason,
+            matches=failure.matches,
+            inliers=failure.inliers,
+            motion=failure,
+        )
 
-    def _answer(self, view: View) -> Estimate:
-        return Estimate(
+    def _answer(self, view: View, motion: MotionEstimate, matched: MatchedPixels | None) -> FeatureEstimate:
+        assert view.keyframe is not None
+        T_map_camera = view.T_map_color @ self._T_color_camera
+        return FeatureEstimate(
             view.features.stamp_s,
-            Status.TRACKING,
-            view.T_map_color @ self._T_color_camera,
+            self._state.status,
+            T_map_camera,
             view.covariance,
-            matches=self.last_motion.matches,
-            inliers=self.last_motion.inliers,
+            matches=motion.matches,
+            inliers=motion.inliers,
+            keyframe=view.keyframe,
+            T_keyframe_body=se3.invert(self.store.pose(view.keyframe)) @ T_map_camera,
+            motion=motion,
+            matched=matched,
         )
 
     def _in_color(self, T_previous_current: FloatArray) -> FloatArray:

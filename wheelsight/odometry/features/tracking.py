@@ -8,11 +8,12 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import MotionEstimate, Reason
-from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.alignment import Alignment, PointPairs, find_motion, refine_motion
+from wheelsight.odometry.features.estimate import MatchedPixels
 from wheelsight.odometry.features.extraction import Features, straighten
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.matching import Matches, match_all, match_near
@@ -31,12 +32,12 @@ class Fix:
     Attributes:
         view: the frame with its pose.
         motion: of the colour camera against the reference that gave the pose.
-        pixels: stamp of the frame matched with, matched pixels (N, 2) here and there, and which agree (N,).
+        matched: the pixels matched on the way.
     """
 
     view: View
     motion: MotionEstimate
-    pixels: tuple[float, FloatArray, FloatArray, BoolArray]
+    matched: MatchedPixels
 
 
 def velocity_of(before: View, now: View, seconds: float) -> FloatArray:
@@ -150,11 +151,12 @@ class ViewTracker(_Tracker):
             reference.T_map_color @ T_reference_current,
             reference.covariance + Ad_map @ motion_covariance @ Ad_map.T,
             np.full(len(features), -1),
+            reference.keyframe,
         )
         inliers = found.inliers
         motion = MotionEstimate(T_reference_current, motion_covariance, None, len(matches.first), inliers)
         px, reference_px = features.px[matches.second], reference.features.px[matches.first]
-        return Fix(view, motion, (reference.features.stamp_s, px, reference_px, found.is_inlier))
+        return Fix(view, motion, MatchedPixels(reference.features.stamp_s, px, reference_px, found.is_inlier))
 
 
 class MapTracker(_Tracker):
@@ -211,10 +213,10 @@ class MapTracker(_Tracker):
         T_map_color = se3.invert(found.T_current_reference)
         Ad = se3.adjoint(T_map_color)
         in_map = Ad @ found.covariance @ Ad.T
-        view = View(features, T_map_color, keyframe.covariance + in_map, landmark)
+        view = View(features, T_map_color, keyframe.covariance + in_map, landmark, rough.view.keyframe)
         T_keyframe_map = se3.invert(keyframe.T_map_color)
         Ad_keyframe = se3.adjoint(T_keyframe_map)
         covariance = Ad_keyframe @ in_map @ Ad_keyframe.T
         inliers = found.inliers
         motion = MotionEstimate(T_keyframe_map @ T_map_color, covariance, None, matches, inliers)
-        return Fix(view, motion, rough.pixels)
+        return Fix(view, motion, rough.matched)
