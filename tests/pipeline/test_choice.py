@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 from room_drive import make_room_drive
-from wheelsight.runs import run_each
 
 from wheelsight.config import load_config
 from wheelsight.pipeline import Choice, default_odometry
 from wheelsight.pipeline.choice import unused_of
 from wheelsight.recordings import open_recording
 from wheelsight.recordings._image_recording import ImageRecording
+from wheelsight.runs import run_each
 
 
 @pytest.fixture(scope="module")

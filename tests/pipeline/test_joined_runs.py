@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from pipeline.made import OF_ONE, metrics_in, names_in, status_in
 from room_drive import make_room_drive
-from wheelsight.runs import run_each
 
 from wheelsight.config import load_config
 from wheelsight.pipeline import RunRecord, facts_of, rival_of
 from wheelsight.recordings import open_recording
 from wheelsight.report import summarise
+from wheelsight.runs import run_each
 from wheelsight.trajectory import read_tum
 
 

@@ -18,7 +18,6 @@ from room_drive import make_room_drive
 from simulated_controller import SimulatedController
 from stand_ins import MemoryRecording, TrueOdometry, frame
 from virtual_time import VirtualClock
-from wheelsight.runs import run, run_each
 
 from wheelsight.calibration import Wheels
 from wheelsight.config import Config, load_config
@@ -29,6 +28,7 @@ from wheelsight.pipeline import FrameRecord, RealTimeRecord, RealTimeRecording, 
 from wheelsight.pipeline.live_wheels import LiveWheels
 from wheelsight.pipeline.playing import THREAD
 from wheelsight.recordings import ListedFrame, Recording, open_recording
+from wheelsight.runs import run, run_each
 from wheelsight.telemetry import Telemetry
 from wheelsight.trajectory import Trajectory
 

@@ -16,11 +16,11 @@ from pipeline.made import (
 )
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording
-from wheelsight.runs import run, run_each
 
 from wheelsight.config import Config, load_config
 from wheelsight.errors import ConfigError
 from wheelsight.recordings import _image_recording, open_recording
+from wheelsight.runs import run, run_each
 from wheelsight.trajectory import Trajectory, read_tum
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from room_drive import make_room_drive
 from synthetic import make_tum_recording
-from wheelsight.runs import run_each
 
 from wheelsight.config import load_config
 from wheelsight.errors import ConfigError, InputError, RecordingError
@@ -17,6 +16,7 @@ from wheelsight.odometry.extrinsics import calibrate_base
 from wheelsight.pipeline import in_real_time
 from wheelsight.recordings import OpenOptions, open_recording
 from wheelsight.recordings.clocks import FRAMES, TRUTH, WHEELS, apart, listed_stamps, refuse_if_apart, stamp_warnings
+from wheelsight.runs import run_each
 
 APART = "share 0.0 s: their clocks count from different moments"
 LISTS, READINGS = ("rgb.txt", "depth.txt"), ("wheels.csv",)
