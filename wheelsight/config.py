@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 import yaml
@@ -22,13 +21,13 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, write_text
 from wheelsight.fusion import AxisWeights, OdometryTerm, Weights
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.inputs import YAML_FILE, compose_yaml, parse_yaml, read_text
+from wheelsight.inputs import line_of, read_yaml
+from wheelsight.inputs.settings import Fault, conflict
 from wheelsight.mapping import SurfelSettings
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.features import FeatureSettings
@@ -246,21 +245,21 @@ class Config(_Settings):
         places = self.places
         if self.fusion != "none" and (len(self.odometry) != 2 or "wheels" not in self.odometry):
             fix = "--odometry wheels,dense or wheels,features"
-            raise _conflict("fusion", "joins wheels with one camera odometry, not " + " and ".join(self.odometry), fix)
+            raise conflict("fusion", "joins wheels with one camera odometry, not " + " and ".join(self.odometry), fix)
         if self.map is not None and "dense" not in self.odometry:
-            raise _conflict("map", "is built by dense odometry", "add --odometry dense")
+            raise conflict("map", "is built by dense odometry", "add --odometry dense")
         if places.model is None:
             given = [name for name, value in places if value is not None]
             if given:
-                raise _conflict(f"places.{given[0]}", "is given without a model of places", "add --places MODEL")
+                raise conflict(f"places.{given[0]}", "is given without a model of places", "add --places MODEL")
         elif "wheels" not in self.odometry:
-            raise _conflict("places.model", "rectifies wheels, and there are none", "add --odometry wheels")
+            raise conflict("places.model", "rectifies wheels, and there are none", "add --odometry wheels")
         elif self.fusion == "ligocki":
-            raise _conflict("places.model", "is a measurement of the default filter alone", "no --fusion ligocki")
+            raise conflict("places.model", "is a measurement of the default filter alone", "no --fusion ligocki")
         elif places.rectify != "paper":
             for name in ("odometry_term", "weights"):
                 if getattr(places, name) is not None:
-                    raise _conflict(f"places.{name}", "is of the paper's eq. 5 alone", "add --rectify paper")
+                    raise conflict(f"places.{name}", "is of the paper's eq. 5 alone", "add --rectify paper")
         return self
 
     @property
@@ -283,13 +282,6 @@ class Config(_Settings):
         return self.model_copy(update={"odometry": (track,), "places": PlaceSettings(), **alone})
 
 
-def _conflict(setting: str, problem: str, fix: str) -> PydanticCustomError:
-    """Of settings each of which is sound; raised where they meet."""
-    return PydanticCustomError(
-        "conflict", "{setting} {problem} ({fix})", {"setting": setting, "problem": problem, "fix": fix}
-    )
-
-
 def load_config(
     path: StrPath | None = None,
     overrides: Mapping[str, Any] | None = None,
@@ -306,31 +298,27 @@ def load_config(
         ConfigError: naming file, line, setting and what would be right.
     """
     path = None if path is None else Path(path)
-    text, document = ("", {}) if path is None else _read(path)
-    settings = document
+    settings = {} if path is None else _read(path)
     for name, value in (overrides or {}).items():
         settings = _with(settings, name.split("."), value)
     try:
         return Config.model_validate(settings)
     except ValidationError as invalid:
-        details = invalid.errors(include_url=False)[0]
-        location = [part for part in details["loc"] if isinstance(part, str)]  # a setting, not its place in a list
-        if details["type"] == "conflict":
-            location = details["ctx"]["setting"].split(".")
-        name = ".".join(location)
+        fault = Fault.of(invalid, Config)
+        name = ".".join(fault.location)
         option = next((option for option in overrides or {} if f"{name}.".startswith(f"{option}.")), None)
         if option is not None:
             name = (called or {}).get(option, option) + name.removeprefix(option).replace(".", " ")
-        problem, fix = _explain(dict(details), name, location)
-        if option is not None:
+        problem, fix = fault.told(name)
+        if option is not None or path is None:
             raise ConfigError(problem, fix=fix) from None
-        raise ConfigError(problem, path=path, line=_line_of(text, location), fix=fix) from None
+        raise ConfigError(problem, path=path, line=line_of(path, fault.location, ConfigError), fix=fix) from None
 
 
 def is_named(setting: str, path: StrPath | None) -> bool:
     """Whether a YAML file of settings, if any, says anything of one of the uppermost names. Raises ConfigError."""
     path = None if path is None else Path(path)
-    return path is not None and setting in _read(path)[1]
+    return path is not None and setting in _read(path)
 
 
 def save_config(config: Config, path: StrPath) -> None:
@@ -339,14 +327,13 @@ def save_config(config: Config, path: StrPath) -> None:
     write_text(path, yaml.safe_dump(config.to_dict(), sort_keys=False))
 
 
-def _read(path: Path) -> tuple[str, dict[str, Any]]:
-    text = read_text(path, YAML_FILE, ConfigError)
-    document = parse_yaml(text, path, ConfigError)
+def _read(path: Path) -> dict[str, Any]:
+    document = read_yaml(path, ConfigError)
     if document is None:
-        return text, {}
+        return {}
     if not isinstance(document, dict):
         raise ConfigError("must hold names and values", path=path, fix="such as: features: {seed: 1}")
-    return text, document
+    return document
 
 
 def _with(settings: Mapping[str, Any], name: list[str], value: Any) -> dict[str, Any]:
@@ -355,45 +342,3 @@ def _with(settings: Mapping[str, Any], name: list[str], value: Any) -> dict[str,
     below = settings.get(head)
     inner = _with(below if isinstance(below, Mapping) else {}, rest, value) if rest else value
     return {**settings, head: inner}
-
-
-def _explain(details: dict[str, Any], name: str, location: list[str]) -> tuple[str, str | None]:
-    """What is wrong with a setting, and what would be right."""
-    if details["type"] == "conflict":
-        return f"{name} {details['ctx']['problem']}", details["ctx"]["fix"]
-    if details["type"] == "extra_forbidden":
-        known = _known_settings(location[:-1])
-        near = get_close_matches(location[-1], known, n=1)
-        fix = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
-        return f"unknown setting {name}", fix
-    if details["type"] == "missing":
-        return f"{name} is missing", None
-    if details["type"] == "literal_error":
-        return f"{name} is {details['input']!r}", f"known: {details['ctx']['expected']}"
-    message = details["msg"].removeprefix("Value error, ").removeprefix("Input ")
-    return f"{name} is {details['input']!r}, which {message}", None
-
-
-def _known_settings(location: list[str]) -> list[str]:
-    model: Any = Config
-    for part in location:
-        annotation = model.model_fields[part].annotation
-        model = next((kind for kind in get_args(annotation) if _is_settings(kind)), annotation)
-    return sorted(model.model_fields)
-
-
-def _is_settings(kind: Any) -> bool:
-    return get_origin(kind) is None and isinstance(kind, type) and issubclass(kind, BaseModel)
-
-
-def _line_of(text: str, location: list[str]) -> int | None:
-    """The line on which a setting stands, or the innermost section above it that the file has."""
-    node, line = compose_yaml(text), None
-    for part in location:
-        entries = node.value if isinstance(node, yaml.MappingNode) else []
-        found = [(key, value) for key, value in entries if key.value == part]
-        if not found:
-            break
-        key, node = found[-1]
-        line = key.start_mark.line + 1
-    return line

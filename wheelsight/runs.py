@@ -24,14 +24,11 @@ def run(
 ) -> RunRecord:
     """Follow events to their end and leave trajectory, status, metrics, configuration and report in the folder `out`.
 
-    The report needs plotly, which the extra `report` brings; without it all else is done.
-
-    Ctrl-C, or a source that breaks off, loses nothing: what was tracked until then is written and marked
-    as interrupted, and then the exception goes on its way.
+    The report needs plotly, which the extra `report` brings; without it all else is done. What was tracked until
+    Ctrl-C, or until the source breaks off, is written before the exception goes on.
 
     Args:
-        source: a recording from `open_recording`, or from `in_real_time`, then frames may be dropped; or events that
-            come from anywhere else, as long as they do.
+        source: a recording, also one `in_real_time`, or what gives events from elsewhere, without an end.
         config: all settings; of one odometry, without places.
         out: folder for the results; made if need be.
         force: write into a folder that holds something already.
@@ -39,11 +36,8 @@ def run(
         duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
 
     Raises:
-        ConfigError: the configuration names several odometries or places, or the recording has no images, or no wheel
-            readings, that the odometry asked for needs.
-        CalibrationError: the calibration lacks its cameras, or its wheels.
-        OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
-        RecordingError: the recording cannot be read on; or wheels and camera, which are to be joined, share no time.
+        ConfigError: the configuration names several odometries or places.
+        InputError: as `pipeline.run_each`.
     """
     if len(config.tracks) > 1:
         raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")

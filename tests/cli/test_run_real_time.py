@@ -13,7 +13,7 @@ from simulated_controller import SimulatedController
 from stand_ins import MemoryRecording
 from typer.testing import Result
 
-from wheelsight.cli._real_time import words
+from wheelsight.cli._run_progress import words
 from wheelsight.pipeline import RealTimeRecording
 from wheelsight.recordings import open_recording
 

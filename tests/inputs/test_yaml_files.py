@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from wheelsight.errors import CalibrationError
-from wheelsight.inputs import parse_yaml
+from wheelsight.errors import CalibrationError, ConfigError
+from wheelsight.inputs import line_of, parse_yaml
 
 PATH = Path("robot.yaml")
 LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
@@ -69,3 +69,12 @@ def test_hostile_text_is_refused_in_one_short_line(text: str, told: str) -> None
     assert message.endswith(" (correct the line, or put the text in quotes)")
     assert len(message) < 300
     assert time.perf_counter() - begun_s < 2
+
+
+def test_a_setting_is_found_on_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "some.yaml"
+    path.write_text("one: 1\ntwo:\n  three: {four: 4}\n  five: 5\ntwo.five: 0\n")
+    found = [line_of(path, names, ConfigError) for names in (["one"], ["two", "five"], ["two", "three", "four"])]
+    assert found == [1, 4, 3]
+    assert line_of(path, ["two", "six"], ConfigError) == 2
+    assert line_of(path, ["six"], ConfigError) is None

@@ -13,7 +13,7 @@ from pipeline.made import BOTH, FILES, WHEELS, frames_at, metrics_in, mixed_reco
 from stand_ins import CAMERA, MemoryRecording, frame
 
 from wheelsight.calibration import Calibration
-from wheelsight.cli.run import expected
+from wheelsight.cli._run_progress import expected
 from wheelsight.config import Config, load_config
 from wheelsight.errors import ConfigError
 from wheelsight.events import Event, RgbdFrame, WheelTicks

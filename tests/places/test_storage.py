@@ -95,7 +95,7 @@ def test_another_description_is_refused(path: Path):
     changed = document["describer"] | {"bins": 50}
     refused(rewritten(path, describer=changed), "describes frames with 100 numbers, but its forest takes 32")
     refused(rewritten(path, describer={"kind": "ferns"}), "no description is called 'ferns'")
-    refused(rewritten(path, describer=changed | {"eyes": 2}), "description setting eyes: Extra inputs")
+    refused(rewritten(path, describer=changed | {"eyes": 2}), "description settings: unknown setting eyes")
 
 
 @pytest.mark.parametrize(

@@ -87,13 +87,10 @@ def test_depth_is_in_millimetres(folder):
     assert 5 * 1.0 < np.median(frame.depth_m) < 5 * 6.0
 
 
-def test_odometry_is_kept_and_said_to_be_no_ticks(folder):
-    recording = open_recording(folder)
-    assert (recording.odometry.frame, recording.odometry.body) == ("odom", "base")
-    np.testing.assert_allclose(recording.odometry.positions_m[:, 0], np.arange(5))
-    assert any("no encoder ticks" in warning for warning in recording.warnings)
+def test_odometry_of_the_robot_is_said_to_be_no_ticks(folder):
+    assert any("no encoder ticks; it is not used" in warning for warning in open_recording(folder).warnings)
     (folder / "odom.txt").unlink()
-    assert open_recording(folder).odometry is None
+    assert not any("odom.txt" in warning for warning in open_recording(folder).warnings)
 
 
 def test_without_the_camera_s_place_truth_of_the_base_is_not_used(folder):
@@ -156,8 +153,6 @@ def test_a_long_chain_of_frames_in_any_order_is_followed(folder):
 @pytest.mark.parametrize(
     ("name", "line", "where"),
     [
-        ("odom.txt", "1 2 3\n", "odom.txt:7"),
-        ("odom.txt", "200 0 0 0 0 0 0 0\n", "odom.txt:7"),
         ("color.txt", "noon a\n", "color.txt:7"),
     ],
 )

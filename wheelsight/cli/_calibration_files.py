@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wheelsight.cli._options import settings_from
+from wheelsight.cli._options import open_source, settings_from
 from wheelsight.cli._outputs import can_draw
 
 if TYPE_CHECKING:
@@ -26,11 +26,7 @@ Force = Annotated[
 
 def open_for(folder: Path, calibration: Sequence[str] | None, rate_hz: float | None = None) -> Recording:
     """The recording, with what `--calibration` says in place of its own, and stamps as `--rate-hz` says."""
-    from wheelsight.recordings import open_recording
-
-    return open_recording(
-        folder, settings_from({"--calibration": calibration, "--rate-hz": rate_hz}).recording.open_options()
-    )
+    return open_source(folder, settings_from({"--calibration": calibration, "--rate-hz": rate_hz}))
 
 
 def page_beside(out: Path, force: bool) -> Path | None:

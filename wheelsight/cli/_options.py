@@ -10,6 +10,7 @@ import typer
 
 if TYPE_CHECKING:
     from wheelsight.config import Config
+    from wheelsight.recordings import Recording
 
 RecordingPath = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="Folder of the recording.", show_default=False)
@@ -80,3 +81,10 @@ def settings_from(options: Mapping[str, object], file: Path | None = None) -> Co
 
     overrides = {_SETTINGS[option]: value for option, value in options.items() if value not in (None, [])}
     return load_config(file, overrides, called={name: option for option, name in _SETTINGS.items()})
+
+
+def open_source(folder: Path, settings: Config) -> Recording:
+    """The recording in a folder, read as the settings say. Raises InputError."""
+    from wheelsight.recordings import open_recording
+
+    return open_recording(folder, settings.recording.open_options())

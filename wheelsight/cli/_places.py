@@ -8,7 +8,7 @@ from typing import Any
 
 from wheelsight.cli._compiling import compile_missing
 from wheelsight.cli._outputs import check_out
-from wheelsight.cli._places_inputs import open_listed, show_progress, source_of
+from wheelsight.cli._places_inputs import described, open_labelled, open_listed, show_progress, source_of
 
 _KERNELS = ("places",)
 
@@ -49,35 +49,16 @@ def train(
     """Train a model on recordings, save it, and tell what it is worth."""
     from wheelsight.cli._console import console
     from wheelsight.cli._places_tables import training_tables
-    from wheelsight.errors import ConfigError
     from wheelsight.extras import needed
-    from wheelsight.places import (
-        ForestSettings,
-        check_every_area,
-        describe_drive,
-        describer_from,
-        names_of_all,
-        stamps_of,
-        train_on_drives,
-    )
+    from wheelsight.places import ForestSettings, describer_from, train_on_drives
 
     for library in ("sklearn", "skops"):  # refused before the long work
         needed(library)
-    if labels and len(labels) != len(folders):
-        fix = "give --labels once for each recording, in their order, or not at all"
-        raise ConfigError(f"{len(labels)} --labels for {len(folders)} recordings", fix=fix)
     check_out(out, force)
-    recordings = [open_listed(folder) for folder in folders]
-    files: Sequence[Path | None] = labels or [None] * len(folders)
-    sources = [source_of(r, file, areas, None, needed=True) for r, file in zip(recordings, files, strict=True)]
-    names = names_of_all(sources)
-    of_frames = [source.of_frames(stamps_of(r), names) for r, source in zip(recordings, sources, strict=True)]
-    check_every_area(of_frames, names, sources[0].path if len(sources) == 1 else sources[0].areas_path)
+    recordings, sources, names = open_labelled(folders, labels, areas)
     compile_missing(_KERNELS)
-    describer, drives = describer_from({"kind": description}), []
-    for recording, source in zip(recordings, sources, strict=True):
-        with show_progress(f"describing {recording.name}", recording.frame_count) as advance:
-            drives.append(describe_drive(recording, source, names, describer, advance))
+    describer = describer_from({"kind": description})
+    drives = described(recordings, sources, names, describer)
     with show_progress("growing trees", None):
         model = train_on_drives(drives, names, describer, ForestSettings(**forest))
     model.save(out)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from wheelsight.places import LabelSource
+    from wheelsight.places import Describer, LabelledDrive, LabelSource
     from wheelsight.recordings import Recording
 
 
@@ -51,3 +51,35 @@ def show_progress(action: str, count: int | None) -> Iterator[Callable[[], None]
 
     with FrameProgress(action, count) as progress:
         yield progress.advance
+
+
+def open_labelled(
+    folders: Sequence[Path], labels: Sequence[Path], areas: Path | None
+) -> tuple[list[Recording], list[LabelSource], tuple[str, ...]]:
+    """Recordings, where their labels come from, and the names of all areas, each of which some frame shows."""
+    from wheelsight.errors import ConfigError
+    from wheelsight.places import check_every_area, names_of_all, stamps_of
+
+    if labels and len(labels) != len(folders):
+        fix = "give --labels once for each recording, in their order, or not at all"
+        raise ConfigError(f"{len(labels)} --labels for {len(folders)} recordings", fix=fix)
+    recordings = [open_listed(folder) for folder in folders]
+    files: Sequence[Path | None] = labels or [None] * len(folders)
+    sources = [source_of(r, file, areas, None, needed=True) for r, file in zip(recordings, files, strict=True)]
+    names = names_of_all(sources)
+    of_frames = [source.of_frames(stamps_of(r), names) for r, source in zip(recordings, sources, strict=True)]
+    check_every_area(of_frames, names, sources[0].path if len(sources) == 1 else sources[0].areas_path)
+    return recordings, sources, names
+
+
+def described(
+    recordings: Sequence[Recording], sources: Sequence[LabelSource], names: tuple[str, ...], describer: Describer
+) -> list[LabelledDrive]:
+    """Each recording in numbers and labels."""
+    from wheelsight.places import describe_drive
+
+    drives = []
+    for recording, source in zip(recordings, sources, strict=True):
+        with show_progress(f"describing {recording.name}", recording.frame_count) as advance:
+            drives.append(describe_drive(recording, source, names, describer, advance))
+    return drives

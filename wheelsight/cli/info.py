@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RateHz, RecordingPath, settings_from
+from wheelsight.cli._options import (
+    CalibrationFile,
+    Camera,
+    DepthFactor,
+    MaxGap,
+    RateHz,
+    RecordingPath,
+    open_source,
+    settings_from,
+)
 
 if TYPE_CHECKING:
     from wheelsight.evaluation import SequenceStatistics
@@ -41,12 +50,11 @@ def info(
     from wheelsight.cli._console import console, facts_table, print_json, print_warning
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.odometry.wheels import gyro_warnings
-    from wheelsight.recordings import open_recording
     from wheelsight.recordings.inspection import inspect_recording
 
     of_cameras = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
     config = settings_from({**of_cameras, "--max-gap": max_gap, "--rate-hz": rate_hz})
-    source = open_recording(recording, config.recording.open_options())
+    source = open_source(recording, config)
     with FrameProgress("reading", source.frame_count or source.wheel_count) as progress:
         inspection = inspect_recording(source, progress.advance)
         inspection = replace(inspection, warnings=(*inspection.warnings, *gyro_warnings(source)))

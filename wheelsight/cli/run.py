@@ -12,14 +12,22 @@ import typer
 from wheelsight.cli import _run_options as options
 from wheelsight.cli._console import INTERRUPTED
 from wheelsight.cli._odometry import ANY, chosen_odometry, names_odometry
-from wheelsight.cli._options import CalibrationFile, Camera, DepthFactor, MaxGap, RateHz, RecordingPath, settings_from
-from wheelsight.cli._real_time import counts_frames, played, show_progress
+from wheelsight.cli._options import (
+    CalibrationFile,
+    Camera,
+    DepthFactor,
+    MaxGap,
+    RateHz,
+    RecordingPath,
+    open_source,
+    settings_from,
+)
+from wheelsight.cli._run_progress import expected, played, show_progress
 from wheelsight.cli._summary import print_summary
 
 if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.pipeline import FrameRecord, RunRecord
-    from wheelsight.recordings import Recording
     from wheelsight.sources import EventSource
 
 
@@ -89,18 +97,12 @@ def run(
     given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     is_named = odometry is not None or names_odometry(config)
     settings = settings_from(given if is_named else {**given, "--odometry": ANY}, config)
-    with played(_open(recording, settings), realtime, wheels_from, baud) as source:
+    with played(open_source(recording, settings), realtime, wheels_from, baud) as source:
         if not is_named:
             given["--odometry"] = chosen_odometry(source, settings)
             settings = settings_from(given, config)
         records = _track(source, settings, out, force)
     print_summary(records, out)
-
-
-def _open(folder: Path, settings: Config) -> Recording:
-    from wheelsight.recordings import open_recording
-
-    return open_recording(folder, settings.recording.open_options())
 
 
 def _track(source: EventSource, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
@@ -133,17 +135,3 @@ def _track(source: EventSource, settings: Config, out: Path, force: bool) -> Seq
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")
         raise typer.Exit(INTERRUPTED) from interruption
-
-
-def expected(source: EventSource, settings: Config) -> tuple[int | None, str]:
-    """How many events will be answered, where that is known, and their name; "" where their rate says nothing."""
-    from wheelsight.pipeline.origin import frame_count_of, wheel_count_of
-
-    frames, readings = frame_count_of(source), wheel_count_of(source)
-    if counts_frames(source, settings):
-        return frames, ""
-    if settings.tracks == ("wheels",):
-        return readings, "readings"
-    if "wheels" not in settings.tracks:
-        return frames, "frames"
-    return None if frames is None or readings is None else frames + readings, "events"

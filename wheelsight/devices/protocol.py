@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 from cobs import cobs
 
-PROTOCOL = 1
 FULL_DUTY = 1000
 LONGEST_FRAME = 64
 _CRC_START = 0xFFFF

@@ -5,14 +5,14 @@ from wheelsight.inputs.json_text import parse_json
 from wheelsight.inputs.pictures import picture_size, scan_count
 from wheelsight.inputs.plain_rows import plain_rows
 from wheelsight.inputs.words import as_number, numbers_with_commas, split_words, unquoted
-from wheelsight.inputs.yaml_files import YAML_FILE, compose_yaml, parse_yaml, read_yaml
+from wheelsight.inputs.yaml_files import YAML_FILE, line_of, parse_yaml, read_yaml
 
 __all__ = [
     "YAML_FILE",
     "Kind",
     "as_number",
-    "compose_yaml",
     "is_there",
+    "line_of",
     "lines_of",
     "numbers_with_commas",
     "parse_json",

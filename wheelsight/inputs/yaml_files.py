@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn
 
@@ -53,9 +54,20 @@ def parse_yaml(text: str, path: StrPath, error: type[InputError]) -> Any:
         raise _told(problem, path, error) from problem
 
 
-def compose_yaml(text: str) -> Any:
-    """The nodes of a text that `parse_yaml` has taken, which know their lines."""
-    return yaml.compose(text, _Loader)
+def line_of(path: StrPath, names: Sequence[str], error: type[InputError]) -> int | None:
+    """The line on which the last of nested `names` stands, or the innermost above it that the file has, if any.
+
+    Raises InputError of the type `error` where the file, which `read_yaml` has taken, can no longer be read.
+    """
+    node, line = yaml.compose(read_text(path, YAML_FILE, error), _Loader), None
+    for name in names:
+        entries = node.value if isinstance(node, yaml.MappingNode) else []
+        found = [(key, value) for key, value in entries if key.value == name]
+        if not found:
+            break
+        key, node = found[-1]
+        line = key.start_mark.line + 1
+    return line
 
 
 class _Size:

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath, atomic_write
 from wheelsight.inputs import Kind, parse_json, read_bytes
+from wheelsight.inputs.settings import checked_settings
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import Surfels
@@ -83,8 +83,6 @@ def load_map(path: StrPath) -> SurfelMap:
         return _map_of(header, surfels)
     except MapError as error:
         raise MapError(error.problem, path=path, fix=error.fix) from error
-    except ValidationError as error:
-        raise MapError(f"settings: {error.errors()[0]['msg']}", path=path, fix=_DAMAGED) from error
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise MapError(f"its header is not one: {type(error).__name__}", path=path, fix=_DAMAGED) from error
 
@@ -143,7 +141,7 @@ def _refuse_impossible(surfels: Surfels) -> None:
 
 
 def _map_of(header: dict[str, Any], surfels: Surfels) -> SurfelMap:
-    settings = SurfelSettings.model_validate(header["settings"])
+    settings = checked_settings(SurfelSettings, header["settings"], MapError, "settings: ", _DAMAGED)
     stamp_s, dropped, n = header["stamp_s"], header["dropped"], len(surfels.grey)
     if type(dropped) is not int or dropped < 0:
         raise MapError(f"dropped is {dropped!r}, not a count", fix=_DAMAGED)

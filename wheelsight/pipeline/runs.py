@@ -10,11 +10,11 @@ from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
 from wheelsight.pipeline.origin import frame_count_of, wheel_count_of, where
 from wheelsight.pipeline.outputs import Draw, write_results
-from wheelsight.pipeline.places import places_of
+from wheelsight.pipeline.places import PlacesOfRun, places_of
 from wheelsight.pipeline.realtime import RealTimeRecording
 from wheelsight.pipeline.records import records_of
 from wheelsight.pipeline.run_record import FrameRecord, RunRecord
-from wheelsight.pipeline.track import UNITS, begin_all, follow
+from wheelsight.pipeline.track import UNITS, Track, begin_all, follow
 from wheelsight.recordings import Recording
 from wheelsight.recordings.clocks import refuse_if_apart
 from wheelsight.sources import EventSource
@@ -33,47 +33,47 @@ def run_each(
 ) -> tuple[RunRecord, ...]:
     """Run every odometry that `config` names over one pass of the events, each alone, and report them together.
 
-    One odometry leaves trajectory, status, metrics and configuration in the folder `out`. Of several, each has its
-    trajectory, status and metrics in a folder of its name, and `out` holds metrics and configuration of all. Wheels
-    that places rectify are followed twice, alone and as "rectified".
-
-    Ctrl-C, or a recording that breaks off, loses nothing: what was tracked until then is written and marked as
-    interrupted, and then the exception goes on its way. Ctrl-C before the first answer leaves nothing.
+    One leaves trajectory, status, metrics and configuration in `out`; each of several the first three in a folder of
+    its name. What was tracked until Ctrl-C, or until the source breaks off, is written before the exception goes on.
 
     Args:
-        source: a recording from `open_recording`, or from `in_real_time`, then frames may be dropped; or events that
-            come from anywhere else, as long as they do.
-        config: all settings.
-        out: folder for the results; made if need be.
-        force: write into a folder that holds something already.
+        source: a recording, also one `in_real_time`, or what gives events from elsewhere, without an end.
+        config, out, force: all settings; folder for the results, made if need be; whether it may hold something.
         on_ready: called once all is checked and `out` is made, before the first event.
         on_event: called after each event that was answered, with each odometry's answer by its name.
         draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
         duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
 
     Raises:
-        ConfigError: the recording has no images, or no wheel readings, that an odometry asked for needs.
-        CalibrationError: the calibration lacks its cameras, or its wheels.
-        AreaError, PlaceError: places cannot be read, or do not fit.
-        OutputError: `out` is not empty and `force` is off, or cannot be written; tried before the long work.
-        RecordingError: the recording cannot be read on; or wheels and camera, which are to be joined, share no time.
+        InputError: what cannot end well, before anything is written; or the source cannot be read on.
     """
-    out = Path(out)
-    _check_sensors(source, config)
-    run_places = places_of(source, config)
-    places = None if run_places is None else run_places.places
-    tracks = begin_all(source, config, places)
-    _check_clocks(source, config)
-    folder = make_output_folder(out, force)
+    tracks, places = _begin(source, config)
+    folder = make_output_folder(Path(out), force)
     on_ready()
-    passage = follow(tracks, source, config, on_event, places, duration_s)
+    passage = follow(tracks, source, config, on_event, None if places is None else places.places, duration_s)
     if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in tracks):
         raise passage.interruption
-    records = records_of(passage, source, config, run_places)
+    records = records_of(passage, source, config, places)
     write_results(records, passage, source, config, folder, draw)
     if passage.interruption is not None:
         raise passage.interruption
     return records
+
+
+def _begin(source: EventSource, config: Config) -> tuple[tuple[Track, ...], PlacesOfRun | None]:
+    """Every track at its start, and places if they are asked for.
+
+    Raises:
+        ConfigError: the source has no images, or no wheel readings, that an odometry asked for needs.
+        CalibrationError: the calibration lacks its cameras, or its wheels.
+        AreaError, PlaceError: places cannot be read, or do not fit.
+        RecordingError: wheels and camera, which are to be joined, share no time.
+    """
+    _check_sensors(source, config)
+    places = places_of(source, config)
+    tracks = begin_all(source, config, None if places is None else places.places)
+    _check_clocks(source, config)
+    return tracks, places
 
 
 def _check_sensors(source: EventSource, config: Config) -> None:

@@ -14,6 +14,7 @@ from wheelsight.errors import PlaceError
 from wheelsight.events import RgbdFrame
 from wheelsight.files import StrPath
 from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.inputs.settings import checked_settings
 from wheelsight.places.calibration import ProbabilityScale
 from wheelsight.places.describer import Describer, FrameSize, has_depth, size_error, size_of
 from wheelsight.places.describers import describer_from
@@ -183,7 +184,7 @@ def _from_document(document: Any) -> PlaceModel:
         ProbabilityScale(**{f.name: float(document["scale"][f.name]) for f in fields(ProbabilityScale)}),
         float(document["least_confidence"]),
         np.array(document["area_shares"], float),
-        ForestSettings.model_validate(document["settings"]),
+        checked_settings(ForestSettings, document["settings"], PlaceError, "settings: ", RETRAIN),
         _figures_from(document["figures"]),
         None if size is None else (int(size[0]), int(size[1]), int(size[2]), int(size[3])),
     )

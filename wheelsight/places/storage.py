@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import ValidationError
 
 from wheelsight.errors import PlaceError
 from wheelsight.extras import needed
@@ -58,8 +57,6 @@ def load_document(path: StrPath, made_into: Callable[[Any], Made]) -> Made:
         return made_into(skops_io.loads(data, trusted=[]))
     except PlaceError as error:
         raise PlaceError(error.problem, path=path, fix=error.fix) from error
-    except ValidationError as error:
-        raise PlaceError(f"settings: {error.errors()[0]['msg']}", path=path, fix=RETRAIN) from error
     except Exception as error:  # a damaged file fails inside zip, json, numpy or skops in ways of their own
         raise PlaceError(f"is damaged: {type(error).__name__}", path=path, fix=RETRAIN) from error
 

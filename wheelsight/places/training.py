@@ -90,23 +90,23 @@ def train_places(
     settings = settings or ForestSettings()
     described, wanted = np.asarray(features, np.float32), np.asarray(labels)
     _check_training(described, wanted, area_names, describer)
-    numbers = None if drives is None else np.asarray(drives)
-    folds = held_out_folds(wanted, settings.folds, settings.block_frames, settings.gap_frames, numbers)
-    tried, raw, fold_of = _try_out(described, wanted, len(area_names), settings, folds)
-    scale, least, figures = _calibrate(raw, wanted[tried], fold_of, settings)
+    scale, least, figures = _held_out(described, wanted, len(area_names), settings, drives)
     shown = wanted >= 0
     forest, out_of_bag = grow_forest(described[shown], wanted[shown], len(area_names), settings, out_of_bag=True)
-    return PlaceModel(
-        forest,
-        tuple(area_names),
-        describer,
-        scale,
-        least,
-        np.bincount(wanted[shown], minlength=len(area_names)) / np.count_nonzero(shown),
-        settings,
-        HeldOutFigures(**figures, out_of_bag_accuracy=out_of_bag),
-        frame_size,
-    )
+    shares = np.bincount(wanted[shown], minlength=len(area_names)) / np.count_nonzero(shown)
+    held_out = HeldOutFigures(**figures, out_of_bag_accuracy=out_of_bag)
+    names = tuple(area_names)
+    return PlaceModel(forest, names, describer, scale, least, shares, settings, held_out, frame_size)
+
+
+def _held_out(
+    features: Float32Array, labels: IntArray, area_count: int, settings: ForestSettings, drives: ArrayLike | None
+) -> tuple[ProbabilityScale, float, dict[str, Any]]:
+    """Scale, least confidence and figures by forests that were not shown what they are tried on."""
+    numbers = None if drives is None else np.asarray(drives)
+    folds = held_out_folds(labels, settings.folds, settings.block_frames, settings.gap_frames, numbers)
+    tried, raw, fold_of = _try_out(features, labels, area_count, settings, folds)
+    return _calibrate(raw, labels[tried], fold_of, settings)
 
 
 def _try_out(

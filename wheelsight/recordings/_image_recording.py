@@ -46,7 +46,6 @@ class ImageRecording:
     encoding: how depth images are to be read.
     wheels: readings of the wheel encoders, in order of time.
     yaw_rates: readings of a gyroscope, in order of time.
-    odometry: T_odom_base as the robot's own wheel odometry computed it, for recordings that have no ticks.
     """
 
     name: str
@@ -60,7 +59,6 @@ class ImageRecording:
     warnings: tuple[str, ...] = ()
     wheels: tuple[WheelTicks, ...] = ()
     yaw_rates: tuple[YawRate, ...] = ()
-    odometry: Trajectory | None = None
 
     @property
     def body(self) -> str:

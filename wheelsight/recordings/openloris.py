@@ -1,4 +1,4 @@
-"""OpenLORIS-Scene, a sequence of its package format: colour, depth aligned to it, odometry (Shi et al., ICRA 2020)."""
+"""OpenLORIS-Scene, a sequence of its package format: colour and depth aligned to it (Shi et al., ICRA 2020)."""
 
 from __future__ import annotations
 
@@ -8,24 +8,21 @@ from typing import Any
 import numpy as np
 
 from wheelsight.calibration import Calibration, DepthNoise
-from wheelsight.errors import CalibrationError, RecordingError
+from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
-from wheelsight.inputs import as_number, is_there, read_yaml, split_words
+from wheelsight.inputs import is_there, read_yaml
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._file_lists import read_file_list
 from wheelsight.recordings._image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import keep_growing, read_lines
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.recordings.tum import read_truth
-from wheelsight.trajectory import Trajectory
 
 _CAMERA = "d400_color_optical_frame"
 _BASE = "base_link"
 _DEPTH_FACTOR = 1000.0
 _RIGID_TOLERANCE = 1e-2  # files round to four digits and more
 _FARTHEST_M = 1000.0  # of one part of a robot from another
-_LARGEST = 1e15  # of numbers in odom.txt, of which squares are summed up
 _FIX = "correct it, or give a calibration.yaml with --camera"
 _D435_NOISE = DepthNoise(quadratic_per_m=3.9e-3, near_m=0.3, far_m=10.0)
 """Intel's rule for stereo depth, σ = z² · subpixel / (f · baseline), with 0.08 px, 415 px and 0.05 m for the D435."""
@@ -49,7 +46,8 @@ class OpenLorisReader:
         warnings += depth_warnings
         calibration = choose_calibration(folder, options, lambda: _calibration(folder))
         frames, association = pair_images(color, depth, options.max_gap_s, folder / "color.txt")
-        odometry = _read_odometry(folder / "odom.txt", warnings)
+        if is_there(folder / "odom.txt"):
+            warnings.append("odom.txt holds poses the robot computed, no encoder ticks; it is not used.")
         truth = read_truth(folder / "groundtruth.txt", warnings, body="base")
         if truth is not None and calibration.T_base_camera is None:
             warnings.append(
@@ -67,7 +65,6 @@ class OpenLorisReader:
                 encoding=DepthEncoding(options.depth_factor or _DEPTH_FACTOR),
                 ground_truth=truth,
                 warnings=tuple(warnings),
-                odometry=odometry,
             )
         )
 
@@ -123,29 +120,6 @@ def _link(link: Any) -> tuple[str, str, FloatArray]:
     """Parent, child and T_parent_child of an entry; KeyError, TypeError or ValueError where it is none."""
     parent, child = link["parent_frame"], link["child_frame"]
     return str(parent), str(child), np.reshape(_numbers(link["matrix"], 16), (4, 4))
-
-
-def _read_odometry(path: Path, warnings: list[str]) -> Trajectory | None:
-    """T_odom_base of odom.txt: `stamp x y z qx qy qz qw` and speeds, which are not read."""
-    if not is_there(path):
-        return None
-    lines = read_lines(path)
-    rows = [_Row(line.text, path, line.number) for line in lines]
-    growing, left_out = keep_growing(rows, [line.number for line in lines], path)
-    warnings += [*left_out, "odom.txt holds poses the robot computed, no encoder ticks; it is kept as `odometry`."]
-    values = np.array([row.values for row in growing], np.float64).reshape(-1, 8)
-    return Trajectory(values[:, 0], se3.from_quaternion(values[:, 1:4], values[:, 4:]), body="base", frame="odom")
-
-
-class _Row:
-    """The first eight numbers of a line: a stamp and a pose."""
-
-    def __init__(self, text: str, path: Path, line: int) -> None:
-        self.values = [as_number(word) for word in split_words(text)[:8]]
-        if len(self.values) != 8 or not np.abs(self.values).max() <= _LARGEST or not np.abs(self.values[4:]).max() > 0:
-            problem = "stamp x y z qx qy qz qw are expected"
-            raise RecordingError(problem, path=path, line=line, fix="correct or remove the line")
-        self.stamp_s = self.values[0]
 
 
 def _numbers(matrix: dict[str, Any], count: int | None = None) -> list[float]:

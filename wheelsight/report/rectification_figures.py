@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.areas import AreaMap
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.pipeline.rectification_record import RectificationRecord
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
@@ -190,24 +190,28 @@ def _add_rows(
         col=1,
     )
     if found.true_areas is not None:
-        truth = np.where(found.true_areas >= 0, found.true_areas, np.nan).astype(float)
-        kept = np.flatnonzero(np.diff(truth, prepend=np.inf, append=np.inf)[:-1] != 0)  # where it changes, and NaN
-        kept = np.union1d(kept, np.append((kept - 1).clip(0), len(truth) - 1))
-        figure.add_scatter(
-            x=seconds[kept],
-            y=truth[kept],
-            mode="lines",
-            line={"color": GREY, "width": 2, "shape": "hv"},
-            name="true area",
-            legendgroup="true area",
-            showlegend=row == 1,
-            hoverinfo="skip",
-            row=row,
-            col=1,
-        )
+        _add_true_areas(figure, found.true_areas, seconds, row)
     ticks = {"tickmode": "array", "tickvals": list(range(n)), "ticktext": [escape(name) for name in found.areas.names]}
     figure.update_yaxes(range=[n - 0.5, -0.5], showgrid=False, row=row, col=1, **ticks)
     figure.update_xaxes(showgrid=False, row=row, col=1)
+
+
+def _add_true_areas(figure: go.Figure, true_areas: IntArray, seconds: FloatArray, row: int) -> None:
+    truth = np.where(true_areas >= 0, true_areas, np.nan).astype(float)
+    kept = np.flatnonzero(np.diff(truth, prepend=np.inf, append=np.inf)[:-1] != 0)  # where it changes, and NaN
+    kept = np.union1d(kept, np.append((kept - 1).clip(0), len(truth) - 1))
+    figure.add_scatter(
+        x=seconds[kept],
+        y=truth[kept],
+        mode="lines",
+        line={"color": GREY, "width": 2, "shape": "hv"},
+        name="true area",
+        legendgroup="true area",
+        showlegend=row == 1,
+        hoverinfo="skip",
+        row=row,
+        col=1,
+    )
 
 
 def _rows_of_colours(n: int) -> list[list[float | str]]:

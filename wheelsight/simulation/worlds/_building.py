@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from wheelsight.simulation.worlds._surfaces import POSTERS, painted
 
 CEILING_M = 2.8
 WALL_THICKNESS_M = 0.2
+_PANE_M = 0.03
 _COVERING_M = 0.003  # over the floor, so that no renderer takes one for the other
 _FLUSH_M = 0.001  # how far a wall ends short of a corner, so that no two faces lie in one plane
 _POSTER_SIZES_M = ((0.59, 0.84), (0.84, 1.19), (0.84, 0.59), (1.19, 0.84))
@@ -66,6 +67,49 @@ class Face:
     def spot(self, at_m: float, out_m: float = 0.0) -> Spot:
         """The place `at_m` along the wall and `out_m` away from it."""
         return Spot(*self.start, self.yaw_rad).offset(at_m, out_m)
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """A part of a wall between two places along it; of a window's material where `pane` names one."""
+
+    kind: str
+    begin_m: float
+    end_m: float
+    bottom_m: float
+    top_m: float
+    pane: str | None = None
+
+
+def _pieces(openings: Sequence[Opening], begin_m: float, end_m: float) -> Iterator[_Piece]:
+    """Piers between the openings; below and above these sills and lintels; windows in a row share theirs."""
+    heights = {(opening.sill_m, opening.head_m, opening.pane) for opening in openings}
+    is_row = len(heights) == 1 and openings[0].sill_m > 0
+    bottom_m, top_m = (openings[0].sill_m, openings[0].head_m) if is_row else (0.0, CEILING_M)
+    if is_row:
+        yield _Piece("sill", begin_m, end_m, 0.0, bottom_m)
+        yield _Piece("lintel", begin_m, end_m, top_m, CEILING_M)
+        yield from _panes(openings[0], openings[-1])
+    at_m = begin_m
+    for opening in openings:
+        left_m, right_m = opening.at_m - opening.width_m / 2, opening.at_m + opening.width_m / 2
+        yield _Piece("wall", at_m, left_m, bottom_m, top_m)
+        at_m = right_m
+        if is_row:
+            continue
+        if opening.sill_m > 0:
+            yield _Piece("sill", left_m, right_m, 0.0, opening.sill_m)
+        if opening.head_m < CEILING_M:
+            yield _Piece("lintel", left_m, right_m, opening.head_m, CEILING_M)
+        yield from _panes(opening, opening)
+    yield _Piece("wall", at_m, end_m, bottom_m, top_m)
+
+
+def _panes(first: Opening, last: Opening) -> Iterator[_Piece]:
+    """What closes the openings from the first to the last, if anything."""
+    if first.pane is not None:
+        begin_m, end_m = first.at_m - first.width_m / 2, last.at_m + last.width_m / 2
+        yield _Piece("pane", begin_m, end_m, first.sill_m, first.head_m, first.pane)
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,40 +280,11 @@ class Building:
         thickness_m: float,
         grow_m: tuple[float, float],
     ) -> None:
-        """Piers between the openings; below and above these sills and lintels; windows in a row share theirs."""
-        size = (-grow_m[0], face.length_m + grow_m[1])
-        openings = sorted(openings, key=lambda opening: opening.at_m)
-
-        def piece(kind: str, begin: float, end: float, bottom: float, top: float) -> None:
-            spot = face.spot((begin + end) / 2, out_m)
-            self.box(f"{kind}_{face.name}", material, spot, (end - begin, thickness_m), bottom, top)
-
-        def pane(first: Opening, last: Opening) -> None:
-            if first.pane is not None:
-                begin, end = first.at_m - first.width_m / 2, last.at_m + last.width_m / 2
-                spot = face.spot((begin + end) / 2, out_m - thickness_m / 2 + 0.015)
-                self.box(f"pane_{face.name}", first.pane, spot, (end - begin, 0.03), first.sill_m, first.head_m)
-
-        heights = {(opening.sill_m, opening.head_m, opening.pane) for opening in openings}
-        is_row = len(heights) == 1 and openings[0].sill_m > 0
-        bottom, top = (openings[0].sill_m, openings[0].head_m) if is_row else (0.0, CEILING_M)
-        if is_row:
-            piece("sill", *size, 0.0, bottom)
-            piece("lintel", *size, top, CEILING_M)
-            pane(openings[0], openings[-1])
-        at = size[0]
-        for opening in openings:
-            begin, end = opening.at_m - opening.width_m / 2, opening.at_m + opening.width_m / 2
-            piece("wall", at, begin, bottom, top)
-            at = end
-            if is_row:
-                continue
-            if opening.sill_m > 0:
-                piece("sill", begin, end, 0.0, opening.sill_m)
-            if opening.head_m < CEILING_M:
-                piece("lintel", begin, end, opening.head_m, CEILING_M)
-            pane(opening, opening)
-        piece("wall", at, size[1], bottom, top)
+        for piece in _pieces(sorted(openings, key=lambda o: o.at_m), -grow_m[0], face.length_m + grow_m[1]):
+            aside_m, thick_m = (0.0, thickness_m) if piece.pane is None else (_PANE_M / 2 - thickness_m / 2, _PANE_M)
+            spot = face.spot((piece.begin_m + piece.end_m) / 2, out_m + aside_m)
+            size_m = (piece.end_m - piece.begin_m, thick_m)
+            self.box(f"{piece.kind}_{face.name}", piece.pane or material, spot, size_m, piece.bottom_m, piece.top_m)
 
     def _add(
         self,

@@ -1,4 +1,4 @@
-"""A run in real time: how the recording is opened for it, and what the progress bar says of it."""
+"""What the progress bar says of a run, also in real time, and how a recording is opened for that."""
 
 from __future__ import annotations
 
@@ -45,6 +45,20 @@ def counts_frames(source: EventSource, settings: Config) -> bool:
     from wheelsight.pipeline import RealTimeRecording
 
     return isinstance(source, RealTimeRecording) and settings.tracks != ("wheels",)
+
+
+def expected(source: EventSource, settings: Config) -> tuple[int | None, str]:
+    """How many events will be answered, where that is known, and their name; "" where their rate says nothing."""
+    from wheelsight.pipeline.origin import frame_count_of, wheel_count_of
+
+    frames, readings = frame_count_of(source), wheel_count_of(source)
+    if counts_frames(source, settings):
+        return frames, ""
+    if settings.tracks == ("wheels",):
+        return readings, "readings"
+    if "wheels" not in settings.tracks:
+        return frames, "frames"
+    return None if frames is None or readings is None else frames + readings, "events"
 
 
 def show_progress(progress: FrameProgress, source: EventSource, settings: Config, status: str) -> None:

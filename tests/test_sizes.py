@@ -1,0 +1,71 @@
+"""A function and a file stay short enough to be read from the top down."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+LONGEST_FUNCTION, LONGEST_FILE = 40, 400
+# Longer than that from of old, by file and function; these shall go, and nothing shall come.
+TOO_LONG = {
+    ("_alignment_kernels.py", "accumulate"),
+    ("_block_kernels.py", "append"),
+    ("_block_kernels.py", "compact"),
+    ("_fusion_kernels.py", "read"),
+    ("_fusion_kernels.py", "update"),
+    ("_hamming_kernels.py", "nearest_within"),
+    ("_match_kernels.py", "find_candidates"),
+    ("_step_kernels.py", "roll"),
+    ("_turn_kernels.py", "accumulate_turn"),
+    ("_view_kernels.py", "_add_disk"),
+    ("_view_kernels.py", "project_disks"),
+    ("surfels.py", "fuse"),
+}
+FILES_TOO_LONG = {"odometry/dense/odometry.py"}
+
+
+def too_long(source: str, is_command: bool) -> Iterator[str]:
+    """The functions of a file that are; of a command line's, whose options and help are no code, the body counts."""
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        begin = node.lineno
+        if is_command and not node.name.startswith("_") and ast.get_docstring(node) is not None:
+            begin = node.body[0].end_lineno or begin
+        if (node.end_lineno or begin) - begin + 1 > LONGEST_FUNCTION:
+            yield node.name
+
+
+def is_command(path: Path) -> bool:
+    """Whether it holds commands: the modules of the command line that are not private."""
+    return path.parent.name == "cli" and not path.name.startswith("_")
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+def test_functions_and_files_are_short(path: Path) -> None:
+    source = path.read_text(encoding="utf-8")
+    assert [name for name in too_long(source, is_command(path)) if (path.name, name) not in TOO_LONG] == []
+    if path.relative_to(PACKAGE).as_posix() not in FILES_TOO_LONG:
+        assert len(source.splitlines()) <= LONGEST_FILE
+
+
+def test_what_is_too_long_is_found() -> None:
+    def function(lines: int, docstring: int = 0) -> str:
+        told = '    """Does.\n' + "\n" * (docstring - 2) + '    """\n' if docstring else ""
+        return "def work():\n" + told + "    pass\n" * (lines - docstring - 1)
+
+    assert list(too_long(function(40), is_command=False)) == []
+    assert list(too_long(function(41), is_command=False)) == ["work"]
+    assert list(too_long(function(41, docstring=5), is_command=False)) == ["work"]
+    assert list(too_long(function(41, docstring=5), is_command=True)) == []
+    assert list(too_long("class Thing:\n    " + function(41).replace("\n", "\n    "), is_command=False)) == ["work"]
+
+
+def test_the_exceptions_are_few() -> None:
+    assert len(TOO_LONG) <= 12
+    assert len(FILES_TOO_LONG) <= 1
