@@ -172,7 +172,8 @@ def test_compiled_kernels_are_plain_kernels(rng: np.random.Generator) -> None:
     for kernels, flow, out in zip((_blur_kernels, plainly), flows, outs, strict=True):
         kernels.flow(view.depth_m, view.rays, twist, flow)
         smeared = kernels.smear(image, flow)
-        kernels.develop(smeared, np.ones((7, 9), np.float32), 900.0, 1000.0, 5.0, 1e-3, normals, curve, 3, out)
+        exposed = _blur_kernels.Exposed(900.0, 1000.0, 5.0, 1e-3)
+        kernels.develop(smeared, np.ones((7, 9), np.float32), exposed, normals, curve, 3, out)
     np.testing.assert_allclose(*flows, rtol=1e-6)
     np.testing.assert_array_equal(*outs)
 

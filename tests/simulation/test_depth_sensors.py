@@ -250,8 +250,9 @@ def test_light_mixes_by_brightness() -> None:
     geom, usable = np.zeros((1, 4), np.int32), np.ones((1, 4), bool)
     cosine, light = np.ones((1, 4), np.float32), np.array([[0.4, 0.4, 0.1, 0.1]], np.float32)
     chance = np.full((1, 4, 3), 128, np.uint8)
-    arrays = (np.ones(1), np.zeros((1, 4), np.float32), chance, np.zeros(4))
-    mixed = kernels.time_light(depth_m, geom, usable, cosine, light, *arrays, 0.6, 0.03, 0.5, 0.0)[0]
+    phase = kernels.Phase(np.zeros(4), reference=0.6, jump=0.03, edge_share=0.5, edge_loss=0.0)
+    pixels, noise = kernels.Seen(depth_m, geom, cosine, light), np.zeros((1, 4), np.float32)
+    mixed = kernels.time_light(pixels, usable, np.ones(1), noise, chance, phase)[0]
     own, other = 0.75, 0.25
     assert mixed[1] == pytest.approx((own * 0.4 + other * 0.1 * 2) / (own * 0.4 + other * 0.1), abs=6e-4)
     assert mixed[2] == pytest.approx((own * 0.1 * 2 + other * 0.4) / (own * 0.1 + other * 0.4), abs=6e-4)
@@ -288,17 +289,17 @@ def test_kernels_do_as_they_are_written() -> None:
     cosine, returned = kernels.returned_light(*light)
     lit = (view.depth_m, view.geom, 30.0, 0.5)
     np.testing.assert_array_equal(kernels.lit_by_projector(*lit), slow.lit_by_projector(*lit))
-    chance = rng.integers(0, 256, (24, 40, 3), np.uint8)
-    limits = (0.5, 8.0, 0.15, 0.02, 0.1, 0.25)
-    found = (view.depth_m, view.geom, cosine, returned, shine, chance, 1.0, *limits)
+    chance = kernels.Chance(rng.integers(0, 256, (24, 40, 3), np.uint8), 1.0)
+    pixels = kernels.Seen(view.depth_m, view.geom, cosine, returned)
+    found = (pixels, shine, chance, kernels.Limits(0.5, 8.0, 0.15, 0.02, 0.1, 0.25))
     usable = kernels.detectable(*found)
     np.testing.assert_array_equal(usable, slow.detectable(*found))
     assert 0.2 < usable.mean() < 0.99
     noise, shifts = rng.standard_normal((24, 40)).astype(np.float32), rng.normal(0, 1, 256)
-    match = (view.depth_m, usable, cosine, noise, chance, 1.0, shifts, 0.05, 1e-4, 30.0, 40.0, 8.0)
+    match = (pixels, usable, noise, chance, shifts, kernels.Pattern(0.05, 1e-4, 30.0, 40.0, 8.0))
     np.testing.assert_allclose(kernels.match_pattern(*match), slow.match_pattern(*match), atol=1.1e-3)
     axial = np.array([1.5e-3, -0.5e-3, 0.3e-3, 0.1e-3])
-    time = (view.depth_m, view.geom, usable, cosine, returned, scattered, noise, chance, axial, 0.6, 0.03, 0.5, 0.3)
+    time = (pixels, usable, scattered, noise, chance.cells, kernels.Phase(axial, 0.6, 0.03, 0.5, 0.3))
     np.testing.assert_allclose(kernels.time_light(*time), slow.time_light(*time), atol=1.1e-3)
 
 

@@ -170,9 +170,11 @@ def test_kernels_do_as_they_are_written(rng: np.random.Generator) -> None:
     along, left = np.meshgrid(np.arange(80) * 0.1, np.arange(60) * 0.1 - 3)
     steps = np.argwhere(np.ones((5, 5))) - 2
     others = np.array([[22, 30]])
+    route = kernels.Route(along, left, 8.0)
     for _ in range(20):
         row, column = rng.integers(0, (60, 80))
-        step = (clear, along, left, 8.0, steps, row, column, 0.2, 0.4, others, 8.0)
+        step = (clear, route, steps, row, column, kernels.Wish(0.2, 0.4), others, 8.0)
         assert kernels.best_step(*step) == slow.best_step(*step)
-    assert kernels.best_step(np.ones_like(clear), along, left, 8.0, steps, 30, 79, 0.2, 0.0, others, 8.0) == (30, 79)
-    assert kernels.best_step(np.zeros_like(clear), along, left, 8.0, steps, 30, 40, 0.2, 0.0, others, 8.0) == (-1, -1)
+    ahead = kernels.Wish(0.2, 0.0)
+    assert kernels.best_step(np.ones_like(clear), route, steps, 30, 79, ahead, others, 8.0) == (30, 79)
+    assert kernels.best_step(np.zeros_like(clear), route, steps, 30, 40, ahead, others, 8.0) == (-1, -1)

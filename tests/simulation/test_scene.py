@@ -231,7 +231,8 @@ def chosen_by(scene: Scene, bounds: tuple[float, float, float, float], far_m: fl
     g, half = scene.geoms, np.array(scene.model.geom_aabb[:, 3:])
     T = looking()
     R, origin = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
-    arguments = (g.kind, g.size_m, g.position_world, half, g.R_world_geom, R, origin, np.array(bounds), far_m)
+    boxes = kernels.Boxes(g.kind, g.size_m, g.position_world, half, g.R_world_geom)
+    arguments = (boxes, R, origin, np.array(bounds), far_m)
     chosen = kernels.choose(*arguments)
     np.testing.assert_array_equal(chosen, plain(kernels).choose(*arguments))
     return [g.names[index] for index in chosen]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,15 @@ from wheelsight.compiled import kernel
 from wheelsight.simulation._texture_kernels import hash_unit
 
 _LONGEST_SMEAR_PX = 60.0
+
+
+class Exposed(NamedTuple):
+    """A sensor's pixel as it is exposed: electrons of white, those it can hold, noise of reading, and gain."""
+
+    electrons: float
+    full_well: float
+    read_noise: float
+    gain: float
 
 
 @kernel(error_model="numpy")
@@ -77,23 +86,13 @@ def _between(image: Any, u: float, v: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def develop(
-    image: Any,
-    fall_off: Any,
-    electrons: float,
-    full_well: float,
-    read_noise: float,
-    gain: float,
-    normals: Any,
-    curve: Any,
-    seed: int,
-    out: Any,
-) -> None:
+def develop(image: Any, fall_off: Any, exposed: Exposed, normals: Any, curve: Any, seed: int, out: Any) -> None:
     """Bytes `out` (H, W, 3) of radiance: electrons, shot and read noise, saturation, gain, tone curve.
 
     Shot noise is drawn from the normal distribution of Poisson's mean and variance; `normals` (N,) are equally
     likely values of the unit normal, `curve` (L,) the byte of each level from 0 to 1.
     """
+    electrons, full_well, read_noise, gain = exposed
     height, width, _ = image.shape
     last = len(curve) - 1
     for v in range(height):

@@ -2,14 +2,62 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import ByteArray, Float32Array, FloatArray, Int32Array
 
 _BINS_PER_PX = 2
 _BYTE = 256
+
+
+class Seen(NamedTuple):
+    """Depth in metres, index of the geom, cosine of incidence and returned light of each pixel; all (H, W)."""
+
+    depth_m: Float32Array
+    geom: Int32Array
+    cosine: Float32Array
+    light: Float32Array
+
+
+class Chance(NamedTuple):
+    """Three random bytes (h, w, 3) for each cell of pixels, and how many cells there are to a pixel's width."""
+
+    cells: ByteArray
+    cells_per_px: float
+
+
+class Limits(NamedTuple):
+    """What a depth sensor can see."""
+
+    near_m: float
+    far_m: float
+    least_cosine: float
+    least_light: float
+    lobe_rad: float
+    blinding: float
+
+
+class Pattern(NamedTuple):
+    """How well a projected pattern is matched, and focal length times baseline of the image and of native pixels."""
+
+    sigma_px: float
+    oblique_m: float
+    focal_baseline_px_m: float
+    focal_baseline_native: float
+    steps_per_px: float
+
+
+class Phase(NamedTuple):
+    """How well light is timed: noise `axial` (4,) of what scatters `reference`, and what edges do."""
+
+    axial: FloatArray
+    reference: float
+    jump: float
+    edge_share: float
+    edge_loss: float
 
 
 @kernel
@@ -85,33 +133,22 @@ def _cover(nearest: Any, start: float, end: float, d_start: float, d_end: float)
 
 
 @kernel
-def detectable(
-    depth_m: Any,
-    geom: Any,
-    cosine: Any,
-    light: Any,
-    shine: Any,
-    chance: Any,
-    cells_per_px: float,
-    near_m: float,
-    far_m: float,
-    least_cosine: float,
-    least_light: float,
-    lobe_rad: float,
-    blinding: float,
-) -> Any:
+def detectable(seen: Seen, shine: FloatArray, chance: Chance, limits: Limits) -> Any:
     """(H, W) which pixels get enough light from in range, and are not blinded by a mirrored lamp.
 
-    The three limits sway by a quarter with the first of the bytes `chance` (h, w, 3) of a pixel's cell, so that what
-    fades does so in patches. A mirror's lobe is shine (G,) · exp(-(θ / lobe)²).
+    The three limits sway by a quarter with the first byte of a pixel's cell, so that what fades does so in patches. A
+    mirror's lobe is shine (G,) · exp(-(θ / lobe)²).
     """
+    depth_m, geom, cosine, light = seen
+    near_m, far_m, least_cosine, least_light, lobe_rad, blinding = limits
+    cells_per_px = chance.cells_per_px
     usable = np.zeros(depth_m.shape, np.bool_)
     for row in range(depth_m.shape[0]):
         for column in range(depth_m.shape[1]):
             z = depth_m[row, column]
             if z < near_m or z > far_m or z <= 0:
                 continue
-            luck = 0.75 + 0.5 * chance[int(row * cells_per_px), int(column * cells_per_px), 0] / _BYTE
+            luck = 0.75 + 0.5 * chance.cells[int(row * cells_per_px), int(column * cells_per_px), 0] / _BYTE
             if cosine[row, column] < least_cosine * luck or light[row, column] < least_light * luck:
                 continue
             mirrored = shine[geom[row, column]]
@@ -124,31 +161,21 @@ def detectable(
 
 
 @kernel
-def match_pattern(
-    depth_m: Any,
-    usable: Any,
-    cosine: Any,
-    noise: Any,
-    chance: Any,
-    cells_per_px: float,
-    shifts_px: Any,
-    sigma_px: float,
-    oblique_m: float,
-    focal_baseline_px_m: float,
-    focal_baseline_native: float,
-    steps_per_px: float,
-) -> Any:
+def match_pattern(seen: Seen, usable: Any, noise: Any, chance: Chance, shifts_px: Any, pattern: Pattern) -> Any:
     """(H, W) depth by matching a projected pattern; 0 where it is not `usable`.
 
     Disparities in native pixels get the unit normal `noise` (H, W) times `sigma_px` and are rounded to
     1 / `steps_per_px`, depths then to millimetres. `oblique_m` scales the noise that grows with the angle of incidence.
-    Edges are displaced by entries of `shifts_px` (256,), which the second and third byte of `chance` (h, w, 3) choose
-    for all pixels of a cell together.
+    Edges are displaced by entries of `shifts_px` (256,), which the second and third byte of a cell choose for all its
+    pixels together.
     """
+    depth_m, _, cosine, _ = seen
+    sigma_px, oblique_m, focal_baseline_px_m, focal_baseline_native, steps_per_px = pattern
+    cells_per_px = chance.cells_per_px
     measured = np.zeros(depth_m.shape, np.float32)
     for row in range(depth_m.shape[0]):
         for column in range(depth_m.shape[1]):
-            cell = chance[int(row * cells_per_px), int(column * cells_per_px)]
+            cell = chance.cells[int(row * cells_per_px), int(column * cells_per_px)]
             r, c = _beside_edge(depth_m, row, column, shifts_px[cell[1]], shifts_px[cell[2]], focal_baseline_px_m)
             if not usable[r, c]:
                 continue
@@ -186,21 +213,7 @@ def _obliqueness(cosine: float) -> Any:
 
 
 @kernel
-def time_light(
-    depth_m: Any,
-    geom: Any,
-    usable: Any,
-    cosine: Any,
-    light: Any,
-    scattered: Any,
-    noise: Any,
-    chance: Any,
-    axial: Any,
-    reference: float,
-    jump: float,
-    edge_share: float,
-    edge_loss: float,
-) -> Any:
+def time_light(seen: Seen, usable: Any, scattered: Any, noise: Any, chance: ByteArray, phase: Phase) -> Any:
     """(H, W) depth by the phase of returned light, rounded to millimetres; 0 where it is not `usable`.
 
     Noise is the unit normal `noise` (H, W) times a + b·z + c·z² + d·z^1.5·θ²/(π/2 - θ)² of `axial` (4,) in metres, and
@@ -208,6 +221,8 @@ def time_light(
     chance `edge_loss`, else gets up to `edge_share` of its light from beyond the step: bytes 1 and 2 of `chance`
     (H, W, 3) decide.
     """
+    depth_m, geom, cosine, light = seen
+    axial, reference, jump, edge_share, edge_loss = phase
     measured = np.zeros(depth_m.shape, np.float32)
     for row in range(depth_m.shape[0]):
         for column in range(depth_m.shape[1]):

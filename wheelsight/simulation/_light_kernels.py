@@ -3,15 +3,36 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import Float32Array, FloatArray, Int32Array
 from wheelsight.simulation._texture_kernels import cover, hash_unit, stripes
 
 _SPILL = 0.25
 _SEAM_M = 0.10
 _CORNER_M = 0.3
 _STRIDE_PX = 4
+
+
+class Views(NamedTuple):
+    """`View`'s arrays."""
+
+    depth_m: Float32Array
+    geom: Int32Array
+    normal_world: Float32Array
+    T_world_camera: FloatArray
+    rays: FloatArray
+
+
+class Light(NamedTuple):
+    """`Lighting`'s arrays but for its lattice."""
+
+    tints: FloatArray
+    sun: FloatArray
+    grid: FloatArray
+    flux: Float32Array
+    clearance: Float32Array
 
 
 @kernel(error_model="numpy")
@@ -51,7 +72,7 @@ def turned(R: Any, v: Any) -> Any:
 
 
 @kernel(error_model="numpy")
-def light_row(v: int, view: Any, light: Any, out: Any) -> None:
+def light_row(v: int, view: Views, light: Light, out: Any) -> None:
     """Irradiance over π into row v of `out` (H, W, 3); `view` and `light` as for `paint_rows`.
 
     Light changes slowly: along a flat face it is computed for each fourth pixel, and between them interpolated.

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from wheelsight.compiled import kernel
-from wheelsight.simulation._light_kernels import lamp_at, light_at, light_row, nine, tinted, turned
+from wheelsight.geometry.arrays import Float32Array, FloatArray, Int32Array, IntArray
+from wheelsight.simulation._light_kernels import Light, Views, lamp_at, light_at, light_row, nine, tinted, turned
 from wheelsight.simulation._outline_kernels import is_same_face, three
 from wheelsight.simulation._picture_kernels import books, door, notice_board, poster
 from wheelsight.simulation._texture_kernels import (
+    Footprint,
+    Look,
     carpet,
     ceiling,
     fabric,
@@ -25,6 +28,38 @@ _CURVED = 3
 _FLAT_THING_M = 0.12
 _LEAST_FOOTPRINT_M = 1e-4
 _MOST_FOOTPRINT_M = 20.0
+
+
+class Things(NamedTuple):
+    """Of each of G geoms MuJoCo's type and size, middle and orientation, and its texture.
+
+    Attributes:
+        kind: (G,).
+        size_m: (G, 3).
+        position_world: (G, 3).
+        R_world_geom: (G, 3, 3).
+        origin: (G, 3) where the texture's origin lies in the geom's own frame.
+        looks: (G, 2) number of the texture, and seed.
+        colours: (G, 6) main and accent colour.
+        numbers: (G, 3) scale in metres, contrast and glow.
+    """
+
+    kind: Int32Array
+    size_m: FloatArray
+    position_world: FloatArray
+    R_world_geom: FloatArray
+    origin: FloatArray
+    looks: IntArray
+    colours: FloatArray
+    numbers: FloatArray
+
+
+class Scenery(NamedTuple):
+    """What is painted, and its light; `lattice` is `Lighting`'s."""
+
+    things: Things
+    light: Light
+    lattice: FloatArray
 
 
 @kernel(error_model="numpy")
@@ -77,57 +112,39 @@ def pixel_step(n: Any, ray: Any, to_next: Any, depth_m: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def albedo_at(
-    kind: int,
-    s: float,
-    t: float,
-    hs: float,
-    ht: float,
-    ws: float,
-    wt: float,
-    rgb: Any,
-    accent: Any,
-    scale_m: float,
-    contrast: float,
-    seed: int,
-) -> Any:
-    """Reflectances of one texture at a point of a face."""
+def albedo_at(kind: int, at: Footprint, hs: float, ht: float, look: Look) -> Any:
+    """Reflectances of one texture at a point of a face of half size `hs` by `ht`."""
     if kind == PLASTER:
-        return plaster(s, t, ws, wt, rgb, contrast, seed)
+        return plaster(at.s, at.t, at.ws, at.wt, look.rgb, look.contrast, look.seed)
     if kind == CARPET:
-        return carpet(s, t, ws, wt, rgb, accent, scale_m, contrast, seed)
+        return carpet(at, look)
     if kind == TILES:
-        return tiles(s, t, ws, wt, rgb, accent, scale_m, contrast, seed)
+        return tiles(at, look)
     if kind == WOOD:
-        return wood(s, t, ws, wt, rgb, accent, scale_m, contrast, seed)
+        return wood(at, look)
     if kind == CEILING:
-        return ceiling(s, t, ws, wt, rgb, accent, scale_m, contrast, seed)
+        return ceiling(at, look)
     if kind == FABRIC:
-        return fabric(s, t, ws, wt, rgb, accent, scale_m, contrast, seed)
+        return fabric(at, look)
     if kind != PLAIN and min(hs, ht) < _FLAT_THING_M:
-        return scaled(accent, 0.8)
+        return scaled(look.accent, 0.8)
     if kind == DOOR:
-        return door(s, t, hs, ht, ws, wt, rgb, accent, contrast, seed)
+        return door(at, hs, ht, look)
     if kind == POSTER:
-        return poster(s, t, hs, ht, ws, wt, rgb, accent, contrast, seed)
+        return poster(at, hs, ht, look)
     if kind == NOTICE_BOARD:
-        return notice_board(s, t, hs, ht, ws, wt, rgb, accent, scale_m, contrast, seed)
+        return notice_board(at, hs, ht, look)
     if kind == BOOKS:
-        return books(s, t, hs, ht, ws, wt, rgb, scale_m, contrast, seed)
-    return rgb
+        return books(at, hs, ht, look)
+    return look.rgb
 
 
 @kernel(error_model="numpy")
-def paint_rows(first: int, last: int, view: Any, geoms: Any, light: Any, lattice: Any, out: Any) -> None:
-    """Radiance `out` (H, W, 3) of the rows from first up to last.
-
-    `view` is `View`'s arrays in their order. `geoms` is of each geom MuJoCo's type and size, middle and orientation,
-    where its texture's origin lies in its own frame (G, 3), its texture's number and seed (G, 2), main and accent
-    colour (G, 6), and scale in metres, contrast and glow (G, 3). `light` and `lattice` are `Lighting`'s.
-    """
+def paint_rows(first: int, last: int, view: Views, scenery: Scenery, out: Float32Array) -> None:
+    """Radiance `out` (H, W, 3) of the rows from first up to last."""
     depth_m, geom, normal_world, T_world_camera, rays = view
     width = depth_m.shape[1]
-    looks, numbers = geoms[5], geoms[7]
+    things, light, _ = scenery
     for v in range(first, last):
         R_world_camera, origin = nine(T_world_camera[v]), place(T_world_camera, v)
         light_row(v, view, light, out)
@@ -140,19 +157,19 @@ def paint_rows(first: int, last: int, view: Any, geoms: Any, light: Any, lattice
             p = (origin[0] + z * ray[0], origin[1] + z * ray[1], origin[2] + z * ray[2])
             beside, below = to_neighbours(v, u, rays, R_world_camera)
             step_u, step_v = pixel_step(n, ray, beside, z), pixel_step(n, ray, below, z)
-            r, e, b = albedo_on_geom(g, p, n, step_u, step_v, geoms)
-            glow = glow_of(g, p, n, step_u, step_v, looks, numbers, lattice)
+            r, e, b = albedo_on_geom(g, p, n, step_u, step_v, things)
+            glow = glow_of(g, p, n, step_u, step_v, scenery)
             out[v, u, 0] *= r
             out[v, u, 1] *= e
             out[v, u, 2] *= b
             if glow > 0:
                 for c in range(3):
-                    out[v, u, c] += glow * light[0][1, c]
+                    out[v, u, c] += glow * light.tints[1, c]
 
 
 @kernel(error_model="numpy")
 def paint_outlines(
-    first: int, last: int, pixels: Any, samples: Any, view: Any, geoms: Any, light: Any, lattice: Any, out: Any
+    first: int, last: int, pixels: IntArray, samples: Views, view: Views, scenery: Scenery, out: Float32Array
 ) -> None:
     """Put into `out` (H, W, 3) the mean radiance over each of the `pixels` (N, 2), from first up to last.
 
@@ -161,7 +178,7 @@ def paint_outlines(
     pixel already.
     """
     depth_m, geom, normal_world, T_world_camera, rays = samples
-    seen, facing, middles = view[1], view[2], view[4]
+    seen, facing, middles = view.geom, view.normal_world, view.rays
     share = 1 / (depth_m.shape[1] + 1)
     for i in range(first, last):
         v, u = pixels[i]
@@ -178,19 +195,17 @@ def paint_outlines(
                 ray = turned(R_world_camera, three(rays, i, s))
                 p = (origin[0] + z * ray[0], origin[1] + z * ray[1], origin[2] + z * ray[2])
                 step_u, step_v = pixel_step(n, ray, beside, z), pixel_step(n, ray, below, z)
-                r, e, b = radiance_of(g, p, n, step_u, step_v, geoms, light, lattice)
+                r, e, b = radiance_of(g, p, n, step_u, step_v, scenery)
             red, green, blue = red + r, green + e, blue + b
         out[v, u, 0], out[v, u, 1], out[v, u, 2] = share * red, share * green, share * blue
 
 
 @kernel(error_model="numpy")
-def radiance_of(
-    g: int, p: Any, n: Any, step_u: Any, step_v: Any, geoms: Any, light: Any, lattice: Any
-) -> tuple[Any, Any, Any]:
+def radiance_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, scenery: Scenery) -> tuple[Any, Any, Any]:
     """What a geom sends from p with normal n, over a pixel whose edges there are two steps."""
-    tints, sun, grid, flux, clearance = light
-    r, e, b = albedo_on_geom(g, p, n, step_u, step_v, geoms)
-    glow = glow_of(g, p, n, step_u, step_v, geoms[5], geoms[7], lattice)
+    tints, sun, grid, flux, clearance = scenery.light
+    r, e, b = albedo_on_geom(g, p, n, step_u, step_v, scenery.things)
+    glow = glow_of(g, p, n, step_u, step_v, scenery)
     shade, lamp, window = light_at(p, n, sun, grid, flux, clearance)
     return (
         r * tinted(0, shade, lamp, window, tints) + glow * tints[1, 0],
@@ -216,18 +231,19 @@ def to_neighbours(v: int, u: int, rays: Any, R_world_camera: Any) -> Any:
 
 
 @kernel(error_model="numpy")
-def glow_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, looks: Any, numbers: Any, lattice: Any) -> Any:
+def glow_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, scenery: Scenery) -> Any:
     """How bright a geom shines by itself at p with normal n, over a pixel whose edges there are two steps."""
-    glow = numbers[g, 2]
-    if looks[g, 0] == CEILING and n[2] < -0.9:
+    things, _, lattice = scenery
+    glow = things.numbers[g, 2]
+    if things.looks[g, 0] == CEILING and n[2] < -0.9:
         glow += lamp_at(p[0], p[1], abs(step_u[0]) + abs(step_v[0]), abs(step_u[1]) + abs(step_v[1]), lattice)
     return glow
 
 
 @kernel(error_model="numpy")
-def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, geoms: Any) -> Any:
+def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, things: Things) -> Any:
     """Reflectances at a point p of a geom, with normal n in the world, over a pixel whose edges there are two steps."""
-    shape, size_m, position_world, R_world_geom, origin, looks, colours, numbers = geoms
+    shape, size_m, position_world, R_world_geom, origin, looks, colours, numbers = things
     kind = int(looks[g, 0])
     rgb, accent = (colours[g, 0], colours[g, 1], colours[g, 2]), (colours[g, 3], colours[g, 4], colours[g, 5])
     if kind == PLAIN:
@@ -242,7 +258,8 @@ def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, geoms: Any)
     wt = min(max(wt_u + wt_v, _LEAST_FOOTPRINT_M), _MOST_FOOTPRINT_M)
     s, t = on_face(face, normal, (local[0] + origin[g, 0], local[1] + origin[g, 1], local[2] + origin[g, 2]))
     hs, ht = size_m[g, 1 if face == 0 else 0], size_m[g, 1 if face == 2 else 2]
-    colour = albedo_at(kind, s, t, hs, ht, ws, wt, rgb, accent, numbers[g, 0], numbers[g, 1], int(looks[g, 1]))
+    look = Look(rgb, accent, numbers[g, 0], numbers[g, 1], int(looks[g, 1]))
+    colour = albedo_at(kind, Footprint(s, t, ws, wt), hs, ht, look)
     if kind == PLASTER and abs(n[2]) < 0.3:
         height_w = max(abs(step_u[2]) + abs(step_v[2]), _LEAST_FOOTPRINT_M)
         colour = used_wall(colour, s, p[2], 2 * ht if face != _CURVED else 0.0, ws, height_w, int(looks[g, 1]))

@@ -10,6 +10,8 @@ from typing import Any
 
 from wheelsight.compiled import kernel
 from wheelsight.simulation._texture_kernels import (
+    Footprint,
+    Look,
     blot,
     cells,
     cover,
@@ -51,13 +53,13 @@ def pick_colour(key: int, seed: int, strength: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def door(
-    s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int
-) -> Any:
+def door(at: Footprint, hs: float, ht: float, look: Look) -> Any:
     """Frame, leaf with grain, two panels or a slit of glass, handle, kick plate, dents, and a number at eye height."""
+    s, t, ws, wt = at
+    rgb, accent, _, contrast, seed = look
     side = 1.0 if hash_unit(1, 1, seed) < 0.5 else -1.0
     up, x = t + ht, s * side
-    leaf = grain(t, s, wt, ws, rgb, scaled(rgb, 0.45), contrast, seed, 0.0)
+    leaf = grain(Footprint(t, s, wt, ws), rgb, scaled(rgb, 0.45), contrast, seed, 0.0)
     if hash_unit(2, 1, seed) < 0.45:
         glass = rectangle(x, up, 0.25 * hs, 0.25 * hs + 0.14, 0.55, 2 * ht - 0.3, ws, wt)
         rim = rectangle(x, up, 0.25 * hs - 0.02, 0.25 * hs + 0.16, 0.53, 2 * ht - 0.28, ws, wt)
@@ -71,17 +73,20 @@ def door(
             leaf = scaled(leaf, 1 - 0.4 * (outer - inner) + 0.05 * inner)
     knocked = blot(s, up, 0.19, ws, wt, seed + 7, 0.5, 0.011)
     leaf = scaled(mix(leaf, _STEEL, rectangle(s, up, -hs + 0.08, hs - 0.08, 0.01, 0.2, ws, wt)), 1 - 0.5 * knocked)
-    leaf = _handle_and_number(leaf, x, s, up, hs, ws, wt, accent, seed)
+    leaf = _handle_and_number(leaf, Footprint(s, up, ws, wt), side, hs, accent, seed)
     frame = 1 - rectangle(s, up, -hs + 0.06, hs - 0.06, -1.0, 2 * ht - 0.06, ws, wt)
     gap = 1 - rectangle(s, up, -hs + 0.068, hs - 0.068, 0.006, 2 * ht - 0.068, ws, wt)
     return mix(scaled(leaf, 1 - 0.8 * gap), accent, frame)
 
 
 @kernel(error_model="numpy")
-def _handle_and_number(
-    leaf: Any, x: float, s: float, up: float, hs: float, ws: float, wt: float, accent: Any, seed: int
-) -> Any:
-    """A leaf's colour with lever and plate at hand's height, and the room's number with lines of print."""
+def _handle_and_number(leaf: Any, at: Footprint, side: float, hs: float, accent: Any, seed: int) -> Any:
+    """A leaf's colour with lever and plate at hand's height, and the room's number with lines of print.
+
+    Here t runs up from the leaf's foot; the lever is on the `side` of negative s, or with -1 on the other.
+    """
+    s, up, ws, wt = at
+    x = s * side
     leaf = mix(leaf, scaled(_STEEL, 1.1), rectangle(x, up, -hs + 0.1, -hs + 0.15, 0.92, 1.14, ws, wt))
     leaf = mix(leaf, scaled(_STEEL, 0.35), rectangle(x, up, -hs + 0.115, -hs + 0.25, 1.04, 1.065, ws, wt))
     leaf = mix(leaf, _INK, rectangle(x, up, -hs + 0.118, -hs + 0.132, 0.95, 0.985, ws, wt))
@@ -118,10 +123,10 @@ def picture(s: float, t: float, w_m: float, ws: float, wt: float, strength: floa
 
 
 @kernel(error_model="numpy")
-def poster(
-    s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int
-) -> Any:
+def poster(at: Footprint, hs: float, ht: float, look: Look) -> Any:
     """A frame, a headline, a picture, a chart, and columns of print, laid out by the seed."""
+    s, t, ws, wt = at
+    rgb, accent, _, contrast, seed = look
     u, v, width, height = s + hs, ht - t, 2 * hs, 2 * ht
     margin = 0.05 * width
     ground = mix(_PAPER, rgb, 0.3 + 0.7 * hash_unit(1, 2, seed))
@@ -149,27 +154,17 @@ def poster(
 
 
 @kernel(error_model="numpy")
-def notice_board(
-    s: float,
-    t: float,
-    hs: float,
-    ht: float,
-    ws: float,
-    wt: float,
-    rgb: Any,
-    accent: Any,
-    scale_m: float,
-    contrast: float,
-    seed: int,
-) -> Any:
+def notice_board(at: Footprint, hs: float, ht: float, look: Look) -> Any:
     """Cork in a frame, covered with notes: large sheets below, smaller ones over them, each with its own print."""
+    s, t, ws, wt = at
+    rgb, accent, scale_m, contrast, seed = look
     cork = 0.5 * noise(s, t, 0.02, 0.02, ws, wt, seed) + (cells(s, t, 0.006, 0.006, ws, wt, seed + 1, 0.0) - 0.5)
     colour = scaled(rgb, 1 + 0.5 * contrast * cork)
     largest = min(max(scale_m, 0.15), 0.45)
     for layer in range(3):
         size = largest * (1.0, 0.66, 0.36)[layer]
         likely = (0.7, 0.55, 0.4)[layer]
-        colour = _note(colour, s, t, hs, ht, ws, wt, size, likely, contrast, seed + 31 * (layer + 1))
+        colour = _note(colour, at, hs, ht, size, likely, contrast, seed + 31 * (layer + 1))
     frame = 1 - rectangle(s, t, -hs + 0.035, hs - 0.035, -ht + 0.035, ht - 0.035, ws, wt)
     shadow = 1 - rectangle(s, t, -hs + 0.045, hs - 0.045, -ht + 0.045, ht - 0.055, ws, wt)
     return mix(scaled(colour, 1 - 0.4 * shadow), accent, frame)
@@ -177,19 +172,10 @@ def notice_board(
 
 @kernel(error_model="numpy")
 def _note(
-    under: Any,
-    s: float,
-    t: float,
-    hs: float,
-    ht: float,
-    ws: float,
-    wt: float,
-    size: float,
-    likely: float,
-    contrast: float,
-    seed: int,
+    under: Any, at: Footprint, hs: float, ht: float, size: float, likely: float, contrast: float, seed: int
 ) -> Any:
     """What is under, or the note pinned over it: one in a cell of a grid, somewhere in the cell and of some size."""
+    s, t, ws, wt = at
     if ws > size or wt > size:
         return mix(under, _PAPER, 0.5 * likely)
     i, j = math.floor(s / size), math.floor(t / size)
@@ -206,15 +192,14 @@ def _note(
     if shadow + sheet <= 0:
         return under
     key = int(hash_unit(i, j, seed + 5) * 65536)
-    paper = _sheet(a, b, half_w, half_h, ws, wt, contrast, seed, key)
+    paper = _sheet(Footprint(a, b, ws, wt), half_w, half_h, contrast, seed, key)
     return mix(scaled(under, 1 - 0.5 * shadow), paper, sheet)
 
 
 @kernel(error_model="numpy")
-def _sheet(
-    a: float, b: float, half_w: float, half_h: float, ws: float, wt: float, contrast: float, seed: int, key: int
-) -> Any:
-    """A note's colour at a, b from its middle: paper, headline or picture, lines of print, a pin."""
+def _sheet(at: Footprint, half_w: float, half_h: float, contrast: float, seed: int, key: int) -> Any:
+    """A note's colour at a place seen from its middle: paper, headline or picture, lines of print, a pin."""
+    a, b, ws, wt = at
     paper = _PAPER if hash_unit(key, 6, seed) < 0.55 else mix(_PAPER, pick_colour(key, seed, 1.0), 0.75 * contrast)
     margin = 0.14 * half_w
     has_picture = hash_unit(key, 7, seed) < 0.3
@@ -234,10 +219,10 @@ def _sheet(
 
 
 @kernel(error_model="numpy")
-def books(
-    s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, scale_m: float, contrast: float, seed: int
-) -> Any:
+def books(at: Footprint, hs: float, ht: float, look: Look) -> Any:
     """Spines about as wide as the scale, of many heights and colours, in rows with boards between where it is tall."""
+    s, t, ws, wt = at
+    rgb, _, scale_m, contrast, seed = look
     rows = max(math.floor(2 * ht / _SHELF_M + 0.5), 1)
     pitch = 2 * ht / rows
     thick = 0.025 if rows > 1 else 0.0
@@ -248,7 +233,7 @@ def books(
     blurred = min(max(0.7 * ws / scale_m - 1, 0.0), 1.0)
     inside = mix(back, _MEAN_SPINE, cover(above, 0.0, 0.77 * clear, max(wt, 0.3 * clear)))
     if blurred < 1:
-        spines = _two_spines(s, row, above, clear, back, ws, wt, scale_m, contrast, seed)
+        spines = _two_spines(Footprint(s, above, ws, wt), row, clear, back, scale_m, contrast, seed)
         inside = mix(spines, inside, blurred)
     if thick == 0:
         return inside
@@ -258,45 +243,25 @@ def books(
 
 
 @kernel(error_model="numpy")
-def _two_spines(
-    s: float,
-    row: int,
-    above: float,
-    clear: float,
-    back: Any,
-    ws: float,
-    wt: float,
-    scale_m: float,
-    contrast: float,
-    seed: int,
-) -> Any:
-    """The book at s, and the next where the footprint reaches over to it."""
+def _two_spines(at: Footprint, row: int, clear: float, back: Any, scale_m: float, contrast: float, seed: int) -> Any:
+    """The book at s, and the next where the footprint reaches over to it; t runs up from the board they stand on."""
+    s, _, ws, _ = at
     column = math.floor(s / scale_m)
     # A spine's right edge is moved within its slot; what is left of the slot belongs to the next book.
     edge = (column + 0.35 + 0.65 * hash_unit(column, row, seed)) * scale_m
     left = cover(s, edge - 1.0, edge, ws)
     inside = back
     if left > 0:
-        inside = mix(inside, _spine(column, row, s, above, clear, back, ws, wt, contrast, seed), left)
+        inside = mix(inside, _spine(column, row, at, clear, back, contrast, seed), left)
     if left < 1:
-        inside = mix(inside, _spine(column + 1, row, s, above, clear, back, ws, wt, contrast, seed), 1 - left)
+        inside = mix(inside, _spine(column + 1, row, at, clear, back, contrast, seed), 1 - left)
     return scaled(inside, 1 - 0.6 * cover(s, edge - 0.002, edge + 0.002, ws))
 
 
 @kernel(error_model="numpy")
-def _spine(
-    book: int,
-    row: int,
-    s: float,
-    above: float,
-    clear: float,
-    back: Any,
-    ws: float,
-    wt: float,
-    contrast: float,
-    seed: int,
-) -> Any:
+def _spine(book: int, row: int, at: Footprint, clear: float, back: Any, contrast: float, seed: int) -> Any:
     """A book's spine with label and band, and the shelf's back above it; some books are missing."""
+    s, above, ws, wt = at
     if hash_unit(book, row, seed + 2) < 0.07:
         return back
     tall = clear * (0.62 + 0.3 * hash_unit(book, row, seed + 1))

@@ -6,11 +6,12 @@ N rays are numbered row by row.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import Float32Array, FloatArray, Int32Array
 
 _PLANE = 0
 _BOX = 6
@@ -18,6 +19,59 @@ _BEHIND = 1e-3
 # Below this cosine between ray and surface, a shift of the origin may not be carried along the ray.
 _GRAZING = 0.02
 _TOLERANCE_M = 1e-6
+
+
+class Boxes(NamedTuple):
+    """Of each of G geoms MuJoCo's kind and size, and the box around it in its own frame.
+
+    Attributes:
+        kind: (G,).
+        size_m: (G, 3).
+        center: (G, 3) of the box, in the world.
+        half_m: (G, 3) of the box; -1 marks what is not to be hit.
+        R_world_geom: (G, 3, 3).
+    """
+
+    kind: Int32Array
+    size_m: FloatArray
+    center: FloatArray
+    half_m: FloatArray
+    R_world_geom: FloatArray
+
+
+class Bodies(NamedTuple):
+    """Of each of G geoms MuJoCo's kind (G,) and size (G, 3), where it is (G, 3) and how it is turned (G, 3, 3)."""
+
+    kind: Int32Array
+    size_m: FloatArray
+    position_world: FloatArray
+    R_world_geom: FloatArray
+
+
+class Places(NamedTuple):
+    """A small model's arrays for its M geoms: kinds, sizes, positions, orientations (M, 9) and groups."""
+
+    kind: Int32Array
+    size_m: FloatArray
+    position_world: FloatArray
+    R_world_geom: FloatArray
+    group: Int32Array
+
+
+class Hits(NamedTuple):
+    """What each of N rays hits first, or -1; how many ray lengths away; outward normals (N, 3)."""
+
+    hit: Int32Array
+    distance: FloatArray
+    normal: FloatArray
+
+
+class Image(NamedTuple):
+    """Depth in metres (H, W), index of the geom seen (H, W), and its normal in the world (H, W, 3)."""
+
+    depth_m: Float32Array
+    geom: Int32Array
+    normal_world: Float32Array
 
 
 @kernel
@@ -49,18 +103,16 @@ def aim(rays: Any, T_world_rows: Any, tile: Any, R: Any, out: Any) -> Any:
 
 
 @kernel
-def choose(
-    kind: Any, size_m: Any, center: Any, half_m: Any, R_world_geom: Any, R: Any, origin: Any, bounds: Any, far_m: float
-) -> Any:
+def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any, far_m: float) -> Any:
     """Indices of the geoms that rays in a frustum can hit; none that they can is left out.
 
-    `center` (G, 3) and `half_m` (G, 3) are of the geoms' boxes, in their frames; a half of -1 marks what is not to be
-    hit. The frustum starts at `origin` (3,), is turned by R (3, 3), and reaches from `bounds` (u_min, u_max, v_min,
+    The frustum starts at `origin` (3,), is turned by R (3, 3), and reaches from `bounds` (u_min, u_max, v_min,
     v_max) on the plane z = 1 out to `far_m`.
 
     Left out is what lies outside, and what lies behind a box or plane that the frustum's four corners hit: such a body
     is convex, so that every ray between hits it too, and no deeper than the deepest corner.
     """
+    kind, size_m, center, half_m, R_world_geom = boxes
     bounded = np.isfinite(bounds[0])
     sides, offsets = _sides(bounds, R, far_m)
     found, nearest = np.empty(len(kind), np.int32), np.empty(len(kind))
@@ -162,19 +214,10 @@ def _cover(kind: int, size: Any, start: Any, R_geom: Any, R: Any, bounds: Any) -
 
 
 @kernel
-def put(
-    chosen: Any,
-    kind: Any,
-    size_m: Any,
-    position: Any,
-    R_world_geom: Any,
-    to_kind: Any,
-    to_size: Any,
-    to_position: Any,
-    to_R: Any,
-    to_group: Any,
-) -> None:
+def put(chosen: Int32Array, bodies: Bodies, places: Places) -> None:
     """Copy the `chosen` (K,) geoms into the first places of a small model, group 0; the others go to group 1."""
+    kind, size_m, position, R_world_geom = bodies
+    to_kind, to_size, to_position, to_R, to_group = places
     to_group[:] = 1
     for i in range(len(chosen)):
         g = chosen[i]
@@ -186,26 +229,17 @@ def put(
 
 @kernel
 def gather(
-    hit: Any,
-    distance: Any,
-    normal: Any,
-    rays_world: Any,
-    T_world_rows: Any,
-    tile: Any,
-    origin: Any,
-    far_m: float,
-    chosen: Any,
-    depth_m: Any,
-    geom: Any,
-    normal_world: Any,
+    hits: Hits, rays_world: Any, T_world_rows: Any, tile: Any, origin: Any, far_m: float, chosen: Any, image: Image
 ) -> None:
     """Write what a tile's rays hit into an image.
 
-    `hit`, `distance` (N,), `normal` (N, 3) are MuJoCo's answers for `rays_world` (N, 3) from `origin` (3,). A hit
+    `hits` are MuJoCo's answers for `rays_world` (N, 3) from `origin` (3,). A hit
     surface is carried along its tangent plane to where the row's own origin sees it: exact for flat ones; where the ray
     grazes it, the distance stays as it was. `chosen` (K,) are the indices of what was cast at. Where nothing is hit
     within `far_m`, the image stays as it was.
     """
+    hit, distance, normal = hits
+    depth_m, geom, normal_world = image
     i = -1
     for row in range(tile[0], tile[1]):
         for column in range(tile[2], tile[3]):

@@ -8,7 +8,7 @@ Colours are three reflectances.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from wheelsight.compiled import kernel
 
@@ -20,6 +20,25 @@ _LINT = (0.66, 0.64, 0.60)
 _CARPET_SQUARE_M = 0.5
 _VEIN_M = 0.025
 _CHIPPED_FROM_M = 0.25
+
+
+class Footprint(NamedTuple):
+    """Where a pixel's ray meets a face, and how wide the pixel is there; metres along s and t."""
+
+    s: float
+    t: float
+    ws: float
+    wt: float
+
+
+class Look(NamedTuple):
+    """How one thing's surface looks: main and accent reflectances, metres of a pattern, contrast from 0 to 1, seed."""
+
+    rgb: tuple[float, float, float]
+    accent: tuple[float, float, float]
+    scale_m: float
+    contrast: float
+    seed: int
 
 
 @kernel(error_model="numpy")
@@ -160,10 +179,10 @@ def blot(s: float, t: float, cell: float, ws: float, wt: float, seed: int, share
 
 
 @kernel(error_model="numpy")
-def carpet(
-    s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
-) -> Any:
+def carpet(at: Footprint, look: Look) -> Any:
     """Mottled loops of two yarns in squares laid by quarter turns, with lint and stains; large scales have figures."""
+    s, t, ws, wt = at
+    rgb, accent, scale_m, contrast, seed = look
     # Walls stand at round coordinates; a seam along one would lie where rounding decides.
     s, t = s + 0.137, t + 0.071
     i, j = math.floor(s / _CARPET_SQUARE_M), math.floor(t / _CARPET_SQUARE_M)
@@ -190,10 +209,10 @@ def carpet(
 
 
 @kernel(error_model="numpy")
-def tiles(
-    s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
-) -> Any:
+def tiles(at: Footprint, look: Look) -> Any:
     """Square tiles of slightly different shade, veined and speckled; large ones of terrazzo, with chips of stone."""
+    s, t, ws, wt = at
+    rgb, accent, scale_m, contrast, seed = look
     shade = 0.4 * (cells(s, t, scale_m, scale_m, ws, wt, seed, 0.0) - 0.5)
     i, j = math.floor(s / scale_m), math.floor(t / scale_m)
     # Each tile is cut from another place of the stone.
@@ -215,23 +234,23 @@ def tiles(
 
 
 @kernel(error_model="numpy")
-def wood(
-    s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
-) -> Any:
+def wood(at: Footprint, look: Look) -> Any:
     """Planks along s, as wide as the scale and seven times as long, each with its own grain and shade."""
+    s, t, ws, wt = at
+    rgb, accent, scale_m, contrast, seed = look
     width, length = scale_m, 7 * scale_m
     row = math.floor(t / width)
     along = s + length * hash_unit(row, 3, seed)
     plank = cells(along, t, length, width, ws, wt, seed + 1, 0.0) - 0.5
     joint = 1 - (1 - stripes(t, width, 0.002, wt)) * (1 - stripes(along, length, 0.002, ws))
-    return scaled(grain(along + 3 * row, t, ws, wt, rgb, accent, contrast, seed + 2, 0.3 * plank), 1 - 0.65 * joint)
+    fibres = grain(Footprint(along + 3 * row, t, ws, wt), rgb, accent, contrast, seed + 2, 0.3 * plank)
+    return scaled(fibres, 1 - 0.65 * joint)
 
 
 @kernel(error_model="numpy")
-def grain(
-    s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int, shade: float
-) -> Any:
+def grain(at: Footprint, rgb: Any, accent: Any, contrast: float, seed: int, shade: float) -> Any:
     """Wood whose fibres run along s."""
+    s, t, ws, wt = at
     bent = t + 0.02 * noise(s, t, 0.5, 0.08, ws, wt, seed)
     ring = noise(s, bent, 0.9, 0.022, ws, wt, seed + 1)
     fibre = noise(s, bent, 0.12, 0.005, ws, wt, seed + 2)
@@ -240,10 +259,10 @@ def grain(
 
 
 @kernel(error_model="numpy")
-def ceiling(
-    s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
-) -> Any:
+def ceiling(at: Footprint, look: Look) -> Any:
     """Mineral-fibre panels in a metal grid: small holes and fissures."""
+    s, t, ws, wt = at
+    rgb, accent, scale_m, contrast, seed = look
     panel = cells(s, t, scale_m, scale_m, ws, wt, seed, 0.0) - 0.5
     pits = cells(s, t, 0.012, 0.009, ws, wt, seed + 1, 0.12) + 0.6 * max(0.0, noise(s, t, 0.03, 0.02, ws, wt, seed + 2))
     body = scaled(rgb, 1 + contrast * (0.06 * panel - 0.35 * pits))
@@ -253,10 +272,10 @@ def ceiling(
 
 
 @kernel(error_model="numpy")
-def fabric(
-    s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
-) -> Any:
+def fabric(at: Footprint, look: Look) -> Any:
     """A weave with broad folds and stripes as far apart as the scale."""
+    s, t, ws, wt = at
+    rgb, accent, scale_m, contrast, seed = look
     fold = noise(s, t, 0.22, 0.45, ws, wt, seed) + 0.4 * noise(s, t, 0.07, 0.12, ws, wt, seed + 1)
     weave = cells(s, t, 0.006, 0.004, ws, wt, seed + 2, 0.0) - 0.5
     stripe = stripes(s, scale_m, 0.18 * scale_m, ws)

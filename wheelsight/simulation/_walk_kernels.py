@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import FloatArray
+
+
+class Route(NamedTuple):
+    """How far along a route each cell lies (R, C), and how far left of it (R, C); along starts anew after a lap."""
+
+    along_m: FloatArray
+    left_m: FloatArray
+    lap_m: float
+
+
+class Wish(NamedTuple):
+    """How far somebody wants to step along the route, negative for back, and how far left of it to be, metres."""
+
+    stride_m: float
+    favourite_m: float
 
 
 @kernel
@@ -35,24 +51,15 @@ def keep_clear(
 
 @kernel
 def best_step(
-    safe: Any,
-    along_m: Any,
-    left_m: Any,
-    lap_m: float,
-    steps: Any,
-    row: int,
-    column: int,
-    stride_m: float,
-    favourite_m: float,
-    taken: Any,
-    apart: float,
+    safe: Any, route: Route, steps: Any, row: int, column: int, wish: Wish, taken: Any, apart: float
 ) -> tuple[int, int]:
     """The cell (row, column) to step to, of those that are `safe` (R, C) and one of `steps` (K, 2) away.
 
-    Wanted is `stride_m` along the route, negative for back, by `along_m` (R, C), which starts anew after `lap_m`; then
-    to be `favourite_m` left of the route by `left_m` (R, C), and `apart` cells from others' cells `taken` (N, 2).
-    (-1, -1) where no step is safe.
+    Wanted is the stride of `wish`, then to be where it says beside the route, and `apart` cells from others' cells
+    `taken` (N, 2). (-1, -1) where no step is safe.
     """
+    along_m, left_m, lap_m = route
+    stride_m, favourite_m = wish
     best, found = np.inf, (-1, -1)
     for k in range(len(steps)):
         r, c = row + steps[k, 0], column + steps[k, 1]

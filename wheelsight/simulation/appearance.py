@@ -16,8 +16,9 @@ from typing import get_args
 import numpy as np
 
 from wheelsight.errors import ConfigError
-from wheelsight.geometry import Float32Array, FloatArray, Int32Array
+from wheelsight.geometry import Float32Array
 from wheelsight.simulation import _paint_kernels as kernels
+from wheelsight.simulation._light_kernels import Light, Views
 from wheelsight.simulation.lighting import Lighting
 from wheelsight.simulation.view import Geoms, Outlines, View
 from wheelsight.simulation.world import Surface, SurfaceKind
@@ -69,13 +70,9 @@ class Painter:
         geoms = geoms or self._geoms
         out = np.empty((*view.depth_m.shape, 3), np.float32)
         light = self.lighting
-        arguments = (
-            _arrays(view),
-            (geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *self._painted),
-            (light.tints, light.sun, light.grid, light.flux, light.clearance),
-            light.lattice,
-            out,
-        )
+        things = kernels.Things(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *self._painted)
+        rays = Light(light.tints, light.sun, light.grid, light.flux, light.clearance)
+        arguments = _arrays(view), kernels.Scenery(things, rays, light.lattice), out
         self._in_parts(kernels.paint_rows, len(out), *arguments)
         if outlines is not None:
             samples = outlines.pixels, _arrays(outlines.samples)
@@ -93,8 +90,8 @@ class Painter:
             part.result()
 
 
-def _arrays(view: View) -> tuple[Float32Array, Int32Array, Float32Array, FloatArray, FloatArray]:
-    return view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays
+def _arrays(view: View) -> Views:
+    return Views(view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays)
 
 
 def _surface_of(geom: str, material: str, surfaces: Mapping[str, Surface]) -> Surface:

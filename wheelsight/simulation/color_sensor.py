@@ -124,10 +124,12 @@ class ColorSensor:
         kernels.develop(
             image,
             self._fall_off(view.rays),
-            self.electrons_per_s * exposure.time_s,
-            self.full_well,
-            self.read_noise,
-            exposure.gain / self.full_well,
+            kernels.Exposed(
+                self.electrons_per_s * exposure.time_s,
+                self.full_well,
+                self.read_noise,
+                exposure.gain / self.full_well,
+            ),
             _normal_quantiles(),
             _srgb_bytes(),
             int(rng.integers(2**31)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -106,27 +106,20 @@ class StructuredLight:
         native_per_px = self.native_focal_px / camera.fx
         focal_baseline = camera.fx * self.baseline_m
         cells = tuple(int(side * native_per_px / self.block_px) + 1 for side in view.depth_m.shape)
-        chance = rng.integers(0, 256, (*cells, 3), np.uint8)
+        chance = kernels.Chance(rng.integers(0, 256, (*cells, 3), np.uint8), native_per_px / self.block_px)
         noise = _correlated(rng, view.depth_m.shape, 0.5 * self.block_px / native_per_px)
-        cosine, light = _light(view, infrared * (1 - shine))
-        usable = _detectable(self, view, cosine, light, shine, chance, native_per_px / self.block_px)
+        seen = _light(view, infrared * (1 - shine))
+        usable = kernels.detectable(seen, shine, chance, _limits(self))
         usable &= kernels.lit_by_projector(view.depth_m, view.geom, focal_baseline, self.shadow_px / native_per_px)
-        return np.asarray(
-            kernels.match_pattern(
-                view.depth_m,
-                usable,
-                cosine,
-                noise,
-                chance,
-                native_per_px / self.block_px,
-                _normal_table(self.edge_sigma_px / native_per_px),
-                self._matching_sigma_px,
-                self.oblique_m,
-                focal_baseline,
-                self.native_focal_px * self.baseline_m,
-                self.steps_per_px,
-            )
+        pattern = kernels.Pattern(
+            self._matching_sigma_px,
+            self.oblique_m,
+            focal_baseline,
+            self.native_focal_px * self.baseline_m,
+            self.steps_per_px,
         )
+        shifts_px = _normal_table(self.edge_sigma_px / native_per_px)
+        return np.asarray(kernels.match_pattern(seen, usable, noise, chance, shifts_px, pattern))
 
     @property
     def _matching_sigma_px(self) -> float:
@@ -175,51 +168,22 @@ class TimeOfFlight:
         chance = rng.integers(0, 256, (*view.depth_m.shape, 3), np.uint8)
         noise = _correlated(rng, view.depth_m.shape, 0.0)
         scattered = infrared * (1 - shine)
-        cosine, light = _light(view, scattered)
-        usable = _detectable(self, view, cosine, light, shine, chance, 1.0)
-        measured = kernels.time_light(
-            view.depth_m,
-            view.geom,
-            usable,
-            cosine,
-            light,
-            scattered,
-            noise,
-            chance,
-            np.array(self.axial),
-            self.reference,
-            self.jump,
-            self.edge_share,
-            self.edge_loss,
-        )
-        return np.asarray(measured)
+        seen = _light(view, scattered)
+        usable = kernels.detectable(seen, shine, kernels.Chance(chance, 1.0), _limits(self))
+        phase = kernels.Phase(np.array(self.axial), self.reference, self.jump, self.edge_share, self.edge_loss)
+        return np.asarray(kernels.time_light(seen, usable, scattered, noise, chance, phase))
 
 
-def _light(view: View, scattered: FloatArray) -> tuple[Any, Any]:
+def _light(view: View, scattered: FloatArray) -> kernels.Seen:
     R_world_rows = np.ascontiguousarray(view.T_world_camera[:, :3, :3])
     cosine, light = kernels.returned_light(
         view.depth_m, view.geom, view.normal_world, R_world_rows, view.rays, scattered
     )
-    return cosine, light
+    return kernels.Seen(view.depth_m, view.geom, cosine, light)
 
 
-def _detectable(
-    sensor: StructuredLight | TimeOfFlight,
-    view: View,
-    cosine: Any,
-    light: Any,
-    shine: FloatArray,
-    chance: NDArray[np.uint8],
-    cells_per_px: float,
-) -> Any:
-    return kernels.detectable(
-        view.depth_m,
-        view.geom,
-        cosine,
-        light,
-        shine,
-        chance,
-        cells_per_px,
+def _limits(sensor: StructuredLight | TimeOfFlight) -> kernels.Limits:
+    return kernels.Limits(
         sensor.near_m,
         sensor.far_m,
         math.cos(math.radians(sensor.grazing_deg)),

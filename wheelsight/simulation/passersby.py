@@ -236,15 +236,14 @@ def _walk(
     turns_at_s = rng.uniform(*_TURNS_AFTER_S, count)
     stuck_s = np.zeros(count)
     steps = _steps()
+    route = kernels.Route(ground.along_m, ground.left_m, ground.lap_m)
     for k in range(1, len(safe)):
         now = safe.at(k)
         for i in range(count):
             others = np.concatenate([cells[k, :i], cells[k - 1, i + 1 :]])
-            wish = heading[i] * stride_m[i], -heading[i] * right_m[i]
+            wish = kernels.Wish(heading[i] * stride_m[i], -heading[i] * right_m[i])
             row, column = cells[k - 1, i]
-            cells[k, i] = kernels.best_step(
-                now, ground.along_m, ground.left_m, ground.lap_m, steps, row, column, *wish, others, _APART_M / _CELL_M
-            )
+            cells[k, i] = kernels.best_step(now, route, steps, row, column, wish, others, _APART_M / _CELL_M)
             moved_m = _CELL_M * float(np.hypot(*(cells[k, i] - cells[k - 1, i])))
             stuck_s[i] = stuck_s[i] + _STEP_S if moved_m < 0.3 * stride_m[i] else 0.0
             if stuck_s[i] > _PATIENCE_S or k * _STEP_S > turns_at_s[i]:

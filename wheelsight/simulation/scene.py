@@ -143,12 +143,12 @@ class Scene:
         R, origin = np.ascontiguousarray(middle[:3, :3]), np.ascontiguousarray(middle[:3, 3])
         rays = np.empty(((tile[1] - tile[0]) * (tile[3] - tile[2]), 3))
         bounds = kernels.aim(view.rays, T, tile, R, rays)
-        boxes = geoms.kind, geoms.size_m, center, self._half_m, geoms.R_world_geom
-        chosen = kernels.choose(*boxes, R, origin, bounds, far_m * _FAR_MARGIN)
+        boxes = kernels.Boxes(geoms.kind, geoms.size_m, center, self._half_m, geoms.R_world_geom)
+        chosen = kernels.choose(boxes, R, origin, bounds, far_m * _FAR_MARGIN)
         if len(chosen):
             hits = targets.cast(geoms, chosen, origin, rays)
-            out = view.depth_m, view.geom, view.normal_world
-            kernels.gather(*hits, rays, T, tile, origin, far_m, chosen, *out)
+            image = kernels.Image(view.depth_m, view.geom, view.normal_world)
+            kernels.gather(hits, rays, T, tile, origin, far_m, chosen, image)
 
 
 class _Targets:
@@ -159,23 +159,22 @@ class _Targets:
     """
 
     def __init__(self) -> None:
-        self._models: dict[int, tuple[Any, Any, tuple[Any, ...]]] = {}
+        self._models: dict[int, tuple[Any, Any, kernels.Places]] = {}
 
-    def cast(
-        self, geoms: Geoms, chosen: Int32Array, origin: FloatArray, rays: FloatArray
-    ) -> tuple[Int32Array, FloatArray, FloatArray]:
+    def cast(self, geoms: Geoms, chosen: Int32Array, origin: FloatArray, rays: FloatArray) -> kernels.Hits:
         """Which of `chosen` (K,) each ray (N, 3) hits first, or -1; how many ray lengths away; outward normals."""
         import mujoco
 
         n = len(rays)
         model, data, places = self._of_size(len(chosen))
-        kernels.put(chosen, geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *places)
+        bodies = kernels.Bodies(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom)
+        kernels.put(chosen, bodies, places)
         hit, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
         out = hit, distance, normal.reshape(-1)
         mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), _FIRST_GROUP, True, -1, *out, n, _NO_LIMIT)
-        return hit, distance, normal
+        return kernels.Hits(hit, distance, normal)
 
-    def _of_size(self, count: int) -> tuple[Any, Any, tuple[Any, ...]]:
+    def _of_size(self, count: int) -> tuple[Any, Any, kernels.Places]:
         import mujoco
 
         size = _FEWEST_TARGETS
@@ -188,7 +187,7 @@ class _Targets:
             model = spec.compile()
             model.body_bvhadr[:] = _NO_TREE
             data = mujoco.MjData(model)
-            places = model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat, model.geom_group
+            places = kernels.Places(model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat, model.geom_group)
             self._models[size] = model, data, places
         return self._models[size]
 
