@@ -25,6 +25,7 @@ from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 
 PROJECT = Path(__file__).resolve().parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in sorted((PROJECT / "docs").glob("*.md"))))
+DECISIONS = sorted((PROJECT / "docs" / "decisions").glob("0*.md"))
 # Beginnings of commands, and why they are not run here.
 NOT_RUN = {
     "make ": "sets up environments, or needs a chip; continuous integration runs what can be",
@@ -152,3 +153,13 @@ def test_blocks_are_read_as_a_newcomer_reads_them() -> None:
     page = "```console\n$ one 1   # why\nanswer\n$ for x in 1; do\n>   two\n> done\n```\n"
     page += "```python\nno\n```\n```sh\nthree\n```\n"
     assert list(commands_of(page)) == ["one 1   # why", "for x in 1; do\n  two\ndone", "three"]
+
+
+@pytest.mark.parametrize("page", DECISIONS, ids=lambda path: path.stem)
+def test_a_decision_has_its_number_its_status_and_its_line_in_the_index(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith(f"# {int(page.name[:4])}. ")
+    assert "Decision" in text
+    assert "Status" in text
+    index = (page.parent / "index.md").read_text(encoding="utf-8")
+    assert re.search(rf"^- \[{int(page.name[:4])}: .+\]\({re.escape(page.name)}\)$", index, re.MULTILINE)
