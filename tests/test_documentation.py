@@ -25,7 +25,8 @@ from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 
 PROJECT = Path(__file__).resolve().parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in sorted((PROJECT / "docs").glob("*.md"))))
-DECISIONS = sorted((PROJECT / "docs" / "decisions").glob("0*.md"))
+DOCS = PROJECT / "docs"
+DECISIONS = sorted((DOCS / "decisions").glob("0*.md"))
 # Beginnings of commands, and why they are not run here.
 NOT_RUN = {
     "make ": "sets up environments, or needs a chip; continuous integration runs what can be",
@@ -153,6 +154,15 @@ def test_blocks_are_read_as_a_newcomer_reads_them() -> None:
     page = "```console\n$ one 1   # why\nanswer\n$ for x in 1; do\n>   two\n> done\n```\n"
     page += "```python\nno\n```\n```sh\nthree\n```\n"
     assert list(commands_of(page)) == ["one 1   # why", "for x in 1; do\n  two\ndone", "three"]
+
+
+def test_what_pages_import_is_there() -> None:
+    texts = [path.read_text(encoding="utf-8") for path in (PROJECT / "README.md", *DOCS.rglob("*.md"))]
+    blocks = re.findall(r"^```python\n(.*?)^```", "\n".join(texts), re.MULTILINE | re.DOTALL)
+    imports = {line for block in blocks for line in block.splitlines() if re.match(r"(from|import) wheelsight", line)}
+    assert len(imports) > 10
+    for line in sorted(imports):
+        exec(line, {})
 
 
 @pytest.mark.parametrize("page", DECISIONS, ids=lambda path: path.stem)
