@@ -25,6 +25,8 @@ from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 
 PROJECT = Path(__file__).resolve().parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in sorted((PROJECT / "docs").glob("*.md"))))
+DOCS = PROJECT / "docs"
+DECISIONS = sorted((DOCS / "decisions").glob("0*.md"))
 # Beginnings of commands, and why they are not run here.
 NOT_RUN = {
     "make ": "sets up environments, or needs a chip; continuous integration runs what can be",
@@ -152,3 +154,22 @@ def test_blocks_are_read_as_a_newcomer_reads_them() -> None:
     page = "```console\n$ one 1   # why\nanswer\n$ for x in 1; do\n>   two\n> done\n```\n"
     page += "```python\nno\n```\n```sh\nthree\n```\n"
     assert list(commands_of(page)) == ["one 1   # why", "for x in 1; do\n  two\ndone", "three"]
+
+
+def test_what_pages_import_is_there() -> None:
+    texts = [path.read_text(encoding="utf-8") for path in (PROJECT / "README.md", *DOCS.rglob("*.md"))]
+    blocks = re.findall(r"^```python\n(.*?)^```", "\n".join(texts), re.MULTILINE | re.DOTALL)
+    imports = {line for block in blocks for line in block.splitlines() if re.match(r"(from|import) wheelsight", line)}
+    assert len(imports) > 10
+    for line in sorted(imports):
+        exec(line, {})
+
+
+@pytest.mark.parametrize("page", DECISIONS, ids=lambda path: path.stem)
+def test_a_decision_has_its_number_its_status_and_its_line_in_the_index(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith(f"# {int(page.name[:4])}. ")
+    assert "Decision" in text
+    assert "Status" in text
+    index = (page.parent / "index.md").read_text(encoding="utf-8")
+    assert re.search(rf"^- \[{int(page.name[:4])}: .+\]\({re.escape(page.name)}\)$", index, re.MULTILINE)
