@@ -41,7 +41,7 @@ def drive(tmp_path: Path) -> Path:
     turn = 18 * np.sin(t / 4) * np.sin(t / 11)
     left, right = (np.cumsum(np.rint(speed + sign * turn)).astype(int) for sign in (-1, 1))
     path = integrate_log(TRUE, t, left, right)
-    truth = Trajectory(t, path.trajectory().T_odom_body, body="base")
+    truth = Trajectory(t, path.trajectory().T_frame_body, body="base")
     yaw = np.unwrap(path.poses[:, 2])
     with RecordingWriter(tmp_path / "drive", Calibration(wheels=NOMINAL)) as writer:
         writer.add_ground_truth(truth)
