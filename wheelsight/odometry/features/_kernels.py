@@ -166,8 +166,8 @@ def residuals_of(R: FloatArray, t: FloatArray, pairs: Pairs, out: FloatArray) ->
 def ransac(pairs: Pairs, gate: float, iterations: int, seed: int) -> Any:
     """R, t current from reference that most of N point pairs agree with, and how many do (their chi-square < gate).
 
-    All pairs have depth. Three pairs make a hypothesis. Those whose distances differ between the frames, or that stand too close together
-    to tell a rotation, are not tried. Stops early once a better hypothesis is unlikely (at 99.9 %).
+    All pairs have depth; three make a hypothesis. Those whose distances differ between the frames, or that stand too
+    close together to tell a rotation, are not tried. Stops early once a better hypothesis is unlikely (at 99.9 %).
     """
     np.random.seed(seed)
     p_reference, xy, depth_m = pairs.p_reference, pairs.xy, pairs.depth_m
