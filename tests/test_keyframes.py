@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -42,6 +44,15 @@ def test_a_keyframe_is_known_by_its_number_and_where_it_is_by_the_store() -> Non
     assert store.revision == 0
     with pytest.raises(ValueError, match="read-only"):
         store.T_map_keyframe[0] = np.eye(4)
+
+
+def test_a_keyframe_may_still_be_in_the_making_when_it_is_added() -> None:
+    store, made = KeyframeStore(), Future()
+    number = store.add(made, np.eye(4))
+    store.move([number], poses(1, 2))
+    made.set_result(keyframe(7))
+    assert store[number].stamp_s == 7
+    assert store[number] is store[number]
 
 
 def test_what_follows_is_told_how_keyframes_moved_since_it_asked() -> None:

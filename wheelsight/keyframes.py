@@ -7,6 +7,7 @@ the store: it asks how keyframes have moved since it asked last, and moves what 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, NewType
 
@@ -90,7 +91,7 @@ class KeyframeStore:
     """
 
     def __init__(self) -> None:
-        self._keyframes: list[Keyframe] = []
+        self._keyframes: list[Keyframe | Future[Keyframe]] = []
         self._T_map_keyframe = np.zeros((16, 4, 4))
         self._followers: list[Follower] = []
         self.revision = 0
@@ -104,7 +105,10 @@ class KeyframeStore:
     def __getitem__(self, number: KeyframeId) -> Keyframe:
         """Raises ArgumentError for a keyframe that it does not hold."""
         self._check([number])
-        return self._keyframes[number]
+        keyframe = self._keyframes[number]
+        if isinstance(keyframe, Future):
+            keyframe = self._keyframes[number] = keyframe.result()
+        return keyframe
 
     @property
     def T_map_keyframe(self) -> FloatArray:
@@ -118,8 +122,8 @@ class KeyframeStore:
         self._check([number])
         return np.array(self._T_map_keyframe[number])
 
-    def add(self, keyframe: Keyframe, T_map_keyframe: ArrayLike) -> KeyframeId:
-        """Keep a keyframe that is at a pose (4, 4) by what is known now."""
+    def add(self, keyframe: Keyframe | Future[Keyframe], T_map_keyframe: ArrayLike) -> KeyframeId:
+        """Keep a keyframe that is at a pose (4, 4) by what is known now; another thread may still be making it."""
         number = len(self)
         if number == len(self._T_map_keyframe):
             self._T_map_keyframe = np.concatenate([self._T_map_keyframe, np.zeros_like(self._T_map_keyframe)])

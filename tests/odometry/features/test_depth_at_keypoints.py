@@ -25,7 +25,8 @@ def depth_at(depth_m, px, camera=DEPTH, T_color_depth=None, kernels=compiled):
     intrinsics = np.array([DEPTH.fx, DEPTH.fy, DEPTH.cx, DEPTH.cy])
     R, t = np.ascontiguousarray(T[:3, :3]), T[:3, 3].copy()
     xy = camera.normalise(px)
-    return kernels.depth_at_keypoints(depth_m, px, xy, R, t, intrinsics, T_color_depth is None, NEAR_M, FAR_M, JUMP)
+    image = compiled.DepthImage(depth_m, R, t, intrinsics, T_color_depth is None, NEAR_M, FAR_M, JUMP)
+    return kernels.depth_at_keypoints(image, px, xy)
 
 
 def pixels(rng: np.random.Generator, camera: PinholeCamera, margin: float, n: int = 300) -> np.ndarray:

@@ -21,7 +21,7 @@ def scene(rng: np.random.Generator, n: int = 60, noise: float = 0.0, outliers: f
     depth_m = depth_m + noise * SIGMA_M * rng.standard_normal(n)
     wrong = rng.permutation(n)[: round(outliers * n)]
     xy[wrong], depth_m[wrong] = rng.uniform(-0.5, 0.5, (len(wrong), 2)), rng.uniform(1, 4, len(wrong))
-    return T, (p_reference, xy, depth_m, np.full(n, 1 / SIGMA_XY), np.full(n, 1 / SIGMA_M))
+    return T, compiled.Pairs(p_reference, xy, depth_m, np.full(n, 1 / SIGMA_XY), np.full(n, 1 / SIGMA_M))
 
 
 def parts(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -83,36 +83,37 @@ def test_residuals_are_normalised_distances(rng):
     T, observed = scene(rng, noise=1.0, outliers=0.2)
     R, t = parts(T)
     n = len(observed[0])
-    got = compiled.residuals_of(R, t, *observed, np.empty(n))
+    got = compiled.residuals_of(R, t, observed, np.empty(n))
     np.testing.assert_allclose(got, (residuals(T, *observed) ** 2).sum(axis=1), rtol=1e-9)
-    np.testing.assert_allclose(in_python.residuals_of(R, t, *observed, np.empty(n)), got, rtol=1e-12)
+    np.testing.assert_allclose(in_python.residuals_of(R, t, observed, np.empty(n)), got, rtol=1e-12)
 
 
 def test_a_point_behind_the_camera_agrees_with_nothing(rng):
-    T, (p_reference, *seen) = scene(rng)
+    T, observed = scene(rng)
     R, t = parts(T)
+    p_reference = observed.p_reference
     p_reference[4] = se3.apply(se3.invert(T), np.array([[0.1, 0.1, -1.0]]))
-    squares = compiled.residuals_of(R, t, p_reference, *seen, np.empty(len(p_reference)))
+    squares = compiled.residuals_of(R, t, observed, np.empty(len(p_reference)))
     assert np.flatnonzero(np.isinf(squares)).tolist() == [4]
-    H, g, cost = compiled.normal_equations(R, t, p_reference, *seen, GATE)
+    H, g, cost = compiled.normal_equations(R, t, observed, GATE)
     others = np.arange(len(p_reference)) != 4
-    without = compiled.normal_equations(R, t, p_reference[others], *(x[others] for x in seen), GATE)
+    without = compiled.normal_equations(R, t, compiled.Pairs(*(x[others] for x in observed)), GATE)
     assert_same((H, g, cost), without, atol=1e-6)
 
 
 def test_pairs_without_depth_count_by_their_pixels_alone(rng):
-    T, (p_reference, xy, depth_m, scale_xy, scale_m) = scene(rng, noise=1.0)
+    T, observed = scene(rng, noise=1.0)
     R, t = parts(T)
-    scale_m[::2] = 0
-    first = compiled.normal_equations(R, t, p_reference, xy, depth_m, scale_xy, scale_m, GATE)
-    depth_m[::2] = 0
-    assert_same(compiled.normal_equations(R, t, p_reference, xy, depth_m, scale_xy, scale_m, GATE), first)
+    observed.scale_m[::2] = 0
+    first = compiled.normal_equations(R, t, observed, GATE)
+    observed.depth_m[::2] = 0
+    assert_same(compiled.normal_equations(R, t, observed, GATE), first)
 
 
 def test_normal_equations_hold_the_derivatives_of_the_robust_cost(rng):
     T, observed = scene(rng, noise=2.0, outliers=0.3)
     T = se3.exp(0.002 * rng.standard_normal(6)) @ T
-    H, g, cost = compiled.normal_equations(*parts(T), *observed, GATE)
+    H, g, cost = compiled.normal_equations(*parts(T), observed, GATE)
     assert cost == pytest.approx(robust_cost(T, *observed))
     half_gradient = 0.5 * derivative(lambda T: np.array(robust_cost(T, *observed)), T)
     np.testing.assert_allclose(g, half_gradient, rtol=1e-5, atol=1e-4 * np.abs(g).max())
@@ -124,8 +125,8 @@ def test_normal_equations_hold_the_derivatives_of_the_robust_cost(rng):
 
 def test_normal_equations_in_plain_python(rng):
     T, observed = scene(rng, noise=2.0, outliers=0.3)
-    got = compiled.normal_equations(*parts(T), *observed, GATE)
-    assert_same(in_python.normal_equations(*parts(T), *observed, GATE), got, rtol=1e-10)
+    got = compiled.normal_equations(*parts(T), observed, GATE)
+    assert_same(in_python.normal_equations(*parts(T), observed, GATE), got, rtol=1e-10)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, 3.1])
@@ -141,7 +142,7 @@ def test_refine_finds_the_motion_exactly_where_there_is_no_noise(rng, outliers):
     for _ in range(5):
         T, observed = scene(rng, n=120, outliers=outliers)
         near = se3.exp(0.01 * rng.standard_normal(6)) @ T
-        R, t, _, squares = compiled.refine(*parts(near), *observed, GATE, 30)
+        R, t, _, squares = compiled.refine(*parts(near), observed, GATE, 30)
         # Wrong pairs far beyond the gate still pull a little, as Geman and McClure's weight never is quite zero.
         np.testing.assert_allclose(se3.from_parts(R, t), T, atol=1e-9 if outliers == 0 else 2e-4)
         assert np.count_nonzero(squares < 0.1) >= (1 - outliers) * 120
@@ -150,14 +151,12 @@ def test_refine_finds_the_motion_exactly_where_there_is_no_noise(rng, outliers):
 def test_refine_in_plain_python(rng):
     T, observed = scene(rng, noise=1.0, outliers=0.3)
     near = se3.exp(0.01 * rng.standard_normal(6)) @ T
-    got = compiled.refine(*parts(near), *observed, GATE, 8)
-    assert_same(in_python.refine(*parts(near), *observed, GATE, 8), got, rtol=1e-7, atol=1e-9)
+    got = compiled.refine(*parts(near), observed, GATE, 8)
+    assert_same(in_python.refine(*parts(near), observed, GATE, 8), got, rtol=1e-7, atol=1e-9)
 
 
 def rough(observed, seed: int, iterations: int = 2000, kernels=compiled):
-    p_reference, xy, depth_m, *scales = observed
-    p_current = np.column_stack([xy * depth_m[:, None], depth_m])
-    return kernels.ransac(p_reference, p_current, xy, *scales, 36.0, iterations, seed)
+    return kernels.ransac(observed, 36.0, iterations, seed)
 
 
 @pytest.mark.parametrize("n", [15, 200])
@@ -207,4 +206,4 @@ def test_ransac_tries_no_triangle_too_small_to_tell_a_rotation(rng):
     _, (_, xy, depth_m, *scales) = scene(rng, n=40)
     xy, depth_m = 0.001 * xy, 2 + 0 * depth_m
     p = np.column_stack([xy * depth_m[:, None], depth_m])
-    assert rough((p, xy, depth_m, *scales), 1)[2] == 0
+    assert rough(compiled.Pairs(p, xy, depth_m, *scales), 1)[2] == 0

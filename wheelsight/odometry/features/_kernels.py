@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import Float32Array, FloatArray
 
 _FIXED_POINT_STEPS = 6
 # From near to far: where a ray meets an object's edge and the wall behind, the object hides the wall.
@@ -14,19 +15,37 @@ _GUESSES_M = (0.6, 1.0, 1.7, 3.0)
 _NEAREST_M = 0.1
 
 
+class DepthImage(NamedTuple):
+    """A depth image (h, w) in metres, where its camera is, and what of it counts.
+
+    `intrinsics` (4,) are fx, fy, cx, cy; within `jump`, as a share of the depth, readings are of one surface.
+    """
+
+    depth_m: Float32Array
+    R_color_depth: FloatArray
+    t_color_depth: FloatArray
+    intrinsics: FloatArray
+    is_registered: bool
+    near_m: float
+    far_m: float
+    jump: float
+
+
+class Pairs(NamedTuple):
+    """N points (N, 3) known in a reference, and what was seen of them: `xy` (N, 2) on the plane z = 1, depth (N,).
+
+    `scale_xy`, `scale_m` (N,) are 1/σ of these; a `scale_m` of 0 leaves depth out.
+    """
+
+    p_reference: FloatArray
+    xy: FloatArray
+    depth_m: FloatArray
+    scale_xy: FloatArray
+    scale_m: FloatArray
+
+
 @kernel
-def depth_at_keypoints(
-    depth_m: Any,
-    px: Any,
-    xy: Any,
-    R_color_depth: Any,
-    t_color_depth: Any,
-    intrinsics: Any,
-    registered: bool,
-    near_m: float,
-    far_m: float,
-    jump: float,
-) -> Any:
+def depth_at_keypoints(image: DepthImage, px: FloatArray, xy: FloatArray) -> Any:
     """Depth (N,) along the colour camera's z axis at keypoints (N, 2), 0 where there is none to trust.
 
     Registered, the depth image is read at the keypoint's own pixel. Else the point is sought where the ray through
@@ -36,13 +55,13 @@ def depth_at_keypoints(
     """
     found = np.zeros(len(px))
     for i in range(len(px)):
-        if registered:
-            z = _smooth_depth(depth_m, px[i, 0], px[i, 1], jump)
-            if near_m <= z <= far_m:
+        if image.is_registered:
+            z = _smooth_depth(image.depth_m, px[i, 0], px[i, 1], image.jump)
+            if image.near_m <= z <= image.far_m:
                 found[i] = z
             continue
         for guess_m in _GUESSES_M:
-            z = _depth_along_ray(depth_m, xy[i], R_color_depth, t_color_depth, intrinsics, near_m, far_m, jump, guess_m)
+            z = _depth_along_ray(image, xy[i], guess_m)
             if z > 0:
                 found[i] = z
                 break
@@ -50,18 +69,9 @@ def depth_at_keypoints(
 
 
 @kernel
-def _depth_along_ray(
-    depth_m: Any,
-    xy: Any,
-    R_color_depth: Any,
-    t_color_depth: Any,
-    intrinsics: Any,
-    near_m: float,
-    far_m: float,
-    jump: float,
-    guess_m: float,
-) -> Any:
+def _depth_along_ray(image: DepthImage, xy: FloatArray, guess_m: float) -> Any:
     """Depth of the colour camera at `xy` (2,) by fixed-point iteration from a guess; 0 where it does not settle."""
+    R_color_depth, t_color_depth, intrinsics = image.R_color_depth, image.t_color_depth, image.intrinsics
     z_color = guess_m
     for _ in range(_FIXED_POINT_STEPS):
         ray = np.array([xy[0] * z_color, xy[1] * z_color, z_color]) - t_color_depth
@@ -70,8 +80,8 @@ def _depth_along_ray(
             return 0.0
         u = intrinsics[0] * p[0] / p[2] + intrinsics[2]
         v = intrinsics[1] * p[1] / p[2] + intrinsics[3]
-        z = _smooth_depth(depth_m, u, v, jump)
-        if not near_m <= z <= far_m:
+        z = _smooth_depth(image.depth_m, u, v, image.jump)
+        if not image.near_m <= z <= image.far_m:
             return 0.0
         x, y = (u - intrinsics[2]) / intrinsics[0] * z, (v - intrinsics[3]) / intrinsics[1] * z
         before = z_color
@@ -82,7 +92,7 @@ def _depth_along_ray(
 
 
 @kernel
-def _smooth_depth(depth_m: Any, u: float, v: float, jump: float) -> Any:
+def _smooth_depth(depth_m: Float32Array, u: float, v: float, jump: float) -> Any:
     """Bilinear depth at a pixel; 0 beside holes, at edges of objects and outside the image.
 
     The sixteen readings around must all be there and differ by at most `jump` of the nearest: a keypoint on an
@@ -107,7 +117,7 @@ def _smooth_depth(depth_m: Any, u: float, v: float, jump: float) -> Any:
 
 
 @kernel
-def project(points: Any, fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> Any:
+def project(points: FloatArray, fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> Any:
     """Pixels (N, 2) of points (N, 3) seen by a camera without distortion; NaN behind it or outside the image."""
     px = np.full((len(points), 2), np.nan)
     for i in range(len(points)):
@@ -121,7 +131,7 @@ def project(points: Any, fx: float, fy: float, cx: float, cy: float, width: int,
 
 
 @kernel
-def align_three(p_a: Any, p_b: Any) -> Any:
+def align_three(p_a: FloatArray, p_b: FloatArray) -> Any:
     """Rotation and translation that lay (3, 3) points b on points a: Zhang section 3.2, the reflection mended."""
     mean_a = (p_a[0] + p_a[1] + p_a[2]) / 3
     mean_b = (p_b[0] + p_b[1] + p_b[2]) / 3
@@ -136,11 +146,9 @@ def align_three(p_a: Any, p_b: Any) -> Any:
 
 
 @kernel
-def residuals_of(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, out: Any) -> Any:
-    """Squared, normalised distance (N,) between points (N, 3), moved, and what was seen of them; inf behind the camera.
-
-    `scale_xy`, `scale_m` (N,) are 1/σ on the plane z = 1 and of the depth; a `scale_m` of 0 leaves depth out.
-    """
+def residuals_of(R: FloatArray, t: FloatArray, pairs: Pairs, out: FloatArray) -> Any:
+    """Squared, normalised distance (N,) between points, moved, and what was seen of them; inf behind the camera."""
+    p_reference, xy, depth_m, scale_xy, scale_m = pairs
     for i in range(len(p_reference)):
         x, y, z = p_reference[i]
         Z = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
@@ -155,22 +163,15 @@ def residuals_of(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_
 
 
 @kernel
-def ransac(
-    p_reference: Any,
-    p_current: Any,
-    xy: Any,
-    scale_xy: Any,
-    scale_m: Any,
-    gate: float,
-    iterations: int,
-    seed: int,
-) -> Any:
+def ransac(pairs: Pairs, gate: float, iterations: int, seed: int) -> Any:
     """R, t current from reference that most of N point pairs agree with, and how many do (their chi-square < gate).
 
-    Three pairs make a hypothesis. Those whose distances differ between the frames, or that stand too close together
-    to tell a rotation, are not tried. Stops early once a better hypothesis is unlikely (at 99.9 %).
+    All pairs have depth; three make a hypothesis. Those whose distances differ between the frames, or that stand too
+    close together to tell a rotation, are not tried. Stops early once a better hypothesis is unlikely (at 99.9 %).
     """
     np.random.seed(seed)
+    p_reference, xy, depth_m = pairs.p_reference, pairs.xy, pairs.depth_m
+    p_current = np.column_stack((xy * depth_m.reshape(-1, 1), depth_m))
     n = len(p_reference)
     best_R, best_t, best, needed = np.eye(3), np.zeros(3), 0, iterations
     squares = np.empty(n)
@@ -184,7 +185,7 @@ def ransac(
         if not _same_triangle(a, b):
             continue
         R, t = align_three(a, b)
-        residuals_of(R, t, p_reference, xy, p_current[:, 2], scale_xy, scale_m, squares)
+        residuals_of(R, t, pairs, squares)
         agreeing = int(np.count_nonzero(squares < gate))
         if agreeing > best:
             best, best_R, best_t = agreeing, R, t
@@ -194,7 +195,7 @@ def ransac(
 
 
 @kernel
-def _same_triangle(a: Any, b: Any) -> bool:
+def _same_triangle(a: FloatArray, b: FloatArray) -> bool:
     for i in range(3):
         j = (i + 1) % 3
         side_a = np.sqrt(((a[i] - a[j]) ** 2).sum())
@@ -205,14 +206,13 @@ def _same_triangle(a: Any, b: Any) -> bool:
 
 
 @kernel
-def normal_equations(
-    R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float
-) -> Any:
+def normal_equations(R: FloatArray, t: FloatArray, pairs: Pairs, gate: float) -> Any:
     """H (6, 6), g (6,) of the robust least squares at R, t, and its cost Σ χ² / (1 + χ² / (gate/2)).
 
     Perturbation δ = (v, ω) from the left of T_current_reference. Weights are Geman and McClure's,
     1 / (1 + χ² / (gate/2))², so that a pair beyond the gate counts for little.
     """
+    p_reference, xy, depth_m, scale_xy, scale_m = pairs
     H, g, cost = np.zeros((6, 6)), np.zeros(6), 0.0
     J = np.zeros((3, 6))
     for i in range(len(p_reference)):
@@ -245,12 +245,10 @@ def normal_equations(
 
 
 @kernel
-def refine(
-    R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float, steps: int
-) -> Any:
+def refine(R: FloatArray, t: FloatArray, pairs: Pairs, gate: float, steps: int) -> Any:
     """Gauss–Newton from R, t: the better R, t, H (6, 6) there, and χ² (N,) of all pairs."""
     for _ in range(steps):
-        H, g, _ = normal_equations(R, t, p_reference, xy, depth_m, scale_xy, scale_m, gate)
+        H, g, _ = normal_equations(R, t, pairs, gate)
         for p in range(6):
             H[p, p] += 1e-9 * H[p, p] + 1e-12
         step = -np.linalg.solve(H, g)
@@ -258,13 +256,13 @@ def refine(
         R, t = dR @ R, dR @ t + step[:3]
         if np.abs(step).max() < 1e-7:
             break
-    H, _, _ = normal_equations(R, t, p_reference, xy, depth_m, scale_xy, scale_m, gate)
-    squares = residuals_of(R, t, p_reference, xy, depth_m, scale_xy, scale_m, np.empty(len(p_reference)))
+    H, _, _ = normal_equations(R, t, pairs, gate)
+    squares = residuals_of(R, t, pairs, np.empty(len(pairs.p_reference)))
     return R, t, H, squares
 
 
 @kernel
-def _rotation(omega: Any) -> Any:
+def _rotation(omega: FloatArray) -> Any:
     """Rotation matrix of a rotation vector (Rodrigues)."""
     angle = np.sqrt((omega**2).sum())
     W = np.array([[0.0, -omega[2], omega[1]], [omega[2], 0.0, -omega[0]], [-omega[1], omega[0], 0.0]])

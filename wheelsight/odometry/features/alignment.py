@@ -38,9 +38,10 @@ class PointPairs:
     def __len__(self) -> int:
         return len(self.p_reference)
 
-    def scales(self) -> tuple[FloatArray, FloatArray]:
-        """1/σ (N,) of `xy` and of `depth_m`; 0 for depth that is not there."""
-        return 1 / self.sigma_xy, np.where(self.depth_m > 0, 1 / np.maximum(self.sigma_m, 1e-6), 0.0)
+    def observed(self) -> _kernels.Pairs:
+        """The same for kernels: with 1/σ, which is 0 for depth that is not there."""
+        scale_m = np.where(self.depth_m > 0, 1 / np.maximum(self.sigma_m, 1e-6), 0.0)
+        return _kernels.Pairs(self.p_reference, self.xy, self.depth_m, 1 / self.sigma_xy, scale_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,12 +69,8 @@ def find_motion(pairs: PointPairs, iterations: int, min_inliers: int, seed: int)
     usable = pairs.depth_m > 0
     if np.count_nonzero(usable) < min_inliers:
         return Reason.TOO_FEW_MATCHES
-    xy, depth_m = pairs.xy[usable], pairs.depth_m[usable]
-    p_current = np.column_stack([xy * depth_m[:, None], depth_m])
-    scale_xy, scale_m = pairs.scales()
-    R, t, agreeing = _kernels.ransac(
-        pairs.p_reference[usable], p_current, xy, scale_xy[usable], scale_m[usable], _ROUGH_GATE, iterations, seed
-    )
+    with_depth = _kernels.Pairs(*(values[usable] for values in pairs.observed()))
+    R, t, agreeing = _kernels.ransac(with_depth, _ROUGH_GATE, iterations, seed)
     return se3.from_parts(R, t) if agreeing >= min_inliers else Reason.TOO_FEW_INLIERS
 
 
@@ -84,8 +81,7 @@ def refine_motion(pairs: PointPairs, T_current_reference: FloatArray) -> Alignme
     section 3.2 by the points' true, elongated uncertainty. Pairs without depth count by their pixels alone.
     """
     R, t = np.ascontiguousarray(T_current_reference[:3, :3]), T_current_reference[:3, 3].copy()
-    observed = (pairs.p_reference, pairs.xy, pairs.depth_m, *pairs.scales())
-    R, t, H, squares = _kernels.refine(R, t, *observed, GATE, _STEPS)
+    R, t, H, squares = _kernels.refine(R, t, pairs.observed(), GATE, _STEPS)
     return Alignment(se3.from_parts(R, t), _covariance(H), squares < GATE)
 
 

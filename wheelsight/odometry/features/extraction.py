@@ -88,16 +88,7 @@ class FeatureExtractor:
         px, level, descriptors = self._keypoints(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY))
         calibration = self._calibration
         xy = calibration.cameras[0].normalise(px)
-        depth_m = _kernels.depth_at_keypoints(
-            frame.depth_m,
-            px,
-            xy,
-            *self._geometry(),
-            calibration.is_registered,
-            calibration.depth_noise.near_m,
-            calibration.depth_noise.far_m,
-            self._settings.depth_jump * max(1.0, _JUMP_FOCAL_PX / self._calibration.cameras[1].fx),
-        )
+        depth_m = _kernels.depth_at_keypoints(self._image_of(frame), px, xy)
         sigma_px = np.hypot(keypoint_sigma_px(level), calibration.color_sigma_px)
         sigma_m = calibration.depth_noise.sigma_m(depth_m)
         return Features(frame.stamp_s, px, level, descriptors, xy, depth_m, sigma_px, sigma_m)
@@ -115,13 +106,20 @@ class FeatureExtractor:
         words = np.zeros((0, 4), np.uint64) if len(kept) == 0 else np.ascontiguousarray(descriptors).view(np.uint64)
         return _in_full_image(_pixels_of(kept), level, grey.shape), level, words
 
-    def _geometry(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Rotation and translation colour from depth, and the depth camera's fx, fy, cx, cy."""
-        T = self._calibration.T_color_depth
-        T_color_depth = np.eye(4) if T is None else np.array(T)
-        depth = self._calibration.cameras[1]
-        R, t = np.ascontiguousarray(T_color_depth[:3, :3]), T_color_depth[:3, 3].copy()
-        return R, t, np.array([depth.fx, depth.fy, depth.cx, depth.cy])
+    def _image_of(self, frame: RgbdFrame) -> _kernels.DepthImage:
+        """The depth of a frame, as kernels read it."""
+        calibration, depth = self._calibration, self._calibration.cameras[1]
+        T_color_depth = np.eye(4) if calibration.T_color_depth is None else np.array(calibration.T_color_depth)
+        return _kernels.DepthImage(
+            frame.depth_m,
+            np.ascontiguousarray(T_color_depth[:3, :3]),
+            T_color_depth[:3, 3].copy(),
+            np.array([depth.fx, depth.fy, depth.cx, depth.cy]),
+            calibration.is_registered,
+            float(calibration.depth_noise.near_m),
+            float(calibration.depth_noise.far_m),
+            self._settings.depth_jump * max(1.0, _JUMP_FOCAL_PX / depth.fx),
+        )
 
 
 def _pixels_of(keypoints: Sequence[cv2.KeyPoint]) -> FloatArray:

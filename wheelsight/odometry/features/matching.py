@@ -47,8 +47,7 @@ def match_near(
     number = cell[:, 1] * columns + cell[:, 0]
     order = np.argsort(number, kind="stable")
     starts = np.searchsorted(number[order], np.arange(columns * rows + 1))
-    found = _hamming_kernels.nearest_within(
-        expected_px, expected, px, descriptors, order, starts, columns, rows, _CELL_PX, radius_px, max_hamming
-    )
+    seen = _hamming_kernels.Cells(px, descriptors, order, starts, int(columns), int(rows), _CELL_PX)
+    found = _hamming_kernels.nearest_within(expected_px, expected, seen, radius_px, max_hamming)
     i = np.flatnonzero(found >= 0)
     return Matches(i, found[i])

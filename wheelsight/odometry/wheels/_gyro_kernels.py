@@ -19,6 +19,7 @@ reckoned with, exact wheels would lose by what a drive cannot tell from the bias
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +49,21 @@ _DRIFT_SIGMA_RAD_PER_M, _SCALE_SIGMA, _WALK = 0.02, 0.03, 0.0005  # as the defau
 _DECISIVE = 4.0
 
 
+class Step(NamedTuple):
+    """A step of moving wheels: their way and turn, and the gyroscope's mean rate meanwhile.
+
+    `slip` is the variance of the turn, and what it shares with the way; `along` is wx, wy, tx, ty, where the noise of
+    way and turn moves the pose.
+    """
+
+    dt_s: float
+    way_m: float
+    turn_rad: float
+    rate_rad_s: float
+    slip: tuple[float, float]
+    along: tuple[float, float, float, float]
+
+
 @kernel
 def begin_off(states: FloatArray) -> None:
     """Go on for wheels that are off, too, from where exact ones are: (2, STATE_SIZE)."""
@@ -64,22 +80,12 @@ def likelier(states: FloatArray) -> int:
 
 
 @kernel
-def add_step(
-    state: FloatArray,
-    gyro_variance: float,
-    count_variance: float,
-    dt_s: float,
-    way_m: float,
-    turn_rad: float,
-    rate_rad_s: float,
-    slip: tuple[float, float],
-    along: tuple[float, float, float, float],
-) -> None:
-    """Take a step of moving wheels into the stretch, with their way and turn and the gyroscope's rate.
+def add_step(state: FloatArray, gyro_variance: float, count_variance: float, step: Step) -> None:
+    """Take a step of moving wheels into the stretch.
 
-    slip: variance of the turn, and what it shares with the way. along: wx, wy, tx, ty. The variances are those of the
-    gyroscope in one second, and of a turn between two counts of the encoders.
+    The variances are those of the gyroscope in one second, and of a turn between two counts of the encoders.
     """
+    dt_s, way_m, turn_rad, rate_rad_s, slip, along = step
     if state[at.STRETCH_S] > 0 and state[at.IS_REST] > 0:
         end_stretch(state, gyro_variance, count_variance)
     if state[at.STRETCH_S] == 0:

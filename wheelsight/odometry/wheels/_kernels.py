@@ -7,12 +7,13 @@ a gyroscope corrects it stretch by stretch, and begins a second one beside it (`
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
 from wheelsight.geometry.arrays import ByteArray, FloatArray
-from wheelsight.odometry.wheels._gyro_kernels import add_rest, add_step, begin_off, end_stretch, likelier
+from wheelsight.odometry.wheels._gyro_kernels import Step, add_rest, add_step, begin_off, end_stretch, likelier
 from wheelsight.odometry.wheels._state_kernels import (
     BEGUN,
     BIAS_VARIANCE,
@@ -38,7 +39,8 @@ from wheelsight.odometry.wheels._state_kernels import (
 )
 
 TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
-COUNT_VARIANCE, PARAMETERS_SIZE = 9, 10  # of a turn between two counts; 0 where wheels tell no counts
+COUNT_VARIANCE = 9  # of a turn between two counts; 0 where wheels tell no counts
+INTEGRATION, PARAMETERS_SIZE = 10, 11  # EULER, MIDPOINT or ARC
 
 EULER, MIDPOINT, ARC = 0, 1, 2
 OK, BACKWARDS, GAP, AMBIGUOUS, IMPLAUSIBLE = 0, 1, 2, 3, 4
@@ -50,6 +52,23 @@ MOST_ACCELERATION = 20.0
 # m/s², of a wheel that turns back: its whole way since it stood still, where a counter that wraps leaps at full speed.
 MOST_REVERSAL = 7.0
 _SERIES_BELOW = 0.1
+
+
+class Log(NamedTuple):
+    """Readings (N,) of a whole drive: stamps, cumulative ticks; yaw rates (N,), or empty."""
+
+    stamps_s: FloatArray
+    left: FloatArray
+    right: FloatArray
+    rates_rad_s: FloatArray
+
+
+class Poses(NamedTuple):
+    """What comes of a log: x, y, yaw (N, 3), covariances (N, 6) as in `read_covariance`, and reasons (N,) or 0."""
+
+    poses: FloatArray
+    covariances: FloatArray
+    reasons: ByteArray
 
 
 @kernel
@@ -109,7 +128,6 @@ def widen(state: FloatArray, parameters: FloatArray, dt_s: float) -> None:
 def step(
     state: FloatArray,
     parameters: FloatArray,
-    integration: int,
     left_m: float,
     right_m: float,
     dt_s: float,
@@ -134,7 +152,7 @@ def step(
         if was_still and not is_gyro_silent:
             add_rest(state, *of_gyro, dt_s, rate_rad_s * dt_s)
         return
-    (wx, wy), (tx, ty) = move(state, integration, way_m, turn_rad)
+    (wx, wy), (tx, ty) = move(state, int(parameters[INTEGRATION]), way_m, turn_rad)
     # as left perturbations: a turn where the robot now stands is one about the origin, and a shift
     along, slip = (wx, wy, tx + state[Y], ty - state[X]), (4 * way_variance / track_m**2, shared)
     state[COVARIANCE] += way_variance * wx * wx
@@ -144,14 +162,13 @@ def step(
         add_outer(state, COVARIANCE, slip[0], along[2], along[3], 1.0)
         add_shared(state, COVARIANCE, shared, *along)
     else:
-        add_step(state, *of_gyro, dt_s, way_m, turn_rad, rate_rad_s, slip, along)
+        add_step(state, *of_gyro, Step(dt_s, way_m, turn_rad, rate_rad_s, slip, along))
 
 
 @kernel
 def _step_each(
     states: FloatArray,
     parameters: FloatArray,
-    integration: int,
     left_m: float,
     right_m: float,
     dt_s: float,
@@ -160,9 +177,9 @@ def _step_each(
     """`step` of both states (2, STATE_SIZE); of one, where no gyroscope was heard yet."""
     if states[OFF, BEGUN] == 0 and not math.isnan(rate_rad_s):
         begin_off(states)
-    step(states[EXACT], parameters, integration, left_m, right_m, dt_s, rate_rad_s)
+    step(states[EXACT], parameters, left_m, right_m, dt_s, rate_rad_s)
     if states[OFF, BEGUN] > 0:
-        step(states[OFF], parameters, integration, left_m, right_m, dt_s, rate_rad_s)
+        step(states[OFF], parameters, left_m, right_m, dt_s, rate_rad_s)
 
 
 @kernel
@@ -224,7 +241,6 @@ def read_covariance(state: FloatArray, six: FloatArray) -> None:
 def update(
     states: FloatArray,
     parameters: FloatArray,
-    integration: int,
     left_ticks: float,
     right_ticks: float,
     dt_s: float,
@@ -241,7 +257,7 @@ def update(
     state = states[likelier(states)]
     why = fault(state, parameters, left_m, right_m, dt_s)
     if why == OK:
-        _step_each(states, parameters, integration, left_m, right_m, dt_s, rate_rad_s)
+        _step_each(states, parameters, left_m, right_m, dt_s, rate_rad_s)
     elif why != BACKWARDS:
         _widen_each(states, parameters, dt_s)
     state = states[likelier(states)]
@@ -258,19 +274,10 @@ def update(
 
 
 @kernel
-def integrate(
-    states: FloatArray,
-    parameters: FloatArray,
-    integration: int,
-    stamps_s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    rates_rad_s: FloatArray,
-    poses: FloatArray,
-    covariances: FloatArray,
-    reasons: ByteArray,
-) -> None:
-    """A log of ticks (N,); `rates_rad_s` is (N,) or empty. Fills poses (N, 3), covariances (N, 6), reasons (N,)."""
+def integrate(states: FloatArray, parameters: FloatArray, log: Log, out: Poses) -> None:
+    """Dead reckoning of a log; fills what comes of it."""
+    stamps_s, left, right, rates_rad_s = log
+    poses, covariances, reasons = out
     last, state = 0, states[EXACT]
     for i in range(len(stamps_s)):
         if i > 0:
@@ -280,7 +287,7 @@ def integrate(
             reasons[i] = fault(state, parameters, left_m, right_m, dt_s)
             if reasons[i] == OK:
                 rate = rates_rad_s[i] if len(rates_rad_s) else math.nan
-                _step_each(states, parameters, integration, left_m, right_m, dt_s, rate)
+                _step_each(states, parameters, left_m, right_m, dt_s, rate)
             elif reasons[i] != BACKWARDS:
                 _widen_each(states, parameters, dt_s)
             if reasons[i] != BACKWARDS:

@@ -54,8 +54,7 @@ class WheelOdometry:
 
     def __init__(self, wheels: Wheels, integration: Integration = "arc", gyro: Gyro | None = None) -> None:
         self._wheels = wheels
-        self._integration = _INTEGRATIONS[integration]
-        self._parameters, self._states = _prepare(wheels, gyro or Gyro())
+        self._parameters, self._states = _prepare(wheels, integration, gyro or Gyro())
         self._span = self._parameters[kernels.SPAN]
         self._ticks_per_rad = wheels.ticks_per_turn / (2 * math.pi)
         self._T_odom_base, self._covariance = np.eye(4), np.zeros((6, 6))
@@ -151,7 +150,7 @@ class WheelOdometry:
         self._parameters[kernels.SPAN] = self._span if counts else 0.0
         self._parameters[kernels.COUNT_VARIANCE] = _count_variance(self._wheels) if counts else 0.0
         filled = (self._T_odom_base, self._covariance)
-        why: int = kernels.update(self._states, self._parameters, self._integration, *ticks, dt_s, rate_rad_s, *filled)
+        why: int = kernels.update(self._states, self._parameters, *ticks, dt_s, rate_rad_s, *filled)
         if why != kernels.BACKWARDS:
             self._last = reading
         return why
@@ -226,12 +225,12 @@ def integrate_log(
     n = len(stamps)
     if any(side.shape != (n,) for side in (left, right)) or rates.shape not in ((0,), (n,)):
         raise ValueError(f"{n} stamps need as many ticks of each wheel, and as many yaw rates if any")
-    parameters, states = _prepare(wheels, gyro or Gyro())
+    parameters, states = _prepare(wheels, integration, gyro or Gyro())
     if len(rates) and not all(np.array_equal(side, np.rint(side)) for side in (left, right)):
         parameters[kernels.COUNT_VARIANCE] = 0.0
-    poses, parts, codes = np.empty((n, 3)), np.empty((n, 6)), np.zeros(n, np.uint8)
-    kernels.integrate(states, parameters, _INTEGRATIONS[integration], stamps, left, right, rates, poses, parts, codes)
-    return WheelTrack(stamps - wheels.delay_s, poses, parts, codes)
+    found = kernels.Poses(np.empty((n, 3)), np.empty((n, 6)), np.zeros(n, np.uint8))
+    kernels.integrate(states, parameters, kernels.Log(stamps, left, right, rates), found)
+    return WheelTrack(stamps - wheels.delay_s, *found)
 
 
 def ticks_from_speeds(
@@ -273,9 +272,10 @@ def _count_variance(wheels: Wheels) -> float:
     return (wheels.left_m_per_tick**2 + wheels.right_m_per_tick**2) / 6 / wheels.track_width_m**2
 
 
-def _prepare(wheels: Wheels, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
+def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     """Parameters and first states (2, STATE_SIZE) as the kernels take them."""
     parameters, state = np.zeros(kernels.PARAMETERS_SIZE), np.zeros(at.STATE_SIZE)
+    parameters[kernels.INTEGRATION] = _INTEGRATIONS[integration]
     parameters[kernels.TRACK] = wheels.track_width_m
     parameters[kernels.SLIP_SQUARED] = wheels.slip_m_per_sqrt_m**2
     parameters[kernels.SPEED_LIMIT] = wheels.max_speed_m_s
