@@ -12,6 +12,7 @@ PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 LAYERS = (
     "_version",
     "errors",
+    "settings",
     "files",
     "inputs",
     "geometry",

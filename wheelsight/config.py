@@ -13,7 +13,6 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     NonNegativeFloat,
     NonNegativeInt,
@@ -22,8 +21,8 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
+from wheelsight.clocks import ClockSettings
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, write_text
 from wheelsight.fusion import AxisWeights, OdometryTerm, Weights
@@ -32,15 +31,13 @@ from wheelsight.inputs import YAML_FILE, compose_yaml, parse_yaml, read_text
 from wheelsight.mapping import SurfelSettings
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.features import FeatureSettings
+from wheelsight.odometry.wheels import WheelSettings
 from wheelsight.recordings import OpenOptions
+from wheelsight.settings import LocalizerSettings, RealTimeSettings, Settings, conflict
 
 OdometryName = Literal["features", "dense", "wheels"]
 FusionName = Literal["default", "ligocki", "none"]
 TrackName = Literal["features", "dense", "wheels", "rectified", "joined"]
-
-
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def _listed(files: Any) -> Any:
@@ -52,7 +49,7 @@ def _unlisted(files: tuple[str, ...]) -> str | list[str] | None:
     return list(files) if len(files) > 1 else next(iter(files), None)
 
 
-class RecordingSettings(_Settings):
+class RecordingSettings(Settings):
     """What a user says about a recording that its files do not."""
 
     camera: str | None = Field(default=None, description="name of a shipped calibration, or a calibration.yaml")
@@ -76,15 +73,6 @@ class RecordingSettings(_Settings):
         return OpenOptions(self.camera, self.max_gap_s, self.depth_factor, self.calibration, self.rate_hz)
 
 
-class WheelSettings(_Settings):
-    """How wheel readings become a pose."""
-
-    integration: Literal["arc", "midpoint", "euler"] = Field(
-        default="arc", description="of a step: exact, by Ligocki's eq. 1, or by Trinh's eq. 3"
-    )
-    gyro: bool = Field(default=True, description="join the yaw rates of a gyroscope, where the recording has them")
-
-
 def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
     """Numbers as a user writes them, "1.5,2,90"."""
     try:
@@ -96,7 +84,7 @@ def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
     return numbers
 
 
-class StartSettings(_Settings):
+class StartSettings(Settings):
     """Where the base stands in the map at the first wheel reading."""
 
     x_m: float = Field(ge=-1e6, le=1e6)
@@ -117,7 +105,7 @@ class StartSettings(_Settings):
         return se3.from_plane(self.x_m, self.y_m, np.radians(self.yaw_deg))
 
 
-class WeightSettings(_Settings):
+class WeightSettings(Settings):
     """Eq. 5's weights, alpha of the last coordinate, beta of odometry, gamma of the area."""
 
     told: tuple[float, float, float] = Field(description="where the area tells the coordinate; sum to 1")
@@ -147,7 +135,7 @@ class WeightSettings(_Settings):
         return Weights(AxisWeights(*self.told), AxisWeights(*self.untold))
 
 
-class PlaceSettings(_Settings):
+class PlaceSettings(Settings):
     """Areas that rectify the wheels. Without a model nothing does, and all else is None; with one, defaults are set."""
 
     model: str | None = Field(default=None, description="model that names areas, from wheelsight places train")
@@ -174,7 +162,7 @@ class PlaceSettings(_Settings):
         return defaults | {name: value for name, value in given.items() if value is not None}
 
 
-class EvaluationSettings(_Settings):
+class EvaluationSettings(Settings):
     """How an estimate is compared with the ground truth."""
 
     with_scale: bool = Field(default=False, description="estimate a scale too when aligning; hides errors of scale")
@@ -183,7 +171,7 @@ class EvaluationSettings(_Settings):
     )
 
 
-class ReportSettings(_Settings):
+class ReportSettings(Settings):
     """What report.html shows beside the curves."""
 
     pictures: NonNegativeInt = Field(default=4, le=100, description="frames drawn with their matches")
@@ -208,7 +196,7 @@ def _joined(names: tuple[OdometryName, ...]) -> str | list[str]:
     return names[0] if len(names) == 1 else list(names)
 
 
-class Config(_Settings):
+class Config(Settings):
     """Every setting of a run; the defaults are what `wheelsight run` uses when nothing is said."""
 
     odometry: Annotated[
@@ -227,9 +215,12 @@ class Config(_Settings):
     )
     surfels: SurfelSettings = SurfelSettings()
     wheels: WheelSettings = WheelSettings()
+    clocks: ClockSettings = ClockSettings()
+    localizer: LocalizerSettings = LocalizerSettings()
     places: PlaceSettings = PlaceSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
+    realtime: RealTimeSettings = RealTimeSettings()
 
     @model_validator(mode="before")
     @classmethod
@@ -246,21 +237,21 @@ class Config(_Settings):
         places = self.places
         if self.fusion != "none" and (len(self.odometry) != 2 or "wheels" not in self.odometry):
             fix = "--odometry wheels,dense or wheels,features"
-            raise _conflict("fusion", "joins wheels with one camera odometry, not " + " and ".join(self.odometry), fix)
+            raise conflict("fusion", "joins wheels with one camera odometry, not " + " and ".join(self.odometry), fix)
         if self.map is not None and "dense" not in self.odometry:
-            raise _conflict("map", "is built by dense odometry", "add --odometry dense")
+            raise conflict("map", "is built by dense odometry", "add --odometry dense")
         if places.model is None:
             given = [name for name, value in places if value is not None]
             if given:
-                raise _conflict(f"places.{given[0]}", "is given without a model of places", "add --places MODEL")
+                raise conflict(f"places.{given[0]}", "is given without a model of places", "add --places MODEL")
         elif "wheels" not in self.odometry:
-            raise _conflict("places.model", "rectifies wheels, and there are none", "add --odometry wheels")
+            raise conflict("places.model", "rectifies wheels, and there are none", "add --odometry wheels")
         elif self.fusion == "ligocki":
-            raise _conflict("places.model", "is a measurement of the default filter alone", "no --fusion ligocki")
+            raise conflict("places.model", "is a measurement of the default filter alone", "no --fusion ligocki")
         elif places.rectify != "paper":
             for name in ("odometry_term", "weights"):
                 if getattr(places, name) is not None:
-                    raise _conflict(f"places.{name}", "is of the paper's eq. 5 alone", "add --rectify paper")
+                    raise conflict(f"places.{name}", "is of the paper's eq. 5 alone", "add --rectify paper")
         return self
 
     @property
@@ -281,13 +272,6 @@ class Config(_Settings):
         if track == "rectified":
             return self.model_copy(update={"odometry": ("wheels",), **alone})
         return self.model_copy(update={"odometry": (track,), "places": PlaceSettings(), **alone})
-
-
-def _conflict(setting: str, problem: str, fix: str) -> PydanticCustomError:
-    """Of settings each of which is sound; raised where they meet."""
-    return PydanticCustomError(
-        "conflict", "{setting} {problem} ({fix})", {"setting": setting, "problem": problem, "fix": fix}
-    )
 
 
 def load_config(
@@ -316,7 +300,7 @@ def load_config(
         details = invalid.errors(include_url=False)[0]
         location = [part for part in details["loc"] if isinstance(part, str)]  # a setting, not its place in a list
         if details["type"] == "conflict":
-            location = details["ctx"]["setting"].split(".")
+            location += details["ctx"]["setting"].split(".")
         name = ".".join(location)
         option = next((option for option in overrides or {} if f"{name}.".startswith(f"{option}.")), None)
         if option is not None:
