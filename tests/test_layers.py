@@ -14,6 +14,7 @@ LAYERS = (
     "_version",
     "errors",
     "extras",
+    "settings",
     "files",
     "inputs",
     "compiled",

@@ -23,42 +23,74 @@ from statistics import median
 
 from wheelsight.estimates import Reason
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.settings import CHOSEN, Settings, setting
 
 # It only helps, so none of the others is left out for its sake.
 _GYROSCOPE = "gyroscope"
-# Of so many events the usual time between them, and behind the others, is the median.
-_REMEMBERED = 15
-# Nobody reads more sentences on leaps.
-_TOLD = 10
+_STALLS = "reckoned from rates and stalls of sensors, not tuned"
 
 
-@dataclass(frozen=True)
-class ClockSettings:
-    """What is a leap of a clock, and when it is believed. Reckoned from rates and stalls of sensors, not tuned.
+class ClockSettings(Settings):
+    """What is a leap of a clock, and when it is believed."""
 
-    Attributes:
-        leap_s: a stamp that is so far ahead of all sensors is of a clock that leapt, or all have paused. Longer than a
-            busy host or a hanging USB stalls (half a second).
-        back_s: one that is so far behind the sensor's own last is of a clock that was set back; less is jitter.
-        pause_s: how much session time passes where all leap. Longer than it takes to call a pose that no camera
-            confirms `coasting` (0.3 s), for the robot may have moved; shorter than the gaps that wheels bridge (0.5 s).
-        followers: so many stamps in a row are a leap; fewer are noise on a line.
-        active_s: a sensor heard within so long before a leap is waited for, as long: it may leap as well. A camera at
-            1 Hz is.
-        alike_s: leaps of two sensors that differ by less are one.
-        stall_s: readings that go on one period after the last have lost none, if others' stamps say so to within this;
-            and smaller leaps of one clock are not noticed.
-        apart_s: clocks whose first stamps are farther apart count from different moments.
-    """
-
-    leap_s: float = 1.0
-    back_s: float = 0.1
-    pause_s: float = 0.4
-    followers: int = 3
-    active_s: float = 1.1
-    alike_s: float = 1.0
-    stall_s: float = 0.25
-    apart_s: float = 2.0
+    leap_s: float = setting(
+        1.0,
+        "a stamp that is so far ahead of all sensors is of a clock that leapt, or all have paused, seconds; longer "
+        "than a busy host or a hanging USB stalls (half a second)",
+        _STALLS,
+        gt=0,
+        le=3600,
+    )
+    back_s: float = setting(
+        0.1,
+        "one that is so far behind the sensor's own last is of a clock that was set back, seconds; less is jitter",
+        _STALLS,
+        ge=0,
+        le=3600,
+    )
+    pause_s: float = setting(
+        0.4,
+        "how much session time passes where all leap, seconds; longer than it takes to call a pose that no camera "
+        "confirms coasting (0.3 s), for the robot may have moved; shorter than the gaps that wheels bridge (0.5 s)",
+        _STALLS,
+        gt=0,
+        le=3600,
+    )
+    followers: int = setting(3, "so many stamps in a row are a leap; fewer are noise on a line", _STALLS, ge=1, le=1000)
+    active_s: float = setting(
+        1.1,
+        "a sensor heard within so long before a leap is waited for, as long: it may leap as well, seconds; a camera at "
+        "1 Hz is",
+        _STALLS,
+        ge=0,
+        le=3600,
+    )
+    alike_s: float = setting(1.0, "leaps of two sensors that differ by less are one, seconds", _STALLS, ge=0, le=3600)
+    stall_s: float = setting(
+        0.25,
+        "readings that go on one period after the last have lost none, if others' stamps say so to within this, "
+        "seconds; smaller leaps of one clock are not noticed",
+        _STALLS,
+        gt=0,
+        le=3600,
+    )
+    apart_s: float = setting(
+        2.0,
+        "clocks whose first stamps are farther apart, seconds, count from different moments",
+        _STALLS,
+        gt=0,
+        le=3600,
+    )
+    remembered: int = setting(
+        15,
+        "of so many events the usual time between them, and behind the others, is the median",
+        CHOSEN,
+        ge=1,
+        le=100_000,
+    )
+    most_warnings: int = setting(
+        10, "sentences on leaps that a run tells at most; nobody reads more", CHOSEN, ge=0, le=100_000
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +117,8 @@ class _Sensor:
 
     offset_s: float
     last_s: float
-    steps_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
-    behind_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    steps_s: deque[float]
+    behind_s: deque[float]
     held_s: list[float] = field(default_factory=list)
     goes_on: bool = False
 
@@ -157,7 +189,8 @@ class SessionClock:
             self._left_out(_GYROSCOPE, -apart_s, name)
             self._sensors.clear()
             self._newest_s = time_s
-        self._sensors[name] = _Sensor(self.shift_s, time_s)
+        steps_s, behind_s = (deque[float](maxlen=self.settings.remembered) for _ in range(2))
+        self._sensors[name] = _Sensor(self.shift_s, time_s, steps_s, behind_s)
         self._newest_s = max(self._newest_s, time_s)
         return time_s
 
@@ -243,7 +276,7 @@ class SessionClock:
         self._tell_leap(list(leapt), by_s)
 
     def _tell_leap(self, names: list[str], by_s: float) -> None:
-        if len(self._leaps) < _TOLD:
+        if len(self._leaps) < self.settings.most_warnings:
             clocks = f"clock{'s' if len(names) > 1 else ''} of the {' and the '.join(names)}"
             going_on = "what came after is taken to go on without a break"
             self._leaps.append(f"The {clocks} leapt by {_seconds(by_s)}: {going_on}.")

@@ -10,9 +10,7 @@ import numpy as np
 import yaml
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     NonNegativeFloat,
     NonNegativeInt,
@@ -22,24 +20,23 @@ from pydantic import (
     model_validator,
 )
 
+from wheelsight.clocks import ClockSettings
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, write_text
 from wheelsight.fusion import AxisWeights, OdometryTerm, Weights
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.inputs import line_of, read_yaml
-from wheelsight.inputs.settings import Fault, conflict
+from wheelsight.inputs.settings import Fault
 from wheelsight.mapping import SurfelSettings
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.features import FeatureSettings
+from wheelsight.odometry.wheels import WheelSettings
 from wheelsight.recordings import OpenOptions
+from wheelsight.settings import LocalizerSettings, RealTimeSettings, Settings, conflict
 
 OdometryName = Literal["features", "dense", "wheels"]
 FusionName = Literal["default", "ligocki", "none"]
 TrackName = Literal["features", "dense", "wheels", "rectified", "joined"]
-
-
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def _listed(files: Any) -> Any:
@@ -51,7 +48,7 @@ def _unlisted(files: tuple[str, ...]) -> str | list[str] | None:
     return list(files) if len(files) > 1 else next(iter(files), None)
 
 
-class RecordingSettings(_Settings):
+class RecordingSettings(Settings):
     """What a user says about a recording that its files do not."""
 
     camera: str | None = Field(default=None, description="name of a shipped calibration, or a calibration.yaml")
@@ -75,15 +72,6 @@ class RecordingSettings(_Settings):
         return OpenOptions(self.camera, self.max_gap_s, self.depth_factor, self.calibration, self.rate_hz)
 
 
-class WheelSettings(_Settings):
-    """How wheel readings become a pose."""
-
-    integration: Literal["arc", "midpoint", "euler"] = Field(
-        default="arc", description="of a step: exact, by Ligocki's eq. 1, or by Trinh's eq. 3"
-    )
-    gyro: bool = Field(default=True, description="join the yaw rates of a gyroscope, where the recording has them")
-
-
 def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
     """Numbers as a user writes them, "1.5,2,90"."""
     try:
@@ -95,7 +83,7 @@ def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
     return numbers
 
 
-class StartSettings(_Settings):
+class StartSettings(Settings):
     """Where the base stands in the map at the first wheel reading."""
 
     x_m: float = Field(ge=-1e6, le=1e6)
@@ -116,7 +104,7 @@ class StartSettings(_Settings):
         return se3.from_plane(self.x_m, self.y_m, np.radians(self.yaw_deg))
 
 
-class WeightSettings(_Settings):
+class WeightSettings(Settings):
     """Eq. 5's weights, alpha of the last coordinate, beta of odometry, gamma of the area."""
 
     told: tuple[float, float, float] = Field(description="where the area tells the coordinate; sum to 1")
@@ -146,7 +134,7 @@ class WeightSettings(_Settings):
         return Weights(AxisWeights(*self.told), AxisWeights(*self.untold))
 
 
-class PlaceSettings(_Settings):
+class PlaceSettings(Settings):
     """Areas that rectify the wheels. Without a model nothing does, and all else is None; with one, defaults are set."""
 
     model: str | None = Field(default=None, description="model that names areas, from wheelsight places train")
@@ -173,7 +161,7 @@ class PlaceSettings(_Settings):
         return defaults | {name: value for name, value in given.items() if value is not None}
 
 
-class EvaluationSettings(_Settings):
+class EvaluationSettings(Settings):
     """How an estimate is compared with the ground truth."""
 
     with_scale: bool = Field(default=False, description="estimate a scale too when aligning; hides errors of scale")
@@ -182,7 +170,7 @@ class EvaluationSettings(_Settings):
     )
 
 
-class ReportSettings(_Settings):
+class ReportSettings(Settings):
     """What report.html shows beside the curves."""
 
     pictures: NonNegativeInt = Field(default=4, le=100, description="frames drawn with their matches")
@@ -207,7 +195,7 @@ def _joined(names: tuple[OdometryName, ...]) -> str | list[str]:
     return names[0] if len(names) == 1 else list(names)
 
 
-class Config(_Settings):
+class Config(Settings):
     """Every setting of a run; the defaults are what `wheelsight run` uses when nothing is said."""
 
     odometry: Annotated[
@@ -226,9 +214,12 @@ class Config(_Settings):
     )
     surfels: SurfelSettings = SurfelSettings()
     wheels: WheelSettings = WheelSettings()
+    clocks: ClockSettings = ClockSettings()
+    localizer: LocalizerSettings = LocalizerSettings()
     places: PlaceSettings = PlaceSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
+    realtime: RealTimeSettings = RealTimeSettings()
 
     @model_validator(mode="before")
     @classmethod

@@ -6,7 +6,8 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wheelsight.errors import MapError
-from wheelsight.inputs.settings import checked_settings, conflict
+from wheelsight.inputs.settings import checked_settings
+from wheelsight.settings import conflict
 
 
 class Lamp(BaseModel):

@@ -12,8 +12,9 @@ from virtual_time import VirtualClock
 
 from wheelsight.errors import RecordingError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
-from wheelsight.pipeline.playing import FRAMES_AHEAD, THREAD, MonotonicClock, Playing
+from wheelsight.pipeline.playing import THREAD, MonotonicClock, Playing
 from wheelsight.recordings import ListedFrame
+from wheelsight.settings import RealTimeSettings
 
 pytestmark = pytest.mark.timed
 
@@ -124,7 +125,7 @@ def test_at_most_a_few_frames_are_held_however_long_nobody_takes_them() -> None:
     playing.take()
     clock.sleep(2.05)
     # The frame of 2.0 s, the newest, and three to come are held; one more waits for room.
-    assert len(decoded) == 21 + FRAMES_AHEAD
+    assert len(decoded) == 21 + RealTimeSettings().frames_ahead
     assert playing.dropped == 19
     playing.close()
 

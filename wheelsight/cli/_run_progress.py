@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.pipeline import RealTimeRecording
     from wheelsight.recordings import Recording
+    from wheelsight.settings import RealTimeSettings
     from wheelsight.sources import EventSource
 
 
 @contextmanager
 def played(
-    recording: Recording, realtime: bool, wheels_from: str | None, baud: int | None
+    recording: Recording, realtime: bool, wheels_from: str | None, baud: int | None, settings: RealTimeSettings
 ) -> Iterator[Recording | RealTimeRecording]:
     """The recording as it is, or in real time, with wheels from elsewhere if asked for.
 
@@ -36,7 +37,7 @@ def played(
     if not realtime:
         yield recording
         return
-    with in_real_time(recording, wheels_from, baud or BAUDRATE) as live:
+    with in_real_time(recording, wheels_from, baud or BAUDRATE, settings=settings) as live:
         yield live
 
 

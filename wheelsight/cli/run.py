@@ -97,7 +97,7 @@ def run(
     given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     is_named = odometry is not None or names_odometry(config)
     settings = settings_from(given if is_named else {**given, "--odometry": ANY}, config)
-    with played(open_source(recording, settings), realtime, wheels_from, baud) as source:
+    with played(open_source(recording, settings), realtime, wheels_from, baud, settings.realtime) as source:
         if not is_named:
             given["--odometry"] = chosen_odometry(source, settings)
             settings = settings_from(given, config)

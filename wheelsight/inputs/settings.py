@@ -8,18 +8,11 @@ from difflib import get_close_matches
 from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import PydanticCustomError
 
 from wheelsight.errors import InputError
 
 _CONFLICT = "conflict"
 _Settings = TypeVar("_Settings", bound=BaseModel)
-
-
-def conflict(setting: str, problem: str, fix: str) -> PydanticCustomError:
-    """Of settings each of which is sound; raised by a model's validator where they meet."""
-    told = {"setting": setting, "problem": problem, "fix": fix}
-    return PydanticCustomError(_CONFLICT, "{setting} {problem} ({fix})", told)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +35,7 @@ class Fault:
         details: dict[str, Any] = dict(invalid.errors(include_url=False)[0])
         location = tuple(part for part in details["loc"] if isinstance(part, str))  # a setting, not its place in a list
         if details["type"] == _CONFLICT:
-            location = tuple(details["ctx"]["setting"].split("."))
+            location += tuple(details["ctx"]["setting"].split("."))
         return cls(location, tuple(_known_settings(model, location[:-1])), details)
 
     def told(self, name: str | None = None) -> tuple[str, str | None]:

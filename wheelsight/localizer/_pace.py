@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry._velocity import LONGEST_STEP_S
 
 
 class Pace:
-    """Remembers the last two frames that were tracked."""
+    """Remembers the last two frames that were tracked.
 
-    def __init__(self) -> None:
+    Args:
+        longest_step_s: over a longer gap the velocity is unknown.
+    """
+
+    def __init__(self, longest_step_s: float) -> None:
+        self.longest_step_s = longest_step_s
         self._before: tuple[float, FloatArray] | None = None
         self._last: tuple[float, FloatArray] | None = None
 
@@ -22,6 +26,6 @@ class Pace:
         if self._before is None or self._last is None:
             return None
         seconds, since_s = self._last[0] - self._before[0], stamp_s - self._last[0]
-        if not (0 < seconds <= LONGEST_STEP_S and 0 < since_s <= LONGEST_STEP_S):
+        if not (0 < seconds <= self.longest_step_s and 0 < since_s <= self.longest_step_s):
             return None
         return se3.exp(se3.log(se3.invert(self._before[1]) @ self._last[1]) * (since_s / seconds))

@@ -29,7 +29,7 @@ class ByFrames:
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         T_base_camera = calibration.T_base_camera
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
-        self._gate = FrameGate()
+        self._gate = FrameGate(settings.localizer.frame_gate)
         self.hears: tuple[type[Event], ...] = self.answers
         self._status = Status.INITIALIZING
         self.last_matches: MatchedPixels | None = None

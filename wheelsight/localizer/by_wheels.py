@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
-from wheelsight.config import WheelSettings
 from wheelsight.errors import CalibrationError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.odometry.wheels import GyroCheck, WheelOdometry, YawRateMeter
-
-# Longer than it takes to notice that the gyroscope fails, so that what is kept has nothing of that.
-_KEPT_S = 2.0
+from wheelsight.odometry.wheels import GyroCheck, WheelOdometry, WheelSettings, YawRateMeter
 
 
 class ByWheels:
@@ -32,8 +28,8 @@ class ByWheels:
         self._alone = WheelOdometry(calibration.wheels, settings.integration, calibration.gyro)
         self._joined: WheelOdometry | None = None
         self._next: tuple[float, WheelOdometry] | None = None  # what will be kept if the gyroscope agrees until then
-        self._check = GyroCheck()
-        self._rates = YawRateMeter()
+        self._check = GyroCheck(settings.gyro_check)
+        self._rates = YawRateMeter(settings.gyro_gap_s)
         self._delay_s = calibration.wheels.delay_s
         self._uses_gyro = settings.gyro
         self.hears: tuple[type[Event], ...] = (*self.answers, YawRate) if settings.gyro else self.answers
@@ -89,6 +85,6 @@ class ByWheels:
         if not self._check.agrees_now:
             self._next = None
         elif self._next is None:
-            self._next = (stamp_s + _KEPT_S, joined.copy())
+            self._next = (stamp_s + self._check.settings.kept_s, joined.copy())
         elif stamp_s > self._next[0]:
-            self._alone, self._next = self._next[1], (stamp_s + _KEPT_S, joined.copy())
+            self._alone, self._next = self._next[1], (stamp_s + self._check.settings.kept_s, joined.copy())

@@ -75,7 +75,7 @@ class Localizer:
             self._way = ByFrames(calibration, settings)
         self.body, self.frame, self.answers = self._way.body, self._way.frame, self._way.answers
         self.note = ""
-        self._clock = SessionClock()
+        self._clock = SessionClock(settings.clocks)
         # A model of places, which was trained on images of one size, says itself what is wrong with others.
         has_places = places is not None or settings.places.model is not None
         self._calibration, self._checks_frames = calibration, not (isinstance(self._way, ByWheels) or has_places)

@@ -11,10 +11,9 @@ from typing import Protocol
 
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.recordings import ListedFrame
+from wheelsight.settings import RealTimeSettings
 
-FRAMES_AHEAD = 4
-_READINGS_AHEAD_S = 1.0
-_LONGEST_WAIT_S = 60.0
+_LONGEST_WAIT_S = 60.0  # of one wait, after which it goes on: no thread sleeps for ever
 THREAD = "wheelsight-player"
 
 
@@ -48,7 +47,7 @@ class MonotonicClock:
 
 
 class Playing:
-    """One passage through a recording in real time; a thread reads ahead a few frames and a second of readings.
+    """One passage through a recording in real time; a thread reads ahead some frames and readings.
 
     Its clock, the playing clock, shows the recording's time: the first event's stamp when what is read ahead is ready,
     and then seconds as they pass. An event is due when the clock shows its stamp. Due events are taken in the order of
@@ -60,7 +59,10 @@ class Playing:
         readings: taken so far, of all sensors but the camera.
     """
 
-    def __init__(self, items: Iterator[Event | ListedFrame], clock: Clock) -> None:
+    def __init__(
+        self, items: Iterator[Event | ListedFrame], clock: Clock, settings: RealTimeSettings | None = None
+    ) -> None:
+        self.settings = settings or RealTimeSettings()
         self.frames = self.dropped = self.unread = self.readings = 0
         self._items, self._clock = items, clock
         self._frames: deque[RgbdFrame | SkippedFrame] = deque()
@@ -197,11 +199,12 @@ class Playing:
         """None where there is room, else the stamp at which to look again."""
         self._drop_overtaken()
         if isinstance(item, ListedFrame | RgbdFrame | SkippedFrame):
-            return self._frames[1].stamp_s if len(self._frames) >= FRAMES_AHEAD else None
-        there_s = item.stamp_s - _READINGS_AHEAD_S
+            return self._frames[1].stamp_s if len(self._frames) >= self.settings.frames_ahead else None
+        ahead_s = self.settings.readings_ahead_s
+        there_s = item.stamp_s - ahead_s
         first = self._next()
         has_room = first is None or self._is_due(there_s) or (self._behind_s is None and there_s <= first.stamp_s)
-        return None if has_room else there_s + _READINGS_AHEAD_S / 2  # rather many at once than each by itself
+        return None if has_room else there_s + ahead_s / 2  # rather many at once than each by itself
 
 
 def _stamp_s(event: Event) -> float:

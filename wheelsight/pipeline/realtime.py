@@ -20,11 +20,8 @@ from wheelsight.pipeline.live_wheels import LiveWheels, RecordedWheels
 from wheelsight.pipeline.playing import Clock, MonotonicClock, Playing
 from wheelsight.pipeline.realtime_record import RealTimeRecord
 from wheelsight.recordings import AssociationReport, ListedFrame, ListsFrames, Recording
+from wheelsight.settings import RealTimeSettings
 from wheelsight.trajectory import Trajectory
-
-_MANY = 0.1
-_LATELY = 30
-_REHEARSED = 3
 
 
 class RealTimeRecording:
@@ -38,6 +35,7 @@ class RealTimeRecording:
         recording: what is played.
         wheels: where wheel readings come from in place of the recording's own.
         clock: what it is played by.
+        settings: of None, the defaults.
 
     Raises:
         ConfigError: there are wheels and no frames beside which they could be played, or they were recorded at another
@@ -45,19 +43,24 @@ class RealTimeRecording:
     """
 
     def __init__(
-        self, recording: Recording, wheels: LiveWheels | RecordedWheels | None = None, clock: Clock | None = None
+        self,
+        recording: Recording,
+        wheels: LiveWheels | RecordedWheels | None = None,
+        clock: Clock | None = None,
+        settings: RealTimeSettings | None = None,
     ) -> None:
         if wheels is not None and not recording.frame_count:
             raise ConfigError(f"{recording.path}: the recording has no images to play beside the wheels")
         if isinstance(wheels, RecordedWheels):
             _check_times(recording, wheels)
         self.wheels = wheels
+        self.settings = settings or RealTimeSettings()
         self._recording = recording
         self._clock = clock or MonotonicClock()
         self._playing: Playing | None = None
         self._frames_s: list[float] = []
         self._readings_s: list[float] = []
-        self._lately: deque[tuple[float, float]] = deque(maxlen=_LATELY)
+        self._lately: deque[tuple[float, float]] = deque(maxlen=self.settings.recent_frames)
 
     @property
     def played(self) -> Recording:
@@ -116,13 +119,13 @@ class RealTimeRecording:
     def warnings(self) -> tuple[str, ...]:
         """The recording's and the wheels', and what to do where many frames were dropped."""
         of_wheels = () if self.wheels is None else self.wheels.warnings
-        return (*self._recording.warnings, *of_wheels, *_advice(self.report()))
+        return (*self._recording.warnings, *of_wheels, *_advice(self.report(), self.settings.dropped_share))
 
     def events(self, *, images: bool = True) -> Generator[Event]:
         """The events, each when its time comes, from the start at each call."""
         self._frames_s, self._readings_s = [], []
         self._lately.clear()
-        playing = self._playing = Playing(self._items(images), self._clock)
+        playing = self._playing = Playing(self._items(images), self._clock, self.settings)
         if isinstance(self.wheels, LiveWheels):
             self.wheels.tell(self._hear)
         try:
@@ -146,7 +149,7 @@ class RealTimeRecording:
                     yield WheelTicks(event.stamp_s, 0, 0)
                 yield event
                 seen += isinstance(event, RgbdFrame) or not has_frames
-                if seen == _REHEARSED:
+                if seen == self.settings.rehearsed_frames:
                     return
         finally:
             if isinstance(events, Generator):
@@ -162,7 +165,7 @@ class RealTimeRecording:
         return RealTimeRecord(0.0 if played is None else played.played_s, *counts, median_s, p95_s, where)
 
     def lately(self) -> tuple[float, float] | None:
-        """Frames answered a second, and their median latency in seconds, over the last thirty; None before two."""
+        """Frames answered a second, and their median latency in seconds, over the last of them; None before two."""
         if len(self._lately) < 2 or self._lately[-1][0] <= self._lately[0][0]:
             return None
         rate = (len(self._lately) - 1) / (self._lately[-1][0] - self._lately[0][0])
@@ -209,7 +212,11 @@ class RealTimeRecording:
 
 @contextmanager
 def in_real_time(
-    recording: Recording, wheels_from: str | None = None, baudrate: int = BAUDRATE, clock: Clock | None = None
+    recording: Recording,
+    wheels_from: str | None = None,
+    baudrate: int = BAUDRATE,
+    clock: Clock | None = None,
+    settings: RealTimeSettings | None = None,
 ) -> Iterator[RealTimeRecording]:
     """A recording to be played in real time, with the wheels at a port, pipe or file, if given, opened for the block.
 
@@ -220,12 +227,12 @@ def in_real_time(
     """
     clock = clock or MonotonicClock()
     if wheels_from is None:
-        yield RealTimeRecording(recording, clock=clock)
+        yield RealTimeRecording(recording, None, clock, settings)
     elif is_recorded(wheels_from):
-        yield RealTimeRecording(recording, RecordedWheels(wheels_from), clock)
+        yield RealTimeRecording(recording, RecordedWheels(wheels_from), clock, settings)
     else:
         with LiveWheels(wheels_from, baudrate, clock) as wheels:
-            yield RealTimeRecording(recording, wheels, clock)
+            yield RealTimeRecording(recording, wheels, clock, settings)
 
 
 def rehearse(recording: RealTimeRecording, localizers: Sequence[Localizer]) -> None:
@@ -248,9 +255,9 @@ def _check_times(recording: Recording, wheels: RecordedWheels) -> None:
         raise ConfigError(f"{problem}, {images}", fix="both must be stamped by one clock")
 
 
-def _advice(played: RealTimeRecord) -> tuple[str, ...]:
+def _advice(played: RealTimeRecord, dropped_share: float) -> tuple[str, ...]:
     """What to do where many frames were dropped."""
-    if played.dropped_share <= _MANY:
+    if played.dropped_share <= dropped_share:
         return ()
     text = (
         f"In real time {played.dropped} of {played.frames} frames ({100 * played.dropped_share:.0f} %) were dropped: "

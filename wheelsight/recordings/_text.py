@@ -15,6 +15,8 @@ from wheelsight.inputs import Kind, as_number, lines_of, read_text, unquoted
 from wheelsight.stamps import column_unit
 
 _SHARE_OUT_OF_ORDER_ALLOWED = 0.01
+# In stretches that are shorter on the average, lines lie about; longer ones are in order, each by itself.
+_FEWEST_IN_ORDER = 10
 LARGEST_STAMP = 1e20  # over a hundred years in nanoseconds: a wrong unit, which others name; beyond, no unit has it
 _STAMP_NAME = re.compile(r"(?:time_?stamps?|stamps?|time|t)(?![a-z])", re.IGNORECASE)
 _OTHER_UNIT = re.compile(r"(?<![a-z])(?:[nmuµ]s|[nmu]secs?|(?:nano|micro|milli)sec\w*)(?![a-z])", re.IGNORECASE)
@@ -103,7 +105,7 @@ def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[
     A few lines out of order, up to 1 % of the file, are left out; more say that the file is wrong.
 
     Raises:
-        RecordingError: naming file and line of the first that would have to go.
+        RecordingError: naming file and line of the first that would have to go, or at which a clock was set back.
     """
     stamps_s = [item.stamp_s for item in items]
     if all(map(lt, stamps_s, stamps_s[1:])):
@@ -112,11 +114,30 @@ def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[
     first = next(i for i, item in enumerate(items) if i >= len(kept) or kept[i] != i)
     problem = f"stamp {items[first].stamp_s:.6f} repeats another or is out of order"
     if len(items) - len(kept) > _SHARE_OUT_OF_ORDER_ALLOWED * len(items):
+        _refuse_clock_set_back(stamps_s, lines, path)
         raise RecordingError(
             problem, path=path, line=lines[first], fix="sort the lines by stamp and keep one of each stamp"
         )
     count = f"{len(items) - len(kept)} of {len(items)} lines"
     return [items[i] for i in kept], [f"{path.name}:{lines[first]}: {problem}; {count} like it were left out"]
+
+
+def _refuse_clock_set_back(stamps_s: Sequence[float], lines: Sequence[int], path: Path) -> None:
+    """Refuse stretches in order that begin again earlier, which sorting would mix. Raises RecordingError."""
+    begins = [i for i in range(2, len(stamps_s)) if _begins_again(stamps_s, i)]
+    if not begins or len(stamps_s) < _FEWEST_IN_ORDER * (len(begins) + 1):
+        return
+    at = begins[0]
+    by_s = stamps_s[at - 1] - stamps_s[at]
+    problem = f"stamp {stamps_s[at]:.6f} is {by_s:.3g} s earlier than the one before it: a clock was set back"
+    fix = "cut the file before this line, or record again; sort the lines only if somebody put them in another order"
+    raise RecordingError(problem, path=path, line=lines[at], fix=fix)
+
+
+def _begins_again(stamps_s: Sequence[float], i: int) -> bool:
+    """Whether a stamp and the one after it come before both of those that were; one alone may be a bad one."""
+    before_s = stamps_s[i - 2 : i]
+    return stamps_s[i] < min(before_s) and stamps_s[min(i + 1, len(stamps_s) - 1)] < before_s[1]
 
 
 def _longest_growing(stamps: Sequence[float]) -> list[int]:

@@ -10,7 +10,7 @@ from drives import simulate
 
 from wheelsight.calibration import Wheels
 from wheelsight.events import WheelTicks
-from wheelsight.odometry.wheels.reading_times import ReadingTimes
+from wheelsight.odometry.wheels import ReadingTimes
 from wheelsight.simulation.clock_faults import ClockFault, ReadingsJitter, ReadingsStalled, ReadingsTogether
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0, slip_m_per_sqrt_m=0.002)

@@ -16,6 +16,8 @@ from wheelsight.odometry.wheels.odometry import (
     sides_of_four,
     ticks_from_speeds,
 )
+from wheelsight.odometry.wheels.reading_times import ReadingTimes
+from wheelsight.odometry.wheels.settings import GyroCheckSettings, ReadingTimesSettings, WheelSettings
 from wheelsight.odometry.wheels.trial import WheelTrial, try_calibration
 from wheelsight.odometry.wheels.umbmark import Umbmark, umbmark
 
@@ -23,10 +25,14 @@ __all__ = [
     "Drive",
     "Encoder",
     "GyroCheck",
+    "GyroCheckSettings",
     "Integration",
+    "ReadingTimes",
+    "ReadingTimesSettings",
     "Umbmark",
     "WheelFit",
     "WheelOdometry",
+    "WheelSettings",
     "WheelTrack",
     "WheelTrial",
     "YawRateMeter",

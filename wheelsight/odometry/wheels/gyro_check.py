@@ -19,29 +19,10 @@ import numpy as np
 from wheelsight.events import WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import FloatArray
 from wheelsight.odometry.wheels.odometry import WheelOdometry
+from wheelsight.odometry.wheels.settings import GyroCheckSettings
 from wheelsight.recordings import Recording
 
-BLOCK_S = 0.25
-_LAGS_S = np.linspace(-0.4, 0.4, 17)
-_NO_LAG = len(_LAGS_S) // 2
-_LATEST_S = float(_LAGS_S[-1])
-_TURNING_RAD_S = 0.05  # of the wheels; slower, counts and noise are most of it
-_LAST_TURNS, _LAST_BLOCKS = 40, 400  # blocks that are looked at: 10 s of turning, within 100 s
-_ENOUGH_TO_TRUST, _ENOUGH_TO_ACCUSE = 8, 20  # turning blocks: 2 s and 5 s
-# Radii and tracks by tape measure, and gyroscopes by data sheet, are good to some percent.
-_SCALES = (0.85, 1.15)
-# Of wheels that slip in turns: a skid-steered robot's are off the line by 3 to 9 % of the rate, wheels that grip by
-# less than 1 % (the first is a real drive, the others the simulator's).
-_SLIPPING_SCALES, _SCATTER_OF_SLIP = (0.5, 1.3), 0.015
-_SIGMAS = 3.0  # by which a slope must lie outside
-_FOLLOWS, _DOES_NOT_FOLLOW = 0.8, 0.5  # share of the rates' variance that the line explains
-_LATE_S = 0.1  # wheels' stamps are late by some 0.05 s where nobody measured their delay
-_CLEARER = 2.0  # so many times less is left at the best lag
-_RECENT = 4  # blocks: one second
-# The same number for so long, while the wheels turned by so much else; more than they slip in the last 10 s.
-_STUCK_S, _STUCK_RAD, _SAME_BLOCKS = 1.0, 0.2, 40
 _DEGREES = 180 / math.pi
-_UNHEARD_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +41,8 @@ class Line:
     scatter: float
 
     @classmethod
-    def through(cls, wheels_rad_s: FloatArray, gyro_rad_s: FloatArray) -> Line:
-        """Of blocks (N,), at least three; those far off count little."""
+    def through(cls, wheels_rad_s: FloatArray, gyro_rad_s: FloatArray, turning_rad_s: float) -> Line:
+        """Of blocks (N,), at least three; those far off count little. Slower than `turning_rad_s` nothing turns."""
         x, y = wheels_rad_s, gyro_rad_s
         weights, slope, bias = np.ones(len(x)), 0.0, 0.0
         for _ in range(6):
@@ -75,29 +56,25 @@ class Line:
             weights = np.minimum(1.0, usual / np.maximum(off, 1e-12))
         left = float(weights @ off**2 / weights.sum())
         variance = float(weights @ (y - mean_y) ** 2 / weights.sum())
-        turning = np.abs(x) > _TURNING_RAD_S
+        turning = np.abs(x) > turning_rad_s
         told = abs(slope) * np.median(np.abs(x[turning])) if turning.any() else 0.0
         scatter = float(np.median(off[turning]) / told) if told > 0 else math.inf
         sigma = math.sqrt(left / max(spread, 1e-12))
         return cls(slope, sigma, bias, left, 1 - left / variance if variance > 0 else 0.0, scatter)
 
-    @property
-    def is_plausible(self) -> bool:
-        """Whether such a factor is within what both are good to, or of wheels that slip."""
-        return self._lies_within(0.0)
-
-    @property
-    def is_implausible(self) -> bool:
-        """Whether it surely is not."""
-        return not self._lies_within(_SIGMAS * self.sigma)
-
-    def _lies_within(self, room: float) -> bool:
-        low, high = _SLIPPING_SCALES if self.scatter > _SCATTER_OF_SLIP else _SCALES
-        return low - room <= self.slope <= high + room
+    def lies_within(self, settings: GyroCheckSettings, sigmas: float = 0.0) -> bool:
+        """Whether such a factor is within what both are good to, or of wheels that slip; give or take some sigmas."""
+        of, room = settings, sigmas * self.sigma
+        if self.scatter > of.slipping_scatter:
+            return of.lowest_slipping_scale - room <= self.slope <= of.highest_slipping_scale + room
+        return of.lowest_scale - room <= self.slope <= of.highest_scale + room
 
 
 class GyroCheck:
     """What the readings of both come to, as they come in.
+
+    Args:
+        settings: of None, the defaults.
 
     Attributes:
         is_trusted: whether the gyroscope has agreed, and not contradicted the wheels since.
@@ -106,19 +83,23 @@ class GyroCheck:
         readings: of the gyroscope.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, settings: GyroCheckSettings | None = None) -> None:
+        self.settings = of = settings or GyroCheckSettings()
+        self._lags_s = np.linspace(-of.most_lag_s, of.most_lag_s, of.lags)
         self.is_trusted = self.agrees_now = False
         self.problem = ""
         self.readings = 0
         self._gyro: deque[tuple[float, float]] = deque()  # stamp, angle turned until then
         self._rate = self._angle_rad = 0.0
-        self._same: deque[tuple[float, float]] = deque(maxlen=_SAME_BLOCKS)  # of the wheels, while it told one number
+        self._same: deque[tuple[float, float]] = deque(
+            maxlen=of.stuck_blocks
+        )  # of the wheels, while it told one number
         self._spans_s: dict[str, tuple[float, float]] = {}
         self._begin: tuple[float, float] | None = None  # of a block: stamp, and the wheels' turn until then
         self._turn_rad = self._moved_s = 0.0
         self._waiting: deque[tuple[float, float, float]] = deque()  # blocks: begin, end, the wheels' rate
-        self._wheels: deque[float] = deque(maxlen=_LAST_BLOCKS)  # rates of blocks
-        self._rates: deque[FloatArray] = deque(maxlen=_LAST_BLOCKS)  # the gyroscope's, at each lag
+        self._wheels: deque[float] = deque(maxlen=of.last_blocks)  # rates of blocks
+        self._rates: deque[FloatArray] = deque(maxlen=of.last_blocks)  # the gyroscope's, at each lag
 
     def add_rate(self, stamp_s: float, yaw_rate_rad_s: float) -> None:
         """Take a reading of the gyroscope; one that is no number, or does not come after the last, is left out."""
@@ -134,7 +115,7 @@ class GyroCheck:
             self._same.clear()
         self._rate = yaw_rate_rad_s
         self._gyro.append((stamp_s, self._angle_rad))
-        while self._gyro[0][0] < stamp_s - 4 * _UNHEARD_S:
+        while self._gyro[0][0] < stamp_s - 4 * self.settings.unheard_s:
             self._gyro.popleft()
 
     def add_turn(self, stamp_s: float, turn_rad: float, is_sound: bool = True) -> None:
@@ -147,9 +128,9 @@ class GyroCheck:
             return
         self._turn_rad += turn_rad
         begin_s, begin_rad = self._begin
-        if stamp_s - begin_s < BLOCK_S:
+        if stamp_s - begin_s < self.settings.block_s:
             return
-        if stamp_s - begin_s < 2 * BLOCK_S:
+        if stamp_s - begin_s < 2 * self.settings.block_s:
             self._waiting.append((begin_s, stamp_s, (self._turn_rad - begin_rad) / (stamp_s - begin_s)))
         self._begin = (stamp_s, self._turn_rad)
         self._same.append(self._begin)
@@ -177,14 +158,14 @@ class GyroCheck:
 
     def _take_blocks(self, now_s: float) -> None:
         """Those that the gyroscope has told of by now, at all lags; of the others those that it may still."""
-        taken = False
+        taken, latest_s = False, self.settings.most_lag_s
         while self._waiting and not self.problem:
             begin_s, end_s, rate_rad_s = self._waiting[0]
-            is_told = bool(self._gyro) and self._gyro[-1][0] >= end_s + _LATEST_S
-            if not is_told and now_s < end_s + _UNHEARD_S:
+            is_told = bool(self._gyro) and self._gyro[-1][0] >= end_s + latest_s
+            if not is_told and now_s < end_s + self.settings.unheard_s:
                 break
             self._waiting.popleft()
-            if is_told and self._gyro[0][0] <= begin_s - _LATEST_S:
+            if is_told and self._gyro[0][0] <= begin_s - latest_s:
                 self._add_block(begin_s, end_s, rate_rad_s)
                 taken = True
         if taken:
@@ -192,54 +173,61 @@ class GyroCheck:
 
     def _add_block(self, begin_s: float, end_s: float, rate_rad_s: float) -> None:
         stamps_s, angles_rad = np.array(self._gyro).T
-        turned = np.interp(end_s + _LAGS_S, stamps_s, angles_rad) - np.interp(begin_s + _LAGS_S, stamps_s, angles_rad)
+        ends_s, begins_s = end_s + self._lags_s, begin_s + self._lags_s
+        turned = np.interp(ends_s, stamps_s, angles_rad) - np.interp(begins_s, stamps_s, angles_rad)
         self._wheels.append(rate_rad_s)
         self._rates.append(turned / (end_s - begin_s))
 
     def _judge(self) -> None:
+        of = self.settings
         if self._is_stuck():
             self._accuse(f"it stays at {self._rate + 0.0:.3g} rad/s while the wheels turn the robot")
             return
         wheels, rates = np.array(self._wheels), np.array(self._rates)
-        turning = np.flatnonzero(np.abs(wheels) > _TURNING_RAD_S)
-        if len(turning) < _ENOUGH_TO_TRUST:
+        turning = np.flatnonzero(np.abs(wheels) > of.turning_rad_s)
+        if len(turning) < of.trust_after:
             return
-        first = turning[max(0, len(turning) - _LAST_TURNS)]
+        first = turning[max(0, len(turning) - of.last_turns)]
         # What comes before a turn tells the bias apart from the slope.
-        begin = max(0, min(first, len(wheels) - 2 * _LAST_TURNS))
-        wheels, rates, turns = wheels[begin:], rates[begin:], len(turning)
-        lines = [Line.through(wheels, rates[:, lag]) for lag in range(len(_LAGS_S))]
+        begin = max(0, min(first, len(wheels) - 2 * of.last_turns))
+        self._compare(wheels[begin:], rates[begin:], len(turning))
+
+    def _compare(self, wheels: FloatArray, rates: FloatArray, turns: int) -> None:
+        """What rates (N,), and those of the gyroscope at all lags (N, L), tell of it."""
+        of, no_lag = self.settings, len(self._lags_s) // 2
+        lines = [Line.through(wheels, at_lag, of.turning_rad_s) for at_lag in rates.T]
         best = int(np.argmax([line.share for line in lines]))
-        line, late_s = lines[best], float(_LAGS_S[best])
-        is_late = abs(late_s) > _LATE_S and lines[_NO_LAG].left > _CLEARER * line.left
-        if turns >= _ENOUGH_TO_ACCUSE:
-            self._accuse(_contradiction(line, late_s if is_late else 0.0))
-        now = lines[_NO_LAG]
-        if not self.problem and not is_late and now.share > _FOLLOWS and now.is_plausible and 3 * now.sigma < 0.15:
+        line, late_s, now = lines[best], float(self._lags_s[best]), lines[no_lag]
+        is_late = abs(late_s) > of.late_s and now.left > of.clearer * line.left
+        if turns >= of.accuse_after:
+            self._accuse(_contradiction(line, late_s if is_late else 0.0, of))
+        is_sure = now.share > of.followed_share and now.lies_within(of) and 3 * now.sigma < 0.15
+        if not self.problem and not is_late and is_sure:
             self.is_trusted = True
-        off = np.abs(rates[-_RECENT:, _NO_LAG] - now.bias_rad_s - now.slope * wheels[-_RECENT:])
-        usual = 4 * math.sqrt(now.left) + 0.1 * np.abs(wheels[-_RECENT:])
+        last = np.s_[-of.recent_blocks :]
+        off = np.abs(rates[last, no_lag] - now.bias_rad_s - now.slope * wheels[last])
+        usual = 4 * math.sqrt(now.left) + 0.1 * np.abs(wheels[last])
         self.agrees_now = self.is_trusted and bool((off < usual).all())
 
     def _is_stuck(self) -> bool:
         """Whether it tells of one rate while the wheels changed theirs: by how far they are off an even turn."""
-        if len(self._same) < 2 or not self._same[-1][0] - self._same[0][0] > _STUCK_S:
+        if len(self._same) < 2 or not self._same[-1][0] - self._same[0][0] > self.settings.stuck_s:
             return False
         stamps_s, turned_rad = np.array(self._same).T
         even = np.interp(stamps_s, stamps_s[[0, -1]], turned_rad[[0, -1]])
-        return bool(np.abs(turned_rad - even).max() > _STUCK_RAD)
+        return bool(np.abs(turned_rad - even).max() > self.settings.stuck_rad)
 
     def _accuse(self, problem: str) -> None:
         if problem:
             self.problem, self.is_trusted, self.agrees_now = problem, False, False
 
 
-def gyro_warnings(recording: Recording) -> tuple[str, ...]:
+def gyro_warnings(recording: Recording, settings: GyroCheckSettings | None = None) -> tuple[str, ...]:
     """What is wrong with a recording's gyroscope against its wheels, one sentence each; no image is decoded.
 
     Raises RecordingError when it cannot be read on.
     """
-    wheels, check = recording.calibration.wheels, GyroCheck()
+    wheels, check = recording.calibration.wheels, GyroCheck(settings)
     if wheels is None:
         return ()
     odometry = WheelOdometry(wheels)
@@ -252,13 +240,13 @@ def gyro_warnings(recording: Recording) -> tuple[str, ...]:
     return check.warnings
 
 
-def _contradiction(line: Line, late_s: float) -> str:
+def _contradiction(line: Line, late_s: float, of: GyroCheckSettings) -> str:
     """How it contradicts the wheels, or nothing."""
-    if line.share < _DOES_NOT_FOLLOW and abs(line.slope) < _SIGMAS * line.sigma + 0.3:
+    if line.share < of.deaf_share and abs(line.slope) < of.sigmas * line.sigma + 0.3:
         return "it does not tell of the turns that the wheels tell of"
-    if line.slope < 0 and line.share > _DOES_NOT_FOLLOW:
+    if line.slope < 0 and line.share > of.deaf_share:
         return "it turns the other way than the wheels (counter-clockwise from above is positive: mounted upside down?)"
-    if line.share > _DOES_NOT_FOLLOW and line.is_implausible:
+    if line.share > of.deaf_share and not line.lies_within(of, of.sigmas):
         in_degrees = abs(line.slope / _DEGREES - 1) < 0.3
         why = "degrees instead of radians?" if in_degrees else "the scale of one of both is wrong"
         return f"it tells of turns {line.slope:.3g} times as fast as the wheels ({why})"

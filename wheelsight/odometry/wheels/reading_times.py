@@ -15,55 +15,40 @@ from collections import deque
 from wheelsight.calibration import Wheels
 from wheelsight.events import WheelTicks
 from wheelsight.odometry.wheels.drive import least_step
-
-# The speed is the mean over so many steps: the noise of stamps is a tenth of it then, and robots' speeds much the same.
-_STEPS = 8
-# How fast robots indoors speed up and brake.
-_MOST_M_S2 = 1.0
-# Slower, a count more or less is much of the way.
-_SLOWEST_M_S = 0.03
-# A step of less than this share of the usual way is of a base that stops.
-_STOPS = 0.5
-# A step so many times as long as usual, and longer than its way takes by so many standard deviations, has a gap in it.
-_LONG, _SIGMAS = 1.5, 3.0
-# Those behind it waited too, until one is taken less than this share of a period before its stamp, or some come at
-# their usual pace, as they do behind a second gap within the first: longer than this share of what their ways take.
-_WAITS, _SHARE, _PATIENCE = 0.5, 0.6, 3
-# No reading is believed to be farther off its stamp: filters take events so late.
-_LATEST_S = 0.2
-# The noise is the root mean square over about so many steps on the way, none of which counts as more than three times
-# what was known: a speed that changes at once is no noise. Wheels that count in steps make so much of it, and of stamps
-# that seem off by less than the second, all are taken for exact.
-_MEMORY = 40
-_BEST_S, _EXACT_S = 1e-3, 3e-3
+from wheelsight.odometry.wheels.settings import ReadingTimesSettings
 
 
 class ReadingTimes:
     """Tells when a robot's readings were taken, one after another.
 
+    Args:
+        wheels: of the robot.
+        settings: of None, the defaults.
+
     Attributes:
         late: how many readings were taken well before their stamp says.
     """
 
-    def __init__(self, wheels: Wheels) -> None:
+    def __init__(self, wheels: Wheels, settings: ReadingTimesSettings | None = None) -> None:
+        self.settings = settings or ReadingTimesSettings()
         self._m_per_tick = (wheels.left_m_per_tick, wheels.right_m_per_tick)
         self._span, self._slip_m_per_sqrt_m = wheels.counter_span, wheels.slip_m_per_sqrt_m
         self._last: WheelTicks | None = None
         self._time_s = -math.inf
-        self._steps: deque[tuple[float, float]] = deque(maxlen=_STEPS)  # seconds, and way in metres
-        self._variance_s2 = _BEST_S**2
+        self._steps: deque[tuple[float, float]] = deque(maxlen=self.settings.speed_steps)  # seconds, and way in metres
+        self._variance_s2 = self.settings.least_noise_s**2
         self._patience = self.late = 0
 
     @property
     def noise_s(self) -> float:
         """Standard deviation of the stamps, beyond what may be a change of speed; 0 where they are exact."""
-        return math.sqrt(self._variance_s2) if self._variance_s2 > _EXACT_S**2 else 0.0
+        return math.sqrt(self._variance_s2) if self._variance_s2 > self.settings.exact_s**2 else 0.0
 
     def time_of(self, reading: WheelTicks) -> float:
         """When a reading was taken, in seconds; times grow where stamps do."""
         last, self._last = self._last, reading
         step_s = math.inf if last is None else reading.stamp_s - last.stamp_s
-        if last is None or not 0 < step_s < _LATEST_S:
+        if last is None or not 0 < step_s < self.settings.latest_s:
             self._steps.clear()
             self._time_s, self._patience = reading.stamp_s, 0
             return reading.stamp_s
@@ -74,13 +59,14 @@ class ReadingTimes:
 
     def _told(self, stamp_s: float, step_s: float, way_m: float) -> float:
         """The time of a reading: by its stamp and its way, or by that alone where it waited."""
-        speed_m_s, period_s = self._speed_m_s, sum(seconds for seconds, _ in self._steps) / _STEPS
-        if speed_m_s < _SLOWEST_M_S or way_m < _STOPS * period_s * speed_m_s:
+        of = self.settings
+        speed_m_s, period_s = self._speed_m_s, sum(seconds for seconds, _ in self._steps) / of.speed_steps
+        if speed_m_s < of.slowest_m_s or way_m < of.stopping_share * period_s * speed_m_s:
             self._patience = 0
             return stamp_s
-        took_s, lag_s = way_m / speed_m_s, period_s * _STEPS / 2
+        took_s, lag_s = way_m / speed_m_s, period_s * of.speed_steps / 2
         of_slip_s = self._slip_m_per_sqrt_m * math.sqrt(way_m / 2) / speed_m_s
-        unsure_s = math.hypot(took_s * min(_MOST_M_S2 * lag_s / speed_m_s, 1.0), of_slip_s)
+        unsure_s = math.hypot(took_s * min(of.acceleration_m_s2 * lag_s / speed_m_s, 1.0), of_slip_s)
         due_s = self._time_s + took_s
         if self._waited(stamp_s - due_s, step_s, took_s, (unsure_s, period_s)):
             return due_s
@@ -89,29 +75,30 @@ class ReadingTimes:
         if noise_s == 0:
             return stamp_s
         told_s = due_s + unsure_s / (unsure_s + noise_s / 2) * (stamp_s - due_s)
-        return told_s if abs(stamp_s - told_s) < _LATEST_S else stamp_s
+        return told_s if abs(stamp_s - told_s) < of.latest_s else stamp_s
 
     def _waited(self, late_s: float, step_s: float, took_s: float, usual: tuple[float, float]) -> bool:
-        unsure_s, period_s = usual
-        off_s = _SIGMAS * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
-        begins = step_s > _LONG * period_s and step_s - took_s > off_s
+        of, (unsure_s, period_s) = self.settings, usual
+        off_s = of.gap_sigmas * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
+        begins = step_s > of.gap_factor * period_s and step_s - took_s > off_s
         if begins:
-            self._patience = _PATIENCE
-        elif step_s > _SHARE * took_s:
+            self._patience = of.patience
+        elif step_s > of.pace_share * took_s:
             self._patience -= 1
-        if not _WAITS * period_s < late_s < _LATEST_S:
+        if not of.waiting_share * period_s < late_s < of.latest_s:
             self._patience = 0
         self.late += self._patience > 0
         return self._patience > 0
 
     def _learn(self, found_s2: float) -> None:
-        counted_s2 = min(max(found_s2, _BEST_S**2), 9 * self._variance_s2)
-        self._variance_s2 += (counted_s2 - self._variance_s2) / _MEMORY
+        # None counts as more than three times what was known: a speed that changes at once is no noise.
+        counted_s2 = min(max(found_s2, self.settings.least_noise_s**2), 9 * self._variance_s2)
+        self._variance_s2 += (counted_s2 - self._variance_s2) / self.settings.memory_steps
 
     @property
     def _speed_m_s(self) -> float:
         """The mean over the last steps; 0 where too few are known."""
-        if len(self._steps) < _STEPS:
+        if len(self._steps) < self.settings.speed_steps:
             return 0.0
         return sum(way_m for _, way_m in self._steps) / sum(seconds for seconds, _ in self._steps)
 

@@ -1,0 +1,44 @@
+"""FloorViews: how far below the camera its first frames show the floor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import FloatArray
+from wheelsight.odometry.extrinsics import height_below
+
+
+class FloorViews:
+    """Looks for the floor in some rows of each frame, until it was found often enough.
+
+    Args:
+        calibration: with the camera.
+        T_base_camera: (4, 4), rigid.
+        most_views: that are looked for.
+        rows: of the depth image that are looked at.
+    """
+
+    def __init__(self, calibration: Calibration, T_base_camera: FloatArray, most_views: int, rows: int) -> None:
+        camera = calibration.cameras[1]
+        step = max(1, camera.height // rows)
+        self._grid = np.s_[step // 2 :: step, step // 2 :: step]
+        self._rays = camera.rays()[self._grid].reshape(-1, 3)
+        self._up, self._height_m = T_base_camera[2, :3], float(T_base_camera[2, 3])
+        self._most_views = most_views
+        self._ratios: list[float] = []
+
+    @property
+    def ratio(self) -> float | None:
+        """The height over the floor that is seen, over that of the mount; None where none was seen yet."""
+        return float(np.median(self._ratios)) if self._ratios else None
+
+    def look(self, frame: RgbdFrame) -> None:
+        """Take a frame."""
+        if len(self._ratios) >= self._most_views or not self._height_m > 0:
+            return
+        depth_m = frame.depth_m[self._grid].ravel().astype(float)
+        found_m = height_below(self._rays, depth_m, self._up, self._height_m)
+        if found_m is not None:
+            self._ratios.append(found_m / self._height_m)

@@ -1,0 +1,30 @@
+"""Settings of parts that stand below `Config`: each with its unit, its bounds, and why it is what it is.
+
+What an odometry, a map or a filter goes by stands beside it; here is what a localizer and a run in real time go by.
+"""
+
+from wheelsight.settings.base import CHOSEN, ON_SIMULATOR, Settings, conflict, setting
+from wheelsight.settings.localizer import (
+    BaseCheckSettings,
+    CarriedSettings,
+    ColorCheckSettings,
+    FrameGateSettings,
+    JoinedSettings,
+    LocalizerSettings,
+)
+from wheelsight.settings.real_time import RealTimeSettings
+
+__all__ = [
+    "CHOSEN",
+    "ON_SIMULATOR",
+    "BaseCheckSettings",
+    "CarriedSettings",
+    "ColorCheckSettings",
+    "FrameGateSettings",
+    "JoinedSettings",
+    "LocalizerSettings",
+    "RealTimeSettings",
+    "Settings",
+    "conflict",
+    "setting",
+]
