@@ -86,11 +86,16 @@ def _tracker(config: Config, calibration: Calibration) -> Callable[[RgbdFrame], 
     localizer = Localizer(replace(calibration, T_base_camera=None), config)
 
     def answer(frame: RgbdFrame) -> Answer:
+        fused = _fused(localizer)
         estimate = localizer.process(frame)
         assert estimate is not None  # frames are answered
-        return Answer(estimate, localizer.last_fused is not None)
+        return Answer(estimate, _fused(localizer) > fused)
 
     return answer
+
+
+def _fused(localizer: Localizer) -> int:
+    return 0 if localizer.map is None else localizer.map.frames
 
 
 def measure_bad_input(

@@ -15,9 +15,10 @@ from benchmarks.sequences import Sequence
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
 from benchmarks.true_surface import SurfaceBuilder, TrueSurface
+from wheelsight.config import load_config
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray
-from wheelsight.mapping import SurfelMapper
+from wheelsight.localizer import Localizer
 from wheelsight.recordings import express_for
 from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
 from wheelsight.trajectory import Trajectory
@@ -140,17 +141,21 @@ class _Tracker:
     """Our tracking with the surfel map over one camera's frames."""
 
     def __init__(self, recording: SimulatedRecording) -> None:
-        self._mapper = SurfelMapper(recording.calibration)
+        settings = load_config(overrides={"odometry": "dense", "map": "surfels"})
+        self._localizer = Localizer(recording.calibration, settings)
+        T_base_camera = recording.calibration.T_base_camera
+        assert T_base_camera is not None
+        self._T_base_camera = T_base_camera
         truth = express_for("camera", recording.ground_truth, recording.true_calibration)
         self._sequence = Sequence(recording.name, Path(recording.name), truth)
         self._stamps_s: list[float] = []
         self._poses: list[FloatArray] = []
 
     def track(self, frame: RgbdFrame) -> None:
-        T_odom_camera = self._mapper.process(frame).T_odom_body
-        if T_odom_camera is not None:
+        estimate = self._localizer.process(frame)
+        if estimate is not None and estimate.T_odom_body is not None:
             self._stamps_s.append(frame.stamp_s)
-            self._poses.append(T_odom_camera)
+            self._poses.append(estimate.T_odom_body @ self._T_base_camera)
 
     def ate_m(self) -> float | None:
         if not self._poses:

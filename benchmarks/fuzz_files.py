@@ -262,5 +262,6 @@ def _map() -> bytes:
     seen_s = np.zeros(n)
     position, color = rng.random((n, 3), np.float32), rng.random((n, 3), np.float32)
     made = SurfelMap(SurfelSettings(threads=1))
-    made.add(Surfels(position, normal, 0.01 * flat, color, 50 * flat, flat, 1e-4 * flat, seen_s, seen_s), 1.0)
+    seen = (seen_s, seen_s, np.full(len(flat), -1, np.int32))
+    made.add(Surfels(position, normal, 0.01 * flat, color, 50 * flat, flat, 1e-4 * flat, *seen), 1.0)
     return _saved(lambda path: save_map(made, path))

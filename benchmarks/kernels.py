@@ -44,16 +44,18 @@ def measure_kernels() -> KernelTimes:
 
 def map_two_frames() -> None:
     """See one wall twice, with a lens, a shutter and a colour camera of its own, so that every kernel is called."""
-    from wheelsight.mapping import SurfelMapper
+    from wheelsight.config import load_config
+    from wheelsight.localizer import Localizer
 
     camera = PinholeCamera(*_SIZE, 525.0, 525.0, 319.5, 239.5, (0.01, 0.0, 0.0, 0.0, 0.0))
     beside = np.eye(4)
     beside[0, 3] = -0.025
     single = Calibration.registered_camera(camera)
     for calibration in (single, replace(single, depth=camera, T_color_depth=beside, rolling_shutter_s=0.02)):
-        mapper = SurfelMapper(calibration)
+        localizer = Localizer(calibration, load_config(overrides={"odometry": "dense", "map": "surfels"}))
         for number in range(3):
-            estimate = mapper.process(_frame(camera, number))
+            estimate = localizer.process(_frame(camera, number))
+        assert estimate is not None
         assert estimate.T_odom_body is not None, estimate.reason
         assert se3.is_valid(estimate.T_odom_body, tolerance=1e-6)
 

@@ -11,14 +11,14 @@ from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.mapping import SurfelMap
-from wheelsight.mapping._thinning import Thinning
+from wheelsight.mapping.thinning import Thinning
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.dense.grid import Gridder
 from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.simulation import SimulatedRecording
 from wheelsight.threads import Rows
-from wheelsight.views import PredictedView
+from wheelsight.views import PredictedView, Surface
 
 VOXEL_M = 0.006
 _BLOCK_VOXELS = 16
@@ -71,18 +71,18 @@ class KnownSurfels:
         prepared = self.prepare(frame, poses)
         self.step(prepared, poses.at(frame.stamp_s), frame.stamp_s)
 
-    def prepare(self, frame: RgbdFrame, poses: TruePoses) -> tuple[Any, Any, Any]:
+    def prepare(self, frame: RgbdFrame, poses: TruePoses) -> Surface:
         """Depth, normals and grey on the ideal grid."""
         finest = self._gridder.on_grid(frame, poses.twist(frame.stamp_s)).levels[0]
-        return finest.depth_m, self._maker.normals(finest), finest.grey
+        return Surface(finest.depth_m, self._maker.normals(finest), finest.grey)
 
-    def step(self, prepared: tuple[Any, Any, Any], T_odom_camera: FloatArray, stamp_s: float) -> PredictedView:
+    def step(self, prepared: Surface, T_odom_camera: FloatArray, stamp_s: float) -> PredictedView:
         """What a map does for each frame: a view predicted, which is returned, and the frame fused unless alike."""
         intrinsics = self._gridder.intrinsics
         view = self.map.predict(T_odom_camera, intrinsics, self._gridder.shape)
         frames = self._thinning.count(T_odom_camera, stamp_s)
         if frames:
-            self.map.fuse(*prepared, None, intrinsics, T_odom_camera, stamp_s, self._noise, frames)
+            self.map.fuse(prepared, intrinsics, T_odom_camera, stamp_s, self._noise, frames)
         return view
 
 

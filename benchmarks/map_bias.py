@@ -64,7 +64,7 @@ def measure_bias(ideal: SimulatedRecording, noisy: SimulatedRecording) -> tuple[
             continue
         true_m = exact.depth_m.astype(float)
         height_m = (true_m[..., None] * rays) @ T_odom_camera[2, :3] + T_odom_camera[2, 3]
-        is_floor, seen = np.abs(height_m) < 1e-2, (prepared[0].astype(float), view.depth_m.astype(float))
+        is_floor, seen = np.abs(height_m) < 1e-2, (prepared.depth_m.astype(float), view.depth_m.astype(float))
         floor.add(true_m, seen, _on_planes(true_m) & is_floor)
         rest.add(true_m, seen, _on_planes(true_m) & ~is_floor)
     return floor, rest

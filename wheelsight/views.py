@@ -1,4 +1,4 @@
-"""What odometry asks of a map without knowing it: the view from a pose."""
+"""What odometry and a map tell each other without knowing each other: a view from a pose, and a surface to add."""
 
 from __future__ import annotations
 
@@ -21,6 +21,23 @@ class PredictedView:
     depth_m: Float32Array
     normal: Float32Array
     grey: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """What a tracked frame adds to a map, on the ideal grid at the finest level.
+
+    Attributes:
+        depth_m: (h, w) float32, 0 where unknown.
+        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown: such pixels add nothing.
+        grey: (h, w) float32 from 0 to 255, -1 where unknown.
+        color: (h, w, 3) float32 red, green, blue from 0 to 255, -1 where unknown; or None.
+    """
+
+    depth_m: Float32Array
+    normal: Float32Array
+    grey: Float32Array
+    color: Float32Array | None = None
 
 
 class ReferenceModel(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -33,13 +34,15 @@ class WheelsightDense:
 
 
 class WheelsightSurfels:
-    """`SurfelMapper` as a user gets it: a frame is tracked against the map's view, and fused."""
+    """`Localizer` with a map, as a user gets it: a frame is tracked against the map's view, and fused."""
 
     def __init__(self, calibration: Calibration) -> None:
-        from wheelsight.mapping import SurfelMapper, SurfelSettings
+        from wheelsight.config import load_config
+        from wheelsight.localizer import Localizer
 
-        dense = _as_many_threads()
-        self._mapper = SurfelMapper(calibration, dense, SurfelSettings(threads=dense.threads))
+        threads = cv2.getNumThreads()
+        settings = {"odometry": "dense", "map": "surfels", "dense.threads": threads, "surfels.threads": threads}
+        self._localizer = Localizer(replace(calibration, T_base_camera=None), load_config(overrides=settings))
 
     def prepare(self, frame: RgbdFrame) -> RgbdFrame:
         """The frame as the recording gives it, distortion and all."""
@@ -47,7 +50,8 @@ class WheelsightSurfels:
 
     def track(self, prepared: RgbdFrame) -> FloatArray | None:
         """T_odom_camera (4, 4), or None."""
-        return self._mapper.process(prepared).T_odom_body
+        estimate = self._localizer.process(prepared)
+        return None if estimate is None else estimate.T_odom_body
 
 
 def _as_many_threads() -> DenseSettings:
@@ -66,5 +70,5 @@ KEYFRAMES = Contender(
 SURFELS = Contender(
     name="wheelsight dense (surfels)",
     start=WheelsightSurfels,
-    settings="`SurfelMapper` with default settings: a view is predicted, the frame aligned with it, and fused",
+    settings="`Localizer` with a map and default settings: a view is predicted, the frame aligned with it, and fused",
 )

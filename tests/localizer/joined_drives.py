@@ -154,20 +154,22 @@ def _judged(T: FloatArray, T_prior: FloatArray | None, hidden: FloatArray | None
 class MapOfFrames:
     """Stands for a mapper: keeps which frames were fused, and where, and whether the map is tracked against.
 
-    `shows_most`: whether it says that the map shows what frames see.
+    `shows`: whether it says that the map shows what frames see.
     """
 
     fused: dict[float, FloatArray] = field(default_factory=dict)
-    last_fused: object | None = None
     map: None = None
     is_tracked: bool = False
-    shows_most: bool = False
+    shows: bool = False
 
-    def track_map(self, tracks: bool) -> None:
+    def track_map(self, odometry: object, tracks: bool) -> None:
         self.is_tracked = tracks
 
-    def fuse(self, frame: RgbdFrame, T_odom_camera: FloatArray) -> None:
-        self.fused[frame.stamp_s], self.last_fused = T_odom_camera, object()
+    def shows_most(self, odometry: object) -> bool:
+        return self.shows
+
+    def fuse_tracked(self, odometry: object, frame: RgbdFrame, T_odom_camera: FloatArray, *_: object) -> None:
+        self.fused[frame.stamp_s] = T_odom_camera
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ def test_without_a_map_there_is_none(tmp_path: Path) -> None:
         for event in recording.events():
             localizer.process(event)
         assert localizer.map is None
-        assert localizer.last_fused is None
 
 
 def without_depth(event: RgbdFrame) -> Event:
@@ -54,11 +53,12 @@ def test_a_frame_that_fails_is_never_fused(tmp_path: Path, change: Callable[[Rgb
     recording, bad = open_recording(tmp_path / "room"), 3
     localizer, fused, sizes = Localizer(recording.calibration, load_config(overrides=MAPPED)), [], [0]
     for index, event in enumerate(recording.events()):
+        assert localizer.map is not None
+        before = localizer.map.frames
         estimate = localizer.process(change(event) if index == bad and isinstance(event, RgbdFrame) else event)
         assert estimate is not None
         assert (estimate.T_odom_body is None) == (index == bad)
-        fused.append(localizer.last_fused is not None)
-        assert localizer.map is not None
+        fused.append(localizer.map.frames > before)
         sizes.append(len(localizer.map))
     assert fused == [index != bad for index in range(6)]
     assert sizes[bad + 1] == sizes[bad]

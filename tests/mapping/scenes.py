@@ -8,7 +8,9 @@ import numpy as np
 
 from wheelsight.calibration import DepthNoise
 from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import FusedFrame, SurfelMap, SurfelSettings
+from wheelsight.views import Surface
 
 GRID = np.array([131.0, 131.0, 80.2, 59.4])
 SHAPE = (120, 160)
@@ -34,14 +36,6 @@ class Wall:
         return (points - [0.0, 0.0, self.depth_m]) @ self.normal
 
 
-@dataclass(frozen=True)
-class View:
-    depth_m: np.ndarray
-    normal: np.ndarray
-    grey: np.ndarray
-    color: np.ndarray
-
-
 def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> FloatArray:
     """T_map_camera of a camera that looks along z, turned about y."""
     return se3.from_parts(so3.exp(np.array([0.0, yaw, 0.0])), np.array([x, y, z]))
@@ -58,7 +52,7 @@ def see(
     rng: np.random.Generator | None = None,
     grid: FloatArray = GRID,
     shape: tuple[int, int] = SHAPE,
-) -> View:
+) -> Surface:
     """The nearest of the walls at each pixel; with the noise of NOISE where `rng` is given."""
     directions = rays(grid, shape) @ T_map_camera[:3, :3].T
     depth_m, normal = np.full(shape, np.inf), np.zeros((*shape, 3))
@@ -73,12 +67,22 @@ def see(
     color = np.stack([grey, 0.5 * grey, 255 - grey], axis=-1)
     if rng is not None:
         depth_m = np.where(depth_m > 0, depth_m + NOISE.sigma_m(depth_m) * rng.standard_normal(shape), 0.0)
-    return View(*(image.astype(np.float32) for image in (depth_m, normal, grey, color)))
+    return Surface(*(image.astype(np.float32) for image in (depth_m, normal, grey, color)))
 
 
-def fuse(surfel_map: SurfelMap, view: View, T_map_camera: FloatArray, stamp_s: float) -> FusedFrame:
-    images = (view.depth_m, view.normal, view.grey, view.color)
-    return surfel_map.fuse(*images, GRID, T_map_camera, stamp_s, NOISE)
+def kept_keyframes(count: int) -> KeyframeStore:
+    """So many at poses 0.3 m apart, of which nothing is seen."""
+    store = KeyframeStore()
+    for k in range(count):
+        store.add(Keyframe(0.1 * k, GRID, b"", b""), pose(0.3 * k, yaw=0.1 * k))
+    return store
+
+
+def fuse(
+    surfel_map: SurfelMap, view: Surface, T_map_camera: FloatArray, stamp_s: float, keyframe: int | None = None
+) -> FusedFrame:
+    number = None if keyframe is None else KeyframeId(keyframe)
+    return surfel_map.fuse(view, GRID, T_map_camera, stamp_s, NOISE, keyframe=number)
 
 
 def look_at(

@@ -11,21 +11,25 @@ from odometry.plain_kernels import plain
 
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.mapping import Surfels, blocks, surfels
-from wheelsight.mapping._block_kernels import PAGE
+from wheelsight.mapping._block_kernels import PAGE, SurfelArrays
 from wheelsight.mapping.blocks import Blocks
 
-RULES = np.array([8.0, 3.0, 60.0])
+RULES = np.array([8.0, 3.0, 60.0, 1.0])
 
 
-def scattered(
-    rng: np.random.Generator, n: int, size_m: float = 20.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Geometry, look, seen_s and variance of surfels in balls of a hundred."""
+def scattered(rng: np.random.Generator, n: int, size_m: float = 20.0) -> SurfelArrays:
+    """Surfels in balls of a hundred that hang on no keyframe."""
     geometry = np.zeros((n, 8), np.float32)
     middle = rng.uniform(-size_m, size_m, (n // 100 + 1, 3)).repeat(100, axis=0)[:n]
     geometry[:, :3] = middle + rng.normal(0, 0.05, (n, 3))
     geometry[:, 3], geometry[:, 6], geometry[:, 7] = 0.01, -1.0, rng.uniform(0.1, 50.0, n)
-    return geometry, np.full((n, 4), 100, np.float32), np.zeros((n, 2)), np.full(n, 1e-6, np.float32)
+    return made_of(geometry)
+
+
+def made_of(geometry: np.ndarray) -> SurfelArrays:
+    n = len(geometry)
+    looks = (np.full((n, 4), 100, np.float32), np.zeros((n, 2)), np.full(n, 1e-6, np.float32))
+    return SurfelArrays(geometry, *looks, np.full(n, -1, np.int32))
 
 
 def any_pose(rng: np.random.Generator) -> FloatArray:
@@ -61,7 +65,7 @@ def test_what_is_in_view_costs_the_same_however_large_the_map_is(rng):
     small.append(near, 0.0, RULES)
     large.append(near, 0.0, RULES)
     far = scattered(rng, 100_000, 20.0)
-    far[0][:, 2] -= 40.0
+    far.geometry[:, 2] -= 40.0
     large.append(far, 0.0, RULES)
     found = [len(made.pages_in_view(T, GRID, SHAPE, 6.0, -np.inf)) for made in (small, large)]
     assert found[0] == found[1] > 0
@@ -80,18 +84,18 @@ def test_surfels_survive_sweeping_whole(rng):
     assert len(made.slots()) == made.alive == len(kept)
     np.testing.assert_array_equal(np.sort(made.geometry[made.slots()], axis=0), expected)
     used = made.memory_bytes
-    assert made.append(tuple(part[:10_000] for part in new), 0.0, RULES) == 10_000
+    assert made.append(SurfelArrays(*(part[:10_000] for part in new)), 0.0, RULES) == 10_000
     assert made.memory_bytes == used, "room of the dead is used again"
 
 
 def test_memory_has_a_bound_and_the_least_useful_go_first(rng):
     made = Blocks(0.5, 4096)
     sure, doubtful, late = (scattered(rng, 1800, 1.0) for _ in range(3))
-    sure[0][:, 7], doubtful[0][:, 7], late[0][:, 7] = 50.0, 0.5, 5.0
+    sure.geometry[:, 7], doubtful.geometry[:, 7], late.geometry[:, 7] = 50.0, 0.5, 5.0
     for new, seen_s in ((sure, 100.0), (doubtful, 90.0), (late, 101.0)):
-        new[2][:] = seen_s
-        new[0][:, :3] *= 0.3
-        made.append(new, seen_s, np.array([8.0, 1000.0, 60.0]))
+        new.seen_s[:] = seen_s
+        new.geometry[:, :3] *= 0.3
+        made.append(new, seen_s, np.array([8.0, 1000.0, 60.0, 1000.0]))
     confidence = made.geometry[made.slots(), 7]
     assert made.alive <= 4096
     assert made.dropped > 0
@@ -119,7 +123,7 @@ def test_positions_far_out_and_negative_find_their_blocks():
     geometry = np.zeros((4, 8), np.float32)
     geometry[:, :3] = [[1e3, -1e3, 5], [-0.01, -0.01, -0.01], [-1e4, 1e4, 0], [0.49, 0.51, 0]]
     geometry[:, 7] = 1
-    made.append((geometry, np.zeros((4, 4), np.float32), np.zeros((4, 2)), np.ones(4, np.float32)), 0.0, RULES)
+    made.append(made_of(geometry), 0.0, RULES)
     cells = {tuple(made.cell_xyz[made.page_cell[slot // PAGE]]) for slot in made.slots()}
     assert cells == {(2000, -2000, 10), (-1, -1, -1), (-20000, 20000, 0), (0, 1, 0)}
 
@@ -136,8 +140,7 @@ def test_compiled_loops_do_as_plain_python_does(monkeypatch, rng):
     def made() -> tuple[Surfels, list[np.ndarray]]:
         surfel_map = made_map(stable_confidence=3.0, unstable_s=0.15, threads=1)
         for k, view in enumerate(views):
-            images = (view.depth_m, view.normal, view.grey, view.color)
-            surfel_map.fuse(*images, grid, pose(0.02 * k), k / 30, NOISE)
+            surfel_map.fuse(view, grid, pose(0.02 * k), k / 30, NOISE)
         view = surfel_map.render(pose(0.1), grid, shape)
         return surfel_map.surfels(), [view.depth_m, view.normal, view.grey, view.color]
 

@@ -22,7 +22,8 @@ def sheet(z: float, color: list[float], x: tuple[float, float], y: tuple[float, 
     position = np.stack([u.ravel(), v.ravel(), np.full(u.size, z)], axis=-1).astype(np.float32)
     n, flat = len(position), np.ones(u.size, np.float32)
     colors, normals = np.tile(np.float32(color), (n, 1)), np.tile(np.float32(normal), (n, 1))
-    return Surfels(position, normals, 0.02 * flat, colors, 90 * flat, 9 * flat, 1e-6 * flat, np.zeros(n), np.zeros(n))
+    seen = (np.zeros(n), np.zeros(n), np.full(n, -1, np.int32))
+    return Surfels(position, normals, 0.02 * flat, colors, 90 * flat, 9 * flat, 1e-6 * flat, *seen)
 
 
 def joined(*parts: Surfels) -> Surfels:

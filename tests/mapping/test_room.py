@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from wheelsight.calibration import DepthNoise
 from wheelsight.geometry import FloatArray
 from wheelsight.mapping import SurfelMap
+from wheelsight.views import Surface
 
 CAMERA = synthetic.CAMERA
 GRID = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
@@ -39,7 +40,7 @@ def test_the_model_of_a_room_is_where_its_surfaces_are():
         exact_m = synthetic.render_room(T)[1]
         color, depth_m = synthetic.render_room(T, depth_noise=True)
         grey = (color @ [0.299, 0.587, 0.114]).astype(np.float32)
-        surfel_map.fuse(depth_m, normals_of(exact_m), grey, color, GRID, T, stamp_s, DepthNoise())
+        surfel_map.fuse(Surface(depth_m, normals_of(exact_m), grey, color), GRID, T, stamp_s, DepthNoise())
         points = (CAMERA.rays() * exact_m[..., None]).reshape(-1, 3)[::97]
         seen.append(points @ T[:3, :3].T + T[:3, 3])
     surfels = surfel_map.surfels("stable")

@@ -10,16 +10,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mapping.scenes import GRID, SHAPE, Wall, look_at, made_map, pose
+from mapping.scenes import FRAME_S, GRID, SHAPE, Wall, fuse, kept_keyframes, look_at, made_map, pose, see
 
 from wheelsight.errors import MapError, OutputError
-from wheelsight.mapping import SurfelMap, Surfels, load_map, save_map
+from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map
 
 
 @pytest.fixture
 def surfel_map(rng: np.random.Generator) -> SurfelMap:
-    made = made_map(active_s=7.0, threads=1)
-    look_at(made, [Wall(2.0, slope=0.3), Wall(1.4, low=-0.1, high=0.1)], [pose(0.01 * k) for k in range(12)], rng)
+    """Of which some surfels hang on two keyframes, and others on none."""
+    store = kept_keyframes(2)
+    made = SurfelMap(SurfelSettings(active_s=7.0, threads=1), store)
+    walls = [Wall(2.0, slope=0.3), Wall(1.4, low=-0.1, high=0.1)]
+    for k, keyframe in enumerate([None] * 4 + [0] * 4 + [1] * 4):
+        T = pose(0.05 * k)
+        fuse(made, see(walls, T, rng), T, k * FRAME_S, keyframe)
     return made
 
 
@@ -27,6 +32,8 @@ def test_what_was_saved_is_loaded(surfel_map, tmp_path):
     save_map(surfel_map, tmp_path / "a.map")
     loaded = load_map(tmp_path / "a.map")
     assert loaded.settings == surfel_map.settings
+    np.testing.assert_array_equal(loaded.T_map_keyframe, surfel_map.T_map_keyframe)
+    assert set(loaded.surfels().keyframe) == {-1, 0, 1}
     assert (loaded.stamp_s, loaded.dropped) == (surfel_map.stamp_s, surfel_map.dropped)
     first, second = surfel_map.surfels(), loaded.surfels()
     orders = [np.lexsort(surfels.position.T) for surfels in (first, second)]
@@ -59,8 +66,9 @@ def test_an_empty_map_is_saved_and_loaded(tmp_path):
 def test_the_format_can_be_read_without_wheelsight(surfel_map, tmp_path):
     save_map(surfel_map, tmp_path / "a.map")
     name, header, body = (tmp_path / "a.map").read_bytes().split(b"\n", 2)
-    assert name == b"wheelsight-map-1"
+    assert name == b"wheelsight-map-2"
     about = json.loads(header)
+    assert about["frame"] == "map"
     assert about["fields"][0] == ["position", "<f4", 3]
     x, y, z = struct.unpack_from("<3f", body)
     assert np.isin([x, y, z], surfel_map.surfels().position).all()
@@ -85,6 +93,43 @@ def put(offset_fields: int, value: float) -> Callable[[dict[str, object], bytear
     return change
 
 
+def put_pose(entry: int, value: float) -> Callable[[dict[str, object], bytearray], None]:
+    """Write a number into the pose of the last keyframe."""
+    return lambda _, numbers: struct.pack_into("<d", numbers, len(numbers) - 8 * (16 - entry), value)
+
+
+def put_keyframe(value: int) -> Callable[[dict[str, object], bytearray], None]:
+    """Write the number of the keyframe that the last surfel hangs on."""
+
+    def change(about: dict[str, object], numbers: bytearray) -> None:
+        struct.pack_into("<i", numbers, len(numbers) - 128 * about["keyframes"] - 4, value)
+
+    return change
+
+
+def first_version(data: bytes) -> bytes:
+    """The file as wheelsight wrote it before surfels hung on keyframes."""
+    _, header, body = data.split(b"\n", 2)
+    about = json.loads(header)
+    numbers = body[: len(body) - 128 * about.pop("keyframes") - 4 * about["surfels"]]
+    del about["frame"], about["fields"][-1]
+    for later in ("colored_every", "beyond_share"):
+        del about["settings"][later]
+    about["crc32"] = zlib.crc32(numbers)
+    return b"\n".join([b"wheelsight-map-1", json.dumps(about).encode(), numbers])
+
+
+def test_a_file_of_the_first_version_is_a_map_whose_surfels_hang_on_no_keyframe(surfel_map, tmp_path):
+    save_map(surfel_map, tmp_path / "new.map")
+    (tmp_path / "old.map").write_bytes(first_version((tmp_path / "new.map").read_bytes()))
+    new, old = (load_map(tmp_path / name) for name in ("new.map", "old.map"))
+    for name in set(Surfels.__slots__) - {"keyframe"}:
+        np.testing.assert_array_equal(getattr(old.surfels(), name), getattr(new.surfels(), name))
+    assert (old.surfels().keyframe == -1).all()
+    assert len(old.T_map_keyframe) == 0
+    assert (old.settings, old.stamp_s) == (new.settings, new.stamp_s)
+
+
 def header_entry(name: str, value: object) -> Callable[[dict[str, object], bytearray], None]:
     return lambda about, _: about.__setitem__(name, value)
 
@@ -94,19 +139,26 @@ def header_entry(name: str, value: object) -> Callable[[dict[str, object], bytea
     [
         (lambda data: b"", "is no map"),
         (lambda data: b"ply\n" + data, "is no map"),
-        (lambda data: data.replace(b"map-1", b"map-2", 1), "version"),
+        (lambda data: data.replace(b"map-2", b"map-3", 1), "version"),
         (lambda data: data[:10], "is no map|version"),
         (lambda data: data[:60], "header"),
         (lambda data: data[:-1], "bytes of surfels"),
         (lambda data: data + b"\0", "bytes of surfels"),
         (lambda data: data[:-5000], "bytes of surfels"),
         (lambda data: data[:-9] + bytes([data[-9] ^ 1]) + data[-8:], "checksum"),
-        (lambda data: data.replace(b'{"surfels"', b'["surfels"', 1), "header"),
-        (lambda data: b"wheelsight-map-1\n[]\n", "header"),
-        (lambda data: b"wheelsight-map-1\n{}\n", "header"),
+        (lambda data: data.replace(b'{"frame"', b'["frame"', 1), "header"),
+        (lambda data: b"wheelsight-map-2\n[]\n", "header"),
+        (lambda data: b"wheelsight-map-2\n{}\n", "header"),
         (lambda data: rewritten(data, header_entry("surfels", -1)), "fields"),
         (lambda data: rewritten(data, header_entry("surfels", 1e400)), "holds Infinity"),
         (lambda data: rewritten(data, header_entry("fields", [])), "fields"),
+        (lambda data: rewritten(data, header_entry("frame", "odom")), "frame"),
+        (lambda data: rewritten(data, header_entry("keyframes", None)), "counts"),
+        (lambda data: rewritten(data, header_entry("keyframes", 3)), "bytes of surfels and keyframes"),
+        (lambda data: rewritten(data, put_pose(0, 2.0)), "rigid"),
+        (lambda data: rewritten(data, put_pose(3, np.nan)), "rigid"),
+        (lambda data: rewritten(data, put_keyframe(2)), "keyframe holds numbers beyond the 2"),
+        (lambda data: rewritten(data, put_keyframe(-2)), "keyframe holds numbers beyond the 2"),
         (lambda data: rewritten(data, header_entry("settings", {"far_m": -1})), "settings"),
         (lambda data: rewritten(data, header_entry("settings", {"unknown": 1})), "settings"),
         (lambda data: rewritten(data, header_entry("settings", {"max_surfels": 1024})), "no room"),

@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from wheelsight.errors import MapError
 from wheelsight.mapping import SurfelMap
+from wheelsight.views import Surface
 
 FRAMES = 20
 FIELDS = ("position", "normal", "radius_m", "color", "grey", "confidence", "variance_m2", "first_s", "last_s")
@@ -131,7 +132,7 @@ def test_a_noisy_wall_that_comes_nearer_is_not_shown_too_near(seed):
             assert np.count_nonzero(shown) > 0.95 * shown.size
             off_m.append(np.mean(shown[shown > 0]) - (wall.depth_m - T[2, 3]))
         view = see([wall], T, rng)
-        surfel_map.fuse(view.depth_m, view.normal, view.grey, view.color, GRID, T, 0.1 * k, noise)
+        surfel_map.fuse(view, GRID, T, 0.1 * k, noise)
     assert len(off_m) == 12
     assert abs(np.mean(off_m)) < 2.5e-3  # one reading errs by 38 mm
 
@@ -148,7 +149,7 @@ def test_color_and_grey_are_means_of_what_was_seen():
 
 def test_without_color_only_grey_is_known():
     surfel_map, view = made_map(), see([Wall(2.0)], pose())
-    surfel_map.fuse(view.depth_m, view.normal, view.grey, None, GRID, pose(), 0.0, NOISE)
+    surfel_map.fuse(replace(view, color=None), GRID, pose(), 0.0, NOISE)
     surfels = surfel_map.surfels()
     assert (surfels.color == -1).all()
     assert (surfels.grey >= 0).all()
@@ -159,7 +160,7 @@ def test_without_color_only_grey_is_known():
 def test_a_frame_without_color_leaves_the_colors_as_they_are():
     surfel_map, view = made_map(), see([Wall(2.0)], pose())
     for k, color in enumerate((None, np.full_like(view.color, 80), None, np.full_like(view.color, 120))):
-        surfel_map.fuse(view.depth_m, view.normal, view.grey, color, GRID, pose(), k * FRAME_S, NOISE)
+        surfel_map.fuse(replace(view, color=color), GRID, pose(), k * FRAME_S, NOISE)
         expected = (-1, 80, 80, 90)[k]
         np.testing.assert_allclose(surfel_map.surfels().color, expected, atol=0.01)
 
@@ -302,10 +303,12 @@ def test_what_cannot_be_fused_is_refused_and_leaves_the_map_as_it_was(changed, w
     surfel_map, view = made_map(), see([Wall(2.0)], pose())
     fuse(surfel_map, view, pose(), 1.0)
     before = contents(surfel_map)
-    images = {"depth_m": view.depth_m, "normal": view.normal, "grey": view.grey, "color": view.color}
-    given = {**images, "intrinsics": GRID, "T_map_camera": pose(), "stamp_s": 2.0} | changed
+    images = {name: image for name, image in changed.items() if name in Surface.__slots__}
+    how = {"intrinsics": GRID, "T_map_camera": pose(), "stamp_s": 2.0} | {
+        name: value for name, value in changed.items() if name not in images
+    }
     with pytest.raises(MapError, match=word) as raised:
-        surfel_map.fuse(**given)
+        surfel_map.fuse(replace(view, **images), **how)
     assert "\n" not in str(raised.value)
     for first, second in zip(before, contents(surfel_map), strict=True):
         np.testing.assert_array_equal(first, second)

@@ -25,7 +25,7 @@ def facing(*groups: tuple[FloatArray, int], spread_rad: float = 0.0, radius_m: f
     n, flat = len(normal), np.ones(len(normal), np.float32)
     return Surfels(
         np.zeros((n, 3), np.float32), normal, radius_m * flat, np.full((n, 3), -1.0, np.float32),
-        100 * flat, 9 * flat, 1e-6 * flat, np.zeros(n), np.zeros(n),
+        100 * flat, 9 * flat, 1e-6 * flat, np.zeros(n), np.zeros(n), np.full(n, -1, np.int32),
     )  # fmt: skip
 
 

@@ -85,7 +85,8 @@ def test_unstable_disks_reach_out_from_beside_stable_ones_only(threads):
     grey, confidence = np.float32([10, 20, 30, 40]), np.float32([20, 1, 1, 1])
     looks = (np.full(n, 0.05, np.float32), np.repeat(grey[:, None], 3, axis=1), grey, confidence)
     surfel_map = made_map(threads=threads)
-    surfel_map.add(Surfels(middles, np.tile(facing, (n, 1)), *looks, np.full(n, 1e-6), np.zeros(n), np.zeros(n)), 0.0)
+    seen = (np.zeros(n), np.zeros(n), np.full(n, -1, np.int32))
+    surfel_map.add(Surfels(middles, np.tile(facing, (n, 1)), *looks, np.full(n, 1e-6), *seen), 0.0)
     view = surfel_map.predict(pose(), GRID, SHAPE)
     seen, counts = np.unique(np.round(view.grey), return_counts=True)
     np.testing.assert_array_equal(seen, [-1, 10, 30, 40])
@@ -135,9 +136,8 @@ def test_the_floor_under_a_camera_that_looks_along_it_has_no_holes(turn):
     flat = np.ones(len(spots), np.float32)
     normal = np.tile(np.float32([0, -1, 0]), (len(spots), 1))
     color, stamps_s = np.full((len(spots), 3), 90, np.float32), np.zeros(len(spots))
-    surfel_map.add(
-        Surfels(spots, normal, 0.015 * flat, color, 90 * flat, 20 * flat, 1e-6 * flat, stamps_s, stamps_s), 0.0
-    )
+    seen = (stamps_s, stamps_s, np.full(len(spots), -1, np.int32))
+    surfel_map.add(Surfels(spots, normal, 0.015 * flat, color, 90 * flat, 20 * flat, 1e-6 * flat, *seen), 0.0)
     view = surfel_map.predict(pose(0.0, 0.0, 0.0, turn), GRID, SHAPE)
     y = (np.arange(SHAPE[0]) - GRID[3]) / GRID[1]
     depth_m = np.broadcast_to(np.divide(0.8, y, out=np.full_like(y, np.inf), where=y > 0)[:, None], SHAPE)

@@ -65,12 +65,8 @@ def room() -> SurfelMap:
         for name, value in (("radius_m", 0.02), ("confidence", 50), ("variance_m2", 1e-6))
     }
     surfel_map = SurfelMap()
-    surfel_map.add(
-        Surfels(
-            position, normal, color=color, grey=color.mean(axis=1), first_s=np.zeros(n), last_s=np.zeros(n), **same
-        ),
-        0.0,
-    )
+    same |= {"first_s": np.zeros(n), "last_s": np.zeros(n), "keyframe": np.full(n, -1, np.int32)}
+    surfel_map.add(Surfels(position, normal, color=color, grey=color.mean(axis=1), **same), 0.0)
     return surfel_map
 
 

@@ -11,7 +11,7 @@ from wheelsight.config import Config
 from wheelsight.errors import CalibrationError
 from wheelsight.estimates import MotionEstimate
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.mapping import SurfelMapper
+from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
 
@@ -37,15 +37,15 @@ def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) ->
 
 def camera_odometry(
     calibration: Calibration, settings: Config
-) -> tuple[FeatureOdometry | DenseOdometry, SurfelMapper | None]:
+) -> tuple[FeatureOdometry | DenseOdometry, MapBuilder | None]:
     """Feature or dense odometry, whose map begins where the base was where that is known; and what builds a map.
 
     Beside wheels, tracking begins against keyframes; who joins both says when the map shows more.
     """
     if settings.map == "surfels":
-        tracks = settings.fusion != "default"
-        mapper = SurfelMapper(calibration, settings.dense, settings.surfels, tracks=tracks)
-        return mapper.odometry, mapper
+        mapper = MapBuilder(calibration, settings.surfels)
+        model = None if settings.fusion == "default" else mapper.map
+        return DenseOdometry(calibration, settings.dense, model, calibration.T_base_camera), mapper
     if "dense" in settings.odometry:
         return DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera), None
     return FeatureOdometry(calibration, settings.features, T_map_first=calibration.T_base_camera), None

@@ -12,7 +12,7 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.geometry import se3
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
-from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
+from wheelsight.odometry.features import FeatureEstimate, FeatureOdometry, MatchedPixels
 
 
 class ByFrames:
@@ -47,7 +47,7 @@ class ByFrames:
             return None, ""
         why_not = self._gate.why_not(event)
         if why_not is None:
-            return self._of_body((self.mapper or self.odometry).process(event)), ""
+            return self._of_body(self._tracked(event)), ""
         if why_not.is_repeat:
             return self._repeated(event.stamp_s), why_not.note
         return self._failed(event.stamp_s, why_not.note)
@@ -57,12 +57,19 @@ class ByFrames:
         return self._failed(event.stamp_s, why.note)
 
     def _failed(self, stamp_s: float, why: str) -> tuple[Estimate, str]:
-        return self._of_body((self.mapper or self.odometry).miss(stamp_s)), why
+        return self._of_body(self.odometry.miss(stamp_s)), why
+
+    def _tracked(self, frame: RgbdFrame) -> Estimate:
+        """The camera's pose at a frame; the map learns where all of its motion was seen."""
+        estimate = self.odometry.process(frame)
+        if self.mapper is None or estimate.T_odom_body is None or isinstance(self.odometry, FeatureOdometry):
+            return estimate
+        if estimate.status is Status.TRACKING and self.odometry.sees_all_motion:
+            self.mapper.fuse_tracked(self.odometry, frame, estimate.T_odom_body, estimate.keyframe)
+        return estimate
 
     def _repeated(self, stamp_s: float) -> Estimate:
         """The answer to an image that has come before: no pose, and odometry goes on as if it had not come."""
-        if self.mapper is not None:
-            self.mapper.last_fused = None
         status = Status.FAILING if self._status is Status.TRACKING else self._status
         return Estimate(stamp_s, status, reason=Reason.REPEATED, body=self.body)
 

@@ -102,8 +102,6 @@ class ByFusion:
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """The estimate right after a reading or frame, None at any other event, and what was wrong with a frame."""
-        if self.mapper is not None:
-            self.mapper.last_fused = None
         if isinstance(event, YawRate) and self._uses_gyro:
             self._turn(event)
         if isinstance(event, WheelTicks | WheelSpeeds):
@@ -132,8 +130,6 @@ class ByFusion:
 
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
         """What is known, at an event whose stamp means nothing; None at a yaw rate."""
-        if self.mapper is not None:
-            self.mapper.last_fused = None
         if isinstance(event, YawRate):
             return None, ""
         if isinstance(event, WheelTicks | WheelSpeeds) and why.reason is Reason.CLOCKS_APART:
@@ -162,7 +158,7 @@ class ByFusion:
         if self.mapper is not None:
             turns = answer.twist is None or abs(answer.twist[2]) > self._settings.turning_rad_s
             is_calm = answer.stamp_s - self._unbelieved_s > self._settings.uncalm_s
-            self.mapper.track_map(self.mapper.shows_most and not (turns and is_calm))
+            self.mapper.track_map(self.odometry, self.mapper.shows_most(self.odometry) and not (turns and is_calm))
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
@@ -271,7 +267,7 @@ class ByFusion:
         self._T_map_camera, self._seen_s = T_map_camera, frame.stamp_s
         self._lay_map()
         if self.mapper is not None:
-            self.mapper.fuse(frame, T_map_camera)
+            self.mapper.fuse_tracked(self.odometry, frame, T_map_camera)
 
     def _lay_map(self) -> None:
         """To where the camera's pose in it is the one that is known of its frame by now."""

@@ -19,7 +19,7 @@ from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.localizer.by_ligocki import ByLigocki
 from wheelsight.localizer.by_places import ByPlaces, Places, load_places
 from wheelsight.localizer.by_wheels import ByWheels
-from wheelsight.mapping import FusedFrame, SurfelMap, SurfelMapper
+from wheelsight.mapping import SurfelMap
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.odometry.wheels import WheelOdometry
@@ -98,7 +98,8 @@ class Localizer:
     @property
     def map(self) -> SurfelMap | None:
         """What was built on the way, where `T_odom_map` has it; None where the configuration asks for no map."""
-        return None if self._mapper is None else self._mapper.map
+        mapper = None if isinstance(self._way, ByWheels | ByPlaces) else self._way.mapper
+        return None if mapper is None else mapper.map
 
     @property
     def T_odom_map(self) -> FloatArray:
@@ -108,15 +109,6 @@ class Localizer:
         the map stays as it is. Within the map the body is at `inv(T_odom_map) @ T_odom_body`.
         """
         return self._way.T_odom_map if isinstance(self._way, ByFusion) else np.eye(4)
-
-    @property
-    def last_fused(self) -> FusedFrame | None:
-        """What the last frame did to the map; None where it did not get there."""
-        return None if self._mapper is None else self._mapper.last_fused
-
-    @property
-    def _mapper(self) -> SurfelMapper | None:
-        return None if isinstance(self._way, ByWheels | ByPlaces) else self._way.mapper
 
     @property
     def warnings(self) -> tuple[str, ...]:

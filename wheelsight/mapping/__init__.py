@@ -1,7 +1,6 @@
 """Mapping: surfels that frames are fused into, views predicted from them, files and meshes."""
 
 from wheelsight.mapping.export import Mesh, mesh_of, write_mesh_ply, write_ply
-from wheelsight.mapping.mapper import SurfelMapper
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.storage import load_map, save_map
 from wheelsight.mapping.surfels import SurfelMap
@@ -13,7 +12,6 @@ __all__ = [
     "MapStatus",
     "Mesh",
     "SurfelMap",
-    "SurfelMapper",
     "SurfelSettings",
     "Surfels",
     "load_map",

@@ -6,7 +6,7 @@ A surfel whose confidence is not positive is dead: it is passed over until its c
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,85 @@ RADIUS, CONFIDENCE = 3, 7
 STRAY_M = 0.05
 # Entries of the counters.
 CELLS, FREE, PAGES, ALIVE = 0, 1, 2, 3
+
+
+class SurfelArrays(NamedTuple):
+    """Surfels by slot, or new ones by number.
+
+    Attributes:
+        geometry: (n, 8) float32: position (3), radius, normal (3), confidence; not positive where dead.
+        look: (n, 4) float32: red, green, blue, grey from 0 to 255, -1 where unknown.
+        seen_s: (n, 2) float64, first and last time seen.
+        variance: (n,) float32 of the position along the normal, in m².
+        keyframe: (n,) int32, that which the surfel hangs on; -1 for none.
+    """
+
+    geometry: Any
+    look: Any
+    seen_s: Any
+    variance: Any
+    keyframe: Any
+
+
+class Pages(NamedTuple):
+    """Pages of slots.
+
+    Attributes:
+        next: (pages,) int32 that follows in its cell's chain, -1 at the end.
+        fill: (pages,) int32 how many slots hold a surfel, dead or alive.
+        cell: (pages,) int32 that owns it.
+        free: (pages,) int32 those that nobody owns; so many as the counters say.
+    """
+
+    next: Any
+    fill: Any
+    cell: Any
+    free: Any
+
+
+class Cells(NamedTuple):
+    """Cells of space.
+
+    Attributes:
+        block_m: edge of a cell.
+        xyz: (cells, 3) int32 where each is, in edges.
+        pages: (cells, 2) int32 first and last of its chain, -1 for none.
+        seen_s: (cells,) float64 when any of it was seen last.
+        table: (2^k,) int32 by hash, -1 where empty.
+        counters: (4,) int64 of cells, free pages, pages ever owned, and surfels alive.
+    """
+
+    block_m: Any
+    xyz: Any
+    pages: Any
+    seen_s: Any
+    table: Any
+    counters: Any
+
+
+class Going(NamedTuple):
+    """Which surfels are to go.
+
+    Attributes:
+        now_s: the map's time.
+        rules: (4,) confidence of the stable, seconds after which others go, active window in seconds, and seconds for
+            which others may go unseen.
+        quota: of each bin of usefulness, how many surfels may still be dropped; or none (0,).
+    """
+
+    now_s: Any
+    rules: Any
+    quota: Any
+
+
+class Frustum(NamedTuple):
+    """What a camera sees: T_map_camera (4, 4), fx, fy, cx, cy, its image's size, and how far."""
+
+    T: Any
+    grid: Any
+    width: Any
+    height: Any
+    far_m: Any
 
 
 @kernel(inline="always")
@@ -51,110 +130,89 @@ def rebuild_table(table: Any, cell_xyz: Any, cells: int) -> None:
 
 
 @kernel
-def append(
-    new: Any,
-    new_look: Any,
-    new_seen_s: Any,
-    new_variance: Any,
-    begin: Any,
-    block_m: Any,
-    geometry: Any,
-    look: Any,
-    seen_s: Any,
-    variance: Any,
-    page_next: Any,
-    page_fill: Any,
-    page_cell: Any,
-    free: Any,
-    cell_xyz: Any,
-    cell_pages: Any,
-    cell_seen_s: Any,
-    table: Any,
-    counters: Any,
-) -> Any:
+def append(new: SurfelArrays, begin: Any, surfels: SurfelArrays, pages: Pages, cells: Cells) -> Any:
     """Put new surfels, from number `begin` on, into their cells; the number of the first that found no room."""
-    for i in range(begin, len(new)):
-        x = int(np.floor(new[i, 0] / block_m))
-        y = int(np.floor(new[i, 1] / block_m))
-        z = int(np.floor(new[i, 2] / block_m))
-        cell = find_cell(table, cell_xyz, x, y, z)
+    place, seen_s, page_fill = new.geometry, new.seen_s, pages.fill
+    cell_pages, cell_seen_s, block_m = cells.pages, cells.seen_s, cells.block_m
+    for i in range(begin, len(place)):
+        x = int(np.floor(place[i, 0] / block_m))
+        y = int(np.floor(place[i, 1] / block_m))
+        z = int(np.floor(place[i, 2] / block_m))
+        cell = _cell_at(cells, x, y, z)
         if cell < 0:
-            if counters[CELLS] == len(cell_xyz) or 2 * counters[CELLS] >= len(table):
-                return i
-            table[-1 - cell] = counters[CELLS]
-            cell = counters[CELLS]
-            counters[CELLS] += 1
-            cell_xyz[cell, 0], cell_xyz[cell, 1], cell_xyz[cell, 2] = x, y, z
-            cell_pages[cell, 0] = cell_pages[cell, 1] = -1
-            cell_seen_s[cell] = -np.inf
+            return i
         page = cell_pages[cell, 1]
         if page < 0 or page_fill[page] == PAGE:
-            page = _new_page(cell, page_next, page_fill, page_cell, free, cell_pages, counters)
+            page = _new_page(cell, pages, cells)
             if page < 0:
                 return i
         slot = page * PAGE + page_fill[page]
         page_fill[page] += 1
-        _copy(i, slot, new, new_look, new_seen_s, new_variance, geometry, look, seen_s, variance)
-        cell_seen_s[cell] = max(cell_seen_s[cell], new_seen_s[i, 1])
-        counters[ALIVE] += 1
-    return len(new)
-
-
-@kernel(inline="always")
-def _copy(
-    i: Any, j: Any, geometry: Any, look: Any, seen_s: Any, variance: Any, to: Any, to_look: Any, to_s: Any, to_var: Any
-) -> None:
-    """Copy surfel i of some arrays to place j of others, number by number: views of rows would be counted."""
-    for k in range(8):
-        to[j, k] = geometry[i, k]
-    for k in range(4):
-        to_look[j, k] = look[i, k]
-    to_s[j, 0], to_s[j, 1], to_var[j] = seen_s[i, 0], seen_s[i, 1], variance[i]
+        _copy(i, slot, new, surfels)
+        cell_seen_s[cell] = max(cell_seen_s[cell], seen_s[i, 1])
+        cells.counters[ALIVE] += 1
+    return len(place)
 
 
 @kernel
-def _new_page(cell: Any, page_next: Any, page_fill: Any, page_cell: Any, free: Any, pages: Any, counters: Any) -> Any:
+def _cell_at(cells: Cells, x: Any, y: Any, z: Any) -> Any:
+    """The cell at a place, made where there is none yet; -1 where there is no room for one."""
+    cell = find_cell(cells.table, cells.xyz, x, y, z)
+    if cell >= 0:
+        return cell
+    made = cells.counters[CELLS]
+    if made == len(cells.xyz) or 2 * made >= len(cells.table):
+        return -1
+    cells.table[-1 - cell] = made
+    cells.counters[CELLS] += 1
+    cells.xyz[made, 0], cells.xyz[made, 1], cells.xyz[made, 2] = x, y, z
+    cells.pages[made, 0] = cells.pages[made, 1] = -1
+    cells.seen_s[made] = -np.inf
+    return made
+
+
+@kernel(inline="always")
+def _copy(i: Any, j: Any, source: SurfelArrays, to: SurfelArrays) -> None:
+    """Copy surfel i of some arrays to place j of others, number by number: views of rows would be counted."""
+    for k in range(8):
+        to.geometry[j, k] = source.geometry[i, k]
+    for k in range(4):
+        to.look[j, k] = source.look[i, k]
+    to.seen_s[j, 0], to.seen_s[j, 1] = source.seen_s[i, 0], source.seen_s[i, 1]
+    to.variance[j], to.keyframe[j] = source.variance[i], source.keyframe[i]
+
+
+@kernel
+def _new_page(cell: Any, pages: Pages, cells: Cells) -> Any:
     """A page at the end of a cell's chain; -1 where there is none left."""
+    counters, chain = cells.counters, cells.pages
     if counters[FREE] > 0:
         counters[FREE] -= 1
-        page = free[counters[FREE]]
-    elif counters[PAGES] < len(page_next):
+        page = pages.free[counters[FREE]]
+    elif counters[PAGES] < len(pages.next):
         page = counters[PAGES]
         counters[PAGES] += 1
     else:
         return -1
-    page_next[page], page_fill[page], page_cell[page] = -1, 0, cell
-    if pages[cell, 1] < 0:
-        pages[cell, 0] = page
+    pages.next[page], pages.fill[page], pages.cell[page] = -1, 0, cell
+    if chain[cell, 1] < 0:
+        chain[cell, 0] = page
     else:
-        page_next[pages[cell, 1]] = page
-    pages[cell, 1] = page
+        pages.next[chain[cell, 1]] = page
+    chain[cell, 1] = page
     return int(page)
 
 
 @kernel
-def pages_in_view(
-    T: Any,
-    grid: Any,
-    width: Any,
-    height: Any,
-    far_m: Any,
-    since_s: Any,
-    block_m: Any,
-    cell_xyz: Any,
-    cell_pages: Any,
-    cell_seen_s: Any,
-    page_next: Any,
-    table: Any,
-    out: Any,
-) -> Any:
+def pages_in_view(view: Frustum, since_s: Any, page_next: Any, cells: Cells, out: Any) -> Any:
     """Write the pages of all cells that may be seen into `out`; how many.
 
     Args:
-        T: (4, 4) T_map_camera. grid: fx, fy, cx, cy.
         since_s: cells of which nothing was seen since are left out.
     """
-    low, high = _frustum_box(T, grid, width, height, far_m)
+    cell_xyz, cell_pages, cell_seen_s, table = cells.xyz, cells.pages, cells.seen_s, cells.table
+    block_m = cells.block_m
+    low, high = _frustum_box(view)
     reach = np.sqrt(3.0) * 0.5 * block_m + STRAY_M
     count = 0
     first = np.floor((low - STRAY_M) / block_m).astype(np.int64)
@@ -162,7 +220,7 @@ def pages_in_view(
     for x in range(first[0], last[0] + 1):
         for y in range(first[1], last[1] + 1):
             for z in range(first[2], last[2] + 1):
-                if not _may_be_seen(T, grid, width, height, far_m, reach, block_m, x, y, z):
+                if not _may_be_seen(view, reach, block_m, x, y, z):
                     continue
                 cell = find_cell(table, cell_xyz, x, y, z)
                 if cell < 0 or cell_seen_s[cell] < since_s:
@@ -176,11 +234,12 @@ def pages_in_view(
 
 
 @kernel
-def _frustum_box(T: Any, grid: Any, width: Any, height: Any, far_m: Any) -> Any:
+def _frustum_box(view: Frustum) -> Any:
     """Lowest and highest coordinates (3,) of the camera's centre and the four far corners of its view."""
+    T, grid, far_m = view.T, view.grid, view.far_m
     low, high = T[:3, 3].copy(), T[:3, 3].copy()
-    for u in (-0.5, width - 0.5):
-        for v in (-0.5, height - 0.5):
+    for u in (-0.5, view.width - 0.5):
+        for v in (-0.5, view.height - 0.5):
             x, y = (u - grid[2]) / grid[0] * far_m, (v - grid[3]) / grid[1] * far_m
             for k in range(3):
                 p = T[k, 0] * x + T[k, 1] * y + T[k, 2] * far_m + T[k, 3]
@@ -189,13 +248,12 @@ def _frustum_box(T: Any, grid: Any, width: Any, height: Any, far_m: Any) -> Any:
 
 
 @kernel
-def _may_be_seen(
-    T: Any, grid: Any, width: Any, height: Any, far_m: Any, reach: Any, block_m: Any, x: Any, y: Any, z: Any
-) -> Any:
+def _may_be_seen(view: Frustum, reach: Any, block_m: Any, x: Any, y: Any, z: Any) -> Any:
     """Whether the ball of radius `reach` about a cell's middle meets the frustum's planes."""
+    T, grid, width, height = view.T, view.grid, view.width, view.height
     a, b, c = (x + 0.5) * block_m - T[0, 3], (y + 0.5) * block_m - T[1, 3], (z + 0.5) * block_m - T[2, 3]
     depth = T[0, 2] * a + T[1, 2] * b + T[2, 2] * c
-    if depth < -reach or depth > far_m + reach:
+    if depth < -reach or depth > view.far_m + reach:
         return False
     right, down = T[0, 0] * a + T[1, 0] * b + T[2, 0] * c, T[0, 1] * a + T[1, 1] * b + T[2, 1] * c
     west, east = (grid[2] + 0.5) / grid[0], (width - 0.5 - grid[2]) / grid[0]
@@ -233,34 +291,14 @@ def count_usefulness(
 
 
 @kernel
-def compact(
-    begin: Any,
-    end: Any,
-    budget: Any,
-    now_s: Any,
-    rules: Any,
-    quota: Any,
-    geometry: Any,
-    look: Any,
-    seen_s: Any,
-    variance: Any,
-    page_next: Any,
-    page_fill: Any,
-    free: Any,
-    cell_pages: Any,
-    cell_seen_s: Any,
-    counters: Any,
-) -> Any:
+def compact(begin: Any, end: Any, budget: Any, going: Going, surfels: SurfelArrays, pages: Pages, cells: Cells) -> Any:
     """Close the gaps that dead surfels leave in cells `begin` to `end`, and free pages.
 
     Returns how many more died here, and the cell to go on with: that after the one in which `budget` surfels had been
-    looked at.
-
-    Args:
-        rules: confidence of the stable, seconds after which others die, active window in seconds, and seconds for which
-            others may go unseen.
-        quota: of each bin of usefulness, how many surfels may still be dropped.
+    looked at. `going.quota` counts down.
     """
+    page_next, page_fill, cell_pages = pages.next, pages.fill, cells.pages
+    geometry, seen_s = surfels.geometry, surfels.seen_s
     died, looked_at = 0, 0
     for cell in range(begin, end):
         if looked_at >= budget:
@@ -274,26 +312,26 @@ def compact(
                 confidence = geometry[slot, CONFIDENCE]
                 if confidence <= 0:
                     continue
-                if _must_go(confidence, seen_s[slot, 0], seen_s[slot, 1], now_s, rules, quota):
+                if _must_go(confidence, seen_s[slot, 0], seen_s[slot, 1], going):
                     died += 1
                     continue
                 if to == PAGE:
                     to_page, to = page_next[to_page], 0
                 if to_page * PAGE + to != slot:
-                    place = to_page * PAGE + to
-                    _copy(slot, place, geometry, look, seen_s, variance, geometry, look, seen_s, variance)
+                    _copy(slot, to_page * PAGE + to, surfels, surfels)
                 to += 1
                 last_s = max(last_s, seen_s[slot, 1])
             page = page_next[page]
-        _trim(cell, to_page, to, page_next, page_fill, free, cell_pages, counters)
-        cell_seen_s[cell] = last_s
-    counters[ALIVE] -= died
+        _trim(cell, to_page, to, pages, cells)
+        cells.seen_s[cell] = last_s
+    cells.counters[ALIVE] -= died
     return died, end
 
 
 @kernel
-def _must_go(confidence: Any, first_s: Any, last_s: Any, now_s: Any, rules: Any, quota: Any) -> Any:
+def _must_go(confidence: Any, first_s: Any, last_s: Any, going: Going) -> Any:
     """Whether a surfel's time has come, or its usefulness is among what may still be dropped: `quota` counts it."""
+    rules, quota, now_s = going.rules, going.quota, going.now_s
     if confidence < rules[0] and (now_s - first_s > rules[1] or now_s - last_s > rules[3]):
         return True
     if len(quota) == 0:
@@ -305,11 +343,10 @@ def _must_go(confidence: Any, first_s: Any, last_s: Any, now_s: Any, rules: Any,
 
 
 @kernel
-def _trim(
-    cell: Any, last: Any, fill: Any, page_next: Any, page_fill: Any, free: Any, pages: Any, counters: Any
-) -> None:
+def _trim(cell: Any, last: Any, fill: Any, pages: Pages, cells: Cells) -> None:
     """End a cell's chain at page `last`, which keeps `fill` surfels, and free what follows."""
-    page = pages[cell, 0]
+    page_next, page_fill, chain, counters = pages.next, pages.fill, cells.pages, cells.counters
+    page = chain[cell, 0]
     if page < 0:
         return
     while page != last:
@@ -318,14 +355,46 @@ def _trim(
     page_fill[last] = fill
     page = page_next[last]
     if fill == 0:
-        pages[cell, 0] = pages[cell, 1] = -1
+        chain[cell, 0] = chain[cell, 1] = -1
         page = last
     else:
-        pages[cell, 1] = last
+        chain[cell, 1] = last
         page_next[last] = -1
     while page >= 0:
         following = page_next[page]
         page_fill[page] = 0
-        free[counters[FREE]] = page
+        pages.free[counters[FREE]] = page
         counters[FREE] += 1
         page = following
+
+
+@kernel
+def move(T_new_old: Any, has_moved: Any, surfels: SurfelArrays, pages: Pages, cells: Cells, left: Any) -> Any:
+    """Move surfels with their keyframes; how many have left their cell, whose slots are the first of `left`.
+
+    Args:
+        T_new_old: (K + 1, 4, 4) by keyframe; the last is of surfels that name none of these.
+        has_moved: (K + 1,).
+        left: (slots,) room.
+    """
+    geometry, keyframe, count = surfels.geometry, surfels.keyframe, 0
+    p, n = np.empty(3), np.empty(3)
+    for page in range(cells.counters[PAGES]):
+        cell = pages.cell[page]
+        for slot in range(page * PAGE, page * PAGE + pages.fill[page]):
+            k = keyframe[slot] if 0 <= keyframe[slot] < len(has_moved) - 1 else len(has_moved) - 1
+            if not has_moved[k] or geometry[slot, CONFIDENCE] <= 0:
+                continue
+            for i in range(3):
+                p[i], n[i] = T_new_old[k, i, 3], 0.0
+                for j in range(3):
+                    p[i] += T_new_old[k, i, j] * geometry[slot, j]
+                    n[i] += T_new_old[k, i, j] * geometry[slot, 4 + j]
+            has_left = False
+            for i in range(3):
+                geometry[slot, i], geometry[slot, 4 + i] = p[i], n[i]
+                has_left |= int(np.floor(geometry[slot, i] / cells.block_m)) != cells.xyz[cell, i]
+            if has_left:
+                left[count] = slot
+                count += 1
+    return count

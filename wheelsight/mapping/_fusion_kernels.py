@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, STRAY_M
+from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, STRAY_M, SurfelArrays
 from wheelsight.mapping._match_kernels import (
     FAR,
     FAR_M,
@@ -28,6 +28,8 @@ from wheelsight.mapping._match_kernels import (
     deviation,
     faces,
 )
+
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Beyond, more sightings change nothing: what is seen for long can still change.
@@ -256,13 +258,10 @@ def make_new(
     grey: Any,
     stamp_s: Any,
     frames: Any,
-    geometry: Any,
-    look: Any,
-    seen_s: Any,
-    variance: Any,
+    new: SurfelArrays,
 ) -> None:
-    """Surfels of the pixels (h·w,) marked, row by row."""
-    i = 0
+    """Surfels of the pixels (h·w,) marked, row by row; who calls knows their keyframe."""
+    geometry, look, seen_s, variance, i = new.geometry, new.look, new.seen_s, new.variance, 0
     for p in range(len(is_new)):
         if not is_new[p]:
             continue

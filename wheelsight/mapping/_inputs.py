@@ -8,6 +8,7 @@ import numpy as np
 
 from wheelsight.errors import MapError
 from wheelsight.geometry import Float32Array, FloatArray, se3
+from wheelsight.views import Surface
 
 _NONE_LARGER_PX = 4096
 
@@ -53,25 +54,32 @@ def rays_of(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Flo
     return x.astype(np.float32), y.astype(np.float32)
 
 
-def checked_frame(depth_m: Float32Array, normal: Float32Array, grey: Float32Array, color: np.ndarray | None) -> Frame:
+def checked_frame(surface: Surface) -> Frame:
     """The frame, if its images are of one shape; else MapError."""
+    depth_m, color = surface.depth_m, surface.color
     if depth_m.ndim != 2 or not 0 < max(depth_m.shape) <= _NONE_LARGER_PX:
         raise MapError(f"depth_m is of shape {depth_m.shape}, not (h, w)")
-    images = {"normal": normal, "grey": grey} | ({} if color is None else {"color": color})
+    images = {"normal": surface.normal, "grey": surface.grey} | ({} if color is None else {"color": color})
     for name, image in images.items():
         expected = depth_m.shape if name == "grey" else (*depth_m.shape, 3)
         if image.shape != expected:
             raise MapError(f"{name} is of shape {image.shape}, not {expected} as depth_m asks")
-    if color is None:
-        color = np.empty((0, 0, 3))
-    return Frame(*(np.ascontiguousarray(image, np.float32) for image in (depth_m, normal, color, grey)))
+    color = np.empty((0, 0, 3), np.float32) if color is None else color
+    given = (depth_m, surface.normal, color, surface.grey)
+    return Frame(*(np.ascontiguousarray(image, np.float32) for image in given))
 
 
 def checked_pose(T_map_camera: FloatArray, intrinsics: FloatArray) -> Pose:
     """The pose, if it is one; else MapError."""
-    T, grid = np.ascontiguousarray(T_map_camera, float), np.ascontiguousarray(intrinsics, float)
-    if T.shape != (4, 4) or not np.isfinite(T).all() or not se3.is_valid(T, tolerance=1e-4):
-        raise MapError("T_map_camera is not a rigid motion", fix="fuse and predict only where the pose is known")
+    T, grid = checked_motion(T_map_camera, "T_map_camera"), np.ascontiguousarray(intrinsics, float)
     if grid.shape != (4,) or not np.isfinite(grid).all() or min(grid[:2]) <= 0:
         raise MapError("intrinsics are not fx, fy, cx, cy with positive focal lengths")
     return Pose(T, grid)
+
+
+def checked_motion(T: FloatArray, name: str) -> FloatArray:
+    """The rigid motion (4, 4), if it is one; else MapError."""
+    T = np.ascontiguousarray(T, float)
+    if T.shape != (4, 4) or not np.isfinite(T).all() or not se3.is_valid(T, tolerance=1e-4):
+        raise MapError(f"{name} is not a rigid motion", fix="fuse, predict and move only where the pose is known")
+    return T

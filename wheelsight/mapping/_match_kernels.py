@@ -13,6 +13,8 @@ import numpy as np
 from wheelsight.compiled import kernel
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
 
+# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
+
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 # Order in which surfels are preferred to each other where several fit a pixel; added to a distance in pixels².
 _UNSTABLE, _INACTIVE = np.float32(1.0), np.float32(2.0)

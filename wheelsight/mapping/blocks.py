@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight.mapping import _block_kernels as kernels
-from wheelsight.mapping._block_kernels import ALIVE, CELLS, CONFIDENCE, PAGE, PAGES
+from wheelsight.mapping._block_kernels import (
+    ALIVE,
+    CELLS,
+    CONFIDENCE,
+    PAGE,
+    PAGES,
+    Cells,
+    Frustum,
+    Going,
+    Pages,
+    SurfelArrays,
+)
 
 _FIRST_PAGES = 1024
 _BINS = 512
 # Dropping goes over the whole map; a tenth at once makes it rare.
 _DROPPED_AT_ONCE = 0.1
 _SWEPT_SURFELS = 1 << 15
+# Rules by which no surfel's time has come.
+_NONE_GOES = np.array([0.0, np.inf, 1.0, np.inf])
 
 
 class Blocks:
@@ -28,6 +39,7 @@ class Blocks:
         look: (slots, 4) float32: red, green, blue, grey from 0 to 255, -1 where unknown.
         seen_s: (slots, 2) first and last time seen.
         variance: (slots,) float32 of the position along the normal, in m².
+        keyframe: (slots,) int32 that which each hangs on, -1 for none.
         dropped: how many were given up for want of room.
     """
 
@@ -40,6 +52,7 @@ class Blocks:
         self.look: Float32Array = np.zeros((0, 4), np.float32)
         self.seen_s: FloatArray = np.zeros((0, 2))
         self.variance: Float32Array = np.zeros(0, np.float32)
+        self.keyframe: Int32Array = np.zeros(0, np.int32)
         self.page_next: Int32Array = np.zeros(0, np.int32)
         self.page_fill: Int32Array = np.zeros(0, np.int32)
         self.page_cell: Int32Array = np.zeros(0, np.int32)
@@ -82,27 +95,24 @@ class Blocks:
     ) -> Int32Array:
         """Pages of surfels that a camera may see, leaving out cells of which nothing was seen since `since_s`."""
         out = np.empty(self._counters[PAGES], np.int32)
-        view = (T_map_camera, intrinsics, shape[1], shape[0], far_m, since_s, self.block_m)
-        cells = (self.cell_xyz, self._cell_pages, self.cell_seen_s, self.page_next, self._table)
-        count: int = kernels.pages_in_view(*view, *cells, out)
+        view = Frustum(T_map_camera, intrinsics, shape[1], shape[0], far_m)
+        count: int = kernels.pages_in_view(view, since_s, self.page_next, self.cells, out)
         return out[:count]
 
-    def append(
-        self, new: tuple[Float32Array, Float32Array, FloatArray, Float32Array], now_s: float, rules: FloatArray
-    ) -> int:
-        """Add surfels (their geometry, look, seen_s, variance), in order; how many found room.
+    def append(self, new: SurfelArrays, now_s: float, rules: FloatArray) -> int:
+        """Add surfels, in order; how many found room.
 
         Where there is none left, the least useful tenth of the map goes first.
         """
         done, has_dropped = 0, False
         while True:
-            done = int(kernels.append(*new, done, self.block_m, *self._surfels, *self._chains, *self._cells))
-            if done == len(new[0]):
+            done = int(kernels.append(new, done, self.surfels, self.pages, self.cells))
+            if done == len(new.geometry):
                 return done
             if self._grow():
                 continue
             if has_dropped:
-                self.dropped += len(new[0]) - done
+                self.dropped += len(new.geometry) - done
                 return done
             self._drop_least_useful(now_s, rules)
             has_dropped = True
@@ -119,6 +129,23 @@ class Blocks:
         died, self._cursor = self._compact(self._cursor, cells, _SWEPT_SURFELS, now_s, rules, np.zeros(0, np.int64))
         return died
 
+    def move(self, T_new_old: FloatArray, now_s: float, rules: FloatArray) -> None:
+        """Move surfels with their keyframes: (K + 1, 4, 4) by keyframe, the last of those that name none of these.
+
+        Those that leave their cell are laid into the one they come to; who finds no room there is counted as dropped.
+        """
+        has_moved = (T_new_old != np.eye(4)).any(axis=(1, 2))
+        left = np.empty(len(self.geometry), np.int32)
+        left = left[: kernels.move(T_new_old, has_moved, self.surfels, self.pages, self.cells, left)]
+        if not len(left):
+            return
+        taken = SurfelArrays(*(array[left] for array in self.surfels))
+        self.geometry[left, CONFIDENCE] = 0.0
+        self.count_deaths(len(left))
+        everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
+        self._compact(0, *everything, now_s, _NONE_GOES, np.zeros(0, np.int64))
+        self.append(taken, now_s, rules)
+
     def _drop_least_useful(self, now_s: float, rules: FloatArray) -> None:
         """Let a tenth of all surfels go, those of least use first."""
         bins = np.zeros(_BINS, np.int64)
@@ -133,8 +160,8 @@ class Blocks:
     def _compact(
         self, begin: int, end: int, budget: int, now_s: float, rules: FloatArray, quota: np.ndarray
     ) -> tuple[int, int]:
-        chains = (self.page_next, self.page_fill, self._free, self._cell_pages, self.cell_seen_s, self._counters)
-        died, then = kernels.compact(begin, end, budget, now_s, rules, quota, *self._surfels, *chains)
+        going = Going(now_s, rules, quota)
+        died, then = kernels.compact(begin, end, budget, going, self.surfels, self.pages, self.cells)
         return int(died), int(then)
 
     def _grow(self) -> bool:
@@ -150,7 +177,7 @@ class Blocks:
 
     def _grow_pages(self) -> None:
         pages = min(max(2 * len(self.page_next), _FIRST_PAGES), self._max_pages)
-        for name in ("geometry", "look", "seen_s", "variance"):
+        for name in ("geometry", "look", "seen_s", "variance", "keyframe"):
             setattr(self, name, _grown(getattr(self, name), pages * PAGE))
         for name in ("page_next", "page_fill", "page_cell", "_free"):
             setattr(self, name, _grown(getattr(self, name), pages))
@@ -163,16 +190,19 @@ class Blocks:
         kernels.rebuild_table(self._table, self.cell_xyz, int(self._counters[CELLS]))
 
     @property
-    def _surfels(self) -> tuple[Any, Any, Any, Any]:
-        return self.geometry, self.look, self.seen_s, self.variance
+    def surfels(self) -> SurfelArrays:
+        """All slots, for kernels."""
+        return SurfelArrays(self.geometry, self.look, self.seen_s, self.variance, self.keyframe)
 
     @property
-    def _chains(self) -> tuple[Any, Any, Any, Any]:
-        return self.page_next, self.page_fill, self.page_cell, self._free
+    def pages(self) -> Pages:
+        """All pages, for kernels."""
+        return Pages(self.page_next, self.page_fill, self.page_cell, self._free)
 
     @property
-    def _cells(self) -> tuple[Any, Any, Any, Any, Any]:
-        return self.cell_xyz, self._cell_pages, self.cell_seen_s, self._table, self._counters
+    def cells(self) -> Cells:
+        """All cells, for kernels."""
+        return Cells(self.block_m, self.cell_xyz, self._cell_pages, self.cell_seen_s, self._table, self._counters)
 
 
 def _grown(array: np.ndarray, length: int) -> np.ndarray:

@@ -28,6 +28,16 @@ class SurfelSettings(BaseModel):
     fused_after_s: PositiveFloat = Field(
         default=0.1, le=3600, description="a frame so long after the last one fused is fused anyway"
     )
+    colored_every: PositiveInt = Field(
+        default=3,
+        le=100,
+        description="of so many fused frames one gives colour, which is only looked at; bringing it takes time",
+    )
+    beyond_share: NonNegativeFloat = Field(
+        default=0.05,
+        le=1,
+        description="where more of a frame's depths lie beyond far_m, keyframes show more than the map does",
+    )
     far_m: PositiveFloat = Field(
         default=6.0, le=40, description="no surfel is predicted beyond; they are laid 12 σ farther"
     )

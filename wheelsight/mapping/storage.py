@@ -1,7 +1,10 @@
 """Maps in files: one line that names the format, one line of JSON that says what follows, and then plain arrays.
 
-The arrays are those of `Surfels`, one after the other in the order of the header's `fields`, row by row, with numbers
-in little-endian order: whoever can read JSON and raw numbers can read a map.
+The arrays are those of `Surfels`, one after the other in the order of the header's `fields`, row by row, and then the
+poses T_map_keyframe (keyframes, 4, 4) of float64; numbers are in little-endian order. Whoever can read JSON and raw
+numbers can read a map. All of it is in the frame that the header names, which is `map`.
+
+Files of version 1 have neither keyframes nor the name of a frame; their surfels hang on no keyframe.
 """
 
 from __future__ import annotations
@@ -17,19 +20,21 @@ import numpy as np
 
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath, atomic_write
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.inputs import Kind, parse_json, read_bytes
 from wheelsight.inputs.settings import checked_settings
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import Surfels
 
-FORMAT = "wheelsight-map-1"
+FORMAT, FRAME = "wheelsight-map-2", "map"
+_FIRST_FORMAT = "wheelsight-map-1"
 _LONGEST_HEADER = 1 << 16
 _NO_MAP = "give a file that `save_map` wrote"
 # Beyond 16 km, float32 no longer tells millimetres apart; the others are far beyond what a map ever holds.
 _LARGEST = {"position": 16_000.0, "normal": 1.01, "radius_m": 100.0, "color": 1000.0, "grey": 1000.0}
 _LARGEST |= {"confidence": 1e9, "variance_m2": 1e4, "first_s": 1e20, "last_s": 1e20}
-_FILE = Kind("a map", most_mb=420, fix=_NO_MAP)
+_FILE = Kind("a map", most_mb=450, fix=_NO_MAP)
 _DAMAGED = "it is damaged or cut short: use another copy"
 # Name, type and number of columns; 0 for a flat array.
 _FIELDS = (
@@ -42,7 +47,9 @@ _FIELDS = (
     ("variance_m2", "<f4", 0),
     ("first_s", "<f8", 0),
     ("last_s", "<f8", 0),
+    ("keyframe", "<i4", 0),
 )
+_COUNTS, _POSE_BYTES = ("surfels", "keyframes"), 16 * 8
 assert tuple(name for name, _, _ in _FIELDS) == tuple(field.name for field in fields(Surfels))
 
 
@@ -53,9 +60,12 @@ def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
     # Sorted, so that equal maps are equal files, however their surfels came to be where they lie in memory.
     order = np.lexsort(surfels.position.T)
     arrays = [np.ascontiguousarray(getattr(surfels, name)[order], dtype) for name, dtype, _ in _FIELDS]
+    arrays.append(np.ascontiguousarray(surfel_map.T_map_keyframe, "<f8"))
     header = {
+        "frame": FRAME,
         "surfels": len(surfels.grey),
         "fields": [[name, dtype, columns] for name, dtype, columns in _FIELDS],
+        "keyframes": len(surfel_map.T_map_keyframe),
         "stamp_s": surfel_map.stamp_s if math.isfinite(surfel_map.stamp_s) else None,
         "dropped": surfel_map.dropped,
         "crc32": _crc(arrays),
@@ -71,16 +81,16 @@ def load_map(path: StrPath) -> SurfelMap:
     """Read a whole map.
 
     Raises:
-        MapError: naming the file: it cannot be read, is no map, of another version, cut short, damaged, or holds
-            numbers that no surfel has.
+        MapError: naming the file: it cannot be read, is no map, of a later version, cut short, damaged, or holds
+            numbers that no surfel or keyframe has.
     """
     path = Path(path)
     data = read_bytes(path, _FILE, MapError)
     try:
         header, body = _split(data)
-        surfels = _surfels(header, body)
+        contents = _contents(header, body)
         del data, body  # as large as the map
-        return _map_of(header, surfels)
+        return _map_of(header, *contents)
     except MapError as error:
         raise MapError(error.problem, path=path, fix=error.fix) from error
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -88,8 +98,9 @@ def load_map(path: StrPath) -> SurfelMap:
 
 
 def _split(data: bytes) -> tuple[dict[str, Any], memoryview]:
+    """Header, as the present version has it, and all that follows."""
     name, _, rest = data[:_LONGEST_HEADER].partition(b"\n")
-    if name != FORMAT.encode():
+    if name not in (FORMAT.encode(), _FIRST_FORMAT.encode()):
         if name.startswith(FORMAT.rpartition("-")[0].encode()):
             raise MapError(f"is of version {name[:40].decode('ascii', 'replace')!r}, not {FORMAT!r}", fix=_NO_MAP)
         raise MapError("is no map", fix=_NO_MAP)
@@ -102,35 +113,52 @@ def _split(data: bytes) -> tuple[dict[str, Any], memoryview]:
         raise MapError(f"its header is not one: {error}", fix=_DAMAGED) from error
     if not isinstance(header, dict):
         raise MapError("its header is no object", fix=_DAMAGED)
+    if name == _FIRST_FORMAT.encode():
+        header |= {"frame": FRAME, "keyframes": 0}
+    is_known = header["fields"] == [list(field) for field in _fields_of(name)]
+    if header["frame"] != FRAME or not is_known or not all(_is_count(header[name]) for name in _COUNTS):
+        raise MapError(f"its frame, fields or counts are not those of {name.decode()}", fix=_DAMAGED)
     return header, memoryview(data)[len(name) + len(text) + 2 :]
 
 
-def _surfels(header: dict[str, Any], body: memoryview) -> Surfels:
-    n = header["surfels"]
-    if type(n) is not int or n < 0 or header["fields"] != [list(field) for field in _FIELDS]:
-        raise MapError(f"its fields are not those of {FORMAT}", fix=_DAMAGED)
-    expected = n * sum(np.dtype(dtype).itemsize * max(columns, 1) for _, dtype, columns in _FIELDS)
+def _fields_of(name: bytes) -> tuple[tuple[str, str, int], ...]:
+    return _FIELDS if name == FORMAT.encode() else _FIELDS[:-1]
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and value >= 0
+
+
+def _contents(header: dict[str, Any], body: memoryview) -> tuple[Surfels, FloatArray]:
+    """Surfels, and T_map_keyframe (keyframes, 4, 4)."""
+    n, keyframes, fields = header["surfels"], header["keyframes"], header["fields"]
+    expected = n * sum(np.dtype(dtype).itemsize * max(columns, 1) for _, dtype, columns in fields)
+    expected += keyframes * _POSE_BYTES
     if len(body) != expected:
-        raise MapError(f"holds {len(body)} bytes of surfels, not {expected}", fix=_DAMAGED)
+        raise MapError(f"holds {len(body)} bytes of surfels and keyframes, not {expected}", fix=_DAMAGED)
     if zlib.crc32(body) != header["crc32"]:
         raise MapError("its checksum is wrong", fix=_DAMAGED)
     arrays, begin = [], 0
-    for _, dtype, columns in _FIELDS:
+    for _, dtype, columns in fields:
         flat = np.frombuffer(body, dtype, n * max(columns, 1), begin)
         begin += flat.nbytes
         arrays.append(flat.reshape(n, columns).copy() if columns else flat.copy())
+    if len(fields) < len(_FIELDS):
+        arrays.append(np.full(n, -1, np.int32))
     surfels = Surfels(*arrays)
+    T_map_keyframe = np.frombuffer(body, "<f8", 16 * keyframes, begin).reshape(-1, 4, 4).astype(float)
     _refuse_impossible(surfels)
-    return surfels
+    _refuse_wrong_keyframes(surfels, T_map_keyframe)
+    return surfels, T_map_keyframe
 
 
 def _refuse_impossible(surfels: Surfels) -> None:
-    for name, _, _ in _FIELDS:
+    for name, largest in _LARGEST.items():
         values = getattr(surfels, name)
         if not np.isfinite(values).all():
             raise MapError(f"{name} holds numbers that are not finite", fix=_DAMAGED)
-        if len(values) and np.abs(values).max() > _LARGEST[name]:
-            raise MapError(f"{name} holds numbers beyond {_LARGEST[name]:g}", fix=_DAMAGED)
+        if len(values) and np.abs(values).max() > largest:
+            raise MapError(f"{name} holds numbers beyond {largest:g}", fix=_DAMAGED)
     if len(surfels.grey) == 0:
         return
     for name in ("radius_m", "confidence", "variance_m2"):
@@ -140,10 +168,18 @@ def _refuse_impossible(surfels: Surfels) -> None:
         raise MapError("normal holds vectors that are not of length 1", fix=_DAMAGED)
 
 
-def _map_of(header: dict[str, Any], surfels: Surfels) -> SurfelMap:
+def _refuse_wrong_keyframes(surfels: Surfels, T_map_keyframe: FloatArray) -> None:
+    if not np.isfinite(T_map_keyframe).all() or not np.all(se3.is_valid(T_map_keyframe, tolerance=1e-4)):
+        raise MapError("its keyframes have poses that are no rigid motions", fix=_DAMAGED)
+    numbers = surfels.keyframe
+    if len(numbers) and not (numbers.min() >= -1 and numbers.max() < len(T_map_keyframe)):
+        raise MapError(f"keyframe holds numbers beyond the {len(T_map_keyframe)} there are", fix=_DAMAGED)
+
+
+def _map_of(header: dict[str, Any], surfels: Surfels, T_map_keyframe: FloatArray) -> SurfelMap:
     settings = checked_settings(SurfelSettings, header["settings"], MapError, "settings: ", _DAMAGED)
     stamp_s, dropped, n = header["stamp_s"], header["dropped"], len(surfels.grey)
-    if type(dropped) is not int or dropped < 0:
+    if not _is_count(dropped):
         raise MapError(f"dropped is {dropped!r}, not a count", fix=_DAMAGED)
     stamp_s = -math.inf if stamp_s is None else float(stamp_s)
     if math.isnan(stamp_s) or (n and (surfels.last_s.max() > stamp_s or (surfels.first_s > surfels.last_s).any())):
@@ -151,7 +187,7 @@ def _map_of(header: dict[str, Any], surfels: Surfels) -> SurfelMap:
     surfel_map = SurfelMap(settings)
     if surfel_map.add(surfels, stamp_s) != n:
         raise MapError(f"{n} surfels find no room in a map of {settings.max_surfels}", fix=_DAMAGED)
-    surfel_map.restore_dropped(dropped)
+    surfel_map.restore(dropped, T_map_keyframe)
     return surfel_map
 
 

@@ -12,16 +12,17 @@ import numpy as np
 from wheelsight.calibration import DepthNoise
 from wheelsight.errors import MapError
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array
+from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.mapping import _fusion_kernels as fusion
 from wheelsight.mapping import _match_kernels as match
 from wheelsight.mapping import _view_kernels as view
-from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
-from wheelsight.mapping._inputs import Frame, Pose, checked_frame, checked_pose, rays_of
+from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, SurfelArrays
+from wheelsight.mapping._inputs import Frame, Pose, checked_frame, checked_motion, checked_pose, rays_of
 from wheelsight.mapping.blocks import Blocks
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
 from wheelsight.threads import Rows
-from wheelsight.views import PredictedView
+from wheelsight.views import PredictedView, Surface
 
 # Duplicates are looked for in one of so many frames, and not in that which brings colour: those of a few frames can be
 # merged at once.
@@ -36,17 +37,30 @@ _RADIAL_SIGMA = 0.6
 class SurfelMap:
     """Surfels in the map frame; frames with poses go in, views come out. A `ReferenceModel` to track against.
 
+    Each surfel hangs on the keyframe that was current when it was made. Where the map follows a store, surfels move
+    with their keyframes: before it is fused into, shown or read, it asks how they have moved.
+
     Results do not depend on `settings.threads`, to the last bit. Not to be used by two threads at once.
+
+    Args:
+        settings: or the defaults.
+        store: of the keyframes; without one, nothing moves.
+
+    Attributes:
+        settings: of the map.
+        stamp_s: of the last frame.
+        frames: how many were fused.
     """
 
-    def __init__(self, settings: SurfelSettings | None = None) -> None:
+    def __init__(self, settings: SurfelSettings | None = None, store: KeyframeStore | None = None) -> None:
         self.settings = settings or SurfelSettings()
-        self.stamp_s = -np.inf
+        self._store, self._follower = store, None if store is None else store.follow()
+        self._T_map_keyframe = np.zeros((0, 4, 4))
+        self.stamp_s, self.frames = -np.inf, 0
         self._blocks = Blocks(self.settings.block_m, self.settings.max_surfels)
         self._rows = Rows(self.settings.threads)
         self._scratch: dict[str, np.ndarray] = {}
         self._weight_of: tuple[float, ...] = ()
-        self._frames = 0
 
     def __len__(self) -> int:
         return self._blocks.alive
@@ -61,6 +75,11 @@ class SurfelMap:
         """Of all arrays."""
         return self._blocks.memory_bytes + sum(array.nbytes for array in self._scratch.values())
 
+    @property
+    def T_map_keyframe(self) -> FloatArray:
+        """Poses (K, 4, 4) of the keyframes that surfels hang on, by number: those of the store, or of the file."""
+        return self._T_map_keyframe if self._store is None else self._store.T_map_keyframe
+
     def status(self) -> MapStatus:
         """How the map stands; goes over all surfels."""
         slots = self._blocks.slots()
@@ -71,6 +90,7 @@ class SurfelMap:
 
     def surfels(self, which: Literal["all", "stable"] = "all") -> Surfels:
         """Copies of all surfels, or of the stable ones, block by block."""
+        self._follow()
         blocks, slots = self._blocks, self._blocks.slots()
         if which == "stable":
             slots = slots[blocks.geometry[slots, CONFIDENCE] >= self.settings.stable_confidence]
@@ -85,60 +105,83 @@ class SurfelMap:
             blocks.variance[slots],
             seen_s[:, 0].copy(),
             seen_s[:, 1].copy(),
+            blocks.keyframe[slots],
         )
 
     def add(self, surfels: Surfels, stamp_s: float) -> int:
         """Put surfels in as they are, at a map's time; how many found room."""
+        self._follow()
         self.stamp_s = max(self.stamp_s, stamp_s)
         radius, confidence = surfels.radius_m[:, None], surfels.confidence[:, None]
         geometry = np.hstack([surfels.position, radius, surfels.normal, confidence]).astype(np.float32)
         look = np.hstack([surfels.color, surfels.grey[:, None]]).astype(np.float32)
         seen_s = np.stack([surfels.first_s, surfels.last_s], axis=-1)
-        return self._blocks.append((geometry, look, seen_s, surfels.variance_m2), self.stamp_s, self._rules)
+        new = SurfelArrays(geometry, look, seen_s, surfels.variance_m2, surfels.keyframe)
+        return self._blocks.append(new, self.stamp_s, self._rules)
 
-    def restore_dropped(self, dropped: int) -> None:
-        """Count so many surfels as given up before: for a map read from a file."""
-        self._blocks.dropped = dropped
+    def restore(self, dropped: int, T_map_keyframe: FloatArray) -> None:
+        """Count so many surfels as given up before, and know the keyframes (K, 4, 4): for a map read from a file."""
+        self._blocks.dropped, self._T_map_keyframe = dropped, T_map_keyframe
+
+    def move(self, T_new_old: FloatArray) -> None:
+        """Move the whole map by a rigid motion (4, 4) from the left, and all keyframes of its store.
+
+        Raises MapError for what is none.
+        """
+        T = checked_motion(T_new_old, "T_new_old")
+        self._follow()
+        if self._store is None or self._follower is None:
+            self._T_map_keyframe = T @ self._T_map_keyframe
+        else:
+            self._store.move(list(self._store), T @ self._store.T_map_keyframe)
+            self._follower.moves()  # moved below, with those that hang on none
+        self._blocks.move(T[None], self.stamp_s, self._rules)
+
+    def _follow(self) -> None:
+        """Move surfels as their keyframes have moved since this was called last."""
+        moves = None if self._follower is None else self._follower.moves()
+        if moves is not None:
+            self._blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules)
 
     def fuse(
         self,
-        depth_m: Float32Array,
-        normal: Float32Array,
-        grey: Float32Array,
-        color: Float32Array | np.ndarray | None,
+        surface: Surface,
         intrinsics: FloatArray,
         T_map_camera: FloatArray,
         stamp_s: float,
         noise: DepthNoise | None = None,
         frames: int = 1,
+        keyframe: KeyframeId | None = None,
     ) -> FusedFrame:
         """Average a frame on the grid of an ideal camera into the map.
 
         Args:
-            depth_m: (h, w), 0 where unknown.
-            normal: (h, w, 3) in the camera frame, towards the camera; 0 where unknown. Such pixels are not fused.
-            grey: (h, w) from 0 to 255, -1 where unknown.
-            color: (h, w, 3) likewise, or None.
+            surface: what it shows.
             intrinsics: (4,) fx, fy, cx, cy.
             T_map_camera: (4, 4) of this frame: one whose tracking failed has none, and cannot be fused.
             stamp_s: not before that of the last frame.
             noise: of depth; by default Kinect v1's.
             frames: how many it counts as, with those alike that were left out.
+            keyframe: that new surfels hang on.
 
         Raises:
-            MapError: shapes that differ, a pose that is no rigid motion, or a stamp before the last.
+            MapError: shapes that differ, a pose that is no rigid motion, a stamp before the last, or a keyframe that
+                the map does not know.
         """
-        frame, pose = checked_frame(depth_m, normal, grey, color), checked_pose(T_map_camera, intrinsics)
+        frame, pose = checked_frame(surface), checked_pose(T_map_camera, intrinsics)
         if not np.isfinite(stamp_s) or stamp_s < self.stamp_s:
             raise MapError(f"stamp_s is {stamp_s}, after {self.stamp_s}", fix="fuse frames in order of time")
+        if keyframe is not None and not 0 <= keyframe < len(self.T_map_keyframe):
+            raise MapError(f"there is no keyframe {keyframe}", fix="give the map the store that has it")
+        self._follow()
         self.stamp_s, noise = float(stamp_s), noise or DepthNoise()
         sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
         dropped = self._blocks.dropped
         readings = self._readings(frame.depth_m, frame.normal, pose, sensor)
         when = (self.stamp_s, np.float32(frames))
         matched, removed, merged, is_new = self._average(frame, pose, readings, sensor, when)
-        added = self._add_new(frame, readings, is_new, when)
-        self._frames += 1
+        added = self._add_new(frame, readings, is_new, when, -1 if keyframe is None else keyframe)
+        self.frames += 1
         removed += self._blocks.sweep(self.stamp_s, self._rules)
         return FusedFrame(matched, added, removed, merged, self._blocks.dropped - dropped)
 
@@ -148,6 +191,7 @@ class SurfelMap:
         Args: as of `ReferenceModel.predict`. Raises MapError for a pose that is no rigid motion.
         """
         pose = checked_pose(T_map_camera, intrinsics)
+        self._follow()
         limits = (self.settings.far_m, 0.0, self.settings.vague_m**2)
         return PredictedView(*self._show(pose, shape, limits, self._active_since_s, False)[:3])
 
@@ -164,13 +208,8 @@ class SurfelMap:
         far_m = self.settings.far_m if far_m is None else far_m
         since_s = self._active_since_s if which == "active" else -np.inf
         pose = checked_pose(T_map_camera, intrinsics)
+        self._follow()
         return ColoredView(*self._show(pose, shape, (far_m, least, np.inf), since_s, True))
-
-    def in_view(self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> int:
-        """How many surfels may be in view, of the blocks that are: what a frame's time depends on."""
-        pose = checked_pose(T_map_camera, intrinsics)
-        pages = self._blocks.pages_in_view(pose.T, pose.grid, shape, self.settings.far_m, -np.inf)
-        return int(self._blocks.page_fill[pages].sum())
 
     @property
     def _active_since_s(self) -> float:
@@ -249,7 +288,7 @@ class SurfelMap:
         looks = (pose.T32, sensor, *readings, frame.color.reshape(-1, 3), frame.grey.reshape(-1), *when)
         given = (slots, pixel, chosen, *surfels, *cells, *looks, found, counts)
         share(len(pages), lambda a, b: fusion.update(a, b, *given))
-        is_due, matches = self._frames % _MERGED_EVERY == 1, (slots, pixel, found, chosen)
+        is_due, matches = self.frames % _MERGED_EVERY == 1, (slots, pixel, found, chosen)
         merged = self._merge((height, width), settings, *matches) if is_due else 0
         removed = int(found[:, 1].sum() + counts[:, 1].sum())
         blocks.count_deaths(removed + merged)
@@ -282,11 +321,13 @@ class SurfelMap:
         readings: tuple[Float32Array, Float32Array],
         is_new: np.ndarray,
         when: tuple[float, np.float32],
+        keyframe: int,
     ) -> int:
         n = int(np.count_nonzero(is_new))
-        new = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2)), np.empty(n, np.float32)
+        images = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2))
+        new = SurfelArrays(*images, np.empty(n, np.float32), np.full(n, keyframe, np.int32))
         looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1), *when)
-        fusion.make_new(is_new.reshape(-1), *readings, *looks, *new)
+        fusion.make_new(is_new.reshape(-1), *readings, *looks, new)
         return self._blocks.append(new, self.stamp_s, self._rules)
 
     def _show(

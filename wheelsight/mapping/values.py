@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight.views import PredictedView
 
 
@@ -57,6 +57,7 @@ class Surfels:
         confidence: (n,) float32, how many frames saw it, up to 100.
         variance_m2: (n,) float32 of the position along the normal.
         first_s, last_s: (n,) when first and last seen.
+        keyframe: (n,) int32 number of that which each hangs on, -1 for none.
     """
 
     position: Float32Array
@@ -68,6 +69,7 @@ class Surfels:
     variance_m2: Float32Array
     first_s: FloatArray
     last_s: FloatArray
+    keyframe: Int32Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -92,9 +92,8 @@ def floor_map() -> SurfelMap:
     radius_m, grey, confidence, variance_m2 = (np.full(n, x, np.float32) for x in (0.01, 128, 50, 1e-6))
     color, stamps_s = np.full((n, 3), 128, np.float32), np.zeros(n)
     surfel_map = SurfelMap()
-    surfel_map.add(
-        Surfels(position, normal, radius_m, color, grey, confidence, variance_m2, stamps_s, stamps_s), stamp_s=0.0
-    )
+    seen = (stamps_s, stamps_s, np.full(n, -1, np.int32))
+    surfel_map.add(Surfels(position, normal, radius_m, color, grey, confidence, variance_m2, *seen), stamp_s=0.0)
     return surfel_map
 
 

@@ -61,7 +61,6 @@ class Stops:
 
 def map_record_of(
     surfel_map: SurfelMap,
-    fused: int,
     stops: Sequence[Stop],
     T_map_body: FloatArray,
     calibration: Calibration,
@@ -70,7 +69,6 @@ def map_record_of(
 
     Args:
         surfel_map: as it is at the end.
-        fused: how many frames went into it.
         stops: where to look at it from.
         T_map_body: (n, 4, 4) of the whole way, in the map.
         calibration: tells the colour camera, and which way is up where it has `T_base_camera`.
@@ -78,7 +76,7 @@ def map_record_of(
     is_levelled = calibration.T_base_camera is not None
     pictures = tuple(MapPicture(stop.stamp_s, stop.color, _seen(surfel_map, stop, calibration)) for stop in stops)
     status, plan = surfel_map.status(), _plan(surfel_map, T_map_body, calibration)
-    return MapRecord(status, fused, MAP_FILE, plan, pictures, is_levelled)
+    return MapRecord(status, surfel_map.frames, MAP_FILE, plan, pictures, is_levelled)
 
 
 def camera_of(T_map_body: FloatArray, T_base_camera: FloatArray | None) -> FloatArray:

@@ -83,7 +83,7 @@ def _map(track: Track, passage: Passage, source: EventSource) -> MapRecord | Non
     if track.localizer.map is None or passage.is_torn:
         return None
     way = (track.stops.found, np.array(track.stops.T_map_body, float).reshape(-1, 4, 4))
-    return map_record_of(track.localizer.map, track.fused, *way, source.calibration)
+    return map_record_of(track.localizer.map, *way, source.calibration)
 
 
 def _map_warnings(track: Track, passage: Passage, config: Config) -> tuple[str, ...]:

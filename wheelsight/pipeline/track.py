@@ -74,7 +74,6 @@ class Track:
         stage_seconds: how long each stage of each frame took.
         looks: what each frame said of the area, where places were asked.
         stops: where to look at the map from, where one is built.
-        fused: how many frames went into it.
     """
 
     odometry: TrackName
@@ -87,7 +86,6 @@ class Track:
     stage_seconds: dict[str, list[float]] = field(default_factory=dict)
     looks: list[Look] = field(default_factory=list)
     stops: Stops = field(default_factory=lambda: Stops([]))
-    fused: int = 0
 
     @classmethod
     def begin(cls, odometry: TrackName, source: EventSource, config: Config, places: Places | None) -> Track:
@@ -118,7 +116,6 @@ class Track:
             self.photographer.look(event, estimate, localizer.last_matches)
             self.stops.look(event, estimate, localizer.T_odom_map, self.T_base_camera)
             self._add_stages(localizer.stage_seconds)
-        self.fused += localizer.last_fused is not None
         outcome = (estimate.status, estimate.reason, estimate.matches, estimate.inliers)
         index = event.index if isinstance(event, RgbdFrame | SkippedFrame) else len(self.frames)
         flags = tuple(flag for flag in _FLAGS if getattr(estimate, flag, False))

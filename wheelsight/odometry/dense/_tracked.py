@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from wheelsight.estimates import Reason
-from wheelsight.geometry import Float32Array, FloatArray, se3, so3
+from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.grid import GridFrame
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -28,23 +28,6 @@ class Tracked:
     overlap: float = 1.0
     is_by_keyframe: bool = True
     residual: float = 1.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """What a frame adds to a map, on the ideal grid at the finest level.
-
-    Attributes:
-        depth_m: (h, w) float32, 0 where unknown.
-        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
-        grey: (h, w) float32, -1 where unknown.
-        color: (h, w, 3) float32 red, green, blue from 0 to 255, -1 where unknown; or None.
-    """
-
-    depth_m: Float32Array
-    normal: Float32Array
-    grey: Float32Array
-    color: Float32Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

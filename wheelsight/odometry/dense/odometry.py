@@ -16,7 +16,7 @@ from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense._doubt import Doubt, is_astray
 from wheelsight.odometry.dense._falloff import Falloff
-from wheelsight.odometry.dense._tracked import Expected, Surface, Told, Tracked, expected, fine_share, implausible
+from wheelsight.odometry.dense._tracked import Expected, Told, Tracked, expected, fine_share, implausible
 from wheelsight.odometry.dense._two_ways import met
 from wheelsight.odometry.dense._views import Views
 from wheelsight.odometry.dense.alignment import Aligner, Step
@@ -27,7 +27,7 @@ from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.features.extraction import Features
 from wheelsight.threads import Rows
-from wheelsight.views import ReferenceModel
+from wheelsight.views import ReferenceModel, Surface
 
 _START_VARIANCE = 1e-12
 # Of a frame's resolution, what a keyframe must have to show it: along a corridor a frame is 3 mm off at half of it, and

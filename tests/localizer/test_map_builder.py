@@ -1,4 +1,4 @@
-"""SurfelMapper: what tracked frames leave in the map."""
+"""MapBuilder: what tracked frames leave in the map."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from numpy.testing import assert_array_equal
 from odometry.dense.scenes import SMALL, Plane, frame_of
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import Status
+from wheelsight.config import load_config
+from wheelsight.estimates import Estimate, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
+from wheelsight.localizer.by_frames import ByFrames
+from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.mapping import SurfelSettings
-from wheelsight.mapping._thinning import Thinning
-from wheelsight.mapping.mapper import SurfelMapper
+from wheelsight.mapping.thinning import Thinning
+from wheelsight.odometry.dense import DenseOdometry
 
 TRUTH = synthetic.wobbling_trajectory(6)
 
@@ -27,40 +30,60 @@ def frames() -> list[RgbdFrame]:
     return [RgbdFrame(float(stamp_s), *synthetic.render_room(T)) for stamp_s, T in poses]
 
 
-def mapper() -> SurfelMapper:
+class Mapped:
+    """A camera alone, tracked against the map that it builds.
+
+    `fused`: whether the last frame was.
+    """
+
+    def __init__(self, calibration: Calibration, **settings: float) -> None:
+        overrides = {f"surfels.{name}": value for name, value in settings.items()}
+        self._way = ByFrames(calibration, load_config(overrides={"odometry": "dense", "map": "surfels"} | overrides))
+        assert isinstance(self._way.odometry, DenseOdometry)
+        assert self._way.mapper is not None
+        self.odometry, self.builder, self.fused = self._way.odometry, self._way.mapper, False
+
+    def process(self, frame: RgbdFrame) -> Estimate:
+        before = self.builder.map.frames
+        estimate, _ = self._way.process(frame)
+        assert estimate is not None
+        self.fused = self.builder.map.frames > before
+        return estimate
+
+
+def mapped() -> Mapped:
     """That fuses every frame."""
-    return SurfelMapper(Calibration.registered_camera(synthetic.CAMERA), surfels=SurfelSettings(fused_way_m=0))
+    return Mapped(Calibration.registered_camera(synthetic.CAMERA), fused_way_m=0)
 
 
 def dark(frame: RgbdFrame) -> RgbdFrame:
     return replace(frame, color=np.full_like(frame.color, 3))
 
 
-def looks(subject: SurfelMapper) -> dict[tuple[float, ...], int]:
+def looks(subject: Mapped) -> dict[tuple[float, ...], int]:
     """Colour and grey (4,) of the surfels, which the dark is not to change, and how often each occurs."""
-    surfels = subject.map.surfels()
+    surfels = subject.builder.map.surfels()
     values, counts = np.unique(np.column_stack([surfels.color, surfels.grey]), axis=0, return_counts=True)
     return {tuple(value): int(count) for value, count in zip(values, counts, strict=True)}
 
 
 def test_the_map_has_the_colours_of_the_frames(frames: list[RgbdFrame]) -> None:
-    subject = mapper()
+    subject = mapped()
     for frame in frames:
         assert subject.process(frame).status is Status.TRACKING
-    view = subject.map.render(np.eye(4), subject.odometry.intrinsics, frames[0].depth_m.shape)
+    view = subject.builder.map.render(np.eye(4), subject.odometry.intrinsics, frames[0].depth_m.shape)
     there = (view.depth_m > 0) & (view.color[..., 0] >= 0)
     assert there.mean() > 0.9
     assert np.median(np.abs(view.color - frames[0].color)[there]) < 8
 
 
 def test_dark_frames_change_no_colour(frames: list[RgbdFrame]) -> None:
-    subject = mapper()
+    subject = mapped()
     subject.process(frames[0])
     before = looks(subject)
     for frame in frames[1:]:
         assert subject.process(dark(frame)).status is Status.TRACKING
-        assert subject.last_fused is not None
-        assert subject.last_fused.matched > 0.5 * frame.depth_m.size
+        assert subject.fused
     unknown = (-1.0, -1.0, -1.0, -1.0)
     after = looks(subject)
     # Surfels may die, and new ones know no colour; none has a colour that was not there in the light.
@@ -69,22 +92,22 @@ def test_dark_frames_change_no_colour(frames: list[RgbdFrame]) -> None:
 
 
 def test_light_gives_colour_to_what_was_found_in_the_dark(frames: list[RgbdFrame]) -> None:
-    subject = mapper()
+    subject = mapped()
     for frame in frames[:3]:
         subject.process(dark(frame))
-    assert_array_equal(subject.map.surfels().color, -1)
+    assert_array_equal(subject.builder.map.surfels().color, -1)
     for frame in frames[3:]:
         subject.process(frame)
-    assert np.mean(subject.map.surfels("all").grey >= 0) > 0.8
+    assert np.mean(subject.builder.map.surfels("all").grey >= 0) > 0.8
 
 
 def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
     """Along a plain wall nobody knows the way; where the pose is partly a guess, frames would smear the map."""
-    subject = SurfelMapper(Calibration.registered_camera(SMALL))
+    subject = Mapped(Calibration.registered_camera(SMALL))
     fused, unseen = [], []
     for k in range(12):
         estimate = subject.process(frame_of([Plane((0, 0, 1), 1.5)], np.eye(4), k / 30, noise_seed=k))
-        fused.append(subject.last_fused is not None)
+        fused.append(subject.fused)
         if k > 0 and estimate.status is Status.TRACKING:
             unseen.append(subject.odometry.last_motion.degenerate)
     assert fused[0]
@@ -95,35 +118,36 @@ def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
 
 @pytest.mark.parametrize(("far_m", "expected"), [(4.0, True), (8.0, False)])
 def test_a_map_shows_most_where_hardly_anything_lies_beyond_its_end(far_m: float, expected: bool) -> None:
-    subject = SurfelMapper(Calibration.registered_camera(SMALL))
-    assert not subject.shows_most  # nothing was seen
+    subject = Mapped(Calibration.registered_camera(SMALL))
+    assert not subject.builder.shows_most(subject.odometry)  # nothing was seen
     scene = [Plane((0, 0, 1), far_m), Plane((0, 1, 0), 1.0)]
     for k in range(2):
         subject.process(frame_of(scene, np.eye(4), k / 30, noise_seed=k))
     assert subject.odometry.last_frame is not None
-    assert subject.shows_most == expected
+    assert subject.builder.shows_most(subject.odometry) == expected
 
 
 def test_of_a_frame_that_failed_no_map_shows_anything(frames: list[RgbdFrame]) -> None:
-    subject = mapper()
+    subject = mapped()
     subject.process(frames[0])
-    assert subject.shows_most
+    assert subject.builder.shows_most(subject.odometry)
     subject.process(replace(frames[1], depth_m=np.zeros_like(frames[1].depth_m)))
-    assert not subject.shows_most
+    assert not subject.builder.shows_most(subject.odometry)
 
 
 def test_a_frame_goes_to_where_others_have_it(frames: list[RgbdFrame]) -> None:
     """Odometry tells what the frame shows; where that is, who joins it with wheels may know better."""
-    subject, T_told = mapper(), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])
-    subject.odometry.process(frames[0])
-    assert (len(subject.map), subject.last_fused) == (0, None)
-    subject.fuse(frames[0], T_told)
-    assert subject.last_fused is not None
-    assert subject.last_fused.added == len(subject.map) > 10_000
-    assert subject.odometry.stage_seconds["fuse"] > 0
+    calibration, T_told = Calibration.registered_camera(synthetic.CAMERA), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])
+    odometry, subject = DenseOdometry(calibration), MapBuilder(calibration)
+    odometry.process(frames[0])
+    assert len(subject.map) == 0
+    fused = subject.fuse_tracked(odometry, frames[0], T_told)
+    assert fused is not None
+    assert fused.added == len(subject.map) > 10_000
+    assert odometry.stage_seconds["fuse"] > 0
     surfels = subject.map.surfels()
     seen = se3.apply(se3.invert(T_told), surfels.position)
-    u, v = (subject.odometry.intrinsics[:2] * seen[:, :2] / seen[:, 2:] + subject.odometry.intrinsics[2:]).T
+    u, v = (odometry.intrinsics[:2] * seen[:, :2] / seen[:, 2:] + odometry.intrinsics[2:]).T
     inside = (u > 2) & (u < 317) & (v > 2) & (v < 237)
     there = frames[0].depth_m[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)]
     assert inside.mean() > 0.9
@@ -149,9 +173,11 @@ def test_frames_that_hardly_move_are_thinned_out(way_m: float, turn_rad: float, 
 
 
 def test_a_camera_that_stands_still_fuses_some_frames(frames: list[RgbdFrame]) -> None:
-    subject = SurfelMapper(Calibration.registered_camera(synthetic.CAMERA))
-    fused = 0
+    calibration = Calibration.registered_camera(synthetic.CAMERA)
+    odometry, subject = DenseOdometry(calibration), MapBuilder(calibration)
     for k in range(30):
-        subject.process(replace(frames[0], stamp_s=k / 30))
-        fused += subject.last_fused is not None
-    assert 8 <= fused <= 11
+        frame = replace(frames[0], stamp_s=k / 30)
+        estimate = odometry.process(frame)
+        assert estimate.T_odom_body is not None
+        subject.fuse_tracked(odometry, frame, estimate.T_odom_body)
+    assert 8 <= subject.map.frames <= 11

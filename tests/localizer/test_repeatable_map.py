@@ -7,10 +7,10 @@ import pytest
 import synthetic
 
 from wheelsight.calibration import Calibration
+from wheelsight.config import load_config
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray
-from wheelsight.mapping import SurfelMapper, SurfelSettings
-from wheelsight.odometry.dense import DenseSettings
+from wheelsight.localizer import Localizer
 
 FRAMES = 100
 CALIBRATION = Calibration.registered_camera(synthetic.CAMERA)
@@ -24,10 +24,13 @@ def frames() -> list[RgbdFrame]:
 
 def positions_m(frames: list[RgbdFrame], threads: int) -> tuple[FloatArray, FloatArray]:
     """Of the camera at each frame (n, 3), and of all surfels in the end (m, 3)."""
-    mapper = SurfelMapper(CALIBRATION, DenseSettings(threads=threads), SurfelSettings(threads=threads))
-    poses = [mapper.process(frame).T_odom_body for frame in frames]
+    settings = {"odometry": "dense", "map": "surfels", "dense.threads": threads, "surfels.threads": threads}
+    localizer = Localizer(CALIBRATION, load_config(overrides=settings))
+    estimates = [localizer.process(frame) for frame in frames]
+    poses = [estimate.T_odom_body for estimate in estimates if estimate is not None]
     assert all(T is not None for T in poses)
-    return np.array(poses)[:, :3, 3], mapper.map.surfels().position
+    assert localizer.map is not None
+    return np.array(poses)[:, :3, 3], localizer.map.surfels().position
 
 
 @pytest.mark.slow
