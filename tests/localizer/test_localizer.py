@@ -151,7 +151,7 @@ def test_the_integration_is_as_set() -> None:
         for reading in (WheelTicks(0.0, 0, 0), WheelTicks(0.02, 20, 90), WheelTicks(0.04, 50, 200)):
             estimate, wanted = subject.process(reading), expected.process(reading)
             assert estimate is not None
-            np.testing.assert_array_equal(estimate.T_odom_body, wanted.T_frame_body)
+            np.testing.assert_array_equal(estimate.T_odom_body, wanted.T_odom_body)
 
 
 @pytest.mark.parametrize("gyro", [True, False])
