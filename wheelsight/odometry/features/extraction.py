@@ -132,8 +132,8 @@ def keypoint_sigma_px(level: ArrayLike, settings: FeatureSettings) -> FloatArray
 def _in_full_image(px: FloatArray, level: IntArray, shape: tuple[int, ...], factor: float) -> FloatArray:
     """Where the centres of pyramid pixels lie in the full image (height, width); OpenCV gives `px` (N, 2).
 
-    OpenCV multiplies a level's pixel indices by a `factor` a level. But the centre of pixel 0 moves too, and a level has a
-    whole number of pixels, so that it is not scaled by exactly that: 1.4 px at the far edge of 640.
+    OpenCV multiplies a level's pixel indices by `factor` a level. But the centre of pixel 0 moves too, and a level has
+    a whole number of pixels, so that it is not scaled by exactly that: 1.4 px at the far edge of 640.
     """
     size = np.array([shape[1], shape[0]])
     scale = factor ** level[:, None]
