@@ -22,9 +22,8 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
-from wheelsight.odometry.features.alignment import GATE, PointPairs, find_motion, refine_motion
+from wheelsight.odometry.features.alignment import PointPairs, find_motion, refine_motion
 from wheelsight.odometry.features.extraction import (
-    SCALE,
     FeatureExtractor,
     Features,
     keypoint_sigma_px,
@@ -79,8 +78,9 @@ def _pairs(before: Features, now: Features, calibration: Calibration) -> tuple[P
 
 
 def _aligned(pairs: PointPairs) -> FloatArray | None:
-    T = find_motion(pairs, iterations=300, min_inliers=15, seed=0)
-    return None if isinstance(T, Reason) else refine_motion(pairs, T).T_current_reference
+    settings = FeatureSettings()
+    T = find_motion(pairs, settings, seed=0)
+    return None if isinstance(T, Reason) else refine_motion(pairs, T, settings).T_current_reference
 
 
 def _chi_square(pairs: PointPairs, T: FloatArray) -> FloatArray:
@@ -98,7 +98,7 @@ def _disagreement(
         before, now = (straighten(views[k], velocities[k], shutter_s, height) for k in (i, i + GAP))
         pairs, _ = _pairs(before, now, calibration)
         if (T := _aligned(pairs)) is not None:
-            costs.append(np.minimum(_chi_square(pairs, T), GATE).mean())
+            costs.append(np.minimum(_chi_square(pairs, T), FeatureSettings().inlier_chi2).mean())
     return float(np.mean(costs))
 
 
@@ -128,9 +128,11 @@ def _noise_table(views: list[Features], velocities: list[FloatArray], calibratio
     table = Table(title="Noise of a keypoint, px")
     for name in ("level", "pixels of the level", "measured σ", "assumed σ"):
         table.add_column(name, justify="right")
+    settings = FeatureSettings()
     for level, parts in sorted(left.items()):
+        stated = keypoint_sigma_px(level, settings)
         sigma = 1.4826 * np.median(np.abs(np.concatenate(parts))) / np.sqrt(2)
-        table.add_row(str(level), f"{SCALE**level:.2f}", f"{sigma:.2f}", f"{keypoint_sigma_px(level):.2f}")
+        table.add_row(str(level), f"{settings.pyramid_scale**level:.2f}", f"{sigma:.2f}", f"{stated:.2f}")
     return table
 
 

@@ -156,7 +156,7 @@ def test_refine_in_plain_python(rng):
 
 
 def rough(observed, seed: int, iterations: int = 2000, kernels=compiled):
-    return kernels.ransac(observed, 36.0, iterations, seed)
+    return kernels.ransac(observed, compiled.Triangles(0.05, 0.05, 0.03), 36.0, iterations, seed)
 
 
 @pytest.mark.parametrize("n", [15, 200])

@@ -70,7 +70,12 @@ class Cells(NamedTuple):
 
 @kernel
 def nearest_within(
-    expected_px: FloatArray, expected: UInt64Array, seen: Cells, radius_px: float, max_hamming: int
+    expected_px: FloatArray,
+    expected: UInt64Array,
+    seen: Cells,
+    radius_px: float,
+    max_hamming: int,
+    distinct_share: float,
 ) -> Any:
     """For each expected keypoint the index of the nearest descriptor within `radius_px`, or -1.
 
@@ -96,7 +101,7 @@ def nearest_within(
                 elif d < second_best:
                     second_best = d
         # Ambiguous in its own neighbourhood: a repeated texture, better left out.
-        if best_j < 0 or best > max_hamming or best > 0.9 * second_best + 1:
+        if best_j < 0 or best > max_hamming or best > distinct_share * second_best + 1:
             continue
         if best < owned_at[best_j]:
             if owner[best_j] >= 0:

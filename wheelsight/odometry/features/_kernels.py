@@ -31,6 +31,14 @@ class DepthImage(NamedTuple):
     jump: float
 
 
+class Triangles(NamedTuple):
+    """Which three pairs make a hypothesis: sides of at least so many metres, alike to so much and a share of them."""
+
+    least_m: float
+    change_m: float
+    change_share: float
+
+
 class Pairs(NamedTuple):
     """N points (N, 3) known in a reference, and what was seen of them: `xy` (N, 2) on the plane z = 1, depth (N,).
 
@@ -163,7 +171,7 @@ def residuals_of(R: FloatArray, t: FloatArray, pairs: Pairs, out: FloatArray) ->
 
 
 @kernel
-def ransac(pairs: Pairs, gate: float, iterations: int, seed: int) -> Any:
+def ransac(pairs: Pairs, rules: Triangles, gate: float, iterations: int, seed: int) -> Any:
     """R, t current from reference that most of N point pairs agree with, and how many do (their chi-square < gate).
 
     All pairs have depth; three make a hypothesis. Those whose distances differ between the frames, or that stand too
@@ -182,7 +190,7 @@ def ransac(pairs: Pairs, gate: float, iterations: int, seed: int) -> Any:
         if chosen[0] == chosen[1] or chosen[1] == chosen[2] or chosen[0] == chosen[2]:
             continue
         a, b = p_current[chosen], p_reference[chosen]
-        if not _same_triangle(a, b):
+        if not _same_triangle(a, b, rules):
             continue
         R, t = align_three(a, b)
         residuals_of(R, t, pairs, squares)
@@ -195,12 +203,12 @@ def ransac(pairs: Pairs, gate: float, iterations: int, seed: int) -> Any:
 
 
 @kernel
-def _same_triangle(a: FloatArray, b: FloatArray) -> bool:
+def _same_triangle(a: FloatArray, b: FloatArray, rules: Triangles) -> bool:
     for i in range(3):
         j = (i + 1) % 3
         side_a = np.sqrt(((a[i] - a[j]) ** 2).sum())
         side_b = np.sqrt(((b[i] - b[j]) ** 2).sum())
-        if side_a < 0.05 or abs(side_a - side_b) > 0.05 + 0.03 * side_a:
+        if side_a < rules.least_m or abs(side_a - side_b) > rules.change_m + rules.change_share * side_a:
             return False
     return True
 

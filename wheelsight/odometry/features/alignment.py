@@ -9,12 +9,7 @@ import numpy as np
 from wheelsight.estimates import Reason
 from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.odometry.features import _kernels
-
-# Chi-square with three degrees of freedom: 99.9 % of right pairs lie below; the wider gate serves RANSAC, whose
-# hypotheses from three noisy points are rough.
-GATE = 16.3
-_ROUGH_GATE = 36.0
-_STEPS = 8
+from wheelsight.odometry.features.settings import FeatureSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,25 +59,26 @@ class Alignment:
         return int(np.count_nonzero(self.is_inlier))
 
 
-def find_motion(pairs: PointPairs, iterations: int, min_inliers: int, seed: int) -> FloatArray | Reason:
+def find_motion(pairs: PointPairs, settings: FeatureSettings, seed: int) -> FloatArray | Reason:
     """T_current_reference (4, 4) by RANSAC over triples of pairs with depth, or why there is none."""
     usable = pairs.depth_m > 0
-    if np.count_nonzero(usable) < min_inliers:
+    if np.count_nonzero(usable) < settings.min_inliers:
         return Reason.TOO_FEW_MATCHES
     with_depth = _kernels.Pairs(*(values[usable] for values in pairs.observed()))
-    R, t, agreeing = _kernels.ransac(with_depth, _ROUGH_GATE, iterations, seed)
-    return se3.from_parts(R, t) if agreeing >= min_inliers else Reason.TOO_FEW_INLIERS
+    rules = _kernels.Triangles(settings.triangle_m, settings.triangle_change_m, settings.triangle_change_share)
+    R, t, agreeing = _kernels.ransac(with_depth, rules, settings.ransac_chi2, settings.ransac_iterations, seed)
+    return se3.from_parts(R, t) if agreeing >= settings.min_inliers else Reason.TOO_FEW_INLIERS
 
 
-def refine_motion(pairs: PointPairs, T_current_reference: FloatArray) -> Alignment:
+def refine_motion(pairs: PointPairs, T_current_reference: FloatArray, settings: FeatureSettings) -> Alignment:
     """The motion that minimises the robust, noise-weighted distance of all pairs, starting from one near it.
 
     Pixel and depth are weighted each by its σ (depth's grows with z²), which weights the 3D–3D distance of Zhang's
     section 3.2 by the points' true, elongated uncertainty. Pairs without depth count by their pixels alone.
     """
     R, t = np.ascontiguousarray(T_current_reference[:3, :3]), T_current_reference[:3, 3].copy()
-    R, t, H, squares = _kernels.refine(R, t, pairs.observed(), GATE, _STEPS)
-    return Alignment(se3.from_parts(R, t), _covariance(H), squares < GATE)
+    R, t, H, squares = _kernels.refine(R, t, pairs.observed(), settings.inlier_chi2, settings.refinement_steps)
+    return Alignment(se3.from_parts(R, t), _covariance(H), squares < settings.inlier_chi2)
 
 
 def _covariance(H: FloatArray) -> FloatArray:

@@ -17,8 +17,6 @@ from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.settings import FeatureSettings
 
-SCALE = 1.2
-_SIGMA_PX, _SIGMA_GROWTH = 0.65, 1.12
 # Depth of keypoints that have none, where one is needed to straighten rows: it only scales a small parallax.
 _TYPICAL_DEPTH_M = 2.0
 
@@ -30,7 +28,7 @@ class Features:
     Attributes:
         stamp_s: of the frame, seconds.
         px: (N, 2) where they were detected, distorted pixels.
-        level: (N,) of the image pyramid, each `SCALE` times smaller than the one before.
+        level: (N,) of the image pyramid, each `pyramid_scale` times smaller than the one before.
         descriptors: (N, 4) uint64, the 256 bits of ORB.
         xy: (N, 2) on the plane z = 1, without lens distortion and rolling shutter.
         depth_m: (N,) along the colour camera's z axis, 0 where there is none to trust.
@@ -60,10 +58,6 @@ class Features:
         return np.column_stack([self.xy * self.depth_m[:, None], self.depth_m])
 
 
-# A surface seen at a slant differs from pixel to pixel by its slope times the pixel's angle.
-_JUMP_FOCAL_PX = 525.0
-
-
 class FeatureExtractor:
     """Detects, spreads, describes and lifts keypoints to 3D.
 
@@ -79,7 +73,9 @@ class FeatureExtractor:
         self._calibration = calibration
         self._settings = settings
         self._orb, self._faint = (
-            cv2.ORB.create(settings.candidates, SCALE, settings.pyramid_levels, fastThreshold=threshold)
+            cv2.ORB.create(
+                settings.candidates, settings.pyramid_scale, settings.pyramid_levels, fastThreshold=threshold
+            )
             for threshold in (settings.fast_threshold, settings.fast_threshold_faint)
         )
 
@@ -89,7 +85,7 @@ class FeatureExtractor:
         calibration = self._calibration
         xy = calibration.cameras[0].normalise(px)
         depth_m = _kernels.depth_at_keypoints(self._image_of(frame), px, xy)
-        sigma_px = np.hypot(keypoint_sigma_px(level), calibration.color_sigma_px)
+        sigma_px = np.hypot(keypoint_sigma_px(level, self._settings), calibration.color_sigma_px)
         sigma_m = calibration.depth_noise.sigma_m(depth_m)
         return Features(frame.stamp_s, px, level, descriptors, xy, depth_m, sigma_px, sigma_m)
 
@@ -104,7 +100,8 @@ class FeatureExtractor:
         kept, descriptors = self._orb.compute(grey, [candidates[i] for i in chosen])
         level = np.fromiter((k.octave for k in kept), np.int64, len(kept))
         words = np.zeros((0, 4), np.uint64) if len(kept) == 0 else np.ascontiguousarray(descriptors).view(np.uint64)
-        return _in_full_image(_pixels_of(kept), level, grey.shape), level, words
+        px = _in_full_image(_pixels_of(kept), level, grey.shape, self._settings.pyramid_scale)
+        return px, level, words
 
     def _image_of(self, frame: RgbdFrame) -> _kernels.DepthImage:
         """The depth of a frame, as kernels read it."""
@@ -118,7 +115,7 @@ class FeatureExtractor:
             calibration.is_registered,
             float(calibration.depth_noise.near_m),
             float(calibration.depth_noise.far_m),
-            self._settings.depth_jump * max(1.0, _JUMP_FOCAL_PX / depth.fx),
+            self._settings.depth_jump * max(1.0, self._settings.depth_jump_focal_px / depth.fx),
         )
 
 
@@ -127,23 +124,19 @@ def _pixels_of(keypoints: Sequence[cv2.KeyPoint]) -> FloatArray:
     return np.array(cv2.KeyPoint.convert(keypoints), float).reshape(-1, 2)
 
 
-def keypoint_sigma_px(level: ArrayLike) -> FloatArray:
-    """Standard deviation (...) of a keypoint's pixel, found on a pyramid level (...).
-
-    Measured on two Kinect recordings (`python -m benchmarks.sensor`): it grows with the level more slowly than the
-    level's pixels do.
-    """
-    return np.asarray(_SIGMA_PX * _SIGMA_GROWTH ** np.asarray(level, float))
+def keypoint_sigma_px(level: ArrayLike, settings: FeatureSettings) -> FloatArray:
+    """Standard deviation (...) of a keypoint's pixel, found on a pyramid level (...)."""
+    return np.asarray(settings.sigma_px * settings.sigma_growth ** np.asarray(level, float))
 
 
-def _in_full_image(px: FloatArray, level: IntArray, shape: tuple[int, ...]) -> FloatArray:
+def _in_full_image(px: FloatArray, level: IntArray, shape: tuple[int, ...], factor: float) -> FloatArray:
     """Where the centres of pyramid pixels lie in the full image (height, width); OpenCV gives `px` (N, 2).
 
-    OpenCV multiplies a level's pixel indices by 1.2 a level. But the centre of pixel 0 moves too, and a level has a
-    whole number of pixels, so that it is not scaled by exactly that: 1.4 px at the far edge of 640.
+    OpenCV multiplies a level's pixel indices by `factor` a level. But the centre of pixel 0 moves too, and a level has
+    a whole number of pixels, so that it is not scaled by exactly that: 1.4 px at the far edge of 640.
     """
     size = np.array([shape[1], shape[0]])
-    scale = SCALE ** level[:, None]
+    scale = factor ** level[:, None]
     return np.asarray((px / scale + 0.5) * (size / np.rint(size / scale)) - 0.5)
 
 

@@ -10,9 +10,7 @@ from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.keyframes import KeyframeId
 from wheelsight.odometry.features.extraction import Features
-
-# Where a camera looks: two views are near when the points this far in front of them are.
-_VIEW_DISTANCE_M = 2.0
+from wheelsight.odometry.features.settings import FeatureSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +51,7 @@ class LandmarkMap:
         made_by: (L,) the keyframes that made them, with which they move.
     """
 
-    def __init__(self, kept_keyframes: int) -> None:
+    def __init__(self, settings: FeatureSettings) -> None:
         self.keyframes: list[View] = []
         self.numbers: IntArray = np.zeros(0, np.int64)
         self.points: FloatArray = np.zeros((0, 3))
@@ -62,7 +60,7 @@ class LandmarkMap:
         self.made_by: IntArray = np.zeros(0, np.int64)
         self._weight: FloatArray = np.zeros(0)
         self._last_keyframe: IntArray = np.zeros(0, np.int64)
-        self._kept_keyframes = kept_keyframes
+        self._settings = settings
         self._forgotten = 0
         self._next_number = 0
 
@@ -87,7 +85,7 @@ class LandmarkMap:
         self.made_by = np.concatenate([self.made_by, np.full(len(new), number)])
         keyframe = replace(view, landmark=landmark, keyframe=number)
         self.keyframes.append(keyframe)
-        if len(self.keyframes) > self._kept_keyframes:
+        if len(self.keyframes) > self._settings.kept_keyframes:
             self._forget_oldest()
         return keyframe
 
@@ -101,8 +99,9 @@ class LandmarkMap:
         if len(self.keyframes) <= count:
             return self.numbers
         views = np.array([keyframe.T_map_color for keyframe in self.keyframes])
-        ahead = views[:, :3, 3] + _VIEW_DISTANCE_M * views[:, :3, 2]
-        here = T_map_color[:3, 3] + _VIEW_DISTANCE_M * T_map_color[:3, 2]
+        distance_m = self._settings.view_distance_m
+        ahead = views[:, :3, 3] + distance_m * views[:, :3, 2]
+        here = T_map_color[:3, 3] + distance_m * T_map_color[:3, 2]
         chosen = np.zeros(len(self.keyframes), bool)
         chosen[np.argsort(np.linalg.norm(ahead - here, axis=1), kind="stable")[:count]] = True
         return self.numbers[chosen[self._last_keyframe - self._forgotten]]

@@ -9,6 +9,7 @@ import numpy as np
 from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.odometry.features import _hamming_kernels
+from wheelsight.odometry.features.settings import FeatureSettings
 
 _CELL_PX = 16
 
@@ -34,7 +35,7 @@ def match_near(
     px: FloatArray,
     descriptors: UInt64Array,
     radius_px: float,
-    max_hamming: int,
+    settings: FeatureSettings,
 ) -> Matches:
     """Pairs of expected keypoints (N, 2), (N, 4) and seen ones (M, 2), (M, 4) within a radius, each used once.
 
@@ -48,6 +49,8 @@ def match_near(
     order = np.argsort(number, kind="stable")
     starts = np.searchsorted(number[order], np.arange(columns * rows + 1))
     seen = _hamming_kernels.Cells(px, descriptors, order, starts, int(columns), int(rows), _CELL_PX)
-    found = _hamming_kernels.nearest_within(expected_px, expected, seen, radius_px, max_hamming)
+    found = _hamming_kernels.nearest_within(
+        expected_px, expected, seen, radius_px, settings.max_hamming, settings.distinct_share
+    )
     i = np.flatnonzero(found >= 0)
     return Matches(i, found[i])

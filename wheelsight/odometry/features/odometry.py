@@ -13,7 +13,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.odometry._stopwatch import Stopwatch
-from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
+from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.features.estimate import FeatureEstimate, MatchedPixels
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
 from wheelsight.odometry.features.keyframes import KeyframeMaker
@@ -59,7 +59,7 @@ class FeatureOdometry:
         self._moves = self.store.follow()
         self._maker = KeyframeMaker(calibration)
         self._extractor = FeatureExtractor(calibration, self._settings)
-        self._map = LandmarkMap(self._settings.kept_keyframes)
+        self._map = LandmarkMap(self._settings)
         self._watch = Stopwatch()
         self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
         self._map_tracker = MapTracker(calibration, self._settings)
@@ -105,7 +105,8 @@ class FeatureOdometry:
             raw = self._extractor.extract(frame)
         if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
             return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
-        if twist is not None and self._last is not None and raw.stamp_s - self._last.features.stamp_s > LONGEST_STEP_S:
+        longest_s = self._settings.longest_step_s
+        if twist is not None and self._last is not None and raw.stamp_s - self._last.features.stamp_s > longest_s:
             self._velocity = se3.adjoint(self._T_color_camera) @ array_of("twist", twist, (6,))
         if self._last is None:
             self._first_raw = raw
@@ -150,7 +151,7 @@ class FeatureOdometry:
 
     def _begin(self, features: Features, T_map_color: FloatArray, covariance: FloatArray, number: KeyframeId) -> View:
         """A new map with its first keyframe."""
-        self._map = LandmarkMap(self._settings.kept_keyframes)
+        self._map = LandmarkMap(self._settings)
         return self._map.add_keyframe(View(features, T_map_color, covariance, np.full(len(features), -1)), number)
 
     def _keep(self, frame: RgbdFrame, features: Features, T_map_color: FloatArray) -> KeyframeId:
@@ -160,7 +161,7 @@ class FeatureOdometry:
     def _begin_again(self, first_raw: Features, raw: Features, fix: Fix) -> Fix:
         """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
         assert self._last is not None
-        velocity = velocity_of(self._last, fix.view, raw.stamp_s - first_raw.stamp_s)
+        velocity = velocity_of(self._last, fix.view, self._settings.longest_step_s)
         straight = self._view_tracker.straighten(first_raw, velocity)
         self._first_raw = None
         if straight is first_raw:
@@ -216,8 +217,8 @@ class FeatureOdometry:
     def _succeed(self, frame: RgbdFrame, fix: Fix) -> FeatureEstimate:
         with self._watch.stage("map"):
             view = self._update(frame, fix)
-        seconds = view.features.stamp_s - self._last.features.stamp_s if self._last else np.inf
-        self._velocity = velocity_of(self._last, view, seconds) if self._last else np.zeros(6)
+        longest_s = self._settings.longest_step_s
+        self._velocity = velocity_of(self._last, view, longest_s) if self._last else np.zeros(6)
         self._last, self._state = view, self._state.tracked()
         return self._answer(view, self._in_camera(fix.motion), fix.matched)
 

@@ -10,7 +10,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry._stopwatch import Stopwatch
-from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
+from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.alignment import Alignment, PointPairs, find_motion, refine_motion
 from wheelsight.odometry.features.estimate import MatchedPixels
@@ -18,11 +18,6 @@ from wheelsight.odometry.features.extraction import Features, straighten
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.matching import Matches, match_all, match_near
 from wheelsight.odometry.features.settings import FeatureSettings
-
-# A prior motion is a hint, not a measurement: search this many times wider around it.
-_PRIOR_RADII = 3.0
-# With fewer of the points found, the prior is wrong or much has left the image, and all keypoints are searched.
-_PRIOR_TRUST = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +35,10 @@ class Fix:
     matched: MatchedPixels
 
 
-def velocity_of(before: View, now: View, seconds: float) -> FloatArray:
+def velocity_of(before: View, now: View, longest_s: float) -> FloatArray:
     """Mean velocity (6,), (v, ω) in the colour camera's own frame a second, between two views; 0 over a long gap."""
-    if not 0 < seconds <= LONGEST_STEP_S:
+    seconds = now.features.stamp_s - before.features.stamp_s
+    if not 0 < seconds <= longest_s:
         return np.zeros(6)
     return twist_between(before.T_map_color, now.T_map_color, seconds)
 
@@ -103,17 +99,17 @@ class ViewTracker(_Tracker):
         with self._watch.stage("align"):
             pairs = self._pairs(features, reference.features, matches)
             seed = self._settings.seed * 1_000_003 + trial
-            T = find_motion(pairs, self._settings.ransac_iterations, self._settings.min_inliers, seed)
+            T = find_motion(pairs, self._settings, seed)
             if isinstance(T, Reason):
                 return MotionEstimate.failed(T, len(pairs))
-            found = refine_motion(pairs, T)
+            found = refine_motion(pairs, T, self._settings)
             if self._shutter_s:
                 T_map_color = reference.T_map_color @ se3.invert(found.T_current_reference)
                 guess = View(raw, T_map_color, reference.covariance, reference.landmark)
-                better = velocity_of(reference, guess, raw.stamp_s - reference.features.stamp_s)
+                better = velocity_of(reference, guess, self._settings.longest_step_s)
                 features = self.straighten(raw, better if better.any() else velocity)
                 pairs = self._pairs(features, reference.features, matches)
-                found = refine_motion(pairs, found.T_current_reference)
+                found = refine_motion(pairs, found.T_current_reference, self._settings)
         if reason := self._judge(found):
             return MotionEstimate.failed(reason, len(pairs), found.inliers)
         return self._fix(features, reference, matches, found)
@@ -125,11 +121,11 @@ class ViewTracker(_Tracker):
         matches = None
         if expected is not None:
             expected_px = self._project(se3.apply(se3.invert(expected), reference.points[lifted]))
-            radius_px = _PRIOR_RADII * self._settings.search_radius_px
+            radius_px = self._settings.prior_radii * self._settings.search_radius_px
             matches = match_near(
-                expected_px, descriptors, self._pixels(features), features.descriptors, radius_px, limit
+                expected_px, descriptors, self._pixels(features), features.descriptors, radius_px, self._settings
             )
-            matches = matches if len(matches.first) > _PRIOR_TRUST * len(lifted) else None
+            matches = matches if len(matches.first) > self._settings.prior_share * len(lifted) else None
         if matches is None:
             matches = match_all(descriptors, features.descriptors, limit)
         return Matches(lifted[matches.first], matches.second)
@@ -167,14 +163,14 @@ class MapTracker(_Tracker):
         numbers, pairs, seen = self._find_landmarks(rough.view, landmarks)
         if len(pairs) < self._settings.min_inliers:
             return MotionEstimate.failed(Reason.TOO_FEW_MATCHES, len(pairs))
-        found = refine_motion(pairs, se3.invert(rough.view.T_map_color))
+        found = refine_motion(pairs, se3.invert(rough.view.T_map_color), self._settings)
         features = rough.view.features
         if self._shutter_s:
             guess = View(raw, se3.invert(found.T_current_reference), last.covariance, last.landmark)
-            velocity = velocity_of(last, guess, raw.stamp_s - last.features.stamp_s)
+            velocity = velocity_of(last, guess, self._settings.longest_step_s)
             features = self.straighten(raw, velocity) if velocity.any() else features
             pairs = self._pairs(numbers, features, seen, landmarks)
-            found = refine_motion(pairs, found.T_current_reference)
+            found = refine_motion(pairs, found.T_current_reference, self._settings)
         if reason := self._judge(found):
             return MotionEstimate.failed(reason, len(pairs), found.inliers)
         landmark = np.full(len(features), -1)
@@ -194,7 +190,7 @@ class MapTracker(_Tracker):
             self._pixels(features),
             features.descriptors,
             self._settings.search_radius_px,
-            self._settings.max_hamming,
+            self._settings,
         )
         numbers = numbers[visible[matches.first]]
         return numbers, self._pairs(numbers, features, matches.second, landmarks), matches.second
