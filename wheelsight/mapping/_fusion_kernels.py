@@ -30,7 +30,7 @@ from wheelsight.mapping._match_kernels import (
 )
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x21089F60
+_COMPILED_IN = 0x0AA3AFE8
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Beyond, more sightings change nothing: what is seen for long can still change.

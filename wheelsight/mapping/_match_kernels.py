@@ -14,7 +14,7 @@ from numba import njit
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x30EF2AC3
+_COMPILED_IN = 0xE89E25BF
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 # Order in which surfels are preferred to each other where several fit a pixel; added to a distance in pixels².

@@ -13,7 +13,7 @@ from numba import njit
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x30EF2AC3
+_COMPILED_IN = 0xE89E25BF
 
 _ZERO, _QUARTER, _ONE = np.float32(0.0), np.float32(0.25), np.float32(1.0)
 # Unstable surfels show only where no stable one does: they rank as if so far away.
