@@ -25,7 +25,7 @@ def read_vertices(path: Path) -> np.ndarray:
     """The vertices of a binary PLY, by its header alone."""
     header, body = path.read_bytes().split(b"end_header\n", 1)
     lines = header.decode("ascii").splitlines()
-    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    assert lines[:3] == ["ply", "format binary_little_endian 1.0", "comment wheelsight: frame map, metres"]
     count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
     fields = [line.split()[1:] for line in lines if line.startswith("property") and "list" not in line]
     return np.frombuffer(body, [(name, TYPES[kind]) for kind, name in fields], count)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.config import Config
@@ -24,6 +26,7 @@ class ByLigocki:
     Attributes:
         odometry: the camera's.
         mapper: builds a map of the camera alone, where one is asked for.
+        T_odom_map: (4, 4) where that lies by the last frame that both know.
     """
 
     body, frame, answers = "base", "map", (RgbdFrame, SkippedFrame)
@@ -40,6 +43,7 @@ class ByLigocki:
         self._rolled: Estimate | None = None
         self._answer: Estimate | None = None
         self._T_begin_odom: FloatArray | None = None
+        self.T_odom_map: FloatArray = np.eye(4)
 
     @property
     def last_matches(self) -> MatchedPixels | None:
@@ -86,6 +90,8 @@ class ByLigocki:
         T_visual = None if seen.T_odom_body is None else se3.nearest(seen.T_odom_body)
         joined = self._filter.update(seen.stamp_s, se3.nearest(self._T_begin_odom @ T_odom_base), T_visual)
         reason = joined.reason or seen.reason
+        if T_visual is not None and joined.T_odom_body is not None:
+            self.T_odom_map = se3.nearest(joined.T_odom_body @ se3.invert(T_visual))
         self._answer = replace(joined, reason=reason, matches=seen.matches, inliers=seen.inliers)
         return self._answer
 

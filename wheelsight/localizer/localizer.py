@@ -108,7 +108,7 @@ class Localizer:
         Joined with wheels, a pose T_odom_body gets better by what no camera shows, such as the floor that is level;
         the map stays as it is. Within the map the body is at `inv(T_odom_map) @ T_odom_body`.
         """
-        return self._way.T_odom_map if isinstance(self._way, ByFusion) else np.eye(4)
+        return self._way.T_odom_map if isinstance(self._way, ByFusion | ByLigocki) else np.eye(4)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -210,17 +210,19 @@ def pages_in_view(view: Frustum, since_s: Any, page_next: Any, cells: Cells, out
     Args:
         since_s: cells of which nothing was seen since are left out.
     """
+    # Taken out of their tuples once: each time would be counted.
+    T, far_m, block_m = view.T, view.far_m, cells.block_m
     cell_xyz, cell_pages, cell_seen_s, table = cells.xyz, cells.pages, cells.seen_s, cells.table
-    block_m = cells.block_m
     low, high = _frustum_box(view)
     reach = np.sqrt(3.0) * 0.5 * block_m + STRAY_M
-    count = 0
+    sides, count = _sides(view, reach), 0
     first = np.floor((low - STRAY_M) / block_m).astype(np.int64)
     last = np.floor((high + STRAY_M) / block_m).astype(np.int64)
     for x in range(first[0], last[0] + 1):
         for y in range(first[1], last[1] + 1):
             for z in range(first[2], last[2] + 1):
-                if not _may_be_seen(view, reach, block_m, x, y, z):
+                a, b, c = (x + 0.5) * block_m - T[0, 3], (y + 0.5) * block_m - T[1, 3], (z + 0.5) * block_m - T[2, 3]
+                if not _may_be_seen(T, a, b, c, far_m, reach, sides):
                     continue
                 cell = find_cell(table, cell_xyz, x, y, z)
                 if cell < 0 or cell_seen_s[cell] < since_s:
@@ -248,21 +250,28 @@ def _frustum_box(view: Frustum) -> Any:
 
 
 @kernel
-def _may_be_seen(view: Frustum, reach: Any, block_m: Any, x: Any, y: Any, z: Any) -> Any:
-    """Whether the ball of radius `reach` about a cell's middle meets the frustum's planes."""
-    T, grid, width, height = view.T, view.grid, view.width, view.height
-    a, b, c = (x + 0.5) * block_m - T[0, 3], (y + 0.5) * block_m - T[1, 3], (z + 0.5) * block_m - T[2, 3]
+def _sides(view: Frustum, reach: Any) -> Any:
+    """Slopes of the frustum's left, right, top and bottom, and how far beyond each a ball's middle may lie: (4, 2)."""
+    grid, sides = view.grid, np.empty((4, 2))
+    sides[0, 0], sides[1, 0] = (grid[2] + 0.5) / grid[0], (view.width - 0.5 - grid[2]) / grid[0]
+    sides[2, 0], sides[3, 0] = (grid[3] + 0.5) / grid[1], (view.height - 0.5 - grid[3]) / grid[1]
+    for k in range(4):
+        sides[k, 1] = -reach * np.sqrt(1 + sides[k, 0] * sides[k, 0])
+    return sides
+
+
+@kernel(inline="always")
+def _may_be_seen(T: Any, a: Any, b: Any, c: Any, far_m: Any, reach: Any, sides: Any) -> Any:
+    """Whether a ball of radius `reach` meets the frustum's planes; its middle is (a, b, c) off the camera."""
     depth = T[0, 2] * a + T[1, 2] * b + T[2, 2] * c
-    if depth < -reach or depth > view.far_m + reach:
+    if depth < -reach or depth > far_m + reach:
         return False
     right, down = T[0, 0] * a + T[1, 0] * b + T[2, 0] * c, T[0, 1] * a + T[1, 1] * b + T[2, 1] * c
-    west, east = (grid[2] + 0.5) / grid[0], (width - 0.5 - grid[2]) / grid[0]
-    north, south = (grid[3] + 0.5) / grid[1], (height - 0.5 - grid[3]) / grid[1]
     return bool(
-        right + west * depth > -reach * np.sqrt(1 + west * west)
-        and -right + east * depth > -reach * np.sqrt(1 + east * east)
-        and down + north * depth > -reach * np.sqrt(1 + north * north)
-        and -down + south * depth > -reach * np.sqrt(1 + south * south)
+        right + sides[0, 0] * depth > sides[0, 1]
+        and -right + sides[1, 0] * depth > sides[1, 1]
+        and down + sides[2, 0] * depth > sides[2, 1]
+        and -down + sides[3, 0] * depth > sides[3, 1]
     )
 
 
@@ -298,7 +307,7 @@ def compact(begin: Any, end: Any, budget: Any, going: Going, surfels: SurfelArra
     looked at. `going.quota` counts down.
     """
     page_next, page_fill, cell_pages = pages.next, pages.fill, cells.pages
-    geometry, seen_s = surfels.geometry, surfels.seen_s
+    geometry, seen_s, now_s, rules, quota = surfels.geometry, surfels.seen_s, going.now_s, going.rules, going.quota
     died, looked_at = 0, 0
     for cell in range(begin, end):
         if looked_at >= budget:
@@ -312,7 +321,7 @@ def compact(begin: Any, end: Any, budget: Any, going: Going, surfels: SurfelArra
                 confidence = geometry[slot, CONFIDENCE]
                 if confidence <= 0:
                     continue
-                if _must_go(confidence, seen_s[slot, 0], seen_s[slot, 1], going):
+                if _must_go(confidence, seen_s[slot, 0], seen_s[slot, 1], now_s, rules, quota):
                     died += 1
                     continue
                 if to == PAGE:
@@ -329,9 +338,8 @@ def compact(begin: Any, end: Any, budget: Any, going: Going, surfels: SurfelArra
 
 
 @kernel
-def _must_go(confidence: Any, first_s: Any, last_s: Any, going: Going) -> Any:
+def _must_go(confidence: Any, first_s: Any, last_s: Any, now_s: Any, rules: Any, quota: Any) -> Any:
     """Whether a surfel's time has come, or its usefulness is among what may still be dropped: `quota` counts it."""
-    rules, quota, now_s = going.rules, going.quota, going.now_s
     if confidence < rules[0] and (now_s - first_s > rules[1] or now_s - last_s > rules[3]):
         return True
     if len(quota) == 0:

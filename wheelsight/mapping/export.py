@@ -17,7 +17,7 @@ from wheelsight.errors import MapError
 from wheelsight.files import StrPath, atomic_write
 from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array
 from wheelsight.mapping.surfels import SurfelMap
-from wheelsight.mapping.values import Surfels
+from wheelsight.mapping.values import FRAME, Surfels
 
 _MarchingCubes = Callable[..., tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]]
 
@@ -208,7 +208,7 @@ def _fill(table: np.ndarray, position: np.ndarray, normal: np.ndarray, colors: n
 
 def _ply_header(table: np.ndarray) -> bytes:
     """Up to and without the end of the header."""
-    lines = ["ply", "format binary_little_endian 1.0", "comment wheelsight: metres, map frame"]
+    lines = ["ply", "format binary_little_endian 1.0", f"comment wheelsight: frame {FRAME}, metres"]
     lines.append(f"element vertex {len(table)}")
     for name in table.dtype.names or ():
         kind = table.dtype[name].str.replace("|", "")

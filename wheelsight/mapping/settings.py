@@ -64,7 +64,7 @@ class SurfelSettings(BaseModel):
         default=0.1, le=100, description="added to it for surfels outside the active window"
     )
     max_surfels: PositiveInt = Field(
-        default=3_000_000, ge=1024, le=6_000_000, description="bound on memory, about 70 bytes a surfel"
+        default=3_000_000, ge=1024, le=6_000_000, description="bound on memory, about 72 bytes a surfel"
     )
     block_m: PositiveFloat = Field(
         default=0.5, ge=0.05, le=10, description="edge of the blocks by which surfels in view are found"

@@ -25,9 +25,9 @@ from wheelsight.inputs import Kind, parse_json, read_bytes
 from wheelsight.inputs.settings import checked_settings
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
-from wheelsight.mapping.values import Surfels
+from wheelsight.mapping.values import FRAME, Surfels
 
-FORMAT, FRAME = "wheelsight-map-2", "map"
+FORMAT = "wheelsight-map-2"
 _FIRST_FORMAT = "wheelsight-map-1"
 _LONGEST_HEADER = 1 << 16
 _NO_MAP = "give a file that `save_map` wrote"

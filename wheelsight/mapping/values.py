@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight.views import PredictedView
 
+# In which positions and normals are, and that files say.
+FRAME = "map"
+
 
 @dataclass(frozen=True, slots=True)
 class FusedFrame:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate
@@ -38,12 +39,17 @@ class Stop:
 class Stops:
     """A few frames, evenly spread over a recording: those at or after `due` indices that have a pose.
 
-    `T_map_body` are the poses (4, 4) in the map of all frames that have one.
+    Attributes:
+        due: indices.
+        found: the frames.
+        T_map_body: poses (4, 4) in the map of all frames that have one.
+        T_odom_map: (4, 4) where the map lay at each of these frames, by what was known then.
     """
 
     due: list[int]
     found: list[Stop] = field(default_factory=list)
     T_map_body: list[FloatArray] = field(default_factory=list)
+    T_odom_map: list[FloatArray] = field(default_factory=list)
 
     def look(
         self, frame: RgbdFrame, estimate: Estimate, T_odom_map: FloatArray, T_base_camera: FloatArray | None
@@ -53,10 +59,32 @@ class Stops:
             return
         T_map_body = se3.invert(T_odom_map) @ estimate.T_odom_body
         self.T_map_body.append(T_map_body)
+        self.T_odom_map.append(T_odom_map)
         if not self.due or frame.index < self.due[0]:
             return
         self.found.append(Stop(frame.stamp_s, frame.color, camera_of(T_map_body, T_base_camera)))
         self.due = [index for index in self.due if index > frame.index]
+
+    def lay(self, surfel_map: SurfelMap) -> None:
+        """Move the finished map, and all poses in it, to where the whole trajectory has them.
+
+        Beside wheels, poses are corrected on the way and the map is not: it lies a little elsewhere at each frame. What
+        is written is laid to the mean of that, which is nearer to the trajectory than where it lay first or last.
+        """
+        if not self.T_odom_map or all((np.eye(4) == T).all() for T in self.T_odom_map):
+            return
+        T_new_old = _mean_motion(np.array(self.T_odom_map), np.array(self.T_map_body))
+        surfel_map.move(T_new_old)
+        self.T_map_body = [T_new_old @ T for T in self.T_map_body]
+        self.found = [replace(stop, T_map_camera=T_new_old @ stop.T_map_camera) for stop in self.found]
+        self.T_odom_map = [np.eye(4)] * len(self.T_map_body)
+
+
+def _mean_motion(T_odom_map: FloatArray, T_map_body: FloatArray) -> FloatArray:
+    """The motion (4, 4) that brings poses (N, 4, 4) nearest to where motions (N, 4, 4), each its own, bring them."""
+    R = Rotation.from_matrix(T_odom_map[:, :3, :3]).mean().as_matrix()
+    p_odom, p_map = (T_odom_map @ T_map_body)[:, :3, 3], T_map_body[:, :3, 3]
+    return se3.from_parts(R, (p_odom - p_map @ R.T).mean(axis=0))
 
 
 def map_record_of(
