@@ -41,19 +41,19 @@ def test_json_holds_figures_with_units(wheelsight: Command, files: tuple[Path, P
     figures = json.loads(wheelsight("evaluate", *files, "--json").stdout)
     assert 0 < figures["ate_m"]["rmse"] < 0.01
     assert figures["scale"] is None
-    assert figures["frame"] == "T_odom_camera"
+    assert figures["frame"] == "T_map_camera"
 
 
 def test_the_frame_is_told_and_what_headers_leave_out_can_be_said(
     wheelsight: Command, refusal: Callable[..., str], files: tuple[Path, Path]
 ) -> None:
     estimate, truth = files
-    assert "T_odom_camera: 90 pairs" in wheelsight("evaluate", *files).stdout
-    estimate.write_text(estimate.read_text().replace("T_odom_camera", "T_odom_base"))
+    assert "T_map_camera: 90 pairs" in wheelsight("evaluate", *files).stdout
+    estimate.write_text(estimate.read_text().replace("T_map_camera", "T_map_base"))
     assert "move differently" in refusal("evaluate", *files)
     truth.write_text("\n".join(line for line in truth.read_text().splitlines() if not line.startswith("#")))
     assert "move differently" in refusal("evaluate", *files)
-    assert "T_odom_base: 90 pairs" in wheelsight("evaluate", *files, "--body", "base").stdout
+    assert "T_map_base: 90 pairs" in wheelsight("evaluate", *files, "--body", "base").stdout
 
 
 def test_scale_is_fitted_when_asked(wheelsight: Command, files: tuple[Path, Path]) -> None:
@@ -135,14 +135,14 @@ def test_the_truth_of_the_estimates_body_is_taken_where_it_lies_beside(
     wheelsight: Command, refusal: Callable[..., str], files: tuple[Path, Path]
 ) -> None:
     estimate, truth = files
-    of_base = estimate.read_text().replace("T_odom_camera", "T_odom_base")
+    of_base = estimate.read_text().replace("T_map_camera", "T_map_base")
     estimate.write_text(of_base)
     truth = truth.rename(truth.with_name("groundtruth.txt"))
     assert "move differently" in refusal("evaluate", estimate, truth)
     truth.with_name("groundtruth_base.txt").write_text(of_base)
     result = wheelsight("evaluate", estimate, truth)
     assert result.exit_code == 0, result.output
-    assert "T_odom_base: 90 pairs" in result.stdout
+    assert "T_map_base: 90 pairs" in result.stdout
     assert "groundtruth_base.txt beside it, of the base, is taken" in result.stderr
 
 
