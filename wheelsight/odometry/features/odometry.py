@@ -11,12 +11,12 @@ from wheelsight.checks import array_of, check_frame
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, se3
-from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
+from wheelsight.odometry.stopwatch import Stopwatch
 
 # Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
 _START_VARIANCE = 1e-12
