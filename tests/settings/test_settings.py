@@ -33,9 +33,13 @@ CALIBRATION = Calibration.registered_camera(
 
 # Numbers that stay in modules of localizer, clocks and wheels, and why they are no settings of a run.
 OFFLINE = "of a calibration by hand, which no run goes by; it is told with its reason where it stands"
+IN_FUSION = "of the way in which wheels and camera are joined: goes into the settings of fusion"
 COMPILED = "compiled into kernels, whose values are a part of their code"
 LAYOUT = "a place in an array"
 MAY_STAY = {
+    "localizer/_anchor.py": IN_FUSION,
+    "localizer/_carried.py": IN_FUSION,
+    "localizer/by_fusion.py": IN_FUSION,
     "odometry/wheels/_observability.py": OFFLINE,
     "odometry/wheels/fit.py": OFFLINE,
     "odometry/wheels/segments.py": OFFLINE,
@@ -249,7 +253,7 @@ def test_frames_alone_are_gated_by_the_settings() -> None:
 
 
 def test_gap_and_pace_reach_who_goes_by_them() -> None:
-    given = {"odometry": "wheels,dense", "wheels.gyro_gap_s": 0.3, "localizer.joined.pace_s": 0.7}
+    given = {"odometry": "wheels,dense", "wheels.gyro_gap_s": 0.3, "localizer.pace_s": 0.7}
     subject = Localizer(CALIBRATION, load_config(overrides=given))
     assert {meter.gap_s for meter in held_by(subject, YawRateMeter)} == {0.3}
     assert {one.longest_step_s for one in parts_of(subject, set()) if hasattr(one, "longest_step_s")} == {0.7}
