@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changed_settings import numbers, variants
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -172,3 +173,39 @@ def test_whatever_comes_the_times_of_a_sensor_grow(given_events: list[tuple[int,
 
 def _off(event: Event, by_s: float) -> Event:
     return replace(event, stamp_s=event.stamp_s + by_s)
+
+
+def scenes() -> list[list[Event]]:
+    """Clocks that leap by much and by little, together and alone, again and again; sensors that are slow or apart."""
+    leaps: list[tuple[float, Sensors]] = [(60.0, "both"), (-60.0, "both"), (5.0, "wheels"), (-5.0, "camera")]
+    small: list[tuple[float, Sensors]] = [(0.7, "wheels"), (-0.15, "both"), (2.0, "camera"), (0.3, "camera")]
+    made = [
+        ClockLeaps(LEAP_AT_S, by_s, sensors).apply(drive(12.0, camera_hz, late_s=0.05))
+        for by_s, sensors in (*leaps, *small)
+        for camera_hz in (10.0, 1.0)
+    ]
+    apart = [replace(e, stamp_s=e.stamp_s + 1.5) if isinstance(e, WheelTicks) else e for e in drive(3.0)]
+    far_apart = [replace(e, stamp_s=e.stamp_s + 3.0) if isinstance(e, WheelTicks) else e for e in drive(3.0)]
+    often = [replace(e, stamp_s=e.stamp_s + 3600 * (e.stamp_s // 5)) for e in drive(60.0)]
+    both = list(ClockLeaps(LEAP_AT_S, 60.0, "both").apply(drive(12.0)))
+    alike = [replace(e, stamp_s=e.stamp_s + 0.7) if isinstance(e, SkippedFrame) and e.stamp_s > 60 else e for e in both]
+    slows = [
+        e for e in drive(12.0) if not (isinstance(e, SkippedFrame) and e.stamp_s > 2 and round(10 * e.stamp_s) % 5)
+    ]
+    slow = [list(ClockLeaps(LEAP_AT_S, by_s, "camera").apply(slows)) for by_s in (60.0, 3.0, 0.7, 0.4)]
+    return [*map(list, made), apart, far_apart, often, alike, *slow]
+
+
+def told_of(settings: ClockSettings, events: list[Event]) -> object:
+    clock = SessionClock(settings)
+    return [time_s if isinstance(time_s := clock.time_of(event), float) else None for event in events], clock.warnings
+
+
+@pytest.mark.parametrize("name", numbers(ClockSettings))
+def test_each_setting_changes_what_is_told(name: str) -> None:
+    assert any(
+        told_of(changed, events) != told_of(ClockSettings(), events)
+        for events in scenes()
+        for changed in variants(ClockSettings, name)
+        if isinstance(changed, ClockSettings)
+    )

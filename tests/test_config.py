@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from configuration_page import PAGE, page
 
 from wheelsight.config import Config, load_config, save_config
 from wheelsight.errors import ConfigError
@@ -229,3 +230,7 @@ def test_a_wrong_option_of_places_is_called_by_its_name() -> None:
 def test_an_unknown_setting_within_one_that_may_be_missing_lists_the_known(tmp_path: Path) -> None:
     given = "odometry: wheels\nplaces: {model: m, start: {x_m: 1, y_m: 2, yaw_deg: 3, yaw_rad: 3}}\n"
     assert "unknown setting places.start.yaw_rad (did you mean yaw_deg?)" in refusal(write(tmp_path, given))
+
+
+def test_the_page_of_all_settings_is_of_today() -> None:
+    assert PAGE.read_text(encoding="utf-8") == page(), "run: python tests/configuration_page.py"

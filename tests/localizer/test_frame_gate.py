@@ -10,6 +10,7 @@ import pytest
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.localizer._frame_gate import FrameGate, Refusal
+from wheelsight.settings import FrameGateSettings
 
 AHEAD = se3.exp([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
 TURNED = se3.exp([0.0, 0.0, 0.0, 0.0, 0.02, 0.0])
@@ -83,3 +84,33 @@ def test_wheels_are_waited_for_a_second_and_no_longer() -> None:
     assert gate.waits_for_wheels(frame(5.0))
     gate.wheels_are_heard = True
     assert not gate.waits_for_wheels(frame(5.1))
+
+
+@pytest.mark.parametrize(
+    ("settings", "refused"),
+    [
+        ({}, True),
+        ({"hangs_s": 2.0}, False),
+    ],
+)
+def test_a_camera_hangs_after_as_long_as_is_set(settings: dict[str, float], refused: bool) -> None:
+    gate = FrameGate(FrameGateSettings(**settings))
+    told = [gate.why_not(frame(stamp_s, 1), AHEAD) for stamp_s in (0.0, 1.5)]
+    assert told[0] is None
+    assert told[1] is not None
+    assert told[1].is_repeat is not refused
+
+
+@pytest.mark.parametrize(("setting", "T_last_frame"), [("moved_m", AHEAD), ("moved_rad", TURNED)])
+def test_a_robot_stands_that_moves_less_than_is_set(setting: str, T_last_frame: np.ndarray) -> None:
+    for moved, stands in ((0.0005, False), (0.03, True)):
+        gate = FrameGate(FrameGateSettings(**{setting: moved}))
+        assert gate.why_not(frame(0.0, 1), T_last_frame) is None
+        assert (gate.why_not(frame(0.1, 1), T_last_frame) is None) == stands
+
+
+def test_wheels_are_waited_for_as_long_as_is_set() -> None:
+    for wait_s, waits in ((1.0, True), (0.3, False)):
+        gate = FrameGate(FrameGateSettings(wait_s=wait_s))
+        assert gate.waits_for_wheels(frame(10.0))
+        assert gate.waits_for_wheels(frame(10.5)) == waits

@@ -10,7 +10,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.fusion import AreaRectifierSettings, ErrorStateFilter, FusedEstimate, PlaceMeter
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer.by_places import Places
-from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.places import PlaceMatch, Unknown
 
 

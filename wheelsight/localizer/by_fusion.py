@@ -31,6 +31,15 @@ from wheelsight.places import PlaceMatch
 
 # What the filter remembers: the last frame tracked, the anchor of the camera's motions, where it started again.
 _FRAME, _ANCHOR, _AGAIN = "frame", "anchor", "again"
+# After so many frames in a row that show nothing known, the camera goes on from where the wheels have it.
+_RESTART_AFTER = 5
+# After so long in the dark a look is believed only where it shows all directions: one that slides along a wall may have
+# taken one place for another, and wheels alone do not go astray so soon.
+_DARK_S = 1.0
+# From here on a base turns: a camera then turns 0.08 % too far against its map, 0.01 % against keyframes (five flats).
+_TURNS_RAD_S = 0.1
+# So long after a look that was not believed, people may go on to mislead.
+_UNCALM_S = 5.0
 _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
 
 
@@ -51,7 +60,6 @@ class ByFusion:
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
         self._T_base_camera, of = mount_of(calibration), settings.localizer
-        self._settings = of.joined
         # The filter knows the gyroscope's bias; had the wheels used it too, it would count twice. Dead reckoning that
         # does goes on beside it: it tells whether the gyroscope is to be believed, and what that shows at rest.
         self._wheels = ByWheels(calibration, settings.wheels.model_copy(update={"gyro": False}))
@@ -63,17 +71,16 @@ class ByFusion:
         T_start, spread = (None, None) if self._places is None else self._places.start
         begin = (self._T_base_camera, T_start, spread, _settings_of(calibration))
         self.filter = ErrorStateFilter(*begin)
-        self._check = BaseCheck(
-            calibration, self._T_base_camera, ErrorStateFilter(*begin), of.base_check, of.color_check
-        )
+        by_wheels = ErrorStateFilter(*begin)
+        self._check = BaseCheck(calibration, self._T_base_camera, by_wheels, of.base_check, of.color_check)
         self.T_odom_map: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self._anchor: Anchor | None = None
-        self._carried = Carried(of.carried)
+        self._carried = Carried()
         self._gate = FrameGate(of.frame_gate)
         assert calibration.wheels is not None  # ByWheels has refused it
         self._times = ReadingTimes(calibration.wheels, settings.wheels.reading_times)
-        self._pace = Pace(of.joined.pace_s)
+        self._pace = Pace(of.pace_s)
         self._unknown, self._deaf, self._slips = 0, "", False
         self.last_matches: MatchedPixels | None = None
         self._seen_s = self._unbelieved_s = -np.inf
@@ -239,7 +246,7 @@ class ByFusion:
             return self._begun(frame, seen)
         motion = self._anchor.motion_to(seen.T_odom_body, self._motion(seen))
         motion = blurred(motion, twist, self._times.noise_s)
-        if frame.stamp_s - self._seen_s > self._settings.dark_s and not motion.shows_all:
+        if frame.stamp_s - self._seen_s > _DARK_S and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         answer = self.filter.update_relative(frame.stamp_s, motion, _ANCHOR, remember=_FRAME)
         self._unknown = 0
@@ -304,7 +311,7 @@ class ByFusion:
         if seen.reason not in _BLIND:
             self._unknown += 1
             self._suspect(frame.stamp_s, answer)
-        if (restarts or self._unknown >= self._settings.restart_after) and answer.covariance is not None:
+        if (restarts or self._unknown >= _RESTART_AFTER) and answer.covariance is not None:
             self._unknown = 0
             # Where the frame was taken: it may have come late, by its stamp and beside it.
             self.filter.clone(frame.stamp_s, _AGAIN)
@@ -322,7 +329,7 @@ class ByFusion:
     def _suspect(self, stamp_s: float, wheels: FusedEstimate) -> None:
         """An unknown view right after the dark: wheels that stood meanwhile do not know whether they were carried."""
         dark_s, expected = stamp_s - self._seen_s, self.filter.expect(stamp_s, _FRAME)
-        if self._unknown == 1 and dark_s > self._settings.dark_s and wheels.T_odom_body is not None:
+        if self._unknown == 1 and dark_s > _DARK_S and wheels.T_odom_body is not None:
             self._carried.unknown(dark_s, None if expected is None else expected[0], wheels.T_odom_body)
 
     def _repeated(self) -> Estimate:

@@ -19,7 +19,7 @@ from wheelsight.files import StrPath
 from wheelsight.fusion import AreaRectifier, PaperRectifier
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer.by_wheels import ByWheels
-from wheelsight.odometry._stopwatch import Stopwatch
+from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.places import PlaceMatch, PlaceModel, Unknown
 from wheelsight.recordings.repeats import Repeats

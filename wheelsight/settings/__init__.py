@@ -6,10 +6,8 @@ What an odometry, a map or a filter goes by stands beside it; here is what a loc
 from wheelsight.settings.base import CHOSEN, ON_SIMULATOR, Settings, conflict, setting
 from wheelsight.settings.localizer import (
     BaseCheckSettings,
-    CarriedSettings,
     ColorCheckSettings,
     FrameGateSettings,
-    JoinedSettings,
     LocalizerSettings,
 )
 from wheelsight.settings.real_time import RealTimeSettings
@@ -18,10 +16,8 @@ __all__ = [
     "CHOSEN",
     "ON_SIMULATOR",
     "BaseCheckSettings",
-    "CarriedSettings",
     "ColorCheckSettings",
     "FrameGateSettings",
-    "JoinedSettings",
     "LocalizerSettings",
     "RealTimeSettings",
     "Settings",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Self
 
 from pydantic import model_validator
@@ -185,44 +184,6 @@ class ColorCheckSettings(Settings):
         return self
 
 
-class CarriedSettings(Settings):
-    """Whether a robot was carried while its camera saw nothing; see `Carried`."""
-
-    same_view_m: float = setting(
-        0.3,
-        "a camera that by the wheels has moved less shows mostly what it showed before, metres; a radian counts as "
-        "1.5 m",
-        ON_SIMULATOR,
-        gt=0,
-        le=100,
-    )
-    speed_m_s: float = setting(
-        0.7,
-        "people carry or push a robot at up to a walk, as a standard deviation",
-        "reckoned from the speed of people",
-        gt=0,
-        le=100,
-    )
-    turned_rad: float = setting(
-        math.pi / math.sqrt(3), "standard deviation of its heading then: any way, evenly", "reckoned", gt=0, le=100
-    )
-    known_rad: float = setting(
-        0.5,
-        "standard deviation of a heading that is known again, by areas, to a third of a right angle",
-        "reckoned",
-        gt=0,
-        le=10,
-    )
-    astray_share: float = setting(
-        2 / 3,
-        "standard deviation of the place, as a share of the way since: of a heading that may be any, a way of r ends "
-        "within 2 r of where it seems to, which are three of these",
-        "reckoned",
-        ge=0,
-        le=10,
-    )
-
-
 class FrameGateSettings(Settings):
     """Which frames are worth processing; see `FrameGate`."""
 
@@ -248,62 +209,17 @@ class FrameGateSettings(Settings):
     moved_rad: float = setting(0.0005, "likewise in radians", "reckoned", ge=0, le=10)
 
 
-class JoinedSettings(Settings):
-    """How wheels and camera lead each other; see `ByFusion`."""
+class LocalizerSettings(Settings):
+    """What a localizer goes by beyond odometry, map and filter."""
 
-    anchor_way_m: float = setting(
-        0.3,
-        "way, metres, after which the camera's motions are told against another frame; a radian counts as 1.5 m. "
-        "Against one that is held for a while, errors of single frames do not add up",
-        ON_SIMULATOR,
-        gt=0,
-        le=100,
-    )
+    base_check: BaseCheckSettings = BaseCheckSettings()
+    color_check: ColorCheckSettings = ColorCheckSettings()
+    frame_gate: FrameGateSettings = FrameGateSettings()
     pace_s: float = setting(
         0.35,
-        "where wheels slip, the camera is expected to go on as it went; over a longer gap, seconds, the mean velocity"
-        " says little of that at the frame",
+        "where wheels slip, the camera is expected to go on as it went; over a longer gap, seconds, the mean velocity "
+        "says little of that at the frame",
         ON_SIMULATOR,
         gt=0,
         le=60,
     )
-    restart_after: int = setting(
-        5,
-        "frames in a row that show nothing known, after which the camera goes on from where the wheels have it",
-        ON_SIMULATOR,
-        ge=1,
-        le=100_000,
-    )
-    dark_s: float = setting(
-        1.0,
-        "after so long without the camera, seconds, a motion is believed only where it shows all directions: one that "
-        "slides along a wall may have taken one place for another, and wheels alone do not go astray so soon",
-        ON_SIMULATOR,
-        gt=0,
-        le=3600,
-    )
-    turning_rad_s: float = setting(
-        0.1,
-        "from here on a base turns, rad/s: a camera then turns 0.08 % too far against its map, 0.01 % against "
-        "keyframes (five flats)",
-        ON_SIMULATOR,
-        ge=0,
-        le=100,
-    )
-    uncalm_s: float = setting(
-        5.0,
-        "so long after a motion that was not believed, seconds, people may go on to mislead the camera",
-        ON_SIMULATOR,
-        ge=0,
-        le=3600,
-    )
-
-
-class LocalizerSettings(Settings):
-    """All of them."""
-
-    base_check: BaseCheckSettings = BaseCheckSettings()
-    color_check: ColorCheckSettings = ColorCheckSettings()
-    carried: CarriedSettings = CarriedSettings()
-    frame_gate: FrameGateSettings = FrameGateSettings()
-    joined: JoinedSettings = JoinedSettings()

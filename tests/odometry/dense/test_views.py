@@ -7,10 +7,10 @@ import pytest
 from odometry.dense.scenes import Plane, bench, frame_of
 
 from wheelsight.geometry import se3
-from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.dense._views import Views
 from wheelsight.odometry.dense.keyframes import Keyframe
+from wheelsight.odometry.stopwatch import Stopwatch
 
 BENCH = bench()
 GRID = BENCH.grid(frame_of([Plane((0, 0, 1), 2.0)], np.eye(4), 0.0))

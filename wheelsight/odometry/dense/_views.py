@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry.dense._tracked import Tracked
 from wheelsight.odometry.dense.grid import Gridder
 from wheelsight.odometry.dense.keyframes import Keyframe
 from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.views import ReferenceModel
 
 # So many keyframes, those used last, are held ready; of others depth and grey alone, of which they are made in 5 ms.

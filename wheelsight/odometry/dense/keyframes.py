@@ -13,12 +13,12 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import MotionEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry.dense.reference import Reference
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
 from wheelsight.odometry.features.landmarks import View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, ViewTracker
+from wheelsight.odometry.stopwatch import Stopwatch
 
 # Poses of one frame by its surfaces and by its keypoints that lie no farther apart say the same; so many times as far
 # apart too where keypoints are no surer: far ones hardly tell a turn from a way aside. χ² of 6, 99 %.

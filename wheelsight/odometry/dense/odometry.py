@@ -12,7 +12,6 @@ from wheelsight.checks import array_of, check_frame
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense._doubt import Doubt, is_astray
 from wheelsight.odometry.dense._falloff import Falloff
@@ -26,6 +25,7 @@ from wheelsight.odometry.dense.observability import Prior, judge
 from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.features.extraction import Features
+from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.threads import Rows
 from wheelsight.views import ReferenceModel, Surface
 

@@ -12,7 +12,6 @@ from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
-from wheelsight.odometry._stopwatch import Stopwatch
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.features.estimate import FeatureEstimate, MatchedPixels
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
@@ -21,6 +20,7 @@ from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
 from wheelsight.odometry.state import TrackingState
+from wheelsight.odometry.stopwatch import Stopwatch
 
 # Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
 _START_VARIANCE = 1e-12

@@ -1,0 +1,56 @@
+"""Carried: what is believed of a robot that may have been carried in the dark."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wheelsight.estimates import Status
+from wheelsight.fusion import FusedEstimate
+from wheelsight.geometry import se3
+from wheelsight.localizer._carried import Carried
+
+ANSWER = FusedEstimate(10.0, Status.TRACKING, np.eye(4), 1e-6 * np.eye(6), body="base")
+AHEAD = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
+
+
+def carried() -> Carried:
+    """In a dark of 4 s, at the origin."""
+    subject = Carried()
+    subject.unknown(4.0, AHEAD, np.eye(4))
+    return subject
+
+
+def test_wheels_that_stood_and_another_view_say_so_and_a_known_view_takes_it_back() -> None:
+    subject = carried()
+    assert subject.is_so
+    answer = subject.answered(ANSWER)
+    assert (answer.status, answer.doubtful) == (Status.COASTING, True)
+    assert answer.covariance is not None
+    sigmas = np.sqrt(np.diag(answer.covariance))
+    np.testing.assert_allclose(sigmas[[0, 1, 5]], [2.8, 2.8, np.pi / np.sqrt(3)], rtol=1e-3)
+    subject.known()
+    assert not subject.is_so
+
+
+def test_wheels_that_went_on_tell_where_the_view_changed() -> None:
+    subject = Carried()
+    subject.unknown(4.0, se3.exp([0.0, 0.0, 0.4, 0.0, 0.0, 0.0]), np.eye(4))
+    assert not subject.is_so
+
+
+def test_from_then_on_a_way_leads_astray() -> None:
+    subject = carried()
+    subject.scatter(np.eye(4), np.eye(6))
+    gone = FusedEstimate(12.0, Status.TRACKING, se3.from_plane(3.0, 0.0, 0.0), np.eye(6), body="base")
+    answer = subject.answered(gone)
+    assert answer.covariance is not None
+    assert np.sqrt(answer.covariance[0, 0] - 1.0) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("sigma_rad", "is_so"), [(0.4, False), (0.6, True)])
+def test_a_heading_that_is_known_again_ends_it(sigma_rad: float, is_so: bool) -> None:
+    subject = carried()
+    subject.scatter(np.eye(4), np.eye(6))
+    subject.answered(FusedEstimate(12.0, Status.TRACKING, np.eye(4), sigma_rad**2 * np.eye(6), body="base"))
+    assert subject.is_so == is_so

@@ -1,0 +1,71 @@
+"""Verdict: who is left out, and what is said of it, by pieces of a drive whose fault is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wheelsight.calibration import Wheels
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.localizer._pieces import Pieces
+from wheelsight.localizer._verdict import Verdict
+from wheelsight.odometry.extrinsics import Culprit
+from wheelsight.settings import BaseCheckSettings
+
+WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
+T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.0], [0, 0, 0, 1]])
+
+
+def base_at(way_m: float) -> FloatArray:
+    """T_odom_base (4, 4) on a bend to the left, a radian a metre."""
+    return se3.from_plane(np.sin(way_m), 1 - np.cos(way_m), way_m)
+
+
+def judged(way_m: float, turns: float, ratio: float | None = None, **settings: float) -> Verdict:
+    """A drive, by a camera that tells `turns` times the turns; and the floor's height over that of the mount."""
+    pieces, verdict = Pieces(WHEELS, T_BASE_CAMERA), Verdict(BaseCheckSettings(**settings))  # type: ignore[arg-type]
+    for at_m in np.arange(0, way_m, 0.02):
+        mirrored = se3.from_plane(np.sin(at_m), turns * (1 - np.cos(at_m)), turns * at_m)
+        if pieces.add(float(at_m), base_at(at_m), mirrored, lambda begin_s, end_s: None):
+            if not verdict.judge(pieces.agreement, ratio):
+                pieces.agree()
+            if verdict.left_out is not None:
+                break
+    return verdict
+
+
+def test_a_drive_that_both_tell_of_alike_is_agreed_on() -> None:
+    verdict = judged(4.0, 1.0)
+    assert verdict.has_agreed
+    assert (verdict.found, verdict.is_sure, verdict.left_out, verdict.warnings) == ([], False, None, ())
+
+
+@pytest.mark.parametrize(("setting", "value"), [("enough_m", 5.0), ("enough_rad", 5.0)])
+def test_only_so_much_is_enough(setting: str, value: float) -> None:
+    assert not judged(4.0, 1.0, **{setting: value}).has_agreed
+
+
+def test_turns_the_other_way_are_the_fault_of_either() -> None:
+    verdict = judged(2.0, -1.0)
+    assert verdict.is_sure
+    assert {one.culprit for one in verdict.found} == set(Culprit)
+    assert verdict.left_out is None
+    (warning,) = verdict.warnings
+    assert warning.startswith("Wheels and camera contradict each other all along: either the wheels' fault (")
+
+
+@pytest.mark.parametrize("settings", [{"sure_pieces": 200}, {"sure_m": 9.0, "sure_rad": 9.0}])
+def test_it_is_sure_after_so_much(settings: dict[str, float]) -> None:
+    verdict = judged(2.0, -1.0, **settings)
+    assert verdict.found
+    assert not verdict.is_sure
+    assert verdict.warnings == ()
+
+
+def test_late_colour_and_a_camera_that_sees_nothing_are_left_out_with_their_cause() -> None:
+    verdict = Verdict(BaseCheckSettings())
+    verdict.leave_out_late_color(2)
+    assert (verdict.left_out, verdict.is_sure) == (Culprit.CAMERA, True)
+    assert "its colour images are 2 frames later than the depth" in verdict.warnings[0]
+    verdict.leave_out_blind(0.2)
+    assert "or the height in T_base_camera" in verdict.warnings[0]

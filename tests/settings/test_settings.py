@@ -1,0 +1,265 @@
+"""Settings: each has a bound, a reason and a source, is read by somebody, and reaches the objects of a run."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from changed_settings import SECTIONS, all_leaves, bounds, sections
+from pydantic.fields import FieldInfo
+from stand_ins import CAMERA, MemoryRecording
+
+import wheelsight
+from wheelsight.calibration import Calibration, Wheels
+from wheelsight.config import Config, load_config, save_config
+from wheelsight.errors import ConfigError
+from wheelsight.events import YawRate
+from wheelsight.localizer import Localizer
+from wheelsight.odometry.wheels import YawRateMeter
+from wheelsight.pipeline import RealTimeRecording
+from wheelsight.settings import FrameGateSettings, Settings
+
+PACKAGE = Path(wheelsight.__file__).parent
+LEAVES = all_leaves()
+NUMBERS = [leaf for leaf in LEAVES if isinstance(leaf[1], int | float) and not isinstance(leaf[1], bool)]
+T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.0], [0, 0, 0, 1]])
+CALIBRATION = Calibration.registered_camera(
+    CAMERA, wheels=Wheels(0.17, 0.17, 0.52, 3200.0), T_base_camera=T_BASE_CAMERA, source="test"
+)
+
+# Numbers that stay in modules of localizer, clocks and wheels, and why they are no settings of a run.
+OFFLINE = "of a calibration by hand, which no run goes by; it is told with its reason where it stands"
+IN_FUSION = "of the way in which wheels and camera are joined: goes into the settings of fusion"
+COMPILED = "compiled into kernels, whose values are a part of their code"
+LAYOUT = "a place in an array"
+MAY_STAY = {
+    "localizer/_anchor.py": IN_FUSION,
+    "localizer/_carried.py": IN_FUSION,
+    "localizer/by_fusion.py": IN_FUSION,
+    "odometry/wheels/_observability.py": OFFLINE,
+    "odometry/wheels/fit.py": OFFLINE,
+    "odometry/wheels/segments.py": OFFLINE,
+    "odometry/wheels/squares.py": OFFLINE,
+    "odometry/wheels/umbmark.py": OFFLINE,
+    "odometry/wheels/_kernels.py": COMPILED,
+    "odometry/wheels/_gyro_kernels.py": COMPILED,
+    "odometry/wheels/_state_kernels.py": LAYOUT,
+    "odometry/wheels/odometry.py: _WIDE": "floats count no further",
+    "odometry/wheels/odometry.py: _PLANE": LAYOUT,
+    "odometry/wheels/encoder.py: _SECONDS_A_MINUTE": "a unit",
+    "odometry/wheels/gyro_check.py: _DEGREES": "a unit",
+}
+
+
+def with_value(dotted: str, value: Any) -> str:
+    """YAML of one setting, a line a level."""
+    names = dotted.split(".")
+    return "".join(f"{'  ' * depth}{name}:\n" for depth, name in enumerate(names))[:-1] + f" {value}\n"
+
+
+@pytest.mark.parametrize(("name", "value", "about"), LEAVES, ids=[leaf[0] for leaf in LEAVES])
+def test_a_setting_says_what_it_is_and_where_its_default_comes_from(name: str, value: Any, about: FieldInfo) -> None:
+    extra = about.json_schema_extra
+    assert about.description
+    assert isinstance(extra, dict)
+    assert extra["source"]
+
+
+@pytest.mark.parametrize(("name", "value", "about"), NUMBERS, ids=[leaf[0] for leaf in NUMBERS])
+def test_nonsense_is_refused_with_file_line_and_what_would_be_right(
+    name: str, value: float, about: FieldInfo, tmp_path: Path
+) -> None:
+    path, limits = tmp_path / "settings.yaml", bounds(about)
+    lowest, highest = limits.get("gt", limits.get("ge")), limits.get("lt", limits.get("le"))
+    assert lowest is not None
+    assert highest is not None
+    assert lowest <= value <= highest
+    for wrong in (lowest - 1, highest + 1, ".nan", "much"):
+        path.write_text(with_value(name, wrong))
+        told = str(wrong).replace(".nan", "nan")
+        with pytest.raises(ConfigError, match=rf"^{path}:{name.count('.') + 1}: {name} is '?{told}'?, which should be"):
+            load_config(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "localizer:\n  color_check:\n    sure: 5\n",
+            ":3: localizer.color_check.sure is 5, less than likely: 6 (let sure",
+        ),
+        (
+            "localizer: {color_check: {most_shifts: 10}}",
+            ":1: localizer.color_check.most_shifts is 10, less than fewest",
+        ),
+        (
+            "localizer:\n  color_check: {lag_step_s: 0.5}",
+            ":2: localizer.color_check.lag_step_s is 0.5, too long for lags",
+        ),
+        (
+            "wheels:\n  gyro_check:\n    lags: 16\n",
+            ":3: wheels.gyro_check.lags is 16, and none of them is 0 (an odd numb",
+        ),
+        (
+            "wheels: {gyro_check: {last_blocks: 30}}",
+            ":1: wheels.gyro_check.last_blocks is 30, less than last_turns: 40",
+        ),
+        (
+            "wheels: {gyro_check: {accuse_after: 500}}",
+            ":1: wheels.gyro_check.accuse_after is 500, more than last_blocks",
+        ),
+        (
+            "wheels: {gyro_check: {deaf_share: 0.9}}",
+            ":1: wheels.gyro_check.followed_share is 0.8, less than deaf_share",
+        ),
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused_at_their_line(
+    text: str, expected: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "settings.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as refused:
+        load_config(path)
+    assert str(refused.value).startswith(f"{path}{expected}")
+
+
+def test_all_of_them_are_in_the_config_of_a_run(tmp_path: Path) -> None:
+    config = load_config(
+        overrides={"clocks.followers": 5, "localizer.base_check.sure_m": 0.7, "realtime.frames_ahead": 9}
+    )
+    save_config(config, tmp_path / "config.yaml")
+    text = (tmp_path / "config.yaml").read_text()
+    assert load_config(tmp_path / "config.yaml") == config
+    assert [name for name, _, _ in LEAVES if f" {name.rsplit('.')[-1]}:" not in text] == []
+
+
+def is_numeric(node: ast.expr) -> bool:
+    """Whether a value is made of numbers, by operators, tuples or numpy; what looks up a text is none."""
+    kinds = {type(n.value) for n in ast.walk(node) if isinstance(n, ast.Constant)}
+    return bool(kinds & {int, float}) and str not in kinds
+
+
+def assigned(node: ast.stmt) -> Iterator[tuple[ast.expr, ast.expr]]:
+    """Targets with their values, those of tuples one by one."""
+    if isinstance(node, ast.AnnAssign) and node.value is not None:
+        yield node.target, node.value
+    for target in node.targets if isinstance(node, ast.Assign) else ():
+        value = node.value
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+            yield from zip(target.elts, value.elts, strict=True)
+        elif isinstance(target, ast.Tuple):
+            yield from ((one, value) for one in target.elts)
+        else:
+            yield target, value
+
+
+def constants(path: Path) -> Iterator[str]:
+    """Names in upper case that a module gives a numeric value."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for target, value in assigned(node):
+            if isinstance(target, ast.Name) and target.id.strip("_").isupper() and is_numeric(value):
+                yield target.id
+
+
+def of_modules() -> list[Path]:
+    folders = (PACKAGE / "localizer", PACKAGE / "odometry" / "wheels")
+    return [PACKAGE / "clocks.py", *(path for folder in folders for path in sorted(folder.glob("*.py")))]
+
+
+@pytest.mark.parametrize("path", of_modules(), ids=lambda path: path.relative_to(PACKAGE).as_posix())
+def test_what_shapes_behaviour_is_no_constant_of_a_module(path: Path) -> None:
+    module = path.relative_to(PACKAGE).as_posix()
+    found = [name for name in constants(path) if module not in MAY_STAY and f"{module}: {name}" not in MAY_STAY]
+    assert not found, f"{module}: {', '.join(found)} should be settings (wheelsight/settings, or the part's own)"
+
+
+def test_the_list_of_what_may_stay_has_nothing_that_is_gone() -> None:
+    there = {path.relative_to(PACKAGE).as_posix(): [*constants(path)] for path in of_modules()}
+    known = {one for module, names in there.items() if names for one in (module, *(f"{module}: {n}" for n in names))}
+    assert MAY_STAY.keys() - known == set()
+
+
+def test_the_check_finds_a_constant(tmp_path: Path) -> None:
+    path = tmp_path / "module.py"
+    path.write_text('_FAR_M, _NAME = 0.3, "far"\n_NEAR_M: float = 2\nFRAME = "frame"\n_LAGS = np.arange(3)\nways = 3\n')
+    assert [*constants(path)] == ["_FAR_M", "_NEAR_M", "_LAGS"]
+
+
+def test_no_setting_is_dead() -> None:
+    """Each is read somewhere beside the classes that declare it."""
+    read: set[str] = set()
+    for path in PACKAGE.rglob("*.py"):
+        if path.parent.name != "settings" and path.name != "settings.py":
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            read |= {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Load)}
+    assert [name for name, _, _ in LEAVES if name.rsplit(".")[-1] not in read] == []
+
+
+def parts_of(thing: Any, seen: set[int]) -> Iterator[Any]:
+    """All objects of wheelsight that are reached from one, itself among them; not what lies within settings."""
+    if id(thing) in seen:
+        return
+    seen.add(id(thing))
+    if isinstance(thing, list | tuple):
+        for one in thing:
+            yield from parts_of(one, seen)
+    elif type(thing).__module__.startswith("wheelsight"):
+        yield thing
+        for one in () if isinstance(thing, Settings) else getattr(thing, "__dict__", {}).values():
+            yield from parts_of(one, seen)
+
+
+def held_by(thing: Any, kind: type[Any] = Settings) -> list[Any]:
+    """What an object of wheelsight holds of a kind, or what one that it holds does."""
+    return [one for one in parts_of(thing, set()) if isinstance(one, kind)]
+
+
+def changed(section: Settings) -> dict[str, Any]:
+    """Another value of the first number of a section that may be a little more."""
+    for name, about in type(section).model_fields.items():
+        value = getattr(section, name)
+        if (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and "source" in (about.json_schema_extra or ())
+        ):
+            return {name: value + 1 if isinstance(value, int) else value * 1.01}
+    raise AssertionError(section)
+
+
+OWN = [(name, section) for name, section in sections(Config()) if name.split(".")[0] in SECTIONS]
+REACHED = [(name, section) for name, section in OWN if name not in ("wheels", "localizer", "realtime")]
+
+
+@pytest.mark.parametrize(("name", "section"), REACHED, ids=[name for name, _ in REACHED])
+def test_a_section_reaches_who_goes_by_it(name: str, section: Settings) -> None:
+    ((own, value),) = changed(section).items()
+    settings = load_config(overrides={"odometry": "wheels,features", f"{name}.{own}": value})
+    subject = Localizer(CALIBRATION, settings)
+    subject.process(YawRate(0.0, 0.1))
+    held = held_by(subject, type(section))
+    assert held
+    assert all(one != section for one in held)
+
+
+def test_frames_alone_are_gated_by_the_settings() -> None:
+    settings = load_config(overrides={"localizer.frame_gate.hangs_s": 3.0})
+    assert held_by(Localizer(CALIBRATION, settings), FrameGateSettings) == [settings.localizer.frame_gate]
+
+
+def test_gap_and_pace_reach_who_goes_by_them() -> None:
+    given = {"odometry": "wheels,dense", "wheels.gyro_gap_s": 0.3, "localizer.pace_s": 0.7}
+    subject = Localizer(CALIBRATION, load_config(overrides=given))
+    assert {meter.gap_s for meter in held_by(subject, YawRateMeter)} == {0.3}
+    assert {one.longest_step_s for one in parts_of(subject, set()) if hasattr(one, "longest_step_s")} == {0.7}
+
+
+def test_real_time_is_played_by_the_settings() -> None:
+    settings = load_config(overrides={"realtime.recent_frames": 7}).realtime
+    live = RealTimeRecording(MemoryRecording([]), settings=settings)
+    assert held_by(live) == [settings]
