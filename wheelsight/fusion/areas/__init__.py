@@ -1,0 +1,32 @@
+"""Wheels rectified by the areas that a model of places names: by Trinh et al., eq. 5, and with probabilities."""
+
+from wheelsight.fusion.areas.filter import AreaFilter, AreaFilterSettings
+from wheelsight.fusion.areas.paper import (
+    AxisWeights,
+    OdometryTerm,
+    PaperRectifier,
+    TrainingDrive,
+    Weights,
+    coordinates_of,
+    fit_weights,
+    rectify_drive,
+)
+from wheelsight.fusion.areas.place_meter import PlaceMeter
+from wheelsight.fusion.areas.rectifier import AreaRectifier, AreaRectifierSettings, RectifiedEstimate
+
+__all__ = [
+    "AreaFilter",
+    "AreaFilterSettings",
+    "AreaRectifier",
+    "AreaRectifierSettings",
+    "AxisWeights",
+    "OdometryTerm",
+    "PaperRectifier",
+    "PlaceMeter",
+    "RectifiedEstimate",
+    "TrainingDrive",
+    "Weights",
+    "coordinates_of",
+    "fit_weights",
+    "rectify_drive",
+]

@@ -1,0 +1,101 @@
+"""How noisy the wheels are: Ride, and WheelNoise, learned from how rides fit a camera that is believed.
+
+A calibration tells of wheels how far they slip in a metre on whatever floor (`slip_m_per_sqrt_m`); on the one that is
+driven they may hold ten times as well. What a filter thinks of them decides what it believes of the camera after the
+dark, and in a crowd. So the ratio ρ of their variance to the calibration's is part of what it knows, as a distribution
+over a few values (multiple models: Magill 1965): from one remembered pose to the next, camera and wheels differ in way
+and turn by d ~ N(0, R + ρ N), with N the wheels' covariance by the calibration and R all else that is uncertain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wheelsight.fusion.error_state import _look_kernels as looks
+from wheelsight.fusion.error_state._measurements import Look
+from wheelsight.fusion.error_state._odometer import Odometer
+from wheelsight.fusion.error_state._pose_belief import ERRORS, LAG, PLANE, TWIST, PoseBelief
+from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
+
+# Not below a sixteenth, a quarter of the standard deviation: no floor is the next one.
+_RATIOS = np.geomspace(1 / 16, 4, 13)
+_BEFORE = -0.5 * np.abs(np.log2(_RATIOS))  # nats: the calibration may be wrong by a factor of four as well as by two
+_MOST_NATS = 4.0  # of one ride: one that the camera saw wrong is one
+_WAY_AND_TURN = np.array([0, 5])
+_IN_THESE = np.ix_(_WAY_AND_TURN, _WAY_AND_TURN)
+_HEARD = 0.95
+_ERRORS = slice(ERRORS.start, LAG + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Ride:
+    """Of the wheels alone, since a pose was remembered.
+
+    Attributes:
+        name, begin_s: of that pose.
+        begin: the odometer then.
+        spread: (6, 6) by which the camera may have that pose elsewhere, in its frame.
+        errors, unsure: (13,) of wheels and camera as known then, and their covariance (13, 13).
+        twist: (3,) of the base then.
+    """
+
+    name: str
+    begin_s: float
+    begin: Odometer
+    spread: FloatArray
+    errors: FloatArray
+    unsure: FloatArray
+    twist: FloatArray
+
+    @classmethod
+    def of(cls, name: str, stamp_s: float, odometer: Odometer, spread: FloatArray | None, belief: PoseBelief) -> Ride:
+        """From a pose that is about to be remembered."""
+        rows, none = belief.place(_ERRORS), np.zeros((6, 6))
+        known = belief.rest[_ERRORS].copy(), belief.covariance[rows, rows].copy(), belief.rest[TWIST].copy()
+        return cls(name, stamp_s, odometer, none if spread is None else spread, *known)
+
+    def is_told(self, told: Odometer, stamp_s: float) -> bool:
+        """Whether the wheels moved since, and told of all the time up to a stamp."""
+        return told.heard_s > _HEARD * (stamp_s - self.begin_s) and bool(told.covariance[5, 5] > 0)
+
+    def against(self, look: Look, told: Odometer, belief: PoseBelief) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """D (2,), by what way and turn a look at that pose differs from what was told since; R and N (2, 2)."""
+        at = belief.reference(look.name)
+        since = belief.since(at)
+        _, B, Ad = looks.expected(*since)
+        late = motions.adjoint(look.Z)[:, PLANE] @ belief.rest[TWIST]
+        late[PLANE] -= self.twist
+        J = np.column_stack([Ad @ since[2], -B, -late])[_WAY_AND_TURN]
+        off = motions.log(motions.times(look.Z, motions.inverse(told.T)))[_WAY_AND_TURN]
+        # By the errors as known before: what the look itself has taught of them would make it fit too well.
+        R = (look.spread + self.spread)[_IN_THESE] + J @ self.unsure @ J.T
+        return off - J @ self.errors, R, told.covariance[_IN_THESE]
+
+
+@dataclass(frozen=True, eq=False)
+class WheelNoise:
+    """The ratio of the wheels' variance to the calibration's.
+
+    Attributes:
+        nats: (13,) log of how likely each of `_RATIOS` is, up to a constant.
+        ratio: its mean.
+    """
+
+    nats: FloatArray = field(default_factory=lambda: _BEFORE)
+    ratio: float = 1.0
+
+    def after(self, ride: Ride, told: Odometer, look: Look, belief: PoseBelief, memory_m: float) -> WheelNoise:
+        """After a ride that a look has told the end of; what was known fades along `memory_m`."""
+        d, R, N = ride.against(look, told, belief)
+        S = R + _RATIOS[:, None, None] * N
+        if not (np.linalg.eigvalsh(S)[:, 0] > 0).all():  # rounding has left nothing of so small a difference
+            return self
+        chi2 = (np.linalg.solve(S, np.broadcast_to(d[:, None], (len(S), 2, 1)))[..., 0] * d).sum(axis=1)
+        likely = -0.5 * (chi2 + np.log(np.linalg.det(S)))
+        kept = _BEFORE + np.exp(-told.way_m / memory_m) * (self.nats - _BEFORE)
+        nats = kept + np.maximum(likely - likely.max(), -_MOST_NATS)
+        weights = np.exp(nats - nats.max())
+        return WheelNoise(nats, float(weights @ _RATIOS / weights.sum()))
