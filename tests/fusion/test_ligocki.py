@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Reason, Status
@@ -56,7 +57,13 @@ def test_velocity_is_the_weighted_mean_of_both_velocities():
 
 
 def test_covariance_is_that_of_scattered_readings(rng):
-    settings = LigockiSettings(0.9, 0.05, 0.0, 0.02, 0.0)
+    settings = LigockiSettings(
+        weight=0.9,
+        wheel_sigma_m_per_sqrt_s=0.05,
+        wheel_sigma_rad_per_sqrt_s=0.0,
+        visual_sigma_m_per_sqrt_s=0.02,
+        visual_sigma_rad_per_sqrt_s=0.0,
+    )
     steps, runs, dt_s = 30, 4000, 0.1
     x, A, H = np.zeros((runs, 4)), process_matrix(0.9), measurement_matrix(0.9, dt_s)
     for _ in range(steps):
@@ -108,5 +115,5 @@ def test_what_is_no_pose_is_refused(bad):
 
 @pytest.mark.parametrize("weight", [0.0, 0.3, 1.0, np.nan])
 def test_a_weight_that_equation_2_excludes_is_refused(weight):
-    with pytest.raises(ConfigError):
+    with pytest.raises(ValidationError):
         LigockiSettings(weight=weight)

@@ -22,6 +22,7 @@ from wheelsight.fusion.areas import (
 )
 from wheelsight.fusion.error_state import ErrorStateFilter, ErrorStateSettings, FusedEstimate, covering_pose
 from wheelsight.fusion.ligocki import JoinedEstimate, LigockiFilter, LigockiSettings
+from wheelsight.fusion.settings import FusionName, FusionSettings
 
 __all__ = [
     "AreaFilter",
@@ -32,6 +33,8 @@ __all__ = [
     "ErrorStateFilter",
     "ErrorStateSettings",
     "FusedEstimate",
+    "FusionName",
+    "FusionSettings",
     "JoinedEstimate",
     "LigockiFilter",
     "LigockiSettings",

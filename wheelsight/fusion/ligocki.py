@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat
 
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Reason, Status
@@ -33,31 +34,22 @@ from wheelsight.geometry import FloatArray, se2, se3
 _PLANE = np.array([0, 1, 5])
 
 
-@dataclass(frozen=True, slots=True)
-class LigockiSettings:
-    """What the paper leaves open.
+class LigockiSettings(BaseModel):
+    """What the paper leaves open; unknown names are refused."""
 
-    Attributes:
-        weight: C of eq. 2.
-        wheel_sigma_m_per_sqrt_s, wheel_sigma_rad_per_sqrt_s: how wheels drift, for the covariance only.
-        visual_sigma_m_per_sqrt_s, visual_sigma_rad_per_sqrt_s: likewise vision.
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    Raises:
-        ConfigError: a weight outside 0.5 to 1, or a sigma that is negative or not finite.
-    """
-
-    weight: float = 0.95
-    wheel_sigma_m_per_sqrt_s: float = 0.02
-    wheel_sigma_rad_per_sqrt_s: float = 0.02
-    visual_sigma_m_per_sqrt_s: float = 0.005
-    visual_sigma_rad_per_sqrt_s: float = 0.003
-
-    def __post_init__(self) -> None:
-        if not 0.5 <= self.weight < 1:
-            raise ConfigError(f"weight is {self.weight}", fix="0.5 to below 1; the paper asks for 0 ≪ C < 1")
-        for name in self.__slots__[1:]:
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ConfigError(f"{name} is {getattr(self, name)}", fix="0 or more")
+    weight: float = Field(
+        default=0.95, ge=0.5, lt=1, description="C of eq. 2, of the wheels in each frame; the paper asks for 0 ≪ C < 1"
+    )
+    wheel_sigma_m_per_sqrt_s: NonNegativeFloat = Field(
+        default=0.02, description="how wheels drift, for the covariance only; assumed"
+    )
+    wheel_sigma_rad_per_sqrt_s: NonNegativeFloat = Field(default=0.02, description="likewise in yaw; assumed")
+    visual_sigma_m_per_sqrt_s: NonNegativeFloat = Field(
+        default=0.005, description="how vision drifts, for the covariance only; assumed"
+    )
+    visual_sigma_rad_per_sqrt_s: NonNegativeFloat = Field(default=0.003, description="likewise in yaw; assumed")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -217,8 +217,7 @@ class BaseCheck:
     def camera_alone(self) -> ErrorStateFilter:
         """What goes on without the wheels, from where the camera has been seen last."""
         assert self._seen is not None
-        settings = self.wheels_alone().settings
-        return ErrorStateFilter(self._mount, self._seen.T, self._seen.covariance, settings)
+        return self.wheels_alone().begun_at(self._seen.T, self._seen.covariance)
 
     @property
     def _floor_ratio(self) -> float | None:

@@ -43,7 +43,7 @@ def camera_odometry(
     Beside wheels, tracking begins against keyframes; who joins both says when the map shows more.
     """
     if settings.map == "surfels":
-        tracks = settings.fusion != "default"
+        tracks = settings.fusion.filter != "default"
         mapper = SurfelMapper(calibration, settings.dense, settings.surfels, tracks=tracks)
         return mapper.odometry, mapper
     if "dense" in settings.odometry:

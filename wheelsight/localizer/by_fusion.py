@@ -11,7 +11,7 @@ from wheelsight.clocks import Untimed
 from wheelsight.config import Config
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
+from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._anchor import Anchor, is_far
@@ -67,9 +67,9 @@ class ByFusion:
         self._with_gyro, self._hears_gyro, self._was_trusted = ByWheels(calibration, settings.wheels), False, False
         self.hears: tuple[type[Event], ...] = (*self._with_gyro.hears, RgbdFrame, SkippedFrame)
         self.odometry, self.mapper = camera_odometry(calibration, settings)
-        self._places = None if places is None else PlaceSense(places)
+        self._places = None if places is None else PlaceSense(places, settings.fusion.areas)
         T_start, spread = (None, None) if self._places is None else self._places.start
-        begin = (self._T_base_camera, T_start, spread, _settings_of(calibration))
+        begin = (self._T_base_camera, T_start, spread, settings.fusion.error_state, calibration.gyro)
         self.filter = ErrorStateFilter(*begin)
         self._check = BaseCheck(calibration, self._T_base_camera, ErrorStateFilter(*begin))
         self.T_odom_map: FloatArray = np.eye(4)
@@ -316,8 +316,7 @@ class ByFusion:
             assert T_odom_base is not None
             if self._carried.is_so:
                 spread = self._carried.scatter(T_odom_base, answer.covariance)
-                begin = (self._T_base_camera, T_odom_base, spread, self.filter.settings)
-                self._go_on_by(ErrorStateFilter(*begin))
+                self._go_on_by(self.filter.begun_at(T_odom_base, spread))
             again = self.odometry.restart(frame, self._in_map(T_odom_base), answer.covariance)
             if again.T_odom_body is not None:
                 return self._begun(frame, again, seen.reason)
@@ -344,14 +343,3 @@ class ByFusion:
         seen = self.odometry.miss(stamp_s)
         nothing = MotionEstimate.failed(Reason.FRAME_UNUSABLE, seen.matches, seen.inliers)
         return self.filter.update_relative(stamp_s, nothing, _ANCHOR)
-
-
-def _settings_of(calibration: Calibration) -> ErrorStateSettings:
-    """The filter's own, with what the calibration tells of the gyroscope."""
-    gyro = calibration.gyro
-    return ErrorStateSettings(
-        gyro_noise_rad_per_sqrt_s=gyro.noise_rad_per_sqrt_s,
-        gyro_bias_rad_s=gyro.bias_rad_s,
-        gyro_bias_sigma_rad_s=gyro.bias_sigma_rad_s,
-        gyro_bias_walk_rad_s=gyro.bias_walk_rad_s_per_sqrt_s,
-    )

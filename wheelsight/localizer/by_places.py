@@ -16,7 +16,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
 from wheelsight.files import StrPath
-from wheelsight.fusion import AreaRectifier, PaperRectifier
+from wheelsight.fusion import AreaRectifier, AreaRectifierSettings, PaperRectifier
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry._stopwatch import Stopwatch
@@ -83,8 +83,10 @@ class ByPlaces:
         self.hears: tuple[type[Event], ...] = (*self._wheels.hears, RgbdFrame, SkippedFrame)
         self.last_place: PlaceMatch | None = None
         self._model, self._begin_s = places.model, places.begin_s
-        self._rectifier: _Rectifier = (_ByPaper if settings.places.rectify == "paper" else _ByProbability)(
-            places, settings.places
+        self._rectifier: _Rectifier = (
+            _ByPaper(places, settings.places)
+            if settings.places.rectify == "paper"
+            else _ByProbability(places, settings.fusion.areas)
         )
         assert calibration.wheels is not None  # ByWheels has refused it
         self._max_gap_s = calibration.wheels.max_gap_s
@@ -179,8 +181,8 @@ class _Rectifier(Protocol):
 
 
 class _ByProbability:
-    def __init__(self, places: Places, settings: PlaceSettings) -> None:
-        self._inner = AreaRectifier(places.areas, places.T_odom_base, area_shares=places.model.area_shares)
+    def __init__(self, places: Places, settings: AreaRectifierSettings) -> None:
+        self._inner = AreaRectifier(places.areas, places.T_odom_base, settings, area_shares=places.model.area_shares)
 
     def go_on(self, wheels: Estimate) -> None:
         self._inner.predict_to(wheels)

@@ -112,6 +112,6 @@ def _check(recording: Recording, config: Config) -> PlacesOfRun | None:
     if wheels is None and {"joined", "rectified"} & set(config.tracks):
         refuse_if_apart(recording.played if isinstance(recording, RealTimeRecording) else recording)
     places = places_of(recording, config)
-    if config.fusion != "none":
+    if config.fusion.filter != "none":
         Localizer(recording.calibration, config, None if places is None else places.places)
     return places

@@ -175,7 +175,7 @@ class Passage:
 
 def _followed(recording: Recording, config: Config) -> tuple[TrackName, ...]:
     """The tracks; in real time, where sensors are joined, not the camera alone once more, which would cost frames."""
-    if isinstance(recording, RealTimeRecording) and config.fusion != "none":
+    if isinstance(recording, RealTimeRecording) and config.fusion.filter != "none":
         return tuple(track for track in config.tracks if track not in ("features", "dense"))
     return config.tracks
 

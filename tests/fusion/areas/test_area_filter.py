@@ -7,13 +7,15 @@ from itertools import product
 import numpy as np
 import pytest
 from fusion.areas.loops import answers, box, loop
+from pydantic import ValidationError
 
 from wheelsight.areas import AreaMap
-from wheelsight.errors import ConfigError
 from wheelsight.fusion import AreaFilter, AreaFilterSettings
 
 ROW = AreaMap((box("a", 0, 0, 4, 2, "y"), box("b", 4, 0, 8, 2, "xy"), box("c", 8, 0, 12, 2, "y")))
-SETTINGS = AreaFilterSettings((0.8,), (3.0,), 0.5, look_m=1.0, blip=0.1, failure_m=20.0, recovery_m=30.0)
+SETTINGS = AreaFilterSettings(
+    accuracies=(0.8,), failing_looks_m=(3.0,), worth=0.5, look_m=1.0, blip=0.1, failure_m=20.0, recovery_m=30.0
+)
 
 
 def brute_force(steps, evidences):
@@ -157,5 +159,5 @@ IMPOSSIBLE = (
 
 @pytest.mark.parametrize("wrong", IMPOSSIBLE)
 def test_beliefs_that_cannot_be_are_refused(wrong):
-    with pytest.raises(ConfigError, match=next(iter(wrong))):
+    with pytest.raises(ValidationError, match=next(iter(wrong))):
         AreaFilterSettings(**wrong)

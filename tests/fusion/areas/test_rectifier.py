@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fusion.areas.loops import PERIOD_S, PLANE, answers, drive_round, error_m, looks, loop, rectify
+from pydantic import ValidationError
 
 from wheelsight.areas import AreaMap
 from wheelsight.calibration import Wheels
@@ -201,9 +202,9 @@ def test_what_cannot_be_rectified_is_refused():
         AreaRectifier(loop(), START).predict(np.full((4, 4), np.nan), np.eye(6))
     with pytest.raises(ConfigError, match="no pose"):
         AreaRectifier(loop(), START).predict_to(Estimate(0.0, Status.FAILING))
-    with pytest.raises(ConfigError, match="border_m"):
+    with pytest.raises(ValidationError, match="border_m"):
         AreaRectifierSettings(border_m=0.0)
-    with pytest.raises(ConfigError, match="scale_sigma"):
+    with pytest.raises(ValidationError, match="scale_sigma"):
         AreaRectifierSettings(scale_sigma=np.nan)
 
 

@@ -77,7 +77,7 @@ def simulate(drive: Drive, rng: np.random.Generator, settings: ErrorStateSetting
         xi, measured = drive.wheel_fault(begin_s, xi, measured)
         way_m = abs(measured[0]) + settings.lever_m * abs(measured[5])
         tilt = settings.tilt_rad_per_sqrt_m
-        if np.isfinite(settings.level_sigma_rad):  # a walk, unlike a floor, strays from level for ever
+        if settings.level_sigma_rad is not None:  # a walk, unlike a floor, strays from level for ever
             tilt = settings.level_sigma_rad / 10
         unseen = np.array([0, settings.side_m_per_sqrt_m, settings.rise_m_per_sqrt_m, tilt, tilt, 0])
         T = T @ motions.exp(rng.normal(size=6) * unseen * np.sqrt(way_m)) @ motions.exp(xi)

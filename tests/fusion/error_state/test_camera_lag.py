@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
 from wheelsight.fusion.error_state._measurements import Innovation, Look
 from wheelsight.fusion.error_state._pose_belief import LAG, PLANE, REST_SIZE, PoseBelief
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import se3
 
-SETTINGS = ErrorStateSettings()
+SETTINGS = FilterParameters()
 twists = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
 

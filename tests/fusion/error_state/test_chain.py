@@ -32,12 +32,12 @@ def test_an_anchor_lies_where_the_camera_saw_it_from_the_last_one(rng: np.random
     Z = se3.from_plane(0.3, 0.1, 0.2)
     wheels_say = se3.from_plane(1.1, 2.4, 0.9) @ se3.exp(np.array([0, 0, 0.05, 0.02, -0.03, 0]))
     belief = replace(level, T=np.stack([wheels_say, level.T[1]]))
-    there = belief.chained(seen_from(belief, "anchor", Z), 1.0, SURE).T[1]
+    there = belief.chained(seen_from(belief, "anchor", Z), 1.0, SURE, SETTINGS).T[1]
     np.testing.assert_allclose(in_plane(there), in_plane(level.T[1] @ Z), atol=2e-2)  # tilted, its plane is another
     np.testing.assert_allclose(there[2, 3], wheels_say[2, 3], atol=2e-2)
     np.testing.assert_allclose(there[2, :2], wheels_say[2, :2], atol=1e-2)
     flat = replace(level, T=np.stack([se3.from_plane(1.1, 2.4, 0.9), level.T[1]]))
-    exactly = flat.chained(seen_from(flat, "anchor", Z), 1.0, SURE).T[1]
+    exactly = flat.chained(seen_from(flat, "anchor", Z), 1.0, SURE, SETTINGS).T[1]
     np.testing.assert_allclose(exactly, level.T[1] @ Z, atol=1e-9)
 
 
@@ -46,7 +46,7 @@ def test_what_it_is_known_by_follows_from_the_numeric_jacobian(rng: np.random.Ge
     look = replace(look_at(belief, "clone 1", rng), Z=se3.invert(belief.T[2]) @ belief.T[0])
 
     def chained(b: PoseBelief) -> PoseBelief:
-        return b.chained(look, 3.0, np.zeros((6, 6)))
+        return b.chained(look, 3.0, np.zeros((6, 6)), SETTINGS)
 
     F = numeric(chained, belief, len(belief.covariance))
     found = chained(belief)
@@ -83,7 +83,7 @@ def drifting(steps: list[Step], settings: ErrorStateSettings, spread: FloatArray
 def test_errors_of_single_looks_do_not_add_up() -> None:
     """Two hundred looks, twenty anchors: what one look errs by, the next one, from there, makes good."""
     right = dict.fromkeys(("camera_scale_sigma", "camera_drift_sigma_rad_per_m", "camera_turn_sigma"), 0.0)
-    settings = replace(ErrorStateSettings(), mount_sigma_rad=0.0, camera_lag_sigma_s=0.0, **right)
+    settings = ErrorStateSettings().model_copy(update={"mount_sigma_rad": 0.0, "camera_lag_sigma_s": 0.0, **right})
     chained, single = [], []
     for seed in range(4):
         steps = simulate(Drive(20.0, step_s=0.1), np.random.default_rng(seed), settings)

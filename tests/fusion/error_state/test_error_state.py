@@ -19,13 +19,16 @@ from fusion.error_state.fused_drives import (
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
+from wheelsight.calibration import Gyro
 from wheelsight.errors import ArgumentError, ConfigError
 from wheelsight.estimates import MotionEstimate, Reason, Status
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import se3
 
-SETTINGS = ErrorStateSettings()
+SETTINGS = FilterParameters()
 NO_NOISE = np.zeros((6, 6))
 
 
@@ -128,8 +131,8 @@ def test_a_gyroscope_tells_the_turn_that_wheels_get_wrong(rng):
     steps = simulate(Drive(seconds=10, slip_m_per_sqrt_m=0.02), rng, SETTINGS)
     alone = [replace(s, look=None) for s in steps]
     rates = [replace(s, yaw_rate_rad_s=Drive().twist(s.begin_s + 0.025)[2]) for s in alone]
-    known = replace(SETTINGS, gyro_bias_sigma_rad_s=0.001)
-    without, with_it = (run(d, known)[-1] for d in (alone, rates))
+    gyro = Gyro(bias_sigma_rad_s=0.001)
+    without, with_it = (run(d, fusion=ErrorStateFilter(T_BASE_CAMERA, gyro=gyro))[-1] for d in (alone, rates))
     assert with_it.covariance[5, 5] < 0.05 * without.covariance[5, 5]
     assert abs(error_of(with_it, steps[-1].T_truth)[5]) < 3 * with_it.covariance[5, 5] ** 0.5
 
@@ -148,7 +151,9 @@ def test_what_is_to_be_expected_is_what_will_be_seen():
 
 def test_a_corridor_keeps_the_wheels_motion_along_and_the_cameras_turn(rng):
     """The camera says 0.3 m and a turn of 0.05; along its own z, which is forward, it names itself blind."""
-    fusion = ErrorStateFilter(T_BASE_CAMERA, settings=replace(SETTINGS, clock_sigma_s=0.0, camera_lag_sigma_s=0.0))
+    fusion = ErrorStateFilter(
+        T_BASE_CAMERA, settings=SETTINGS.model_copy(update={"clock_sigma_s": 0.0, "camera_lag_sigma_s": 0.0})
+    )
     fusion.clone(0.0, "frame")
     Q = np.diag([1e-4, 1e-4, 1e-6, 1e-4, 1e-4, 1e-2])
     fusion.predict(0.1, se3.from_plane(0.1, 0.0, 0.0), Q, 0.0)
@@ -329,10 +334,11 @@ def test_a_start_that_is_none_is_an_error(arguments):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"scale_sigma": -1}, {"confidence": 1.0}, {"window_s": np.inf}, {"max_clones": 0}, {"decisive": np.nan}]
+    "wrong",
+    [{"scale_sigma": -1}, {"confidence": 1.0}, {"window_s": np.inf}, {"max_clones": 0}, {"decision_nats": np.nan}],
 )
 def test_settings_that_are_none_are_errors(wrong):
-    with pytest.raises(ConfigError):
+    with pytest.raises(ValidationError, match=next(iter(wrong))):
         ErrorStateSettings(**wrong)
 
 

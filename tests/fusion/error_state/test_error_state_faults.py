@@ -18,11 +18,12 @@ from fusion.error_state.fused_drives import (
 )
 
 from wheelsight.estimates import Reason, Status
-from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
+from wheelsight.fusion import ErrorStateFilter
 from wheelsight.fusion.error_state._trust import Trust
+from wheelsight.fusion.error_state.settings import FilterParameters
 
-SETTINGS = ErrorStateSettings()
-FLAT = replace(SETTINGS, tilt_rad_per_sqrt_m=0.002, rise_m_per_sqrt_m=0.001)
+SETTINGS = FilterParameters()
+FLAT = SETTINGS.model_copy(update={"tilt_rad_per_sqrt_m": 0.002, "rise_m_per_sqrt_m": 0.001})
 FAULT_S, BEGIN_S, END_S = 3.0, 3.0, 6.0
 FRAME_S = 1 / 30
 
@@ -163,7 +164,7 @@ def test_a_gyroscope_settles_who_is_right():
 def test_doubt_covers_both_sides():
     """While nothing settles a contradiction, the ellipse reaches to both places."""
     steps, _ = drive_with(0)
-    undecided = replace(SETTINGS, persistence=0.0, leap_cap=0.0)
+    undecided = SETTINGS.model_copy(update={"contradiction_nats": 0.0, "leap_chi2_cap": 0.0})
     fusion = ErrorStateFilter(T_BASE_CAMERA, settings=undecided)
     half = len(steps) // 2
     run(steps[:half], fusion=fusion)

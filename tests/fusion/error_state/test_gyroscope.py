@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wheelsight.calibration import Gyro
 from wheelsight.estimates import MotionEstimate, Reason
-from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
+from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import se3
 
 WHEEL_HZ, FRAME_HZ, NOISE = 50, 30, 1e-3
@@ -22,13 +23,13 @@ def ridden(
     speed_m_s: float = 0.0,
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     bias_rad_s: float = 0.0,
-    settings: ErrorStateSettings | None = None,
+    gyro: Gyro | None = None,
     sees: bool = True,
 ) -> tuple[ErrorStateFilter, list[FusedEstimate]]:
     """Answers to frames and wheels of a base that goes straight on; its wheels turn by spin[2] rad/s from spin[0] to
     spin[1]. The camera looks at where it began, where it goes nowhere.
     """
-    rng, fusion = np.random.default_rng(seed), ErrorStateFilter(np.eye(4), settings=settings)
+    rng, fusion = np.random.default_rng(seed), ErrorStateFilter(np.eye(4), gyro=gyro)
     events = [(i / gyro_hz + 1e-4, "gyro") for i in range(1, int(seconds * gyro_hz))]
     events += [(i / WHEEL_HZ, "wheels") for i in range(1, int(seconds * WHEEL_HZ))]
     events += [(i / FRAME_HZ + 3e-3, "frame") for i in range(1, int(seconds * FRAME_HZ)) if sees]
@@ -73,9 +74,9 @@ def test_on_the_way_too(gyro_hz: int) -> None:
 @pytest.mark.parametrize("gyro_hz", RATES_HZ)
 def test_wheels_that_spin_are_found_out_and_do_not_turn_the_base(gyro_hz: int) -> None:
     """By a radian in a second."""
-    known = ErrorStateSettings(gyro_bias_sigma_rad_s=1e-3)
+    known = Gyro(bias_sigma_rad_s=1e-3)
     for seed in range(3):
-        spin = {"speed_m_s": 0.5, "spin": (3.0, 4.0, 1.0), "sees": False, "settings": known}
+        spin = {"speed_m_s": 0.5, "spin": (3.0, 4.0, 1.0), "sees": False, "gyro": known}
         _, answers = ridden(gyro_hz, seed, seconds=6.0, **spin)  # type: ignore[arg-type]
         told = [answer.stamp_s for answer in answers if answer.slip]
         assert 3.0 < told[0] < 3.1
@@ -98,23 +99,23 @@ def test_the_wheels_are_as_well_known_at_any_rate_of_its_readings(gyro_hz: int) 
 @pytest.mark.parametrize("bias_rad_s", [0.1, -0.1])
 def test_a_bias_that_was_stated_does_not_turn_the_base(bias_rad_s: float) -> None:
     """It was ignored: 14.6° in these 10 s."""
-    stated = ErrorStateSettings(gyro_bias_rad_s=bias_rad_s, gyro_bias_sigma_rad_s=1e-3)
+    stated = Gyro(bias_rad_s=bias_rad_s, bias_sigma_rad_s=1e-3)
     for seed in range(3):
-        _, answers = ridden(100, seed, speed_m_s=0.5, bias_rad_s=bias_rad_s, settings=stated, sees=False)
+        _, answers = ridden(100, seed, speed_m_s=0.5, bias_rad_s=bias_rad_s, gyro=stated, sees=False)
         assert abs(yaw_of(answers[-1])) < np.radians(1.0)  # 1e-3 rad/s for 10 s are 0.6°
         assert not any(answer.slip for answer in answers)
 
 
 def test_a_bias_that_is_kept_stays() -> None:
-    kept = ErrorStateSettings(gyro_bias_rad_s=0.1, gyro_bias_sigma_rad_s=0.0, gyro_bias_walk_rad_s=0.0)
-    fusion, answers = ridden(100, 1, speed_m_s=0.5, bias_rad_s=0.1, settings=kept, sees=False)
+    kept = Gyro(bias_rad_s=0.1, bias_sigma_rad_s=0.0, bias_walk_rad_s_per_sqrt_s=0.0)
+    fusion, answers = ridden(100, 1, speed_m_s=0.5, bias_rad_s=0.1, gyro=kept, sees=False)
     assert fusion._history.newest.court.belief.gyro_bias_rad_s == 0.0
     assert abs(yaw_of(answers[-1])) < np.radians(0.5)
 
 
 def test_a_bias_found_elsewhere_counts_once() -> None:
     """The finder started from the same belief: 0.1 ± 0.02 rad/s before, 0.13 ± 0.01 after all that was told."""
-    fusion = ErrorStateFilter(settings=ErrorStateSettings(gyro_bias_rad_s=0.1, gyro_bias_sigma_rad_s=0.02))
+    fusion = ErrorStateFilter(gyro=Gyro(bias_rad_s=0.1, bias_sigma_rad_s=0.02))
     fusion.predict(0.1, np.eye(4), 1e-6 * np.eye(6), 0.0)
     assert fusion.update_gyro_bias(0.1, 0.13, 0.01).reason is None
     belief = fusion._history.newest.court.belief

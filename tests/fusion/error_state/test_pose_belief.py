@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from wheelsight.fusion import ErrorStateSettings
+from wheelsight.calibration import Gyro
 from wheelsight.fusion.error_state._measurements import Look, WheelStep
 from wheelsight.fusion.error_state._pose_belief import (
     CAMERA_ERRORS,
@@ -21,9 +21,10 @@ from wheelsight.fusion.error_state._pose_belief import (
     PoseBelief,
     Teaches,
 )
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import se3
 
-SETTINGS = ErrorStateSettings(level_sigma_rad=np.inf)
+SETTINGS = FilterParameters(level_sigma_rad=None)
 tangents = st.lists(st.floats(-1.7, 1.7), min_size=6, max_size=6).map(np.array)
 
 
@@ -58,10 +59,10 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
     wheels = WheelStep(2.0, 2.1, rng.normal(size=6) * 0.1, np.zeros((6, 6)))
     quiet = {
         name: 0.0
-        for name in asdict(SETTINGS)
+        for name in type(SETTINGS).model_fields
         if name.endswith(("_walk", "_per_m", "_sqrt_m", "rad_s", "_s2", "walk_rad", "walk_m"))
     }
-    settings = replace(SETTINGS, **quiet)
+    settings = SETTINGS.model_copy(update={**quiet, "gyro": Gyro(bias_walk_rad_s_per_sqrt_s=0.0)})
 
     def step(b):
         if kind == "glide":
@@ -86,7 +87,7 @@ def test_measurements_by_the_numeric_jacobian(rng, kind):
 
     def measured(b):
         if "look" in kind:
-            return b.innovation(look)
+            return b.innovation(look, SETTINGS)
         return b.position(np.zeros(2), np.eye(2)) if kind == "position" else b.yaw_rate(0.0, 1.0)
 
     h = 1e-6
@@ -137,7 +138,7 @@ UNTAUGHT = {
 def test_a_look_teaches_no_more_than_it_can_tell(rng, teaches):
     """What it does not teach stays as it is, and as uncertain; all else moves."""
     belief = belief_somewhere(rng)
-    after = belief.corrected(belief.innovation(look_at(belief, "clone 0", rng), teaches=teaches))
+    after = belief.corrected(belief.innovation(look_at(belief, "clone 0", rng), SETTINGS, teaches=teaches))
     untaught = UNTAUGHT[teaches]
     taught = sorted({*range(LAG)} - {*untaught})
     rows = belief.rest_at + np.array(untaught, int)
@@ -156,7 +157,9 @@ def test_perturbing_all_poses_alike_changes_no_look(rng):
 
 def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
     """And what was learned of it fades, each by its own length, as a Gauss–Markov process."""
-    settings = replace(SETTINGS, camera_drift_sigma_rad_per_m=3e-4, camera_drift_walk_rad_per_m=1e-4, lever_m=0.0)
+    settings = SETTINGS.model_copy(
+        update={"camera_drift_sigma_rad_per_m": 3e-4, "camera_drift_walk_rad_per_m": 1e-4, "lever_m": 0.0}
+    )
     belief, drift = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings), CAMERA_ERRORS.start + 1
     rest = belief.rest.copy()
     rest[drift] = 2e-4
@@ -170,7 +173,7 @@ def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
 
 
 def test_an_error_that_was_certain_only_walks(rng):
-    settings = replace(SETTINGS, camera_scale_sigma=0.0, camera_scale_walk=1e-3)
+    settings = SETTINGS.model_copy(update={"camera_scale_sigma": 0.0, "camera_scale_walk": 1e-3})
     belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings)
     belief = belief.rolled(WheelStep(0, 1, np.array([1.0, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6)), 1.0, settings, False)
     assert belief.covariance[belief.rest_at + CAMERA_ERRORS.start][belief.rest_at + CAMERA_ERRORS.start] == 1e-6
@@ -185,11 +188,12 @@ def test_a_shift_of_another_size_is_refused(rng):
 def test_many_looks_are_one_least_squares_fit(rng):
     """Poses joined by wheels, and looks between each and the last three: all at once, by scipy, and one by one."""
     steps = [WheelStep(i, i + 1.0, rng.normal(size=6) * 0.05, np.diag(rng.uniform(1, 2, 6) * 1e-6)) for i in range(4)]
-    still = replace(SETTINGS, scale_sigma=0.0, drift_sigma_rad_per_m=0.0, turn_sigma=0.0, scale_walk=0.0)
-    still = replace(still, **{name: 0.0 for name in asdict(SETTINGS) if name.startswith(("camera_", "mount_"))})
-    settings = replace(
-        still, drift_walk_rad_per_m=0, turn_walk=0, side_m_per_sqrt_m=0, rise_m_per_sqrt_m=0, tilt_rad_per_sqrt_m=0
+    still = SETTINGS.model_copy(
+        update={"scale_sigma": 0.0, "drift_sigma_rad_per_m": 0.0, "turn_sigma": 0.0, "scale_walk": 0.0}
     )
+    none = ("drift_walk_rad_per_m", "turn_walk", "side_m_per_sqrt_m", "rise_m_per_sqrt_m", "tilt_rad_per_sqrt_m")
+    of_camera = (name for name in type(SETTINGS).model_fields if name.startswith(("camera_", "mount_")))
+    settings = still.model_copy(update=dict.fromkeys((*none, *of_camera), 0.0))
     belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings).cloned("0", 0.0, 9)
     prior, looks = [np.eye(4)], []
     for i, step in enumerate(steps, 1):
@@ -199,7 +203,7 @@ def test_many_looks_are_one_least_squares_fit(rng):
             Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(prior[j]) @ prior[i]
             look = Look(str(j), Z, np.eye(6), np.diag(rng.uniform(1, 2, 6) * 1e-6), np.eye(6))
             looks.append((i, j, look))
-            belief = belief.corrected(belief.innovation(look))
+            belief = belief.corrected(belief.innovation(look, SETTINGS))
         belief = belief.cloned(str(i), float(i), 9)
 
     def residuals(x):
@@ -226,8 +230,10 @@ def test_a_clone_that_is_dropped_leaves_the_rest_as_it_was(rng):
     without = belief.dropped("clone 1")
     assert without.names == ("clone 0", "clone 2")
     np.testing.assert_array_equal(without.covariance[:6, :6], belief.covariance[:6, :6])
-    kept = belief.innovation(look_at(belief, "clone 2", np.random.default_rng(0))).nis
-    np.testing.assert_allclose(without.innovation(look_at(belief, "clone 2", np.random.default_rng(0))).nis, kept)
+    kept = belief.innovation(look_at(belief, "clone 2", np.random.default_rng(0)), SETTINGS).nis
+    np.testing.assert_allclose(
+        without.innovation(look_at(belief, "clone 2", np.random.default_rng(0)), SETTINGS).nis, kept
+    )
 
 
 def test_of_too_many_clones_the_oldest_goes(rng):
@@ -241,8 +247,8 @@ def test_what_was_doubted_before_a_clone_is_no_doubt_about_motion_since(rng):
     step = WheelStep(9.0, 9.1, rng.normal(size=6) * 0.02, 1e-6 * np.eye(6))
     now = [b.cloned("late", 9.0, 4).rolled(step, 1.0, SETTINGS, False) for b in (certain, doubting)]
     look = look_at(now[0], "late", rng)
-    usual = [b.innovation(look, without_doubt=True) for b in now]
+    usual = [b.innovation(look, SETTINGS, without_doubt=True) for b in now]
     np.testing.assert_allclose(usual[1].covariance, usual[0].covariance, rtol=1e-6, atol=1e-12)
     assert usual[1].nis == pytest.approx(usual[0].nis, rel=1e-4)
-    earlier = doubting.innovation(look_at(doubting, "clone 0", rng), without_doubt=True)
+    earlier = doubting.innovation(look_at(doubting, "clone 0", rng), SETTINGS, without_doubt=True)
     assert np.linalg.eigvalsh(earlier.covariance)[0] > 0

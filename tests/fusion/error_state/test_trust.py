@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from wheelsight.estimates import Reason
-from wheelsight.fusion import ErrorStateSettings
 from wheelsight.fusion.error_state._changed import changed
 from wheelsight.fusion.error_state._measurements import Look, WheelStep
 from wheelsight.fusion.error_state._pose_belief import PoseBelief
 from wheelsight.fusion.error_state._trust import Court, Trust, see
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import se3
 
-SETTINGS = ErrorStateSettings()
+SETTINGS = FilterParameters()
 BEGUN_S, FRAME_S = 8.0, 0.1
 APART = np.array([0.02, -0.03, 0.0, 0.0, 0.0, np.radians(2.4)])
 
@@ -81,7 +81,7 @@ def test_wheels_that_slipped_a_moment_ago_are_taken_to_slip_again(ago_s, by_came
     assert (court.trust, reason) == (Trust.DOUBT, Reason.CONTRADICTION)
     wheels_say, camera_says = court.belief.T[0], court.rival.T[0]
     assert apart(wheels_say, camera_says)[1] > 2
-    now = court.likelier().T[0]
+    now = court.likelier(SETTINGS).T[0]
     assert (apart(now, camera_says if by_camera else wheels_say) < [0.005, 0.1]).all()
 
 

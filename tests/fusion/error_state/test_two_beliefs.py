@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fusion.error_state.test_pose_belief import belief_somewhere, difference, look_at
+from fusion.error_state.test_pose_belief import SETTINGS, belief_somewhere, difference, look_at
 
 from wheelsight.fusion.error_state._pose_belief import LAG
 from wheelsight.fusion.error_state._two_beliefs import covering, mixed
@@ -26,7 +26,7 @@ def test_covering_reaches_another_belief_however_it_is_turned(rng):
     far = np.zeros(len(one.covariance))
     far[:6] = [1.0, -2.0, 0.0, 0.0, 0.0, 1.5]
     other = one.moved(far, one.covariance)
-    found = covering(one, other, since_s=0.0)
+    found = covering(one, other, since_s=0.0, sigmas=2.5)
     t = one.T[0][:3, 3]
     J = np.concatenate([np.eye(3), -np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])], axis=1)
     C, off = (J @ found.covariance[:6, :6] @ J.T)[:2, :2], (other.T[0] - one.T[0])[:2, 3]
@@ -35,7 +35,7 @@ def test_covering_reaches_another_belief_however_it_is_turned(rng):
 
 def test_what_both_are_uncertain_of_counts_once(rng):
     one = belief_somewhere(rng)
-    np.testing.assert_allclose(covering(one, one, since_s=0.0).covariance, one.covariance, atol=1e-12)
+    np.testing.assert_allclose(covering(one, one, since_s=0.0, sigmas=2.5).covariance, one.covariance, atol=1e-12)
 
 
 def test_covering_is_as_uncertain_as_another_belief_everywhere(rng):
@@ -43,7 +43,7 @@ def test_covering_is_as_uncertain_as_another_belief_everywhere(rng):
     one = belief_somewhere(rng)
     A = 0.1 * rng.normal(size=one.covariance.shape)
     other = one.moved(np.zeros(len(A)), one.covariance / 2 + A @ A.T)
-    found, given = covering(one, other, since_s=0.0), one.rest_at + np.array([0, 1, 2, LAG])
+    found, given = covering(one, other, since_s=0.0, sigmas=2.5), one.rest_at + np.array([0, 1, 2, LAG])
 
     def of_poses(P):
         return P[: one.rest_at, : one.rest_at] - P[: one.rest_at, given] @ np.linalg.solve(
@@ -61,8 +61,8 @@ def test_what_covers_another_belief_knows_the_way_since_a_clone_as_well_as_befor
     far = np.zeros(len(one.covariance))
     far[[0, 1, 5]] = [0.1, -0.2, 0.3]
     far[12:18] = 0.9 * far[:6]
-    found = covering(one, one.moved(far, one.covariance), since_s=5.0)
+    found = covering(one, one.moved(far, one.covariance), since_s=5.0, sigmas=2.5)
     for name, is_wider in (("late", False), ("clone 0", True)):
-        before, after = (b.innovation(look_at(one, name, np.random.default_rng(0))) for b in (one, found))
+        before, after = (b.innovation(look_at(one, name, np.random.default_rng(0)), SETTINGS) for b in (one, found))
         wider = np.linalg.eigvalsh(after.covariance)[-1] / np.linalg.eigvalsh(before.covariance)[-1]
         assert (wider > 3) == is_wider

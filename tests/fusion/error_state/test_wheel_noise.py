@@ -9,21 +9,27 @@ import pytest
 from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, looked, simulate, wheel_covariance
 
 from wheelsight.estimates import MotionEstimate, Reason
-from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
+from wheelsight.fusion import ErrorStateFilter
 from wheelsight.fusion.error_state._measurements import Look, WheelStep
 from wheelsight.fusion.error_state._odometer import Odometer
 from wheelsight.fusion.error_state._pose_belief import ERRORS, LAG, PoseBelief
 from wheelsight.fusion.error_state._wheel_noise import Ride, WheelNoise
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import se3
 
-SETTINGS = ErrorStateSettings()
+SETTINGS = FilterParameters()
 # Wheels and camera err by noise alone: what is told of it is told of nothing else.
-RIGHT = replace(
-    SETTINGS,
-    **dict.fromkeys(("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma", "camera_lag_sigma_s"), 1e-6),
-    **dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk", "camera_lag_walk_s"), 0.0),
+RIGHT = SETTINGS.model_copy(
+    update=dict.fromkeys(("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma", "camera_lag_sigma_s"), 1e-6)
+    | dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk", "camera_lag_walk_s"), 0.0),
 )
 STATED_SLIP = 0.004
+# Thirteen ratios from a sixteenth to four; one that is twice as large or small is less likely by half a nat.
+BEFORE = -0.25 * np.abs(np.arange(-8, 5))
+
+
+def remembering(memory_m: float) -> FilterParameters:
+    return SETTINGS.model_copy(update={"wheel_noise_memory_m": memory_m})
 
 
 def test_an_odometer_tells_of_a_stretch_what_wheels_alone_would(rng: np.random.Generator) -> None:
@@ -91,22 +97,22 @@ def ride_and_look(off_rad: float, spread: float = 1e-3) -> tuple[Ride, Odometer,
 def test_a_ride_that_fits_too_well_makes_wheels_better_and_one_that_does_not_worse() -> None:
     for off_rad, is_better in ((0.0, True), (0.012, False)):
         ride, told, look, belief = ride_and_look(off_rad)
-        ratio = WheelNoise().after(ride, told, look, belief, 10.0).ratio
+        ratio = WheelNoise().after(ride, told, look, belief, SETTINGS).ratio
         assert (ratio < WheelNoise().ratio) == is_better
 
 
 def test_no_single_ride_decides() -> None:
     ride, told, look, belief = ride_and_look(1.0)
-    nats = WheelNoise().after(ride, told, look, belief, 1e6).nats
-    assert np.ptp(nats - WheelNoise().nats) <= 4.0 + 1e-9
+    nats = WheelNoise().after(ride, told, look, belief, remembering(1e6)).nats
+    assert np.ptp(nats - BEFORE) <= 4.0 + 1e-9
 
 
 def test_what_was_known_fades_along_the_way() -> None:
     ride, told, look, belief = ride_and_look(0.0, spread=1.0)  # which tells nothing
     known = WheelNoise(nats=np.linspace(5.0, 0.0, 13), ratio=0.1)
-    kept, lost = (known.after(ride, told, look, belief, memory_m).nats for memory_m in (1e9, 1e-3))
+    kept, lost = (known.after(ride, told, look, belief, remembering(memory_m)).nats for memory_m in (1e9, 1e-3))
     np.testing.assert_allclose(kept, known.nats, atol=1e-3)
-    np.testing.assert_allclose(lost, WheelNoise().nats, atol=1e-3)
+    np.testing.assert_allclose(lost, BEFORE, atol=1e-3)
 
 
 def test_a_ride_that_wheels_told_half_of_is_not_judged() -> None:

@@ -17,63 +17,11 @@ anything twice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from wheelsight.areas import AreaMap
-from wheelsight.errors import ConfigError
+from wheelsight.fusion.areas.settings import AreaFilterSettings
 from wheelsight.geometry import FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class AreaFilterSettings:
-    """What is believed of areas and forests before the first frame.
-
-    Attributes:
-        accuracies: of a forest that does not fail, one level each.
-        failing_looks_m: ways after which the look of a forest that fails changes, one level each.
-        worth: probability before the first frame that the forest is worth anything.
-        look_m: way after which a frame's look, right or wrong, says something new.
-        look_per_rad_m: a turn of one radian counts as so much way.
-        area_m: mean way through an area.
-        level_m: mean way until the level of a forest that does not fail may change.
-        failure_m: mean way until it fails.
-        recovery_m: mean way until it does no longer.
-        blip: share of single frames whose answer means nothing.
-        neighbour_share: of the wrong looks, those that are of a neighbouring area.
-
-    Raises:
-        ConfigError: a probability outside 0 to 1, or a way that is not positive.
-    """
-
-    accuracies: tuple[float, ...] = (0.95, 0.8, 0.6)
-    failing_looks_m: tuple[float, ...] = (0.1, 1.0, 5.0, 25.0)
-    worth: float = 0.9
-    look_m: float = 1.0
-    look_per_rad_m: float = 0.5
-    area_m: float = 10.0
-    level_m: float = 200.0
-    failure_m: float = 2000.0
-    recovery_m: float = 15.0
-    blip: float = 0.05
-    neighbour_share: float = 0.5
-
-    def __post_init__(self) -> None:
-        for name in ("blip", "neighbour_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"{name} is {getattr(self, name)}", fix="a probability, 0 to 1")
-        if not 0 < self.worth < 1:
-            raise ConfigError(f"worth is {self.worth}", fix="a probability between 0 and 1")
-        for name in ("look_m", "area_m", "level_m", "failure_m", "recovery_m"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ConfigError(f"{name} is {getattr(self, name)}", fix="metres, above 0")
-        if not 0 <= self.look_per_rad_m < np.inf:
-            raise ConfigError(f"look_per_rad_m is {self.look_per_rad_m}", fix="metres, 0 or more")
-        if not self.failing_looks_m or not all(0 < way_m < np.inf for way_m in self.failing_looks_m):
-            raise ConfigError(f"failing_looks_m are {self.failing_looks_m}", fix="at least one, metres above 0")
-        if not self.accuracies or not all(0 < accuracy < 1 for accuracy in self.accuracies):
-            raise ConfigError(f"accuracies are {self.accuracies}", fix="at least one, each between 0 and 1")
 
 
 class AreaFilter:

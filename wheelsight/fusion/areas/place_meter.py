@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from wheelsight.areas import AreaMap
 from wheelsight.fusion.areas._floor import FloorShares, reweighted
 from wheelsight.fusion.areas.filter import AreaFilter
-from wheelsight.fusion.areas.rectifier import AreaRectifierSettings, checked_shares, evidence_of
+from wheelsight.fusion.areas.rectifier import checked_shares, evidence_of
+from wheelsight.fusion.areas.settings import AreaRectifierSettings
 from wheelsight.geometry import FloatArray, se3, so3
 
 _OPEN = 1e6  # times the belief's own variance

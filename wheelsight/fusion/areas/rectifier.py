@@ -14,7 +14,7 @@ of both by the probability of that. Nothing but the areas is known of the buildi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,49 +25,9 @@ from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.fusion.areas._floor import FloorShares, reweighted
 from wheelsight.fusion.areas._plane_belief import PLANE, PlaneBelief, pose_of
-from wheelsight.fusion.areas.filter import AreaFilter, AreaFilterSettings
+from wheelsight.fusion.areas.filter import AreaFilter
+from wheelsight.fusion.areas.settings import AreaRectifierSettings
 from wheelsight.geometry import FloatArray, se3
-
-
-@dataclass(frozen=True, slots=True)
-class AreaRectifierSettings:
-    """What is believed of wheels, areas and forest before the drive.
-
-    Attributes:
-        position_sigma_m, yaw_sigma_rad: of the start.
-        scale_sigma: of the ratio by which the way is wrong.
-        drift_sigma_rad_per_m: of the heading's drift; wheels 1 % unequal, 0.5 m apart, drift by 0.02.
-        turn_sigma: of the ratio by which turns are wrong.
-        scale_walk, drift_walk_rad_per_m, turn_walk: how far each of these wanders in one metre.
-        border_m: how far from an area's border frames may already name the next area, or still the last.
-        least_support: an answer that so little of the position's belief agrees with corrects nothing.
-        stray: share of the places' belief that goes by the areas' adjacency alone, not by the position.
-        forest: what is believed of the forest's answers.
-
-    Raises:
-        ConfigError: a value that is negative or not finite, or a border that is not positive.
-    """
-
-    position_sigma_m: float = 0.05
-    yaw_sigma_rad: float = 0.01
-    scale_sigma: float = 0.01
-    drift_sigma_rad_per_m: float = 0.015
-    turn_sigma: float = 0.03
-    scale_walk: float = 0.0002
-    drift_walk_rad_per_m: float = 0.0003
-    turn_walk: float = 0.0005
-    border_m: float = 0.4
-    least_support: float = 0.01
-    stray: float = 0.001
-    forest: AreaFilterSettings = field(default_factory=AreaFilterSettings)
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if name != "forest" and not 0 <= value < np.inf:
-                raise ConfigError(f"{name} is {value}", fix="0 or more")
-        if self.border_m <= 0:
-            raise ConfigError("border_m is 0", fix="metres, above 0")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,16 +22,10 @@ from wheelsight.fusion.error_state._measurements import Look, WheelStep
 from wheelsight.fusion.error_state._pose_belief import PoseBelief
 from wheelsight.fusion.error_state._trust import Court
 from wheelsight.fusion.error_state._wheel_noise import Ride, WheelNoise
-from wheelsight.fusion.error_state.settings import ErrorStateSettings
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray
 
-# Where no wheel tells, the mean over so long is one measurement.
-_TURN_S = 0.05
 _SAME_S = 1e-6  # by which stamps that were reckoned may differ
-_MOST = 0.5
-# A gate refuses the share `1 - confidence` of good measurements. Of a gyroscope, of which there are many, it is that
-# share of every so many seconds: 0.1 % of frames then tell of slip that is none, for each tells of the last 0.3 s.
-_TEST_S = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +90,7 @@ class Happening:
         return self.stamp_s if self.wheels is None else self.wheels.begin_s
 
 
-def after(
-    state: FusionState, event: Happening, events: Sequence[Happening], settings: ErrorStateSettings
-) -> FusionState:
+def after(state: FusionState, event: Happening, events: Sequence[Happening], settings: FilterParameters) -> FusionState:
     """The state after an event, of all those known: the whole step of the filter."""
     if event.yaw_rate_rad_s is not None:
         return _heard(state, event.yaw_rate_rad_s, event.stamp_s, events, settings)
@@ -124,7 +116,7 @@ def after(
 
 
 def moved_to(
-    state: FusionState, stamp_s: float, events: Sequence[Happening], settings: ErrorStateSettings
+    state: FusionState, stamp_s: float, events: Sequence[Happening], settings: FilterParameters
 ) -> FusionState:
     """The state at a stamp: by the wheels where they tell, of all events known, else by the speed there was."""
     court, told_s, begin_s, is_lost = state.court, state.told_s, state.stamp_s, state.is_lost
@@ -141,7 +133,7 @@ def moved_to(
         court = _gone_on(court, step, start_s, until_s, settings)
         told_s = told_s if step is None else end_s
         if not is_lost and end_s - told_s > settings.lost_after_s:
-            court, is_lost = _each(court, PoseBelief.scattered), True
+            court, is_lost = _each(court, lambda belief: belief.scattered(settings)), True
     return changed(state, court=court, stamp_s=stamp_s, told_s=told_s, is_lost=is_lost)
 
 
@@ -163,7 +155,7 @@ def _begin(step: WheelStep) -> float:
     return step.begin_s
 
 
-def _gone_on(court: Court, step: WheelStep | None, start_s: float, end_s: float, settings: ErrorStateSettings) -> Court:
+def _gone_on(court: Court, step: WheelStep | None, start_s: float, end_s: float, settings: FilterParameters) -> Court:
     def on(belief: PoseBelief | None, is_slipping: bool) -> PoseBelief | None:
         if belief is None:
             return None
@@ -181,7 +173,7 @@ def _gone_on(court: Court, step: WheelStep | None, start_s: float, end_s: float,
 
 
 def _remembered(
-    court: Court, name: str, stamp_s: float, spread: FloatArray | None, settings: ErrorStateSettings
+    court: Court, name: str, stamp_s: float, spread: FloatArray | None, settings: FilterParameters
 ) -> Court:
     """With the pose now remembered, against which the wheels' next ride is then judged if the camera looks at it."""
     look = None if court.glance is None or court.glance.look.name != name else court.glance.look
@@ -191,12 +183,12 @@ def _remembered(
         noise = _noise_after(court, look, stamp_s, settings) if agrees and look is not None else court.noise
         court = changed(court, noise=noise, ride=Ride.of(name, stamp_s, court.odometer, spread, court.belief))
     if agrees and look is not None and spread is not None and len(look.covariance) == 6:
-        return changed(court, belief=court.belief.chained(look, stamp_s, spread))
+        return changed(court, belief=court.belief.chained(look, stamp_s, spread, settings))
     given = (name, stamp_s, settings.max_clones, spread)
     return _each(court, lambda belief: belief.cloned(*given))
 
 
-def _noise_after(court: Court, look: Look, stamp_s: float, settings: ErrorStateSettings) -> WheelNoise:
+def _noise_after(court: Court, look: Look, stamp_s: float, settings: FilterParameters) -> WheelNoise:
     """The wheels' noise, after a look at the pose from which they rode."""
     ride, noise = court.ride, court.noise
     if ride is None or ride.name != look.name:
@@ -204,10 +196,10 @@ def _noise_after(court: Court, look: Look, stamp_s: float, settings: ErrorStateS
     told = court.odometer.since(ride.begin)
     if not ride.is_told(told, stamp_s):
         return noise
-    return noise.after(ride, told, look, court.belief, settings.wheel_noise_memory_m)
+    return noise.after(ride, told, look, court.belief, settings)
 
 
-def _looked(state: FusionState, look: Look, stamp_s: float, settings: ErrorStateSettings) -> FusionState:
+def _looked(state: FusionState, look: Look, stamp_s: float, settings: FilterParameters) -> FusionState:
     if look.name not in state.court.belief.names:
         return changed(state, reason=Reason.UNKNOWN_REFERENCE)
     is_degenerate = len(look.covariance) < 6
@@ -216,7 +208,7 @@ def _looked(state: FusionState, look: Look, stamp_s: float, settings: ErrorState
     return heard if reason is not None else changed(heard, vision_s=stamp_s, is_lost=False)
 
 
-def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> FusionState:
+def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings: FilterParameters) -> FusionState:
     court = state.court
     by = court.belief.position(xy, covariance)
     rivals = None if court.rival is None else court.rival.position(xy, covariance)
@@ -224,7 +216,7 @@ def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings
     if by.nis > most and (rivals is None or rivals.nis > most):
         return changed(state, court=court, reason=Reason.OUTLIER)
     if court.rival is not None and rivals is not None:
-        cap = settings.leap_cap
+        cap = settings.leap_chi2_cap
         evidence = court.evidence + (min(by.nis, cap) - min(rivals.nis, cap)) / 2
         rival = court.rival.corrected(rivals) if rivals.nis <= most else court.rival
         court = changed(court, rival=rival, evidence=evidence)
@@ -233,7 +225,7 @@ def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings
 
 
 def _heard(
-    state: FusionState, rate_rad_s: float, stamp_s: float, events: Sequence[Happening], settings: ErrorStateSettings
+    state: FusionState, rate_rad_s: float, stamp_s: float, events: Sequence[Happening], settings: FilterParameters
 ) -> FusionState:
     """After a reading of the gyroscope, of the time since the one before.
 
@@ -250,7 +242,7 @@ def _heard(
         court = _turned(_summed(court, rate_rad_s, state.stamp_s), state.stamp_s, settings)
     court = court if court.gyro_s == stamp_s else _summed(court, rate_rad_s, stamp_s)
     heard = changed(state, court=court)
-    if court.gyro_told_s < _TURN_S - _SAME_S or _is_told(stamp_s, events):
+    if court.gyro_told_s < settings.gyro_mean_s - _SAME_S or _is_told(stamp_s, events):
         return heard
     now = moved_to(heard, stamp_s, events, settings)
     return changed(now, court=_turned(trust.end_doubt(now.court, stamp_s, settings), stamp_s, settings))
@@ -271,20 +263,23 @@ def _is_told(stamp_s: float, events: Sequence[Happening]) -> bool:
     return any(step.begin_s < stamp_s for step in _steps_after(stamp_s, events))
 
 
-def _turned_until(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+def _turned_until(court: Court, stamp_s: float, settings: FilterParameters) -> Court:
     """Measured by the gyroscope where it told of most of the time until a stamp, as if of all of it."""
-    if court.gyro_s is None or not court.gyro_told_s > _MOST * (stamp_s - court.gyro_s + court.gyro_told_s):
+    if court.gyro_s is None:
+        return court
+    seconds = stamp_s - court.gyro_s + court.gyro_told_s
+    if not court.gyro_told_s > settings.gyro_told_share * seconds:
         return court
     return changed(_turned(court, stamp_s, settings), gyro_s=stamp_s)
 
 
-def _turned(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+def _turned(court: Court, stamp_s: float, settings: FilterParameters) -> Court:
     """After the mean of what the gyroscope told since the last measurement, if anything."""
     seconds = court.gyro_told_s
     if not seconds > 0:
         return court
-    rate_rad_s, variance = court.gyro_rad / seconds, settings.gyro_noise_rad_per_sqrt_s**2 / seconds
-    most = trust.gate_of((1 - settings.confidence) * min(seconds / _TEST_S, 1.0))
+    rate_rad_s, variance = court.gyro_rad / seconds, settings.gyro.noise_rad_per_sqrt_s**2 / seconds
+    most = trust.gate_of((1 - settings.confidence) * min(seconds / settings.gyro_test_s, 1.0))
 
     def turned(belief: PoseBelief) -> tuple[PoseBelief, float]:
         by = belief.yaw_rate(rate_rad_s, variance)

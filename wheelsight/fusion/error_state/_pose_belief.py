@@ -25,7 +25,7 @@ from wheelsight.fusion.error_state import _pose_kernels as kernels
 from wheelsight.fusion.error_state import _step_kernels as steps
 from wheelsight.fusion.error_state._changed import changed
 from wheelsight.fusion.error_state._measurements import Innovation, Look, WheelStep
-from wheelsight.fusion.error_state.settings import ErrorStateSettings
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.geometry import motion_kernels as motions
 
@@ -37,15 +37,8 @@ _SIX = np.arange(6)
 TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 15), 15, 16
 REST_SIZE = 17
 MOUNT_SHIFT = [10, 11]  # of the camera's errors
-_LEVEL_EVERY_M = 0.25
-_RAMP = 9.21  # χ² of two tilts, 0.99: what is tilted more is no floor that may be taken for level
-_KNOWN_FOR_S = 0.25
 _NO_TWIST = np.full(3, np.nan)
 _NO_DOUBT = np.zeros((6, 6))
-_ANYWHERE = np.array([30.0, 30.0, 1.0, 0.3, 0.3, np.pi])  # metres and radians
-# Of what each alignment leaves uncertain, what adds up along a way: of turns less than half (3 to 18 m, ten drives).
-_CHAIN_KEEPS = np.array([1.0, 1, 1, 1, 1, 0.4])
-_SHOWS_LAG = 30.0  # χ² of a change of twist: noise alone has three, so nine tenths of it are motion
 
 
 class Teaches(Enum):
@@ -113,7 +106,7 @@ class PoseBelief:
     told: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
 
     @classmethod
-    def begin(cls, T_odom_base: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> PoseBelief:
+    def begin(cls, T_odom_base: FloatArray, covariance: FloatArray, settings: FilterParameters) -> PoseBelief:
         """At rest, at a pose with its covariance (6, 6)."""
         s = settings
         P = np.zeros((6 + REST_SIZE, 6 + REST_SIZE))
@@ -146,34 +139,34 @@ class PoseBelief:
         """Where a part of `rest` stands in the covariance."""
         return slice(self.rest_at + part.start, self.rest_at + part.stop)
 
-    def rolled(self, step: WheelStep, share: float, settings: ErrorStateSettings, is_slipping: bool) -> PoseBelief:
+    def rolled(self, step: WheelStep, share: float, settings: FilterParameters, is_slipping: bool) -> PoseBelief:
         """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
         s, dt_s = settings, (step.end_s - step.begin_s) * share
-        known = self._known_before(step)
+        known = self._known_before(step, s.known_for_s)
         told_by = (step.xi, step.covariance, share, dt_s, known, s.unseen_a_metre, s.walks, s.fades, s.lever_m)
         T, rest, P, told, way_m = steps.roll(self.T, self.rest, self.covariance, *told_by)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         times["turn_known_for_s"] = self.turn_known_for_s + dt_s
         after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
         after = after.distrusted(dt_s, s) if is_slipping else after
-        return after._levelled(s) if after.way_m > _LEVEL_EVERY_M else after
+        return after._levelled(s) if after.way_m > s.level_every_m else after
 
-    def _known_before(self, step: WheelStep) -> FloatArray:
+    def _known_before(self, step: WheelStep, known_for_s: float) -> FloatArray:
         """The twist (3,) as known before a step, NaN where it is not: by its own numbers its noise would be learned."""
-        if self.known_for_s < _KNOWN_FOR_S:
+        if self.known_for_s < known_for_s:
             return self.known_twist
-        if self.turn_known_for_s < _KNOWN_FOR_S:  # of ways, a gyroscope teaches nothing
+        if self.turn_known_for_s < known_for_s:  # of ways, a gyroscope teaches nothing
             return np.array([*step.xi[:2] / (step.end_s - step.begin_s), self.known_twist[2]])
         return _NO_TWIST
 
-    def glided(self, dt_s: float, settings: ErrorStateSettings) -> PoseBelief:
+    def glided(self, dt_s: float, settings: FilterParameters) -> PoseBelief:
         """After a time of which the wheels tell nothing: the twist goes on, by white noise of acceleration."""
         s = settings
         rest = self.rest
         # A base moves sideways by what its wheels slip, no more.
         q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
         way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
-        noise = (q, s.unseen_a_metre * way_m, dt_s, s.gyro_bias_walk_rad_s**2 * dt_s)
+        noise = (q, s.unseen_a_metre * way_m, dt_s, s.gyro.bias_walk_rad_s_per_sqrt_s**2 * dt_s)
         T, P = steps.glide(self.T, rest, self.covariance, *noise)
         return changed(self, T=T, covariance=P)
 
@@ -217,7 +210,7 @@ class PoseBelief:
         without = self._selected(np.delete(np.arange(len(self.T)), place + 1))
         return changed(without, remembered=(*self.remembered[:place], *self.remembered[place + 1 :]))
 
-    def chained(self, look: Look, stamp_s: float, spread: FloatArray) -> PoseBelief:
+    def chained(self, look: Look, stamp_s: float, spread: FloatArray, settings: FilterParameters) -> PoseBelief:
         """With the pose now, seen just so against a remembered one, remembered in that one's place.
 
         The camera has both in the map, so in the plane what that has wrong of the one it has wrong of the
@@ -236,7 +229,7 @@ class PoseBelief:
         there[rows, rows], there[rows, :6], there[rows, errors] = in_plane, aside, in_plane @ motions.adjoint(T[at]) @ B
         T[at] = motions.exp(aside @ motions.log(motions.times(T_imaged, motions.inverse(seen)))) @ seen
         P = there @ self.covariance @ there.T
-        kept = Ad * _CHAIN_KEEPS
+        kept = Ad * np.array([1.0, 1, 1, 1, 1, settings.chain_yaw_share])
         P[rows, rows] += kept @ spread @ kept.T
         poses = (*self.remembered[: at - 1], self._as(look.name, stamp_s), *self.remembered[at:])
         return changed(self, T=T, covariance=P, remembered=poses)
@@ -265,7 +258,14 @@ class PoseBelief:
         T_imaged = looks.imaged_at(T_now, self.rest)
         return np.asarray(looks.apart(T_imaged, T_reference, told, look.Z, self.rest[CAMERA_ERRORS]))
 
-    def innovation(self, look: Look, *, without_doubt: bool = False, teaches: Teaches = Teaches.MOTION) -> Innovation:
+    def innovation(
+        self,
+        look: Look,
+        settings: FilterParameters,
+        *,
+        without_doubt: bool = False,
+        teaches: Teaches = Teaches.MOTION,
+    ) -> Innovation:
         """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed.
 
         `teaches`: what else than motion. Where wheels may slip, what is off is no error of theirs or of the camera.
@@ -280,7 +280,7 @@ class PoseBelief:
             if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0:
                 S, nis = certain, motions.chi_squared(residual, certain)
         # Where the twist changed no more, it is the wheels' noise that would be taken for a lag of the stamps.
-        unlearned = _UNLEARNED[teaches, bool(change > _SHOWS_LAG)]
+        unlearned = _UNLEARNED[teaches, bool(change > settings.lag_chi2)]
         return Innovation(residual, S, PHt, nis, unlearned)
 
     def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -319,7 +319,7 @@ class PoseBelief:
         T, rest = kernels.perturb(self.T, self.rest, x)
         return changed(self, T=T, rest=rest, covariance=covariance)
 
-    def distrusted(self, seconds: float, settings: ErrorStateSettings) -> PoseBelief:
+    def distrusted(self, seconds: float, settings: FilterParameters) -> PoseBelief:
         """As if wheels had slipped for so long; a wheel that is lifted tilts the base, too."""
         s = settings
         aside = [s.slip_rise_m_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s]
@@ -330,13 +330,14 @@ class PoseBelief:
         P[:6, :6] += grown
         return changed(self, covariance=P, doubted=self.doubted + grown)
 
-    def scattered(self) -> PoseBelief:
+    def scattered(self, settings: FilterParameters) -> PoseBelief:
         """As if the base might be anywhere about, turned any way."""
-        Ad, P = motions.adjoint(self.T[0]), self.covariance.copy()
-        P[:6, :6] += (Ad * np.square(_ANYWHERE)) @ Ad.T
+        s, Ad, P = settings, motions.adjoint(self.T[0]), self.covariance.copy()
+        anywhere = [s.lost_sigma_m, s.lost_sigma_m, s.lost_rise_m, s.lost_tilt_rad, s.lost_tilt_rad, np.pi]
+        P[:6, :6] += (Ad * np.square(anywhere)) @ Ad.T
         return changed(self, covariance=P)
 
-    def turn_distrusted(self, settings: ErrorStateSettings) -> PoseBelief:
+    def turn_distrusted(self, settings: FilterParameters) -> PoseBelief:
         """As if the wheels' last yaw rate, and the turn it made, were any."""
         twist = self.place(TWIST).stop - 1
         G = np.r_[motions.adjoint(self.T[0])[:, 5] * self.part_s, 1.0]
@@ -355,16 +356,16 @@ class PoseBelief:
         """With the yaw rate known, by a gyroscope."""
         return changed(self, known_twist=np.array([*self.known_twist[:2], self.rest[2]]), turn_known_for_s=0.0)
 
-    def _levelled(self, settings: ErrorStateSettings) -> PoseBelief:
+    def _levelled(self, settings: FilterParameters) -> PoseBelief:
         here = changed(self, way_m=0.0)
-        if not np.isfinite(settings.level_sigma_rad):
+        if settings.level_sigma_rad is None:
             return here
         # δω × up, where up = R e_z; level is where its x and y are 0.
         up = self.T[0][:3, 2]
         H = np.array([[0.0, 0, 0, 0, up[2], -up[1]], [0, 0, 0, -up[2], 0, up[0]]])
         PHt = self.covariance[:, :6] @ H.T
         spread, one_sigma2 = H @ PHt[:6], settings.level_sigma_rad**2
-        if _innovation(-up[:2], spread + one_sigma2 * np.eye(2), PHt).nis > _RAMP:
+        if _innovation(-up[:2], spread + one_sigma2 * np.eye(2), PHt).nis > settings.ramp_chi2:
             return here
         variance = one_sigma2 * settings.level_m / self.way_m
         return here.corrected(_innovation(-up[:2], spread + variance * np.eye(2), PHt))

@@ -32,16 +32,11 @@ from wheelsight.fusion.error_state._odometer import Odometer
 from wheelsight.fusion.error_state._pose_belief import IN_PLANE, PoseBelief, Teaches
 from wheelsight.fusion.error_state._two_beliefs import covering, mixed
 from wheelsight.fusion.error_state._wheel_noise import Ride, WheelNoise
-from wheelsight.fusion.error_state.settings import ErrorStateSettings
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 
-_LONGEST_STEP_S = 0.25
-_SHARE_MEMORY = 0.05
-_LEAK = 0.5
 _YAW = 2
-_NO_WONDER = 0.99
-_SIDEWAYS = 0.25  # of the accelerations ahead: wheels hold a base sideways
 
 
 class Trust(Enum):
@@ -65,12 +60,12 @@ class Speed:
         """Of a motion (4, 4) with its covariance (3, 3)."""
         return cls(*steps.speed(T, covariance, seconds))
 
-    def leap_from(self, before: Speed, seconds: float, settings: ErrorStateSettings) -> float:
+    def leap_from(self, before: Speed, seconds: float, settings: FilterParameters) -> float:
         """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
         s = settings
-        usual = (s.leap_m_s2 * seconds, s.leap_m_s2 * _SIDEWAYS * seconds, s.leap_rad_s2 * seconds)
+        usual = (s.leap_m_s2 * seconds, s.leap_m_s2 * s.leap_side_share * seconds, s.leap_rad_s2 * seconds)
         leap = steps.leap(self.mean, self.covariance, before.mean, before.covariance, usual)
-        return min(leap, s.leap_cap) if leap > _quantile(_NO_WONDER, 3) else 0.0
+        return min(leap, s.leap_chi2_cap) if leap > _quantile(s.leap_confidence, 3) else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,15 +127,15 @@ class Court:
         """Probability that the camera is right, in DOUBT."""
         return float(1 / (1 + np.exp(-self.evidence)))
 
-    def answer(self) -> PoseBelief:
+    def answer(self, settings: FilterParameters) -> PoseBelief:
         """The belief to answer with: it covers the rival, and lies between both in DOUBT."""
         if self.rival is None:
             return self.belief
         if self.trust is Trust.WHEELS:
-            return covering(self.belief, self.rival, self.since_s)
+            return covering(self.belief, self.rival, self.since_s, settings.covered_sigmas)
         return mixed(self.belief, self.rival, self.rival_share)
 
-    def likelier(self) -> PoseBelief:
+    def likelier(self, settings: FilterParameters) -> PoseBelief:
         """Where doubt ends unsettled: the belief for which more speaks, so much less certain that it covers the other.
 
         Not what lies between: looks at poses remembered since tell so little of who was right that noise decided.
@@ -148,10 +143,10 @@ class Court:
         if self.rival is None:
             return self.belief
         first, second = (self.rival, self.belief) if self.evidence > 0 else (self.belief, self.rival)
-        return covering(first, second, self.since_s).believed()
+        return covering(first, second, self.since_s, settings.covered_sigmas).believed()
 
 
-def gate(settings: ErrorStateSettings, degrees: int) -> float:
+def gate(settings: FilterParameters, degrees: int) -> float:
     """The largest NIS that a good measurement of so many degrees of freedom has, but for `1 - confidence` of them."""
     return _quantile(settings.confidence, degrees)
 
@@ -171,17 +166,17 @@ def _quantile(share: float, degrees: int) -> float:
     return float(chi2.ppf(share, degrees))
 
 
-def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) -> tuple[Court, Reason | None]:
+def see(court: Court, stamp_s: float, look: Look, settings: FilterParameters) -> tuple[Court, Reason | None]:
     """The court after a look, and why it was not believed, or None."""
     most = gate(settings, len(look.covariance))
     glance, evidence = _compare(court, stamp_s, look, settings)
     teaches = Teaches.MOUNT if stamp_s - court.since_s > settings.slippery_s else Teaches.ERRORS
-    usual = court.belief.innovation(look, without_doubt=True, teaches=teaches)
+    usual = court.belief.innovation(look, settings, without_doubt=True, teaches=teaches)
     agrees = usual.nis <= most
     agreed, nis = court.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
     heard = changed(court, glance=glance, agreed=agreed, nis=nis, looked_s=stamp_s)
     if court.trust is Trust.BOTH:
-        heard = changed(heard, evidence=court.evidence * _LEAK + evidence)
+        heard = changed(heard, evidence=court.evidence * settings.likelihood_memory + evidence)
         return _together(heard, stamp_s, look, usual, most, settings)
     if court.trust is Trust.DOUBT:
         return _in_doubt(heard, stamp_s, look, evidence, agrees, settings)
@@ -189,64 +184,64 @@ def see(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) 
         return _by_camera(heard, stamp_s, look, most, settings)
     seconds = 0.0 if court.glance is None else stamp_s - court.glance.stamp_s
     if agreed == 0:
-        evidence += min(seconds, _LONGEST_STEP_S) * settings.perseverance_per_s
+        evidence += min(seconds, settings.compared_s) * settings.contradiction_nats_per_s
     return _by_wheels(heard, stamp_s, look, evidence, settings)
 
 
-def fail(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+def fail(court: Court, stamp_s: float, settings: FilterParameters) -> Court:
     """The court after a frame in which the camera itself says that it sees nothing."""
     blind = changed(court, glance=None, agreed=0)
     if court.trust is Trust.DOUBT:
-        return _settled(changed(blind, evidence=court.evidence - settings.ill_health), stamp_s, settings)
+        return _settled(changed(blind, evidence=court.evidence - settings.poor_inliers_nats), stamp_s, settings)
     return changed(blind, rival=None)
 
 
-def end_doubt(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+def end_doubt(court: Court, stamp_s: float, settings: FilterParameters) -> Court:
     """The court with doubt, or distrust of wheels that no camera renews, ended when it has lasted too long."""
-    if stamp_s - court.since_s <= settings.longest_doubt_s:
+    if stamp_s - court.since_s <= settings.undecided_s:
         return court
     if court.trust is Trust.DOUBT:
-        return changed(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(), evidence=0.0)
-    lone = stamp_s - court.looked_s > settings.longest_doubt_s
+        return changed(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(settings), evidence=0.0)
+    lone = stamp_s - court.looked_s > settings.undecided_s
     if court.trust is not Trust.CAMERA or not lone:
         return court
     return changed(_trusting(court, Trust.BOTH, stamp_s), belief=court.belief.believed())
 
 
 def _together(
-    court: Court, stamp_s: float, look: Look, usual: Innovation, most: float, settings: ErrorStateSettings
+    court: Court, stamp_s: float, look: Look, usual: Innovation, most: float, settings: FilterParameters
 ) -> tuple[Court, Reason | None]:
     if usual.nis <= most:
-        return changed(_healthier(court, look), belief=court.belief.corrected(usual).believed()), None
+        return changed(_healthier(court, look, settings), belief=court.belief.corrected(usual).believed()), None
     rival = _led_by_camera(court.belief, stamp_s, look, settings)
     if rival is None:
         return court, Reason.CONTRADICTION
     # Where wheels slipped a moment ago, they do so again sooner than the camera fails.
-    again = settings.persistence if stamp_s - court.slipped_s <= settings.slippery_s else 0.0
+    again = settings.contradiction_nats if stamp_s - court.slipped_s <= settings.slippery_s else 0.0
     split = changed(_trusting(court, Trust.DOUBT, stamp_s), rival=rival, evidence=court.evidence + again)
     return _verdict(_settled(split, stamp_s, settings))
 
 
 def _in_doubt(
-    court: Court, stamp_s: float, look: Look, evidence: float, agrees: bool, settings: ErrorStateSettings
+    court: Court, stamp_s: float, look: Look, evidence: float, agrees: bool, settings: FilterParameters
 ) -> tuple[Court, Reason | None]:
     assert court.rival is not None
-    by = court.rival.innovation(look)
+    by = court.rival.innovation(look, settings)
     fits = by.nis <= gate(settings, len(look.covariance))
     rival = court.rival.corrected(by).believed() if fits else court.rival
     if not agrees:
         is_healthy = fits and _is_healthy(court, look, settings)
-        evidence += settings.persistence if is_healthy else -settings.ill_health
+        evidence += settings.contradiction_nats if is_healthy else -settings.poor_inliers_nats
     court = changed(court, rival=rival, evidence=court.evidence + evidence)
     if court.agreed >= settings.agreements:
-        return changed(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(), evidence=0.0), None
+        return changed(_trusting(court, Trust.BOTH, stamp_s), belief=court.likelier(settings), evidence=0.0), None
     return _verdict(_settled(court, stamp_s, settings))
 
 
 def _by_camera(
-    court: Court, stamp_s: float, look: Look, most: float, settings: ErrorStateSettings
+    court: Court, stamp_s: float, look: Look, most: float, settings: FilterParameters
 ) -> tuple[Court, Reason | None]:
-    by = court.belief.innovation(look)
+    by = court.belief.innovation(look, settings)
     if by.nis > most or not _is_healthy(court, look, settings):
         return court, Reason.CONTRADICTION
     if court.agreed >= settings.agreements:
@@ -255,29 +250,29 @@ def _by_camera(
 
 
 def _by_wheels(
-    court: Court, stamp_s: float, look: Look, evidence: float, settings: ErrorStateSettings
+    court: Court, stamp_s: float, look: Look, evidence: float, settings: FilterParameters
 ) -> tuple[Court, Reason | None]:
     if court.agreed >= settings.agreements:
-        belief = court.answer().believed()
-        belief = belief.corrected(belief.innovation(look)).believed()
+        belief = court.answer(settings).believed()
+        belief = belief.corrected(belief.innovation(look, settings)).believed()
         return changed(_trusting(court, Trust.BOTH, stamp_s), belief=belief, evidence=0.0), None
     if not _is_healthy(court, look, settings):
         return changed(court, rival=None), Reason.CONTRADICTION
-    by = None if court.rival is None else court.rival.innovation(look)
+    by = None if court.rival is None else court.rival.innovation(look, settings)
     if court.rival is None or by is None or by.nis > gate(settings, len(look.covariance)):
         return changed(court, rival=_led_by_camera(court.belief, stamp_s, look, settings)), Reason.CONTRADICTION
-    evidence = max(court.evidence + evidence, -settings.decisive)
+    evidence = max(court.evidence + evidence, -settings.decision_nats)
     court = changed(court, rival=court.rival.corrected(by).believed(), evidence=evidence)
     return _verdict(_settled(court, stamp_s, settings))
 
 
-def _settled(court: Court, stamp_s: float, settings: ErrorStateSettings) -> Court:
+def _settled(court: Court, stamp_s: float, settings: FilterParameters) -> Court:
     """The court, with one of both beliefs alone where the evidence is decisive."""
-    if court.evidence > settings.decisive:
+    if court.evidence > settings.decision_nats:
         assert court.rival is not None
         return changed(_trusting(court, Trust.CAMERA, stamp_s), belief=court.rival, evidence=0.0)
-    if court.evidence < -settings.decisive:
-        return changed(_trusting(court, Trust.WHEELS, stamp_s), rival=court.rival, evidence=-settings.decisive)
+    if court.evidence < -settings.decision_nats:
+        return changed(_trusting(court, Trust.WHEELS, stamp_s), rival=court.rival, evidence=-settings.decision_nats)
     return court
 
 
@@ -290,20 +285,20 @@ def _trusting(court: Court, trust: Trust, stamp_s: float) -> Court:
     return changed(court, trust=trust, rival=None, agreed=0, since_s=stamp_s, slipped_s=slipped_s)
 
 
-def _led_by_camera(belief: PoseBelief, stamp_s: float, look: Look, settings: ErrorStateSettings) -> PoseBelief | None:
+def _led_by_camera(belief: PoseBelief, stamp_s: float, look: Look, settings: FilterParameters) -> PoseBelief | None:
     """The belief if wheels slipped since the look's reference; None where not even that explains it."""
     since_s = belief.remembered[belief.reference(look.name) - 1].stamp_s
     distrusting = belief.distrusted(max(stamp_s - since_s, 0.0), settings)
-    by = distrusting.innovation(look)
+    by = distrusting.innovation(look, settings)
     return distrusting.corrected(by).believed() if by.nis <= gate(settings, len(look.covariance)) else None
 
 
-def _compare(court: Court, stamp_s: float, look: Look, settings: ErrorStateSettings) -> tuple[Glance, float]:
+def _compare(court: Court, stamp_s: float, look: Look, settings: FilterParameters) -> tuple[Glance, float]:
     """This look as a glance, and the evidence of leaps and of the gyroscope."""
     last = court.glance
     seconds = np.inf if last is None else stamp_s - last.stamp_s
     step = None if last is None else _since(last, look, court.belief)
-    if last is None or step is None or not 0 < seconds <= _LONGEST_STEP_S:
+    if last is None or step is None or not 0 < seconds <= settings.compared_s:
         return Glance(stamp_s, look, court.odometer), 0.0
     told, evidence = court.odometer.since(last.odometer), 0.0
     camera, wheels = Speed.over(step[0], step[1], seconds), None
@@ -318,10 +313,10 @@ def _compare(court: Court, stamp_s: float, look: Look, settings: ErrorStateSetti
     return Glance(stamp_s, look, court.odometer, camera, wheels), evidence
 
 
-def _turns_against(speed: Speed, rate_rad_s: float, seconds: float, settings: ErrorStateSettings) -> float:
+def _turns_against(speed: Speed, rate_rad_s: float, seconds: float, settings: FilterParameters) -> float:
     """Evidence of a gyroscope against a source that turns so."""
-    variance = settings.gyro_noise_rad_per_sqrt_s**2 / seconds + speed.covariance[_YAW, _YAW]
-    return float(min((speed.mean[_YAW] - rate_rad_s) ** 2 / variance, settings.leap_cap) / 2)
+    variance = settings.gyro.noise_rad_per_sqrt_s**2 / seconds + speed.covariance[_YAW, _YAW]
+    return float(min((speed.mean[_YAW] - rate_rad_s) ** 2 / variance, settings.leap_chi2_cap) / 2)
 
 
 def _since(last: Glance, look: Look, belief: PoseBelief) -> tuple[FloatArray, FloatArray] | None:
@@ -336,16 +331,17 @@ def _since(last: Glance, look: Look, belief: PoseBelief) -> tuple[FloatArray, Fl
     return T, spread[IN_PLANE]
 
 
-def _is_healthy(court: Court, look: Look, settings: ErrorStateSettings) -> bool:
+def _is_healthy(court: Court, look: Look, settings: FilterParameters) -> bool:
     """Whether a look that contradicts the wheels may be right: it has its usual share of inliers."""
     if look.inlier_share is None or court.usual_share is None:
         return True
-    return look.inlier_share >= settings.healthy_share * court.usual_share
+    return look.inlier_share >= settings.inlier_share * court.usual_share
 
 
-def _healthier(court: Court, look: Look) -> Court:
+def _healthier(court: Court, look: Look, settings: FilterParameters) -> Court:
     if look.inlier_share is None:
         return court
     if court.usual_share is None:
         return changed(court, usual_share=look.inlier_share)
-    return changed(court, usual_share=court.usual_share + _SHARE_MEMORY * (look.inlier_share - court.usual_share))
+    change = settings.inlier_memory * (look.inlier_share - court.usual_share)
+    return changed(court, usual_share=court.usual_share + change)

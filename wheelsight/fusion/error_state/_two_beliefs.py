@@ -9,7 +9,7 @@ from wheelsight.fusion.error_state._pose_belief import LAG, PoseBelief
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 
-_COVERED_SIGMAS = 2.5  # so that the other's own error, too, has room within three
+_COVERED_SIGMAS = 2.5  # of a pose alone; as `ErrorStateSettings.covered_sigmas`
 
 
 def mixed(one: PoseBelief, other: PoseBelief, share: float) -> PoseBelief:
@@ -23,8 +23,8 @@ def mixed(one: PoseBelief, other: PoseBelief, share: float) -> PoseBelief:
     return changed(between, covariance=P).believed()
 
 
-def covering(one: PoseBelief, other: PoseBelief, since_s: float) -> PoseBelief:
-    """The one, so much less certain that `other` lies within three standard deviations.
+def covering(one: PoseBelief, other: PoseBelief, since_s: float, sigmas: float) -> PoseBelief:
+    """The one, so much less certain that `other` lies at so many standard deviations.
 
     They have gone apart since a stamp; of poses remembered later, all err as the one now does.
     """
@@ -32,7 +32,7 @@ def covering(one: PoseBelief, other: PoseBelief, since_s: float) -> PoseBelief:
     apart[one.rest_at :] = 0.0  # twist and wheels are soon known again; they must not pull the pose along then
     later = [0, *(place + 1 for place, pose in enumerate(one.remembered) if pose.stamp_s > since_s)]
     apart[: one.rest_at].reshape(-1, 6)[later] = apart[:6]
-    P = one.covariance + np.outer(apart, apart) / _COVERED_SIGMAS**2
+    P = one.covariance + np.outer(apart, apart) / sigmas**2
     P[: one.rest_at, : one.rest_at] += _less_known(one, other)
     return changed(one, covariance=P)
 

@@ -9,7 +9,7 @@ and turn by d ~ N(0, R + ρ N), with N the wheels' covariance by the calibration
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,13 +17,11 @@ from wheelsight.fusion.error_state import _look_kernels as looks
 from wheelsight.fusion.error_state._measurements import Look
 from wheelsight.fusion.error_state._odometer import Odometer
 from wheelsight.fusion.error_state._pose_belief import ERRORS, LAG, PLANE, TWIST, PoseBelief
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 
-# Not below a sixteenth, a quarter of the standard deviation: no floor is the next one.
-_RATIOS = np.geomspace(1 / 16, 4, 13)
-_BEFORE = -0.5 * np.abs(np.log2(_RATIOS))  # nats: the calibration may be wrong by a factor of four as well as by two
-_MOST_NATS = 4.0  # of one ride: one that the camera saw wrong is one
+_VALUES = 13
 _WAY_AND_TURN = np.array([0, 5])
 _IN_THESE = np.ix_(_WAY_AND_TURN, _WAY_AND_TURN)
 _HEARD = 0.95
@@ -80,22 +78,27 @@ class WheelNoise:
     """The ratio of the wheels' variance to the calibration's.
 
     Attributes:
-        nats: (13,) log of how likely each of `_RATIOS` is, up to a constant.
+        nats: (13,) log of how likely each of `ratios` is, up to a constant; None before the first.
         ratio: its mean.
     """
 
-    nats: FloatArray = field(default_factory=lambda: _BEFORE)
+    nats: FloatArray | None = None
     ratio: float = 1.0
 
-    def after(self, ride: Ride, told: Odometer, look: Look, belief: PoseBelief, memory_m: float) -> WheelNoise:
-        """After a ride that a look has told the end of; what was known fades along `memory_m`."""
+    def after(
+        self, ride: Ride, told: Odometer, look: Look, belief: PoseBelief, settings: FilterParameters
+    ) -> WheelNoise:
+        """After a ride that a look has told the end of; what was known fades along the way."""
         d, R, N = ride.against(look, told, belief)
-        S = R + _RATIOS[:, None, None] * N
+        ratios = np.geomspace(settings.wheel_noise_least, settings.wheel_noise_most, _VALUES)
+        before = -0.5 * np.abs(np.log2(ratios))  # a calibration may be wrong by a factor of four as well as by two
+        S = R + ratios[:, None, None] * N
         if not (np.linalg.eigvalsh(S)[:, 0] > 0).all():  # rounding has left nothing of so small a difference
             return self
         chi2 = (np.linalg.solve(S, np.broadcast_to(d[:, None], (len(S), 2, 1)))[..., 0] * d).sum(axis=1)
         likely = -0.5 * (chi2 + np.log(np.linalg.det(S)))
-        kept = _BEFORE + np.exp(-told.way_m / memory_m) * (self.nats - _BEFORE)
-        nats = kept + np.maximum(likely - likely.max(), -_MOST_NATS)
+        known = before if self.nats is None else self.nats
+        kept = before + np.exp(-told.way_m / settings.wheel_noise_memory_m) * (known - before)
+        nats = kept + np.maximum(likely - likely.max(), -settings.wheel_noise_cap_nats)
         weights = np.exp(nats - nats.max())
-        return WheelNoise(nats, float(weights @ _RATIOS / weights.sum()))
+        return WheelNoise(nats, float(weights @ ratios / weights.sum()))

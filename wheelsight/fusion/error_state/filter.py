@@ -25,6 +25,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.calibration import Gyro
 from wheelsight.checks import need_number
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
@@ -37,17 +38,12 @@ from wheelsight.fusion.error_state._mount import Mount, covariance_of, motion_of
 from wheelsight.fusion.error_state._pose_belief import PoseBelief
 from wheelsight.fusion.error_state._trust import Court, Trust
 from wheelsight.fusion.error_state.estimate import FusedEstimate
-from wheelsight.fusion.error_state.settings import ErrorStateSettings
+from wheelsight.fusion.error_state.settings import ErrorStateSettings, FilterParameters
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 
 # Of so many readings the mean time between them is taken: longer than a busy host stalls, shorter than rates change.
 _READINGS = 16
-# By which the heading on the way may differ from that of an even one.
-_SWING_RAD = 0.1
-# Beyond, a covariance says nothing: any heading, or a position anywhere about a town. Wheels alone, which do not claim
-# to know, come to 1 rad in some hundred metres.
-_LARGEST_SIGMA_RAD, _LARGEST_SIGMA_M = 2 * np.pi, 1000.0
 
 
 class ErrorStateFilter:
@@ -62,6 +58,7 @@ class ErrorStateFilter:
         T_odom_base: (4, 4) at the first event; None for the identity, in a frame `odom` with z up.
         covariance: (6, 6) of its left perturbation; None for zero.
         settings: see there.
+        gyro: what its yaw rates are worth; None for the defaults of `Gyro`.
 
     Raises:
         ConfigError: a motion or covariance that is none.
@@ -74,20 +71,27 @@ class ErrorStateFilter:
         T_odom_base: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
         settings: ErrorStateSettings | None = None,
+        gyro: Gyro | None = None,
     ) -> None:
         self.settings = settings or ErrorStateSettings()
+        self.gyro = gyro or Gyro()
+        self._parameters = FilterParameters.of(self.settings, self.gyro)
         begin = np.eye(4) if T_odom_base is None else motion_of(T_odom_base)
         spread = np.zeros((6, 6)) if covariance is None else covariance_of(covariance, 6)
         T_base_camera = np.eye(4) if T_base_camera is None else motion_of(T_base_camera)
         if begin is None or spread is None or T_base_camera is None:
             raise ConfigError("a pose at the start, its covariance or T_base_camera is none", fix="(4, 4) and (6, 6)")
         self._mount = Mount(T_base_camera)
-        state = FusionState(Court(PoseBelief.begin(begin, spread, self.settings)))
-        self._history: History[Happening, FusionState] = History(state, self.settings.window_s, self._after)
+        state = FusionState(Court(PoseBelief.begin(begin, spread, self._parameters)))
+        self._history: History[Happening, FusionState] = History(state, self._parameters.window_s, self._after)
         self._wheels: Estimate | None = None
         self._reading_stamps_s: deque[float] = deque(maxlen=_READINGS)
         # The last state that was asked what to expect, and as it is by then: what is expected mostly comes.
         self._moved: tuple[FusionState, FusionState] | None = None
+
+    def begun_at(self, T_odom_base: ArrayLike, covariance: ArrayLike) -> ErrorStateFilter:
+        """Another one of the same sensors, that knows nothing yet but where it begins. Raises ConfigError."""
+        return ErrorStateFilter(self._mount.T_base_camera, T_odom_base, covariance, self.settings, self.gyro)
 
     def predict(self, stamp_s: float, T_prev_now: ArrayLike, covariance: ArrayLike, begin_s: float) -> FusedEstimate:
         """Take a step of the wheels, from `begin_s` to `stamp_s`.
@@ -120,8 +124,8 @@ class ErrorStateFilter:
             return self._take(Happening(wheels.stamp_s, drop=""))  # its way counts with the next reading's
         self._wheels = wheels
         xi, spread = motions.step_between(before.T_odom_body, before.covariance, T, C)
-        if wheels.stamp_s - before.stamp_s > self.settings.even_s:
-            spread = spread + _of_unknown_path(xi)
+        if wheels.stamp_s - before.stamp_s > self._parameters.even_s:
+            spread = spread + _of_unknown_path(xi, self._parameters.swing_rad)
         return self._take(Happening(wheels.stamp_s, wheels=WheelStep(before.stamp_s, wheels.stamp_s, xi, spread)))
 
     def _shortest_step_s(self) -> float:
@@ -185,18 +189,18 @@ class ErrorStateFilter:
         """
         if not np.isfinite(need_number("yaw_rate_rad_s", yaw_rate_rad_s)):
             return self._refused(Reason.INVALID)
-        return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s) - self.settings.gyro_bias_rad_s))
+        return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s) - self._parameters.gyro.bias_rad_s))
 
     def update_gyro_bias(self, stamp_s: float, bias_rad_s: float, sigma_rad_s: float) -> FusedEstimate:
         """Take what the gyroscope shows at rest, and its standard deviation, where they were found elsewhere.
 
         The finder started from what the settings believe of it, which counts once.
         """
-        first, told = self.settings.gyro_bias_sigma_rad_s**2, sigma_rad_s**2
+        first, told = self._parameters.gyro.bias_sigma_rad_s**2, sigma_rad_s**2
         if not (np.isfinite(bias_rad_s) and 0 < told < first):
             return self._refused(Reason.INVALID)
         more = first / (first - told)
-        bias = (more * (bias_rad_s - self.settings.gyro_bias_rad_s), more * told)
+        bias = (more * (bias_rad_s - self._parameters.gyro.bias_rad_s), more * told)
         return self._take(Happening(stamp_s, gyro_bias=bias))
 
     def remembered(self, name: str) -> FloatArray | None:
@@ -204,7 +208,7 @@ class ErrorStateFilter:
 
         The camera's instant: when the image was taken that has the stamp, by what is known of how late its stamps are.
         """
-        belief = self._history.newest.court.answer()
+        belief = self._history.newest.court.answer(self._parameters)
         return belief.T[belief.reference(name)].copy() if name in belief.names else None
 
     @property
@@ -225,18 +229,18 @@ class ErrorStateFilter:
         if name not in known.court.belief.names:
             return None
         late = known.stamp_s is not None and stamp_s < known.stamp_s
-        then = known if late else moved_to(known, stamp_s, self._history.events, self.settings)
+        then = known if late else moved_to(known, stamp_s, self._history.events, self._parameters)
         self._moved = known, then
-        return then.court.answer().seen_from(name, self._mount.T_base_camera)
+        return then.court.answer(self._parameters).seen_from(name, self._mount.T_base_camera)
 
     def _after(self, state: FusionState, event: Happening, events: Sequence[Happening]) -> FusionState:
         if self._moved is not None and self._moved[0] is state and self._moved[1].stamp_s == event.stamp_s:
             state = self._moved[1]
         try:
-            then = after(state, event, events, self.settings)
+            then = after(state, event, events, self._parameters)
         except np.linalg.LinAlgError:  # numbers beyond what can be solved for
-            return _gone_astray(state, event)
-        return then if _is_finite(then) else _gone_astray(state, event)
+            return _gone_astray(state, event, self._parameters)
+        return then if _is_finite(then) else _gone_astray(state, event, self._parameters)
 
     def _take(self, event: Happening, motion: MotionEstimate | None = None) -> FusedEstimate:
         if not np.isfinite(need_number("stamp_s", event.stamp_s)):
@@ -256,29 +260,29 @@ class ErrorStateFilter:
         self, reason: Reason | None, nis: tuple[float, int] | None, counts: tuple[int, int] = (0, 0)
     ) -> FusedEstimate:
         """What is known after the newest event, and what came of the one that is answered."""
-        state, s = self._history.newest, self.settings
+        state, s = self._history.newest, self._parameters
         if state.stamp_s is None:
             return FusedEstimate(-np.inf, Status.INITIALIZING, reason=reason, body="base")
         court = state.court
         turns_off = state.stamp_s - court.turn_slip_s <= s.coast_after_s
         flags = (court.trust is Trust.CAMERA or turns_off, state.is_degenerate, court.trust is Trust.DOUBT)
-        belief = court.answer()
+        belief = court.answer(self._parameters)
         T, C, *moving = kernels.answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
         status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
-        if state.is_lost or (status is Status.TRACKING and not _has_meaning(T, C)):
+        if state.is_lost or (status is Status.TRACKING and not _has_meaning(T, C, s)):
             return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
         pose, twist = (T, C, reason, "base", *counts), (moving[0], moving[1])
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)
 
 
-def _of_unknown_path(xi: FloatArray) -> FloatArray:
+def _of_unknown_path(xi: FloatArray, swing_rad: float) -> FloatArray:
     """Covariance (6, 6) of a step whose ends are told and whose path is not: anywhere between an early and a late turn.
 
     An arc with the same ends lies aside of the farthest of them by half of way times turn; unseen, a base may swing.
     """
     way_m, turn_rad = float(np.hypot(xi[0], xi[1])), abs(float(xi[5]))
-    aside_m = way_m * (turn_rad / 4 + _SWING_RAD)
-    short_m = way_m * (turn_rad / 4 + _SWING_RAD) ** 2
+    aside_m = way_m * (turn_rad / 4 + swing_rad)
+    short_m = way_m * (turn_rad / 4 + swing_rad) ** 2
     return np.diag(np.square([short_m, aside_m, 0.0, 0.0, 0.0, 0.0]))
 
 
@@ -288,14 +292,16 @@ def _is_finite(state: FusionState) -> bool:
     return all(bool(np.isfinite(b.T).all() and np.isfinite(b.covariance).all()) for b in beliefs)
 
 
-def _gone_astray(before: FusionState, event: Happening) -> FusionState:
+def _gone_astray(before: FusionState, event: Happening, settings: FilterParameters) -> FusionState:
     """The state after an event whose numbers cannot be reckoned with: that before it, lost."""
-    scattered = changed(before.court, belief=before.court.belief.scattered(), rival=None, trust=Trust.BOTH, nis=None)
+    belief = before.court.belief.scattered(settings)
+    scattered = changed(before.court, belief=belief, rival=None, trust=Trust.BOTH, nis=None)
     stamp_s = event.stamp_s if before.stamp_s is None else max(before.stamp_s, event.stamp_s)
     return changed(before, court=scattered, stamp_s=stamp_s, is_lost=True, reason=Reason.INVALID)
 
 
-def _has_meaning(T: FloatArray, covariance: FloatArray) -> bool:
+def _has_meaning(T: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> bool:
     """Whether the covariance (6, 6) of a pose's left perturbation still says where it is."""
     of_position, of_rotation = np.diag(se3.position_covariance(T, covariance)), np.diag(covariance)[3:]
-    return bool((of_rotation < _LARGEST_SIGMA_RAD**2).all() and (of_position < _LARGEST_SIGMA_M**2).all())
+    most_rad2, most_m2 = settings.largest_sigma_rad**2, settings.largest_sigma_m**2
+    return bool((of_rotation < most_rad2).all() and (of_position < most_m2).all())

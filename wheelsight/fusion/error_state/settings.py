@@ -1,140 +1,277 @@
-"""What the default filter believes of wheels, floor, camera and gyroscope before the drive."""
+"""ErrorStateSettings: what the default filter believes of wheels, floor and camera before the drive, and by what rules.
+
+FilterParameters are these and the gyroscope's calibration: all that the filter is reckoned by.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
 from functools import cached_property
+from typing import Annotated, Any, Self
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from wheelsight.errors import ConfigError
+from wheelsight.calibration import Gyro
 from wheelsight.geometry import FloatArray
 
-_MAY_BE_INFINITE = ("level_sigma_rad",)
-_MAY_BE_NEGATIVE = ("gyro_bias_rad_s",)
-_SHARES = ("confidence", "healthy_share")
-# As `PoseBelief.rest` has them, behind the twist; each has a sigma and a walk.
+_Share = Annotated[float, Field(gt=0, lt=1)]
+# As `PoseBelief.rest` has them, behind the twist; each has a sigma and a walk. Behind these, the gyroscope's bias.
 _ERRORS = (
     *("scale_{}", "drift_{}_rad_per_m", "turn_{}"),
     *("camera_scale_{}", "camera_drift_{}_rad_per_m", "camera_turn_{}", "camera_drift_{}_rad_per_m"),
     *("mount_{}_m", "mount_{}_m", "mount_{}_rad", "mount_{}_rad", "mount_{}_rad"),
-    *("camera_lag_{}_s", "gyro_bias_{}_rad_s"),
+    "camera_lag_{}_s",
 )
 
 
-@dataclass(frozen=True)
-class ErrorStateSettings:
-    """What is believed before the drive. Walks are random, told by their standard deviations after a metre or second;
-    an error that walks is drawn back, so that it stays within what was believed of it before the drive.
+class ErrorStateSettings(BaseModel):
+    """Settings of the error-state filter; unknown names are refused.
 
-    Attributes:
-        scale_sigma, drift_sigma_rad_per_m, turn_sigma: of the wheels' errors: the ratio by which ways are wrong, the
-            turn a metre too much (unequal radii), the ratio by which turns are wrong (track width). Of a data sheet's
-            radius a tyre under load is off by some percent: more than a camera's ways are.
-        scale_walk, drift_walk_rad_per_m, turn_walk: how these wander in one metre.
-        camera_scale_sigma, camera_drift_sigma_rad_per_m, camera_turn_sigma: likewise of the camera's errors;
-            its drift is that of its pitch, too. A focal length is known to a pixel of five hundred.
-        camera_scale_walk, camera_drift_walk_rad_per_m, camera_turn_walk: how these wander in one metre.
-        mount_sigma_m, mount_walk_m: how far ahead and aside the camera sits on the base of where it is said to be, and
-            how that wanders in one metre. mount_sigma_rad, mount_walk_rad: likewise how far it is turned, about each
-            axis.
-        camera_lag_sigma_s, camera_lag_walk_s: how late the camera's stamps are, and how that wanders in one metre.
-        wheel_noise_memory_m: along which way it fades how noisy the wheels were.
-        side_m_per_sqrt_m, rise_m_per_sqrt_m, tilt_rad_per_sqrt_m: of what wheels do not tell: sideways, up, roll and
-            pitch; the way is that of a point `lever_m` beside the base.
-        level_sigma_rad, level_m: floors are level up to this, one stretch of so many metres like another, or else are
-            ramps, of which nothing is believed; inf: never level.
-        clock_sigma_s: by which stamps of camera and wheels are apart; at speed, that is a way.
-        acceleration_m_s2, acceleration_rad_s2: how speeds change in a second while no wheel tells.
-        leap_m_s2, leap_rad_s2: standard deviation of what a robot's accelerations may be; more is a leap.
-        gyro_noise_rad_per_sqrt_s, gyro_bias_rad_s, gyro_bias_sigma_rad_s, gyro_bias_walk_rad_s: of the yaw rate, what
-            it shows at rest, how far off that may be, and how it wanders in 1 s.
-        slip_m_per_sqrt_s, slip_rad_per_sqrt_s: where slipping wheels may have gone instead.
-        slip_rise_m_per_sqrt_s, slip_tilt_rad_per_sqrt_s: likewise up, and to either side.
-        confidence: share of good measurements that a gate lets pass.
-        decisive: evidence, in nats, that settles whether wheels slip or vision fails.
-        leap_cap: most that one leap counts, as χ².
-        persistence: evidence of slip in each further frame in which a healthy camera contradicts the wheels, and in
-            the first one within `slippery_s` of slip.
-        perseverance_per_s: likewise in each second, once the wheels are believed.
-        ill_health: evidence of visual failure in one in which the camera is not healthy.
-        healthy_share: a camera is healthy whose share of inliers is at least this part of its usual share.
-        agreements: frames that must agree before trust returns.
-        longest_doubt_s: after it, both possibilities become one that covers both.
-        coast_after_s, lost_after_s: since vision was last believed, or since anything was heard.
-        window_s: how late an event may come.
-        even_s: over a longer step of the wheels, as across a pause, the base need not have gone evenly.
-        max_clones: past poses remembered at most; the oldest goes.
-
-    Raises:
-        ConfigError: a value that is negative or not finite, or a share that is none.
+    Walks are random, told by their standard deviations after a metre; an error that walks is drawn back, so that it
+    stays within what was believed of it before the drive.
     """
 
-    scale_sigma: float = 0.04
-    drift_sigma_rad_per_m: float = 0.02
-    turn_sigma: float = 0.03
-    scale_walk: float = 0.0005
-    drift_walk_rad_per_m: float = 0.0005
-    turn_walk: float = 0.0005
-    camera_scale_sigma: float = 0.005
-    camera_drift_sigma_rad_per_m: float = 0.0003
-    camera_turn_sigma: float = 0.002
-    camera_scale_walk: float = 0.0005
-    camera_drift_walk_rad_per_m: float = 0.0001
-    camera_turn_walk: float = 0.0001
-    mount_sigma_m: float = 0.005
-    mount_walk_m: float = 0.0001
-    mount_sigma_rad: float = 0.005
-    mount_walk_rad: float = 0.0002
-    camera_lag_sigma_s: float = 0.02
-    camera_lag_walk_s: float = 0.0001
-    wheel_noise_memory_m: float = 10.0
-    side_m_per_sqrt_m: float = 0.005
-    rise_m_per_sqrt_m: float = 0.003
-    tilt_rad_per_sqrt_m: float = 0.05
-    lever_m: float = 0.25
-    level_sigma_rad: float = 0.005
-    level_m: float = 5.0
-    clock_sigma_s: float = 0.01
-    acceleration_m_s2: float = 1.0
-    acceleration_rad_s2: float = 3.0
-    leap_m_s2: float = 2.0
-    leap_rad_s2: float = 6.0
-    gyro_noise_rad_per_sqrt_s: float = 1e-3
-    gyro_bias_rad_s: float = 0.0
-    gyro_bias_sigma_rad_s: float = 0.02
-    gyro_bias_walk_rad_s: float = 2e-5
-    slip_m_per_sqrt_s: float = 0.3
-    slip_rad_per_sqrt_s: float = 0.5
-    slip_rise_m_per_sqrt_s: float = 0.1
-    slip_tilt_rad_per_sqrt_s: float = 0.2
-    confidence: float = 0.999
-    decisive: float = 6.0
-    leap_cap: float = 16.0
-    persistence: float = 1.5
-    slippery_s: float = 5.0
-    perseverance_per_s: float = 8.0
-    ill_health: float = 2.0
-    healthy_share: float = 0.6
-    agreements: int = 5
-    longest_doubt_s: float = 2.0
-    coast_after_s: float = 0.3
-    lost_after_s: float = 2.0
-    window_s: float = 0.5
-    even_s: float = 0.25
-    max_clones: int = 4
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    def __post_init__(self) -> None:
-        for name in (field.name for field in fields(self)):
-            value = getattr(self, name)
-            least = -np.inf if name in _MAY_BE_NEGATIVE else 0
-            if not value >= least or (abs(value) == np.inf and name not in _MAY_BE_INFINITE):
-                raise ConfigError(f"{name} is {value}", fix="0 or more")
-        for name in _SHARES:
-            if not 0 < getattr(self, name) < 1:
-                raise ConfigError(f"{name} is {getattr(self, name)}", fix="between 0 and 1")
-        if self.max_clones < 1 or 0 in (self.level_m, self.level_sigma_rad, self.wheel_noise_memory_m):
-            raise ConfigError("max_clones, level_m, level_sigma_rad or wheel_noise_memory_m is 0", fix="more than 0")
+    # What is wrong with the wheels: sigmas before the drive, and random walks in one metre.
+    scale_sigma: NonNegativeFloat = Field(
+        default=0.04,
+        description="ratio by which ways are wrong: of a data sheet's radius, a tyre under load is off by some percent",
+    )
+    drift_sigma_rad_per_m: NonNegativeFloat = Field(
+        default=0.02, description="rad of turn a metre too much: of wheels 1 % unequal, 0.5 m apart"
+    )
+    turn_sigma: NonNegativeFloat = Field(
+        default=0.03,
+        description="ratio by which turns are wrong: of a track's width, told by where tyres touch the floor",
+    )
+    scale_walk: NonNegativeFloat = Field(
+        default=0.0005, description="of the ratio of ways, per √m; found on the simulator alone"
+    )
+    drift_walk_rad_per_m: NonNegativeFloat = Field(
+        default=0.0005, description="rad/m of the drift, per √m; found on the simulator alone"
+    )
+    turn_walk: NonNegativeFloat = Field(
+        default=0.0005, description="of the ratio of turns, per √m; found on the simulator alone"
+    )
+
+    # What is wrong with the camera, likewise.
+    camera_scale_sigma: NonNegativeFloat = Field(
+        default=0.005, description="ratio by which its ways are wrong; assumed"
+    )
+    camera_drift_sigma_rad_per_m: NonNegativeFloat = Field(
+        default=0.0003, description="rad of turn a metre too much, and of pitch; found on the simulator alone"
+    )
+    camera_turn_sigma: NonNegativeFloat = Field(
+        default=0.002,
+        description="ratio by which its turns are wrong: a focal length is known to a pixel of five hundred",
+    )
+    camera_scale_walk: NonNegativeFloat = Field(
+        default=0.0005,
+        description="of the ratio of its ways, per √m: it fades along 200 m; found on the simulator alone",
+    )
+    camera_drift_walk_rad_per_m: NonNegativeFloat = Field(
+        default=0.0001, description="rad/m of its drift, per √m: it fades along 18 m; found on the simulator alone"
+    )
+    camera_turn_walk: NonNegativeFloat = Field(
+        default=0.0001, description="of the ratio of its turns, per √m; found on the simulator alone"
+    )
+    mount_sigma_m: NonNegativeFloat = Field(
+        default=0.005,
+        description="m that the camera sits ahead and aside of where it is said to be, by a ruler; assumed",
+    )
+    mount_walk_m: NonNegativeFloat = Field(
+        default=0.0001,
+        description="m, per √m: the point about which tyres let a base turn is not quite fixed; found on the "
+        "simulator alone",
+    )
+    mount_sigma_rad: NonNegativeFloat = Field(
+        default=0.005, description="rad that it is turned about each axis, by a spirit level; assumed"
+    )
+    mount_walk_rad: NonNegativeFloat = Field(default=0.0002, description="rad, per √m; found on the simulator alone")
+    camera_lag_sigma_s: NonNegativeFloat = Field(
+        default=0.02, description="s that its stamps are late: less than a frame at 30 frames/s"
+    )
+    camera_lag_walk_s: NonNegativeFloat = Field(default=0.0001, description="s, per √m; found on the simulator alone")
+    lag_chi2: PositiveFloat = Field(
+        default=30.0,
+        description="χ² of a change of twist, of which a lag is learned: noise alone has three, so nine tenths are "
+        "motion",
+    )
+    chain_yaw_share: _Share = Field(
+        default=0.4,
+        description="of what alignments leave uncertain of turns, what adds up along a way: 3 to 18 m of ten "
+        "simulated drives",
+    )
+
+    # Noise of the wheels, and of what they do not tell.
+    wheel_noise_memory_m: PositiveFloat = Field(
+        default=10.0,
+        description="m of way along which it fades how noisy the wheels were: floors change from room to room; assumed",
+    )
+    wheel_noise_least: PositiveFloat = Field(
+        default=0.0625,
+        description="least ratio of their variance to the calibration's, a quarter of the σ: no floor is the next one",
+    )
+    wheel_noise_most: PositiveFloat = Field(
+        default=4.0, description="most of it: a calibration may be wrong by a factor of two in σ"
+    )
+    wheel_noise_cap_nats: PositiveFloat = Field(
+        default=4.0, description="most that one stretch of way tells of it: one that the camera saw wrong is one"
+    )
+    side_m_per_sqrt_m: NonNegativeFloat = Field(default=0.005, description="sideways; found on the simulator alone")
+    rise_m_per_sqrt_m: NonNegativeFloat = Field(default=0.003, description="up; found on the simulator alone")
+    tilt_rad_per_sqrt_m: NonNegativeFloat = Field(
+        default=0.05, description="roll and pitch: ramps begin at once; assumed"
+    )
+    lever_m: NonNegativeFloat = Field(
+        default=0.25,
+        description="m beside the base of the point whose way these are told by: turns on the spot count, by about "
+        "half a track",
+    )
+    level_sigma_rad: PositiveFloat | None = Field(
+        default=0.005,
+        description="floors are level up to this, 25 mm in 5 m, twice what DIN 18202 allows; null: never level",
+    )
+    level_m: PositiveFloat = Field(
+        default=5.0, description="m; one stretch of floor so long is level or not whatever the one before was"
+    )
+    level_every_m: PositiveFloat = Field(
+        default=0.25, description="m of way from one comparison with level to the next, for speed"
+    )
+    ramp_chi2: PositiveFloat = Field(
+        default=9.21, description="of two tilts, 0.99: what is tilted more is a ramp, of which nothing is believed"
+    )
+    known_for_s: PositiveFloat = Field(
+        default=0.25,
+        description="s for which a twist that a measurement told says how a step changes with the wheels' errors",
+    )
+
+    # Motion while no wheel tells, and stamps.
+    clock_sigma_s: NonNegativeFloat = Field(
+        default=0.01, description="s by which stamps of camera and wheels are apart; at speed, that is a way"
+    )
+    acceleration_m_s2: NonNegativeFloat = Field(
+        default=1.0, description="how speeds change in a second; assumed of a robot indoors"
+    )
+    acceleration_rad_s2: NonNegativeFloat = Field(default=3.0, description="likewise how yaw rates do")
+    window_s: NonNegativeFloat = Field(
+        default=0.5,
+        description="how late an event may come: longer than hosts stall, short enough to be reckoned again",
+    )
+    even_s: NonNegativeFloat = Field(
+        default=0.25,
+        description="over a longer step of the wheels, as across a pause, the base need not have gone evenly",
+    )
+    swing_rad: NonNegativeFloat = Field(
+        default=0.1, description="rad by which the heading on such a step may differ from that of an even one"
+    )
+    coast_after_s: NonNegativeFloat = Field(
+        default=0.3, description="since vision was last believed: some frames at any usual rate"
+    )
+    lost_after_s: NonNegativeFloat = Field(
+        default=2.0, description="since anything was heard: a speed of longer ago says nothing"
+    )
+    lost_sigma_m: PositiveFloat = Field(
+        default=30.0, description="how far away a lost base may be: some rooms; assumed"
+    )
+    lost_rise_m: PositiveFloat = Field(default=1.0, description="how far up or down; assumed")
+    lost_tilt_rad: PositiveFloat = Field(default=0.3, description="how far tilted; assumed")
+    largest_sigma_m: PositiveFloat = Field(
+        default=1000.0, description="a covariance beyond says nothing: anywhere about a town"
+    )
+    largest_sigma_rad: PositiveFloat = Field(
+        default=6.283185307179586,
+        description="likewise: any heading. Wheels alone come to 1 rad in some hundred metres",
+    )
+    max_clones: PositiveInt = Field(default=4, description="past poses remembered at most; the oldest goes")
+
+    # The gyroscope; what it is worth, its calibration says.
+    gyro_mean_s: PositiveFloat = Field(
+        default=0.05,
+        description="s; where no wheel tells, the mean over so long is one measurement: as a step of the wheels takes",
+    )
+    gyro_told_share: _Share = Field(
+        default=0.5, description="of a time that it must have told of, to be measured by as if of all of it"
+    )
+    gyro_test_s: PositiveFloat = Field(
+        default=0.3,
+        description="s of readings of which `1 - confidence` are refused though good: each tells of slip for "
+        "`coast_after_s`",
+    )
+
+    # Fault detection: do the wheels slip, or does vision fail? A sequential test (Wald 1945).
+    confidence: _Share = Field(default=0.999, description="share of good measurements that a gate lets pass")
+    decision_nats: NonNegativeFloat = Field(default=6.0, description="log-likelihood ratio that decides: 1 to 400")
+    leap_m_s2: NonNegativeFloat = Field(
+        default=2.0, description="σ of what a robot's acceleration may be; more is a leap of a sensor"
+    )
+    leap_rad_s2: NonNegativeFloat = Field(default=6.0, description="likewise of its yaw rate")
+    leap_side_share: NonNegativeFloat = Field(default=0.25, description="of that, sideways: wheels hold a base")
+    leap_confidence: _Share = Field(default=0.99, description="share of changes of speed that are no leap at all")
+    leap_chi2_cap: NonNegativeFloat = Field(
+        default=16.0, description="most that one leap counts: it may be no Gaussian"
+    )
+    contradiction_nats: NonNegativeFloat = Field(
+        default=1.5,
+        description="for slip, a frame in which a camera with its usual inliers contradicts the wheels, and once "
+        "within `slippery_s` of slip; found on the simulator alone",
+    )
+    slip_m_per_sqrt_s: NonNegativeFloat = Field(
+        default=0.3, description="where a base whose wheels slip may have gone instead: at a walk, any way"
+    )
+    slip_rad_per_sqrt_s: NonNegativeFloat = Field(default=0.5, description="likewise turned")
+    slip_rise_m_per_sqrt_s: NonNegativeFloat = Field(default=0.1, description="likewise up: a wheel that is lifted")
+    slip_tilt_rad_per_sqrt_s: NonNegativeFloat = Field(default=0.2, description="likewise to either side")
+    slippery_s: NonNegativeFloat = Field(
+        default=5.0, description="s for which a floor stays slippery, at a walk; found on the simulator alone"
+    )
+    contradiction_nats_per_s: NonNegativeFloat = Field(
+        default=8.0,
+        description="likewise a second, once decided for the wheels: a camera that fails does so for less than two",
+    )
+    poor_inliers_nats: NonNegativeFloat = Field(
+        default=2.0,
+        description="for visual failure, a frame with fewer inliers than usual; found on the simulator alone",
+    )
+    inlier_share: _Share = Field(
+        default=0.6,
+        description="of the usual share of inliers: with fewer, a camera that contradicts may be wrong itself",
+    )
+    inlier_memory: _Share = Field(
+        default=0.05, description="of the usual share, what one frame changes: about the last twenty count"
+    )
+    likelihood_memory: NonNegativeFloat = Field(
+        default=0.5, description="of the log-likelihood ratio, what is left after a frame in which both agree"
+    )
+    compared_s: PositiveFloat = Field(
+        default=0.25, description="s; over more between two frames, speeds are not compared"
+    )
+    agreements: PositiveInt = Field(
+        default=5, description="frames that must agree in a row before both are believed again"
+    )
+    undecided_s: NonNegativeFloat = Field(
+        default=2.0, description="s after which both hypotheses become one that covers both"
+    )
+    covered_sigmas: PositiveFloat = Field(
+        default=2.5, description="at which the other hypothesis lies, so that its own error, too, has room within three"
+    )
+
+
+class FilterParameters(ErrorStateSettings):
+    """Settings, and what the gyroscope's readings are worth."""
+
+    gyro: Gyro = Gyro()
+
+    @classmethod
+    def of(cls, settings: ErrorStateSettings, gyro: Gyro) -> FilterParameters:
+        """Both together."""
+        return cls(**{name: getattr(settings, name) for name in ErrorStateSettings.model_fields}, gyro=gyro)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Others, checked, of which nothing is reckoned yet."""
+        return type(self)(**{name: getattr(self, name) for name in type(self).model_fields} | dict(update or {}))
 
     @cached_property
     def unseen_a_metre(self) -> FloatArray:
@@ -145,12 +282,12 @@ class ErrorStateSettings:
     @cached_property
     def variances(self) -> FloatArray:
         """Of the errors of wheels and camera and of the gyroscope's bias (14,), before the drive."""
-        return self._squared("sigma")
+        return np.square([*self._errors("sigma"), self.gyro.bias_sigma_rad_s])
 
     @cached_property
     def walks(self) -> FloatArray:
         """What these (14,) gain in a metre, the gyroscope's bias in a second."""
-        return self._squared("walk")
+        return np.square([*self._errors("walk"), self.gyro.bias_walk_rad_s_per_sqrt_s])
 
     @cached_property
     def fades(self) -> FloatArray:
@@ -158,8 +295,9 @@ class ErrorStateSettings:
 
         Just so much that what nothing measures stays as uncertain as before the drive: a Gauss–Markov process.
         """
-        return np.divide(self.walks, 2 * self.variances, out=np.zeros(len(_ERRORS)), where=self.variances > 0)
+        variances = self.variances
+        return np.divide(self.walks, 2 * variances, out=np.zeros(len(variances)), where=variances > 0)
 
-    def _squared(self, which: str) -> FloatArray:
-        """Of all errors (14,), in a belief's order, the "sigma" or the "walk"."""
-        return np.square([getattr(self, name.format(which)) for name in _ERRORS])
+    def _errors(self, which: str) -> list[float]:
+        """Of all errors of wheels and camera, in a belief's order, the "sigma" or the "walk"."""
+        return [getattr(self, name.format(which)) for name in _ERRORS]
