@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate, Reason
+from wheelsight.estimates import Estimate, Reason, WheelEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate, covering_pose
 from wheelsight.geometry import FloatArray, interpolate_at
@@ -111,7 +111,7 @@ class BaseCheck:
             f"The answer is by {other} alone.",
         )
 
-    def hear(self, wheels: Estimate) -> None:
+    def hear(self, wheels: WheelEstimate) -> None:
         """Take what the wheels came to, which may be that a reading was refused."""
         if self.by_wheels is None:
             return
@@ -123,8 +123,8 @@ class BaseCheck:
         if self._wheels and not wheels.stamp_s > self._wheels[-1][0]:
             self._wheels.clear()
             self._begin = self._together = None
-        if self._wheels:
-            self._rolled_m += float(np.linalg.norm(wheels.T_odom_body[:3, 3] - self._wheels[-1][1][:3, 3]))
+        if self._wheels and wheels.step is not None:
+            self._rolled_m += float(np.linalg.norm(wheels.step.T_before_now[:3, 3]))
         self._wheels.append((wheels.stamp_s, wheels.T_odom_body))
         self._colors.hear(wheels.stamp_s, float(np.arctan2(wheels.T_odom_body[1, 0], wheels.T_odom_body[0, 0])))
         while self._wheels[0][0] < wheels.stamp_s - _KEPT_S:

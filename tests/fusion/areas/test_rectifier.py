@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from wheelsight.areas import AreaMap
 from wheelsight.calibration import Wheels
 from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import Status, WheelEstimate
 from wheelsight.events import WheelTicks
 from wheelsight.fusion import AreaRectifier, AreaRectifierSettings
 from wheelsight.geometry import se2, se3
@@ -201,7 +201,7 @@ def test_what_cannot_be_rectified_is_refused():
     with pytest.raises(ConfigError, match="not finite"):
         AreaRectifier(loop(), START).predict(np.full((4, 4), np.nan), np.eye(6))
     with pytest.raises(ConfigError, match="no pose"):
-        AreaRectifier(loop(), START).predict_to(Estimate(0.0, Status.FAILING))
+        AreaRectifier(loop(), START).predict_to(WheelEstimate(0.0, Status.FAILING))
     with pytest.raises(ValidationError, match="border_m"):
         AreaRectifierSettings(border_m=0.0)
     with pytest.raises(ValidationError, match="scale_sigma"):

@@ -21,12 +21,14 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from wheelsight.calibration import Gyro
+from wheelsight.calibration import Gyro, Wheels
 from wheelsight.errors import ArgumentError, ConfigError
 from wheelsight.estimates import MotionEstimate, Reason, Status
+from wheelsight.events import WheelTicks
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
 from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import se3
+from wheelsight.odometry.wheels import WheelOdometry
 
 SETTINGS = FilterParameters()
 NO_NOISE = np.zeros((6, 6))
@@ -358,3 +360,24 @@ def test_a_look_that_is_remembered_at_once_is_as_one_that_is_remembered_afterwar
         answers.append(fusion.estimate)
     assert answers[0].status is Status.TRACKING
     same(*answers, atol=0)
+
+
+def test_what_too_short_a_step_tells_counts_with_the_next_ones() -> None:
+    """Two readings of three arrive together: no speed is formed over their stamps, and no way is lost."""
+    wheels, fusion = WheelOdometry(Wheels(0.17, 0.17, 0.52, 3200)), ErrorStateFilter()
+    for i in range(30):
+        stamp_s = 0.15 * (i // 3) + (0.0, 0.002, 0.1)[i % 3]
+        answer = fusion.predict_to(wheels.process(WheelTicks(stamp_s, 60 * i, 66 * i)))
+    assert answer.T_odom_body is not None
+    np.testing.assert_allclose(answer.T_odom_body, wheels.T_odom_base, atol=1e-9)
+    assert answer.twist is not None
+    assert abs(answer.twist[0]) < 2 * 0.7
+
+
+def test_the_first_estimate_of_wheels_is_the_start_whatever_step_it_tells() -> None:
+    wheels, fusion = WheelOdometry(Wheels(0.17, 0.17, 0.52, 3200)), ErrorStateFilter()
+    for i in range(6):
+        estimate = wheels.process(WheelTicks(0.1 * i, 60 * i, 60 * i))
+        if i >= 3:
+            answer = fusion.predict_to(estimate)
+    np.testing.assert_allclose(answer.T_odom_body[0, 3], 2 * 60 * 2 * np.pi * 0.17 / 3200, atol=1e-9)

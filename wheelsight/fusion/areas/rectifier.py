@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from wheelsight.areas import AreaMap
 from wheelsight.checks import array_of
 from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import Estimate, Status, WheelEstimate
 from wheelsight.fusion.areas._floor import FloorShares, reweighted
 from wheelsight.fusion.areas._plane_belief import PLANE, PlaneBelief, pose_of
 from wheelsight.fusion.areas.filter import AreaFilter
@@ -73,7 +73,7 @@ class AreaRectifier:
         self._floor = FloorShares(areas, self.settings.border_m)
         self._filter = AreaFilter(areas, self.settings.forest, self._parts()[0][:, 0])
         self._way_m = self._turn_rad = 0.0
-        self._last: tuple[FloatArray, FloatArray] | None = None
+        self._has_begun = False
 
     def predict(self, T_before_now: ArrayLike, covariance: ArrayLike) -> None:
         """Go on by a step of the wheels.
@@ -97,18 +97,18 @@ class AreaRectifier:
         self._way_m += float(np.hypot(step[0], step[1]))
         self._turn_rad += abs(float(step[2]))
 
-    def predict_to(self, wheels: Estimate) -> None:
-        """Go on to the next estimate of wheel odometry, T_odom_base with its covariance; the first is the start.
+    def predict_to(self, wheels: WheelEstimate) -> None:
+        """Go on to the next estimate of wheel odometry; the first is the start, whatever step it tells.
 
         Raises:
             ConfigError: an estimate without pose or covariance.
         """
         if wheels.T_odom_body is None or wheels.covariance is None:
             raise ConfigError("an estimate of the wheels has no pose or no covariance", fix="leave it out")
-        now = wheels.T_odom_body, wheels.covariance
-        if self._last is not None:
-            self.predict(*_step_between(*self._last, *now))
-        self._last = now
+        step = wheels.step
+        if self._has_begun and step is not None:
+            self.predict(step.T_before_now, step.covariance)
+        self._has_begun = True
 
     def update(self, stamp_s: float, probabilities: ArrayLike | None) -> RectifiedEstimate:
         """The pose at a frame.
@@ -168,17 +168,6 @@ def _start(T_odom_base: ArrayLike, settings: AreaRectifierSettings) -> PlaneBeli
     of_wheels = (settings.scale_sigma, settings.drift_sigma_rad_per_m, settings.turn_sigma)
     walk = np.square([settings.scale_walk, settings.drift_walk_rad_per_m, settings.turn_walk])
     return PlaneBelief(T[0, 3], T[1, 3], float(np.arctan2(T[1, 0], T[0, 0])), np.array(of_pose + of_wheels), walk)
-
-
-def _step_between(
-    T_odom_before: FloatArray, covariance_before: FloatArray, T_odom_now: FloatArray, covariance_now: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """T_before_now and its covariance from two poses of one odometry: what it grew by; a gyroscope may make it less."""
-    T_before_odom = se3.invert(T_odom_before)
-    Ad = se3.adjoint(T_before_odom)
-    grown = Ad @ (covariance_now - covariance_before) @ Ad.T
-    strength, axes = np.linalg.eigh((grown + grown.T) / 2)
-    return T_before_odom @ T_odom_now, (axes * np.maximum(strength, 0.0)) @ axes.T
 
 
 def checked_shares(areas: AreaMap, area_shares: ArrayLike | None) -> FloatArray:

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +27,7 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Gyro
 from wheelsight.checks import need_number
 from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.estimates import MotionEstimate, Reason, Status, Step, WheelEstimate
 from wheelsight.fusion.error_state import _pose_kernels as kernels
 from wheelsight.fusion.error_state._changed import changed
 from wheelsight.fusion.error_state._events import FusionState, Happening, after, moved_to
@@ -84,7 +83,7 @@ class ErrorStateFilter:
         self._mount = Mount(T_base_camera)
         state = FusionState(Court(PoseBelief.begin(begin, spread, self._parameters)))
         self._history: History[Happening, FusionState] = History(state, self._parameters.window_s, self._after)
-        self._wheels: Estimate | None = None
+        self._waiting: Step | None = None  # of the wheels, too short to tell a speed
         self._reading_stamps_s: deque[float] = deque(maxlen=_READINGS)
         # The last state that was asked what to expect, and as it is by then: what is expected mostly comes.
         self._moved: tuple[FusionState, FusionState] | None = None
@@ -105,28 +104,27 @@ class ErrorStateFilter:
             return self._refused(Reason.INVALID)
         return self._take(Happening(stamp_s, wheels=WheelStep(begin_s, stamp_s, motions.log(T), Q)))
 
-    def predict_to(self, wheels: Estimate) -> FusedEstimate:
-        """Take the next estimate of wheel odometry, in order: T_odom_base with covariance; the first is the start."""
-        before, T, C = self._wheels, np.array(wheels.T_odom_body, float), np.array(wheels.covariance, float)
-        is_one = T.shape == (4, 4) and C.shape == (6, 6) and motions.is_pose(T, C)
-        if not is_one or wheels.reason is Reason.CLOCK_BACKWARDS:
+    def predict_to(self, wheels: WheelEstimate) -> FusedEstimate:
+        """Take the next estimate of wheel odometry, in order; the first is the start, whatever step it tells."""
+        step, begins = wheels.step, not self._reading_stamps_s
+        if wheels.reason is Reason.CLOCK_BACKWARDS or not _is_pose(wheels.T_odom_body, wheels.covariance):
             return self._refused(wheels.reason or Reason.INVALID)
         self._reading_stamps_s.append(wheels.stamp_s)
-        if before is None or before.T_odom_body is None or before.covariance is None:
-            self._wheels = wheels
-            return self._take(Happening(wheels.stamp_s, drop=""))  # which begins the clock
-        if not before.stamp_s < wheels.stamp_s:
+        if begins or step is None or wheels.reason is not None:
+            # It begins the clock, or tells no way: the pose goes on as if none had come.
+            self._waiting = None
+            return self._take(Happening(wheels.stamp_s, drop=""), reason=wheels.reason)
+        step = step if self._waiting is None else self._waiting.then(step)
+        if not step.begin_s < step.end_s or not motions.is_pose(step.T_before_now, step.covariance):
             return self._refused(Reason.INVALID)
-        if wheels.reason is not None:  # it tells no way: the pose goes on as if none had come
-            self._wheels = wheels
-            return replace(self._take(Happening(wheels.stamp_s, drop="")), reason=wheels.reason)
-        if wheels.stamp_s - before.stamp_s < self._shortest_step_s():
-            return self._take(Happening(wheels.stamp_s, drop=""))  # its way counts with the next reading's
-        self._wheels = wheels
-        xi, spread = motions.step_between(before.T_odom_body, before.covariance, T, C)
-        if wheels.stamp_s - before.stamp_s > self._parameters.even_s:
-            spread = spread + _of_unknown_path(xi, self._parameters.swing_rad)
-        return self._take(Happening(wheels.stamp_s, wheels=WheelStep(before.stamp_s, wheels.stamp_s, xi, spread)))
+        if step.end_s - step.begin_s < self._shortest_step_s():
+            self._waiting = step  # its way counts with the next reading's
+            return self._take(Happening(wheels.stamp_s, drop=""))
+        self._waiting = None
+        xi, spread = motions.log(step.T_before_now), step.covariance
+        if step.end_s - step.begin_s > self.settings.even_s:
+            spread = spread + _of_unknown_path(xi, self.settings.swing_rad)
+        return self._take(Happening(step.end_s, wheels=WheelStep(step.begin_s, step.end_s, xi, spread)))
 
     def _shortest_step_s(self) -> float:
         """Over less no speed is formed: readings that arrive together have stamps that tell of no time between them.
@@ -242,7 +240,9 @@ class ErrorStateFilter:
             return _gone_astray(state, event, self._parameters)
         return then if _is_finite(then) else _gone_astray(state, event, self._parameters)
 
-    def _take(self, event: Happening, motion: MotionEstimate | None = None) -> FusedEstimate:
+    def _take(
+        self, event: Happening, motion: MotionEstimate | None = None, reason: Reason | None = None
+    ) -> FusedEstimate:
         if not np.isfinite(need_number("stamp_s", event.stamp_s)):
             return self._refused(Reason.INVALID)
         if self._history.is_too_late(event):
@@ -251,7 +251,7 @@ class ErrorStateFilter:
             self._moved = None  # they may tell of that time
         state = self._history.take(event)
         counts = (0, 0) if motion is None else (motion.matches, motion.inliers)
-        return self._answer(state.reason, state.court.nis, counts)
+        return self._answer(reason or state.reason, state.court.nis, counts)
 
     def _refused(self, reason: Reason) -> FusedEstimate:
         return self._answer(reason, self._history.newest.court.nis)
@@ -273,6 +273,12 @@ class ErrorStateFilter:
             return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
         pose, twist = (T, C, reason, "base", *counts), (moving[0], moving[1])
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)
+
+
+def _is_pose(T: FloatArray | None, covariance: FloatArray | None) -> bool:
+    if T is None or covariance is None:
+        return False
+    return T.shape == (4, 4) and covariance.shape == (6, 6) and bool(motions.is_pose(T, covariance))
 
 
 def _of_unknown_path(xi: FloatArray, swing_rad: float) -> FloatArray:
