@@ -81,7 +81,7 @@ def test_straight_on_a_bias_does_not_turn_the_base(monkeypatch: pytest.MonkeyPat
     events = sorted([*made.events(), *yaw_rates(made, 0.1)], key=lambda event: event.stamp_s)
     answers = [answer for _, answer in answers_to(subject, events)]
     assert isinstance(subject._way, ByFusion)
-    assert subject._way._was_trusted
+    assert subject._way._base._was_trusted
     begin = next(answer for answer in answers if answer.stamp_s > made.begin_s + 6.6)
     assert begin.T_odom_body is not None
     turned = se3.invert(begin.T_odom_body) @ answers[-1].T_odom_body

@@ -20,7 +20,13 @@ from wheelsight.fusion.areas import (
     fit_weights,
     rectify_drive,
 )
-from wheelsight.fusion.error_state import ErrorStateFilter, ErrorStateSettings, FusedEstimate, covering_pose
+from wheelsight.fusion.error_state import (
+    ErrorStateFilter,
+    ErrorStateSettings,
+    FrameUpdate,
+    FusedEstimate,
+    covering_pose,
+)
 from wheelsight.fusion.ligocki import JoinedEstimate, LigockiFilter, LigockiSettings
 from wheelsight.fusion.settings import FusionName, FusionSettings
 
@@ -32,6 +38,7 @@ __all__ = [
     "AxisWeights",
     "ErrorStateFilter",
     "ErrorStateSettings",
+    "FrameUpdate",
     "FusedEstimate",
     "FusionName",
     "FusionSettings",

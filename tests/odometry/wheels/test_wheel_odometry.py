@@ -48,7 +48,7 @@ def test_one_step_is_what_each_papers_equation_says() -> None:
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
 def test_an_arc_is_the_exponential_of_its_twist(left: float, right: float) -> None:
     way, turn = (left + right) / 2, (right - left) / 0.5
-    T = integrate_log(METRE_TICKS, [0, 0.1], [0, left], [0, right]).trajectory().T_odom_body[-1]
+    T = integrate_log(METRE_TICKS, [0, 0.1], [0, left], [0, right]).trajectory().T_frame_body[-1]
     np.testing.assert_allclose(T, se3.exp([way, 0, 0, 0, 0, turn]), atol=1e-14)
 
 

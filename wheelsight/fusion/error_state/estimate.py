@@ -34,3 +34,23 @@ class FusedEstimate(Estimate):
     twist_covariance: FloatArray | None = None
     nis: tuple[float, int] | None = None
     wheel_errors: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameUpdate:
+    """What came of a frame.
+
+    Attributes:
+        answer: to it.
+        T_odom_base: (4, 4) when its image was taken, by all that is known; None where nothing is remembered.
+        is_reference: whether the camera's next motions are told against it.
+    """
+
+    answer: FusedEstimate
+    T_odom_base: FloatArray | None
+    is_reference: bool
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether wheels and camera agree on it."""
+        return self.answer.reason is None and not self.answer.doubtful

@@ -36,11 +36,14 @@ from wheelsight.fusion.error_state._measurements import WheelStep
 from wheelsight.fusion.error_state._mount import Mount, covariance_of, motion_of, numbers_of
 from wheelsight.fusion.error_state._pose_belief import PoseBelief
 from wheelsight.fusion.error_state._trust import Court, Trust
-from wheelsight.fusion.error_state.estimate import FusedEstimate
+from wheelsight.fusion.error_state.estimate import FrameUpdate, FusedEstimate
 from wheelsight.fusion.error_state.settings import ErrorStateSettings, FilterParameters
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 
+# Poses that are remembered: of the camera's last frame, of the one that its motions are told against, and of one that
+# is asked for.
+FRAME, REFERENCE, _IMAGED = "frame", "reference", "imaged"
 # Of so many readings the mean time between them is taken: longer than a busy host stalls, shorter than rates change.
 _READINGS = 16
 
@@ -166,6 +169,55 @@ class ErrorStateFilter:
         if isinstance(look, Reason):
             return self._take(Happening(stamp_s, failure=look, clone=remember), motion)
         return self._take(Happening(stamp_s, look=look, clone=remember), motion)
+
+    def begin_frame(self, stamp_s: float, covariance: ArrayLike) -> FrameUpdate:
+        """Remember the pose at a frame at which the camera begins, as its last frame and as its reference.
+
+        Args:
+            covariance: (6, 6) of the camera's left perturbation, in its own frame; see `clone`.
+        """
+        answer = self.clone(stamp_s, FRAME)
+        T_odom_base = self.remembered(FRAME)
+        self.clone(stamp_s, REFERENCE, covariance)
+        return FrameUpdate(answer, T_odom_base, is_reference=True)
+
+    def update_frame(
+        self, stamp_s: float, motion: MotionEstimate, covariance: ArrayLike, *, is_far: bool
+    ) -> FrameUpdate:
+        """Take what the camera saw of its motion since the reference, and remember the pose as that of the last frame.
+
+        It is the next reference if it is far from the one before, or was not believed: one mistake of the camera is
+        none of the next frame's, and slip is told by contradicting again and again.
+
+        Args:
+            motion: T_reference_current of the camera, with the covariance of its left perturbation.
+            covariance: as `begin_frame` takes it, for the case that it is.
+        """
+        answer = self.update_relative(stamp_s, motion, REFERENCE, remember=FRAME)
+        T_odom_base, is_reference = self.remembered(FRAME), is_far or answer.reason is not None or answer.doubtful
+        if is_reference:
+            self.clone(stamp_s, REFERENCE, covariance)
+        return FrameUpdate(answer, T_odom_base, is_reference)
+
+    def miss_frame(self, stamp_s: float, motion: MotionEstimate) -> FusedEstimate:
+        """Take a frame that gave no motion, whose `motion` says why."""
+        return self.update_relative(stamp_s, motion, REFERENCE)
+
+    def expect_frame(self, stamp_s: float) -> FloatArray | None:
+        """T_last_current (4, 4) of the camera since the last frame, to be expected at a stamp; None where none was."""
+        expected = self.expect(stamp_s, FRAME)
+        return None if expected is None else expected[0]
+
+    def when_imaged(self, stamp_s: float) -> FloatArray:
+        """T_odom_base (4, 4) when the image of a stamp was taken: it may have come late, by its stamp and beside it."""
+        self.clone(stamp_s, _IMAGED)
+        T_odom_base = self.remembered(_IMAGED)
+        assert T_odom_base is not None
+        return T_odom_base
+
+    def last_frame(self) -> FloatArray | None:
+        """T_odom_base (4, 4) when the last frame was imaged, by all that is known now; None where there is none."""
+        return self.remembered(FRAME)
 
     def update_position(self, stamp_s: float, xy: ArrayLike, covariance: ArrayLike) -> FusedEstimate:
         """Take a position (2,) in the map, metres, with its covariance (2, 2), as places tell."""
