@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
-from wheelsight.fusion.error_state import _look_kernels as looks
+from wheelsight.fusion.error_state import _relative_pose_kernels as relative
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 
@@ -21,20 +21,20 @@ TRACK_M, SLIP_M_PER_SQRT_M = 0.52, 0.003
 
 @dataclass(frozen=True)
 class Step:
-    """One of a drive: truth, and what wheels and camera told. `look` against the frame before, every other step."""
+    """Of a drive: truth, and what wheels and camera told. `measurement` against the frame before, every other step."""
 
     begin_s: float
     end_s: float
     T_truth: FloatArray
     wheels: FloatArray
     wheel_covariance: FloatArray
-    look: MotionEstimate | None = None
+    measurement: MotionEstimate | None = None
     yaw_rate_rad_s: float | None = None
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What a drive is like; faults change steps (`wheel_fault`) or looks (`camera_fault`), by their time."""
+    """What a drive is like; faults change steps (`wheel_fault`) or measurements (`camera_fault`), by their time."""
 
     seconds: float = 10.0
     step_s: float = 0.05
@@ -85,9 +85,9 @@ def simulate(drive: Drive, rng: np.random.Generator, settings: ErrorStateSetting
         if (i + 1) % drive.steps_a_frame == 0:
             wrong, T_imaged = np.array(drive.camera_errors), T @ motions.exp(-drive.lag_s / drive.step_s * xi)
             Z = se3.invert(seen_from) @ T_imaged
-            missed = looks.by_camera_errors(Z, by_ratios(Z))[:, : len(wrong)] @ wrong
+            missed = relative.by_camera_errors(Z, by_ratios(Z))[:, : len(wrong)] @ wrong
             Z = motions.exp(-missed) @ Z
-            step = replace(step, look=drive.camera_fault(end_s, looked(rng, Z)))
+            step = replace(step, measurement=drive.camera_fault(end_s, looked(rng, Z)))
             seen_from = T_imaged
         steps.append(step)
     return steps
@@ -111,7 +111,7 @@ def looked(rng: np.random.Generator, Z: FloatArray, covariance: FloatArray = CAM
 
 
 def shifted(motion: MotionEstimate, twist: FloatArray, seconds: float) -> MotionEstimate:
-    """A look that is wrong by a velocity (vx, vy, ωz) of the base."""
+    """A measurement that is wrong by a velocity (vx, vy, ωz) of the base."""
     assert motion.T_reference_current is not None
     xi = np.zeros(6)
     xi[PLANE] = np.asarray(twist) * seconds
@@ -121,7 +121,7 @@ def shifted(motion: MotionEstimate, twist: FloatArray, seconds: float) -> Motion
 
 
 def blind(motion: MotionEstimate) -> MotionEstimate:
-    """No look at all."""
+    """No measurement at all."""
     return MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
 
 
@@ -136,8 +136,8 @@ def run(
         answer = fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
         if step.yaw_rate_rad_s is not None:
             answer = fusion.update_yaw_rate(step.end_s, step.yaw_rate_rad_s)
-        if step.look is not None:
-            answer = fusion.update_relative(step.end_s, step.look, "frame")
+        if step.measurement is not None:
+            answer = fusion.update_relative(step.end_s, step.measurement, "frame")
             fusion.clone(step.end_s, "frame")
         answers.append(answer)
     return answers

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from wheelsight.calibration import Gyro
 from wheelsight.estimates import Reason
 from wheelsight.fusion import ErrorStateFilter
-from wheelsight.fusion.error_state import _look_kernels as looks
+from wheelsight.fusion.error_state import _relative_pose_kernels as relative
 from wheelsight.fusion.error_state._measurements import WheelStep
 from wheelsight.fusion.error_state._pose_belief import CAMERA_ERRORS, PoseBelief
 from wheelsight.fusion.error_state.settings import FilterParameters
@@ -43,7 +43,7 @@ def travelled(
 
 def of_camera(fusion: ErrorStateFilter) -> tuple[np.ndarray, np.ndarray]:
     """The camera's errors (9,) as the filter has them, and their standard deviations."""
-    belief = fusion._history.newest.court.belief
+    belief = fusion._history.newest.detection.primary
     return belief.rest[CAMERA_ERRORS], np.sqrt(np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)])
 
 
@@ -63,7 +63,9 @@ def driven(T_reference: np.ndarray, xi: np.ndarray, steps: int = 200) -> PoseBel
     belief = PoseBelief.begin(T_reference, 1e-6 * np.eye(6), SETTINGS).cloned("reference", 0.0, 4)
     for k in range(steps):
         step = WheelStep(0.1 * k, 0.1 * (k + 1), xi / steps, 1e-9 * np.eye(6))
-        belief = belief.rolled(step, 1.0, SETTINGS.model_copy(update={"level_sigma_rad": None}), is_slipping=False)
+        belief = belief.moved_by_wheels(
+            step, 1.0, SETTINGS.model_copy(update={"level_sigma_rad": None}), is_slipping=False
+        )
     return belief
 
 
@@ -78,7 +80,7 @@ WAYS = [*product((STRAIGHT, ASIDE, BENT), (0, 1, 2)), (STRAIGHT, 3), (ASIDE, 3),
 def test_errors_add_up_as_steps_do(rng: np.random.Generator, xi: list[float], column: int) -> None:
     error = ("scale", "drift_rad_per_m", "turn", "pitch_rad_per_m")[column]
     belief = driven(se3.exp(rng.standard_normal(6)), np.array(xi))
-    B = looks.expected(*belief.since(1))[1]
+    B = relative.expected(*belief.since(1))[1]
     ahead = xi[0] / np.hypot(xi[0], xi[1]) if column == 1 else 1.0  # a drift counts by the way ahead
     np.testing.assert_allclose(B[:, column], ahead * missed(error, np.array(xi)), atol=6e-3)
 
@@ -93,7 +95,7 @@ def test_the_simulators_errors_add_up_as_steps_do(xi: list[float], column: int) 
 @given(tangents)
 def test_a_camera_that_is_mounted_otherwise_sees_the_motion_turned(by: np.ndarray) -> None:
     h = 1e-6
-    B = looks.by_camera_errors(se3.exp(by), np.zeros((6, 3)))
+    B = relative.by_camera_errors(se3.exp(by), np.zeros((6, 3)))
     for column, axis in enumerate((0, 1, 3, 4, 5), start=4):
         mount = se3.exp(h * np.eye(6)[axis])
         true = mount @ se3.exp(by) @ se3.invert(mount)
@@ -101,7 +103,7 @@ def test_a_camera_that_is_mounted_otherwise_sees_the_motion_turned(by: np.ndarra
 
 
 def test_a_turn_on_the_spot_is_wrong_by_its_ratio_alone() -> None:
-    B = looks.expected(*driven(np.eye(4), np.array([0, 0, 0, 0, 0, 0.8])).since(1))[1]
+    B = relative.expected(*driven(np.eye(4), np.array([0, 0, 0, 0, 0, 0.8])).since(1))[1]
     np.testing.assert_allclose(B[:, 2], [0, 0, 0, 0, 0, 0.8], atol=1e-9)
     np.testing.assert_allclose(B[:, :2], 0, atol=1e-12)
 
@@ -114,9 +116,9 @@ def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
     T_reference = se3.exp(reference)
     told = se3.adjoint(T_reference) @ by_ratios(se3.exp(by))
     since = T_reference @ se3.exp(by), T_reference, told
-    seen = se3.exp(-looks.expected(*since)[1] @ errors) @ se3.exp(by)
-    np.testing.assert_allclose(looks.apart(*since, seen, errors), 0, atol=1e-9)
-    assert np.abs(looks.apart(*since, seen, np.zeros(9))).max() <= 3e-3
+    seen = se3.exp(-relative.expected(*since)[1] @ errors) @ se3.exp(by)
+    np.testing.assert_allclose(relative.apart(*since, seen, errors), 0, atol=1e-9)
+    assert np.abs(relative.apart(*since, seen, np.zeros(9))).max() <= 3e-3
 
 
 def test_what_wheels_and_camera_err_by_alike_is_not_learned_from_noise() -> None:
@@ -183,7 +185,7 @@ def test_where_a_camera_sits_is_learned_from_turns(shift_m: tuple[float, float])
 
 
 def test_a_base_that_slides_aside_tells_nothing_of_where_the_camera_sits() -> None:
-    """A turn about a point before the wheels looks as a camera that sits farther back."""
+    """A turn about a point before the wheels measurements as a camera that sits farther back."""
     steps, shifts = turning((0.0, 0.0), slide_m_s=0.4), []
     for count in (60, 160):  # until it slides, and four seconds later
         fusion = ErrorStateFilter(T_BASE_CAMERA)
@@ -233,7 +235,9 @@ def test_looks_against_one_remembered_pose_share_its_error(rng: np.random.Genera
         for _ in range(30):
             answer = fusion.update_relative(0.2, looked(rng, np.eye(4), 1e-6 * np.eye(6)), "anchor")
         sigmas[name] = np.sqrt(answer.covariance[:3, :3].diagonal())
-    assert (sigmas["shared"] > 0.0095).all()  # thirty looks would make a tenth of a millimetre of their own error
+    assert (
+        sigmas["shared"] > 0.0095
+    ).all()  # thirty measurements would make a tenth of a millimetre of their own error
     assert (sigmas["none"] < 0.003).all()
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
-from wheelsight.fusion.error_state._measurements import Innovation, Look
+from wheelsight.fusion.error_state._measurements import Innovation, RelativePose
 from wheelsight.fusion.error_state._pose_belief import LAG, PLANE, REST_SIZE, PoseBelief
 from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import se3
@@ -44,15 +44,15 @@ def test_a_camera_that_is_late_sees_the_motion_between_two_instants_before(
     belief = moving(T_reference, before, lag_s).cloned("anchor", 0.0, 4)
     belief = replace(belief, T=np.stack([T_now, belief.T[1]]), rest=moving(T_now, now, lag_s).rest)
     Z = se3.invert(T_reference @ gone_on(before, -lag_s)) @ T_now @ gone_on(now, -lag_s)
-    look = Look("anchor", Z, np.eye(6), 1e-6 * np.eye(6), 1e-6 * np.eye(6))
-    np.testing.assert_allclose(belief.apart(look), 0, atol=1e-9)
+    measurement = RelativePose("anchor", Z, np.eye(6), 1e-6 * np.eye(6), 1e-6 * np.eye(6))
+    np.testing.assert_allclose(belief.apart(measurement), 0, atol=1e-9)
 
 
 def learned(steps: list[Step], settings: ErrorStateSettings = SETTINGS) -> tuple[float, float]:
     """The lag as a filter has it after a drive, and its standard deviation; seconds."""
     fusion = ErrorStateFilter(T_BASE_CAMERA, settings=settings)
     run(steps, fusion=fusion)
-    belief = fusion._history.newest.court.belief
+    belief = fusion._history.newest.detection.primary
     place = len(belief.covariance) - REST_SIZE + LAG
     return float(belief.rest[LAG]), float(np.sqrt(belief.covariance[place, place]))
 

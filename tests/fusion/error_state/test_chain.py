@@ -1,4 +1,4 @@
-"""Anchors of the camera, one seen from the other: errors of single looks do not add up along a way."""
+"""Anchors of the camera, one seen from the other: errors of single measurements do not add up along a way."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, Step, looked, 
 from fusion.error_state.test_pose_belief import SETTINGS, belief_somewhere, look_at, numeric
 
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
-from wheelsight.fusion.error_state._measurements import Look
+from wheelsight.fusion.error_state._measurements import RelativePose
 from wheelsight.fusion.error_state._pose_belief import PLANE, PoseBelief
 from wheelsight.geometry import FloatArray, se3
 
-COARSE = np.diag(np.square([0.01] * 3 + [0.005] * 3))  # of a single look
+COARSE = np.diag(np.square([0.01] * 3 + [0.005] * 3))  # of a single measurement
 SURE = np.diag(np.square([1e-5] * 6))  # of what camera odometry gains by error from anchor to anchor
 
 
-def seen_from(belief: PoseBelief, name: str, Z: FloatArray) -> Look:
-    return Look(name, Z, np.eye(6), COARSE, COARSE)
+def seen_from(belief: PoseBelief, name: str, Z: FloatArray) -> RelativePose:
+    return RelativePose(name, Z, np.eye(6), COARSE, COARSE)
 
 
 def in_plane(T: FloatArray) -> FloatArray:
@@ -43,10 +43,10 @@ def test_an_anchor_lies_where_the_camera_saw_it_from_the_last_one(rng: np.random
 
 def test_what_it_is_known_by_follows_from_the_numeric_jacobian(rng: np.random.Generator) -> None:
     belief = belief_somewhere(rng)
-    look = replace(look_at(belief, "clone 1", rng), Z=se3.invert(belief.T[2]) @ belief.T[0])
+    measurement = replace(look_at(belief, "clone 1", rng), Z=se3.invert(belief.T[2]) @ belief.T[0])
 
     def chained(b: PoseBelief) -> PoseBelief:
-        return b.chained(look, 3.0, np.zeros((6, 6)), SETTINGS)
+        return b.chained(measurement, 3.0, np.zeros((6, 6)), SETTINGS)
 
     F = numeric(chained, belief, len(belief.covariance))
     found = chained(belief)
@@ -56,19 +56,19 @@ def test_what_it_is_known_by_follows_from_the_numeric_jacobian(rng: np.random.Ge
 
 
 def drifting(steps: list[Step], settings: ErrorStateSettings, spread: FloatArray | None) -> tuple[float, float]:
-    """How far off the way in x, y is after a drive by looks at anchors a metre apart, and its standard deviation."""
+    """How far off the way in x, y is after a drive by measurements against anchors a metre apart, and its σ."""
     rng = np.random.default_rng(5)
     fusion = ErrorStateFilter(T_BASE_CAMERA, settings=settings)
     fusion.clone(0.0, "anchor", spread)
     T_seen = np.eye(4)
     for i, step in enumerate(steps):
         answer = fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
-        # The camera's own world: each look errs by itself, what it takes for the anchor's place does not.
-        look = looked(rng, se3.invert(T_seen) @ step.T_truth, COARSE)
-        assert look.T_reference_current is not None
-        answer = fusion.update_relative(step.end_s, look, "anchor")
+        # The camera's own world: each measurement errs by itself, what it takes for the anchor's place does not.
+        measurement = looked(rng, se3.invert(T_seen) @ step.T_truth, COARSE)
+        assert measurement.T_reference_current is not None
+        answer = fusion.update_relative(step.end_s, measurement, "anchor")
         if i % 10 == 9:
-            seen = T_BASE_CAMERA @ look.T_reference_current @ se3.invert(T_BASE_CAMERA)
+            seen = T_BASE_CAMERA @ measurement.T_reference_current @ se3.invert(T_BASE_CAMERA)
             T_seen = T_seen @ seen
             fusion.clone(step.end_s, "anchor", spread)
     assert answer.T_odom_body is not None
@@ -81,7 +81,7 @@ def drifting(steps: list[Step], settings: ErrorStateSettings, spread: FloatArray
 
 
 def test_errors_of_single_looks_do_not_add_up() -> None:
-    """Two hundred looks, twenty anchors: what one look errs by, the next one, from there, makes good."""
+    """Two hundred measurements, twenty anchors: what one measurement errs by, the next one, from there, makes good."""
     right = dict.fromkeys(("camera_scale_sigma", "camera_drift_sigma_rad_per_m", "camera_turn_sigma"), 0.0)
     settings = ErrorStateSettings().model_copy(update={"mount_sigma_rad": 0.0, "camera_lag_sigma_s": 0.0, **right})
     chained, single = [], []
@@ -104,7 +104,7 @@ def test_a_look_against_another_pose_makes_no_chain(rng: np.random.Generator) ->
     fusion.predict(0.2, se3.from_plane(0.1, 0, 0), 1e-4 * np.eye(6), 0.1)
     fusion.update_relative(0.2, looked(rng, se3.from_plane(0.1, 0, 0)), "other")
     fusion.clone(0.2, "anchor", SURE)
-    belief = fusion._history.newest.court.belief
+    belief = fusion._history.newest.detection.primary
     at = belief.reference("anchor")
     np.testing.assert_allclose(belief.T[at], belief.T[0], atol=1e-3)
     between = belief.covariance[:6, :6] - belief.covariance[6 * at : 6 * at + 6, 6 * at : 6 * at + 6]

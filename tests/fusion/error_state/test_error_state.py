@@ -45,8 +45,8 @@ def events_of(steps):
         calls.append((s.end_s, lambda f, s=s: f.predict(s.end_s, s.wheels, s.wheel_covariance, s.begin_s)))
         if s.yaw_rate_rad_s is not None:
             calls.append((s.end_s, lambda f, s=s: f.update_yaw_rate(s.end_s, s.yaw_rate_rad_s)))
-        if s.look is not None:
-            calls.append((s.end_s, lambda f, s=s: f.update_relative(s.end_s, s.look, "frame")))
+        if s.measurement is not None:
+            calls.append((s.end_s, lambda f, s=s: f.update_relative(s.end_s, s.measurement, "frame")))
             calls.append((s.end_s, lambda f, s=s: f.clone(s.end_s, "frame")))
     return calls
 
@@ -131,7 +131,7 @@ def test_a_place_pulls_within_its_gate_and_not_outside():
 
 def test_a_gyroscope_tells_the_turn_that_wheels_get_wrong(rng):
     steps = simulate(Drive(seconds=10, slip_m_per_sqrt_m=0.02), rng, SETTINGS)
-    alone = [replace(s, look=None) for s in steps]
+    alone = [replace(s, measurement=None) for s in steps]
     rates = [replace(s, yaw_rate_rad_s=Drive().twist(s.begin_s + 0.025)[2]) for s in alone]
     gyro = Gyro(bias_sigma_rad_s=0.001)
     without, with_it = (run(d, fusion=ErrorStateFilter(T_BASE_CAMERA, gyro=gyro))[-1] for d in (alone, rates))
@@ -146,7 +146,7 @@ def test_what_is_to_be_expected_is_what_will_be_seen():
     last = steps[-1]
     fusion.predict(last.end_s, last.wheels, last.wheel_covariance, last.begin_s)
     T, C = fusion.expect(last.end_s, "frame")
-    off = se3.log(last.look.T_reference_current @ se3.invert(T))
+    off = se3.log(last.measurement.T_reference_current @ se3.invert(T))
     assert off @ np.linalg.solve(C + CAMERA_COVARIANCE, off) < 22.5
     assert fusion.expect(last.end_s, "nobody") is None
 
@@ -200,9 +200,11 @@ def test_a_frame_between_readings_that_come_after_it(rng):
         fusion.clone(0.0, "frame")
         for s in steps:
             calls = [lambda f, s=s: f.predict(s.end_s, s.wheels, s.wheel_covariance, s.begin_s)]
-            if s.look is not None:
+            if s.measurement is not None:
                 middle = (s.begin_s + s.end_s) / 2
-                calls.append(lambda f, s=s, t=middle: (f.update_relative(t, s.look, "frame"), f.clone(t, "frame")))
+                calls.append(
+                    lambda f, s=s, t=middle: (f.update_relative(t, s.measurement, "frame"), f.clone(t, "frame"))
+                )
             for call in calls if wheels_first else calls[::-1]:
                 call(fusion)
     same(one.estimate, other.estimate, 1e-9)
@@ -352,9 +354,9 @@ def test_a_look_that_is_remembered_at_once_is_as_one_that_is_remembered_afterwar
         fusion = ErrorStateFilter(T_BASE_CAMERA, settings=SETTINGS)
         fusion.clone(0.0, "frame")
         for s in drive(seed):
-            if s.look is not None:
-                fusion.update_relative(s.end_s, s.look, "frame", remember="frame" if at_once else None)
-            if s.look is not None and not at_once:
+            if s.measurement is not None:
+                fusion.update_relative(s.end_s, s.measurement, "frame", remember="frame" if at_once else None)
+            if s.measurement is not None and not at_once:
                 fusion.clone(s.end_s, "frame")
             fusion.predict(s.end_s, s.wheels, s.wheel_covariance, s.begin_s)
         answers.append(fusion.estimate)

@@ -20,7 +20,7 @@ PLAIN = ErrorStateSettings(level_sigma_rad=None, confidence=1 - 1e-9, clock_sigm
 RUNS = 200
 ALONG = np.array([[0.0, 0, 1, 0, 0, 0]])
 FAULTS = {
-    "every look": lambda t, motion: motion,
+    "every measurement": lambda t, motion: motion,
     "corridor": lambda t, motion: replace(motion, degenerate=ALONG),
     "coasting": lambda t, motion: motion if t < 3 else blind(motion),
 }
@@ -60,7 +60,7 @@ def test_nees_and_nis_are_chi_squared(kind):
         nis += [a.nis[0] for a in answers if a.nis is not None]
     degrees = 5 if kind == "corridor" else 6
     assert within(np.mean(nees), 6, RUNS)
-    # What lag and twist do together is counted at both ends of a look, so looks seem a little too good.
+    # What lag and twist do together is counted at both ends of a measurement, so measurements seem a little too good.
     assert 0.95 * degrees < np.mean(nis) < bounds(degrees, len(nis))[1]
 
 
@@ -106,5 +106,5 @@ def follow(fusion, steps):
     fusion.clone(steps[0].begin_s, "frame")
     for step in steps:
         fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
-        fusion.update_relative(step.end_s, step.look, "frame")
+        fusion.update_relative(step.end_s, step.measurement, "frame")
         fusion.clone(step.end_s, "frame")

@@ -19,7 +19,7 @@ from fusion.error_state.fused_drives import (
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.fusion import ErrorStateFilter
-from wheelsight.fusion.error_state._trust import Trust
+from wheelsight.fusion.error_state._fault_detection import Fault
 from wheelsight.fusion.error_state.settings import FilterParameters
 
 SETTINGS = FilterParameters()
@@ -170,14 +170,14 @@ def test_doubt_covers_both_sides():
     run(steps[:half], fusion=fusion)
     for step in steps[half : half + 15]:
         fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
-        fusion.update_relative(step.end_s, shifted(step.look, (0.5, 0, 0), FRAME_S), "frame")
+        fusion.update_relative(step.end_s, shifted(step.measurement, (0.5, 0, 0), FRAME_S), "frame")
         answer = fusion.clone(step.end_s, "frame")
-    court = fusion._history.newest.court
+    detection = fusion._history.newest.detection
     assert answer.doubtful
-    assert court.trust is Trust.DOUBT
-    assert within_three_sigma(answer, court.belief.T[0])
-    assert within_three_sigma(answer, court.rival.T[0])
-    shift = court.rival.T[0][:2, 3] - court.belief.T[0][:2, 3]
+    assert detection.fault is Fault.UNDECIDED
+    assert within_three_sigma(answer, detection.primary.T[0])
+    assert within_three_sigma(answer, detection.alternative.T[0])
+    shift = detection.alternative.T[0][:2, 3] - detection.primary.T[0][:2, 3]
     assert np.linalg.norm(shift) > 0.1
 
 

@@ -27,7 +27,7 @@ def ridden(
     sees: bool = True,
 ) -> tuple[ErrorStateFilter, list[FusedEstimate]]:
     """Answers to frames and wheels of a base that goes straight on; its wheels turn by spin[2] rad/s from spin[0] to
-    spin[1]. The camera looks at where it began, where it goes nowhere.
+    spin[1]. The camera measurements at where it began, where it goes nowhere.
     """
     rng, fusion = np.random.default_rng(seed), ErrorStateFilter(np.eye(4), gyro=gyro)
     events = [(i / gyro_hz + 1e-4, "gyro") for i in range(1, int(seconds * gyro_hz))]
@@ -90,7 +90,7 @@ def test_the_wheels_are_as_well_known_at_any_rate_of_its_readings(gyro_hz: int) 
     sigmas = []
     for hz in (50, gyro_hz):
         fusion, answers = ridden(hz, 1, speed_m_s=0.5, sees=False)
-        belief = fusion._history.newest.court.belief
+        belief = fusion._history.newest.detection.primary
         assert answers[-1].covariance is not None
         sigmas.append([np.sqrt(answers[-1].covariance[5, 5]), *np.sqrt(np.diag(belief.covariance)[[-1, -13]])])
     np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.15)
@@ -109,7 +109,7 @@ def test_a_bias_that_was_stated_does_not_turn_the_base(bias_rad_s: float) -> Non
 def test_a_bias_that_is_kept_stays() -> None:
     kept = Gyro(bias_rad_s=0.1, bias_sigma_rad_s=0.0, bias_walk_rad_s_per_sqrt_s=0.0)
     fusion, answers = ridden(100, 1, speed_m_s=0.5, bias_rad_s=0.1, gyro=kept, sees=False)
-    assert fusion._history.newest.court.belief.gyro_bias_rad_s == 0.0
+    assert fusion._history.newest.detection.primary.gyro_bias_rad_s == 0.0
     assert abs(yaw_of(answers[-1])) < np.radians(0.5)
 
 
@@ -118,7 +118,7 @@ def test_a_bias_found_elsewhere_counts_once() -> None:
     fusion = ErrorStateFilter(gyro=Gyro(bias_rad_s=0.1, bias_sigma_rad_s=0.02))
     fusion.predict(0.1, np.eye(4), 1e-6 * np.eye(6), 0.0)
     assert fusion.update_gyro_bias(0.1, 0.13, 0.01).reason is None
-    belief = fusion._history.newest.court.belief
+    belief = fusion._history.newest.detection.primary
     assert belief.gyro_bias_rad_s == pytest.approx(0.03, rel=1e-3)
     assert np.sqrt(belief.covariance[-1, -1]) == pytest.approx(0.01, rel=1e-3)
 

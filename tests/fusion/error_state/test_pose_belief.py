@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from wheelsight.calibration import Gyro
-from wheelsight.fusion.error_state._measurements import Look, WheelStep
+from wheelsight.fusion.error_state._measurements import RelativePose, WheelStep
 from wheelsight.fusion.error_state._pose_belief import (
     CAMERA_ERRORS,
     ERRORS,
@@ -32,7 +32,7 @@ def belief_somewhere(rng, clones=2):
     here = PoseBelief.begin(se3.exp(rng.normal(size=6) * 0.4), np.diag(rng.uniform(0.01, 0.02, 6)), SETTINGS)
     for i in range(clones):
         step = WheelStep(i, i + 0.5, rng.normal(size=6) * 0.2, np.diag(rng.uniform(1e-4, 2e-4, 6)))
-        here = here.cloned(f"clone {i}", float(i), 4).rolled(step, 1.0, SETTINGS, False)
+        here = here.cloned(f"clone {i}", float(i), 4).moved_by_wheels(step, 1.0, SETTINGS, False)
     return here
 
 
@@ -66,8 +66,8 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
 
     def step(b):
         if kind == "glide":
-            return b.glided(0.1, settings)
-        return b.rolled(wheels, 0.4 if kind == "part of wheels" else 1.0, settings, False)
+            return b.coasted(0.1, settings)
+        return b.moved_by_wheels(wheels, 0.4 if kind == "part of wheels" else 1.0, settings, False)
 
     F = numeric(step, belief, len(belief.covariance))
     np.testing.assert_allclose(step(belief).covariance, F @ belief.covariance @ F.T, atol=1e-8)
@@ -75,19 +75,19 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
 
 def look_at(belief, name, rng, size=6):
     Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(belief.T[belief.reference(name)]) @ belief.T[0]
-    return Look(name, Z, rng.normal(size=(size, 6)), np.eye(size) * 1e-6, np.eye(6) * 1e-6)
+    return RelativePose(name, Z, rng.normal(size=(size, 6)), np.eye(size) * 1e-6, np.eye(6) * 1e-6)
 
 
-@pytest.mark.parametrize("kind", ["look", "part of a look", "position", "yaw rate"])
+@pytest.mark.parametrize("kind", ["measurement", "part of a measurement", "position", "yaw rate"])
 def test_measurements_by_the_numeric_jacobian(rng, kind):
     belief = belief_somewhere(rng)
-    look = look_at(belief, "clone 1", rng, 4 if kind == "part of a look" else 6)
-    if "look" in kind:  # the Jacobian is that at the expected motion
-        look = replace(look, Z=se3.invert(belief.T[2]) @ belief.T[0])
+    measurement = look_at(belief, "clone 1", rng, 4 if kind == "part of a measurement" else 6)
+    if "measurement" in kind:  # the Jacobian is that at the expected motion
+        measurement = replace(measurement, Z=se3.invert(belief.T[2]) @ belief.T[0])
 
     def measured(b):
-        if "look" in kind:
-            return b.innovation(look, SETTINGS)
+        if "measurement" in kind:
+            return b.innovation(measurement, SETTINGS)
         return b.position(np.zeros(2), np.eye(2)) if kind == "position" else b.yaw_rate(0.0, 1.0)
 
     h = 1e-6
@@ -95,10 +95,10 @@ def test_measurements_by_the_numeric_jacobian(rng, kind):
         (measured(perturbed(belief, d)), measured(perturbed(belief, -d))) for d in h * np.eye(len(belief.covariance))
     )
     H = -np.transpose([(a.residual - b.residual) / (2 * h) for a, b in pairs])
-    R = look.covariance if "look" in kind else np.eye(len(H))
+    R = measurement.covariance if "measurement" in kind else np.eye(len(H))
     found = measured(belief)
     np.testing.assert_allclose(found.with_state, belief.covariance @ H.T, atol=1e-7)
-    together = H[:, :6] @ lag_and_twist(belief) @ H[:, :6].T if "look" in kind else 0.0
+    together = H[:, :6] @ lag_and_twist(belief) @ H[:, :6].T if "measurement" in kind else 0.0
     np.testing.assert_allclose(found.covariance, H @ belief.covariance @ H.T + R + together, atol=1e-7)
 
 
@@ -150,9 +150,9 @@ def test_a_look_teaches_no_more_than_it_can_tell(rng, teaches):
 
 def test_perturbing_all_poses_alike_changes_no_look(rng):
     belief = belief_somewhere(rng)
-    look = look_at(belief, "clone 0", rng)
+    measurement = look_at(belief, "clone 0", rng)
     x = np.concatenate([np.tile(rng.normal(size=6), 3), np.zeros_like(belief.rest)])
-    np.testing.assert_allclose(perturbed(belief, x).apart(look), belief.apart(look), atol=1e-12)
+    np.testing.assert_allclose(perturbed(belief, x).apart(measurement), belief.apart(measurement), atol=1e-12)
 
 
 def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
@@ -166,7 +166,7 @@ def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
     belief, start = replace(belief, rest=rest), np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)]
     for k in range(500):
         step = WheelStep(0.1 * k, 0.1 * (k + 1), np.array([0.1, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6))
-        belief = belief.rolled(step, 1.0, settings, is_slipping=False)
+        belief = belief.moved_by_wheels(step, 1.0, settings, is_slipping=False)
     np.testing.assert_allclose(np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)], start, rtol=0.02)
     length_m = 2 * 3e-4**2 / 1e-4**2
     assert belief.rest[drift] == pytest.approx(2e-4 * np.exp(-50 / length_m), rel=1e-6)
@@ -175,7 +175,9 @@ def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
 def test_an_error_that_was_certain_only_walks(rng):
     settings = SETTINGS.model_copy(update={"camera_scale_sigma": 0.0, "camera_scale_walk": 1e-3})
     belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings)
-    belief = belief.rolled(WheelStep(0, 1, np.array([1.0, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6)), 1.0, settings, False)
+    belief = belief.moved_by_wheels(
+        WheelStep(0, 1, np.array([1.0, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6)), 1.0, settings, False
+    )
     assert belief.covariance[belief.rest_at + CAMERA_ERRORS.start][belief.rest_at + CAMERA_ERRORS.start] == 1e-6
 
 
@@ -186,7 +188,7 @@ def test_a_shift_of_another_size_is_refused(rng):
 
 
 def test_many_looks_are_one_least_squares_fit(rng):
-    """Poses joined by wheels, and looks between each and the last three: all at once, by scipy, and one by one."""
+    """Poses joined by wheels, and measured between each and the last three: all at once, by scipy, and one by one."""
     steps = [WheelStep(i, i + 1.0, rng.normal(size=6) * 0.05, np.diag(rng.uniform(1, 2, 6) * 1e-6)) for i in range(4)]
     still = SETTINGS.model_copy(
         update={"scale_sigma": 0.0, "drift_sigma_rad_per_m": 0.0, "turn_sigma": 0.0, "scale_walk": 0.0}
@@ -195,15 +197,15 @@ def test_many_looks_are_one_least_squares_fit(rng):
     of_camera = (name for name in type(SETTINGS).model_fields if name.startswith(("camera_", "mount_")))
     settings = still.model_copy(update=dict.fromkeys((*none, *of_camera), 0.0))
     belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings).cloned("0", 0.0, 9)
-    prior, looks = [np.eye(4)], []
+    prior, measurements = [np.eye(4)], []
     for i, step in enumerate(steps, 1):
-        belief = belief.rolled(step, 1.0, settings, False)
+        belief = belief.moved_by_wheels(step, 1.0, settings, False)
         prior.append(prior[-1] @ se3.exp(step.xi))
         for j in range(max(i - 3, 0), i):
             Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(prior[j]) @ prior[i]
-            look = Look(str(j), Z, np.eye(6), np.diag(rng.uniform(1, 2, 6) * 1e-6), np.eye(6))
-            looks.append((i, j, look))
-            belief = belief.corrected(belief.innovation(look, SETTINGS))
+            measurement = RelativePose(str(j), Z, np.eye(6), np.diag(rng.uniform(1, 2, 6) * 1e-6), np.eye(6))
+            measurements.append((i, j, measurement))
+            belief = belief.corrected(belief.innovation(measurement, SETTINGS))
         belief = belief.cloned(str(i), float(i), 9)
 
     def residuals(x):
@@ -213,7 +215,8 @@ def test_many_looks_are_one_least_squares_fit(rng):
             for i, s in enumerate(steps)
         ]
         seen = [
-            se3.log(k.Z @ se3.invert(se3.invert(T[j]) @ T[i])) / np.sqrt(np.diag(k.covariance)) for i, j, k in looks
+            se3.log(k.Z @ se3.invert(se3.invert(T[j]) @ T[i])) / np.sqrt(np.diag(k.covariance))
+            for i, j, k in measurements
         ]
         return np.concatenate(wheels + seen)
 
@@ -243,12 +246,12 @@ def test_of_too_many_clones_the_oldest_goes(rng):
 
 def test_what_was_doubted_before_a_clone_is_no_doubt_about_motion_since(rng):
     certain = belief_somewhere(rng)
-    doubting = certain.distrusted(1.0, SETTINGS)
+    doubting = certain.slipped(1.0, SETTINGS)
     step = WheelStep(9.0, 9.1, rng.normal(size=6) * 0.02, 1e-6 * np.eye(6))
-    now = [b.cloned("late", 9.0, 4).rolled(step, 1.0, SETTINGS, False) for b in (certain, doubting)]
-    look = look_at(now[0], "late", rng)
-    usual = [b.innovation(look, SETTINGS, without_doubt=True) for b in now]
+    now = [b.cloned("late", 9.0, 4).moved_by_wheels(step, 1.0, SETTINGS, False) for b in (certain, doubting)]
+    measurement = look_at(now[0], "late", rng)
+    usual = [b.innovation(measurement, SETTINGS, without_slip=True) for b in now]
     np.testing.assert_allclose(usual[1].covariance, usual[0].covariance, rtol=1e-6, atol=1e-12)
     assert usual[1].nis == pytest.approx(usual[0].nis, rel=1e-4)
-    earlier = doubting.innovation(look_at(doubting, "clone 0", rng), SETTINGS, without_doubt=True)
+    earlier = doubting.innovation(look_at(doubting, "clone 0", rng), SETTINGS, without_slip=True)
     assert np.linalg.eigvalsh(earlier.covariance)[0] > 0

@@ -9,6 +9,7 @@ Value = TypeVar("Value")
 
 def changed(value: Value, **fields: Any) -> Value:
     """As `dataclasses.replace`, in a sixth of its time: for dataclasses without slots, whose fields are all that is."""
+    assert value.__dict__.keys() >= fields.keys(), f"not all of {fields.keys()} are fields"
     copy = object.__new__(type(value))
     copy.__dict__.update(value.__dict__, **fields)
     return copy

@@ -1,4 +1,4 @@
-"""What sensors tell, as a PoseBelief takes it: WheelStep, Look; and what it makes of it, Innovation."""
+"""What sensors tell, as a PoseBelief takes it: WheelStep, RelativePose; and what it makes of it, Innovation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class WheelStep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class RelativePose:
     """A motion of the base as the camera saw it against the remembered pose `name`.
 
     Attributes:

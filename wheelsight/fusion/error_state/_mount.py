@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.estimates import DEGENERATE_SCALE, MotionEstimate, Reason
-from wheelsight.fusion.error_state import _look_kernels as looks
-from wheelsight.fusion.error_state._measurements import Look
+from wheelsight.fusion.error_state import _relative_pose_kernels as relative
+from wheelsight.fusion.error_state._measurements import RelativePose
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 
@@ -28,7 +28,7 @@ class Mount:
         """Of a perturbation in the camera's frame (6, 6), in the base's."""
         return np.asarray(self._Ad_base_camera @ covariance @ self._Ad_base_camera.T)
 
-    def look(self, motion: MotionEstimate, name: str) -> Look | Reason:
+    def measurement(self, motion: MotionEstimate, name: str) -> RelativePose | Reason:
         """What a motion against the pose remembered as `name` says, or why it says nothing."""
         if motion.T_reference_current is None or motion.covariance is None:
             return motion.reason or Reason.INVALID
@@ -39,12 +39,12 @@ class Mount:
         seen, unseen = split
         if len(seen) == 0:
             return Reason.DEGENERATE
-        shown, rows, spread = looks.shown(R, seen, unseen, DEGENERATE_SCALE, self._to_camera, self._from_camera)
+        shown, rows, spread = relative.shown(R, seen, unseen, DEGENERATE_SCALE, self._to_camera, self._from_camera)
         if not motions.is_definite(shown):
             return Reason.INVALID
         Z = motions.times(motions.times(self.T_base_camera, T), self._T_camera_base)
         share = motion.inliers / motion.matches if motion.matches > 0 else None
-        return Look(name, Z, rows, shown, spread, share)
+        return RelativePose(name, Z, rows, shown, spread, share)
 
 
 def motion_of(T: ArrayLike | None) -> FloatArray | None:

@@ -31,7 +31,7 @@ class Odometer:
     turn_rad: float = 0.0
     turned_s: float = 0.0
 
-    def rolled(self, step: WheelStep, share: float) -> Odometer:
+    def moved_by_wheels(self, step: WheelStep, share: float) -> Odometer:
         """After a share of a wheel step."""
         T, covariance = steps.odometer(self.T, self.covariance, step.xi, step.covariance, share)
         way_m, heard_s = abs(step.xi[0]) * share, (step.end_s - step.begin_s) * share

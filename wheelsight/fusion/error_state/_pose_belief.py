@@ -20,11 +20,11 @@ from enum import Enum
 
 import numpy as np
 
-from wheelsight.fusion.error_state import _look_kernels as looks
 from wheelsight.fusion.error_state import _pose_kernels as kernels
+from wheelsight.fusion.error_state import _relative_pose_kernels as relative
 from wheelsight.fusion.error_state import _step_kernels as steps
 from wheelsight.fusion.error_state._changed import changed
-from wheelsight.fusion.error_state._measurements import Innovation, Look, WheelStep
+from wheelsight.fusion.error_state._measurements import Innovation, RelativePose, WheelStep
 from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.geometry import motion_kernels as motions
@@ -38,11 +38,11 @@ TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 15)
 REST_SIZE = 17
 MOUNT_SHIFT = [10, 11]  # of the camera's errors
 _NO_TWIST = np.full(3, np.nan)
-_NO_DOUBT = np.zeros((6, 6))
+_NO_SLIP = np.zeros((6, 6))
 
 
 class Teaches(Enum):
-    """What a look tells beside motion: nothing, what is wrong with wheels and camera, and where the camera sits, too.
+    """What a measurement tells beside motion: nothing, what is wrong with the sensors, and where the camera sits, too.
 
     To a camera that sits elsewhere on the base, turns seem to go aside; so they do where a base still slides a little.
     """
@@ -65,12 +65,12 @@ _UNLEARNED = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Remembered:
-    """What belongs to a remembered pose: its name and stamp, and the base's twist (3,), `doubted` and `told` then."""
+    """Of a remembered pose: its name and stamp, and the base's twist (3,), `slip_covariance` and `told` then."""
 
     name: str
     stamp_s: float
     twist: FloatArray
-    doubted: FloatArray
+    slip_covariance: FloatArray
     told: FloatArray
 
 
@@ -84,8 +84,8 @@ class PoseBelief:
         rest: (17,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's (the same, its drift in
             pitch, its mount's shift and rotation, how late its stamps are), the gyroscope's bias.
         covariance: (6 + 6K + 17, 6 + 6K + 17) of all perturbations of poses, then of `rest`.
-        doubted: (6, 6) part of the pose's covariance that is there because wheels were not trusted since vision was
-            last believed.
+        slip_covariance: (6, 6) part of the pose's covariance that is there because wheels may have slipped since vision
+            was last believed.
         way_m: since the floor was last taken for level.
         part_s: length of the last part of a wheel step.
         known_twist: (3,) the twist when a measurement last told it; `known_for_s` ago, its yaw rate by a gyroscope
@@ -97,7 +97,7 @@ class PoseBelief:
     remembered: tuple[Remembered, ...]
     rest: FloatArray
     covariance: FloatArray
-    doubted: FloatArray
+    slip_covariance: FloatArray
     way_m: float = 0.0
     part_s: float = 0.0
     known_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -113,7 +113,7 @@ class PoseBelief:
         P[:6, :6] = covariance
         still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
         P[6:, 6:] = np.diag([*np.square(still), *s.variances])
-        return cls(T_odom_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_DOUBT)
+        return cls(T_odom_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_SLIP)
 
     @property
     def gyro_bias_rad_s(self) -> float:
@@ -139,16 +139,18 @@ class PoseBelief:
         """Where a part of `rest` stands in the covariance."""
         return slice(self.rest_at + part.start, self.rest_at + part.stop)
 
-    def rolled(self, step: WheelStep, share: float, settings: FilterParameters, is_slipping: bool) -> PoseBelief:
+    def moved_by_wheels(
+        self, step: WheelStep, share: float, settings: FilterParameters, is_slipping: bool
+    ) -> PoseBelief:
         """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         known = self._known_before(step, s.known_for_s)
         told_by = (step.xi, step.covariance, share, dt_s, known, s.unseen_a_metre, s.walks, s.fades, s.lever_m)
-        T, rest, P, told, way_m = steps.roll(self.T, self.rest, self.covariance, *told_by)
+        T, rest, P, told, way_m = steps.wheel_step(self.T, self.rest, self.covariance, *told_by)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         times["turn_known_for_s"] = self.turn_known_for_s + dt_s
         after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
-        after = after.distrusted(dt_s, s) if is_slipping else after
+        after = after.slipped(dt_s, s) if is_slipping else after
         return after._levelled(s) if after.way_m > s.level_every_m else after
 
     def _known_before(self, step: WheelStep, known_for_s: float) -> FloatArray:
@@ -159,7 +161,7 @@ class PoseBelief:
             return np.array([*step.xi[:2] / (step.end_s - step.begin_s), self.known_twist[2]])
         return _NO_TWIST
 
-    def glided(self, dt_s: float, settings: FilterParameters) -> PoseBelief:
+    def coasted(self, dt_s: float, settings: FilterParameters) -> PoseBelief:
         """After a time of which the wheels tell nothing: the twist goes on, by white noise of acceleration."""
         s = settings
         rest = self.rest
@@ -167,7 +169,7 @@ class PoseBelief:
         q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
         way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
         noise = (q, s.unseen_a_metre * way_m, dt_s, s.gyro.bias_walk_rad_s_per_sqrt_s**2 * dt_s)
-        T, P = steps.glide(self.T, rest, self.covariance, *noise)
+        T, P = steps.coast(self.T, rest, self.covariance, *noise)
         return changed(self, T=T, covariance=P)
 
     def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:
@@ -199,7 +201,7 @@ class PoseBelief:
 
         The camera's stamps are late by what is known as little as all else (Li & Mourikis, IJRR 2014).
         """
-        T, rows, spread = looks.imaged_now(self.T[0], self.rest, self.covariance)
+        T, rows, spread = relative.imaged_now(self.T[0], self.rest, self.covariance)
         return T, rows, spread
 
     def dropped(self, name: str) -> PoseBelief:
@@ -210,18 +212,20 @@ class PoseBelief:
         without = self._selected(np.delete(np.arange(len(self.T)), place + 1))
         return changed(without, remembered=(*self.remembered[:place], *self.remembered[place + 1 :]))
 
-    def chained(self, look: Look, stamp_s: float, spread: FloatArray, settings: FilterParameters) -> PoseBelief:
+    def chained(
+        self, measurement: RelativePose, stamp_s: float, spread: FloatArray, settings: FilterParameters
+    ) -> PoseBelief:
         """With the pose now, seen just so against a remembered one, remembered in that one's place.
 
         The camera has both in the map, so in the plane what that has wrong of the one it has wrong of the
-        other: errors of single looks do not add up along a way. What the map gains by error on the way is `spread`
-        (6, 6), in the base's own frame. Height, roll and pitch are those of now, of which the floor knows more.
+        other: errors of single measurements do not add up along a way. What the map gains by error on the way is
+        `spread` (6, 6), in the base's own frame. Height, roll and pitch are those of now: the floor knows more of them.
         """
-        at = self.reference(look.name)
+        at = self.reference(measurement.name)
         rows, errors = slice(6 * at, 6 * at + 6), self.place(CAMERA_ERRORS)
-        T_imaged, T = looks.imaged_at(self.T[0], self.rest), self.T.copy()
-        _, B, _ = looks.expected(T_imaged, T[at], self.told - self.remembered[at - 1].told)
-        seen = self.T[at] @ motions.exp(B @ self.rest[CAMERA_ERRORS]) @ look.Z
+        T_imaged, T = relative.imaged_at(self.T[0], self.rest), self.T.copy()
+        _, B, _ = relative.expected(T_imaged, T[at], self.told - self.remembered[at - 1].told)
+        seen = self.T[at] @ motions.exp(B @ self.rest[CAMERA_ERRORS]) @ measurement.Z
         Ad = motions.adjoint(self.T[0])
         in_plane = (Ad * _IS_PLANE) @ motions.inverse_adjoint(self.T[0])
         aside = np.eye(6) - in_plane
@@ -231,11 +235,11 @@ class PoseBelief:
         P = there @ self.covariance @ there.T
         kept = Ad * np.array([1.0, 1, 1, 1, 1, settings.chain_yaw_share])
         P[rows, rows] += kept @ spread @ kept.T
-        poses = (*self.remembered[: at - 1], self._as(look.name, stamp_s), *self.remembered[at:])
+        poses = (*self.remembered[: at - 1], self._as(measurement.name, stamp_s), *self.remembered[at:])
         return changed(self, T=T, covariance=P, remembered=poses)
 
     def _as(self, name: str, stamp_s: float) -> Remembered:
-        return Remembered(name, stamp_s, self.rest[TWIST].copy(), self.doubted, self.told)
+        return Remembered(name, stamp_s, self.rest[TWIST].copy(), self.slip_covariance, self.told)
 
     def _selected(self, poses: IntArray) -> PoseBelief:
         rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(self.rest_at, len(self.covariance))])
@@ -249,35 +253,35 @@ class PoseBelief:
 
     def seen_from(self, name: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
         """T_reference_current (4, 4) of the camera since the pose remembered as `name`, and its covariance (6, 6)."""
-        T, C = looks.seen_from(self.T, self.rest, self.covariance, self.reference(name), T_base_camera)
+        T, C = relative.seen_from(self.T, self.rest, self.covariance, self.reference(name), T_base_camera)
         return T, C
 
-    def apart(self, look: Look) -> FloatArray:
+    def apart(self, measurement: RelativePose) -> FloatArray:
         """log(Z Ẑ⁻¹) (6,): how far the camera's motion, mended by what is known of its errors, is from the expected."""
-        T_now, T_reference, told = self.since(self.reference(look.name))
-        T_imaged = looks.imaged_at(T_now, self.rest)
-        return np.asarray(looks.apart(T_imaged, T_reference, told, look.Z, self.rest[CAMERA_ERRORS]))
+        T_now, T_reference, told = self.since(self.reference(measurement.name))
+        T_imaged = relative.imaged_at(T_now, self.rest)
+        return np.asarray(relative.apart(T_imaged, T_reference, told, measurement.Z, self.rest[CAMERA_ERRORS]))
 
     def innovation(
         self,
-        look: Look,
+        measurement: RelativePose,
         settings: FilterParameters,
         *,
-        without_doubt: bool = False,
+        without_slip: bool = False,
         teaches: Teaches = Teaches.MOTION,
     ) -> Innovation:
-        """What a look says; `without_doubt` as if wheels had been trusted since vision was last believed.
+        """What a measurement says; `without_slip` as if no wheel had slipped since vision was last believed.
 
         `teaches`: what else than motion. Where wheels may slip, what is off is no error of theirs or of the camera.
         """
-        at = self.reference(look.name)
-        then, of_look = self.remembered[at - 1], (look.Z, look.seen, look.covariance)
+        at = self.reference(measurement.name)
+        then, of_look = self.remembered[at - 1], (measurement.Z, measurement.seen, measurement.covariance)
         known = (*self.since(at), self.rest, self.covariance, 6 * at, then.twist)
-        residual, S, PHt, H, nis, change = looks.look(*known, *of_look)
-        if without_doubt and not (self.doubted is then.doubted is _NO_DOUBT):
-            certain = S - H @ (self.doubted - then.doubted) @ H.T
-            # Corrections have made some of the doubt smaller than it was written down.
-            if np.linalg.eigvalsh(certain - look.covariance)[0] >= 0:
+        residual, S, PHt, H, nis, change = relative.measured(*known, *of_look)
+        if without_slip and not (self.slip_covariance is then.slip_covariance is _NO_SLIP):
+            certain = S - H @ (self.slip_covariance - then.slip_covariance) @ H.T
+            # Corrections have made some of it smaller than it was written down.
+            if np.linalg.eigvalsh(certain - measurement.covariance)[0] >= 0:
                 S, nis = certain, motions.chi_squared(residual, certain)
         # Where the twist changed no more, it is the wheels' noise that would be taken for a lag of the stamps.
         unlearned = _UNLEARNED[teaches, bool(change > settings.lag_chi2)]
@@ -319,7 +323,7 @@ class PoseBelief:
         T, rest = kernels.perturb(self.T, self.rest, x)
         return changed(self, T=T, rest=rest, covariance=covariance)
 
-    def distrusted(self, seconds: float, settings: FilterParameters) -> PoseBelief:
+    def slipped(self, seconds: float, settings: FilterParameters) -> PoseBelief:
         """As if wheels had slipped for so long; a wheel that is lifted tilts the base, too."""
         s = settings
         aside = [s.slip_rise_m_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s]
@@ -328,7 +332,7 @@ class PoseBelief:
         grown = (Ad * q) @ Ad.T
         P = self.covariance.copy()
         P[:6, :6] += grown
-        return changed(self, covariance=P, doubted=self.doubted + grown)
+        return changed(self, covariance=P, slip_covariance=self.slip_covariance + grown)
 
     def scattered(self, settings: FilterParameters) -> PoseBelief:
         """As if the base might be anywhere about, turned any way."""
@@ -337,7 +341,7 @@ class PoseBelief:
         P[:6, :6] += (Ad * np.square(anywhere)) @ Ad.T
         return changed(self, covariance=P)
 
-    def turn_distrusted(self, settings: FilterParameters) -> PoseBelief:
+    def turn_slipped(self, settings: FilterParameters) -> PoseBelief:
         """As if the wheels' last yaw rate, and the turn it made, were any."""
         twist = self.place(TWIST).stop - 1
         G = np.r_[motions.adjoint(self.T[0])[:, 5] * self.part_s, 1.0]
@@ -345,12 +349,12 @@ class PoseBelief:
         P[np.ix_(*[np.r_[:6, twist]] * 2)] += np.outer(G, G) * settings.acceleration_rad_s2**2
         return changed(self, covariance=P)
 
-    def believed(self) -> PoseBelief:
-        """With all doubt since vision was last believed settled by what it said, and the twist known."""
+    def vision_accepted(self) -> PoseBelief:
+        """With what slip may have done since vision was last believed settled by what it said, and the twist known."""
         poses = self.remembered
-        if any(pose.doubted is not _NO_DOUBT for pose in poses):
-            poses = tuple(replace(pose, doubted=_NO_DOUBT) for pose in poses)
-        return changed(self, doubted=_NO_DOUBT, remembered=poses, known_twist=self.rest[TWIST], known_for_s=0.0)
+        if any(pose.slip_covariance is not _NO_SLIP for pose in poses):
+            poses = tuple(replace(pose, slip_covariance=_NO_SLIP) for pose in poses)
+        return changed(self, slip_covariance=_NO_SLIP, remembered=poses, known_twist=self.rest[TWIST], known_for_s=0.0)
 
     def turn_known(self) -> PoseBelief:
         """With the yaw rate known, by a gyroscope."""

@@ -46,7 +46,7 @@ def by_wheel_errors(raw: FloatArray, known_way: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def roll(
+def wheel_step(
     T: FloatArray,
     rest: FloatArray,
     P: FloatArray,
@@ -108,7 +108,7 @@ def odometer(
 
 
 @njit(cache=True, nogil=True)
-def glide(
+def coast(
     T: FloatArray, rest: FloatArray, P: FloatArray, q: FloatArray, Q: FloatArray, dt_s: float, walk: float
 ) -> tuple[FloatArray, FloatArray]:
     """T and P after the twist went on, with white noise of acceleration q (3,), and noise Q (6, 6) of the step."""

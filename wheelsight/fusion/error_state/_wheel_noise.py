@@ -1,4 +1,4 @@
-"""How noisy the wheels are: Ride, and WheelNoise, learned from how rides fit a camera that is believed.
+"""How noisy the wheels are: Preintegration, and WheelNoise, learned from how it fits a camera that is believed.
 
 A calibration tells of wheels how far they slip in a metre on whatever floor (`slip_m_per_sqrt_m`); on the one that is
 driven they may hold ten times as well. What a filter thinks of them decides what it believes of the camera after the
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.fusion.error_state import _look_kernels as looks
-from wheelsight.fusion.error_state._measurements import Look
+from wheelsight.fusion.error_state import _relative_pose_kernels as relative
+from wheelsight.fusion.error_state._measurements import RelativePose
 from wheelsight.fusion.error_state._odometer import Odometer
 from wheelsight.fusion.error_state._pose_belief import ERRORS, LAG, PLANE, TWIST, PoseBelief
 from wheelsight.fusion.error_state.settings import FilterParameters
@@ -29,7 +29,7 @@ _ERRORS = slice(ERRORS.start, LAG + 1)
 
 
 @dataclass(frozen=True, eq=False)
-class Ride:
+class Preintegration:
     """Of the wheels alone, since a pose was remembered.
 
     Attributes:
@@ -49,7 +49,9 @@ class Ride:
     twist: FloatArray
 
     @classmethod
-    def of(cls, name: str, stamp_s: float, odometer: Odometer, spread: FloatArray | None, belief: PoseBelief) -> Ride:
+    def of(
+        cls, name: str, stamp_s: float, odometer: Odometer, spread: FloatArray | None, belief: PoseBelief
+    ) -> Preintegration:
         """From a pose that is about to be remembered."""
         rows, none = belief.place(_ERRORS), np.zeros((6, 6))
         known = belief.rest[_ERRORS].copy(), belief.covariance[rows, rows].copy(), belief.rest[TWIST].copy()
@@ -59,17 +61,19 @@ class Ride:
         """Whether the wheels moved since, and told of all the time up to a stamp."""
         return told.heard_s > _HEARD * (stamp_s - self.begin_s) and bool(told.covariance[5, 5] > 0)
 
-    def against(self, look: Look, told: Odometer, belief: PoseBelief) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """D (2,), by what way and turn a look at that pose differs from what was told since; R and N (2, 2)."""
-        at = belief.reference(look.name)
+    def against(
+        self, measurement: RelativePose, told: Odometer, belief: PoseBelief
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """D (2,), by what way and turn a measurement against that pose differs from the wheels; R and N (2, 2)."""
+        at = belief.reference(measurement.name)
         since = belief.since(at)
-        _, B, Ad = looks.expected(*since)
-        late = motions.adjoint(look.Z)[:, PLANE] @ belief.rest[TWIST]
+        _, B, Ad = relative.expected(*since)
+        late = motions.adjoint(measurement.Z)[:, PLANE] @ belief.rest[TWIST]
         late[PLANE] -= self.twist
         J = np.column_stack([Ad @ since[2], -B, -late])[_WAY_AND_TURN]
-        off = motions.log(motions.times(look.Z, motions.inverse(told.T)))[_WAY_AND_TURN]
-        # By the errors as known before: what the look itself has taught of them would make it fit too well.
-        R = (look.spread + self.spread)[_IN_THESE] + J @ self.unsure @ J.T
+        off = motions.log(motions.times(measurement.Z, motions.inverse(told.T)))[_WAY_AND_TURN]
+        # By the errors as known before: what the measurement itself has taught of them would make it fit too well.
+        R = (measurement.spread + self.spread)[_IN_THESE] + J @ self.unsure @ J.T
         return off - J @ self.errors, R, told.covariance[_IN_THESE]
 
 
@@ -86,10 +90,15 @@ class WheelNoise:
     ratio: float = 1.0
 
     def after(
-        self, ride: Ride, told: Odometer, look: Look, belief: PoseBelief, settings: FilterParameters
+        self,
+        preintegration: Preintegration,
+        told: Odometer,
+        measurement: RelativePose,
+        belief: PoseBelief,
+        settings: FilterParameters,
     ) -> WheelNoise:
-        """After a ride that a look has told the end of; what was known fades along the way."""
-        d, R, N = ride.against(look, told, belief)
+        """After a measurement against the pose where it began; what was known fades along the way."""
+        d, R, N = preintegration.against(measurement, told, belief)
         ratios = np.geomspace(settings.wheel_noise_least, settings.wheel_noise_most, _VALUES)
         before = -0.5 * np.abs(np.log2(ratios))  # a calibration may be wrong by a factor of four as well as by two
         S = R + ratios[:, None, None] * N

@@ -13,12 +13,12 @@ class FusedEstimate(Estimate):
     """The base's pose by all sensors.
 
     Status: initializing, before any event. tracking: vision was believed within `coast_after_s`. coasting: the wheels
-    alone lead, and the covariance grows. lost: nothing was heard for `lost_after_s`, and no look at a remembered pose
-    has told where the base is since (a position does not tell the heading); there is no pose.
+    alone lead, and the covariance grows. lost: nothing was heard for `lost_after_s`, and no measurement against a
+    remembered pose has told where the base is since (a position does not tell the heading); there is no pose.
 
     Attributes:
         slip: the wheels are not believed, because camera or gyroscope contradict them.
-        degenerate: the last look of the camera did not show all directions.
+        degenerate: the last measurement of the camera did not show all directions.
         doubtful: camera and wheels contradict each other and who is right is not settled; the covariance covers both.
         twist: (3,) vx, vy, ωz of the base in its own frame, m/s and rad/s. Or None.
         twist_covariance: (3, 3), or None.

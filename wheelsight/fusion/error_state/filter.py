@@ -10,7 +10,7 @@ Roumeliotis & Burdick, ICRA 2002), against which the camera's relative motions a
   wrong stay 2 % wrong, and the camera tells them.
 - The floor is level only softly: height, roll and pitch wander with the way; roll and pitch are drawn back to level.
 - Directions that the camera does not see are no part of its measurement.
-- Whom to believe when sensors contradict each other: `_trust`.
+- Whom to believe when sensors contradict each other: `_fault_detection`.
 
 Events may come late and in any order, within a window: what followed is then taken again (`_history`), and the outcome
 is that of the events in order. The same events give the same answer to the last bit.
@@ -30,12 +30,12 @@ from wheelsight.errors import ConfigError
 from wheelsight.estimates import MotionEstimate, Reason, Status, Step, WheelEstimate
 from wheelsight.fusion.error_state import _pose_kernels as kernels
 from wheelsight.fusion.error_state._changed import changed
-from wheelsight.fusion.error_state._events import FusionState, Happening, after, moved_to
+from wheelsight.fusion.error_state._events import FilterEvent, FusionState, after, moved_to
+from wheelsight.fusion.error_state._fault_detection import Fault, FaultDetection
 from wheelsight.fusion.error_state._history import History
 from wheelsight.fusion.error_state._measurements import WheelStep
 from wheelsight.fusion.error_state._mount import Mount, covariance_of, motion_of, numbers_of
 from wheelsight.fusion.error_state._pose_belief import PoseBelief
-from wheelsight.fusion.error_state._trust import Court, Trust
 from wheelsight.fusion.error_state.estimate import FrameUpdate, FusedEstimate
 from wheelsight.fusion.error_state.settings import ErrorStateSettings, FilterParameters
 from wheelsight.geometry import FloatArray, se3
@@ -84,8 +84,8 @@ class ErrorStateFilter:
         if begin is None or spread is None or T_base_camera is None:
             raise ConfigError("a pose at the start, its covariance or T_base_camera is none", fix="(4, 4) and (6, 6)")
         self._mount = Mount(T_base_camera)
-        state = FusionState(Court(PoseBelief.begin(begin, spread, self._parameters)))
-        self._history: History[Happening, FusionState] = History(state, self._parameters.window_s, self._after)
+        state = FusionState(FaultDetection(PoseBelief.begin(begin, spread, self._parameters)))
+        self._history: History[FilterEvent, FusionState] = History(state, self._parameters.window_s, self._after)
         self._waiting: Step | None = None  # of the wheels, too short to tell a speed
         self._reading_stamps_s: deque[float] = deque(maxlen=_READINGS)
         # The last state that was asked what to expect, and as it is by then: what is expected mostly comes.
@@ -105,7 +105,7 @@ class ErrorStateFilter:
         T, Q, begin_s = motion_of(T_prev_now), covariance_of(covariance, 6), need_number("begin_s", begin_s)
         if T is None or Q is None or not (np.isfinite(begin_s) and begin_s < need_number("stamp_s", stamp_s)):
             return self._refused(Reason.INVALID)
-        return self._take(Happening(stamp_s, wheels=WheelStep(begin_s, stamp_s, motions.log(T), Q)))
+        return self._take(FilterEvent(stamp_s, wheels=WheelStep(begin_s, stamp_s, motions.log(T), Q)))
 
     def predict_to(self, wheels: WheelEstimate) -> FusedEstimate:
         """Take the next estimate of wheel odometry, in order; the first is the start, whatever step it tells."""
@@ -116,18 +116,18 @@ class ErrorStateFilter:
         if begins or step is None or wheels.reason is not None:
             # It begins the clock, or tells no way: the pose goes on as if none had come.
             self._waiting = None
-            return self._take(Happening(wheels.stamp_s, drop=""), reason=wheels.reason)
+            return self._take(FilterEvent(wheels.stamp_s, drop=""), reason=wheels.reason)
         step = step if self._waiting is None else self._waiting.then(step)
         if not step.begin_s < step.end_s or not motions.is_pose(step.T_before_now, step.covariance):
             return self._refused(Reason.INVALID)
         if step.end_s - step.begin_s < self._shortest_step_s():
             self._waiting = step  # its way counts with the next reading's
-            return self._take(Happening(wheels.stamp_s, drop=""))
+            return self._take(FilterEvent(wheels.stamp_s, drop=""))
         self._waiting = None
         xi, spread = motions.log(step.T_before_now), step.covariance
         if step.end_s - step.begin_s > self.settings.even_s:
             spread = spread + _of_unknown_path(xi, self.settings.swing_rad)
-        return self._take(Happening(step.end_s, wheels=WheelStep(step.begin_s, step.end_s, xi, spread)))
+        return self._take(FilterEvent(step.end_s, wheels=WheelStep(step.begin_s, step.end_s, xi, spread)))
 
     def _shortest_step_s(self) -> float:
         """Over less no speed is formed: readings that arrive together have stamps that tell of no time between them.
@@ -138,22 +138,22 @@ class ErrorStateFilter:
         return 0.5 * (stamps_s[-1] - stamps_s[0]) / (len(stamps_s) - 1) if len(stamps_s) > 2 else 0.0
 
     def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
-        """Remember the pose at a stamp as `name`, for later looks; one of that name before is forgotten.
+        """Remember the pose at a stamp as `name`, for later measurements; one of that name before is forgotten.
 
         Args:
             covariance: (6, 6) of the camera's left perturbation in its own frame, by which camera odometry has it
-                elsewhere: an error that all later looks against it share. None for none.
+                elsewhere: an error that all later measurements against it share. None for none.
         """
         if covariance is None:
-            return self._take(Happening(stamp_s, clone=name))
+            return self._take(FilterEvent(stamp_s, clone=name))
         spread = covariance_of(covariance, 6)
         if spread is None:
             return self._refused(Reason.INVALID)
-        return self._take(Happening(stamp_s, clone=name, spread=self._mount.spread(spread)))
+        return self._take(FilterEvent(stamp_s, clone=name, spread=self._mount.spread(spread)))
 
     def drop(self, stamp_s: float, name: str) -> FusedEstimate:
         """Forget a remembered pose: it is marginalised."""
-        return self._take(Happening(stamp_s, drop=name))
+        return self._take(FilterEvent(stamp_s, drop=name))
 
     def update_relative(
         self, stamp_s: float, motion: MotionEstimate, name: str, remember: str | None = None
@@ -165,10 +165,10 @@ class ErrorStateFilter:
                 `degenerate` are left out.
             remember: as what to remember the pose then, as `clone` would right afterwards.
         """
-        look = self._mount.look(motion, name)
-        if isinstance(look, Reason):
-            return self._take(Happening(stamp_s, failure=look, clone=remember), motion)
-        return self._take(Happening(stamp_s, look=look, clone=remember), motion)
+        measurement = self._mount.measurement(motion, name)
+        if isinstance(measurement, Reason):
+            return self._take(FilterEvent(stamp_s, failure=measurement, clone=remember), motion)
+        return self._take(FilterEvent(stamp_s, measurement=measurement, clone=remember), motion)
 
     def begin_frame(self, stamp_s: float, covariance: ArrayLike) -> FrameUpdate:
         """Remember the pose at a frame at which the camera begins, as its last frame and as its reference.
@@ -230,7 +230,7 @@ class ErrorStateFilter:
             or not motions.is_definite(spread)
         ):
             return self._refused(Reason.INVALID)
-        return self._take(Happening(stamp_s, position=(position, spread)))
+        return self._take(FilterEvent(stamp_s, position=(position, spread)))
 
     def update_yaw_rate(self, stamp_s: float, yaw_rate_rad_s: float) -> FusedEstimate:
         """Take a gyroscope's yaw rate, counter-clockwise from above, the mean since its last one.
@@ -239,7 +239,7 @@ class ErrorStateFilter:
         """
         if not np.isfinite(need_number("yaw_rate_rad_s", yaw_rate_rad_s)):
             return self._refused(Reason.INVALID)
-        return self._take(Happening(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s) - self._parameters.gyro.bias_rad_s))
+        return self._take(FilterEvent(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s) - self._parameters.gyro.bias_rad_s))
 
     def update_gyro_bias(self, stamp_s: float, bias_rad_s: float, sigma_rad_s: float) -> FusedEstimate:
         """Take what the gyroscope shows at rest, and its standard deviation, where they were found elsewhere.
@@ -251,21 +251,21 @@ class ErrorStateFilter:
             return self._refused(Reason.INVALID)
         more = first / (first - told)
         bias = (more * (bias_rad_s - self._parameters.gyro.bias_rad_s), more * told)
-        return self._take(Happening(stamp_s, gyro_bias=bias))
+        return self._take(FilterEvent(stamp_s, gyro_bias=bias))
 
     def remembered(self, name: str) -> FloatArray | None:
         """T_odom_base (4, 4) at the instant remembered as `name`, by all that is known now; None where none is.
 
         The camera's instant: when the image was taken that has the stamp, by what is known of how late its stamps are.
         """
-        belief = self._history.newest.court.answer(self._parameters)
+        belief = self._history.newest.detection.answer(self._parameters)
         return belief.T[belief.reference(name)].copy() if name in belief.names else None
 
     @property
     def estimate(self) -> FusedEstimate:
         """As of the newest event."""
         newest = self._history.newest
-        return self._answer(newest.reason, newest.court.nis)
+        return self._answer(newest.reason, newest.detection.nis)
 
     def expect(self, stamp_s: float, name: str) -> tuple[FloatArray, FloatArray] | None:
         """T_reference_current (4, 4) of the camera that is to be expected, and its covariance (6, 6).
@@ -276,14 +276,14 @@ class ErrorStateFilter:
         if not np.isfinite(stamp_s):
             return None
         known = self._history.known_at(stamp_s)
-        if name not in known.court.belief.names:
+        if name not in known.detection.primary.names:
             return None
         late = known.stamp_s is not None and stamp_s < known.stamp_s
         then = known if late else moved_to(known, stamp_s, self._history.events, self._parameters)
         self._moved = known, then
-        return then.court.answer(self._parameters).seen_from(name, self._mount.T_base_camera)
+        return then.detection.answer(self._parameters).seen_from(name, self._mount.T_base_camera)
 
-    def _after(self, state: FusionState, event: Happening, events: Sequence[Happening]) -> FusionState:
+    def _after(self, state: FusionState, event: FilterEvent, events: Sequence[FilterEvent]) -> FusionState:
         if self._moved is not None and self._moved[0] is state and self._moved[1].stamp_s == event.stamp_s:
             state = self._moved[1]
         try:
@@ -293,7 +293,7 @@ class ErrorStateFilter:
         return then if _is_finite(then) else _gone_astray(state, event, self._parameters)
 
     def _take(
-        self, event: Happening, motion: MotionEstimate | None = None, reason: Reason | None = None
+        self, event: FilterEvent, motion: MotionEstimate | None = None, reason: Reason | None = None
     ) -> FusedEstimate:
         if not np.isfinite(need_number("stamp_s", event.stamp_s)):
             return self._refused(Reason.INVALID)
@@ -303,10 +303,10 @@ class ErrorStateFilter:
             self._moved = None  # they may tell of that time
         state = self._history.take(event)
         counts = (0, 0) if motion is None else (motion.matches, motion.inliers)
-        return self._answer(reason or state.reason, state.court.nis, counts)
+        return self._answer(reason or state.reason, state.detection.nis, counts)
 
     def _refused(self, reason: Reason) -> FusedEstimate:
-        return self._answer(reason, self._history.newest.court.nis)
+        return self._answer(reason, self._history.newest.detection.nis)
 
     def _answer(
         self, reason: Reason | None, nis: tuple[float, int] | None, counts: tuple[int, int] = (0, 0)
@@ -315,10 +315,14 @@ class ErrorStateFilter:
         state, s = self._history.newest, self._parameters
         if state.stamp_s is None:
             return FusedEstimate(-np.inf, Status.INITIALIZING, reason=reason, body="base")
-        court = state.court
-        turns_off = state.stamp_s - court.turn_slip_s <= s.coast_after_s
-        flags = (court.trust is Trust.CAMERA or turns_off, state.is_degenerate, court.trust is Trust.DOUBT)
-        belief = court.answer(self._parameters)
+        detection = state.detection
+        turns_off = state.stamp_s - detection.turn_slip_s <= s.coast_after_s
+        flags = (
+            detection.fault is Fault.WHEEL_SLIP or turns_off,
+            state.is_degenerate,
+            detection.fault is Fault.UNDECIDED,
+        )
+        belief = detection.answer(self._parameters)
         T, C, *moving = kernels.answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
         status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
         if state.is_lost or (status is Status.TRACKING and not _has_meaning(T, C, s)):
@@ -345,17 +349,17 @@ def _of_unknown_path(xi: FloatArray, swing_rad: float) -> FloatArray:
 
 
 def _is_finite(state: FusionState) -> bool:
-    court = state.court
-    beliefs = (court.belief,) if court.rival is None else (court.belief, court.rival)
+    detection = state.detection
+    beliefs = (detection.primary,) if detection.alternative is None else (detection.primary, detection.alternative)
     return all(bool(np.isfinite(b.T).all() and np.isfinite(b.covariance).all()) for b in beliefs)
 
 
-def _gone_astray(before: FusionState, event: Happening, settings: FilterParameters) -> FusionState:
+def _gone_astray(before: FusionState, event: FilterEvent, settings: FilterParameters) -> FusionState:
     """The state after an event whose numbers cannot be reckoned with: that before it, lost."""
-    belief = before.court.belief.scattered(settings)
-    scattered = changed(before.court, belief=belief, rival=None, trust=Trust.BOTH, nis=None)
+    belief = before.detection.primary.scattered(settings)
+    scattered = changed(before.detection, primary=belief, alternative=None, fault=Fault.NONE, nis=None)
     stamp_s = event.stamp_s if before.stamp_s is None else max(before.stamp_s, event.stamp_s)
-    return changed(before, court=scattered, stamp_s=stamp_s, is_lost=True, reason=Reason.INVALID)
+    return changed(before, detection=scattered, stamp_s=stamp_s, is_lost=True, reason=Reason.INVALID)
 
 
 def _has_meaning(T: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> bool:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from fusion.error_state.test_pose_belief import SETTINGS, belief_somewhere, difference, look_at
 
+from wheelsight.fusion.error_state._mixture import covering, mixed
 from wheelsight.fusion.error_state._pose_belief import LAG
-from wheelsight.fusion.error_state._two_beliefs import covering, mixed
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
@@ -56,7 +56,7 @@ def test_covering_is_as_uncertain_as_another_belief_everywhere(rng):
 
 
 def test_what_covers_another_belief_knows_the_way_since_a_clone_as_well_as_before(rng):
-    """Only a look at a pose from before both went apart tells which of them is right."""
+    """Only a measurement at a pose from before both went apart tells which of them is right."""
     one = belief_somewhere(rng, 1).cloned("late", 9.0, 4)
     far = np.zeros(len(one.covariance))
     far[[0, 1, 5]] = [0.1, -0.2, 0.3]

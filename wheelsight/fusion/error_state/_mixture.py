@@ -20,7 +20,7 @@ def mixed(one: PoseBelief, other: PoseBelief, share: float) -> PoseBelief:
     for belief, weight in ((one, 1 - share), (other, share)):
         apart = _shift(between, belief)
         P += weight * (belief.covariance + np.outer(apart, apart))
-    return changed(between, covariance=P).believed()
+    return changed(between, covariance=P).vision_accepted()
 
 
 def covering(one: PoseBelief, other: PoseBelief, since_s: float, sigmas: float) -> PoseBelief:

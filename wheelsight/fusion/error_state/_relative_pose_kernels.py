@@ -134,7 +134,7 @@ def apart(
 
 
 @njit(cache=True, nogil=True)
-def look(
+def measured(
     T_now: FloatArray,
     T_reference: FloatArray,
     told: FloatArray,
@@ -157,8 +157,8 @@ def look(
     residual = _rows(seen, apart(T_imaged, T_reference, told, Z, rest[6 : 6 + _CAMERA]))
     twist = rest[:3].copy()
     PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
-    # What is late counts by the twist as this look tells it: the wheels' noise is in theirs and in the residual, and
-    # their product would go one way at every look.
+    # What is late counts by the twist as this measurement tells it: the wheels' noise is in theirs and in the residual,
+    # and their product would go one way at every measurement.
     weighed = np.linalg.solve(S, residual)
     for i in range(3):
         for j in range(len(residual)):
