@@ -90,7 +90,7 @@ class BaseCheck:
         self._looks = self._tracked = 0
 
     @property
-    def doubts_wheels(self) -> bool:
+    def suspects_wheels(self) -> bool:
         """Whether the wheels may be wrong so that the camera had better not expect what they tell."""
         return any(one.culprit is Culprit.WHEELS for one in self._found)
 

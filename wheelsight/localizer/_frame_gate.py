@@ -1,4 +1,4 @@
-"""FrameGate: which frames are worth a look."""
+"""FrameGate: which frames are worth being aligned."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOVED_M, _MOVED_RAD = 0.0005, 0.0005
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why nobody need look at a frame.
+    """Why a frame need not be aligned.
 
     Attributes:
         note: for a user.

@@ -169,7 +169,7 @@ class ByFusion:
         """Track, judge, and remember what was believed."""
         self._map.forget_frame()
         twist = self._camera.twist(self.filter.estimate)
-        seen = self._camera.process(frame, expected, twist, ask_wheels=not self._check.doubts_wheels)
+        seen = self._camera.process(frame, expected, twist, ask_wheels=not self._check.suspects_wheels)
         if seen.T_odom_body is None:
             return self._unseen(frame, seen)
         anchor = self._map.anchor

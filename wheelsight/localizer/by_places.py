@@ -151,7 +151,7 @@ class ByPlaces:
     def _frame(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str]:
         if isinstance(frame, SkippedFrame):
             return self._moved_on(self._rectifier.estimate(frame.stamp_s)), f"no measurement: {frame.reason}"
-        if self._repeats.lasting_s(frame) > 0:  # would count as evidence once more
+        if self._repeats.lasting_s(frame) > 0:  # would count once more
             again = replace(self._rectifier.estimate(frame.stamp_s), reason=Reason.REPEATED)
             return self._moved_on(again), "no measurement: the same image as before"
         with self._stopwatch.stage("name the area"):

@@ -14,7 +14,13 @@ from wheelsight.fusion import AreaFilter, AreaFilterSettings
 
 ROW = AreaMap((box("a", 0, 0, 4, 2, "y"), box("b", 4, 0, 8, 2, "xy"), box("c", 8, 0, 12, 2, "y")))
 SETTINGS = AreaFilterSettings(
-    accuracies=(0.8,), failing_looks_m=(3.0,), worth=0.5, look_m=1.0, blip=0.1, failure_m=20.0, recovery_m=30.0
+    accuracies=(0.8,),
+    failing_appearances_m=(3.0,),
+    worth=0.5,
+    appearance_m=1.0,
+    blip=0.1,
+    failure_m=20.0,
+    recovery_m=30.0,
 )
 
 
@@ -149,11 +155,11 @@ def test_a_single_area_says_nothing():
 IMPOSSIBLE = (
     {"worth": 1.0},
     {"blip": -0.1},
-    {"look_m": 0.0},
+    {"appearance_m": 0.0},
     {"area_m": np.nan},
     {"accuracies": ()},
     {"accuracies": (1.0,)},
-    {"failing_looks_m": (0.0,)},
+    {"failing_appearances_m": (0.0,)},
 )
 
 

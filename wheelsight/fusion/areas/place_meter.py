@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from wheelsight.areas import AreaMap
 from wheelsight.fusion.areas._floor import FloorShares, reweighted
 from wheelsight.fusion.areas.filter import AreaFilter
-from wheelsight.fusion.areas.rectifier import checked_shares, evidence_of
+from wheelsight.fusion.areas.rectifier import checked_shares, likelihood_of
 from wheelsight.fusion.areas.settings import AreaRectifierSettings
 from wheelsight.geometry import FloatArray, se3, so3
 
@@ -60,13 +60,13 @@ class PlaceMeter:
         Raises:
             ConfigError: not one probability an area, negative, not finite, or all zero.
         """
-        evidence = None if probabilities is None else evidence_of(probabilities, self._shares)
+        frame_likelihood = None if probabilities is None else likelihood_of(probabilities, self._shares)
         xy = T_odom_base[:2, 3]
         parts, axes = self._floor.parts_of(xy, _of_position(T_odom_base, covariance))
         areas = self._moved_to(T_odom_base, parts[:, 0])
-        if evidence is None:
+        if frame_likelihood is None:
             return None
-        likelihoods = areas.update(evidence)
+        likelihoods = areas.update(frame_likelihood)
         # Of a forest that was never worth anything an answer says nothing, whatever the area.
         likelihoods = 1 + areas.worth * (likelihoods - 1)
         if parts[:, 0] @ likelihoods / likelihoods.max() < self.settings.least_support:

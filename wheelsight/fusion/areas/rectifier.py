@@ -120,15 +120,15 @@ class AreaRectifier:
         Raises:
             ConfigError: not one probability an area, negative, not finite, or all zero.
         """
-        evidence = None if probabilities is None else evidence_of(probabilities, self._shares)
+        frame_likelihood = None if probabilities is None else likelihood_of(probabilities, self._shares)
         self._filter.predict(self._way_m, self._turn_rad)
         self._way_m = self._turn_rad = 0.0
         parts, axes = self._parts()
         stray = self.settings.stray
         self._filter.agree_with((1 - stray) * parts[:, 0] + stray * self._filter.places)
         support = 1.0
-        if evidence is not None:
-            likelihoods = self._filter.update(evidence)
+        if frame_likelihood is not None:
+            likelihoods = self._filter.update(frame_likelihood)
             support = float(parts[:, 0] @ likelihoods / likelihoods.max())
             if support >= self.settings.least_support and np.ptp(likelihoods) > 0:
                 self._corrected.correct(*reweighted(parts, likelihoods), axes)
@@ -181,7 +181,7 @@ def checked_shares(areas: AreaMap, area_shares: ArrayLike | None) -> FloatArray:
     return np.asarray(shares / shares.sum())
 
 
-def evidence_of(probabilities: ArrayLike, shares: FloatArray) -> FloatArray:
+def likelihood_of(probabilities: ArrayLike, shares: FloatArray) -> FloatArray:
     """(A,) what a frame says for each area, from the forest's probabilities (A,). Raises ConfigError."""
     probabilities = np.asarray(probabilities, float)
     if probabilities.shape != shares.shape:

@@ -19,7 +19,7 @@ class AreaFilterSettings(BaseModel):
     accuracies: tuple[_Share, ...] = Field(
         default=(0.95, 0.8, 0.6), min_length=1, description="of a model that does not fail, one level each; assumed"
     )
-    failing_looks_m: tuple[PositiveFloat, ...] = Field(
+    failing_appearances_m: tuple[PositiveFloat, ...] = Field(
         default=(0.1, 1.0, 5.0, 25.0),
         min_length=1,
         description="m of way after which the answer of a model that fails changes, one level each: decades",
@@ -27,10 +27,12 @@ class AreaFilterSettings(BaseModel):
     worth: _Share = Field(
         default=0.9, description="probability before the first frame that the model is worth anything; assumed"
     )
-    look_m: PositiveFloat = Field(
+    appearance_m: PositiveFloat = Field(
         default=1.0, description="m of way after which an answer, right or wrong, says something new"
     )
-    look_per_rad_m: NonNegativeFloat = Field(default=0.5, description="m that a turn of one radian counts as, likewise")
+    appearance_per_rad_m: NonNegativeFloat = Field(
+        default=0.5, description="m that a turn of one radian counts as, likewise"
+    )
     area_m: PositiveFloat = Field(default=10.0, description="mean way through an area, m: some rooms; assumed")
     level_m: PositiveFloat = Field(
         default=200.0, description="mean way, m, until the level of a model that does not fail may change; assumed"
