@@ -162,12 +162,17 @@ class WheelEstimate(Estimate):
 
     @cached_property
     def step(self) -> Step | None:
-        """From the reading before; of one that was refused no way, but as uncertain as all that may have been."""
+        """From the reading before; of one that was refused no way, but as uncertain as all that may have been.
+
+        None where there was no reading before, or numbers are not finite.
+        """
         from wheelsight.geometry import motion_kernels as motions
 
         if self.before is None or self.T_odom_body is None or self.covariance is None:
             return None
         begin_s, T_before, C_before = self.before
+        if not all(np.isfinite(told).all() for told in (T_before, C_before, self.T_odom_body, self.covariance)):
+            return None
         T_before_now, _ = motions.between(T_before, C_before, self.T_odom_body, self.covariance)
         _, covariance = motions.step_between(T_before, C_before, self.T_odom_body, self.covariance)
         return Step(begin_s, self.stamp_s, T_before_now, covariance)

@@ -208,16 +208,21 @@ class BaseCheck:
         _, C = covering_pose(answer.T_odom_body, answer.covariance, motions.mended(other), np.zeros((6, 6)))
         return replace(answer, covariance=C)
 
-    def wheels_alone(self) -> ErrorStateFilter:
-        """What goes on without the camera."""
-        wheels, self.by_wheels = self.by_wheels, None
-        assert wheels is not None
-        return wheels
+    @property
+    def is_without_wheels(self) -> bool:
+        """Whether the wheels are left out, and what goes on without them has been handed over."""
+        return self.left_out is Culprit.WHEELS and self.by_wheels is None
 
-    def camera_alone(self) -> ErrorStateFilter:
-        """What goes on without the wheels, from where the camera has been seen last."""
+    def hand_over(self, left_out: Culprit) -> ErrorStateFilter | None:
+        """Once, what goes on without a sensor that has been left out; None before and after, and for the other one."""
+        wheels = self.by_wheels
+        if self.left_out is not left_out or wheels is None:
+            return None
+        self.by_wheels = None
+        if left_out is Culprit.CAMERA:
+            return wheels
         assert self._seen is not None
-        return self.wheels_alone().begun_at(self._seen.T, self._seen.covariance)
+        return wheels.begun_at(self._seen.T, self._seen.covariance)
 
     @property
     def _floor_ratio(self) -> float | None:

@@ -134,10 +134,9 @@ class ByFusion:
         if wheels is None:
             return None, note
         self._check.hear(wheels)
-        if self._check.left_out is Culprit.CAMERA and self._check.by_wheels is not None:
-            self._go_on_by(self._check.wheels_alone())
+        if self._goes_on_without(Culprit.CAMERA):
             return self.filter.estimate, note
-        if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is None:
+        if self._check.is_without_wheels:
             return self.filter.drop(wheels.stamp_s, ""), note  # the camera's speed carries the pose on
         answer = self.filter.predict_to(wheels)
         self._base.deaf = f"the wheels are not heard: {answer.reason}" if answer.reason is Reason.TOO_LATE else ""
@@ -176,8 +175,7 @@ class ByFusion:
         if anchor is None:
             return self._begun(frame, seen)
         self._check.see(frame, seen, shows_all=self._camera.motion(seen).shows_all)
-        if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is not None:
-            self._go_on_by(self._check.camera_alone())
+        if self._goes_on_without(Culprit.WHEELS):
             return self._begun(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, self._camera.motion(seen))
         motion = blurred(motion, twist, self._base.noise_s)
@@ -262,6 +260,13 @@ class ByFusion:
     def _checked(self, answer: FusedEstimate) -> FusedEstimate:
         """What the filter answers, by what it cannot know."""
         return self._carried.answered(self._check.answered(answer))
+
+    def _goes_on_without(self, sensor: Culprit) -> bool:
+        """Whether a sensor was just found to be wrong all along: what goes on without it takes over."""
+        other = self._check.hand_over(sensor)
+        if other is not None:
+            self._go_on_by(other)
+        return other is not None
 
     def _go_on_by(self, other: ErrorStateFilter) -> None:
         """Another filter from now on; it has not been told of the gyroscope's bias yet."""

@@ -370,3 +370,9 @@ def test_a_reading_that_was_refused_tells_no_way_and_the_next_one_goes_on_from_i
     after = odometry.process(WheelTicks(2.1, 960, 960)).step
     assert after is not None
     assert (after.begin_s, after.T_before_now[0, 3]) == (2.0, pytest.approx(60 * 2 * np.pi * 0.17 / 3200))
+
+
+def test_numbers_that_are_not_finite_tell_no_step() -> None:
+    odometry = WheelOdometry(WHEELCHAIR)
+    answers = [odometry.process(WheelSpeeds(0.1 * i, math.nan if i == 2 else 1.0, 1.0)) for i in range(5)]
+    assert [answer.step is None for answer in answers] == [True, False, False, True, True]
