@@ -28,7 +28,7 @@ from wheelsight.fusion.error_state import (
     covering_pose,
 )
 from wheelsight.fusion.ligocki import JoinedEstimate, LigockiFilter, LigockiSettings
-from wheelsight.fusion.settings import FusionName, FusionSettings
+from wheelsight.fusion.settings import FusionName, FusionSettings, JoiningSettings
 
 __all__ = [
     "AreaFilter",
@@ -43,6 +43,7 @@ __all__ = [
     "FusionName",
     "FusionSettings",
     "JoinedEstimate",
+    "JoiningSettings",
     "LigockiFilter",
     "LigockiSettings",
     "OdometryTerm",

@@ -17,12 +17,6 @@ from wheelsight.localizer._pace import Pace
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import MatchedPixels
 
-# After so many frames in a row that show nothing known, the camera goes on from where the wheels have it.
-_RESTART_AFTER = 5
-# From here on a base turns: a camera then turns 0.08 % too far against its map, 0.01 % against keyframes (five flats).
-_TURNS_RAD_S = 0.1
-# So long after a measurement that was not believed, people may go on to mislead.
-_UNCALM_S = 5.0
 _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
 
 
@@ -38,6 +32,7 @@ class FusedCamera:
 
     def __init__(self, calibration: Calibration, settings: Config, T_base_camera: FloatArray) -> None:
         self.odometry, self.mapper = camera_odometry(calibration, settings)
+        self._settings = settings.fusion.joining
         self.gate = FrameGate()
         self.unknown = 0
         self._Ad_camera_base = motions.inverse_adjoint(T_base_camera)
@@ -52,7 +47,7 @@ class FusedCamera:
     @property
     def is_lost(self) -> bool:
         """Whether so many frames showed nothing known that the camera had better start again."""
-        return self.unknown >= _RESTART_AFTER
+        return self.unknown >= self._settings.restart_after
 
     def forget_frame(self) -> None:
         """The last frame is over."""
@@ -100,8 +95,8 @@ class FusedCamera:
         elif answer.reason is not None or answer.doubtful:
             self._unbelieved_s = answer.stamp_s
         if self.mapper is not None:
-            turns = answer.twist is None or abs(answer.twist[2]) > _TURNS_RAD_S
-            is_calm = answer.stamp_s - self._unbelieved_s > _UNCALM_S
+            turns = answer.twist is None or abs(answer.twist[2]) > self._settings.map_turn_rad_s
+            is_calm = answer.stamp_s - self._unbelieved_s > self._settings.uncalm_s
             self.mapper.track_map(self.mapper.shows_most and not (turns and is_calm))
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:

@@ -26,10 +26,6 @@ from wheelsight.odometry.extrinsics import Culprit
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.places import PlaceMatch
 
-# After so long in the dark a measurement is believed only where it shows all directions: one that slides along a wall
-# may have taken one place for another, and wheels alone do not go astray so soon.
-_DARK_S = 1.0
-
 
 class ByFusion:
     """Wheel readings and frames answered by the default filter; dense odometry builds its map where all agree.
@@ -43,7 +39,7 @@ class ByFusion:
     body, frame, answers = "base", "map", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
-        T_base_camera = mount_of(calibration)
+        self._settings, T_base_camera = settings.fusion.joining, mount_of(calibration)
         self._base = BaseSensors(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
         self._camera = FusedCamera(calibration, settings, T_base_camera)
@@ -53,7 +49,7 @@ class ByFusion:
         begin = (T_base_camera, T_start, spread, settings.fusion.error_state, calibration.gyro)
         self.filter = ErrorStateFilter(*begin)
         self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin))
-        self._carried = Carried()
+        self._carried = Carried(self._settings)
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry:
@@ -179,7 +175,7 @@ class ByFusion:
             return self._begun(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, self._camera.motion(seen))
         motion = blurred(motion, twist, self._base.noise_s)
-        if frame.stamp_s - self._map.seen_s > _DARK_S and not motion.shows_all:
+        if frame.stamp_s - self._map.seen_s > self._settings.dark_s and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measured(frame, seen, motion)
 
@@ -187,7 +183,9 @@ class ByFusion:
         """The answer to a frame that was tracked, by its motion against the anchor; the map grows if it is believed."""
         assert seen.T_odom_body is not None
         here = Anchor.at(seen.T_odom_body, self._camera.motion(seen))
-        update = self.filter.update_frame(frame.stamp_s, motion, here.covariance, is_far=is_far(motion))
+        update = self.filter.update_frame(
+            frame.stamp_s, motion, here.covariance, is_far=is_far(motion, self._settings.anchor_way_m)
+        )
         answer, self._camera.unknown = update.answer, 0
         self._carried.known()
         if update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING:
@@ -230,7 +228,7 @@ class ByFusion:
     def _suspect(self, stamp_s: float, wheels: FusedEstimate) -> None:
         """An unknown view right after the dark: wheels that stood meanwhile do not know whether they were carried."""
         dark_s, expected = stamp_s - self._map.seen_s, self.filter.expect_frame(stamp_s)
-        if self._camera.unknown == 1 and dark_s > _DARK_S and wheels.T_odom_body is not None:
+        if self._camera.unknown == 1 and dark_s > self._settings.dark_s and wheels.T_odom_body is not None:
             self._carried.unknown(dark_s, expected, wheels.T_odom_body)
 
     def _repeated(self) -> Estimate:
