@@ -182,13 +182,16 @@ def rectified_by_probability(
     odometry = WheelOdometry(wheels)
     probabilities = model.predict_features(getattr(drive, description))
     readings = [WheelTicks(stamp_s, int(left), int(right)) for stamp_s, left, right in drive.ticks.tolist()]
-    track, last = [], 0
+    track, last, way = [], 0, None
     for k, stamp_s in enumerate(drive.stamps_s.tolist()):
         until = int(np.searchsorted(drive.ticks[:, 0], stamp_s, side="right"))
         for number in range(last, until):
-            estimate = odometry.process(readings[number])
-            if number % _READINGS_A_STEP == 0 or number == until - 1:
-                rectifier.predict_to(estimate)
+            step = odometry.process(readings[number]).step
+            if step is not None:
+                way = step if way is None else way.then(step)
+            if way is not None and (number % _READINGS_A_STEP == 0 or number == until - 1):
+                rectifier.predict(way.T_before_now, way.covariance)
+                way = None
         last = until
         found = rectifier.update(stamp_s, probabilities[k] if drive.has_depth[k] else None)
         assert found.T_odom_body is not None

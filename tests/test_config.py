@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from configuration_page import PAGE, page
 
 from wheelsight.config import Config, load_config, save_config
@@ -147,20 +149,64 @@ def test_places_join_the_wheels_as_a_track_of_their_own() -> None:
 
 def test_wheels_and_a_camera_are_joined_unless_one_says_otherwise() -> None:
     joined = load_config(overrides={"odometry": "wheels,dense", "map": "surfels"})
-    assert (joined.fusion, joined.tracks) == ("default", ("wheels", "dense", "joined"))
+    assert (joined.fusion.filter, joined.tracks) == ("default", ("wheels", "dense", "joined"))
     assert joined.alone("joined") == joined
     assert joined.alone("dense") == load_config(overrides={"odometry": "dense"})
     apart = load_config(overrides={"odometry": "wheels,dense", "map": "surfels", "fusion": "none"})
     assert apart.tracks == ("wheels", "dense")
     assert apart.alone("dense").map == "surfels"
-    assert load_config(overrides={"odometry": "wheels,features,dense"}).fusion == "none"
+    assert load_config(overrides={"odometry": "wheels,features,dense"}).fusion.filter == "none"
     assert Config.model_validate(joined.to_dict()) == joined
 
 
 @pytest.mark.parametrize("names", ["dense", "wheels", "features,dense", "wheels,features,dense"])
 def test_fusion_of_anything_but_wheels_and_one_camera_is_refused(names: str) -> None:
-    with pytest.raises(ConfigError, match="fusion joins wheels with one camera odometry, not "):
-        load_config(overrides={"odometry": names, "fusion": "default"})
+    with pytest.raises(ConfigError, match=r"fusion\.filter joins wheels with one camera odometry, not "):
+        load_config(overrides={"odometry": names, "fusion.filter": "default"})
+
+
+FUSION = """\
+odometry: [wheels, dense]
+fusion:
+  error_state: {clock_sigma_s: 0.002}
+  areas: {border_m: 0.7, forest: {worth: 0.5}}
+  ligocki: {weight: 0.8}
+"""
+
+
+def test_all_that_filters_go_by_is_read_and_written(tmp_path: Path) -> None:
+    path = write(tmp_path, FUSION)
+    config = load_config(path, {"fusion.filter": "ligocki"})  # as --fusion ligocki, which leaves the rest as it is
+    assert (load_config(path).fusion.filter, config.fusion.filter) == ("default", "ligocki")
+    fusion = config.fusion
+    told = (fusion.error_state.clock_sigma_s, fusion.areas.border_m, fusion.areas.forest.worth, fusion.ligocki.weight)
+    assert told == (0.002, 0.7, 0.5, 0.8)
+    save_config(config, tmp_path / "resolved.yaml")
+    assert load_config(tmp_path / "resolved.yaml") == config
+    written = yaml.safe_load((tmp_path / "resolved.yaml").read_text())["fusion"]
+    assert written["error_state"]["max_clones"] == 4
+    assert config.alone("wheels").fusion.error_state == fusion.error_state
+
+
+def test_a_name_alone_says_which_filter_joins(tmp_path: Path) -> None:
+    assert load_config(write(tmp_path, "odometry: [wheels, dense]\nfusion: ligocki\n")).fusion.filter == "ligocki"
+    apart = load_config(write(tmp_path, "odometry: [wheels, dense]\nfusion: ligocki\n"), {"fusion.filter": "none"})
+    assert apart.fusion.filter == "none"
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("fusion: kalman", "fusion.filter is 'kalman' "),
+        ("fusion: {error_state: {scale_sigma: -1}}", "fusion.error_state.scale_sigma is -1"),
+        ("fusion: {error_state: {window_s: .inf}}", "fusion.error_state.window_s is inf"),
+        ("fusion: {ligocki: {weight: 1.0}}", "fusion.ligocki.weight is 1.0"),
+        ("fusion: {areas: {forest: {wurth: 0.5}}}", "unknown setting fusion.areas.forest.wurth (did you mean worth?)"),
+    ],
+)
+def test_a_setting_of_a_filter_that_is_none_is_named_with_its_line(tmp_path: Path, line: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(f"settings.yaml:2: {said}")):
+        load_config(write(tmp_path, f"odometry: [wheels, dense]\n{line}\n"))
 
 
 def test_what_is_written_of_places_is_what_was_used(tmp_path: Path) -> None:

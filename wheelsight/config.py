@@ -23,7 +23,7 @@ from pydantic import (
 from wheelsight.clocks import ClockSettings
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, write_text
-from wheelsight.fusion import AxisWeights, OdometryTerm, Weights
+from wheelsight.fusion import AxisWeights, FusionSettings, OdometryTerm, Weights
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.inputs import line_of, read_yaml
 from wheelsight.inputs.settings import Fault
@@ -35,7 +35,6 @@ from wheelsight.recordings import OpenOptions
 from wheelsight.settings import LocalizerSettings, RealTimeSettings, Settings, conflict
 
 OdometryName = Literal["features", "dense", "wheels"]
-FusionName = Literal["default", "ligocki", "none"]
 TrackName = Literal["features", "dense", "wheels", "rectified", "joined"]
 
 
@@ -204,11 +203,7 @@ class Config(Settings):
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
-    fusion: FusionName = Field(
-        default="none",
-        description="how wheels and one camera odometry are joined: by the default filter, which is the default where "
-        "both are named, by Ligocki's, or not at all",
-    )
+    fusion: FusionSettings = FusionSettings()
     map: Literal["surfels"] | None = Field(
         default=None, description="what dense odometry builds on the way and tracks against"
     )
@@ -225,18 +220,21 @@ class Config(Settings):
     @classmethod
     def _resolve(cls, given: Any) -> Any:
         """Wheels and a camera are joined unless one says otherwise."""
-        if not isinstance(given, dict) or given.get("fusion") is not None:
+        if not isinstance(given, dict):
+            return given
+        fusion = given.get("fusion") or {}
+        if not isinstance(fusion, dict) or fusion.get("filter") is not None:
             return given
         names = _split(given.get("odometry", ()))
         joins = isinstance(names, tuple | list) and len(names) == 2 and "wheels" in names
-        return {**given, "fusion": "default" if joins else "none"}
+        return {**given, "fusion": {**fusion, "filter": "default" if joins else "none"}}
 
     @model_validator(mode="after")
     def _refuse_conflicts(self) -> Self:
-        places = self.places
-        if self.fusion != "none" and (len(self.odometry) != 2 or "wheels" not in self.odometry):
-            fix = "--odometry wheels,dense or wheels,features"
-            raise conflict("fusion", "joins wheels with one camera odometry, not " + " and ".join(self.odometry), fix)
+        places, joined_by = self.places, self.fusion.filter
+        if joined_by != "none" and (len(self.odometry) != 2 or "wheels" not in self.odometry):
+            problem = "joins wheels with one camera odometry, not " + " and ".join(self.odometry)
+            raise conflict("fusion.filter", problem, "--odometry wheels,dense or wheels,features")
         if self.map is not None and "dense" not in self.odometry:
             raise conflict("map", "is built by dense odometry", "add --odometry dense")
         if places.model is None:
@@ -245,7 +243,7 @@ class Config(Settings):
                 raise conflict(f"places.{given[0]}", "is given without a model of places", "add --places MODEL")
         elif "wheels" not in self.odometry:
             raise conflict("places.model", "rectifies wheels, and there are none", "add --odometry wheels")
-        elif self.fusion == "ligocki":
+        elif joined_by == "ligocki":
             raise conflict("places.model", "is a measurement of the default filter alone", "no --fusion ligocki")
         elif places.rectify != "paper":
             for name in ("odometry_term", "weights"):
@@ -257,7 +255,7 @@ class Config(Settings):
     def tracks(self) -> tuple[TrackName, ...]:
         """What a run follows and reports: every odometry alone, wheels that places rectify, and what joins them all."""
         rectified: tuple[TrackName, ...] = () if self.places.model is None else ("rectified",)
-        return (*self.odometry, *rectified, *(() if self.fusion == "none" else ("joined",)))
+        return (*self.odometry, *rectified, *(() if self.fusion.filter == "none" else ("joined",)))
 
     def to_dict(self) -> dict[str, Any]:
         """All settings as plain nested values, as YAML and JSON take them."""
@@ -267,7 +265,9 @@ class Config(Settings):
         """The same settings for one of `tracks` by itself; where sensors are joined, that track alone has the map."""
         if track == "joined":
             return self
-        alone = {"fusion": "none", "map": self.map if track == "dense" and self.fusion == "none" else None}
+        has_map = track == "dense" and self.fusion.filter == "none"
+        apart = self.fusion.model_copy(update={"filter": "none"})
+        alone = {"fusion": apart, "map": self.map if has_map else None}
         if track == "rectified":
             return self.model_copy(update={"odometry": ("wheels",), **alone})
         return self.model_copy(update={"odometry": (track,), "places": PlaceSettings(), **alone})

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId
 
 # Of (v, ω) in `MotionEstimate.degenerate`: turns count as the way of a point 2 m off, to be compared with ways.
@@ -124,6 +125,57 @@ class Estimate:
     def T_map_body(self) -> FloatArray | None:
         """(4, 4) in the map, or None while it is not known: what was seen lies there, and poses may jump."""
         return None if self.T_odom_body is None else self.T_map_odom @ self.T_odom_body
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """A motion of the body from one instant to a later one.
+
+    Attributes:
+        begin_s, end_s: the instants, seconds.
+        T_before_now: (4, 4) the body at the end, in its own frame at the begin.
+        covariance: (6, 6) of the left perturbation (v, ω) of `T_before_now`.
+    """
+
+    begin_s: float
+    end_s: float
+    T_before_now: FloatArray
+    covariance: FloatArray
+
+    def then(self, later: Step) -> Step:
+        """Both, one after the other; errors are taken for independent."""
+        Ad = se3.adjoint(self.T_before_now)
+        C = self.covariance + Ad @ later.covariance @ Ad.T
+        return Step(self.begin_s, later.end_s, self.T_before_now @ later.T_before_now, C)
+
+
+@dataclass(frozen=True, eq=False)
+class WheelEstimate(Estimate):
+    """What wheel odometry answers at a reading: the pose, and the step that led there.
+
+    Attributes:
+        before: stamp, T_odom_body (4, 4) and covariance (6, 6) at the reading before; None where the first one, or one
+            whose stamp runs backwards, tells no step.
+    """
+
+    before: tuple[float, FloatArray, FloatArray] | None = field(default=None, kw_only=True)
+
+    @cached_property
+    def step(self) -> Step | None:
+        """From the reading before; of one that was refused no way, but as uncertain as all that may have been.
+
+        None where there was no reading before, or numbers are not finite.
+        """
+        from wheelsight.geometry import motion_kernels as motions
+
+        if self.before is None or self.T_odom_body is None or self.covariance is None:
+            return None
+        begin_s, T_before, C_before = self.before
+        if not all(np.isfinite(told).all() for told in (T_before, C_before, self.T_odom_body, self.covariance)):
+            return None
+        T_before_now, _ = motions.between(T_before, C_before, self.T_odom_body, self.covariance)
+        _, covariance = motions.step_between(T_before, C_before, self.T_odom_body, self.covariance)
+        return Step(begin_s, self.stamp_s, T_before_now, covariance)
 
 
 _NO_MOTION = MotionEstimate.failed(Reason.FRAME_UNUSABLE)

@@ -253,9 +253,9 @@ def joined(
     """A localizer by wheels and this eye, which stands for odometry of that kind, and its map."""
     kept = MapOfFrames()
     dense = Eye if kind == "dense" else type("Dense", (), {})
-    monkeypatch.setattr("wheelsight.localizer.by_fusion.DenseOdometry", dense)
+    monkeypatch.setattr("wheelsight.localizer._fused_camera.DenseOdometry", dense)
     camera = (eye, kept if kind == "dense" else None)
-    monkeypatch.setattr("wheelsight.localizer.by_fusion.camera_odometry", lambda *_: camera)
+    monkeypatch.setattr("wheelsight.localizer._fused_camera.camera_odometry", lambda *_: camera)
     return Localizer(calibration, load_config(overrides={"odometry": f"wheels,{kind}"} | settings)), kept
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,11 @@ from localizer.joined_drives import (
     spread_m,
 )
 
-from wheelsight.estimates import Reason, Status
+from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, WheelTicks
 from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import se3, so3
+from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.keyframes import KeyframeId
 
 SHORT = ((2.0, 0.6, 0.2),)
 Run = tuple[Drive, Eye, list[tuple[Event, FusedEstimate]], dict[float, Any]]
@@ -91,6 +93,37 @@ def test_there_is_no_pose_before_wheels_begin_the_clock(monkeypatch: pytest.Monk
     np.testing.assert_allclose(told.T_odom_body, np.eye(4), atol=1e-12)
     assert not kept.fused
     assert of_frames(answers_to(subject, rest))[-1].status is Status.TRACKING
+
+
+class Remembering(Eye):
+    """Names a keyframe, which lies somewhere in its map, with each pose."""
+
+    T_map_keyframe = se3.exp([0.4, -0.2, 0.1, 0.1, 0.2, -0.3])
+
+    def process(self, frame: RgbdFrame, *expected: FloatArray | None, twist: FloatArray | None = None) -> Estimate:
+        seen = super().process(frame, *expected, twist=twist)
+        if seen.T_odom_body is None:
+            return seen
+        T_keyframe_camera = se3.invert(self.T_map_keyframe) @ seen.T_odom_body
+        return replace(seen, keyframe=KeyframeId(7), T_keyframe_body=T_keyframe_camera)
+
+
+def test_answers_say_where_the_base_is_in_the_map_and_by_which_keyframe(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The map lies where the camera's frames have it; on the way between frames, too."""
+    made = drive(SHORT)
+    subject, _ = joined(monkeypatch, Remembering(made.truth))
+    for event in made.events():
+        answer = subject.process(event)
+        if not isinstance(answer, FusedEstimate) or answer.T_odom_body is None:
+            continue
+        np.testing.assert_allclose(answer.T_map_odom @ subject.T_odom_map, np.eye(4), atol=1e-12)
+        if answer.keyframe is not None:
+            assert answer.keyframe == 7
+            np.testing.assert_allclose(
+                Remembering.T_map_keyframe @ answer.T_keyframe_body, answer.T_map_body, atol=1e-12
+            )
+    assert answer is not None
+    assert answer.keyframe == 7
 
 
 def test_the_camera_is_handed_the_motion_that_wheels_expect(ran: Callable[..., Run]) -> None:

@@ -69,9 +69,7 @@ def test_the_filter_knows_what_the_calibration_says_of_the_gyroscope(monkeypatch
     gyro = Gyro(0.002, bias_rad_s=-0.1, bias_sigma_rad_s=0.003, bias_walk_rad_s_per_sqrt_s=1e-4)
     subject, _ = joined(monkeypatch, drive().eye(), calibration=replace(CALIBRATION, gyro=gyro))
     assert isinstance(subject._way, ByFusion)
-    s = subject._way.filter.settings
-    told = (s.gyro_noise_rad_per_sqrt_s, s.gyro_bias_rad_s, s.gyro_bias_sigma_rad_s, s.gyro_bias_walk_rad_s)
-    assert told == (0.002, -0.1, 0.003, 1e-4)
+    assert subject._way.filter.gyro == gyro
 
 
 @pytest.mark.parametrize("is_stated", [True, False])
@@ -83,7 +81,7 @@ def test_straight_on_a_bias_does_not_turn_the_base(monkeypatch: pytest.MonkeyPat
     events = sorted([*made.events(), *yaw_rates(made, 0.1)], key=lambda event: event.stamp_s)
     answers = [answer for _, answer in answers_to(subject, events)]
     assert isinstance(subject._way, ByFusion)
-    assert subject._way._was_trusted
+    assert subject._way._base._was_trusted
     begin = next(answer for answer in answers if answer.stamp_s > made.begin_s + 6.6)
     assert begin.T_odom_body is not None
     turned = se3.invert(begin.T_odom_body) @ answers[-1].T_odom_body
@@ -112,3 +110,12 @@ def test_a_gyroscope_that_contradicts_the_wheels_changes_nothing(
     assert note.startswith("the gyroscope is left out: ")
     assert said in note
     assert said in warning
+
+
+def test_settings_of_the_filter_reach_it_and_the_one_that_goes_without_the_camera(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    subject, _ = joined(monkeypatch, drive().eye(), **{"fusion.error_state.clock_sigma_s": 0.003})
+    assert isinstance(subject._way, ByFusion)
+    assert subject._way.filter.settings.clock_sigma_s == 0.003
+    assert subject._way.filter.begun_at(np.eye(4), np.eye(6)).settings.clock_sigma_s == 0.003

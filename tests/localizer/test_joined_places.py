@@ -49,8 +49,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Localizer]:
         kept: MapOfFrames | None = None,
     ) -> Localizer:
         eye = Eye(area_drive().truth, sight, np.eye(4))
-        monkeypatch.setattr("wheelsight.localizer.by_fusion.DenseOdometry", Eye)
-        monkeypatch.setattr("wheelsight.localizer.by_fusion.camera_odometry", lambda *_: (eye, kept))
+        monkeypatch.setattr("wheelsight.localizer._fused_camera.DenseOdometry", Eye)
+        monkeypatch.setattr("wheelsight.localizer._fused_camera.camera_odometry", lambda *_: (eye, kept))
         settings: dict[str, Any] = {"odometry": "wheels,dense"}
         if forest is None:
             return Localizer(calibration(), load_config(overrides=settings))

@@ -40,7 +40,7 @@ def joined_run(with_truth: bool = True, boldness: float = 1.0, **others: Any) ->
         ground_truth=truth if with_truth else None,
         evaluation=evaluation,
         evaluation_problem=None if with_truth else "the recording has no ground truth",
-        config={"odometry": ["wheels", "dense"], "fusion": "default"},
+        config={"odometry": ["wheels", "dense"], "fusion": {"filter": "default"}},
         odometry="joined",
     )
     return replace(plain, **others)

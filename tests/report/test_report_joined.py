@@ -210,7 +210,7 @@ def test_joined_sensors_without_any_pose_are_a_page_too() -> None:
 
 
 def test_of_a_filter_that_knows_no_flags_none_are_told() -> None:
-    run = joined_run(config={"odometry": ["wheels", "dense"], "fusion": "ligocki"})
+    run = joined_run(config={"odometry": ["wheels", "dense"], "fusion": {"filter": "ligocki"}})
     facts = facts_of(run)
     assert facts.flag_shares == {}
     assert not [s for s in judge(run, summarise(run), facts, None).sentences if "lagged" in s]

@@ -55,7 +55,7 @@ RateHz = Annotated[
 
 _SETTINGS = {
     "--odometry": "odometry",
-    "--fusion": "fusion",
+    "--fusion": "fusion.filter",
     "--map": "map",
     "--reference": "features.reference",
     "--integration": "wheels.integration",

@@ -4,23 +4,31 @@ Wheels with camera and gyroscope, as Ligocki does and with covariances; areas th
 do and with probabilities.
 """
 
-from wheelsight.fusion._settings import ErrorStateSettings
-from wheelsight.fusion._two_beliefs import covering_pose
-from wheelsight.fusion.area_filter import AreaFilter, AreaFilterSettings
-from wheelsight.fusion.error_state import ErrorStateFilter, FusedEstimate
-from wheelsight.fusion.kalman import JoinedEstimate, LigockiFilter, LigockiSettings
-from wheelsight.fusion.place_meter import PlaceMeter
-from wheelsight.fusion.probabilistic import AreaRectifier, AreaRectifierSettings, RectifiedEstimate
-from wheelsight.fusion.rectifier import (
+from wheelsight.fusion.areas import (
+    AreaFilter,
+    AreaFilterSettings,
+    AreaRectifier,
+    AreaRectifierSettings,
     AxisWeights,
     OdometryTerm,
     PaperRectifier,
+    PlaceMeter,
+    RectifiedEstimate,
     TrainingDrive,
     Weights,
     coordinates_of,
     fit_weights,
     rectify_drive,
 )
+from wheelsight.fusion.error_state import (
+    ErrorStateFilter,
+    ErrorStateSettings,
+    FrameUpdate,
+    FusedEstimate,
+    covering_pose,
+)
+from wheelsight.fusion.ligocki import JoinedEstimate, LigockiFilter, LigockiSettings
+from wheelsight.fusion.settings import FusionName, FusionSettings, JoiningSettings
 
 __all__ = [
     "AreaFilter",
@@ -30,8 +38,12 @@ __all__ = [
     "AxisWeights",
     "ErrorStateFilter",
     "ErrorStateSettings",
+    "FrameUpdate",
     "FusedEstimate",
+    "FusionName",
+    "FusionSettings",
     "JoinedEstimate",
+    "JoiningSettings",
     "LigockiFilter",
     "LigockiSettings",
     "OdometryTerm",

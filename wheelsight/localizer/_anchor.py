@@ -10,9 +10,6 @@ from wheelsight.estimates import DEGENERATE_SCALE, MotionEstimate
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 
-# Against an anchor that is held for a while, errors of single frames do not add up.
-_FAR_M = 0.3
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
@@ -47,7 +44,7 @@ class Anchor:
         return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden)
 
 
-def is_far(motion: MotionEstimate) -> bool:
+def is_far(motion: MotionEstimate, way_m: float) -> bool:
     """Whether a motion against an anchor goes so far that the next one is due; a turn by a radian counts as 1.5 m."""
     T = motion.T_reference_current
-    return T is not None and bool(motions.view_shift_m(T) > _FAR_M)
+    return T is not None and bool(motions.view_shift_m(T) > way_m)

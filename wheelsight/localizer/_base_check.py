@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate
+from wheelsight.estimates import Estimate, WheelEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray
@@ -53,7 +53,6 @@ class BaseCheck:
         assert calibration.wheels is not None
         self.settings = of = settings or BaseCheckSettings()
         self.by_wheels: ErrorStateFilter | None = by_wheels
-        self._mount = T_base_camera
         self._wheels = WheelPoses(of.kept_s, of.gyro_after_s)
         self._camera = CameraPoses(T_base_camera, of.waiting_frames)
         self._floor = FloorViews(calibration, T_base_camera, of.floor_views, of.floor_rows)
@@ -67,7 +66,7 @@ class BaseCheck:
         return self._verdict.left_out
 
     @property
-    def doubts_wheels(self) -> bool:
+    def suspects_wheels(self) -> bool:
         """Whether the wheels may be wrong so that the camera had better not expect what they tell."""
         return any(one.culprit is Culprit.WHEELS for one in self._verdict.found)
 
@@ -76,7 +75,7 @@ class BaseCheck:
         """What contradicts what, why, and what to do, as a sentence."""
         return self._verdict.warnings
 
-    def hear(self, wheels: Estimate) -> None:
+    def hear(self, wheels: WheelEstimate) -> None:
         """Take what the wheels came to, which may be that a reading was refused."""
         if self.by_wheels is None:
             return
@@ -86,7 +85,8 @@ class BaseCheck:
             self._pieces.interrupt()
             self._wheels.forget()
             return
-        if not self._wheels.add(stamp_s, T):
+        way_m = 0.0 if wheels.step is None else float(np.linalg.norm(wheels.step.T_before_now[:3, 3]))
+        if not self._wheels.add(stamp_s, T, way_m):
             self._pieces.interrupt()
         self._colors.hear(stamp_s, float(np.arctan2(T[1, 0], T[0, 0])))
         for told_s, T_map_base in self._camera.until(stamp_s):
@@ -137,18 +137,22 @@ class BaseCheck:
         seen = self._camera.seen
         return answer if seen is None else doubted(answer, by_wheels, seen, {one.culprit for one in found})
 
-    def wheels_alone(self) -> ErrorStateFilter:
-        """What goes on without the camera."""
-        wheels, self.by_wheels = self.by_wheels, None
-        assert wheels is not None
-        return wheels
+    @property
+    def is_without_wheels(self) -> bool:
+        """Whether the wheels are left out, and what goes on without them has been handed over."""
+        return self.left_out is Culprit.WHEELS and self.by_wheels is None
 
-    def camera_alone(self) -> ErrorStateFilter:
-        """What goes on without the wheels, from where the camera has been seen last."""
+    def hand_over(self, left_out: Culprit) -> ErrorStateFilter | None:
+        """Once, what goes on without a sensor that has been left out; None before and after, and for the other one."""
+        wheels = self.by_wheels
+        if self.left_out is not left_out or wheels is None:
+            return None
+        self.by_wheels = None
+        if left_out is Culprit.CAMERA:
+            return wheels
         seen = self._camera.seen
         assert seen is not None
-        settings = self.wheels_alone().settings
-        return ErrorStateFilter(self._mount, seen.T, seen.covariance, settings)
+        return wheels.begun_at(seen.T, seen.covariance)
 
     @property
     def _is_floor_off(self) -> bool:

@@ -44,7 +44,7 @@ def camera_odometry(
     """
     if settings.map == "surfels":
         mapper = MapBuilder(calibration, settings.surfels)
-        model = None if settings.fusion == "default" else mapper.map
+        model = None if settings.fusion.filter == "default" else mapper.map
         return DenseOdometry(calibration, settings.dense, model, calibration.T_base_camera), mapper
     if "dense" in settings.odometry:
         return DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera), None

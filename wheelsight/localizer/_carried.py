@@ -7,16 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.estimates import Reason, Status
-from wheelsight.fusion import FusedEstimate
+from wheelsight.fusion import FusedEstimate, JoiningSettings
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 
-# A camera that by the wheels has moved less shows mostly what it showed before; a radian counts as 1.5 m.
-_SAME_VIEW_M = 0.3
-# People carry a robot or push it about at up to a walk, as a standard deviation; and they turn it any way.
-_CARRIED_M_S, _TURNED_RAD = 0.7, np.pi / np.sqrt(3)
-# A heading that is known again, by areas, to a third of a right angle.
-_KNOWN_RAD = 0.5
+# People turn a robot any way, as a standard deviation.
+_TURNED_RAD = np.pi / np.sqrt(3)
 # Of a heading that may be any, a way of r ends within 2 r of where it seems to: three standard deviations.
 _ASTRAY = 2 / 3
 
@@ -28,7 +24,8 @@ class Carried:
         is_so: whether what the last frames showed says so, or nobody knows yet where the robot was put.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, settings: JoiningSettings) -> None:
+        self._settings = settings
         self._dark_s = 0.0
         self._from: FloatArray | None = None  # x, y where the wheels had it
         self._is_scattered = False
@@ -46,7 +43,7 @@ class Carried:
             T_last_now: (4, 4) how the camera moved since then by the wheels, or None where that is forgotten.
             T_odom_base: (4, 4) where the wheels have the base.
         """
-        if self.is_so or T_last_now is None or motions.view_shift_m(T_last_now) > _SAME_VIEW_M:
+        if self.is_so or T_last_now is None or motions.view_shift_m(T_last_now) > self._settings.same_view_m:
             return
         self._dark_s, self._from = dark_s, T_odom_base[:2, 3].copy()
 
@@ -67,7 +64,7 @@ class Carried:
             return answer
         if not self._is_scattered:
             C = C + self._spread(T)
-        elif C[5, 5] < _KNOWN_RAD**2:
+        elif C[5, 5] < self._settings.known_turn_rad**2:
             self._from, self._is_scattered = None, False
             return answer
         astray_m = _ASTRAY * float(np.linalg.norm(T[:2, 3] - self._from))
@@ -77,6 +74,6 @@ class Carried:
 
     def _spread(self, T_odom_base: FloatArray) -> FloatArray:
         """Of a base (6, 6) that was carried on and put down turned any way, in the plane."""
-        carried_m = _CARRIED_M_S * self._dark_s
+        carried_m = self._settings.carried_m_s * self._dark_s
         Ad = motions.adjoint(T_odom_base)
         return np.asarray(Ad @ np.diag(np.square([carried_m, carried_m, 0, 0, 0, _TURNED_RAD])) @ Ad.T)

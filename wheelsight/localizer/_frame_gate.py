@@ -1,4 +1,4 @@
-"""FrameGate: which frames are worth a look."""
+"""FrameGate: which frames are worth being aligned."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wheelsight.settings import FrameGateSettings
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why nobody need look at a frame.
+    """Why a frame need not be aligned.
 
     Attributes:
         note: for a user.

@@ -22,11 +22,12 @@ class PlaceSense:
         last_place: what the model said of the last frame, or None where it was not asked.
     """
 
-    def __init__(self, places: Places) -> None:
+    def __init__(self, places: Places, settings: AreaRectifierSettings) -> None:
         self.begin_s = places.begin_s
         self.last_place: PlaceMatch | None = None
         self._model, self._T_odom_begin = places.model, places.T_odom_base
-        self._meter = PlaceMeter(places.areas, area_shares=places.model.area_shares)
+        self._settings = settings
+        self._meter = PlaceMeter(places.areas, settings, area_shares=places.model.area_shares)
         self._stopwatch = Stopwatch()
 
     @property
@@ -37,7 +38,7 @@ class PlaceSense:
     @property
     def start(self) -> tuple[FloatArray, FloatArray]:
         """T_odom_base (4, 4) at the start, and covariance (6, 6) of its left perturbation, as the rectifier has it."""
-        s, Ad = AreaRectifierSettings(), se3.adjoint(self._T_odom_begin)
+        s, Ad = self._settings, se3.adjoint(self._T_odom_begin)
         in_base = np.diag(np.square([s.position_sigma_m, s.position_sigma_m, 0.0, 0.0, 0.0, s.yaw_sigma_rad]))
         return self._T_odom_begin, Ad @ in_base @ Ad.T
 

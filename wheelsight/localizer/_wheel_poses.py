@@ -31,13 +31,13 @@ class WheelPoses:
         """T_odom_base (4, 4) at the last reading."""
         return self._poses[-1][1] if self._poses else None
 
-    def add(self, stamp_s: float, T_odom_base: FloatArray) -> bool:
-        """Take a pose; False where it does not come after the last one, so that those before are forgotten."""
+    def add(self, stamp_s: float, T_odom_base: FloatArray, way_m: float) -> bool:
+        """Take a pose and the way since the last one; False where it does not come after that, which is then forgotten."""
         goes_on = not self._poses or stamp_s > self._poses[-1][0]
         if not goes_on:
             self._poses.clear()
         if self._poses:
-            self.way_m += float(np.linalg.norm(T_odom_base[:3, 3] - self._poses[-1][1][:3, 3]))
+            self.way_m += way_m
         self._poses.append((stamp_s, T_odom_base))
         while self._poses[0][0] < stamp_s - self._kept_s:
             self._poses.popleft()

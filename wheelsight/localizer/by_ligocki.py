@@ -39,7 +39,7 @@ class ByLigocki:
         self.odometry, self.mapper = self._camera.odometry, self._camera.mapper
         assert calibration.wheels is not None  # ByWheels has refused it
         self._max_gap_s = calibration.wheels.max_gap_s
-        self._filter = LigockiFilter()
+        self._filter = LigockiFilter(settings.fusion.ligocki)
         self._rolled: Estimate | None = None
         self._answer: Estimate | None = None
         self._T_begin_odom: FloatArray | None = None

@@ -13,11 +13,11 @@ from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.config import Config, PlaceSettings
 from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate, Reason, Status
+from wheelsight.estimates import Estimate, Reason, Status, WheelEstimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
 from wheelsight.files import StrPath
-from wheelsight.fusion import AreaRectifier, PaperRectifier
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.fusion import AreaRectifier, AreaRectifierSettings, PaperRectifier
+from wheelsight.geometry import FloatArray
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.odometry.wheels import WheelOdometry
@@ -83,8 +83,10 @@ class ByPlaces:
         self.hears: tuple[type[Event], ...] = (*self._wheels.hears, RgbdFrame, SkippedFrame)
         self.last_place: PlaceMatch | None = None
         self._model, self._begin_s = places.model, places.begin_s
-        self._rectifier: _Rectifier = (_ByPaper if settings.places.rectify == "paper" else _ByProbability)(
-            places, settings.places
+        self._rectifier: _Rectifier = (
+            _ByPaper(places, settings.places)
+            if settings.places.rectify == "paper"
+            else _ByProbability(places, settings.fusion.areas)
         )
         assert calibration.wheels is not None  # ByWheels has refused it
         self._max_gap_s = calibration.wheels.max_gap_s
@@ -128,7 +130,7 @@ class ByPlaces:
         reading, note = self._wheels.refuse(event, why)
         return (None if reading is None else self._reading(reading)), note
 
-    def _reading(self, wheels: Estimate) -> Estimate:
+    def _reading(self, wheels: WheelEstimate) -> Estimate:
         if wheels.stamp_s < self._begin_s:
             return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body)
         self._rectifier.go_on(wheels)
@@ -149,7 +151,7 @@ class ByPlaces:
     def _frame(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str]:
         if isinstance(frame, SkippedFrame):
             return self._moved_on(self._rectifier.estimate(frame.stamp_s)), f"no measurement: {frame.reason}"
-        if self._repeats.lasting_s(frame) > 0:  # would count as evidence once more
+        if self._repeats.lasting_s(frame) > 0:  # would count once more
             again = replace(self._rectifier.estimate(frame.stamp_s), reason=Reason.REPEATED)
             return self._moved_on(again), "no measurement: the same image as before"
         with self._stopwatch.stage("name the area"):
@@ -168,7 +170,7 @@ class ByPlaces:
 class _Rectifier(Protocol):
     """Either way of rectifying, as ByPlaces takes it."""
 
-    def go_on(self, wheels: Estimate) -> None:
+    def go_on(self, wheels: WheelEstimate) -> None:
         """To the next estimate of the wheels; the first is the start."""
 
     def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
@@ -179,10 +181,10 @@ class _Rectifier(Protocol):
 
 
 class _ByProbability:
-    def __init__(self, places: Places, settings: PlaceSettings) -> None:
-        self._inner = AreaRectifier(places.areas, places.T_odom_base, area_shares=places.model.area_shares)
+    def __init__(self, places: Places, settings: AreaRectifierSettings) -> None:
+        self._inner = AreaRectifier(places.areas, places.T_odom_base, settings, area_shares=places.model.area_shares)
 
-    def go_on(self, wheels: Estimate) -> None:
+    def go_on(self, wheels: WheelEstimate) -> None:
         self._inner.predict_to(wheels)
 
     def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
@@ -198,13 +200,13 @@ class _ByPaper:
         assert settings.odometry_term is not None
         weights = settings.weights.as_weights()
         self._inner = PaperRectifier(places.areas, places.T_odom_base, weights, settings.odometry_term)
-        self._T_odom_base: FloatArray | None = None
+        self._has_begun = False
 
-    def go_on(self, wheels: Estimate) -> None:
-        assert wheels.T_odom_body is not None  # wheels always tell one
-        if self._T_odom_base is not None:
-            self._inner.predict(se3.invert(self._T_odom_base) @ wheels.T_odom_body)
-        self._T_odom_base = wheels.T_odom_body
+    def go_on(self, wheels: WheelEstimate) -> None:
+        step = wheels.step
+        if self._has_begun and step is not None:
+            self._inner.predict(step.T_before_now)
+        self._has_begun = True
 
     def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
         return self._inner.update(stamp_s, match.area_index)

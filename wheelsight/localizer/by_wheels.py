@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.errors import CalibrationError
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import Reason, Status, WheelEstimate
 from wheelsight.events import Event, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.geometry import FloatArray
 from wheelsight.odometry.wheels import GyroCheck, WheelOdometry, WheelSettings, YawRateMeter
 
 
@@ -28,6 +31,7 @@ class ByWheels:
         self._alone = WheelOdometry(calibration.wheels, settings.integration, calibration.gyro)
         self._joined: WheelOdometry | None = None
         self._next: tuple[float, WheelOdometry] | None = None  # what will be kept if the gyroscope agrees until then
+        self._last: tuple[float, FloatArray, FloatArray] | None = None  # what was answered
         self._check = GyroCheck(settings.gyro_check)
         self._rates = YawRateMeter(settings.gyro_gap_s)
         self._delay_s = calibration.wheels.delay_s
@@ -49,7 +53,7 @@ class ByWheels:
         """What is wrong with the gyroscope, as a sentence."""
         return self._check.warnings
 
-    def process(self, event: Event) -> tuple[Estimate | None, str]:
+    def process(self, event: Event) -> tuple[WheelEstimate | None, str]:
         """The estimate at a reading, None at any other event, and a note."""
         if isinstance(event, YawRate) and self._uses_gyro and not self._check.problem:
             self._check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
@@ -59,14 +63,24 @@ class ByWheels:
             return None, ""
         return self._reading(event)
 
-    def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
+    def refuse(self, event: Event, why: Untimed) -> tuple[WheelEstimate | None, str]:
         """The answer to an event whose stamp means nothing: none to a yaw rate, the pose before to a reading."""
         if isinstance(event, YawRate):
             return None, ""
         T, C, stamp_s = self.odometry.T_odom_base, self.odometry.covariance, event.stamp_s - self._delay_s
-        return Estimate(stamp_s, Status.FAILING, T, C, why.reason, "base"), why.note
+        return WheelEstimate(stamp_s, Status.FAILING, T, C, why.reason, "base"), why.note
 
-    def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate, str]:
+    def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[WheelEstimate, str]:
+        answer, note = self._answer(reading)
+        last, T, C = self._last, answer.T_odom_body, answer.covariance
+        if last is not None and answer.before is not None and answer.before[1] is not last[1]:
+            # Another odometry answers than before: what it knows better of the way so far is part of the step.
+            answer = replace(answer, before=last)
+        if T is not None and C is not None and answer.reason is not Reason.CLOCK_BACKWARDS:
+            self._last = answer.stamp_s, T, C
+        return answer, note
+
+    def _answer(self, reading: WheelTicks | WheelSpeeds) -> tuple[WheelEstimate, str]:
         alone, rate_rad_s = self._alone.process(reading), self._rates.mean_until(reading.stamp_s - self._delay_s)
         if self._next is not None:
             self._next[1].process(reading)

@@ -61,11 +61,11 @@ class Localizer:
 
     def __init__(self, calibration: Calibration, config: Config | None = None, places: Places | None = None) -> None:
         settings = config or Config()
-        if len(settings.odometry) > 1 and settings.fusion == "none":
+        if len(settings.odometry) > 1 and settings.fusion.filter == "none":
             several = " and ".join(settings.odometry)
             raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
         self._way: ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki
-        if settings.fusion != "none":
+        if settings.fusion.filter != "none":
             self._way = _joined(calibration, settings, places)
         elif settings.places.model is not None:
             self._way = ByPlaces(calibration, settings, places or load_places(settings.places))
@@ -157,7 +157,7 @@ class Localizer:
 
 
 def _joined(calibration: Calibration, settings: Config, places: Places | None) -> ByFusion | ByLigocki:
-    if settings.fusion == "ligocki":
+    if settings.fusion.filter == "ligocki":
         return ByLigocki(calibration, settings)
     if settings.places.model is None:
         return ByFusion(calibration, settings)

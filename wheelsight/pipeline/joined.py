@@ -62,7 +62,7 @@ def facts_of(record: RunRecord) -> JoinedFacts:
     """What came of it."""
     starts_s, ends_s = record.frame_spans_s()
     lasted_s, statuses = ends_s - starts_s, [str(frame.status) for frame in record.frames]
-    flags = () if record.config.get("fusion") == "ligocki" else FLAGS
+    flags = () if record.config.get("fusion", {}).get("filter") == "ligocki" else FLAGS
     flagged = {flag: np.array([flag in frame.flags for frame in record.frames], bool) for flag in flags}
     whole_s = float(lasted_s.sum())
     coasting = ((i, j) for i, j, status in runs(statuses) if status == Status.COASTING)

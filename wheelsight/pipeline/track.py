@@ -179,7 +179,7 @@ def begin_all(source: EventSource, config: Config, places: Places | None) -> tup
 
 def _followed(source: EventSource, config: Config) -> tuple[TrackName, ...]:
     """The tracks; in real time, where sensors are joined, not the camera alone once more, which would cost frames."""
-    if isinstance(source, RealTimeRecording) and config.fusion != "none":
+    if isinstance(source, RealTimeRecording) and config.fusion.filter != "none":
         return tuple(track for track in config.tracks if track not in ("features", "dense"))
     return config.tracks
 

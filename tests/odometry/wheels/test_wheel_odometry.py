@@ -333,3 +333,46 @@ def test_a_log_whose_columns_differ_in_length_is_no_log() -> None:
 def test_a_log_of_hardly_anything(n: int) -> None:
     track = integrate_log(WHEELCHAIR, np.arange(n), np.zeros(n), np.zeros(n), gyro=Gyro())
     assert len(track) == len(track.trajectory()) == n
+
+
+def test_steps_make_up_the_pose_and_its_covariance(rng: np.random.Generator) -> None:
+    """Those of an arc are what its own twist and slip say, whatever the way before."""
+    odometry, way = WheelOdometry(WHEELCHAIR), None
+    ticks = np.concatenate([[[0, 0]], np.cumsum(rng.integers(50, 90, (20, 2)), axis=0)])
+    for i, (left, right) in enumerate(ticks.tolist()):
+        answer = odometry.process(WheelTicks(0.1 * i, left, right))
+        if answer.step is None:
+            assert i == 0
+            continue
+        way = answer.step if way is None else way.then(answer.step)
+        of_this, turn = (ticks[i] - ticks[i - 1]) * 2 * np.pi * 0.17 / 3200, 0.0
+        turn = (of_this[1] - of_this[0]) / 0.52
+        expected = se3.exp([of_this.mean(), 0, 0, 0, 0, turn])
+        np.testing.assert_allclose(answer.step.T_before_now, expected, atol=1e-12)
+        assert (answer.step.begin_s, answer.step.end_s) == (pytest.approx(0.1 * (i - 1)), pytest.approx(0.1 * i))
+    assert way is not None
+    np.testing.assert_allclose(way.T_before_now, answer.T_odom_body, atol=1e-12)
+    np.testing.assert_allclose(way.covariance, answer.covariance, atol=1e-12)
+    assert (way.begin_s, way.end_s) == (0.0, pytest.approx(2.0))
+
+
+def test_a_reading_that_was_refused_tells_no_way_and_the_next_one_goes_on_from_it() -> None:
+    odometry = WheelOdometry(replace(WHEELCHAIR, max_gap_s=0.5))
+    for stamp_s, ticks in ((0.0, 0), (0.1, 60)):
+        odometry.process(WheelTicks(stamp_s, ticks, ticks))
+    gap = odometry.process(WheelTicks(2.0, 900, 900))
+    assert gap.reason is Reason.GAP
+    assert gap.step is not None
+    np.testing.assert_allclose(gap.step.T_before_now, np.eye(4), atol=1e-12)
+    assert gap.step.covariance[0, 0] > 1.0  # metres²: anywhere its wheels could take it
+    backwards = odometry.process(WheelTicks(1.0, 950, 950))
+    assert (backwards.reason, backwards.step) == (Reason.CLOCK_BACKWARDS, None)
+    after = odometry.process(WheelTicks(2.1, 960, 960)).step
+    assert after is not None
+    assert (after.begin_s, after.T_before_now[0, 3]) == (2.0, pytest.approx(60 * 2 * np.pi * 0.17 / 3200))
+
+
+def test_numbers_that_are_not_finite_tell_no_step() -> None:
+    odometry = WheelOdometry(WHEELCHAIR)
+    answers = [odometry.process(WheelSpeeds(0.1 * i, math.nan if i == 2 else 1.0, 1.0)) for i in range(5)]
+    assert [answer.step is None for answer in answers] == [True, False, False, True, True]

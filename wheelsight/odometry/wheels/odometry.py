@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Gyro, Wheels
 from wheelsight.checks import check_event
 from wheelsight.errors import ArgumentError
-from wheelsight.estimates import Estimate, Reason, Status
+from wheelsight.estimates import Reason, Status, WheelEstimate
 from wheelsight.events import WheelSpeeds, WheelTicks
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.odometry.wheels import _kernels as kernels
@@ -59,6 +59,7 @@ class WheelOdometry:
         self._ticks_per_rad = wheels.ticks_per_turn / (2 * math.pi)
         self._T_odom_base, self._covariance = np.eye(4), np.zeros((6, 6))
         self._last: WheelTicks | WheelSpeeds | None = None
+        self._answered: tuple[float, FloatArray, FloatArray] | None = None
 
     @property
     def _state(self) -> FloatArray:
@@ -112,8 +113,8 @@ class WheelOdometry:
         """How far off that may be, as a standard deviation."""
         return math.sqrt(self._state[at.BIAS_VARIANCE])
 
-    def process(self, reading: WheelTicks | WheelSpeeds, yaw_rate_rad_s: float | None = None) -> Estimate:
-        """The pose at a reading.
+    def process(self, reading: WheelTicks | WheelSpeeds, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
+        """The pose at a reading, and the step there from the one before.
 
         Args:
             reading: cumulative ticks, or speeds that hold until the next reading.
@@ -130,14 +131,14 @@ class WheelOdometry:
         if not isinstance(reading, WheelTicks | WheelSpeeds):
             raise ArgumentError(f"a {type(reading).__name__} is no reading of wheels", fix="WheelTicks or WheelSpeeds")
         why = self._advance(reading, math.nan if yaw_rate_rad_s is None else yaw_rate_rad_s)
-        return Estimate(
-            reading.stamp_s - self._wheels.delay_s,
-            Status.FAILING if why else Status.TRACKING,
-            self._T_odom_base.copy(),
-            self._covariance.copy(),
-            _REASONS[why],
-            "base",
-        )
+        stamp_s, before = reading.stamp_s - self._wheels.delay_s, self._answered
+        T, C = self._T_odom_base.copy(), self._covariance.copy()
+        if why == kernels.BACKWARDS:
+            before = None
+        else:
+            self._answered = stamp_s, T, C
+        status = Status.FAILING if why else Status.TRACKING
+        return WheelEstimate(stamp_s, status, T, C, _REASONS[why], "base", before=before)
 
     def _advance(self, reading: WheelTicks | WheelSpeeds, rate_rad_s: float) -> int:
         last = self._last

@@ -1,0 +1,207 @@
+"""ErrorStateFilter when wheels slip or vision fails: who is believed, what is flagged, and whether 3σ holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fusion.error_state.fused_drives import (
+    T_BASE_CAMERA,
+    Drive,
+    blind,
+    position_error,
+    run,
+    shifted,
+    simulate,
+    within_three_sigma,
+)
+
+from wheelsight.estimates import Reason, Status
+from wheelsight.fusion import ErrorStateFilter
+from wheelsight.fusion.error_state._fault_detection import Fault
+from wheelsight.fusion.error_state.settings import FilterParameters
+
+SETTINGS = FilterParameters()
+FLAT = SETTINGS.model_copy(update={"tilt_rad_per_sqrt_m": 0.002, "rise_m_per_sqrt_m": 0.001})
+FAULT_S, BEGIN_S, END_S = 3.0, 3.0, 6.0
+FRAME_S = 1 / 30
+
+
+def faulty(t):
+    return BEGIN_S <= t < END_S
+
+
+def spinning(t, truth, wheels):
+    """Wheels run away by 0.4 m/s while the base comes to a stand, as brakes would let it."""
+    if not faulty(t):
+        return truth, wheels
+    return truth * max(0.1, 1 - 2 * (t - BEGIN_S)), wheels + np.r_[0.4 * FRAME_S, np.zeros(5)]
+
+
+def on_ice(t, truth, wheels):
+    """The base goes on as before while the wheels run away."""
+    return (truth, wheels + np.r_[0.5 * FRAME_S, np.zeros(5)]) if faulty(t) else (truth, wheels)
+
+
+def lifted(t, truth, wheels):
+    """One wheel hangs in the air: the base slows down and turns, the encoders do not notice."""
+    if not faulty(t):
+        return truth, wheels
+    share = min(1.0, (t - BEGIN_S) / 0.2)
+    turned = truth * (1 - 0.5 * share)
+    turned[5] += 0.6 * FRAME_S * share
+    return turned, wheels
+
+
+def drive_with(seed, **faults):
+    drive = Drive(seconds=8.0, step_s=FRAME_S, errors=(0.02, 0.005, 0.01), **faults)
+    steps = simulate(drive, np.random.default_rng(seed), FLAT)
+    return steps, run(steps)
+
+
+def in_fault(steps, answers):
+    return [a for s, a in zip(steps, answers, strict=True) if faulty(s.begin_s)]
+
+
+def off_m(step, answer):
+    return float(np.linalg.norm(position_error(answer, step.T_truth)[0]))
+
+
+def covered(steps, answers):
+    return np.mean([within_three_sigma(a, s.T_truth) for s, a in zip(steps, answers, strict=True)])
+
+
+def wheels_off_m(steps):
+    T = np.eye(4)
+    for step in steps:
+        T = T @ step.wheels
+    return float(np.linalg.norm((T - steps[-1].T_truth)[:2, 3]))
+
+
+@pytest.mark.parametrize("fault", [spinning, on_ice, lifted])
+@pytest.mark.parametrize("seed", range(2))
+def test_slip_is_told_and_the_camera_leads(fault, seed):
+    steps, answers = drive_with(seed, wheel_fault=fault)
+    assert wheels_off_m(steps) > 0.8
+    assert off_m(steps[-1], answers[-1]) < 0.12
+    assert covered(steps, answers) >= 0.95
+    assert np.mean([a.slip for a in in_fault(steps, answers)]) > 0.6
+    assert np.mean([a.slip or a.doubtful for a in in_fault(steps, answers)]) > 0.95
+    assert not answers[-1].slip
+
+
+@pytest.mark.parametrize("twist", [(0.3, 0.0, 0.2), (0.0, 0.3, 0.0), (-0.8, 0.0, 0.0)])
+def test_vision_that_leaps_to_a_constant_bias_for_a_second_is_refused(twist):
+    def briefly(t):
+        return BEGIN_S <= t < BEGIN_S + 1.2
+
+    steps, answers = drive_with(
+        0, camera_fault=lambda t, motion: shifted(motion, twist, FRAME_S) if briefly(t) else motion
+    )
+    told = [a for step, a in zip(steps, answers, strict=True) if briefly(step.end_s)]
+    assert all(a.reason is Reason.CONTRADICTION and not a.slip for a in told[1:])
+    assert off_m(steps[-1], answers[-1]) < 0.2
+    assert covered(steps, answers) >= 0.95
+    assert (answers[-1].status, answers[-1].reason) == (Status.TRACKING, None)
+
+
+def test_vision_that_creeps_off_with_fewer_inliers_is_refused():
+    def crept(t, motion):
+        if not faulty(t):
+            return motion
+        return replace(shifted(motion, (0.3 * min((t - BEGIN_S) / 0.5, 1), 0, 0), FRAME_S), inliers=70)
+
+    steps, answers = drive_with(0, camera_fault=crept)
+    assert np.mean([a.reason is not None for a in in_fault(steps, answers)]) > 0.8
+    assert not any(a.slip for a in answers)
+    assert off_m(steps[-1], answers[-1]) < 0.2
+
+
+def test_vision_out_of_the_floors_plane_is_never_slip():
+    def up(t, motion):
+        T = motion.T_reference_current.copy()
+        T[1, 3] -= 0.1  # y of the camera is down
+        return replace(motion, T_reference_current=T) if faulty(t) else motion
+
+    steps, answers = drive_with(0, camera_fault=up)
+    assert all(a.reason is Reason.CONTRADICTION and not a.slip for a in in_fault(steps, answers)[1:-1])
+
+
+def test_a_blackout_coasts_within_three_sigma():
+    steps, answers = drive_with(0, camera_fault=lambda t, motion: blind(motion) if faulty(t) else motion)
+    assert [a.status for a in in_fault(steps, answers)][15:-1] == [Status.COASTING] * 74
+    assert covered(steps, answers) >= 0.95
+    assert off_m(steps[-1], answers[-1]) < 1.2 * wheels_off_m(steps)
+
+
+def test_a_base_that_is_stopped_dead_looks_as_vision_that_fails_until_that_lasts():
+    """The camera leaps in both: the answer is the wheels', 3σ reaches the camera's; then, slip, and nothing is lost."""
+    steps, answers = drive_with(0, wheel_fault=lambda t, truth, wheels: (truth * (not faulty(t)), wheels))
+    told = in_fault(steps, answers)
+    assert all(a.reason is Reason.CONTRADICTION for a in told[1:30])
+    assert all(a.slip for a in told[55:])
+    assert covered(steps, answers) >= 0.9
+    assert off_m(steps[-1], answers[-1]) < 0.12
+
+
+def test_a_gyroscope_settles_who_is_right():
+    """The camera creeps into a turn that is none, with all its inliers; by the camera alone it would pass for slip."""
+
+    def turned(t, motion):
+        rate = 0.6 * min(max(t - BEGIN_S, 0.0) / 1.0, 1.0)
+        return shifted(motion, (0, 0, rate), FRAME_S) if faulty(t) else motion
+
+    drive = Drive(seconds=8.0, step_s=FRAME_S, camera_fault=turned)
+    steps = simulate(drive, np.random.default_rng(0), FLAT)
+    rates = [replace(s, yaw_rate_rad_s=float(drive.twist(s.begin_s + FRAME_S / 2)[2])) for s in steps]
+    without, with_it = run(steps), run(rates)
+    assert any(a.slip for a in without)
+    assert np.mean([a.slip for a in with_it]) < 0.05
+    assert off_m(steps[-1], with_it[-1]) < 0.15 < off_m(steps[-1], without[-1])
+
+
+def test_doubt_covers_both_sides():
+    """While nothing settles a contradiction, the ellipse reaches to both places."""
+    steps, _ = drive_with(0)
+    undecided = SETTINGS.model_copy(update={"contradiction_nats": 0.0, "leap_chi2_cap": 0.0})
+    fusion = ErrorStateFilter(T_BASE_CAMERA, settings=undecided)
+    half = len(steps) // 2
+    run(steps[:half], fusion=fusion)
+    for step in steps[half : half + 15]:
+        fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
+        fusion.update_relative(step.end_s, shifted(step.measurement, (0.5, 0, 0), FRAME_S), "frame")
+        answer = fusion.clone(step.end_s, "frame")
+    detection = fusion._history.newest.detection
+    assert answer.doubtful
+    assert detection.fault is Fault.UNDECIDED
+    assert within_three_sigma(answer, detection.primary.T[0])
+    assert within_three_sigma(answer, detection.alternative.T[0])
+    shift = detection.alternative.T[0][:2, 3] - detection.primary.T[0][:2, 3]
+    assert np.linalg.norm(shift) > 0.1
+
+
+def test_without_faults_nothing_is_flagged():
+    flags = []
+    for seed in range(3):
+        _, answers = drive_with(seed)
+        flags += [a.slip or a.doubtful or a.reason is not None for a in answers]
+    assert np.mean(flags) < 0.02
+
+
+def test_frames_that_are_wrong_now_and_then_do_not_make_all_before_them_uncertain():
+    """What wheels and camera both were uncertain of before they contradicted each other, they are afterwards, once."""
+    wrong_s = np.arange(2.0, 40.0, 2.0)
+
+    def wrong(t, motion):
+        is_wrong = np.abs(wrong_s - t).min() < FRAME_S / 2
+        return shifted(motion, np.array([0.0, 0.0, 0.6]), FRAME_S) if is_wrong else motion
+
+    sigmas = []
+    for fault in ({}, {"camera_fault": wrong}):
+        drive = Drive(seconds=42.0, step_s=FRAME_S, **fault)
+        answers = run(simulate(drive, np.random.default_rng(3), FLAT))
+        assert any(answer.doubtful for answer in answers) == bool(fault)
+        sigmas.append(np.sqrt(answers[-1].covariance[5, 5]))
+    right, told_wrong = sigmas
+    assert told_wrong < 1.4 * right

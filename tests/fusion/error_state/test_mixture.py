@@ -1,0 +1,68 @@
+"""Two beliefs as one: moments of a mixture, and what covers another belief."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fusion.error_state.test_pose_belief import SETTINGS, belief_somewhere, difference, look_at
+
+from wheelsight.fusion.error_state._mixture import covering, mixed
+from wheelsight.fusion.error_state._pose_belief import LAG
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_mixture_has_the_moments_of_both(rng, share):
+    one = belief_somewhere(rng)
+    other = one.moved(rng.normal(size=len(one.covariance)) * 1e-3, 2 * one.covariance)
+    found = mixed(one, other, share)
+    apart = difference(other, one)
+    np.testing.assert_allclose(difference(found, one), share * apart, atol=1e-5)
+    expected = (1 - share) * one.covariance + share * other.covariance + share * (1 - share) * np.outer(apart, apart)
+    np.testing.assert_allclose(found.covariance, expected, atol=1e-5)
+
+
+def test_covering_reaches_another_belief_however_it_is_turned(rng):
+    one = belief_somewhere(rng)
+    far = np.zeros(len(one.covariance))
+    far[:6] = [1.0, -2.0, 0.0, 0.0, 0.0, 1.5]
+    other = one.moved(far, one.covariance)
+    found = covering(one, other, since_s=0.0, sigmas=2.5)
+    t = one.T[0][:3, 3]
+    J = np.concatenate([np.eye(3), -np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])], axis=1)
+    C, off = (J @ found.covariance[:6, :6] @ J.T)[:2, :2], (other.T[0] - one.T[0])[:2, 3]
+    assert np.sqrt(off @ np.linalg.solve(C, off)) < 3
+
+
+def test_what_both_are_uncertain_of_counts_once(rng):
+    one = belief_somewhere(rng)
+    np.testing.assert_allclose(covering(one, one, since_s=0.0, sigmas=2.5).covariance, one.covariance, atol=1e-12)
+
+
+def test_covering_is_as_uncertain_as_another_belief_everywhere(rng):
+    """Of poses with the twist and the lag known, by which the camera has them apart."""
+    one = belief_somewhere(rng)
+    A = 0.1 * rng.normal(size=one.covariance.shape)
+    other = one.moved(np.zeros(len(A)), one.covariance / 2 + A @ A.T)
+    found, given = covering(one, other, since_s=0.0, sigmas=2.5), one.rest_at + np.array([0, 1, 2, LAG])
+
+    def of_poses(P):
+        return P[: one.rest_at, : one.rest_at] - P[: one.rest_at, given] @ np.linalg.solve(
+            P[np.ix_(given, given)], P[given, : one.rest_at]
+        )
+
+    for belief in (one, other):
+        more = of_poses(found.covariance) - of_poses(belief.covariance)
+        assert np.linalg.eigvalsh(more)[0] > -1e-10
+
+
+def test_what_covers_another_belief_knows_the_way_since_a_clone_as_well_as_before(rng):
+    """Only a measurement at a pose from before both went apart tells which of them is right."""
+    one = belief_somewhere(rng, 1).cloned("late", 9.0, 4)
+    far = np.zeros(len(one.covariance))
+    far[[0, 1, 5]] = [0.1, -0.2, 0.3]
+    far[12:18] = 0.9 * far[:6]
+    found = covering(one, one.moved(far, one.covariance), since_s=5.0, sigmas=2.5)
+    for name, is_wider in (("late", False), ("clone 0", True)):
+        before, after = (b.innovation(look_at(one, name, np.random.default_rng(0)), SETTINGS) for b in (one, found))
+        wider = np.linalg.eigvalsh(after.covariance)[-1] / np.linalg.eigvalsh(before.covariance)[-1]
+        assert (wider > 3) == is_wider

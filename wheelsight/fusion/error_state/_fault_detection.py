@@ -1,0 +1,381 @@
+"""Fault detection: where camera and wheels contradict each other, do the wheels slip, or does vision fail?
+
+While both agree, one belief takes both. A measurement that lies outside the gate splits it into two hypotheses: one in
+which vision fails and the wheels go on, one in which the wheels slip and the camera leads. The log-likelihood ratio
+between them, in nats, sums up frame by frame (Wald 1945) until one is decided:
+
+- the one whose own speed changed more than a robot's can, at the onset or since, is the one that is wrong;
+- the gyroscope, where there is one, turns with one of both;
+- a camera with its usual share of inliers that goes on contradicting the wheels speaks for slip, since wheels cannot
+  notice that they slip; one with fewer, or that fails, against itself.
+
+A measurement that even slipping wheels could not explain, because it leaves the floor's plane, is refused and tells
+nothing of both. Until it is decided both hypotheses go on, and the answer lies between and covers both. Where both
+agree again before, the likelier one goes on, and covers the other. Decided for the wheels, the answer is theirs, and
+covers the camera's as long as that looks well. A fault is over after a row of measurements that agree; or slip is
+decided after all, when a camera has gone on looking well and contradicting for a second or two: what fails does not
+last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cache
+
+import numpy as np
+
+from wheelsight.estimates import Reason
+from wheelsight.fusion.error_state import _step_kernels as steps
+from wheelsight.fusion.error_state._changed import changed
+from wheelsight.fusion.error_state._measurements import Innovation, RelativePose
+from wheelsight.fusion.error_state._mixture import covering, mixed
+from wheelsight.fusion.error_state._odometer import Odometer
+from wheelsight.fusion.error_state._pose_belief import IN_PLANE, PoseBelief, Teaches
+from wheelsight.fusion.error_state._wheel_noise import Preintegration, WheelNoise
+from wheelsight.fusion.error_state.settings import FilterParameters
+from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
+
+_YAW = 2
+
+
+class Fault(Enum):
+    """What is wrong: nothing; one of wheels and vision, undecided which; the wheels slip; vision fails."""
+
+    NONE = "none"
+    UNDECIDED = "undecided"
+    WHEEL_SLIP = "wheel slip"
+    VISION = "vision"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Speed:
+    """Mean velocity (3,) in the plane over an interval, and its covariance (3, 3)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def over(cls, T: FloatArray, covariance: FloatArray, seconds: float) -> Speed:
+        """Of a motion (4, 4) with its covariance (3, 3)."""
+        return cls(*steps.speed(T, covariance, seconds))
+
+    def leap_from(self, before: Speed, seconds: float, settings: FilterParameters) -> float:
+        """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
+        s = settings
+        usual = (s.leap_m_s2 * seconds, s.leap_m_s2 * s.leap_side_share * seconds, s.leap_rad_s2 * seconds)
+        leap = steps.leap(self.mean, self.covariance, before.mean, before.covariance, usual)
+        return min(leap, s.leap_chi2_cap) if leap > _quantile(s.leap_confidence, 3) else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LastMeasurement:
+    """The last measurement, and the odometer then, kept to tell leaps at the next."""
+
+    stamp_s: float
+    measurement: RelativePose
+    odometer: Odometer
+    camera: Speed | None = None
+    wheels: Speed | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FaultDetection:
+    """What is wrong, the hypotheses, and what speaks for each.
+
+    Attributes:
+        primary: the belief that is answered; while UNDECIDED, the hypothesis that vision fails.
+        alternative: while UNDECIDED, the hypothesis that wheels slip; with VISION too, while the camera looks well and
+            agrees with it.
+        fault: what is wrong.
+        log_ratio: log-likelihood ratio of slip to visual failure, nats.
+        agreed: measurements that agreed in a row.
+        since_s: when `fault` last changed.
+        last: the last measurement.
+        odometer: of wheels and gyroscope.
+        usual_share: of inliers, where measurements tell it.
+        nis: of the measurement just taken, and its degrees of freedom; or None.
+        gyro_s: of the last yaw rate.
+        gyro_rad, gyro_told_s: how far the gyroscope turned since it was last measured by, and in how long.
+        turn_slip_s: when the gyroscope last contradicted the wheels.
+        measured_s: of the last measurement that told anything.
+        slipped_s: when wheels were last known to slip.
+        preintegration: of the wheels, since the pose was remembered that the camera measures against.
+        noise: of the wheels, as known by now.
+    """
+
+    primary: PoseBelief
+    alternative: PoseBelief | None = None
+    fault: Fault = Fault.NONE
+    log_ratio: float = 0.0
+    agreed: int = 0
+    since_s: float = -np.inf
+    last: LastMeasurement | None = None
+    odometer: Odometer = field(default_factory=Odometer)
+    usual_share: float | None = None
+    nis: tuple[float, int] | None = None
+    gyro_s: float | None = None
+    gyro_rad: float = 0.0
+    gyro_told_s: float = 0.0
+    turn_slip_s: float = -np.inf
+    measured_s: float = -np.inf
+    slipped_s: float = -np.inf
+    preintegration: Preintegration | None = None
+    noise: WheelNoise = field(default_factory=WheelNoise)
+
+    @property
+    def alternative_probability(self) -> float:
+        """Probability that wheels slip, while UNDECIDED."""
+        return float(1 / (1 + np.exp(-self.log_ratio)))
+
+    def answer(self, settings: FilterParameters) -> PoseBelief:
+        """The belief to answer with: it covers the alternative, and lies between both while UNDECIDED."""
+        if self.alternative is None:
+            return self.primary
+        if self.fault is Fault.VISION:
+            return covering(self.primary, self.alternative, self.since_s, settings.covered_sigmas)
+        return mixed(self.primary, self.alternative, self.alternative_probability)
+
+    def likelier(self, settings: FilterParameters) -> PoseBelief:
+        """Where it stays undecided: the likelier hypothesis, so much less certain that it covers the other.
+
+        Not what lies between: measurements against poses remembered since tell so little of it that noise would decide.
+        """
+        if self.alternative is None:
+            return self.primary
+        first, second = (self.alternative, self.primary) if self.log_ratio > 0 else (self.primary, self.alternative)
+        return covering(first, second, self.since_s, settings.covered_sigmas).vision_accepted()
+
+
+def gate(settings: FilterParameters, degrees: int) -> float:
+    """The largest NIS that a good measurement of so many degrees of freedom has, but for `1 - confidence` of them."""
+    return _quantile(settings.confidence, degrees)
+
+
+@cache
+def gate_of(wrongly: float) -> float:
+    """The largest NIS of one degree of freedom that a good measurement has, but for such a share of them."""
+    from scipy.stats import chi2
+
+    return float(chi2.isf(wrongly, 1))
+
+
+@cache
+def _quantile(share: float, degrees: int) -> float:
+    from scipy.stats import chi2
+
+    return float(chi2.ppf(share, degrees))
+
+
+def updated(
+    detection: FaultDetection, stamp_s: float, measurement: RelativePose, settings: FilterParameters
+) -> tuple[FaultDetection, Reason | None]:
+    """The detection after a measurement, and why it was not believed, or None."""
+    most = gate(settings, len(measurement.covariance))
+    last, log_ratio = _compare(detection, stamp_s, measurement, settings)
+    teaches = Teaches.MOUNT if stamp_s - detection.since_s > settings.slippery_s else Teaches.ERRORS
+    usual = detection.primary.innovation(measurement, settings, without_slip=True, teaches=teaches)
+    agrees = usual.nis <= most
+    agreed, nis = detection.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
+    heard = changed(detection, last=last, agreed=agreed, nis=nis, measured_s=stamp_s)
+    if detection.fault is Fault.NONE:
+        heard = changed(heard, log_ratio=detection.log_ratio * settings.likelihood_memory + log_ratio)
+        return _without_fault(heard, stamp_s, measurement, usual, most, settings)
+    if detection.fault is Fault.UNDECIDED:
+        return _undecided(heard, stamp_s, measurement, log_ratio, agrees, settings)
+    if detection.fault is Fault.WHEEL_SLIP:
+        return _by_camera(heard, stamp_s, measurement, most, settings)
+    seconds = 0.0 if detection.last is None else stamp_s - detection.last.stamp_s
+    if agreed == 0:
+        log_ratio += min(seconds, settings.compared_s) * settings.contradiction_nats_per_s
+    return _by_wheels(heard, stamp_s, measurement, log_ratio, settings)
+
+
+def vision_failed(detection: FaultDetection, stamp_s: float, settings: FilterParameters) -> FaultDetection:
+    """The detection after a frame in which the camera itself says that it sees nothing."""
+    blind = changed(detection, last=None, agreed=0)
+    if detection.fault is Fault.UNDECIDED:
+        return _settled(changed(blind, log_ratio=detection.log_ratio - settings.poor_inliers_nats), stamp_s, settings)
+    return changed(blind, alternative=None)
+
+
+def end_undecided(detection: FaultDetection, stamp_s: float, settings: FilterParameters) -> FaultDetection:
+    """With a fault that has been undecided too long, or slip that no camera shows any more, ended."""
+    if stamp_s - detection.since_s <= settings.undecided_s:
+        return detection
+    if detection.fault is Fault.UNDECIDED:
+        return changed(_with_fault(detection, Fault.NONE, stamp_s), primary=detection.likelier(settings), log_ratio=0.0)
+    lone = stamp_s - detection.measured_s > settings.undecided_s
+    if detection.fault is not Fault.WHEEL_SLIP or not lone:
+        return detection
+    return changed(_with_fault(detection, Fault.NONE, stamp_s), primary=detection.primary.vision_accepted())
+
+
+def _without_fault(
+    detection: FaultDetection,
+    stamp_s: float,
+    measurement: RelativePose,
+    usual: Innovation,
+    most: float,
+    settings: FilterParameters,
+) -> tuple[FaultDetection, Reason | None]:
+    if usual.nis <= most:
+        return changed(
+            _healthier(detection, measurement, settings), primary=detection.primary.corrected(usual).vision_accepted()
+        ), None
+    alternative = _led_by_camera(detection.primary, stamp_s, measurement, settings)
+    if alternative is None:
+        return detection, Reason.CONTRADICTION
+    # Where wheels slipped a moment ago, they do so again sooner than the camera fails.
+    again = settings.contradiction_nats if stamp_s - detection.slipped_s <= settings.slippery_s else 0.0
+    split = changed(
+        _with_fault(detection, Fault.UNDECIDED, stamp_s), alternative=alternative, log_ratio=detection.log_ratio + again
+    )
+    return _verdict(_settled(split, stamp_s, settings))
+
+
+def _undecided(
+    detection: FaultDetection,
+    stamp_s: float,
+    measurement: RelativePose,
+    log_ratio: float,
+    agrees: bool,
+    settings: FilterParameters,
+) -> tuple[FaultDetection, Reason | None]:
+    assert detection.alternative is not None
+    by = detection.alternative.innovation(measurement, settings)
+    fits = by.nis <= gate(settings, len(measurement.covariance))
+    alternative = detection.alternative.corrected(by).vision_accepted() if fits else detection.alternative
+    if not agrees:
+        is_healthy = fits and _is_healthy(detection, measurement, settings)
+        log_ratio += settings.contradiction_nats if is_healthy else -settings.poor_inliers_nats
+    detection = changed(detection, alternative=alternative, log_ratio=detection.log_ratio + log_ratio)
+    if detection.agreed >= settings.agreements:
+        return changed(
+            _with_fault(detection, Fault.NONE, stamp_s), primary=detection.likelier(settings), log_ratio=0.0
+        ), None
+    return _verdict(_settled(detection, stamp_s, settings))
+
+
+def _by_camera(
+    detection: FaultDetection, stamp_s: float, measurement: RelativePose, most: float, settings: FilterParameters
+) -> tuple[FaultDetection, Reason | None]:
+    by = detection.primary.innovation(measurement, settings)
+    if by.nis > most or not _is_healthy(detection, measurement, settings):
+        return detection, Reason.CONTRADICTION
+    if detection.agreed >= settings.agreements:
+        detection = _with_fault(detection, Fault.NONE, stamp_s)
+    return changed(detection, primary=detection.primary.corrected(by).vision_accepted()), None
+
+
+def _by_wheels(
+    detection: FaultDetection, stamp_s: float, measurement: RelativePose, log_ratio: float, settings: FilterParameters
+) -> tuple[FaultDetection, Reason | None]:
+    if detection.agreed >= settings.agreements:
+        belief = detection.answer(settings).vision_accepted()
+        belief = belief.corrected(belief.innovation(measurement, settings)).vision_accepted()
+        return changed(_with_fault(detection, Fault.NONE, stamp_s), primary=belief, log_ratio=0.0), None
+    if not _is_healthy(detection, measurement, settings):
+        return changed(detection, alternative=None), Reason.CONTRADICTION
+    by = None if detection.alternative is None else detection.alternative.innovation(measurement, settings)
+    if detection.alternative is None or by is None or by.nis > gate(settings, len(measurement.covariance)):
+        return changed(
+            detection, alternative=_led_by_camera(detection.primary, stamp_s, measurement, settings)
+        ), Reason.CONTRADICTION
+    log_ratio = max(detection.log_ratio + log_ratio, -settings.decision_nats)
+    detection = changed(
+        detection, alternative=detection.alternative.corrected(by).vision_accepted(), log_ratio=log_ratio
+    )
+    return _verdict(_settled(detection, stamp_s, settings))
+
+
+def _settled(detection: FaultDetection, stamp_s: float, settings: FilterParameters) -> FaultDetection:
+    """The detection, with one of both beliefs alone where the log_ratio is decisive."""
+    if detection.log_ratio > settings.decision_nats:
+        assert detection.alternative is not None
+        return changed(_with_fault(detection, Fault.WHEEL_SLIP, stamp_s), primary=detection.alternative, log_ratio=0.0)
+    if detection.log_ratio < -settings.decision_nats:
+        return changed(
+            _with_fault(detection, Fault.VISION, stamp_s),
+            alternative=detection.alternative,
+            log_ratio=-settings.decision_nats,
+        )
+    return detection
+
+
+def _verdict(detection: FaultDetection) -> tuple[FaultDetection, Reason | None]:
+    return detection, None if detection.fault is Fault.WHEEL_SLIP else Reason.CONTRADICTION
+
+
+def _with_fault(detection: FaultDetection, fault: Fault, stamp_s: float) -> FaultDetection:
+    slipped_s = stamp_s if detection.fault is Fault.WHEEL_SLIP else detection.slipped_s
+    return changed(detection, fault=fault, alternative=None, agreed=0, since_s=stamp_s, slipped_s=slipped_s)
+
+
+def _led_by_camera(
+    belief: PoseBelief, stamp_s: float, measurement: RelativePose, settings: FilterParameters
+) -> PoseBelief | None:
+    """The belief if wheels slipped since the measurement's reference; None where not even that explains it."""
+    since_s = belief.remembered[belief.reference(measurement.name) - 1].stamp_s
+    slipping = belief.slipped(max(stamp_s - since_s, 0.0), settings)
+    by = slipping.innovation(measurement, settings)
+    return slipping.corrected(by).vision_accepted() if by.nis <= gate(settings, len(measurement.covariance)) else None
+
+
+def _compare(
+    detection: FaultDetection, stamp_s: float, measurement: RelativePose, settings: FilterParameters
+) -> tuple[LastMeasurement, float]:
+    """This measurement as a last, and the log_ratio of leaps and of the gyroscope."""
+    last = detection.last
+    seconds = np.inf if last is None else stamp_s - last.stamp_s
+    step = None if last is None else _since(last, measurement, detection.primary)
+    if last is None or step is None or not 0 < seconds <= settings.compared_s:
+        return LastMeasurement(stamp_s, measurement, detection.odometer), 0.0
+    told, log_ratio = detection.odometer.since(last.odometer), 0.0
+    camera, wheels = Speed.over(step[0], step[1], seconds), None
+    if told.heard_s > 0.5 * seconds:
+        wheels = Speed.over(told.T, detection.noise.ratio * told.covariance[IN_PLANE], told.heard_s)
+    if wheels is not None and last.wheels is not None and last.camera is not None:
+        log_ratio += 0.5 * wheels.leap_from(last.wheels, seconds, settings)
+        log_ratio -= 0.5 * camera.leap_from(last.camera, seconds, settings)
+    if wheels is not None and told.turned_s > 0.5 * seconds:
+        rate = told.turn_rad / told.turned_s
+        log_ratio += _turns_against(wheels, rate, seconds, settings) - _turns_against(camera, rate, seconds, settings)
+    return LastMeasurement(stamp_s, measurement, detection.odometer, camera, wheels), log_ratio
+
+
+def _turns_against(speed: Speed, rate_rad_s: float, seconds: float, settings: FilterParameters) -> float:
+    """Nats that a gyroscope tells against a source that turns so."""
+    variance = settings.gyro.noise_rad_per_sqrt_s**2 / seconds + speed.covariance[_YAW, _YAW]
+    return float(min((speed.mean[_YAW] - rate_rad_s) ** 2 / variance, settings.leap_chi2_cap) / 2)
+
+
+def _since(
+    last: LastMeasurement, measurement: RelativePose, belief: PoseBelief
+) -> tuple[FloatArray, FloatArray] | None:
+    """The camera's own motion since the last measurement, and its covariance (3, 3); None where references differ."""
+    reference_s = belief.remembered[belief.reference(measurement.name) - 1].stamp_s
+    if reference_s == last.stamp_s:
+        return measurement.Z, measurement.spread[IN_PLANE]
+    if reference_s > last.stamp_s or last.measurement.name != measurement.name:
+        return None
+    # What both measurements have wrong adds up.
+    T, spread = motions.between(last.measurement.Z, -last.measurement.spread, measurement.Z, measurement.spread)
+    return T, spread[IN_PLANE]
+
+
+def _is_healthy(detection: FaultDetection, measurement: RelativePose, settings: FilterParameters) -> bool:
+    """Whether a measurement that contradicts the wheels may be right: it has its usual share of inliers."""
+    if measurement.inlier_share is None or detection.usual_share is None:
+        return True
+    return measurement.inlier_share >= settings.inlier_share * detection.usual_share
+
+
+def _healthier(detection: FaultDetection, measurement: RelativePose, settings: FilterParameters) -> FaultDetection:
+    if measurement.inlier_share is None:
+        return detection
+    if detection.usual_share is None:
+        return changed(detection, usual_share=measurement.inlier_share)
+    change = settings.inlier_memory * (measurement.inlier_share - detection.usual_share)
+    return changed(detection, usual_share=detection.usual_share + change)

@@ -1,0 +1,379 @@
+"""PoseBelief: a Gaussian over the base's pose now and at remembered instants, its twist, and the sensors' errors.
+
+Poses err by perturbations from the left, δ with T = exp(δ) T̂. In these, a step T_before_now with error ζ gives
+
+    δ_now = δ_before + Ad(T̂_before) ζ,
+
+so that what was uncertain stays as it is, whatever the way since; and a motion Z seen against a remembered pose c has
+
+    log(Z Ẑ⁻¹) = Ad(T̂_c⁻¹) (δ_now - δ_c) + η,   Ẑ = T̂_c⁻¹ T̂_now,
+
+which does not change when all poses are perturbed alike, wherever it is linearised: relative measurements never claim
+to know where the whole drive lies (Barrau & Bonnabel 2017; cloning: Roumeliotis & Burdick 2002). Beliefs do not change;
+each step answers a new one, so that a filter can go back to any it has kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+
+from wheelsight.fusion.error_state import _pose_kernels as kernels
+from wheelsight.fusion.error_state import _relative_pose_kernels as relative
+from wheelsight.fusion.error_state import _step_kernels as steps
+from wheelsight.fusion.error_state._changed import changed
+from wheelsight.fusion.error_state._measurements import Innovation, RelativePose, WheelStep
+from wheelsight.fusion.error_state.settings import FilterParameters
+from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.geometry import motion_kernels as motions
+
+PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
+IN_PLANE = np.ix_(PLANE, PLANE)
+_IS_PLANE = np.array([1.0, 1, 0, 0, 0, 1])
+_SIX = np.arange(6)
+# Behind all poses stand, in this order: the twist, what is wrong with wheels and camera, and the gyroscope's bias.
+TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 15), 15, 16
+REST_SIZE = 17
+MOUNT_SHIFT = [10, 11]  # of the camera's errors
+_NO_TWIST = np.full(3, np.nan)
+_NO_SLIP = np.zeros((6, 6))
+
+
+class Teaches(Enum):
+    """What a measurement tells beside motion: nothing, what is wrong with the sensors, and where the camera sits, too.
+
+    To a camera that sits elsewhere on the base, turns seem to go aside; so they do where a base still slides a little.
+    """
+
+    MOTION = 1
+    ERRORS = 2
+    MOUNT = 3
+
+
+_UNLEARNED = {
+    (teaches, shows_lag): np.array(places if shows_lag else sorted({*places, LAG}), int)
+    for teaches, places in {
+        Teaches.MOTION: [*range(ERRORS.start, BIAS)],
+        Teaches.ERRORS: MOUNT_SHIFT,
+        Teaches.MOUNT: [],
+    }.items()
+    for shows_lag in (True, False)
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remembered:
+    """Of a remembered pose: its name and stamp, and the base's twist (3,), `slip_covariance` and `told` then."""
+
+    name: str
+    stamp_s: float
+    twist: FloatArray
+    slip_covariance: FloatArray
+    told: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PoseBelief:
+    """The belief; see the module.
+
+    Attributes:
+        T: (1 + K, 4, 4) T_odom_base now, and when the images were taken that have the remembered stamps.
+        remembered: these instants.
+        rest: (17,) twist (vx, vy, ωz), the wheels' errors (scale, drift, turn), the camera's (the same, its drift in
+            pitch, its mount's shift and rotation, how late its stamps are), the gyroscope's bias.
+        covariance: (6 + 6K + 17, 6 + 6K + 17) of all perturbations of poses, then of `rest`.
+        slip_covariance: (6, 6) part of the pose's covariance that is there because wheels may have slipped since vision
+            was last believed.
+        way_m: since the floor was last taken for level.
+        part_s: length of the last part of a wheel step.
+        known_twist: (3,) the twist when a measurement last told it; `known_for_s` ago, its yaw rate by a gyroscope
+            `turn_known_for_s` ago.
+        told: (6, 3) how the wheels' errors moved the pose since the begin, as left perturbations in the map.
+    """
+
+    T: FloatArray
+    remembered: tuple[Remembered, ...]
+    rest: FloatArray
+    covariance: FloatArray
+    slip_covariance: FloatArray
+    way_m: float = 0.0
+    part_s: float = 0.0
+    known_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
+    known_for_s: float = np.inf
+    turn_known_for_s: float = np.inf
+    told: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
+
+    @classmethod
+    def begin(cls, T_odom_base: FloatArray, covariance: FloatArray, settings: FilterParameters) -> PoseBelief:
+        """At rest, at a pose with its covariance (6, 6)."""
+        s = settings
+        P = np.zeros((6 + REST_SIZE, 6 + REST_SIZE))
+        P[:6, :6] = covariance
+        still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
+        P[6:, 6:] = np.diag([*np.square(still), *s.variances])
+        return cls(T_odom_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_SLIP)
+
+    @property
+    def gyro_bias_rad_s(self) -> float:
+        """What the gyroscope is thought to show at rest beyond what was said before the drive."""
+        return float(self.rest[BIAS])
+
+    @property
+    def wheel_errors(self) -> FloatArray:
+        """(3,) scale of ways, turn a metre, scale of turns: what is thought to be wrong with the wheels."""
+        return self.rest[ERRORS].copy()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the remembered poses."""
+        return tuple(pose.name for pose in self.remembered)
+
+    @property
+    def rest_at(self) -> int:
+        """Where `rest` begins in the covariance."""
+        return len(self.covariance) - REST_SIZE
+
+    def place(self, part: slice) -> slice:
+        """Where a part of `rest` stands in the covariance."""
+        return slice(self.rest_at + part.start, self.rest_at + part.stop)
+
+    def moved_by_wheels(
+        self, step: WheelStep, share: float, settings: FilterParameters, is_slipping: bool
+    ) -> PoseBelief:
+        """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
+        s, dt_s = settings, (step.end_s - step.begin_s) * share
+        known = self._known_before(step, s.known_for_s)
+        told_by = (step.xi, step.covariance, share, dt_s, known, s.unseen_a_metre, s.walks, s.fades, s.lever_m)
+        T, rest, P, told, way_m = steps.wheel_step(self.T, self.rest, self.covariance, *told_by)
+        times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
+        times["turn_known_for_s"] = self.turn_known_for_s + dt_s
+        after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
+        after = after.slipped(dt_s, s) if is_slipping else after
+        return after._levelled(s) if after.way_m > s.level_every_m else after
+
+    def _known_before(self, step: WheelStep, known_for_s: float) -> FloatArray:
+        """The twist (3,) as known before a step, NaN where it is not: by its own numbers its noise would be learned."""
+        if self.known_for_s < known_for_s:
+            return self.known_twist
+        if self.turn_known_for_s < known_for_s:  # of ways, a gyroscope teaches nothing
+            return np.array([*step.xi[:2] / (step.end_s - step.begin_s), self.known_twist[2]])
+        return _NO_TWIST
+
+    def coasted(self, dt_s: float, settings: FilterParameters) -> PoseBelief:
+        """After a time of which the wheels tell nothing: the twist goes on, by white noise of acceleration."""
+        s = settings
+        rest = self.rest
+        # A base moves sideways by what its wheels slip, no more.
+        q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
+        way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
+        noise = (q, s.unseen_a_metre * way_m, dt_s, s.gyro.bias_walk_rad_s_per_sqrt_s**2 * dt_s)
+        T, P = steps.coast(self.T, rest, self.covariance, *noise)
+        return changed(self, T=T, covariance=P)
+
+    def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:
+        """With the pose now remembered as `name`; a pose of that name before, or the oldest of too many, goes.
+
+        `spread` (6, 6), in the base's own frame, is added to its covariance: by what the camera has it elsewhere.
+        """
+        there = self._at(name, stamp_s, most)
+        place = there.names.index(name) + 1
+        at = slice(6 * place, 6 * place + 6)
+        there.T[place], rows, spread_now = there.imaged()
+        there.covariance[at], there.covariance[:, at] = rows, rows.T
+        there.covariance[at, at] = spread_now if spread is None else spread_now + motions.carried(self.T[0], spread)
+        return there
+
+    def _at(self, name: str, stamp_s: float, most: int) -> PoseBelief:
+        """With a place for a pose of that name: the one it has, or one more, whatever stands there."""
+        if name in self.names:
+            poses = tuple(self._as(name, stamp_s) if pose.name == name else pose for pose in self.remembered)
+            return changed(self, T=self.T.copy(), covariance=self.covariance.copy(), remembered=poses)
+        here = self
+        while len(here.remembered) >= most:
+            here = here.dropped(min(here.remembered, key=lambda pose: pose.stamp_s).name)
+        poses = (*here.remembered, self._as(name, stamp_s))
+        return changed(here._selected(np.append(np.arange(len(here.T)), 0)), remembered=poses)
+
+    def imaged(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The pose (4, 4) when the image of now was taken, its covariance with the state (6, n), and its own (6, 6).
+
+        The camera's stamps are late by what is known as little as all else (Li & Mourikis, IJRR 2014).
+        """
+        T, rows, spread = relative.imaged_now(self.T[0], self.rest, self.covariance)
+        return T, rows, spread
+
+    def dropped(self, name: str) -> PoseBelief:
+        """Without the remembered pose `name`: it is marginalised, all else stays as it is."""
+        if name not in self.names:
+            return self
+        place = self.names.index(name)
+        without = self._selected(np.delete(np.arange(len(self.T)), place + 1))
+        return changed(without, remembered=(*self.remembered[:place], *self.remembered[place + 1 :]))
+
+    def chained(
+        self, measurement: RelativePose, stamp_s: float, spread: FloatArray, settings: FilterParameters
+    ) -> PoseBelief:
+        """With the pose now, seen just so against a remembered one, remembered in that one's place.
+
+        The camera has both in the map, so in the plane what that has wrong of the one it has wrong of the
+        other: errors of single measurements do not add up along a way. What the map gains by error on the way is
+        `spread` (6, 6), in the base's own frame. Height, roll and pitch are those of now: the floor knows more of them.
+        """
+        at = self.reference(measurement.name)
+        rows, errors = slice(6 * at, 6 * at + 6), self.place(CAMERA_ERRORS)
+        T_imaged, T = relative.imaged_at(self.T[0], self.rest), self.T.copy()
+        _, B, _ = relative.expected(T_imaged, T[at], self.told - self.remembered[at - 1].told)
+        seen = self.T[at] @ motions.exp(B @ self.rest[CAMERA_ERRORS]) @ measurement.Z
+        Ad = motions.adjoint(self.T[0])
+        in_plane = (Ad * _IS_PLANE) @ motions.inverse_adjoint(self.T[0])
+        aside = np.eye(6) - in_plane
+        there = np.eye(len(self.covariance))
+        there[rows, rows], there[rows, :6], there[rows, errors] = in_plane, aside, in_plane @ motions.adjoint(T[at]) @ B
+        T[at] = motions.exp(aside @ motions.log(motions.times(T_imaged, motions.inverse(seen)))) @ seen
+        P = there @ self.covariance @ there.T
+        kept = Ad * np.array([1.0, 1, 1, 1, 1, settings.chain_yaw_share])
+        P[rows, rows] += kept @ spread @ kept.T
+        poses = (*self.remembered[: at - 1], self._as(measurement.name, stamp_s), *self.remembered[at:])
+        return changed(self, T=T, covariance=P, remembered=poses)
+
+    def _as(self, name: str, stamp_s: float) -> Remembered:
+        return Remembered(name, stamp_s, self.rest[TWIST].copy(), self.slip_covariance, self.told)
+
+    def _selected(self, poses: IntArray) -> PoseBelief:
+        rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(self.rest_at, len(self.covariance))])
+        return changed(self, T=self.T[poses], covariance=self.covariance[rows[:, None], rows])
+
+    def reference(self, name: str) -> int:
+        """Which of `T` the remembered pose `name` is. Raises KeyError."""
+        if name not in self.names:
+            raise KeyError(name)
+        return self.names.index(name) + 1
+
+    def seen_from(self, name: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """T_reference_current (4, 4) of the camera since the pose remembered as `name`, and its covariance (6, 6)."""
+        T, C = relative.seen_from(self.T, self.rest, self.covariance, self.reference(name), T_base_camera)
+        return T, C
+
+    def apart(self, measurement: RelativePose) -> FloatArray:
+        """log(Z Ẑ⁻¹) (6,): how far the camera's motion, mended by what is known of its errors, is from the expected."""
+        T_now, T_reference, told = self.since(self.reference(measurement.name))
+        T_imaged = relative.imaged_at(T_now, self.rest)
+        return np.asarray(relative.apart(T_imaged, T_reference, told, measurement.Z, self.rest[CAMERA_ERRORS]))
+
+    def innovation(
+        self,
+        measurement: RelativePose,
+        settings: FilterParameters,
+        *,
+        without_slip: bool = False,
+        teaches: Teaches = Teaches.MOTION,
+    ) -> Innovation:
+        """What a measurement says; `without_slip` as if no wheel had slipped since vision was last believed.
+
+        `teaches`: what else than motion. Where wheels may slip, what is off is no error of theirs or of the camera.
+        """
+        at = self.reference(measurement.name)
+        then, of_look = self.remembered[at - 1], (measurement.Z, measurement.seen, measurement.covariance)
+        known = (*self.since(at), self.rest, self.covariance, 6 * at, then.twist)
+        residual, S, PHt, H, nis, change = relative.measured(*known, *of_look)
+        if without_slip and not (self.slip_covariance is then.slip_covariance is _NO_SLIP):
+            certain = S - H @ (self.slip_covariance - then.slip_covariance) @ H.T
+            # Corrections have made some of it smaller than it was written down.
+            if np.linalg.eigvalsh(certain - measurement.covariance)[0] >= 0:
+                S, nis = certain, motions.chi_squared(residual, certain)
+        # Where the twist changed no more, it is the wheels' noise that would be taken for a lag of the stamps.
+        unlearned = _UNLEARNED[teaches, bool(change > settings.lag_chi2)]
+        return Innovation(residual, S, PHt, nis, unlearned)
+
+    def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The pose now, the one at a place, and how the wheels' errors moved the one since the other."""
+        return self.T[0], self.T[at], self.told - self.remembered[at - 1].told
+
+    def position(self, xy: FloatArray, covariance: FloatArray) -> Innovation:
+        """What a position (2,) in the map with its covariance (2, 2) says."""
+        x, y, z = self.T[0][:3, 3]
+        H = np.array([[1.0, 0, 0, 0, z, -y], [0, 1.0, 0, -z, 0, x]])
+        PHt = self.covariance[:, :6] @ H.T
+        return _innovation(xy - self.T[0][:2, 3], H @ PHt[:6] + covariance, PHt)
+
+    def yaw_rate(self, rate_rad_s: float, variance: float) -> Innovation:
+        """What a gyroscope's yaw rate says."""
+        place = self.place(TWIST).stop - 1
+        PHt = self.covariance[:, [place]] + self.covariance[:, [-1]]
+        residual = np.array([rate_rad_s - self.rest[2] - self.rest[BIAS]])
+        return _innovation(residual, PHt[[place]] + PHt[[-1]] + variance, PHt)
+
+    def gyro_bias(self, bias_rad_s: float, variance: float) -> Innovation:
+        """What is said elsewhere of the gyroscope's bias."""
+        PHt = self.covariance[:, [-1]]
+        return _innovation(np.array([bias_rad_s - self.rest[BIAS]]), PHt[[-1]] + variance, PHt)
+
+    def corrected(self, by: Innovation) -> PoseBelief:
+        """The Kalman update."""
+        by_this = (by.with_state, by.covariance, by.residual, self.rest_at + by.unlearned)
+        T, rest, P = kernels.correct(self.T, self.rest, self.covariance, *by_this)
+        return changed(self, T=T, rest=rest, covariance=P)
+
+    def moved(self, x: FloatArray, covariance: FloatArray) -> PoseBelief:
+        """All poses perturbed, and the rest shifted, by x (n,). Raises ValueError for another number."""
+        if len(x) != len(self.covariance):  # the kernel would read what lies behind x in memory
+            raise ValueError(f"a shift of {len(x)} numbers for a belief of {len(self.covariance)}")
+        T, rest = kernels.perturb(self.T, self.rest, x)
+        return changed(self, T=T, rest=rest, covariance=covariance)
+
+    def slipped(self, seconds: float, settings: FilterParameters) -> PoseBelief:
+        """As if wheels had slipped for so long; a wheel that is lifted tilts the base, too."""
+        s = settings
+        aside = [s.slip_rise_m_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s]
+        q = np.square([s.slip_m_per_sqrt_s, s.slip_m_per_sqrt_s, *aside, s.slip_rad_per_sqrt_s]) * seconds
+        Ad = motions.adjoint(self.T[0])
+        grown = (Ad * q) @ Ad.T
+        P = self.covariance.copy()
+        P[:6, :6] += grown
+        return changed(self, covariance=P, slip_covariance=self.slip_covariance + grown)
+
+    def scattered(self, settings: FilterParameters) -> PoseBelief:
+        """As if the base might be anywhere about, turned any way."""
+        s, Ad, P = settings, motions.adjoint(self.T[0]), self.covariance.copy()
+        anywhere = [s.lost_sigma_m, s.lost_sigma_m, s.lost_rise_m, s.lost_tilt_rad, s.lost_tilt_rad, np.pi]
+        P[:6, :6] += (Ad * np.square(anywhere)) @ Ad.T
+        return changed(self, covariance=P)
+
+    def turn_slipped(self, settings: FilterParameters) -> PoseBelief:
+        """As if the wheels' last yaw rate, and the turn it made, were any."""
+        twist = self.place(TWIST).stop - 1
+        G = np.r_[motions.adjoint(self.T[0])[:, 5] * self.part_s, 1.0]
+        P = self.covariance.copy()
+        P[np.ix_(*[np.r_[:6, twist]] * 2)] += np.outer(G, G) * settings.acceleration_rad_s2**2
+        return changed(self, covariance=P)
+
+    def vision_accepted(self) -> PoseBelief:
+        """With what slip may have done since vision was last believed settled by what it said, and the twist known."""
+        poses = self.remembered
+        if any(pose.slip_covariance is not _NO_SLIP for pose in poses):
+            poses = tuple(replace(pose, slip_covariance=_NO_SLIP) for pose in poses)
+        return changed(self, slip_covariance=_NO_SLIP, remembered=poses, known_twist=self.rest[TWIST], known_for_s=0.0)
+
+    def turn_known(self) -> PoseBelief:
+        """With the yaw rate known, by a gyroscope."""
+        return changed(self, known_twist=np.array([*self.known_twist[:2], self.rest[2]]), turn_known_for_s=0.0)
+
+    def _levelled(self, settings: FilterParameters) -> PoseBelief:
+        here = changed(self, way_m=0.0)
+        if settings.level_sigma_rad is None:
+            return here
+        # δω × up, where up = R e_z; level is where its x and y are 0.
+        up = self.T[0][:3, 2]
+        H = np.array([[0.0, 0, 0, 0, up[2], -up[1]], [0, 0, 0, -up[2], 0, up[0]]])
+        PHt = self.covariance[:, :6] @ H.T
+        spread, one_sigma2 = H @ PHt[:6], settings.level_sigma_rad**2
+        if _innovation(-up[:2], spread + one_sigma2 * np.eye(2), PHt).nis > settings.ramp_chi2:
+            return here
+        variance = one_sigma2 * settings.level_m / self.way_m
+        return here.corrected(_innovation(-up[:2], spread + variance * np.eye(2), PHt))
+
+
+def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray) -> Innovation:
+    return Innovation(residual, S, PHt, float(motions.chi_squared(residual, S)))

@@ -1,0 +1,107 @@
+"""FusedCamera: camera odometry beside a filter, which tells it what to expect and when its map leads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.config import Config
+from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason
+from wheelsight.events import RgbdFrame
+from wheelsight.fusion import FusedEstimate
+from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
+from wheelsight.localizer._camera import camera_odometry
+from wheelsight.localizer._frame_gate import FrameGate
+from wheelsight.localizer._pace import Pace
+from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
+
+_BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
+
+
+class FusedCamera:
+    """See the module.
+
+    Attributes:
+        odometry: the camera's.
+        mapper: builds a map, where one is asked for.
+        gate: which frames are worth being aligned.
+        unknown: so many frames in a row showed nothing known.
+        last_matches: what the last frame was aligned by; dense odometry matches no pixels.
+    """
+
+    def __init__(self, calibration: Calibration, settings: Config, T_base_camera: FloatArray) -> None:
+        self.odometry, self.mapper = camera_odometry(calibration, settings)
+        self._settings = settings.fusion.joining
+        self.gate = FrameGate(settings.localizer.frame_gate)
+        self.unknown = 0
+        self.last_matches: MatchedPixels | None = None
+        self._Ad_camera_base = motions.inverse_adjoint(T_base_camera)
+        self._pace = Pace(settings.localizer.pace_s)
+        self._slips, self._unbelieved_s = False, -np.inf
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether so many frames showed nothing known that the camera had better start again."""
+        return self.unknown >= self._settings.restart_after
+
+    def forget_frame(self) -> None:
+        """The last frame is over."""
+        self.last_matches = None
+
+    def twist(self, answer: FusedEstimate) -> FloatArray | None:
+        """The camera's velocity (6,) in its own frame, by the wheels; None where they slip or tell nothing."""
+        if self._slips or answer.twist is None:
+            return None
+        return np.asarray(self._Ad_camera_base @ np.array([*answer.twist[:2], 0.0, 0.0, 0.0, answer.twist[2]]))
+
+    def process(
+        self, frame: RgbdFrame, by_wheels: FloatArray | None, twist: FloatArray | None, *, ask_wheels: bool
+    ) -> Estimate:
+        """T_map_camera at a frame, where `by_wheels` (4, 4) is its motion since the last one, if they may be asked."""
+        expected = self._expected(frame.stamp_s, by_wheels) if ask_wheels else (None,)
+        seen: Estimate = self.odometry.process(frame, *expected, twist=twist)
+        self.last_matches = seen.matched if isinstance(seen, FeatureEstimate) else None
+        if seen.T_odom_body is not None:
+            self._pace.tell(frame.stamp_s, seen.T_odom_body)
+        return seen
+
+    def motion(self, seen: Estimate) -> MotionEstimate:
+        """By which a frame that was just tracked was found."""
+        if isinstance(seen, CameraEstimate):
+            return seen.motion
+        assert isinstance(self.odometry, DenseOdometry)
+        return self.odometry.last_motion
+
+    def miss(self, seen: Estimate) -> bool:
+        """Take a frame that gave no pose; whether it showed anything, which then is nothing known."""
+        if seen.reason in _BLIND:
+            return False
+        self.unknown += 1
+        return True
+
+    def lead(self, answer: FusedEstimate) -> None:
+        """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion; and the map.
+
+        What slips expects what is not so. The map shows it best wherever hardly anything lies beyond its end, while
+        the base goes straight; else keyframes do. They reach as far as the camera sees, and in a turn they have whole
+        what the map has learned from a frame or two; but whom they show may walk on, so for a while after a measurement
+        was not believed the map leads in turns too, unless it turns out that the wheels slip.
+        """
+        self._slips = answer.slip
+        if answer.slip:
+            self._unbelieved_s = -np.inf
+        elif answer.reason is not None or answer.doubtful:
+            self._unbelieved_s = answer.stamp_s
+        if self.mapper is not None:
+            turns = answer.twist is None or abs(answer.twist[2]) > self._settings.map_turn_rad_s
+            is_calm = answer.stamp_s - self._unbelieved_s > self._settings.uncalm_s
+            self.mapper.track_map(self.odometry, self.mapper.shows_most(self.odometry) and not (turns and is_calm))
+
+    def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
+        """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
+        if not self._slips:
+            return (by_wheels,)
+        by_pace = self._pace.expect(stamp_s)
+        return (by_pace, by_wheels) if isinstance(self.odometry, DenseOdometry) else (by_pace,)
