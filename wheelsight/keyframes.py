@@ -126,6 +126,11 @@ class KeyframeStore:
         self._keyframes.append(keyframe)
         return KeyframeId(number)
 
+    def replace(self, number: KeyframeId, keyframe: Keyframe) -> None:
+        """Keep better images of the same frame in a keyframe's place. Raises ArgumentError where it holds none."""
+        self._check([number])
+        self._keyframes[number] = keyframe
+
     def move(self, numbers: Sequence[KeyframeId], T_map_keyframe: ArrayLike) -> None:
         """Put keyframes to new poses (K, 4, 4); all that follows them is told. Raises ArgumentError."""
         self._check(numbers)

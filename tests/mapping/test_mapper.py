@@ -86,7 +86,7 @@ def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
         estimate = subject.process(frame_of([Plane((0, 0, 1), 1.5)], np.eye(4), k / 30, noise_seed=k))
         fused.append(subject.last_fused is not None)
         if k > 0 and estimate.status is Status.TRACKING:
-            unseen.append(subject.odometry.last_motion.degenerate)
+            unseen.append(estimate.motion.degenerate)
     assert fused[0]
     assert not any(fused[1:])
     assert unseen
@@ -100,7 +100,7 @@ def test_a_map_shows_most_where_hardly_anything_lies_beyond_its_end(far_m: float
     scene = [Plane((0, 0, 1), far_m), Plane((0, 1, 0), 1.0)]
     for k in range(2):
         subject.process(frame_of(scene, np.eye(4), k / 30, noise_seed=k))
-    assert subject.odometry.last_frame is not None
+    assert subject.tracked is not None
     assert subject.shows_most == expected
 
 
@@ -115,7 +115,7 @@ def test_of_a_frame_that_failed_no_map_shows_anything(frames: list[RgbdFrame]) -
 def test_a_frame_goes_to_where_others_have_it(frames: list[RgbdFrame]) -> None:
     """Odometry tells what the frame shows; where that is, who joins it with wheels may know better."""
     subject, T_told = mapper(), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])
-    subject.odometry.process(frames[0])
+    subject.tracked = subject.odometry.process(frames[0]).frame
     assert (len(subject.map), subject.last_fused) == (0, None)
     subject.fuse(frames[0], T_told)
     assert subject.last_fused is not None

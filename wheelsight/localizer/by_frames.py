@@ -12,7 +12,7 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.geometry import se3
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
-from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.features import MatchedPixels
 
 
@@ -48,7 +48,9 @@ class ByFrames:
             return None, ""
         why_not = self._gate.why_not(event)
         if why_not is None:
-            return self._of_body((self.mapper or self.odometry).process(event)), ""
+            seen = (self.mapper or self.odometry).process(event)
+            # Whoever gets it may keep all estimates, but not all frames.
+            return self._of_body(replace(seen, frame=None) if isinstance(seen, DenseEstimate) else seen), ""
         if why_not.is_repeat:
             return self._repeated(event.stamp_s), why_not.note
         return self._failed(event.stamp_s, why_not.note)
@@ -74,4 +76,8 @@ class ByFrames:
             return estimate
         if estimate.T_odom_body is None:
             return replace(estimate, body="base")
-        return replace(estimate, T_odom_body=estimate.T_odom_body @ self._T_camera_base, body="base")
+        T_keyframe_body = estimate.T_keyframe_body
+        if T_keyframe_body is not None:
+            T_keyframe_body = T_keyframe_body @ self._T_camera_base
+        T_odom_body = estimate.T_odom_body @ self._T_camera_base
+        return replace(estimate, T_odom_body=T_odom_body, T_keyframe_body=T_keyframe_body, body="base")

@@ -9,7 +9,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.config import Config
-from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
 from wheelsight.geometry import FloatArray
@@ -23,7 +23,7 @@ from wheelsight.localizer._pace import Pace
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.by_wheels import ByWheels
-from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.extrinsics import Culprit
 from wheelsight.odometry.features import MatchedPixels
 from wheelsight.odometry.wheels.reading_times import ReadingTimes
@@ -233,17 +233,17 @@ class ByFusion:
         """Look, judge, and remember what was believed."""
         self._T_map_camera = None
         twist = self._camera_twist()
-        seen = self.odometry.process(frame, *expected, twist=twist)
+        seen = self._seen(self.odometry.process(frame, *expected, twist=twist))
         if seen.T_odom_body is None:
             return self._unseen(frame, seen)
         self._pace.tell(frame.stamp_s, seen.T_odom_body)
         if self._anchor is None:
             return self._begun(frame, seen)
-        self._check.see(frame, seen, shows_all=self.odometry.last_motion.shows_all)
+        self._check.see(frame, seen, shows_all=self._motion(seen).shows_all)
         if self._check.left_out is Culprit.WHEELS and self._check.by_wheels is not None:
             self._go_on_by(self._check.camera_alone())
             return self._begun(frame, seen)
-        motion = self._anchor.motion_to(seen.T_odom_body, self.odometry.last_motion)
+        motion = self._anchor.motion_to(seen.T_odom_body, self._motion(seen))
         motion = blurred(motion, twist, self._times.noise_s)
         if frame.stamp_s - self._seen_s > _DARK_S and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
@@ -255,8 +255,18 @@ class ByFusion:
             self._believe(frame, answer, seen.T_odom_body)
         # One mistake of the camera is none of the next frame's, and slip is told by contradicting again and again.
         if not is_believed or is_far(motion):
-            self._anchor_at(frame, seen.T_odom_body)
+            self._anchor_at(frame, seen, seen.T_odom_body)
         return answer
+
+    def _seen(self, seen: Estimate) -> Estimate:
+        """What the camera came to; who builds the map is told of the frame."""
+        if self.mapper is not None and isinstance(seen, DenseEstimate):
+            self.mapper.tracked = seen.frame
+        return seen
+
+    def _motion(self, seen: Estimate) -> MotionEstimate:
+        """The camera's, against its reference; feature odometry tells it beside its answer."""
+        return seen.motion if isinstance(seen, CameraEstimate) else self.odometry.last_motion  # type: ignore[union-attr]
 
     def _camera_twist(self) -> FloatArray | None:
         """The camera's velocity (6,) in its own frame by the wheels; None where they slip or tell nothing."""
@@ -282,9 +292,9 @@ class ByFusion:
             T_odom_camera = motions.times(T_odom_base, self._T_base_camera)
             self.T_odom_map = motions.mended(motions.times(T_odom_camera, motions.inverse(self._T_map_camera)))
 
-    def _anchor_at(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
+    def _anchor_at(self, frame: RgbdFrame, seen: Estimate, T_map_camera: FloatArray) -> None:
         """From here on the camera's motions are told against this frame."""
-        self._anchor = Anchor.at(T_map_camera, self.odometry.last_motion)
+        self._anchor = Anchor.at(T_map_camera, self._motion(seen))
         self.filter.clone(frame.stamp_s, _ANCHOR, self._anchor.covariance)
 
     def _begun(self, frame: RgbdFrame, seen: Estimate, reason: Reason | None = None) -> FusedEstimate:
@@ -294,7 +304,7 @@ class ByFusion:
         self._T_map_camera, self._seen_s = seen.T_odom_body, frame.stamp_s
         self._lay_map()
         self._check.begin(frame, seen, self.T_odom_map)
-        self._anchor_at(frame, seen.T_odom_body)
+        self._anchor_at(frame, seen, seen.T_odom_body)
         return replace(answer, reason=reason or answer.reason, matches=seen.matches, inliers=seen.inliers)
 
     def _in_map(self, T_odom_base: FloatArray) -> FloatArray:
@@ -318,7 +328,7 @@ class ByFusion:
                 spread = self._carried.scatter(T_odom_base, answer.covariance)
                 begin = (self._T_base_camera, T_odom_base, spread, self.filter.settings)
                 self._go_on_by(ErrorStateFilter(*begin))
-            again = self.odometry.restart(frame, self._in_map(T_odom_base), answer.covariance)
+            again = self._seen(self.odometry.restart(frame, self._in_map(T_odom_base), answer.covariance))
             if again.T_odom_body is not None:
                 return self._begun(frame, again, seen.reason)
         return answer
@@ -341,7 +351,7 @@ class ByFusion:
 
     def _miss(self, stamp_s: float) -> Estimate:
         """The answer at a frame that came to nothing before anyone could look at it."""
-        seen = self.odometry.miss(stamp_s)
+        seen = self._seen(self.odometry.miss(stamp_s))
         nothing = MotionEstimate.failed(Reason.FRAME_UNUSABLE, seen.matches, seen.inliers)
         return self.filter.update_relative(stamp_s, nothing, _ANCHOR)
 

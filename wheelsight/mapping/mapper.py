@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.mapping._thinning import Thinning
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import FusedFrame
-from wheelsight.odometry.dense import DenseOdometry, DenseSettings
+from wheelsight.odometry.dense import DenseEstimate, DenseOdometry, DenseSettings, GridFrame
 
 # Tracking takes grey from each frame; colour, which is only looked at, is brought onto the grid for one of so many. A
 # surfel is stable after more.
@@ -35,6 +35,7 @@ class SurfelMapper:
         map: what was seen so far.
         odometry: what finds the poses; it knows the last motion and how long each stage took, fusing included.
         last_fused: what fusing the last frame did; None where it was not fused.
+        tracked: the last frame, if it has a pose; who calls odometry itself sets it.
     """
 
     def __init__(
@@ -50,13 +51,14 @@ class SurfelMapper:
         self.odometry = DenseOdometry(calibration, dense, self.map if tracks else None, calibration.T_base_camera)
         self._noise = calibration.depth_noise
         self.last_fused: FusedFrame | None = None
+        self.tracked: GridFrame | None = None
         self._fused = 0
 
-    def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
+    def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> DenseEstimate:
         """The camera's pose at a frame, as `DenseOdometry` answers; the map learns where all of it was seen."""
         estimate = self.odometry.process(frame, T_previous_current_prior)
-        self.last_fused = None
-        is_known = estimate.status is Status.TRACKING and self.odometry.sees_all_motion
+        self.last_fused, self.tracked = None, estimate.frame
+        is_known = estimate.status is Status.TRACKING and estimate.shows_all
         if is_known and estimate.T_odom_body is not None:
             self.fuse(frame, estimate.T_odom_body)
         return estimate
@@ -68,15 +70,15 @@ class SurfelMapper:
     @property
     def shows_most(self) -> bool:
         """Whether hardly anything of what the last frame saw lies beyond where the map ends; False if it failed."""
-        if self.odometry.last_frame is None:
+        if self.tracked is None:
             return False
-        depth_m = self.odometry.last_frame.levels[-1].depth_m
+        depth_m = self.tracked.levels[-1].depth_m
         beyond = np.count_nonzero(depth_m > self.map.settings.far_m)
         return bool(beyond <= _BEYOND_SHARE * np.count_nonzero(depth_m))
 
-    def miss(self, stamp_s: float) -> Estimate:
+    def miss(self, stamp_s: float) -> DenseEstimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
-        self.last_fused = None
+        self.last_fused = self.tracked = None
         return self.odometry.miss(stamp_s)
 
     def fuse(self, frame: RgbdFrame, T_map_camera: FloatArray) -> None:
@@ -88,7 +90,9 @@ class SurfelMapper:
         if not frames:
             return
         with self.odometry.watch.stage("fuse"):
-            surface = self.odometry.last_surface(frame, with_color=self._fused % _COLORED_EVERY == 0)
+            assert self.tracked is not None, "the last frame has no pose"
+            with_color = self._fused % _COLORED_EVERY == 0
+            surface = self.odometry.surface(self.tracked, frame, with_color)
             self._fused += 1
             where = (self.odometry.intrinsics, T_map_camera, frame.stamp_s, self._noise, frames)
             self.last_fused = self.map.fuse(surface.depth_m, surface.normal, surface.grey, surface.color, *where)
