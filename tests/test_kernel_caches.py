@@ -1,46 +1,60 @@
-"""Kernels that numba has cached must not outlive the kernels of other files that were compiled into them.
+"""Kernels are made of few files: a change of any other compiles none of them again.
 
-Numba keeps a compiled function until the text of its own file changes, whatever its file imports. So each file that
-imports kernels carries a checksum of all that it compiles in: after a change below, its text must change too.
+What a kernel file imports is compiled into it, and `wheelsight.compiled` follows all of it. A kernel file that
+imported a whole part would be compiled for a minute after each change of that part.
 """
 
 from __future__ import annotations
 
-import re
-import zlib
+import ast
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 import wheelsight
+from wheelsight.compiled import made_of
+from wheelsight.pipeline.kernels import kernel_files
 
 PACKAGE = Path(wheelsight.__file__).parent
-CHECKSUM = re.compile(r"^_COMPILED_IN = .*\n", re.MULTILINE)
-IMPORT = re.compile(r"^from wheelsight((?:\.\w+)*\.\w*kernels) import", re.MULTILINE)
+FILES = sorted(PACKAGE.rglob("*_kernels.py"))
+
+
+def module_of(path: Path) -> str:
+    return ".".join(["wheelsight", *path.relative_to(PACKAGE).with_suffix("").parts])
 
 
 def imported(path: Path) -> set[Path]:
-    """The kernel files that a kernel file imports, and those that they import."""
-    names = IMPORT.findall(path.read_text(encoding="utf-8"))
-    direct = {PACKAGE.joinpath(*name.strip(".").split(".")).with_suffix(".py") for name in names}
-    return direct.union(*map(imported, direct))
+    """The files of wheelsight that a file's syntax tree imports, those that they import, and itself."""
+    found: set[Path] = set()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            inner = [f"{node.module}.{alias.name}" for alias in node.names]
+            names = [name if file_of(name) else str(node.module) for name in inner]
+        found |= {file for name in names if (file := file_of(name))}
+    return found.union({path}, *map(imported, found))
 
 
-def checksum(paths: set[Path]) -> int:
-    texts = [CHECKSUM.sub("", path.read_text(encoding="utf-8")) for path in sorted(paths)]
-    return zlib.crc32("".join(texts).encode())
-
-
-FILES = sorted(path for path in PACKAGE.rglob("_*kernels.py") if imported(path))
+def file_of(name: str) -> Path | None:
+    path = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
+    return path if name.startswith("wheelsight.") and path.exists() else None
 
 
 def test_the_painter_is_made_of_all_files() -> None:
     names = {path.stem for path in imported(PACKAGE / "simulation" / "_paint_kernels.py")}
-    assert names >= {"_light_kernels", "_picture_kernels", "_texture_kernels", "_wall_kernels"}
+    assert names >= {"_light_kernels", "_picture_kernels", "_texture_kernels", "_wall_kernels", "compiled"}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_a_file_changes_with_what_it_compiles_in(path: Path) -> None:
-    line = f"_COMPILED_IN = 0x{checksum(imported(path)):08X}"
-    text = path.read_text(encoding="utf-8")
-    assert f"\n{line}\n" in text, f"{path.name} compiles in kernels that have changed: let it say {line}"
+def test_a_file_is_made_of_what_it_imports_and_of_few_files(path: Path) -> None:
+    import_module(module_of(path))
+    assert made_of(module_of(path)) == {module_of(file) for file in imported(path)}
+    assert imported(path) <= set(kernel_files())
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_kernels_are_compiled_by_one_mechanism(path: Path) -> None:
+    assert "njit" not in path.read_text(encoding="utf-8")

@@ -14,6 +14,7 @@ LAYERS = (
     "errors",
     "files",
     "inputs",
+    "compiled",
     "geometry",
     "events",
     "calibration_fields",

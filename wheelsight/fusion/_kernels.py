@@ -6,12 +6,13 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 REACH = 4.5
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def parts_in_areas(mean: Any, axes: Any, steps_0: int, steps_1: int, shares: Any, corner: Any, cell_m: float) -> Any:
     """Mass, first and second moments (A + 1, 6) of a Gaussian's parts in each area and, last, outside them.
 
@@ -44,7 +45,7 @@ def parts_in_areas(mean: Any, axes: Any, steps_0: int, steps_1: int, shares: Any
     return parts / parts[:, 0].sum()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add(parts: Any, area: int, weight: float, u0: float, u1: float) -> None:
     parts[area, 0] += weight
     parts[area, 1] += weight * u0
@@ -54,7 +55,7 @@ def _add(parts: Any, area: int, weight: float, u0: float, u1: float) -> None:
     parts[area, 5] += weight * u1 * u1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def step(state: Any, covariance: Any, step_mean: Any, step_covariance: Any, walk: Any) -> None:
     """Move `state` (6,), x, y, yaw, scale, drift, turn, and its covariance (6, 6) by a step of the wheels, in place.
 
@@ -86,7 +87,7 @@ def step(state: Any, covariance: Any, step_mean: Any, step_covariance: Any, walk
         covariance[3 + i, 3 + i] += walk[i] * way
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rectify(odometry: Any, told: Any, told_weights: Any, untold_weights: Any, is_increment: bool) -> Any:
     """Eq. 5 along a drive for one axis: coordinates (N,) from those of odometry (N,) and of the areas (N,), NaN none.
 

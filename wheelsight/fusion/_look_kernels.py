@@ -8,12 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from wheelsight.geometry import FloatArray
+from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import FloatArray
 from wheelsight.geometry.motion_kernels import adjoint, carried, chi_squared, exp, inverse, log, times
 
-_COMPILED_IN = 0x4BE1DB00
 # Of `rest`: twist 3, the wheels' errors 3, the camera's 9, how late its stamps are, the gyroscope's bias.
 _REST, _CAMERA, _LAG = 17, 9, 15
 _PLANE = (0, 1, 5)
@@ -22,7 +21,7 @@ _UNSEEN_SIGMA_M = 10.0
 _LEAST_TWIST = 1e-3  # m/s and rad/s: wheels that stand still tell no noise at all
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
     """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 9).
 
@@ -45,7 +44,7 @@ def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
     return B
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def imaged_at(T_now: FloatArray, rest: FloatArray) -> FloatArray:
     """The pose (4, 4) when the image was taken that has the stamp of now: the camera's stamps are late."""
     xi = np.zeros(6)
@@ -54,7 +53,7 @@ def imaged_at(T_now: FloatArray, rest: FloatArray) -> FloatArray:
     return times(T_now, exp(xi))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Covariance (6, n) of the pose when the image was taken with the state, and its own (6, 6).
 
@@ -76,7 +75,7 @@ def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray)
     return rows, spread + times(times(G, together), G.T)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def imaged_now(T_now: FloatArray, rest: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The pose (4, 4) when the image of now was taken, and its covariances as `imaged` has them."""
     T_imaged = imaged_at(T_now, rest)
@@ -84,7 +83,7 @@ def imaged_now(T_now: FloatArray, rest: FloatArray, P: FloatArray) -> tuple[Floa
     return T_imaged, rows, spread
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def seen_from(
     T: FloatArray, rest: FloatArray, P: FloatArray, at: int, T_base_camera: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -96,7 +95,7 @@ def seen_from(
     return times(times(T_camera_odom, T_imaged), T_base_camera), carried(T_camera_odom, apart)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray) -> float:
     """χ² of the change from a twist (3,) before, by the noise that both have of the wheels, and never less than so."""
     at = len(P) - _REST
@@ -107,7 +106,7 @@ def _change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray) -> flo
     return chi2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def expected(
     T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -120,7 +119,7 @@ def expected(
     return Z, by_camera_errors(Z, times(Ad, told)), Ad
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def apart(
     T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray, Z: FloatArray, camera_errors: FloatArray
 ) -> FloatArray:
@@ -133,7 +132,7 @@ def apart(
     return xi
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def look(
     T_now: FloatArray,
     T_reference: FloatArray,
@@ -167,7 +166,7 @@ def look(
     return residual, S, PHt, H, chi_squared(residual, S), _change_of_twist(rest, P, twist_then)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shown(
     R: FloatArray,
     seen: FloatArray,
@@ -189,7 +188,7 @@ def shown(
     return covariance, times(seen, to_camera), times(times(from_camera, wide), from_camera.T)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rows(seen: FloatArray, xi: FloatArray) -> FloatArray:
     shown = np.zeros(seen.shape[0])
     for i in range(seen.shape[0]):
@@ -198,7 +197,7 @@ def _rows(seen: FloatArray, xi: FloatArray) -> FloatArray:
     return shown
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _innovation(
     P: FloatArray,
     place: int,

@@ -6,16 +6,15 @@ T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import FloatArray, IntArray
 from wheelsight.geometry.motion_kernels import adjoint, exp, times
 
-_COMPILED_IN = 0x4BE1DB00
 _REST, _PLANE = 17, (0, 1, 5)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def answered(
     T: FloatArray, rest: FloatArray, P: FloatArray, clock_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -27,7 +26,7 @@ def answered(
     return T[0].copy(), P[:6, :6] + times(late, late.T), rest[:3].copy(), P[at : at + 3, at : at + 3].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def correct(
     T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -47,7 +46,7 @@ def correct(
     return T, rest, less
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def perturb(T: FloatArray, rest: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """All poses perturbed, and the rest shifted, by x (n,)."""
     moved = np.empty_like(T)

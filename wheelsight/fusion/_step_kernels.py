@@ -8,16 +8,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from wheelsight.geometry import FloatArray
+from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import FloatArray
 from wheelsight.geometry.motion_kernels import adjoint, carried, chi_squared, exp, left_jacobian, log, times
 
-_COMPILED_IN = 0x4BE1DB00
 _REST, _PLANE = 17, (0, 1, 5)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _depend(P: FloatArray, errors: int, to_pose: FloatArray, to_twist: FloatArray) -> None:
     """Add to the pose, and put in the twist's place, what the wheels' errors (3,) do to it: (6, 3) and (3, 3)."""
     twist = errors - 3
@@ -29,7 +28,7 @@ def _depend(P: FloatArray, errors: int, to_pose: FloatArray, to_twist: FloatArra
     P[:, twist:errors] = times(old, to_twist.T)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def by_wheel_errors(raw: FloatArray, known_way: FloatArray) -> FloatArray:
     """How a step (6,) changes with the wheels' errors (6, 3), by the way (3,) that its speed before makes; NaN: none.
 
@@ -45,7 +44,7 @@ def by_wheel_errors(raw: FloatArray, known_way: FloatArray) -> FloatArray:
     return by_errors
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def roll(
     T: FloatArray,
     rest: FloatArray,
@@ -99,7 +98,7 @@ def roll(
     return T, rest, P, to_pose, way_m
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def odometer(
     T: FloatArray, C: FloatArray, xi: FloatArray, Q: FloatArray, share: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -107,7 +106,7 @@ def odometer(
     return times(T, exp(xi * share)), C + carried(T, Q * share)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def glide(
     T: FloatArray, rest: FloatArray, P: FloatArray, q: FloatArray, Q: FloatArray, dt_s: float, walk: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -133,7 +132,7 @@ def glide(
     return T, P
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def speed(T: FloatArray, covariance: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
     """Mean velocity (3,) in the plane of a motion (4, 4) that took so long, and its covariance (3, 3)."""
     xi, mean = log(T), np.zeros(3)
@@ -142,7 +141,7 @@ def speed(T: FloatArray, covariance: FloatArray, seconds: float) -> tuple[FloatA
     return mean, covariance / seconds**2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def leap(
     now: FloatArray, C_now: FloatArray, before: FloatArray, C_before: FloatArray, usual: tuple[float, float, float]
 ) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import DegenerateGeometryError
-from wheelsight.geometry._types import FloatArray
+from wheelsight.geometry.arrays import FloatArray
 from wheelsight.geometry.se3 import from_parts
 
 # A singular value of the covariance below this share of the largest is as good as zero: the points lie on a line.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import CalibrationError
-from wheelsight.geometry._types import BoolArray, FloatArray
+from wheelsight.geometry.arrays import BoolArray, FloatArray
 
 # Leaves less than 1e-8 pixel at the corners of the most distorted TUM camera (freiburg1).
 _UNDISTORT_STEPS = 20

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.geometry import se3
-from wheelsight.geometry._types import FloatArray
+from wheelsight.geometry.arrays import FloatArray
 
 
 def interpolate_at(stamps_s: ArrayLike, T: ArrayLike, wanted_s: ArrayLike, max_gap_s: float = np.inf) -> FloatArray:

@@ -8,15 +8,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from wheelsight.geometry import FloatArray
+from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import FloatArray
 
 _MOST_TERMS = 40
 _METRES_A_RADIAN = 1.5  # as `se3.view_shift_m` has it
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def times(A: FloatArray, B: FloatArray) -> FloatArray:
     """The product of small matrices of any layout."""
     C = np.zeros((A.shape[0], B.shape[1]))
@@ -27,19 +27,19 @@ def times(A: FloatArray, B: FloatArray) -> FloatArray:
     return C
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hat(x: float, y: float, z: float) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _square(W: FloatArray, i: int, j: int) -> float:
     """Entry of W @ W for W (3, 3)."""
     entry: float = W[i, 0] * W[0, j] + W[i, 1] * W[1, j] + W[i, 2] * W[2, j]
     return entry
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def exp(xi: FloatArray) -> FloatArray:
     """T (4, 4) of a tangent (6,), (v, ω)."""
     W = _hat(xi[3], xi[4], xi[5])
@@ -57,7 +57,7 @@ def exp(xi: FloatArray) -> FloatArray:
     return T
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def log(T: FloatArray) -> FloatArray:
     """Tangent (6,) of T (4, 4); the angle is at most π."""
     x, y, z, w = _quaternion(T)
@@ -76,7 +76,7 @@ def log(T: FloatArray) -> FloatArray:
     return xi
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def view_shift_m(T: FloatArray) -> float:
     """How far T (4, 4) carries a camera's view, metres; a turn by a radian counts as 1.5 m."""
     x, y, z, w = _quaternion(T)
@@ -84,7 +84,7 @@ def view_shift_m(T: FloatArray) -> float:
     return way_m + _METRES_A_RADIAN * 2 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _quaternion(T: FloatArray) -> tuple[float, float, float, float]:
     """x, y, z, w with w ≥ 0 of the rotation of T, from its largest part (Shepperd 1978)."""
     trace = T[0, 0] + T[1, 1] + T[2, 2]
@@ -100,7 +100,7 @@ def _quaternion(T: FloatArray) -> tuple[float, float, float, float]:
     return q[0], q[1], q[2], q[3]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def adjoint(T: FloatArray) -> FloatArray:
     """Ad (6, 6) of T (4, 4)."""
     Ad = np.zeros((6, 6))
@@ -112,13 +112,13 @@ def adjoint(T: FloatArray) -> FloatArray:
     return Ad
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def inverse_adjoint(T: FloatArray) -> FloatArray:
     """Ad (6, 6) of the inverse of T (4, 4)."""
     return adjoint(inverse(T))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def inverse(T: FloatArray) -> FloatArray:
     """T_b_a (4, 4) of T_a_b (4, 4)."""
     back = np.eye(4)
@@ -129,7 +129,7 @@ def inverse(T: FloatArray) -> FloatArray:
     return back
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mended(T: FloatArray) -> FloatArray:
     """The rigid motion (4, 4) nearest to T (4, 4), which is nearly one: what is off by 1e-4 is 1e-15 then.
 
@@ -142,14 +142,14 @@ def mended(T: FloatArray) -> FloatArray:
     return near
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def carried(T_a_b: FloatArray, covariance: FloatArray) -> FloatArray:
     """The covariance (6, 6) in frame a of a left perturbation that has it in frame b."""
     Ad = adjoint(T_a_b)
     return times(times(Ad, covariance), Ad.T)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_motion(T: FloatArray) -> bool:
     """Whether T (4, 4) is a rigid motion, and finite."""
     if not np.isfinite(T).all():
@@ -166,7 +166,7 @@ def is_motion(T: FloatArray) -> bool:
     return worst < 1e-6 and turned > 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_covariance(C: FloatArray) -> bool:
     """Whether C (n, n) is finite, symmetric, and has no negative eigenvalue, to rounding."""
     if not np.isfinite(C).all():
@@ -177,20 +177,20 @@ def is_covariance(C: FloatArray) -> bool:
     return is_symmetric and least >= -1e-9 * most
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_pose(T: FloatArray, C: FloatArray) -> bool:
     """Whether T (4, 4) is a rigid motion and C (6, 6) a covariance."""
     return is_motion(T) and is_covariance(C)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_definite(C: FloatArray) -> bool:
     """Whether C (n, n), symmetric, has positive eigenvalues alone."""
     least: float = np.linalg.eigvalsh(C)[0]
     return least > 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def chi_squared(residual: FloatArray, S: FloatArray) -> float:
     """rᵀ S⁻¹ r of a residual (m,) with its covariance (m, m)."""
     weighed = np.linalg.solve(S, residual)
@@ -200,7 +200,7 @@ def chi_squared(residual: FloatArray, S: FloatArray) -> float:
     return chi2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def between(
     T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -209,7 +209,7 @@ def between(
     return times(T_before_odom, T_now), carried(T_before_odom, C_now - C_before)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def step_between(
     T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -219,7 +219,7 @@ def step_between(
     return log(T), times(axes * np.maximum(strength, 0.0), axes.T)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def left_jacobian(xi: FloatArray) -> FloatArray:
     """J (6, 6) with exp(ξ + δ) ≈ exp(J δ) exp(ξ): the series of ad(ξ)ⁿ / (n + 1)!, which converges for every ξ."""
     ad = np.zeros((6, 6))

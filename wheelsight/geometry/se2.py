@@ -10,7 +10,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.geometry._types import FloatArray
+from wheelsight.geometry.arrays import FloatArray
 
 
 def wrap_angle(angle_rad: ArrayLike) -> FloatArray:

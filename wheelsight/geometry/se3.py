@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.geometry import so3
-from wheelsight.geometry._types import FloatArray
+from wheelsight.geometry.arrays import FloatArray
 
 # At this depth, usual indoors, a turn hides as much of a view as the way.
 _METRES_A_RADIAN = 1.5

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from wheelsight.geometry._types import FloatArray
+from wheelsight.geometry.arrays import FloatArray
 
 _SMALL_ANGLE_RAD = 1e-4
 _NO_SINE = 1e-12

@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 # Small, for few surfels are all that some cells hold, and a page is theirs alone. The other kernels of this folder are
 # compiled with it, and numba's cache looks at their own files only: who changes it saves those anew.
@@ -22,14 +23,14 @@ STRAY_M = 0.05
 CELLS, FREE, PAGES, ALIVE = 0, 1, 2, 3
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _hash(x: Any, y: Any, z: Any, size: Any) -> Any:
     h = (int(x) * 73856093) ^ (int(y) * 19349663) ^ (int(z) * 83492791)
     h ^= (h >> 15) & 0x1FFFF
     return (h * 0x9E3779B1) >> 7 & (size - 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_cell(table: Any, cell_xyz: Any, x: Any, y: Any, z: Any) -> Any:
     """The cell at a place, or -(1 + where in the table it belongs)."""
     k = _hash(x, y, z, len(table))
@@ -41,7 +42,7 @@ def find_cell(table: Any, cell_xyz: Any, x: Any, y: Any, z: Any) -> Any:
     return -1 - k
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rebuild_table(table: Any, cell_xyz: Any, cells: int) -> None:
     """Fill an empty table (all -1) with `cells` cells."""
     for cell in range(cells):
@@ -49,7 +50,7 @@ def rebuild_table(table: Any, cell_xyz: Any, cells: int) -> None:
         table[k] = cell
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def append(
     new: Any,
     new_look: Any,
@@ -99,7 +100,7 @@ def append(
     return len(new)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _copy(
     i: Any, j: Any, geometry: Any, look: Any, seen_s: Any, variance: Any, to: Any, to_look: Any, to_s: Any, to_var: Any
 ) -> None:
@@ -111,7 +112,7 @@ def _copy(
     to_s[j, 0], to_s[j, 1], to_var[j] = seen_s[i, 0], seen_s[i, 1], variance[i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _new_page(cell: Any, page_next: Any, page_fill: Any, page_cell: Any, free: Any, pages: Any, counters: Any) -> Any:
     """A page at the end of a cell's chain; -1 where there is none left."""
     if counters[FREE] > 0:
@@ -131,7 +132,7 @@ def _new_page(cell: Any, page_next: Any, page_fill: Any, page_cell: Any, free: A
     return int(page)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pages_in_view(
     T: Any,
     grid: Any,
@@ -174,7 +175,7 @@ def pages_in_view(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _frustum_box(T: Any, grid: Any, width: Any, height: Any, far_m: Any) -> Any:
     """Lowest and highest coordinates (3,) of the camera's centre and the four far corners of its view."""
     low, high = T[:3, 3].copy(), T[:3, 3].copy()
@@ -187,7 +188,7 @@ def _frustum_box(T: Any, grid: Any, width: Any, height: Any, far_m: Any) -> Any:
     return low, high
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _may_be_seen(
     T: Any, grid: Any, width: Any, height: Any, far_m: Any, reach: Any, block_m: Any, x: Any, y: Any, z: Any
 ) -> Any:
@@ -207,20 +208,20 @@ def _may_be_seen(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def usefulness(confidence: Any, age_s: Any, active_s: Any) -> Any:
     """Surfels seen often and lately are of use."""
     return confidence / (1.0 + age_s / active_s)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def usefulness_bin(confidence: Any, age_s: Any, active_s: Any, bins: Any) -> Any:
     """The bin, from the least useful up, on a logarithmic scale from 1e-4 to 1e3."""
     share = (np.log10(max(usefulness(confidence, age_s, active_s), 1e-4)) + 4.0) / 7.0
     return min(int(share * bins), bins - 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_usefulness(
     geometry: Any, seen_s: Any, page_fill: Any, pages: Any, now_s: Any, active_s: Any, out: Any
 ) -> None:
@@ -231,7 +232,7 @@ def count_usefulness(
                 out[usefulness_bin(geometry[slot, CONFIDENCE], now_s - seen_s[slot, 1], active_s, len(out))] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def compact(
     begin: Any,
     end: Any,
@@ -290,7 +291,7 @@ def compact(
     return died, end
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _must_go(confidence: Any, first_s: Any, last_s: Any, now_s: Any, rules: Any, quota: Any) -> Any:
     """Whether a surfel's time has come, or its usefulness is among what may still be dropped: `quota` counts it."""
     if confidence < rules[0] and (now_s - first_s > rules[1] or now_s - last_s > rules[3]):
@@ -303,7 +304,7 @@ def _must_go(confidence: Any, first_s: Any, last_s: Any, now_s: Any, rules: Any,
     return must_go
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _trim(
     cell: Any, last: Any, fill: Any, page_next: Any, page_fill: Any, free: Any, pages: Any, counters: Any
 ) -> None:

@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from wheelsight.compiled import kernel
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, STRAY_M
 from wheelsight.mapping._match_kernels import (
     FAR,
@@ -29,9 +29,6 @@ from wheelsight.mapping._match_kernels import (
     faces,
 )
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0xC6766E3A
-
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # Beyond, more sightings change nothing: what is seen for long can still change.
 MOST_CONFIDENCE = np.float32(100.0)
@@ -47,7 +44,7 @@ _LEAST_VARIANCE = np.float32(1e-8)
 _BEYOND_SIGMAS = np.float32(6.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def read(
     begin: Any,
     end: Any,
@@ -93,7 +90,7 @@ def read(
             radius[p] = z * pitch / max(cosine, _LEAST_COSINE)
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _paint(look: Any, slot: Any, share: Any, color: Any, grey: Any, p: Any) -> None:
     """Average a share of what a pixel saw of colour and grey into a surfel's, or all of it where that has none."""
     if len(color) > 0 and color[p, 0] >= 0:
@@ -105,7 +102,7 @@ def _paint(look: Any, slot: Any, share: Any, color: Any, grey: Any, p: Any) -> N
         look[slot, 3] = grey[p] if before < 0 else before + share * (grey[p] - before)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def update(
     begin: Any,
     end: Any,
@@ -166,7 +163,7 @@ def update(
         counts[k, 0], counts[k, 1] = matched, died
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any, noise: Any) -> Any:
     """Move and turn a surfel by the reading of pixel p; the share by which.
 
@@ -194,7 +191,7 @@ def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any
     return share
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _has_left(geometry: Any, slot: Any, cell_xyz: Any, cell: Any, block_m: Any) -> Any:
     """Whether a surfel strayed too far from its block to be found there."""
     has_left, reach = False, 0.5 * block_m + STRAY_M
@@ -203,7 +200,7 @@ def _has_left(geometry: Any, slot: Any, cell_xyz: Any, cell: Any, block_m: Any) 
     return has_left
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def merge(
     begin: Any,
     end: Any,
@@ -240,7 +237,7 @@ def merge(
                 merged[begin] += 1
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _are_alike(geometry: Any, slot: Any, kept: Any, variance: Any, settings: Any) -> Any:
     """Whether two surfels stand for one spot of one surface: closer than half the smaller one's radius across it."""
     along, across2 = apart(geometry, slot, geometry, kept)
@@ -250,7 +247,7 @@ def _are_alike(geometry: Any, slot: Any, kept: Any, variance: Any, settings: Any
     return is_near & faces(geometry, slot, geometry, kept, settings)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def make_new(
     is_new: Any,
     reading: Any,

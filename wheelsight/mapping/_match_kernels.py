@@ -9,12 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from wheelsight.compiled import kernel
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
-
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x1272C3C0
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 # Order in which surfels are preferred to each other where several fit a pixel; added to a distance in pixels².
@@ -37,7 +34,7 @@ CONSTANT, QUADRATIC, NEAR, FAR = range(4)
 READING, VARIANCE, WEIGHT = 8, 3, 7
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def find_candidates(
     begin: Any,
     end: Any,
@@ -93,7 +90,7 @@ def find_candidates(
         counts[k, 0], counts[k, 1] = entry - k * PAGE, died
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _place(geometry: Any, first: Any, fill: Any, T: Any, grid: Any, shape: Any, place: Any, where: Any) -> None:
     """The pixels `where` a page's surfels fall, -1 outside; how deep, and how far from the pixel's middle, squared."""
     # Read once: the compiler cannot know that they stay as they are while buffers are written.
@@ -116,7 +113,7 @@ def _place(geometry: Any, first: Any, fill: Any, T: Any, grid: Any, shape: Any, 
         place[_Z, i], place[_OFF, i] = z, du * du + dv * dv
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, settings: Any) -> Any:
     """Whether a surfel lies on the plane of pixel p's reading, and faces as it does."""
     along = _ZERO
@@ -126,7 +123,7 @@ def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, settin
     return (reading[p, WEIGHT] > 0) & faces(geometry, slot, reading, p, settings) & is_near
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _is_free(depth_m: Any, p: Any, z: Any, aside_m: Any, noise: Any, settings: Any) -> Any:
     """Whether all that is seen about pixel p lies behind a depth z, clearly; `aside_m` more for what rests."""
     r, c, is_free = p // depth_m.shape[1], p % depth_m.shape[1], True
@@ -138,7 +135,7 @@ def _is_free(depth_m: Any, p: Any, z: Any, aside_m: Any, noise: Any, settings: A
     return is_free
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def choose(begin: Any, end: Any, width: Any, pixel: Any, rank: Any, counts: Any, best: Any, chosen: Any) -> None:
     """The best candidate's entry for each pixel of rows `begin` to `end`, -1 where there is none: (h·w,)."""
     low, high = begin * width, end * width
@@ -151,7 +148,7 @@ def choose(begin: Any, end: Any, width: Any, pixel: Any, rank: Any, counts: Any,
                 best[p], chosen[p] = rank[entry], entry
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def find_new(
     begin: Any,
     end: Any,
@@ -185,7 +182,7 @@ def find_new(
                 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _is_covered(
     near: Any,
     slots: Any,
@@ -210,7 +207,7 @@ def _is_covered(
     return False
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _covers(
     geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, radius_m: Any, wide_m: Any, settings: Any
 ) -> Any:
@@ -227,19 +224,19 @@ def _covers(
     return is_on_it & faces(geometry, slot, reading, p, settings)
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _gate(reading: Any, p: Any, variance: Any, slot: Any, settings: Any) -> Any:
     """How far from a surfel, along the normal, a reading still agrees with it."""
     return settings[GATE_SIGMAS] * np.sqrt(reading[p, VARIANCE] + variance[slot]) + settings[GATE_M]
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def deviation(noise: Any, z: Any) -> Any:
     """The standard deviation of a depth z."""
     return noise[CONSTANT] + noise[QUADRATIC] * z * z
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def faces(geometry: Any, slot: Any, others: Any, other: Any, settings: Any) -> Any:
     """Whether the normals of a surfel and of another surfel or reading agree."""
     cosine = _ZERO
@@ -248,7 +245,7 @@ def faces(geometry: Any, slot: Any, others: Any, other: Any, settings: Any) -> A
     return cosine >= settings[MIN_NORMAL_DOT]
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def apart(geometry: Any, slot: Any, others: Any, other: Any) -> Any:
     """How far a surfel is from another surfel or reading, along the other's normal, and squared, across it."""
     along = distance2 = _ZERO

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_distances(
     position: Any, normal: Any, confidence: Any, origin: Any, voxel_m: float, reach: int, distance: Any, weight: Any
 ) -> None:

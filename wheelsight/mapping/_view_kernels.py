@@ -8,12 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from wheelsight.compiled import kernel
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
-
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x1272C3C0
 
 _ZERO, _QUARTER, _ONE = np.float32(0.0), np.float32(0.25), np.float32(1.0)
 # Unstable surfels show only where no stable one does: they rank as if so far away.
@@ -38,7 +35,7 @@ NEAR, _RANK, _TOTAL, _DEPTH = 3, 0, 1, 2
 SUMS = 8
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(error_model="numpy", fastmath={"contract"})
 def project_disks(
     begin: Any,
     end: Any,
@@ -101,7 +98,7 @@ def project_disks(
         count[k, 0], count[k, 1] = low - k * PAGE, (k + 1) * PAGE - high
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _project(
     surfel: Any, fill: Any, T: Any, grid: Any, last_column: Any, last_row: Any, far_m: Any, shown: Any
 ) -> None:
@@ -135,7 +132,7 @@ def _project(
         shown[_BOUND, i], shown[_BOUND + 1, i], shown[_BOUND + 2, i], shown[_BOUND + 3, i] = top, bottom, left, right
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _form(x: Any, y: Any, nx: Any, ny: Any, plane: Any, z: Any, radius: Any) -> Any:
     """The squared distance on the plane, over radius², of slopes (dx, dy) beside the middle's: of dx², dx·dy, dy².
 
@@ -148,7 +145,7 @@ def _form(x: Any, y: Any, nx: Any, ny: Any, plane: Any, z: Any, radius: Any) -> 
     return xx, xy, scale * (z * z + (y * z + y * z) * h + ray2 * h * h)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def blend(
     begin: Any, end: Any, ray_x: Any, ray_y: Any, disk: Any, bound: Any, count: Any, near: Any, sums: Any
 ) -> None:
@@ -168,7 +165,7 @@ def blend(
                 _add_disk(entry, _ZERO, False, disk, bound, begin, end, ray_x, ray_y, near, sums)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fill_in(
     begin: Any, end: Any, ray_x: Any, ray_y: Any, disk: Any, bound: Any, count: Any, near: Any, sums: Any
 ) -> None:
@@ -189,7 +186,7 @@ def fill_in(
     _add_unstable(True, begin, end, ray_x, ray_y, disk, bound, count, near, sums)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _add_unstable(
     is_known: Any,
     begin: Any,
@@ -209,7 +206,7 @@ def _add_unstable(
                 _add_disk(entry, BEHIND_M, is_known, disk, bound, begin, end, ray_x, ray_y, near, sums)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _add_disk(
     entry: Any,
     behind_m: Any,
@@ -260,7 +257,7 @@ def _add_disk(
             sums[r, c, 6], sums[r, c, 7] = kept * s6 + weight * green, kept * s7 + weight * blue
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def divide(begin: Any, end: Any, near: Any, sums: Any, depth_m: Any, normal: Any, grey: Any, colors: Any) -> None:
     """The means of rows `begin` to `end`: depth, normal, grey, and colour; 0, 0, -1, -1 where nothing is.
 

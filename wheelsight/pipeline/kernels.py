@@ -44,6 +44,7 @@ PARTS: dict[str, tuple[dict[str, Any], ...]] = {
 _NEEDS = {"simulation": "mujoco", "mesh": "skimage"}
 # On two cores of 2023, nothing being compiled yet; for words such as "about a minute" alone.
 SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "places": 5, "simulation": 40, "mesh": 5}
+_KERNEL_FILES = ("*_kernels.py", "compiled.py", "geometry/arrays.py")
 _MARK = "wheelsight-{}.compiled.json"
 
 
@@ -153,13 +154,18 @@ def _caches(module: ModuleType) -> set[Path]:
     return {Path(kernel.stats.cache_path) for kernel in vars(module).values() if hasattr(kernel, "stats")}
 
 
+def kernel_files() -> list[Path]:
+    """All files that compiled kernels are made of, sorted."""
+    return sorted(path for pattern in _KERNEL_FILES for path in PACKAGE.rglob(pattern))
+
+
 def _digest() -> str:
     """What compiled kernels depend on: their files, the compiler and the processor."""
     import numba
     from llvmlite import binding
 
     facts = [sys.version, numba.__version__, binding.get_host_cpu_name()]
-    for path in sorted(PACKAGE.rglob("*kernels.py")):
+    for path in kernel_files():
         about = path.stat()
         facts.append(f"{path.relative_to(PACKAGE)} {about.st_size} {about.st_mtime_ns}")
     return hashlib.sha256("\n".join(facts).encode()).hexdigest()

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 # Rec. 601's weights of red, green and blue, in 256ths.
 RED, GREEN, BLUE = 77, 150, 29
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_frame(
     color: Any, depth_m: Any, step_px: int, bin_of_grey: Any, near_m: float, far_m: float, grey: Any, depth: Any
 ) -> Any:
@@ -45,7 +46,7 @@ def count_frame(
         depth[i] += tables[0, i] + tables[1, i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mean_of_leaves(features: Any, roots: Any, left: Any, right: Any, feature: Any, threshold: Any, share: Any) -> Any:
     """Mean over trees (A,) of the distribution in the leaf that features (D,) reach (Trinh et al., eq. 7).
 
@@ -61,7 +62,7 @@ def mean_of_leaves(features: Any, roots: Any, left: Any, right: Any, feature: An
     return total / len(roots)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def means_of_leaves(features: Any, roots: Any, left: Any, right: Any, feature: Any, threshold: Any, share: Any) -> Any:
     """`mean_of_leaves` of many: features (N, D) to (N, A)."""
     means = np.empty((len(features), share.shape[1]))

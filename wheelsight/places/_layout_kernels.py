@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 QUANTILES = (0.2, 0.5, 0.8)
 OF_COLOR, OF_DEPTH = 6, 6
@@ -15,7 +16,7 @@ _LEAST_DEVIATION = 2.0
 _STEEPEST = 0.1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_color(color: Any, out: Any) -> Any:
     """Fill `out` (3, h, w) with grey and two chromaticities, red to green and yellow to blue, at the grid's places.
 
@@ -41,7 +42,7 @@ def sample_color(color: Any, out: Any) -> Any:
             out[0, j, i] = (out[0, j, i] - mean) * scale
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_depth(depth_m: Any, far_m: float, out: Any) -> Any:
     """Fill `out` (h, w) with the depth at the grid's places, at most `far_m`, 0 where there is none; how many have it.
 
@@ -69,7 +70,7 @@ def sample_depth(depth_m: Any, far_m: float, out: Any) -> Any:
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def normals_of(depth_m: Any, focal: float, aspect: float, out: Any) -> Any:
     """Fill `out` (2, h, w) with x and y of unit normals towards the camera; NaN at holes and edges of objects.
 
@@ -94,7 +95,7 @@ def normals_of(depth_m: Any, focal: float, aspect: float, out: Any) -> Any:
             out[0, j, i], out[1, j, i] = a / length, b / length
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def tell_color(samples: Any, out: Any) -> Any:
     """Fill `out` (rows, columns, 6): mean and deviation of grey, its mean step across and down, mean chromaticities."""
     rows, columns = out.shape[:2]
@@ -117,7 +118,7 @@ def tell_color(samples: Any, out: Any) -> Any:
             out[r, c, 2], out[r, c, 3], out[r, c, 4], out[r, c, 5] = across / n, down / n, red / n, yellow / n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def tell_depth(depth_m: Any, normals: Any, far_m: float, out: Any) -> Any:
     """Fill `out` (rows, columns, 6): three quantiles of depth, share of holes, mean x and y of normals."""
     rows, columns = out.shape[:2]
@@ -139,7 +140,7 @@ def tell_depth(depth_m: Any, normals: Any, far_m: float, out: Any) -> Any:
             out[r, c, 4], out[r, c, 5] = x / max(n, 1), y / max(n, 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def tell_profile(depth_m: Any, far_m: float, out: Any) -> Any:
     """Fill `out` (columns, 2): median and eight tenths of depth in upright strips of the image's middle third.
 
@@ -155,7 +156,7 @@ def tell_profile(depth_m: Any, far_m: float, out: Any) -> Any:
         out[c, 1] = _quantile(counts, found, 0.8, far_m)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def tell_whole(samples: Any, depth_m: Any, normals: Any, far_m: float, grey: Any, depth: Any, sides: Any) -> Any:
     """Fill shares of the whole frame: standardised grey (B,), depth (B,) and normals (S, S) by x and y."""
     h, w = depth_m.shape
@@ -172,7 +173,7 @@ def tell_whole(samples: Any, depth_m: Any, normals: Any, far_m: float, grey: Any
                 sides[int(min((y + 1) * side / 2, side - 1.0)), int(min((x + 1) * side / 2, side - 1.0))] += share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count(depth_m: Any, top: int, bottom: int, left: int, right: int, far_m: float, counts: Any) -> Any:
     counts[:] = 0
     scale = _DEPTH_BINS / far_m
@@ -185,7 +186,7 @@ def _count(depth_m: Any, top: int, bottom: int, left: int, right: int, far_m: fl
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _quantile(counts: Any, found: int, share: float, far_m: float) -> Any:
     """Depth below which `share` of what was found lies, as if spread evenly within a bin; 0 where nothing was."""
     if found == 0:

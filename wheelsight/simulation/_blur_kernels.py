@@ -6,16 +6,14 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from wheelsight.compiled import kernel
 from wheelsight.simulation._texture_kernels import hash_unit
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x0A88544E
 _LONGEST_SMEAR_PX = 60.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def flow(depth_m: Any, rays: Any, twist: Any, out: Any) -> None:
     """Pixels per second `out` (H, W, 2) from depth (H, W), rays (H, W, 3) and the camera's (v, ω); 0 without depth."""
     height, width = depth_m.shape
@@ -36,7 +34,7 @@ def flow(depth_m: Any, rays: Any, twist: Any, out: Any) -> None:
             out[v, u, 1] = dy / abs(rays[below, u, 1] - y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def smear(image: Any, moved: Any) -> Any:
     """Image (H, W, 3) of which each pixel is the mean along a line (H, W, 2) in pixels through its middle."""
     height, width, _ = image.shape
@@ -60,7 +58,7 @@ def smear(image: Any, moved: Any) -> Any:
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _between(image: Any, u: float, v: float) -> Any:
     """Bilinear colour at a place in the image; outside, that of the nearest edge."""
     height, width, _ = image.shape
@@ -78,7 +76,7 @@ def _between(image: Any, u: float, v: float) -> Any:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def develop(
     image: Any,
     fall_off: Any,

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 _BINS_PER_PX = 2
 _BYTE = 256
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def returned_light(
     depth_m: Any, geom: Any, normal_world: Any, R_world_rows: Any, rays: Any, scattered: Any
 ) -> tuple[Any, Any]:
@@ -37,7 +38,7 @@ def returned_light(
     return cosine, light
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def lit_by_projector(depth_m: Any, geom: Any, focal_baseline_px_m: float, tolerance_px: float) -> Any:
     """(H, W) which pixels a projector to the camera's right lights, seen from the camera.
 
@@ -72,7 +73,7 @@ def lit_by_projector(depth_m: Any, geom: Any, focal_baseline_px_m: float, tolera
     return lit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _cover(nearest: Any, start: float, end: float, d_start: float, d_end: float) -> None:
     """Let a piece of surface stand in the projector's bins whose centres it covers, unless something nearer does."""
     if start > end:
@@ -83,7 +84,7 @@ def _cover(nearest: Any, start: float, end: float, d_start: float, d_end: float)
         nearest[b] = max(nearest[b], d_start + share * (d_end - d_start))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def detectable(
     depth_m: Any,
     geom: Any,
@@ -122,7 +123,7 @@ def detectable(
     return usable
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def match_pattern(
     depth_m: Any,
     usable: Any,
@@ -161,7 +162,7 @@ def match_pattern(
     return measured
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _beside_edge(
     depth_m: Any, row: int, column: int, down_px: float, right_px: float, focal_baseline_px_m: float
 ) -> tuple[int, int]:
@@ -177,14 +178,14 @@ def _beside_edge(
     return r, c
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _obliqueness(cosine: float) -> Any:
     """θ² / (π/2 - θ)², the growth of noise with the angle of incidence in Nguyen's and Fankhauser's models."""
     angle = np.arccos(min(max(cosine, 0.02), 1.0))
     return (angle / (0.5 * np.pi - angle)) ** 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def time_light(
     depth_m: Any,
     geom: Any,
@@ -226,7 +227,7 @@ def time_light(
     return measured
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _across_edge(depth_m: Any, row: int, column: int, jump: float) -> tuple[int, int]:
     """The neighbour of four across the greatest step of depth; (-1, -1) where there is none.
 

@@ -5,26 +5,23 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from wheelsight.compiled import kernel
 from wheelsight.simulation._texture_kernels import cover, hash_unit, stripes
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x0A88544E
 _SPILL = 0.25
 _SEAM_M = 0.10
 _CORNER_M = 0.3
 _STRIDE_PX = 4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def lamp_power(i: int, j: int, seed: int) -> Any:
     """Relative brightness of a lamp of the ceiling's lattice: they have aged, and some are switched off."""
     draw = hash_unit(i, j, seed)
     return 0.2 if draw < 0.12 else 0.8 + 0.3 * draw
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def lamp_at(x: float, y: float, wx: float, wy: float, lattice: Any) -> Any:
     """Mean glow of a footprint on a ceiling of panels: `lattice` is pitch, half lengths in x, y, glow, seed."""
     pitch, half_x, half_y, seed = lattice[0], lattice[1], lattice[2], int(lattice[4])
@@ -37,13 +34,13 @@ def lamp_at(x: float, y: float, wx: float, wy: float, lattice: Any) -> Any:
     return share * lattice[3] * lamp_power(i, j, seed) * tubes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def nine(R: Any) -> Any:
     """A matrix (3, 3) as nine numbers, row by row, which stay in registers."""
     return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def turned(R: Any, v: Any) -> Any:
     """R v of a matrix as nine numbers and a vector as three."""
     return (
@@ -53,7 +50,7 @@ def turned(R: Any, v: Any) -> Any:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def light_row(v: int, view: Any, light: Any, out: Any) -> None:
     """Irradiance over π into row v of `out` (H, W, 3); `view` and `light` as for `paint_rows`.
 
@@ -87,13 +84,13 @@ def light_row(v: int, view: Any, light: Any, out: Any) -> None:
         last = u
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def tinted(c: int, shade: float, lamp: float, window: float, tints: Any) -> Any:
     """What comes in one of three colours of the light that `light_at` tells."""
     return shade * (tints[0, c] + tints[1, c] * lamp + tints[2, c] * window)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _is_between(v: int, u: int, geom: Any, normal_world: Any) -> Any:
     """Whether a pixel and the strided ones on both sides of it are all on the same flat face."""
     a = u - u % _STRIDE_PX
@@ -105,7 +102,7 @@ def _is_between(v: int, u: int, geom: Any, normal_world: Any) -> Any:
     return bend + abs(normal_world[v, a, 2] - normal_world[v, b, 2]) < 1e-3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> Any:
     """Shade 0 to 1 of the light from all round, light of lamps, and of windows, at p with normal n, by Lambert's law.
 
@@ -131,12 +128,12 @@ def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> 
     return _shade(p, n, grid, clearance), max(facing, 0.0) + _SPILL * spill, window
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _inside(index: float, count: int) -> Any:
     return min(max(index, 0.0), count - 1.001)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _shade(p: Any, n: Any, grid: Any, clearance: Any) -> Any:
     """How open the surroundings are: little light gets to where walls, floor, ceiling and furniture meet."""
     if abs(n[2]) > 0.5 and (n[2] < 0 or p[2] > 0.05):

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 # Faces of a box meet at 90 degrees; a curved face turns by less from a pixel to the next, unless it is tiny.
 _SAME_FACE = 0.9
@@ -14,7 +15,7 @@ _SAME_FACE = 0.9
 _OFFSETS = np.array([[-0.4, 0.2], [-0.2, -0.4], [0.2, 0.4], [0.4, -0.2]])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_same_face(one: int, n: Any, other: int, m: Any) -> Any:
     """Whether two rays met one face of one geom, or both nothing.
 
@@ -24,13 +25,13 @@ def is_same_face(one: int, n: Any, other: int, m: Any) -> Any:
     return one == other and (one < 0 or n[0] * m[0] + n[1] * m[1] + n[2] * m[2] > _SAME_FACE)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def three(vectors: Any, v: int, u: int) -> Any:
     """A pixel's normal or ray as three numbers."""
     return float(vectors[v, u, 0]), float(vectors[v, u, 1]), float(vectors[v, u, 2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find(geom: Any, normal_world: Any, tile: Any) -> Any:
     """Rows and columns (N, 2) of a tile's pixels with another face above, below, on the left or the right.
 
@@ -53,7 +54,7 @@ def find(geom: Any, normal_world: Any, tile: Any) -> Any:
     return found[:count]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spread(rays: Any, pixels: Any) -> Any:
     """Rays (N, S, 3) through parts of pixels, rows and columns (N, 2), from the `rays` (H, W, 3) through their middles.
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from wheelsight.compiled import kernel
 from wheelsight.simulation._light_kernels import lamp_at, light_at, light_row, nine, tinted, turned
 from wheelsight.simulation._outline_kernels import is_same_face, three
 from wheelsight.simulation._picture_kernels import books, door, notice_board, poster
@@ -21,8 +20,6 @@ from wheelsight.simulation._texture_kernels import (
 )
 from wheelsight.simulation._wall_kernels import used_wall
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x83C7F6E4
 PLAIN, PLASTER, CARPET, TILES, WOOD, CEILING, DOOR, POSTER, NOTICE_BOARD, FABRIC, BOOKS = range(11)
 _CURVED = 3
 _FLAT_THING_M = 0.12
@@ -30,7 +27,7 @@ _LEAST_FOOTPRINT_M = 1e-4
 _MOST_FOOTPRINT_M = 20.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def face_of(kind: int, n: Any) -> int:
     """Along which axis of its own a geom shows a face: 0, 1, 2, or 3 where it is curved. `n`: normal in its frame."""
     if kind in (2, 3, 4) or (kind == 5 and abs(n[2]) < 0.9):
@@ -40,7 +37,7 @@ def face_of(kind: int, n: Any) -> int:
     return 0 if abs(n[0]) >= abs(n[1]) else 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def on_face(face: int, n: Any, p: Any) -> Any:
     """Texture coordinates in metres of a point in the geom's frame; seen from outside, s runs right and t up."""
     if face == 2:
@@ -52,7 +49,7 @@ def on_face(face: int, n: Any, p: Any) -> Any:
     return math.hypot(p[0], p[1]) * math.atan2(p[1], p[0]), p[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def along_face(face: int, p: Any, d: Any) -> Any:
     """How far a small step d in the geom's frame goes along s and t, without sign."""
     if face == 2:
@@ -65,7 +62,7 @@ def along_face(face: int, p: Any, d: Any) -> Any:
     return abs(p[0] * d[1] - p[1] * d[0]) / radius, abs(d[2])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def pixel_step(n: Any, ray: Any, to_next: Any, depth_m: float) -> Any:
     """From where a ray meets a plane of normal n to where the next pixel's does: ray and `to_next` in n's frame."""
     along = n[0] * ray[0] + n[1] * ray[1] + n[2] * ray[2]
@@ -79,7 +76,7 @@ def pixel_step(n: Any, ray: Any, to_next: Any, depth_m: float) -> Any:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def albedo_at(
     kind: int,
     s: float,
@@ -120,7 +117,7 @@ def albedo_at(
     return rgb
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def paint_rows(first: int, last: int, view: Any, geoms: Any, light: Any, lattice: Any, out: Any) -> None:
     """Radiance `out` (H, W, 3) of the rows from first up to last.
 
@@ -153,7 +150,7 @@ def paint_rows(first: int, last: int, view: Any, geoms: Any, light: Any, lattice
                     out[v, u, c] += glow * light[0][1, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def paint_outlines(
     first: int, last: int, pixels: Any, samples: Any, view: Any, geoms: Any, light: Any, lattice: Any, out: Any
 ) -> None:
@@ -186,7 +183,7 @@ def paint_outlines(
         out[v, u, 0], out[v, u, 1], out[v, u, 2] = share * red, share * green, share * blue
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def radiance_of(
     g: int, p: Any, n: Any, step_u: Any, step_v: Any, geoms: Any, light: Any, lattice: Any
 ) -> tuple[Any, Any, Any]:
@@ -202,13 +199,13 @@ def radiance_of(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def place(T_world_camera: Any, row: int) -> Any:
     """Where the camera is as a row is read."""
     return T_world_camera[row, 0, 3], T_world_camera[row, 1, 3], T_world_camera[row, 2, 3]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def to_neighbours(v: int, u: int, rays: Any, R_world_camera: Any) -> Any:
     """From a pixel's ray to the next one's in its row and in its column, in the world, at a depth of 1 m."""
     height, width = rays.shape[:2]
@@ -218,7 +215,7 @@ def to_neighbours(v: int, u: int, rays: Any, R_world_camera: Any) -> Any:
     return turned(R_world_camera, right), turned(R_world_camera, down)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def glow_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, looks: Any, numbers: Any, lattice: Any) -> Any:
     """How bright a geom shines by itself at p with normal n, over a pixel whose edges there are two steps."""
     glow = numbers[g, 2]
@@ -227,7 +224,7 @@ def glow_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, looks: Any, number
     return glow
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, geoms: Any) -> Any:
     """Reflectances at a point p of a geom, with normal n in the world, over a pixel whose edges there are two steps."""
     shape, size_m, position_world, R_world_geom, origin, looks, colours, numbers = geoms
@@ -252,7 +249,7 @@ def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, geoms: Any)
     return colour
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def transposed(R: Any, g: int) -> Any:
     """R_geom_world as nine numbers."""
     return R[g, 0, 0], R[g, 1, 0], R[g, 2, 0], R[g, 0, 1], R[g, 1, 1], R[g, 2, 1], R[g, 0, 2], R[g, 1, 2], R[g, 2, 2]

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from wheelsight.compiled import kernel
 from wheelsight.simulation._texture_kernels import (
     blot,
     cells,
@@ -23,8 +22,6 @@ from wheelsight.simulation._texture_kernels import (
     stripes,
 )
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x0A88544E
 _PAPER = (0.84, 0.83, 0.79)
 _INK = (0.06, 0.06, 0.08)
 _STEEL = (0.52, 0.53, 0.55)
@@ -33,7 +30,7 @@ _SHELF_M = 0.34
 _MEAN_SPINE = (0.41, 0.40, 0.38)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def rectangle(s: float, t: float, left: float, right: float, low: float, high: float, ws: float, wt: float) -> Any:
     """Share of a footprint that lies in a rectangle."""
     if abs(2 * s - left - right) >= right - left + ws or abs(2 * t - low - high) >= high - low + wt:
@@ -41,7 +38,7 @@ def rectangle(s: float, t: float, left: float, right: float, low: float, high: f
     return cover(s, left, right, ws) * cover(t, low, high, wt)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def pick_colour(key: int, seed: int, strength: float) -> Any:
     """A printer's colour: any hue, neither glaring nor black; a strength of 0 is grey."""
     hue, light = 6.2832 * hash_unit(key, 11, seed), 0.2 + 0.5 * hash_unit(key, 12, seed)
@@ -53,7 +50,7 @@ def pick_colour(key: int, seed: int, strength: float) -> Any:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def door(
     s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int
 ) -> Any:
@@ -80,7 +77,7 @@ def door(
     return mix(scaled(leaf, 1 - 0.8 * gap), accent, frame)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _handle_and_number(
     leaf: Any, x: float, s: float, up: float, hs: float, ws: float, wt: float, accent: Any, seed: int
 ) -> Any:
@@ -97,7 +94,7 @@ def _handle_and_number(
     return mix(leaf, mix(_PAPER, accent if hash_unit(3, 1, seed) < 0.5 else _INK, min(ink, 1.0)), plate)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def picture(s: float, t: float, w_m: float, ws: float, wt: float, strength: float, seed: int) -> Any:
     """A printed picture w_m wide: a town before hills, or areas within areas, in a few colours and their mixtures."""
     a, b, c = pick_colour(1, seed, strength), pick_colour(2, seed, strength), pick_colour(3, seed, strength)
@@ -120,7 +117,7 @@ def picture(s: float, t: float, w_m: float, ws: float, wt: float, strength: floa
     return mix(sky, front, cover(down, roof, row_m, wt))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def poster(
     s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int
 ) -> Any:
@@ -151,7 +148,7 @@ def poster(
     return mix(colour, accent, frame)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def notice_board(
     s: float,
     t: float,
@@ -178,7 +175,7 @@ def notice_board(
     return mix(scaled(colour, 1 - 0.4 * shadow), accent, frame)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _note(
     under: Any,
     s: float,
@@ -213,7 +210,7 @@ def _note(
     return mix(scaled(under, 1 - 0.5 * shadow), paper, sheet)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _sheet(
     a: float, b: float, half_w: float, half_h: float, ws: float, wt: float, contrast: float, seed: int, key: int
 ) -> Any:
@@ -236,7 +233,7 @@ def _sheet(
     return mix(paper, pick_colour(key + 1, seed, 1.4), pin)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def books(
     s: float, t: float, hs: float, ht: float, ws: float, wt: float, rgb: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
@@ -260,7 +257,7 @@ def books(
     return mix(inside, rgb, max(board, side))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _two_spines(
     s: float,
     row: int,
@@ -286,7 +283,7 @@ def _two_spines(
     return scaled(inside, 1 - 0.6 * cover(s, edge - 0.002, edge + 0.002, ws))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _spine(
     book: int,
     row: int,

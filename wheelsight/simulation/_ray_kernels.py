@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 _PLANE = 0
 _BOX = 6
@@ -19,7 +20,7 @@ _GRAZING = 0.02
 _TOLERANCE_M = 1e-6
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def aim(rays: Any, T_world_rows: Any, tile: Any, R: Any, out: Any) -> Any:
     """Turn a tile's `rays` (H, W, 3) into the world, each by its row of `T_world_rows` (H, 4, 4), into `out` (N, 3).
 
@@ -47,7 +48,7 @@ def aim(rays: Any, T_world_rows: Any, tile: Any, R: Any, out: Any) -> Any:
     return bounds
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def choose(
     kind: Any, size_m: Any, center: Any, half_m: Any, R_world_geom: Any, R: Any, origin: Any, bounds: Any, far_m: float
 ) -> Any:
@@ -85,7 +86,7 @@ def choose(
     return found[:kept]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sides(bounds: Any, R: Any, far_m: float) -> tuple[Any, Any]:
     """Inward normals (6, 3) in the world and offsets (6,) of a frustum's planes, from its origin."""
     sides = np.zeros((6, 3))
@@ -101,7 +102,7 @@ def _sides(bounds: Any, R: Any, far_m: float) -> tuple[Any, Any]:
     return sides @ R.T, offsets
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest(R: Any, center: Any, half: Any, R_geom: Any) -> Any:
     """Least depth of a box along the z axis of R."""
     depth = 0.0
@@ -111,7 +112,7 @@ def _nearest(R: Any, center: Any, half: Any, R_geom: Any) -> Any:
     return depth
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _touches(sides: Any, offsets: Any, center: Any, half: Any, R: Any) -> bool:
     for s in range(len(sides)):
         n = sides[s]
@@ -123,7 +124,7 @@ def _touches(sides: Any, offsets: Any, center: Any, half: Any, R: Any) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _cover(kind: int, size: Any, start: Any, R_geom: Any, R: Any, bounds: Any) -> float:
     """Depth of the deepest of the four corner rays' hits on a box or plane; infinite where one misses.
 
@@ -160,7 +161,7 @@ def _cover(kind: int, size: Any, start: Any, R_geom: Any, R: Any, bounds: Any) -
     return deepest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def put(
     chosen: Any,
     kind: Any,
@@ -183,7 +184,7 @@ def put(
             to_R[i, k] = R_world_geom[g, k // 3, k % 3]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gather(
     hit: Any,
     distance: Any,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
+from wheelsight.compiled import kernel
 
 _MASK = 0xFFFFFFFF
 _I, _J, _SEED = 0x27D4EB2F, 0x165667B1, 0x1E3779B1
@@ -22,13 +22,13 @@ _VEIN_M = 0.025
 _CHIPPED_FROM_M = 0.25
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def hash_unit(i: int, j: int, seed: int) -> Any:
     """A number in [0, 1) that two integers and a seed always give: MurmurHash3's finalizer (Appleby, 2011)."""
     return _mixed(i * _I + j * _J + seed * _SEED)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _mixed(h: int) -> Any:
     h &= _MASK
     h ^= h >> 16
@@ -39,14 +39,14 @@ def _mixed(h: int) -> Any:
     return h / 4294967296.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def cover(x: float, low: float, high: float, w: float) -> Any:
     """Share of a footprint of width w around x that lies between two edges."""
     inside = min(high, x + 0.5 * w) - max(low, x - 0.5 * w)
     return min(max(inside / w, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def stripes(x: float, period: float, width: float, w: float) -> Any:
     """Share of a footprint around x that lies on stripes centred at multiples of a period."""
     a, b = (x + 0.5 * width - 0.5 * w) / period, (x + 0.5 * width + 0.5 * w) / period
@@ -56,7 +56,7 @@ def stripes(x: float, period: float, width: float, w: float) -> Any:
     return covered * period / w
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def noise(s: float, t: float, cell_s: float, cell_t: float, ws: float, wt: float, seed: int) -> Any:
     """Smooth noise in (-1, 1) with one random value a corner of a grid; faded out as cells grow smaller than pixels."""
     per_s, per_t = 1 / cell_s, 1 / cell_t
@@ -73,7 +73,7 @@ def noise(s: float, t: float, cell_s: float, cell_t: float, ws: float, wt: float
     return (2 * ((1 - b) * low + b * high) - 1) * fade_s * fade_s * fade_t * fade_t
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def cells(s: float, t: float, cell_s: float, cell_t: float, ws: float, wt: float, seed: int, share: float) -> Any:
     """Mean over a footprint of a grid of flat cells.
 
@@ -98,7 +98,7 @@ def cells(s: float, t: float, cell_s: float, cell_t: float, ws: float, wt: float
     return mean + (value - mean) * fade
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _cell(key: int, share: float) -> Any:
     value = _mixed(key)
     if share > 0:
@@ -106,19 +106,19 @@ def _cell(key: int, share: float) -> Any:
     return value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def mix(a: Any, b: Any, k: float) -> Any:
     """Colour a, of which a share k is replaced by colour b."""
     return (a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1]), a[2] + k * (b[2] - a[2]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def scaled(a: Any, k: float) -> Any:
     """Colour a, k times as bright."""
     return (a[0] * k, a[1] * k, a[2] * k)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def print_lines(s: float, t: float, pitch: float, ws: float, wt: float, seed: int) -> Any:
     """Share of ink in lines of words whose letters are blocks of three by four strokes; `pitch` is between lines."""
     if wt > 2 * pitch:
@@ -131,7 +131,7 @@ def print_lines(s: float, t: float, pitch: float, ws: float, wt: float, seed: in
     return line * word * letter * strokes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def plaster(s: float, t: float, ws: float, wt: float, rgb: Any, contrast: float, seed: int) -> Any:
     """Nearly uniform: stains a metre wide, the roller's traces, a fine grain, and spots where something was once."""
     shade = 0.05 * noise(s, t, 1.3, 1.1, ws, wt, seed) + 0.05 * noise(s, t, 0.31, 0.37, ws, wt, seed + 1)
@@ -140,7 +140,7 @@ def plaster(s: float, t: float, ws: float, wt: float, rgb: Any, contrast: float,
     return scaled(rgb, max(1 + contrast * (shade - 0.9 * spot), 0.1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def blot(s: float, t: float, cell: float, ws: float, wt: float, seed: int, share: float, largest_m: float) -> Any:
     """How strongly, 0 to 1, a footprint lies on one of the small spots that a `share` of square cells has.
 
@@ -159,7 +159,7 @@ def blot(s: float, t: float, cell: float, ws: float, wt: float, seed: int, share
     return strength * cover(a, -half_s, half_s, ws) * cover(b, -half_t, half_t, wt)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def carpet(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
@@ -189,7 +189,7 @@ def carpet(
     return mix(scaled(body, 1 - 0.6 * contrast * stain), _LINT, 0.8 * contrast * lint)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def tiles(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
@@ -214,7 +214,7 @@ def tiles(
     return mix(body, accent, joint)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def wood(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
@@ -227,7 +227,7 @@ def wood(
     return scaled(grain(along + 3 * row, t, ws, wt, rgb, accent, contrast, seed + 2, 0.3 * plank), 1 - 0.65 * joint)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def grain(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, contrast: float, seed: int, shade: float
 ) -> Any:
@@ -239,7 +239,7 @@ def grain(
     return scaled(mix(rgb, accent, 0.45 * contrast * dark), 1 + contrast * (shade + 0.06 * ring))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def ceiling(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:
@@ -252,7 +252,7 @@ def ceiling(
     return mix(scaled(body, 1 - 0.35 * (edge - bar)), accent, bar)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fabric(
     s: float, t: float, ws: float, wt: float, rgb: Any, accent: Any, scale_m: float, contrast: float, seed: int
 ) -> Any:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def keep_clear(
     clear: Any, cell_m: float, corner_m: Any, xy_robot_m: Any, R_world_robot: Any, outline_m: Any, distance_m: float
 ) -> None:
@@ -32,7 +33,7 @@ def keep_clear(
                 clear[row, column] = 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def best_step(
     safe: Any,
     along_m: Any,

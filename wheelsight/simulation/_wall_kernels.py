@@ -8,12 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from wheelsight.compiled import kernel
 from wheelsight.simulation._texture_kernels import blot, cover, hash_unit, mix, noise, print_lines, scaled, stripes
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x0A88544E
 _SKIRTING_M = 0.08
 _SKIRTING = (0.24, 0.23, 0.22)
 _BARE = (0.62, 0.58, 0.50)
@@ -30,7 +27,7 @@ _SCUFF_S_M, _SCUFF_T_M = 0.40, 0.10
 _TOUCHED_M, _REACHED_M = 1.05, 1.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def used_wall(colour: Any, s: float, height_m: float, wall_m: float, ws: float, wt: float, seed: int) -> Any:
     """A plastered wall's colour with all that happens to walls; one of less than two metres has nothing mounted."""
     colour = scaled(colour, 1 + _retouched(s, height_m, ws, wt, seed + 40))
@@ -40,7 +37,7 @@ def used_wall(colour: Any, s: float, height_m: float, wall_m: float, ws: float, 
     return skirting(colour, s, height_m, ws, wt, seed + 70)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def skirting(colour: Any, s: float, height_m: float, ws: float, wt: float, seed: int) -> Any:
     """A wall's colour with the darker board along its foot, which has joints, and paint knocked off."""
     board = cover(height_m, -1.0, _SKIRTING_M, wt)
@@ -53,7 +50,7 @@ def skirting(colour: Any, s: float, height_m: float, ws: float, wt: float, seed:
     return scaled(colour, 1 - 0.5 * groove)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _retouched(s: float, t: float, ws: float, wt: float, seed: int) -> Any:
     """By how much paint laid later differs in shade, -0.07 to 0.07; in patches with straight edges."""
     if ws > 0.5 * _PATCH_S_M or wt > 0.5 * _PATCH_T_M:
@@ -68,7 +65,7 @@ def _retouched(s: float, t: float, ws: float, wt: float, seed: int) -> Any:
     return shade * cover(a, -half_s, half_s, ws) * cover(b, -half_t, half_t, wt)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _scuffed(s: float, t: float, ws: float, wt: float, seed: int) -> Any:
     """Share of rubber and dirt rubbed off on the wall: streaks, most of them below where hands and chairs reach."""
     if ws > _SCUFF_S_M or wt > _SCUFF_T_M or t < 0:
@@ -89,7 +86,7 @@ def _scuffed(s: float, t: float, ws: float, wt: float, seed: int) -> Any:
     return share * pressed * (0.15 + 0.55 * hash_unit(i, j, seed + 6) ** 2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _fittings(colour: Any, s: float, t: float, ws: float, wt: float, seed: int) -> Any:
     """What electricians and caretakers mount: of a stretch of wall one thing, or none."""
     if ws > 0.5:
@@ -113,14 +110,14 @@ def _fittings(colour: Any, s: float, t: float, ws: float, wt: float, seed: int) 
     return colour
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _plate(under: Any, a: float, b: float, half_a: float, half_b: float, ws: float, wt: float, colour: Any) -> Any:
     """A thing a centimetre thick, with its shadow on the wall below and beside it."""
     shadow = cover(a, -half_a, half_a + 0.007, ws) * cover(b, -half_b - 0.009, half_b, wt)
     return mix(scaled(under, 1 - 0.45 * shadow), colour, cover(a, -half_a, half_a, ws) * cover(b, -half_b, half_b, wt))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _socket(under: Any, a: float, b: float, ws: float, wt: float) -> Any:
     """Two sockets in one frame."""
     if abs(a) > 0.2 + ws or abs(b) > 0.2 + wt:
@@ -135,7 +132,7 @@ def _socket(under: Any, a: float, b: float, ws: float, wt: float) -> Any:
     return colour
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _switch(under: Any, a: float, b: float, ws: float, wt: float) -> Any:
     """A light switch with two rockers, and the wall around it darkened by hands."""
     if abs(a) > 0.3 + ws or abs(b) > 0.3 + wt:
@@ -148,7 +145,7 @@ def _switch(under: Any, a: float, b: float, ws: float, wt: float) -> Any:
     return scaled(colour, 1 - 0.5 * (frame - rocker) - 0.5 * split)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _sign(under: Any, a: float, b: float, ws: float, wt: float, rgb: Any, seed: int) -> Any:
     """A small plate with a few lines on it."""
     if abs(a) > 0.3 + ws or abs(b) > 0.3 + wt:
@@ -160,7 +157,7 @@ def _sign(under: Any, a: float, b: float, ws: float, wt: float, rgb: Any, seed: 
     return _plate(under, a, b, half_a, half_b, ws, wt, written)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _call_point(under: Any, a: float, b: float, ws: float, wt: float) -> Any:
     """A fire alarm's red box with its pane."""
     if abs(a) > 0.2 + ws or abs(b) > 0.2 + wt:

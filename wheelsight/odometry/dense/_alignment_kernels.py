@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 # Columns of the partial sums of a row: of planes 21 of H's upper triangle and 6 of b, the same of grey, then these.
 GREY_SUMS = 27
@@ -33,7 +34,7 @@ _PX, _PY, _PZ, _HERE_Z, _HERE, _PARTNER, _PAIR = *range(6), 5 + CHANNELS
 _GX, _GY, _GZ, _J3, _J4, _J5, _ERROR, _ROOT, _LEVER, _RESIDUAL = range(10)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@kernel(error_model="numpy", fastmath={"reassoc", "contract"})
 def accumulate(
     depth_m: Any,
     grey: Any,
@@ -90,7 +91,7 @@ def accumulate(
                 _add(residuals, n, row[GREY_SUMS:])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _move(depth_m: Any, x: Any, y: Any, T: Any, grid: Any, moved: Any) -> None:
     """Points T p of a stretch of p = (x, y, 1)·z, and the pixels they fall on."""
     fx, fy, cx, cy = grid[0], grid[1], grid[2], grid[3]
@@ -104,7 +105,7 @@ def _move(depth_m: Any, x: Any, y: Any, T: Any, grid: Any, moved: Any) -> None:
         moved[_MU, c], moved[_MV, c] = fx * px / pz + cx, fy * py / pz + cy
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _pair(depth_m: Any, grey: Any, reference: Any, noise: Any, moved: Any, pairs: Any) -> Any:
     """Collect the points that fall into the reference, each with the plane of the pixel it falls on and the grey there.
 
@@ -132,7 +133,7 @@ def _pair(depth_m: Any, grey: Any, reference: Any, noise: Any, moved: Any, pairs
     return n
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _meet_planes(pairs: Any, n: int, noise: Any, how: Any, out: Any) -> None:
     """Gradients g = ∂error/∂p', errors and 1 / σ of n pairs as to the partners' planes; 0 where there is none.
 
@@ -163,7 +164,7 @@ def _meet_planes(pairs: Any, n: int, noise: Any, how: Any, out: Any) -> None:
         out[_ROOT, k] = one / (scale * np.sqrt((here * here + there * there) * cosine2)) if is_near else zero
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _compare_grey(pairs: Any, n: int, grid: Any, how: Any, out: Any, row: Any) -> None:
     """Likewise of the grey values of n pairs; and sum up in the row what the regression of exposure needs."""
     zero, one = np.float32(0), np.float32(1)
@@ -196,7 +197,7 @@ def _compare_grey(pairs: Any, n: int, grid: Any, how: Any, out: Any, row: Any) -
     row[FIT_YY] += syy
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _weigh(pairs: Any, residuals: Any, n: int, limit: Any, row: Any, place: int) -> None:
     """Turn n residuals into weighted Jacobians (g, p × g) and errors by Huber's weights; sum up in the row."""
     zero, one = np.float32(0), np.float32(1)
@@ -219,7 +220,7 @@ def _weigh(pairs: Any, residuals: Any, n: int, limit: Any, row: Any, place: int)
     row[place + 2] += squares
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _add(residuals: Any, n: int, row: Any) -> None:
     """Add the products of n Jacobians and errors to a row's sums: J is rows _GX to _J5."""
     at = 0

@@ -13,7 +13,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 NO_GREY = np.float32(-1.0)
 # How far away something is taken to be where depth is unknown.
@@ -21,7 +22,7 @@ _TYPICAL_DEPTH_M = np.float32(2.0)
 _NEAREST_M = np.float32(0.05)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def halve_depth(depth_m: Any, jump: float, begin: int, end: int, half: Any) -> None:
     """Rows `begin` to `end` of `half` (h, w): the mean of each 2×2 block's depths that lie on its nearest surface.
 
@@ -43,7 +44,7 @@ def halve_depth(depth_m: Any, jump: float, begin: int, end: int, half: Any) -> N
             out[c] = total / count if nearest < far else none
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def halve_grey(grey: Any, begin: int, end: int, half: Any) -> None:
     """Rows `begin` to `end` of `half` (h, w): the mean of each 2×2 block, unknown where one of the four is."""
     quarter, none = np.float32(0.25), np.float32(0)
@@ -54,7 +55,7 @@ def halve_grey(grey: Any, begin: int, end: int, half: Any) -> None:
             out[c] = quarter * (a + b + d + e) if min(min(a, b), min(d, e)) >= none else NO_GREY
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def straighten(
     depth_m: Any, grey: Any, source_px: Any, grid: Any, twist: Any, shutter_s: Any, jump: Any, rows: Any, out: Any
 ) -> None:
@@ -84,7 +85,7 @@ def straighten(
                 out[1, r, c] = _between(grey, u[c], v[c])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def straighten_color(
     image: Any, depth_m: Any, source_px: Any, grid: Any, twist: Any, shutter_s: Any, rows: Any, out: Any
 ) -> None:
@@ -104,7 +105,7 @@ def straighten_color(
             out[r, c, 0], out[r, c, 1], out[r, c, 2] = _color_between(image, u[c], v[c])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def sample_grey(
     image: Any,
     depth_m: Any,
@@ -138,7 +139,7 @@ def sample_grey(
             out[r, c] = _between(image, u[c], v[c])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def sample_color(
     image: Any,
     depth_m: Any,
@@ -163,7 +164,7 @@ def sample_color(
             out[r, c, 0], out[r, c, 1], out[r, c, 2] = _color_between(image, u[c], v[c])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _find_source(
     y: Any, source_px: Any, depth_m: Any, grid: Any, twist: Any, shutter_s: Any, height: Any, u: Any, v: Any, late: Any
 ) -> None:
@@ -186,7 +187,7 @@ def _find_source(
         u[c], v[c] = u[c] - late[c] * grid[0] * du, row
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _look_up(
     ray_y: Any,
     depth_m: Any,
@@ -214,7 +215,7 @@ def _look_up(
         v[c] = b if is_known & is_before else outside
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _flow(x: Any, y: Any, z: Any, twist: Any) -> Any:
     """How fast a point at (x, y, 1)·z moves over the image as the camera moves on, negated: (2,) a second, at f = 1.
 
@@ -227,7 +228,7 @@ def _flow(x: Any, y: Any, z: Any, twist: Any) -> Any:
     return dx - x * dz, dy - y * dz
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _depth_near(depth_m: Any, u: Any, v: Any) -> Any:
     """Depth of the nearest pixel, or a typical one where that is unknown."""
     half = np.float32(0.5)
@@ -235,7 +236,7 @@ def _depth_near(depth_m: Any, u: Any, v: Any) -> Any:
     return z if z > 0 else _TYPICAL_DEPTH_M
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _depth_between(depth_m: Any, u: Any, v: Any, jump: float) -> Any:
     """Depth between four pixels where they are one surface, else that of the nearest pixel; 0 outside."""
     height, width = depth_m.shape
@@ -251,7 +252,7 @@ def _depth_between(depth_m: Any, u: Any, v: Any, jump: float) -> Any:
     return z if is_inside else none
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _row_seen(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
     """The colour camera's row of a point, lens left aside: near enough to know when it was read."""
     b = T[4] * x + T[5] * y + T[6] * z + T[7]
@@ -259,7 +260,7 @@ def _row_seen(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
     return color[1] * b / max(d, _NEAREST_M) + color[3]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _seen_at(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
     """The colour camera's pixel (u, v) of a point of the depth camera, and whether it is before the camera."""
     a = T[0] * x + T[1] * y + T[2] * z + T[3]
@@ -274,7 +275,7 @@ def _seen_at(x: Any, y: Any, z: Any, T: Any, color: Any) -> Any:
     return color[0] * a_bent + color[2], color[1] * b_bent + color[3], d > _NEAREST_M
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _between(image: Any, u: Any, v: Any) -> Any:
     """Bilinear value between pixels; -1 outside the image or where a neighbour is unknown."""
     height, width = image.shape
@@ -284,7 +285,7 @@ def _between(image: Any, u: Any, v: Any) -> Any:
     return _mixed(a, b, d, e, np.float32(u - c), np.float32(v - r)) if is_known else NO_GREY
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _color_between(image: Any, u: Any, v: Any) -> Any:
     """Bilinear red, green and blue between pixels of bytes; -1 outside the image."""
     height, width = image.shape[0], image.shape[1]
@@ -295,24 +296,24 @@ def _color_between(image: Any, u: Any, v: Any) -> Any:
     return red if is_known else NO_GREY, green if is_known else NO_GREY, blue if is_known else NO_GREY
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _channel(image: Any, r: Any, c: Any, k: Any, s: Any, t: Any) -> Any:
     a, b = np.float32(image[r, c, k]), np.float32(image[r, c + 1, k])
     return _mixed(a, b, np.float32(image[r + 1, c, k]), np.float32(image[r + 1, c + 1, k]), s, t)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _is_between(u: Any, v: Any, width: Any, height: Any) -> Any:
     return (u >= 0) & (v >= 0) & (u < width - 1) & (v < height - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _within(x: Any, last: Any) -> Any:
     """The whole part of a coordinate, held within an image."""
     return int(min(max(x, np.float32(0)), np.float32(last)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _mixed(a: Any, b: Any, d: Any, e: Any, s: Any, t: Any) -> Any:
     """Bilinear value at s to the right and t below a, of a, b beside it, and d, e below them."""
     one = np.float32(1.0)

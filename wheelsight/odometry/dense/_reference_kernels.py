@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from wheelsight.compiled import kernel
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, NY, NZ, OFFSET
-
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x1C98811C
 
 _NAN = np.float32(np.nan)
 _FEWEST = np.float32(6)
@@ -26,7 +23,7 @@ _S, _SU, _SV, _SUU, _SVV, _SUV, _SD, _SUD, _SVD, _SDD = range(10)
 _SUMS = 10
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, hem: Any, begin: int, end: int, out: Any) -> None:
     """Rows `begin` to `end` of a reference's pixels (h, w, CHANNELS), NaN where something is unknown.
 
@@ -57,7 +54,7 @@ def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, hem: Any, begin: int, 
                 out[r, c, ALONG_U] = out[r, c, ALONG_V] = _NAN
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _is_hemmed(depth_m: Any, r: int, c: int, hem: Any) -> Any:
     """Whether something stands out before the surface within `_HEM_PX`, by more than a step `hem`.
 
@@ -75,13 +72,13 @@ def _is_hemmed(depth_m: Any, r: int, c: int, hem: Any) -> Any:
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _step(step: Any, z: Any) -> Any:
     """A step (3,) in depth, in metres at a depth z: metres, a share of z, and metres a square metre of it."""
     return step[0] + z * (step[1] + step[2] * z)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def normals(depth_m: Any, grid: Any, radius: int, step: Any, bend: Any, begin: int, end: int, out: Any) -> None:
     """Unit normals (h, w, 3) towards the camera by least squares of inverse depth over a window; 0 where none.
 
@@ -113,7 +110,7 @@ def normals(depth_m: Any, grid: Any, radius: int, step: Any, bend: Any, begin: i
                     out[r, first + c, k] = found[k, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _sum_up(here: Any, there: Any, step: Any, i: int, j: int, sums: Any) -> None:
     """Add to the windows' sums what their pixels i rows and j columns from the middle, `there`, tell of its surface.
 
@@ -137,7 +134,7 @@ def _sum_up(here: Any, there: Any, step: Any, i: int, j: int, sums: Any) -> None
         sums[_SDD, c] += d * d
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _solve(here: Any, sums: Any, grid: Any, bend: Any, r: int, first: int, found: Any) -> None:
     """Normals (3, n) of the pixels `here`, from column `first` of row r on, by the sums over their windows."""
     zero, one, y = np.float32(0), np.float32(1), np.float32((r - grid[3]) / grid[1])

@@ -10,12 +10,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from wheelsight.compiled import kernel
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, NY, NZ, OFFSET
-
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x1C98811C
 
 # Columns of the sums of a row: upper triangle of the information, and how many points fell into the reference.
 POINTS = 21
@@ -26,7 +23,7 @@ _GATE, _SCALE, _SIGMA, _GAIN, _HUBER, _WEIGHT, _MISPLACED = range(7)
 _LEAST_COSINE2 = 0.04
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def show_planes(
     depth_m: Any, own: Any, reference: Any, grid: Any, T: Any, noise: Any, how: Any, begin: int, end: int, sums: Any
 ) -> None:
@@ -66,7 +63,7 @@ def show_planes(
             _add(here, there, weight, sums[r])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def show_slopes(
     depth_m: Any, own: Any, reference: Any, grid: Any, T: Any, noise: Any, how: Any, begin: int, end: int, sums: Any
 ) -> None:
@@ -96,7 +93,7 @@ def show_slopes(
             _add(here, there, weight, sums[r])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _moved(depth_m: Any, r: Any, c: Any, reference: Any, grid: Any, T: Any, noise: Any) -> Any:
     """Whether a pixel's point falls into the reference, the point there, its depth here, and the pixel there."""
     z, fx, fy = float(depth_m[r, c]), grid[0], grid[1]
@@ -110,7 +107,7 @@ def _moved(depth_m: Any, r: Any, c: Any, reference: Any, grid: Any, T: Any, nois
     return is_seen and is_inside, px, py, pz, z, u, v
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _between(reference: Any, u: Any, v: Any, channel: int) -> Any:
     """A channel between four pixels."""
     line, column = int(v), int(u)
@@ -120,7 +117,7 @@ def _between(reference: Any, u: Any, v: Any, channel: int) -> Any:
     return (1 - t) * above + t * below
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _turn(T: Any, gx: Any, gy: Any, gz: Any, px: Any, py: Any, pz: Any, out: Any) -> None:
     """The Jacobian of a gradient in the frame at the point p in the reference."""
     ax = T[0, 0] * gx + T[0, 1] * gy + T[0, 2] * gz
@@ -129,14 +126,14 @@ def _turn(T: Any, gx: Any, gy: Any, gz: Any, px: Any, py: Any, pz: Any, out: Any
     _jacobian(px, py, pz, ax, ay, az, out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _jacobian(px: Any, py: Any, pz: Any, gx: Any, gy: Any, gz: Any, out: Any) -> None:
     """(g, p × g): of g·p by the tangent from the left."""
     out[0], out[1], out[2] = gx, gy, gz
     out[3], out[4], out[5] = py * gz - pz * gy, pz * gx - px * gz, px * gy - py * gx
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _add(here: Any, there: Any, weight: Any, row: Any) -> None:
     """Add the symmetric part of a product of Jacobians to the upper triangle."""
     at, half = 0, 0.5 * weight

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from wheelsight.compiled import kernel
 from wheelsight.odometry.dense._alignment_kernels import (
     FIT_N,
     FIT_X,
@@ -19,9 +19,6 @@ from wheelsight.odometry.dense._alignment_kernels import (
     SUMS,
 )
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x1C98811C
-
 # Entries of `how`; see `accumulate`.
 GATE, PLANE_SCALE, GREY_SIGMA, GAIN, OFFSET, HUBER, GREY_WEIGHT, COLOR_SIGMA, LEAST_SLOPE, OWN_NOISE = range(10)
 
@@ -33,7 +30,7 @@ _GAINS = (0.3, 3.0)
 _FEWEST = 100
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def advance(sums: Any, T: Any, how: Any, total: Any, T_held: Any, hold: Any) -> float:
     """One step: add up the rows' sums, move T (4, 4) in place, and adapt `how`. The largest part of the change.
 
@@ -54,7 +51,7 @@ def advance(sums: Any, T: Any, how: Any, total: Any, T_held: Any, hold: Any) -> 
     return float(np.abs(change).max())
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def offset(T: Any, T_held: Any) -> Any:
     """The tangent (6,) from T_held to T, to first order."""
     d, D = np.zeros(6), np.zeros((3, 3))
@@ -67,7 +64,7 @@ def offset(T: Any, T_held: Any) -> Any:
     return d
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def solve(total: Any, hold: Any, held: Any) -> Any:
     """-H⁻¹ b (6,) by Cholesky, with information `hold` (6, 6) that says to undo `held` (6,).
 
@@ -103,7 +100,7 @@ def solve(total: Any, hold: Any, held: Any) -> Any:
     return x
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def move(change: Any, T: Any) -> None:
     """T ← exp(change) T, with change (v, ω)."""
     angle2 = change[3] ** 2 + change[4] ** 2 + change[5] ** 2
@@ -125,7 +122,7 @@ def move(change: Any, T: Any) -> None:
     T[:3] = moved
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def place_rows(T: Any, T_previous_reference: Any, seconds: float, twist: Any, late_s: Any, T_rows: Any) -> None:
     """T_reference_frame (h, 3, 4) of each row, whose points the twist they were straightened by may have misplaced.
 
@@ -150,7 +147,7 @@ def place_rows(T: Any, T_previous_reference: Any, seconds: float, twist: Any, la
                 T_rows[r, i, j] = T[i, j] + late_s[r] * change[i, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _turn(T: Any) -> Any:
     """Rotation vector (3,) of T; half a turn comes out as nothing, which no camera makes between frames."""
     axis = np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
@@ -159,7 +156,7 @@ def _turn(T: Any) -> Any:
     return axis * (0.5 if sine < 1e-9 else 0.5 * angle / sine)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _product(A: Any, B: Any) -> Any:
     """A B of small square matrices, without a library's start-up."""
     n = A.shape[0]
@@ -171,7 +168,7 @@ def _product(A: Any, B: Any) -> Any:
     return C
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _learn(total: Any, how: Any) -> None:
     """Learn from the residuals how large they are, and how the exposure has changed."""
     if total[PLANE_COUNT] > _FEWEST:
@@ -185,7 +182,7 @@ def _learn(total: Any, how: Any) -> None:
     how[GAIN], how[OFFSET] = fit_exposure(moments, how[GAIN])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fit_exposure(moments: Any, gain: float) -> Any:
     """Gain and offset by which grey there becomes grey here: as bright, and as rich in contrast.
 

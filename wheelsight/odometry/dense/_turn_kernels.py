@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from wheelsight.compiled import kernel
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, GREY
 from wheelsight.odometry.dense._step_kernels import fit_exposure, move
-
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-_COMPILED_IN = 0x7936890B
 
 # Sums over pixels: H's upper triangle, b, how many and the sum of absolute errors, then the regression of exposure.
 B, COUNT, ABSOLUTE, FIT, TURN_SUMS = 6, 9, 10, 11, 16
@@ -20,7 +17,7 @@ _STEPS, _SMALL_TURN = 8, 5e-4
 _LIMIT, _LEAST_SHARE = 20.0, 0.3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def find_turn(depth_m: Any, grey: Any, reference: Any, grid: Any, T: Any, exposure: Any) -> None:
     """Better rotation of T_reference_frame and exposure (gain, offset) in place; the best on the way is kept.
 
@@ -45,7 +42,7 @@ def find_turn(depth_m: Any, grey: Any, reference: Any, grid: Any, T: Any, exposu
         _learn(sums, exposure)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def accumulate_turn(
     depth_m: Any, grey: Any, reference: Any, grid: Any, T: Any, exposure: Any, limit: float, sums: Any
 ) -> None:
@@ -96,7 +93,7 @@ def accumulate_turn(
             sums[FIT + 4] += weight * here * here
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _add(qx: Any, qy: Any, qz: Any, gx: Any, gy: Any, gz: Any, error: Any, weight: Any, sums: Any) -> None:
     """One pixel's share in the normal equations: J = q × g."""
     a, b, d = qy * gz - qz * gy, qz * gx - qx * gz, qx * gy - qy * gx
@@ -113,14 +110,14 @@ def _add(qx: Any, qy: Any, qz: Any, gx: Any, gy: Any, gz: Any, error: Any, weigh
     sums[ABSOLUTE] += abs(error)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _learn(sums: Any, exposure: Any) -> None:
     if sums[FIT] > 0:
         moments = sums[FIT], sums[FIT + 1], sums[FIT + 2], sums[FIT + 3], sums[FIT + 4]
         exposure[0], exposure[1] = fit_exposure(moments, exposure[0])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _solve(sums: Any) -> Any:
     """-H⁻¹ b as a twist (0, ω) (6,), by cofactors; H is damped a little, for a plain wall shows no turn."""
     damping = 1e-6 * (sums[0] + sums[3] + sums[5]) + 1e-9

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
+
+from wheelsight.compiled import kernel
 
 _FAR = 1000
 
@@ -24,14 +26,14 @@ def _ctpop(typing_context: Any, word: Any) -> Any:
 _count_bits: Any = _ctpop
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hamming(a: Any, b: Any) -> Any:
     """Number of bits in which two descriptors (4,) differ."""
     bits = _count_bits(a[0] ^ b[0]) + _count_bits(a[1] ^ b[1]) + _count_bits(a[2] ^ b[2]) + _count_bits(a[3] ^ b[3])
     return np.int64(bits)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_both_ways(first: Any, second: Any) -> Any:
     """For each of (N, 4) the nearest of (M, 4) and its distance; and for each of the second its nearest in the first.
 
@@ -50,7 +52,7 @@ def nearest_both_ways(first: Any, second: Any) -> Any:
     return nearest, distance, nearest_back
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_within(
     expected_px: Any,
     expected: Any,
@@ -95,7 +97,7 @@ def nearest_within(
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _best_of(
     u: float,
     v: float,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from wheelsight.compiled import kernel
 
 _FIXED_POINT_STEPS = 6
 # From near to far: where a ray meets an object's edge and the wall behind, the object hides the wall.
@@ -13,7 +14,7 @@ _GUESSES_M = (0.6, 1.0, 1.7, 3.0)
 _NEAREST_M = 0.1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def depth_at_keypoints(
     depth_m: Any,
     px: Any,
@@ -48,7 +49,7 @@ def depth_at_keypoints(
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _depth_along_ray(
     depth_m: Any,
     xy: Any,
@@ -80,7 +81,7 @@ def _depth_along_ray(
     return 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _smooth_depth(depth_m: Any, u: float, v: float, jump: float) -> Any:
     """Bilinear depth at a pixel; 0 beside holes, at edges of objects and outside the image.
 
@@ -105,7 +106,7 @@ def _smooth_depth(depth_m: Any, u: float, v: float, jump: float) -> Any:
     return (1 - b) * top + b * bottom
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def project(points: Any, fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> Any:
     """Pixels (N, 2) of points (N, 3) seen by a camera without distortion; NaN behind it or outside the image."""
     px = np.full((len(points), 2), np.nan)
@@ -119,7 +120,7 @@ def project(points: Any, fx: float, fy: float, cx: float, cy: float, width: int,
     return px
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def align_three(p_a: Any, p_b: Any) -> Any:
     """Rotation and translation that lay (3, 3) points b on points a: Zhang section 3.2, the reflection mended."""
     mean_a = (p_a[0] + p_a[1] + p_a[2]) / 3
@@ -134,7 +135,7 @@ def align_three(p_a: Any, p_b: Any) -> Any:
     return R, mean_a - R @ mean_b
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def residuals_of(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, out: Any) -> Any:
     """Squared, normalised distance (N,) between points (N, 3), moved, and what was seen of them; inf behind the camera.
 
@@ -153,7 +154,7 @@ def residuals_of(R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ransac(
     p_reference: Any,
     p_current: Any,
@@ -192,7 +193,7 @@ def ransac(
     return best_R, best_t, best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _same_triangle(a: Any, b: Any) -> bool:
     for i in range(3):
         j = (i + 1) % 3
@@ -203,7 +204,7 @@ def _same_triangle(a: Any, b: Any) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def normal_equations(
     R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float
 ) -> Any:
@@ -243,7 +244,7 @@ def normal_equations(
     return H, g, cost
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def refine(
     R: Any, t: Any, p_reference: Any, xy: Any, depth_m: Any, scale_xy: Any, scale_m: Any, gate: float, steps: int
 ) -> Any:
@@ -262,7 +263,7 @@ def refine(
     return R, t, H, squares
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rotation(omega: Any) -> Any:
     """Rotation matrix of a rotation vector (Rodrigues)."""
     angle = np.sqrt((omega**2).sum())

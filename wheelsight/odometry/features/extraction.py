@@ -13,7 +13,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
-from wheelsight.geometry._types import UInt64Array
+from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.settings import FeatureSettings
 

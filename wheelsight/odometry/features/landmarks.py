@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
-from wheelsight.geometry._types import UInt64Array
+from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.odometry.features.extraction import Features
 
 # Where a camera looks: two views are near when the points this far in front of them are.

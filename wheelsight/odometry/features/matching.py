@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wheelsight.geometry import FloatArray, IntArray
-from wheelsight.geometry._types import UInt64Array
+from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.odometry.features import _hamming_kernels
 
 _CELL_PX = 16

@@ -21,13 +21,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 import wheelsight.odometry.wheels._state_kernels as at
-from wheelsight.geometry import FloatArray
+from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import FloatArray
 from wheelsight.odometry.wheels._state_kernels import add_outer, add_product, add_shared
-
-_COMPILED_IN = 0x4A8DE807
 
 # Long enough that noise is more than a count, short enough that a turn is not far off meanwhile.
 PIECE_S = 0.2
@@ -50,7 +48,7 @@ _DRIFT_SIGMA_RAD_PER_M, _SCALE_SIGMA, _WALK = 0.02, 0.03, 0.0005  # as the defau
 _DECISIVE = 4.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def begin_off(states: FloatArray) -> None:
     """Go on for wheels that are off, too, from where exact ones are: (2, STATE_SIZE)."""
     states[at.OFF] = states[at.EXACT]
@@ -58,14 +56,14 @@ def begin_off(states: FloatArray) -> None:
     states[at.OFF, at.BEGUN] = 1.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def likelier(states: FloatArray) -> int:
     """Which of both states the drive speaks for."""
     lead = states[at.OFF, at.EVIDENCE] - states[at.EXACT, at.EVIDENCE]
     return at.OFF if states[at.OFF, at.BEGUN] > 0 and lead > _DECISIVE else at.EXACT
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_step(
     state: FloatArray,
     gyro_variance: float,
@@ -108,7 +106,7 @@ def add_step(
             end_stretch(state, gyro_variance, count_variance)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_noise(state: FloatArray, slip: tuple[float, float], along: tuple[float, float, float, float]) -> None:
     turn_variance, shared = slip
     wx, wy, tx, ty = along
@@ -121,7 +119,7 @@ def _add_noise(state: FloatArray, slip: tuple[float, float], along: tuple[float,
     state[at.SHARED_WITH_TURN + 1] += shared * wy
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_rest(state: FloatArray, gyro_variance: float, count_variance: float, dt_s: float, turn_rad: float) -> None:
     """Take a step of wheels that stand still, in which the gyroscope turned."""
     if state[at.STRETCH_S] > 0 and state[at.IS_REST] == 0:
@@ -133,7 +131,7 @@ def add_rest(state: FloatArray, gyro_variance: float, count_variance: float, dt_
         end_stretch(state, gyro_variance, count_variance)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def end_stretch(state: FloatArray, gyro_variance: float, count_variance: float) -> None:
     """Join what both have told; the pose as the wheels alone have it where nothing is known of their noise yet."""
     if state[at.STRETCH_S] > 0 and state[at.IS_REST] > 0:
@@ -146,7 +144,7 @@ def end_stretch(state: FloatArray, gyro_variance: float, count_variance: float) 
         state[i] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _learn_bias(state: FloatArray, gyro_variance: float) -> None:
     """By a gyroscope at rest: the pose stays, which is then less uncertain by the bias."""
     seconds = state[at.STRETCH_S]
@@ -156,7 +154,7 @@ def _learn_bias(state: FloatArray, gyro_variance: float) -> None:
     _learn(state, H, S, told, state[at.APART] - state[at.BIAS] * seconds)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _learn(state: FloatArray, H: FloatArray, S: float, told: FloatArray, off: float) -> None:
     """The Kalman update of the errors, by a difference of which `told` (3,) is the covariance with the pose."""
     P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
@@ -171,7 +169,7 @@ def _learn(state: FloatArray, H: FloatArray, S: float, told: FloatArray, off: fl
             C[i, j] -= told[i] * gain[j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _settle(state: FloatArray, ratio: float) -> None:
     """Add the stretch's noise to the pose's, of wheels whose variance is `ratio` times the calibration's."""
     for i in range(6):
@@ -179,7 +177,7 @@ def _settle(state: FloatArray, ratio: float) -> None:
         state[at.COVARIANCE + i] += math.sqrt(ratio) * state[at.SHARED_COVARIANCE + i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _go_astray(state: FloatArray) -> None:
     """Let the pose err by what drift and scale have moved it in the stretch; both wander with the way."""
     P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
@@ -194,7 +192,7 @@ def _go_astray(state: FloatArray) -> None:
         add_product(state, 0.5 * P[1 + a, 1 + a], by, by)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _join(state: FloatArray, gyro_variance: float, count_variance: float) -> None:
     """The Kalman update of pose and errors by how far wheels and gyroscope are apart."""
     _go_astray(state)
@@ -235,7 +233,7 @@ def _join(state: FloatArray, gyro_variance: float, count_variance: float) -> Non
     _perturb(state, gain[0] * off, gain[1] * off, gain[2] * off)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _unsure(state: FloatArray, H: FloatArray) -> float:
     """Variance of the errors along H (3,)."""
     P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
@@ -246,7 +244,7 @@ def _unsure(state: FloatArray, H: FloatArray) -> float:
     return variance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _perturb(state: FloatArray, vx: float, vy: float, turn_rad: float) -> None:
     """T ← exp(vx, vy, ω) T."""
     half = turn_rad / 2
@@ -259,13 +257,13 @@ def _perturb(state: FloatArray, vx: float, vy: float, turn_rad: float) -> None:
     state[at.YAW] = math.atan2(math.sin(yaw_rad), math.cos(yaw_rad)) if abs(yaw_rad) > math.pi else yaw_rad
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _known(gyro_variance: float, count_variance: float, seconds: float, change_rad_s: float) -> float:
     """Variance of what both turn apart, but for the bias and the wheels' slip, while the rate changes so much."""
     return gyro_variance * seconds + count_variance + (_LATE_S * change_rad_s) ** 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _end_piece(state: FloatArray, known: float) -> None:
     if state[at.BEFORE_S] > 0 and state[at.PIECE_SLIP] > 0 and state[at.BEFORE_SLIP] > 0:
         _learn_ratio(state, known)
@@ -278,7 +276,7 @@ def _end_piece(state: FloatArray, known: float) -> None:
         state[at.PIECE_S + i] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _learn_ratio(state: FloatArray, known: float) -> None:
     """By how two pieces differ in what seems to be the bias."""
     one_s, other_s = state[at.PIECE_S], state[at.BEFORE_S]

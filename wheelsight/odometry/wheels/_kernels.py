@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from wheelsight.geometry import ByteArray, FloatArray
+from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import ByteArray, FloatArray
 from wheelsight.odometry.wheels._gyro_kernels import add_rest, add_step, begin_off, end_stretch, likelier
 from wheelsight.odometry.wheels._state_kernels import (
     BEGUN,
@@ -37,8 +37,6 @@ from wheelsight.odometry.wheels._state_kernels import (
     add_shared,
 )
 
-_COMPILED_IN = 0x2ED4D103
-
 TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
 COUNT_VARIANCE, PARAMETERS_SIZE = 9, 10  # of a turn between two counts; 0 where wheels tell no counts
 
@@ -54,13 +52,13 @@ MOST_REVERSAL = 7.0
 _SERIES_BELOW = 0.1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unrolled(ticks: float, span: float) -> float:
     """A difference of counters that roll over after `span` (0: never), as the least step that explains it."""
     return ticks - span * math.floor(ticks / span + 0.5) if span > 0 else ticks
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fault(state: FloatArray, parameters: FloatArray, left_m: float, right_m: float, dt_s: float) -> int:
     """Why a step is refused, or OK.
 
@@ -88,13 +86,13 @@ def fault(state: FloatArray, parameters: FloatArray, left_m: float, right_m: flo
     return IMPLAUSIBLE if is_leap else OK
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _leaps_back(before_m_s: float, way_m: float, while_s: float) -> bool:
     """Whether a wheel that went at some speed rolled back much faster than that, and than it could within the while."""
     return before_m_s * way_m < 0 and abs(way_m) > max(MOST_REVERSAL * while_s, 3 * abs(before_m_s)) * while_s
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def widen(state: FloatArray, parameters: FloatArray, dt_s: float) -> None:
     """Let the covariance say that in `dt_s` the robot may have gone anywhere its wheels could take it, evenly so."""
     end_stretch(state, parameters[GYRO_VARIANCE], parameters[COUNT_VARIANCE])
@@ -107,7 +105,7 @@ def widen(state: FloatArray, parameters: FloatArray, dt_s: float) -> None:
     state[IS_STILL] = state[SPEED] = state[YAW_RATE] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def step(
     state: FloatArray,
     parameters: FloatArray,
@@ -149,7 +147,7 @@ def step(
         add_step(state, *of_gyro, dt_s, way_m, turn_rad, rate_rad_s, slip, along)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _step_each(
     states: FloatArray,
     parameters: FloatArray,
@@ -167,13 +165,13 @@ def _step_each(
         step(states[OFF], parameters, integration, left_m, right_m, dt_s, rate_rad_s)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _widen_each(states: FloatArray, parameters: FloatArray, dt_s: float) -> None:
     for i in range(len(states)):
         widen(states[i], parameters, dt_s)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _chord(turn_rad: float) -> tuple[float, float]:
     """Length of the chord of an arc of length 1 that turns so far, and its derivative by the turn."""
     h = turn_rad / 2
@@ -183,7 +181,7 @@ def _chord(turn_rad: float) -> tuple[float, float]:
     return math.sin(h) / h, (math.cos(h) - math.sin(h) / h) / h / 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _shape(integration: int, turn_rad: float) -> tuple[float, float, float]:
     """Chord of an arc of length 1, its derivative by the turn, and the share of the turn at which it points."""
     if integration == EULER:
@@ -194,7 +192,7 @@ def _shape(integration: int, turn_rad: float) -> tuple[float, float, float]:
     return chord, slope, 0.5
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move(
     state: FloatArray, integration: int, way_m: float, turn_rad: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -212,7 +210,7 @@ def move(
     return (chord * c, chord * s), (bend * c - swing * s, bend * s + swing * c)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def read_covariance(state: FloatArray, six: FloatArray) -> None:
     """Write xx, xy, xω, yy, yω, ωω into `six` (6,), that of the stretch which the gyroscope has not joined included."""
     root = math.sqrt(state[RATIO])
@@ -222,7 +220,7 @@ def read_covariance(state: FloatArray, six: FloatArray) -> None:
             six[i] += state[RATIO] * state[SLIP_COVARIANCE + i] + root * state[SHARED_COVARIANCE + i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def update(
     states: FloatArray,
     parameters: FloatArray,
@@ -259,7 +257,7 @@ def update(
     return why
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def integrate(
     states: FloatArray,
     parameters: FloatArray,

@@ -6,9 +6,8 @@ uncertain before stays as it is. An error is what is true less what is thought.
 
 from __future__ import annotations
 
-from numba import njit
-
-from wheelsight.geometry import FloatArray
+from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import FloatArray
 
 X, Y, YAW = 0, 1, 2
 COVARIANCE = 3  # xx, xy, xω, yy, yω, ωω
@@ -40,7 +39,7 @@ STATE_SIZE = NATS + RATIOS
 EXACT, OFF = 0, 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_outer(state: FloatArray, at: int, variance: float, x: float, y: float, yaw: float) -> None:
     """Add the noise of something that moves the pose along (x, y, yaw) to the covariance that stands at a place."""
     state[at] += variance * x * x
@@ -51,7 +50,7 @@ def add_outer(state: FloatArray, at: int, variance: float, x: float, y: float, y
     state[at + 5] += variance * yaw * yaw
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_shared(state: FloatArray, at: int, shared: float, wx: float, wy: float, tx: float, ty: float) -> None:
     """Add what the noise of a way, that moves the pose along (wx, wy, 0), shares with a turn's, along (tx, ty, 1)."""
     state[at] += 2 * shared * wx * tx
@@ -61,7 +60,7 @@ def add_shared(state: FloatArray, at: int, shared: float, wx: float, wy: float, 
     state[at + 4] += shared * wy
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_product(state: FloatArray, factor: float, one: FloatArray, other: FloatArray) -> None:
     """Add `factor` (one otherᵀ + other oneᵀ), of (3,) each, to the pose's covariance."""
     place = COVARIANCE
