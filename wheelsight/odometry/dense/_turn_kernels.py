@@ -85,7 +85,7 @@ def accumulate_turn(
                 continue
             error = gain * there + offset - here
             weight = 1.0 if abs(error) <= limit else limit / abs(error)
-            _add(qx, qy, qz, gx, gy, -(gx * px + gy * py) / pz, error, weight, sums)
+            _add((qx, qy, qz), (gx, gy, -(gx * px + gy * py) / pz), error, weight, sums)
             sums[FIT] += weight
             sums[FIT + 1] += weight * there
             sums[FIT + 2] += weight * here
@@ -94,8 +94,9 @@ def accumulate_turn(
 
 
 @kernel(error_model="numpy", inline="always")
-def _add(qx: Any, qy: Any, qz: Any, gx: Any, gy: Any, gz: Any, error: Any, weight: Any, sums: Any) -> None:
+def _add(q: Any, g: Any, error: Any, weight: Any, sums: Any) -> None:
     """One pixel's share in the normal equations: J = q × g."""
+    (qx, qy, qz), (gx, gy, gz) = q, g
     a, b, d = qy * gz - qz * gy, qz * gx - qx * gz, qx * gy - qy * gx
     sums[0] += weight * a * a
     sums[1] += weight * a * b

@@ -227,8 +227,8 @@ class Aligner:
         information = np.zeros((6, 6))
         for show, (level, here, there) in ((shown.show_planes, planes), (shown.show_slopes, slopes)):
             sums = np.empty((len(level.depth_m), shown.SHOWN))
-            with_grid = (level.depth_m, here, there, level.intrinsics, *given)
-            self._rows.share(len(sums), partial(_in_rows, show, with_grid, sums))
+            both = shown.BothViews(level.depth_m, here, there, level.intrinsics)
+            self._rows.share(len(sums), partial(_in_rows, show, (both, *given), sums))
             total = sums.sum(axis=0)
             information += _symmetric(total) * float(pairs / max(total[shown.POINTS], 1.0))
         return information
@@ -259,8 +259,8 @@ class Aligner:
         sums: FloatArray,
         stride: int = 1,
     ) -> None:
-        grid, how32 = level.intrinsics.astype(np.float32), how.astype(np.float32)
-        given = (level.depth_m, level.grey, pixels, grid, T_rows, self._noise, how32, stride)
+        images = kernels.Images(level.depth_m, level.grey, pixels, level.intrinsics.astype(np.float32))
+        given = (images, T_rows, self._noise, how.astype(np.float32), stride)
         self._rows.share(len(sums), lambda begin, end: kernels.accumulate(*given, begin, end, sums))
 
 

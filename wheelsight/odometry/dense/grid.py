@@ -152,16 +152,14 @@ class Gridder:
         registered = self._calibration.is_registered
         out = np.empty((1 + registered, *self.shape), np.float32)
         images = (depth_m, grey if registered else _NO_IMAGE)
-        how = (np.float32(self._shutter_s(twist)), np.float32(self._settings.depth_jump))
-        given = (*images, self._source_px, _numbers(self.intrinsics), _numbers(twist), *how)
+        given = (*images, self._source_px, self._exposure(twist), np.float32(self._settings.depth_jump))
         self._rows.share(self.shape[0], lambda begin, end: kernels.straighten(*given, (begin, end), out))
         return out[0], out[1] if registered else grey
 
     def _straightened_color(self, image: ByteArray, frame: RgbdFrame, twist: FloatArray) -> Float32Array:
         """Colour (h, w, 3) on depth's grid, without lens and shutter."""
-        shutter_s = self._shutter_s(twist)
-        depth_m = self._small_depth(frame) if shutter_s else _NO_IMAGE
-        given = (image, depth_m, self._source_px, _numbers(self.intrinsics), _numbers(twist), np.float32(shutter_s))
+        depth_m = self._small_depth(frame) if self._shutter_s(twist) else _NO_IMAGE
+        given = (image, depth_m, self._source_px, self._exposure(twist))
         out = np.empty((*self.shape, 3), np.float32)
         self._rows.share(len(out), lambda begin, end: kernels.straighten_color(*given, (begin, end), out))
         return out
@@ -171,12 +169,15 @@ class Gridder:
         color = self._color
         lens = (*self._halved(color), *color.distortion)
         T_color_camera = _numbers(np.asarray(self._calibration.T_color_depth)[:3])
-        cameras = (_numbers(self.intrinsics), T_color_camera, _numbers(lens))
-        given = (image, depth_m, *cameras, _numbers(twist), np.float32(self._shutter_s(twist)))
+        given = (image, depth_m, self._exposure(twist), T_color_camera, _numbers(lens))
         out = np.empty((*self.shape, *image.shape[2:]), np.float32)
         sample = kernels.sample_grey if image.ndim == 2 else kernels.sample_color
         self._rows.share(len(out), lambda begin, end: sample(*given, (begin, end), out))
         return out
+
+    def _exposure(self, twist: FloatArray) -> kernels.Exposure:
+        shutter_s = np.float32(self._shutter_s(twist))
+        return kernels.Exposure(_numbers(self.intrinsics), _numbers(twist), shutter_s)
 
     def _is_dark(self, color: ByteArray) -> bool:
         """Whether a colour image (H, W, 3) shows nothing but noise: judged by some of its pixels."""
