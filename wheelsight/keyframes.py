@@ -180,7 +180,7 @@ class Follower:
 
 
 def _png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
-    # Noise has hardly any strings that come again: by Huffman codes alone it is as small, in less than half of the time.
+    # Noise has hardly any strings that come again: by Huffman codes alone it is as small, in half of the time.
     written, code = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY])
     assert written
     return code.tobytes()

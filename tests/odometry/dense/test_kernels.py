@@ -118,7 +118,8 @@ def test_jacobian_of_a_turn_is_the_numeric_one(pair: tuple, pixel: tuple[int, in
     grey, depth = np.full((TINY.height, TINY.width), -1.0, np.float32), np.full(pair[0].shape, depth_m, np.float32)
     grey[pixel] = 60.0
     gain, offset = 1.2, 5.0
-    turns.accumulate_turn(depth, grey, pair[2], GRID.astype(float), T, np.array([gain, offset]), 1e9, sums)
+    images = kernels.Images(depth, grey, pair[2], GRID.astype(float))
+    turns.accumulate_turn(images, T, np.array([gain, offset]), 1e9, sums)
     assert sums[9] == 1
 
     def seen(R: np.ndarray) -> float:

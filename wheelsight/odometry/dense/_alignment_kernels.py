@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.geometry import Float32Array
+from wheelsight.geometry import Float32Array, FloatArray
 
 # Columns of the partial sums of a row: of planes 21 of H's upper triangle and 6 of b, the same of grey, then these.
 GREY_SUMS = 27
@@ -24,6 +24,10 @@ SUMS = 66
 # Channels of a reference's pixel: the plane n·q = d and its depth, NaN where unknown; grey and its gradient a pixel.
 NX, NY, NZ, OFFSET, DEPTH, GREY, ALONG_U, ALONG_V = range(8)
 CHANNELS = 8
+
+# What `how` holds, (10,) float32: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset,
+# Huber's limit, weight of grey (0: depth alone), σ of the colour camera's place in pixels, the slope of grey a pixel
+# below which it may be noise and tells nothing, and how much of a residual is taken for the frame's own noise.
 
 # So many pixels side by side are done at once, by buffers whose size the compiler knows.
 _STRETCH = 320
@@ -41,13 +45,13 @@ class Images(NamedTuple):
     Attributes:
         depth_m, grey: (h, w) float32 of the frame; depth 0 and grey -1 where unknown.
         reference: (h, w, CHANNELS) float32.
-        grid: (4,) float32 fx, fy, cx, cy of both.
+        grid: (4,) fx, fy, cx, cy of both; float32, but for turns.
     """
 
     depth_m: Float32Array
     grey: Float32Array
     reference: Float32Array
-    grid: Float32Array
+    grid: Float32Array | FloatArray
 
 
 @kernel(error_model="numpy", fastmath={"reassoc", "contract"})
@@ -63,10 +67,7 @@ def accumulate(images: Images, T_rows: Any, noise: Any, how: Any, stride: int, b
         images: frame and reference.
         T_rows: (h, 3, 4) T_reference_frame of each row, which differ where a rolling shutter's speed is refined.
         noise: depth's constant and quadratic σ, near and far limit in metres.
-        how: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset, Huber's limit, weight
-            of grey (0: depth alone), σ of the colour camera's place in pixels, the slope of grey a pixel below which
-            it may be the image's noise and tells nothing, and how much of a residual is taken for the frame's own
-            noise.
+        how: see above.
         begin, end: of the rows' numbers; number k is row k · stride.
         sums: (h // stride, SUMS) of float64, written row by row, so that the total does not depend on who did which.
     """

@@ -89,7 +89,7 @@ class Aligner:
         start = np.array(T_reference_frame, float)
         T, exposure = start.copy(), np.array([1.0, 0.0])
         for level, seen in zip(frame.levels[:-3:-1], reference.levels[:-3:-1], strict=True):
-            find_turn(level.depth_m, level.grey, seen.pixels, level.intrinsics, T, exposure)
+            find_turn(kernels.Images(level.depth_m, level.grey, seen.pixels, level.intrinsics), T, exposure)
         before, after = self._misfits(frame, reference, [start, T])
         return T if after <= self._starts.turn_misfit * max(before, 1.0) else start
 
