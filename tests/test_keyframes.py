@@ -108,3 +108,16 @@ def test_moves_that_are_none_are_refused(numbers: list[KeyframeId], T: np.ndarra
     with pytest.raises(ArgumentError, match=says):
         store.move(numbers, T)
     assert store.revision == 0
+
+
+def test_better_images_take_a_keyframe_s_place_and_move_nothing() -> None:
+    store, better = KeyframeStore(), keyframe()
+    numbers = [store.add(keyframe(), pose) for pose in poses(2, 3)]
+    before, follower = store.T_map_keyframe.copy(), store.follow()
+    store.replace(numbers[1], better)
+    assert store[numbers[1]] is better
+    assert store[numbers[0]] is not better
+    np.testing.assert_array_equal(store.T_map_keyframe, before)
+    assert (store.revision, follower.moves()) == (0, None)
+    with pytest.raises(ArgumentError, match="there is no keyframe 2"):
+        store.replace(KeyframeId(2), better)

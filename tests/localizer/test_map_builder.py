@@ -12,7 +12,7 @@ from odometry.dense.scenes import SMALL, Plane, frame_of
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import CameraEstimate, Estimate, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.localizer.by_frames import ByFrames
@@ -109,7 +109,8 @@ def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
         estimate = subject.process(frame_of([Plane((0, 0, 1), 1.5)], np.eye(4), k / 30, noise_seed=k))
         fused.append(subject.fused)
         if k > 0 and estimate.status is Status.TRACKING:
-            unseen.append(subject.odometry.last_motion.degenerate)
+            assert isinstance(estimate, CameraEstimate)
+            unseen.append(estimate.motion.degenerate)
     assert fused[0]
     assert not any(fused[1:])
     assert unseen
@@ -118,30 +119,29 @@ def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
 
 @pytest.mark.parametrize(("far_m", "expected"), [(4.0, True), (8.0, False)])
 def test_a_map_shows_most_where_hardly_anything_lies_beyond_its_end(far_m: float, expected: bool) -> None:
-    subject = Mapped(Calibration.registered_camera(SMALL))
-    assert not subject.builder.shows_most(subject.odometry)  # nothing was seen
+    calibration = Calibration.registered_camera(SMALL)
+    odometry, subject = DenseOdometry(calibration), MapBuilder(calibration)
+    assert not subject.shows_most(None)  # nothing was seen
     scene = [Plane((0, 0, 1), far_m), Plane((0, 1, 0), 1.0)]
     for k in range(2):
-        subject.process(frame_of(scene, np.eye(4), k / 30, noise_seed=k))
-    assert subject.odometry.last_frame is not None
-    assert subject.builder.shows_most(subject.odometry) == expected
+        seen = odometry.process(frame_of(scene, np.eye(4), k / 30, noise_seed=k))
+        assert subject.shows_most(seen) == expected
 
 
 def test_of_a_frame_that_failed_no_map_shows_anything(frames: list[RgbdFrame]) -> None:
-    subject = mapped()
-    subject.process(frames[0])
-    assert subject.builder.shows_most(subject.odometry)
-    subject.process(replace(frames[1], depth_m=np.zeros_like(frames[1].depth_m)))
-    assert not subject.builder.shows_most(subject.odometry)
+    calibration = Calibration.registered_camera(synthetic.CAMERA)
+    odometry, subject = DenseOdometry(calibration), MapBuilder(calibration)
+    assert subject.shows_most(odometry.process(frames[0]))
+    assert not subject.shows_most(odometry.process(replace(frames[1], depth_m=np.zeros_like(frames[1].depth_m))))
 
 
 def test_a_frame_goes_to_where_others_have_it(frames: list[RgbdFrame]) -> None:
     """Odometry tells what the frame shows; where that is, who joins it with wheels may know better."""
     calibration, T_told = Calibration.registered_camera(synthetic.CAMERA), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])
     odometry, subject = DenseOdometry(calibration), MapBuilder(calibration)
-    odometry.process(frames[0])
+    told = replace(odometry.process(frames[0]), T_odom_body=T_told)
     assert len(subject.map) == 0
-    fused = subject.fuse_tracked(odometry, frames[0], T_told)
+    fused = subject.fuse_tracked(odometry, frames[0], told)
     assert fused is not None
     assert fused.added == len(subject.map) > 10_000
     assert odometry.stage_seconds["fuse"] > 0

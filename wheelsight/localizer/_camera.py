@@ -11,6 +11,7 @@ from wheelsight.config import Config
 from wheelsight.errors import CalibrationError
 from wheelsight.estimates import MotionEstimate
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
@@ -43,9 +44,10 @@ def camera_odometry(
     Beside wheels, tracking begins against keyframes; who joins both says when the map shows more.
     """
     if settings.map == "surfels":
-        mapper = MapBuilder(calibration, settings.surfels)
+        store = KeyframeStore()
+        mapper = MapBuilder(calibration, settings.surfels, store)
         model = None if settings.fusion.filter == "default" else mapper.map
-        return DenseOdometry(calibration, settings.dense, model, calibration.T_base_camera), mapper
+        return DenseOdometry(calibration, settings.dense, model, calibration.T_base_camera, store), mapper
     if "dense" in settings.odometry:
         return DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera), None
     return FeatureOdometry(calibration, settings.features, T_map_first=calibration.T_base_camera), None

@@ -6,7 +6,7 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason
+from wheelsight.estimates import CameraEstimate, Estimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import FloatArray
@@ -37,6 +37,7 @@ class FusedCamera:
         self.gate = FrameGate(settings.localizer.frame_gate)
         self.unknown = 0
         self.last_matches: MatchedPixels | None = None
+        self._seen: CameraEstimate | None = None  # what was answered at the last frame
         self._Ad_camera_base = motions.inverse_adjoint(T_base_camera)
         self._pace = Pace(settings.localizer.pace_s)
         self._slips, self._unbelieved_s = False, -np.inf
@@ -48,7 +49,7 @@ class FusedCamera:
 
     def forget_frame(self) -> None:
         """The last frame is over."""
-        self.last_matches = None
+        self.last_matches = self._seen = None
 
     def twist(self, answer: FusedEstimate) -> FloatArray | None:
         """The camera's velocity (6,) in its own frame, by the wheels; None where they slip or tell nothing."""
@@ -58,21 +59,20 @@ class FusedCamera:
 
     def process(
         self, frame: RgbdFrame, by_wheels: FloatArray | None, twist: FloatArray | None, *, ask_wheels: bool
-    ) -> Estimate:
+    ) -> CameraEstimate:
         """T_map_camera at a frame, where `by_wheels` (4, 4) is its motion since the last one, if they may be asked."""
         expected = self._expected(frame.stamp_s, by_wheels) if ask_wheels else (None,)
-        seen: Estimate = self.odometry.process(frame, *expected, twist=twist)
+        self._seen = seen = self.odometry.process(frame, *expected, twist=twist)
         self.last_matches = seen.matched if isinstance(seen, FeatureEstimate) else None
         if seen.T_odom_body is not None:
             self._pace.tell(frame.stamp_s, seen.T_odom_body)
         return seen
 
-    def motion(self, seen: Estimate) -> MotionEstimate:
-        """By which a frame that was just tracked was found."""
-        if isinstance(seen, CameraEstimate):
-            return seen.motion
-        assert isinstance(self.odometry, DenseOdometry)
-        return self.odometry.last_motion
+    def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
+        """T_map_camera at a frame that shows nothing known, from which the camera goes on where others have it."""
+        self.unknown = 0
+        self._seen = seen = self.odometry.restart(frame, T_map_camera, covariance)
+        return seen
 
     def miss(self, seen: Estimate) -> bool:
         """Take a frame that gave no pose; whether it showed anything, which then is nothing known."""
@@ -97,7 +97,7 @@ class FusedCamera:
         if self.mapper is not None:
             turns = answer.twist is None or abs(answer.twist[2]) > self._settings.map_turn_rad_s
             is_calm = answer.stamp_s - self._unbelieved_s > self._settings.uncalm_s
-            self.mapper.track_map(self.odometry, self.mapper.shows_most(self.odometry) and not (turns and is_calm))
+            self.mapper.track_map(self.odometry, self.mapper.shows_most(self._seen) and not (turns and is_calm))
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""

@@ -32,7 +32,7 @@ class WheelPoses:
         return self._poses[-1][1] if self._poses else None
 
     def add(self, stamp_s: float, T_odom_base: FloatArray, way_m: float) -> bool:
-        """Take a pose and the way since the last one; False where it does not come after that, which is then forgotten."""
+        """Take a pose and the way since the last; False where it does not come after that, which is then forgotten."""
         goes_on = not self._poses or stamp_s > self._poses[-1][0]
         if not goes_on:
             self._poses.clear()

@@ -12,6 +12,7 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.geometry import se3
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
+from wheelsight.odometry.dense import DenseEstimate
 from wheelsight.odometry.features import FeatureEstimate, FeatureOdometry, MatchedPixels
 
 
@@ -64,8 +65,8 @@ class ByFrames:
         estimate = self.odometry.process(frame)
         if self.mapper is None or estimate.T_odom_body is None or isinstance(self.odometry, FeatureOdometry):
             return estimate
-        if estimate.status is Status.TRACKING and self.odometry.sees_all_motion:
-            self.mapper.fuse_tracked(self.odometry, frame, estimate.T_odom_body, estimate.keyframe)
+        if estimate.status is Status.TRACKING and estimate.shows_all:
+            self.mapper.fuse_tracked(self.odometry, frame, estimate)
         return estimate
 
     def _repeated(self, stamp_s: float) -> Estimate:
@@ -77,6 +78,8 @@ class ByFrames:
         """The camera's estimate as the base's; the covariance, of a perturbation in the map, is that of both."""
         self._status = estimate.status
         self.last_matches = estimate.matched if isinstance(estimate, FeatureEstimate) else None
+        if isinstance(estimate, DenseEstimate):
+            estimate = replace(estimate, frame=None)  # whoever gets it may keep all estimates, but not all frames
         if self._T_camera_base is None:
             return estimate
         if estimate.T_odom_body is None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.config import Config
-from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray
@@ -170,19 +170,19 @@ class ByFusion:
         anchor = self._map.anchor
         if anchor is None:
             return self._begun(frame, seen)
-        self._check.see(frame, seen, shows_all=self._camera.motion(seen).shows_all)
+        self._check.see(frame, seen, shows_all=seen.motion.shows_all)
         if self._goes_on_without(Culprit.WHEELS):
             return self._begun(frame, seen)
-        motion = anchor.motion_to(seen.T_odom_body, self._camera.motion(seen))
+        motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = blurred(motion, twist, self._base.noise_s)
         if frame.stamp_s - self._map.seen_s > self._settings.dark_s and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measured(frame, seen, motion)
 
-    def _measured(self, frame: RgbdFrame, seen: Estimate, motion: MotionEstimate) -> FusedEstimate:
+    def _measured(self, frame: RgbdFrame, seen: CameraEstimate, motion: MotionEstimate) -> FusedEstimate:
         """The answer to a frame that was tracked, by its motion against the anchor; the map grows if it is believed."""
         assert seen.T_odom_body is not None
-        here = Anchor.at(seen.T_odom_body, self._camera.motion(seen))
+        here = Anchor.at(seen.T_odom_body, seen.motion)
         update = self.filter.update_frame(
             frame.stamp_s, motion, here.covariance, is_far=is_far(motion, self._settings.anchor_way_m)
         )
@@ -192,15 +192,15 @@ class ByFusion:
             self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
             self._map.refer(seen)
             if self.mapper is not None:
-                self.mapper.fuse_tracked(self.odometry, frame, seen.T_odom_body, seen.keyframe)
+                self.mapper.fuse_tracked(self.odometry, frame, seen)
         if update.is_reference:
             self._map.anchor = here
         return answer
 
-    def _begun(self, frame: RgbdFrame, seen: Estimate, reason: Reason | None = None) -> FusedEstimate:
+    def _begun(self, frame: RgbdFrame, seen: CameraEstimate, reason: Reason | None = None) -> FusedEstimate:
         """The answer at a frame at which the camera starts, where the wheels have it."""
         assert seen.T_odom_body is not None
-        self._map.anchor = Anchor.at(seen.T_odom_body, self._camera.motion(seen))
+        self._map.anchor = Anchor.at(seen.T_odom_body, seen.motion)
         update = self.filter.begin_frame(frame.stamp_s, self._map.anchor.covariance)
         self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
         self._map.refer(seen)
@@ -208,19 +208,18 @@ class ByFusion:
         reason = reason or update.answer.reason
         return replace(update.answer, reason=reason, matches=seen.matches, inliers=seen.inliers)
 
-    def _unseen(self, frame: RgbdFrame, seen: Estimate, *, restarts: bool = False) -> FusedEstimate:
+    def _unseen(self, frame: RgbdFrame, seen: CameraEstimate, *, restarts: bool = False) -> FusedEstimate:
         """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera starts there."""
         nothing = MotionEstimate.failed(seen.reason or Reason.INVALID, seen.matches, seen.inliers)
         answer = self.filter.miss_frame(frame.stamp_s, nothing)
         if self._camera.miss(seen):
             self._suspect(frame.stamp_s, answer)
         if (restarts or self._camera.is_lost) and answer.covariance is not None:
-            self._camera.unknown = 0
             T_odom_base = self.filter.when_imaged(frame.stamp_s)
             if self._carried.is_so:
                 spread = self._carried.scatter(T_odom_base, answer.covariance)
                 self._go_on_by(self.filter.begun_at(T_odom_base, spread))
-            again = self.odometry.restart(frame, self._map.camera_at(T_odom_base), answer.covariance)
+            again = self._camera.restart(frame, self._map.camera_at(T_odom_base), answer.covariance)
             if again.T_odom_body is not None:
                 return self._begun(frame, again, seen.reason)
         return answer

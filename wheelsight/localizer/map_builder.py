@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.calibration import Calibration
+from wheelsight.estimates import Estimate
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.mapping import FusedFrame, SurfelMap, SurfelSettings
 from wheelsight.mapping.thinning import Thinning
-from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
 from wheelsight.views import Surface
 
@@ -72,31 +73,30 @@ class MapBuilder:
         return self.map.fuse(surface, intrinsics, T_map_camera, stamp_s, *how)
 
     def fuse_tracked(
-        self,
-        odometry: FeatureOdometry | DenseOdometry,
-        frame: RgbdFrame,
-        T_map_camera: FloatArray,
-        keyframe: KeyframeId | None = None,
+        self, odometry: FeatureOdometry | DenseOdometry, frame: RgbdFrame, seen: Estimate
     ) -> FusedFrame | None:
-        """Fuse the frame that an odometry tracked last, at a pose (4, 4) that may be another's; None if left out."""
+        """Fuse a frame where an odometry has seen it, T_map_camera; None if it is left out."""
+        assert isinstance(seen, DenseEstimate)
+        assert seen.frame is not None
+        assert seen.T_odom_body is not None
+        T_map_camera = seen.T_odom_body
         due = self.due(T_map_camera, frame.stamp_s)
         if due is None:
             return None
         dense = _dense(odometry)
         with dense.watch.stage("fuse"):
-            surface = dense.last_surface(frame, due.with_color)
-            return self.fuse(surface, dense.intrinsics, T_map_camera, frame.stamp_s, due, keyframe)
+            surface = dense.surface(seen.frame, frame, due.with_color)
+            return self.fuse(surface, dense.intrinsics, T_map_camera, frame.stamp_s, due, seen.keyframe)
 
     def track_map(self, odometry: FeatureOdometry | DenseOdometry, tracks: bool) -> None:
         """From now on an odometry aligns frames with what the map predicts, or with keyframes."""
         _dense(odometry).refer_to(self.map if tracks else None)
 
-    def shows_most(self, odometry: FeatureOdometry | DenseOdometry) -> bool:
-        """Whether hardly anything of what the last frame saw lies beyond where the map ends; False if it failed."""
-        frame = _dense(odometry).last_frame
-        if frame is None:
+    def shows_most(self, seen: Estimate | None) -> bool:
+        """Whether hardly anything of what a frame shows lies beyond where the map ends; False if it has no pose."""
+        if not isinstance(seen, DenseEstimate) or seen.frame is None:
             return False
-        depth_m, settings = frame.levels[-1].depth_m, self.map.settings
+        depth_m, settings = seen.frame.levels[-1].depth_m, self.map.settings
         beyond = np.count_nonzero(depth_m > settings.far_m)
         return bool(beyond <= settings.beyond_share * np.count_nonzero(depth_m))
 

@@ -73,16 +73,16 @@ def test_kernels_are_plain_python(rng: np.random.Generator, name: str) -> None:
     depth_m[rng.random((20, 24)) < 0.2] = 0
     image = rng.integers(0, 255, (20, 24, 3)).astype(np.uint8)
     grid, twist = (tuple(np.float32(values)) for values in ([22.0, 21.0, 11.3, 9.8], TWIST))
-    outs = []
+    exposure, outs = _grid_kernels.Exposure(grid, twist, np.float32(0.03)), []
     for module in (_grid_kernels, plain(_grid_kernels)):
         out = np.zeros((20, 24, 3), np.float32)
         if name == "straighten_color":
             v, u = np.mgrid[:20, :24].astype(np.float32)
             source_px = np.stack([u + 0.3, v - 0.2], axis=-1)
-            module.straighten_color(image, depth_m, source_px, grid, twist, np.float32(0.03), (0, 20), out)
+            module.straighten_color(image, depth_m, source_px, exposure, (0, 20), out)
         else:
             T, lens = (tuple(np.float32(v)) for v in (T_COLOR_DEPTH[:3].ravel(), [*grid, *LENS.distortion]))
-            module.sample_color(image, depth_m, grid, T, lens, twist, np.float32(0.03), (0, 20), out)
+            module.sample_color(image, depth_m, exposure, T, lens, (0, 20), out)
         outs.append(out)
     assert np.mean(outs[0] >= 0) > 0.4
     np.testing.assert_allclose(outs[0], outs[1], atol=0.02)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import cv2
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 from odometry.dense.scenes import Plane, bench, frame_of
 from odometry.plain_kernels import plain
 
 from wheelsight.geometry import PinholeCamera, se3, so3
 from wheelsight.mapping import SurfelSettings
 from wheelsight.odometry.dense import _alignment_kernels as kernels
-from wheelsight.odometry.dense import _grid_kernels, _reference_kernels
+from wheelsight.odometry.dense import _grid_kernels, _reference_kernels, _shown_kernels
 from wheelsight.odometry.dense import _step_kernels as steps
 from wheelsight.odometry.dense import _turn_kernels as turns
 
@@ -19,7 +22,7 @@ TINY = PinholeCamera(24, 20, 22.0, 21.0, 11.3, 9.8)
 GRID = np.array([TINY.fx, TINY.fy, TINY.cx, TINY.cy], np.float32)
 NOISE = np.array([0.001, 0.0014, 0.3, 10.0], np.float32)
 JUMP, ANY_BEND = np.array([0, 0.03, 0], np.float32), np.full(2, np.inf, np.float32)
-NO_HEM = np.array([np.inf, 0, 0], np.float32)
+NO_BOUNDARY = np.array([np.inf, 0, 0], np.float32)
 UPPER = np.triu_indices(6)
 
 
@@ -33,7 +36,7 @@ def pair(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     there = (100 + 3.0 * columns - 2.0 * rows).astype(np.float32)
     pixels = np.empty((*depth_m.shape, kernels.CHANNELS), np.float32)
     normals = np.broadcast_to(normal, (*depth_m.shape, 3)).astype(np.float32)
-    _reference_kernels.pack(depth_m, normals, there, GRID, NO_HEM, 0, TINY.height, pixels)
+    _reference_kernels.pack(depth_m, normals, there, GRID, NO_BOUNDARY, 0, TINY.height, pixels)
     here = there + rng.normal(0, 3, there.shape)
     return (depth_m + 0.01).astype(np.float32), here.astype(np.float32), pixels
 
@@ -44,7 +47,8 @@ def sums_of(pair: tuple, T: np.ndarray, weight: float, huber: float = 1e6, modul
     T_rows = np.ascontiguousarray(np.broadcast_to(T[:3], (TINY.height, 3, 4)), np.float32)
     how = np.array([0.5, 1.0, 5.0, 1.1, 2.0, huber, weight, 0.0, 0.0, 0.5], np.float32)
     sums = np.zeros((TINY.height, kernels.SUMS))
-    module.accumulate(depth_m, grey, pixels, GRID, T_rows, NOISE, how, 1, 0, TINY.height, sums)
+    images = kernels.Images(depth_m, grey, pixels, GRID)
+    module.accumulate(images, T_rows, NOISE, how, 1, 0, TINY.height, sums)
     return sums.sum(axis=0)
 
 
@@ -114,7 +118,8 @@ def test_jacobian_of_a_turn_is_the_numeric_one(pair: tuple, pixel: tuple[int, in
     grey, depth = np.full((TINY.height, TINY.width), -1.0, np.float32), np.full(pair[0].shape, depth_m, np.float32)
     grey[pixel] = 60.0
     gain, offset = 1.2, 5.0
-    turns.accumulate_turn(depth, grey, pair[2], GRID.astype(float), T, np.array([gain, offset]), 1e9, sums)
+    images = kernels.Images(depth, grey, pair[2], GRID.astype(float))
+    turns.accumulate_turn(images, T, np.array([gain, offset]), 1e9, sums)
     assert sums[9] == 1
 
     def seen(R: np.ndarray) -> float:
@@ -240,8 +245,8 @@ def test_grey_has_no_gradient_beside_what_stands_out_before_it(turned: bool) -> 
     if turned:
         depth_m, grey, expected = (np.ascontiguousarray(a.T) for a in (depth_m, grey, expected))
         normal = np.ascontiguousarray(normal.transpose(1, 0, 2))
-    hem, out = np.array([0.0, 0.02, 0.0], np.float32), np.empty((*depth_m.shape, kernels.CHANNELS), np.float32)
-    _reference_kernels.pack(depth_m, normal, grey, GRID, hem, 0, len(depth_m), out)
+    boundary, out = np.array([0.0, 0.02, 0.0], np.float32), np.empty((*depth_m.shape, kernels.CHANNELS), np.float32)
+    _reference_kernels.pack(depth_m, normal, grey, GRID, boundary, 0, len(depth_m), out)
     inner = slice(1, -1), slice(1, -1)
     np.testing.assert_array_equal(np.isnan(out[..., kernels.ALONG_U])[inner], expected[inner])
     np.testing.assert_array_equal(np.isnan(out[..., kernels.ALONG_V])[inner], expected[inner])
@@ -307,8 +312,8 @@ def test_grid_kernels_are_plain_python(rng: np.random.Generator, name: str) -> N
             v, u = np.mgrid[:20, :24].astype(np.float32)
             source_px = np.stack([u + 0.3, v - 0.2], axis=-1)
             twist = np.array([0.2, -0.1, 0.3, 0.5, -1.0, 0.4], np.float32)
-            how = (np.float32(0.03), np.float32(0.1), (0, 20))
-            module.straighten(depth_m, 100 * depth_m, source_px, GRID, twist, *how, out)
+            exposure = _grid_kernels.Exposure(tuple(GRID), tuple(twist), np.float32(0.03))
+            module.straighten(depth_m, 100 * depth_m, source_px, exposure, np.float32(0.1), (0, 20), out)
         outs.append(out)
     np.testing.assert_allclose(outs[0], outs[1], rtol=1e-4)
 
@@ -321,3 +326,11 @@ def test_a_crease_has_no_normal() -> None:
     assert not found[middle].any()
     assert found[middle - 8, 2] != 0
     assert found[middle + 8, 2] != 0
+
+
+@pytest.mark.parametrize("module", [kernels, _grid_kernels, _reference_kernels, _shown_kernels, steps, turns])
+def test_no_kernel_takes_more_than_eight_arguments(module: ModuleType) -> None:
+    """What belongs together comes as a NamedTuple, whose fields mypy knows."""
+    counts = {name: k.py_func.__code__.co_argcount for name, k in vars(module).items() if isinstance(k, Dispatcher)}
+    assert counts
+    assert {name for name, count in counts.items() if count > 8} == set()

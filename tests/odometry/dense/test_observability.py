@@ -10,7 +10,7 @@ from odometry.dense.scenes import Plane, apart, bench, dense, frame_of
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.geometry import se3
-from wheelsight.odometry.dense import DenseSettings
+from wheelsight.odometry.dense import DenseEstimate, DenseSettings
 from wheelsight.odometry.dense.alignment import DenseAlignment
 from wheelsight.odometry.dense.observability import Prior, judge
 
@@ -22,12 +22,11 @@ MOTION = se3.exp([0.02, -0.015, 0.03, 0.005, -0.008, 0.01])
 WRONG = se3.exp([0.01, 0.008, 0.0, 0.0, 0.0, 0.012])
 
 
-def tracked(planes: list[Plane], T_prior: np.ndarray | None, **settings: object):
-    """Odometry after two noisy frames, MOTION apart, and its last estimate."""
+def tracked(planes: list[Plane], T_prior: np.ndarray | None, **settings: object) -> DenseEstimate:
+    """The estimate at the second of two noisy frames, MOTION apart."""
     odometry = dense(**settings)
     odometry.process(frame_of(planes, np.eye(4), 0.0, noise_seed=1))
-    estimate = odometry.process(frame_of(planes, MOTION, 1 / 30, noise_seed=2), T_prior)
-    return odometry, estimate
+    return odometry.process(frame_of(planes, MOTION, 1 / 30, noise_seed=2), T_prior)
 
 
 def span(directions: np.ndarray, axes: list[int]) -> float:
@@ -36,8 +35,8 @@ def span(directions: np.ndarray, axes: list[int]) -> float:
 
 
 def test_one_plain_wall_shows_three_directions() -> None:
-    odometry, estimate = tracked(WALL, MOTION @ WRONG)
-    degenerate = odometry.last_motion.degenerate
+    estimate = tracked(WALL, MOTION @ WRONG)
+    degenerate = estimate.motion.degenerate
     assert estimate.status is Status.TRACKING
     assert len(degenerate) == 3
     assert span(degenerate, [0, 1, 5]) > 0.95  # sideways, up and down, and roll about the wall's normal
@@ -49,26 +48,26 @@ def test_one_plain_wall_shows_three_directions() -> None:
 
 def test_unseen_directions_have_the_priors_variance() -> None:
     settings = DenseSettings()
-    odometry, _ = tracked(WALL, MOTION)
-    sigma = np.sqrt(np.diag(odometry.last_motion.covariance))
+    estimate = tracked(WALL, MOTION)
+    sigma = np.sqrt(np.diag(estimate.motion.covariance))
     assert sigma[[0, 1]] == pytest.approx(settings.prior_sigma_m_s / 30, rel=0.1)
     assert sigma[2] < 0.1 * sigma[0]
 
 
 def test_paint_shows_what_the_wall_does_not() -> None:
-    odometry, estimate = tracked(PAINTED_WALL, MOTION @ WRONG)
-    assert len(odometry.last_motion.degenerate) == 0
+    estimate = tracked(PAINTED_WALL, MOTION @ WRONG)
+    assert len(estimate.motion.degenerate) == 0
     assert apart(MOTION, estimate.T_odom_body)[0] < 2e-3
 
 
 def test_paint_shows_nothing_to_depth_alone() -> None:
-    odometry, _ = tracked(PAINTED_WALL, MOTION, color_weight=0.0)
-    assert len(odometry.last_motion.degenerate) == 3
+    estimate = tracked(PAINTED_WALL, MOTION, color_weight=0.0)
+    assert len(estimate.motion.degenerate) == 3
 
 
 def test_a_plain_corridor_hides_the_way_along_it() -> None:
-    odometry, estimate = tracked(CORRIDOR, MOTION)
-    degenerate = odometry.last_motion.degenerate
+    estimate = tracked(CORRIDOR, MOTION)
+    degenerate = estimate.motion.degenerate
     assert len(degenerate) == 1
     assert abs(degenerate[0, 2]) > 0.95
     assert apart(MOTION, estimate.T_odom_body)[0] < 5e-3
@@ -121,9 +120,9 @@ def test_what_only_the_reference_shows_tells_nothing() -> None:
     painted = [replace(plane, is_painted=True) for plane in CORRIDOR]
     odometry = dense(reference="previous")
     odometry.process(frame_of(painted, np.eye(4), 0.0, noise_seed=0))
-    odometry.process(frame_of(painted, np.eye(4), 1 / 30, noise_seed=1), np.eye(4))
-    assert len(odometry.last_motion.degenerate) == 0
-    odometry.process(frame_of(CORRIDOR, np.eye(4), 2 / 30, noise_seed=2), np.eye(4))
-    degenerate = odometry.last_motion.degenerate
+    estimate = odometry.process(frame_of(painted, np.eye(4), 1 / 30, noise_seed=1), np.eye(4))
+    assert len(estimate.motion.degenerate) == 0
+    estimate = odometry.process(frame_of(CORRIDOR, np.eye(4), 2 / 30, noise_seed=2), np.eye(4))
+    degenerate = estimate.motion.degenerate
     assert len(degenerate) == 1
     assert abs(degenerate[0, 2]) > 0.95

@@ -13,7 +13,7 @@ from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.dense import DenseOdometry, alignment
-from wheelsight.odometry.dense.keyframes import Witness
+from wheelsight.odometry.dense.keypoints import KeypointLocator
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_frame_body))
@@ -82,7 +82,7 @@ def test_a_leap_against_a_prior_is_believed_only_with_keypoints(
     for subject in (seen, blind):
         with_priors(subject, still, np.eye(4))
     assert seen.process(leapt, np.eye(4)).status is Status.TRACKING
-    monkeypatch.setattr(Witness, "locate", lambda *_: None)
+    monkeypatch.setattr(KeypointLocator, "locate", lambda *_: None)
     assert blind.process(leapt, np.eye(4)).reason is Reason.NOT_RECOGNISED
 
 
@@ -109,8 +109,9 @@ def test_it_goes_on_where_others_tell_it_to(frames: list[RgbdFrame]) -> None:
     assert again.status is Status.TRACKING
     np.testing.assert_array_equal(again.T_odom_body, T_told)
     np.testing.assert_array_equal(again.covariance, covariance)
-    np.testing.assert_array_equal(subject.last_motion.T_reference_current, np.eye(4))
-    assert subject.last_surface(frames[6]).depth_m.any()
+    np.testing.assert_array_equal(again.motion.T_reference_current, np.eye(4))
+    assert again.frame is not None
+    assert subject.surface(again.frame, frames[6]).depth_m.any()
     for k in (7, 8, 9):
         answer = subject.process(frames[k])
         T_expected = T_told @ se3.invert(IN_WORLD[6]) @ IN_WORLD[k]

@@ -79,7 +79,8 @@ def test_information_is_the_sum_of_products(show: object, of_planes: bool) -> No
     sums = np.empty((24, shown.SHOWN))
     depth_m = np.full((24, 32), DEPTH_M, np.float32)
     for begin in (0, 10):
-        show(depth_m, own, reference, GRID, T, NOISE, HOW, begin, (10, 24)[begin > 0], sums)  # type: ignore[operator]
+        both = shown.BothViews(depth_m, own, reference, GRID)
+        show(both, T, NOISE, HOW, begin, (10, 24)[begin > 0], sums)  # type: ignore[operator]
     expected = by_hand(own, reference, of_planes)
     scale = np.abs(expected).max()
     assert_allclose(_symmetric(sums.sum(axis=0)) / scale, expected / scale, atol=1e-5)
@@ -95,7 +96,7 @@ def test_what_is_unknown_in_one_of_both_counts_nothing(hole: str) -> None:
     own[..., OFFSET if hole == "normal" else ALONG_U] = np.nan
     for show, is_empty in ((shown.show_planes, hole != "grey"), (shown.show_slopes, hole != "normal")):
         sums = np.empty((24, shown.SHOWN))
-        show(depth_m, own, reference, GRID, T, NOISE, HOW, 0, 24, sums)
+        show(shown.BothViews(depth_m, own, reference, GRID), T, NOISE, HOW, 0, 24, sums)
         assert (np.abs(sums[:, : shown.POINTS]).max() == 0) == is_empty
 
 

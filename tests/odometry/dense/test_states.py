@@ -16,7 +16,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import PinholeCamera, se3, so3
 from wheelsight.odometry.dense import DenseOdometry, DenseSettings
 from wheelsight.odometry.dense.grid import Level
-from wheelsight.odometry.dense.keyframes import Witness
+from wheelsight.odometry.dense.keypoints import KeypointLocator
 from wheelsight.views import PredictedView
 
 TRUTH = wobbling_trajectory(24)
@@ -179,14 +179,14 @@ class Faded:
 @pytest.mark.parametrize("is_painted", [True, False])
 def test_what_faded_in_a_map_is_seen_by_the_frame_before(is_painted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Marks of a wall that the map has lost still tell the way along it; where there are none, tracking ends."""
-    monkeypatch.setattr(Witness, "locate", lambda *_: None)
+    monkeypatch.setattr(KeypointLocator, "locate", lambda *_: None)
     poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(40)]
     subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(threads=1), model=Faded())
     wall = [Plane((0, 0, 1), 1.5, is_painted)]
     answers = run(subject, [frame_of(wall, T, k / 30, noise_seed=k) for k, T in enumerate(poses)])
     assert (answers[-1].status is Status.TRACKING) == is_painted
     if is_painted:
-        assert subject.sees_all_motion
+        assert answers[-1].shows_all
         assert max(apart(T, a.T_odom_body)[0] for T, a in zip(poses, answers, strict=True)) < 0.02
 
 
@@ -217,6 +217,6 @@ def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace() -> No
         run(subject, frames[:10])
         subject.refer_to(Luring())
         answers = run(subject, [replace(frame, color=spot(frame.color)) for frame in frames[10:]])
-        assert not subject.sees_all_motion
+        assert not answers[-1].shows_all
         lured_m.append(answers[-1].T_odom_body[0, 3] - poses[-1][0, 3])
     assert abs(np.mean(lured_m)) < 0.003  # -0.0065 where it is not held

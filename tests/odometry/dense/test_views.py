@@ -7,23 +7,26 @@ import pytest
 from odometry.dense.scenes import Plane, bench, frame_of
 
 from wheelsight.geometry import se3
+from wheelsight.keyframes import KeyframeId
 from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense._views import Views
-from wheelsight.odometry.dense.keyframes import Keyframe
+from wheelsight.odometry.dense.views import KnownView, Views
+from wheelsight.odometry.state import TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 
 BENCH = bench()
 GRID = BENCH.grid(frame_of([Plane((0, 0, 1), 2.0)], np.eye(4), 0.0))
 
 
-def keyframe(x_m: float) -> Keyframe:
-    return Keyframe(BENCH.maker.of_frame(GRID, se3.from_parts(np.eye(3), [x_m, 0, 0])), x_m * np.eye(6))
+def keyframe(x_m: float) -> KnownView:
+    return KnownView(
+        KeyframeId(int(x_m)), BENCH.maker.of_frame(GRID, se3.from_parts(np.eye(3), [x_m, 0, 0])), x_m * np.eye(6)
+    )
 
 
 @pytest.fixture
 def views() -> Views:
     """Four keyframes a metre apart, and room for no more."""
-    made = Views(DenseSettings(kept_keyframes=4, lost_after=3), BENCH.gridder, BENCH.maker, Stopwatch())
+    made = Views(DenseSettings(kept_keyframes=4), BENCH.gridder, BENCH.maker, Stopwatch())
     for x_m in range(4):
         made.keep(keyframe(float(x_m)))
     return made
@@ -33,7 +36,11 @@ def at(x_m: float) -> np.ndarray:
     return se3.from_parts(np.eye(3), [x_m, 0, 0])
 
 
-def places(keyframes: list[Keyframe]) -> list[float]:
+def after(failures: int) -> TrackingState:
+    return TrackingState(lost_after=3, has_begun=True, failures=failures)
+
+
+def places(keyframes: list[KnownView]) -> list[float]:
     return [float(each.reference.T_map_reference[0, 3]) for each in keyframes]
 
 
@@ -46,19 +53,19 @@ def test_the_keyframe_used_longest_ago_goes_first(views: Views) -> None:
 
 def test_the_nearest_is_found_and_asked_after_a_failure(views: Views) -> None:
     assert places([views.nearest(at(1.2))]) == [1]
-    assert places(list(views.around(at(1.2), failures=0))) == [3]
-    assert places(list(views.around(at(1.2), failures=1))) == [3, 1]
+    assert places(list(views.around(at(1.2), after(0)))) == [3]
+    assert places(list(views.around(at(1.2), after(1)))) == [3, 1]
 
 
 def test_once_lost_every_keyframe_has_its_turn(views: Views) -> None:
-    asked = {places(list(views.around(at(1.2), failures)))[-1] for failures in range(3, 7)}
+    asked = {places(list(views.around(at(1.2), after(failures))))[-1] for failures in range(3, 7)}
     assert asked == {0, 1, 2, 3}
-    recognised = {place for failures in range(3, 7) for place in places(views.familiar(at(1.2), failures))}
+    recognised = {place for failures in range(3, 7) for place in places(views.familiar(at(1.2), after(failures)))}
     assert recognised == {0, 1, 2, 3}
 
 
 def test_no_keyframe_is_asked_twice_for_one_frame(views: Views) -> None:
-    assert places(views.familiar(at(3.0), failures=4)) == [3]
+    assert places(views.familiar(at(3.0), after(4))) == [3]
 
 
 def test_keyframes_used_long_ago_take_little_room_and_come_back_alike() -> None:
@@ -67,7 +74,7 @@ def test_keyframes_used_long_ago_take_little_room_and_come_back_alike() -> None:
     before = [(one.reference.levels[0].pixels.copy(), one.reference.steep.normal.copy()) for one in keyframes]
     for one in keyframes:
         subject.keep(one)
-    list(subject.around(np.eye(4), 0))
+    list(subject.around(np.eye(4), after(0)))
     held = [one.reference._made is not None for one in keyframes]
     assert held == [False] * 3 + [True] * 6
     for one, (pixels, normal) in zip(keyframes, before, strict=True):

@@ -3,5 +3,6 @@
 from wheelsight.odometry.dense.grid import GridFrame
 from wheelsight.odometry.dense.odometry import DenseOdometry
 from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.odometry.dense.tracked import DenseEstimate
 
-__all__ = ["DenseOdometry", "DenseSettings", "GridFrame"]
+__all__ = ["DenseEstimate", "DenseOdometry", "DenseSettings", "GridFrame"]

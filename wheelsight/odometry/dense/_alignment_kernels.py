@@ -6,11 +6,12 @@ reference goes pixel by pixel. What is inlined here takes its liberties with rou
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import Float32Array, FloatArray
 
 # Columns of the partial sums of a row: of planes 21 of H's upper triangle and 6 of b, the same of grey, then these.
 GREY_SUMS = 27
@@ -24,6 +25,10 @@ SUMS = 66
 NX, NY, NZ, OFFSET, DEPTH, GREY, ALONG_U, ALONG_V = range(8)
 CHANNELS = 8
 
+# What `how` holds, (10,) float32: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset,
+# Huber's limit, weight of grey (0: depth alone), σ of the colour camera's place in pixels, the slope of grey a pixel
+# below which it may be noise and tells nothing, and how much of a residual is taken for the frame's own noise.
+
 # So many pixels side by side are done at once, by buffers whose size the compiler knows.
 _STRETCH = 320
 # Rows of the buffer of a stretch's moved points, and of the buffer of those of them that have a partner: point, depth
@@ -34,20 +39,23 @@ _PX, _PY, _PZ, _HERE_Z, _HERE, _PARTNER, _PAIR = *range(6), 5 + CHANNELS
 _GX, _GY, _GZ, _J3, _J4, _J5, _ERROR, _ROOT, _LEVER, _RESIDUAL = range(10)
 
 
+class Images(NamedTuple):
+    """A level of a frame, and of the reference that it is aligned with.
+
+    Attributes:
+        depth_m, grey: (h, w) float32 of the frame; depth 0 and grey -1 where unknown.
+        reference: (h, w, CHANNELS) float32.
+        grid: (4,) fx, fy, cx, cy of both; float32, but for turns.
+    """
+
+    depth_m: Float32Array
+    grey: Float32Array
+    reference: Float32Array
+    grid: Float32Array | FloatArray
+
+
 @kernel(error_model="numpy", fastmath={"reassoc", "contract"})
-def accumulate(
-    depth_m: Any,
-    grey: Any,
-    reference: Any,
-    grid: Any,
-    T_rows: Any,
-    noise: Any,
-    how: Any,
-    stride: int,
-    begin: int,
-    end: int,
-    sums: Any,
-) -> None:
+def accumulate(images: Images, T_rows: Any, noise: Any, how: Any, stride: int, begin: int, end: int, sums: Any) -> None:
     """Normal equations of point-to-plane and photometric residuals over every `stride`th row of a frame.
 
     A point p of the frame goes to p' = T p in the reference frame and to the pixel there on which it falls. Its
@@ -56,18 +64,14 @@ def accumulate(
     Newcombe et al. 2011; Whelan et al. 2015, eqs. 3 to 7).
 
     Args:
-        depth_m, grey: (h, w) of the frame; depth 0 and grey -1 where unknown.
-        reference: (h, w, CHANNELS).
-        grid: fx, fy, cx, cy of both.
+        images: frame and reference.
         T_rows: (h, 3, 4) T_reference_frame of each row, which differ where a rolling shutter's speed is refined.
         noise: depth's constant and quadratic σ, near and far limit in metres.
-        how: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset, Huber's limit, weight
-            of grey (0: depth alone), σ of the colour camera's place in pixels, the slope of grey a pixel below which
-            it may be the image's noise and tells nothing, and how much of a residual is taken for the frame's own
-            noise.
+        how: see above.
         begin, end: of the rows' numbers; number k is row k · stride.
         sums: (h // stride, SUMS) of float64, written row by row, so that the total does not depend on who did which.
     """
+    depth_m, grey, reference, grid = images.depth_m, images.grey, images.reference, images.grid
     width = depth_m.shape[1]
     moved, pairs = np.empty((_MOVED, _STRETCH), np.float32), np.empty((_PAIR, _STRETCH), np.float32)
     residuals = np.empty((_RESIDUAL, _STRETCH), np.float32)

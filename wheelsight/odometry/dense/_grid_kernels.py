@@ -10,7 +10,7 @@ that nothing happens in between; and threads that count the same reference wait 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,20 @@ NO_GREY = np.float32(-1.0)
 # How far away something is taken to be where depth is unknown.
 _TYPICAL_DEPTH_M = np.float32(2.0)
 _NEAREST_M = np.float32(0.05)
+
+
+class Exposure(NamedTuple):
+    """How rows of an image were read while the camera moved. All numbers are float32, as kernels read them fastest.
+
+    Attributes:
+        grid: (4,) fx, fy, cx, cy of the ideal grid.
+        twist: (6,) velocity (v, ω) of the depth camera in its own frame a second.
+        shutter_s: time from the first row to the last; 0 for none.
+    """
+
+    grid: tuple[np.float32, ...]
+    twist: tuple[np.float32, ...]
+    shutter_s: np.float32
 
 
 @kernel(error_model="numpy")
@@ -56,27 +70,24 @@ def halve_grey(grey: Any, begin: int, end: int, half: Any) -> None:
 
 
 @kernel(error_model="numpy")
-def straighten(
-    depth_m: Any, grey: Any, source_px: Any, grid: Any, twist: Any, shutter_s: Any, jump: Any, rows: Any, out: Any
-) -> None:
+def straighten(depth_m: Any, grey: Any, source_px: Any, exposure: Exposure, jump: Any, rows: Any, out: Any) -> None:
     """Rows of depth and grey (h, w) on the ideal grid, as if all rows were read at the middle row's time.
 
     Args:
         depth_m, grey: (h, w) as measured, of a lens with distortion and a rolling shutter.
         source_px: (h, w, 2) where a pixel of the ideal grid lies in it, shutter left aside.
-        grid: fx, fy, cx, cy of the ideal grid.
-        twist: (6,) velocity (v, ω) of the camera in its own frame a second.
-        shutter_s: time from the first row to the last; 0 for none.
+        exposure: of the rows.
         jump: share of a depth by which neighbours on one surface may differ.
         rows: first and last row to do.
         out: (2, h, w) depth, 0 where none is known, and grey; grey (0, 0) is left alone.
     """
+    grid, twist = exposure.grid, exposure.twist
     height, width = depth_m.shape
     has_grey = grey.shape[0] == height
     u, v, late = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
     for r in range(rows[0], rows[1]):
         y = (np.float32(r) - grid[3]) / grid[1]
-        _find_source(y, source_px[r], depth_m, grid, twist, shutter_s, height, u, v, late)
+        _find_source(y, source_px[r], depth_m, exposure, height, u, v, late)
         for c in range(width):
             z, x = _depth_between(depth_m, u[c], v[c], jump), (np.float32(c) - grid[2]) / grid[0]
             out[0, r, c] = z + late[c] * (twist[2] + (twist[3] * y - twist[4] * x) * z) if z > 0 else z
@@ -86,9 +97,7 @@ def straighten(
 
 
 @kernel(error_model="numpy")
-def straighten_color(
-    image: Any, depth_m: Any, source_px: Any, grid: Any, twist: Any, shutter_s: Any, rows: Any, out: Any
-) -> None:
+def straighten_color(image: Any, depth_m: Any, source_px: Any, exposure: Exposure, rows: Any, out: Any) -> None:
     """Rows of colour (h, w, 3) on the ideal grid, as `straighten` brings grey there.
 
     Args: as of `straighten`, and
@@ -96,83 +105,65 @@ def straighten_color(
         depth_m: (h, w) as measured; never looked at without a shutter.
         out: (h, w, 3); -1 where unknown.
     """
+    grid = exposure.grid
     height, width = image.shape[0], image.shape[1]
     u, v, late = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
     for r in range(rows[0], rows[1]):
         y = (np.float32(r) - grid[3]) / grid[1]
-        _find_source(y, source_px[r], depth_m, grid, twist, shutter_s, height, u, v, late)
+        _find_source(y, source_px[r], depth_m, exposure, height, u, v, late)
         for c in range(width):
             out[r, c, 0], out[r, c, 1], out[r, c, 2] = _color_between(image, u[c], v[c])
 
 
 @kernel(error_model="numpy")
 def sample_grey(
-    image: Any,
-    depth_m: Any,
-    grid: Any,
-    T_color_camera: Any,
-    color: Any,
-    twist: Any,
-    shutter_s: Any,
-    rows: Any,
-    out: Any,
+    image: Any, depth_m: Any, exposure: Exposure, T_color_camera: Any, color: Any, rows: Any, out: Any
 ) -> None:
     """Grey values (h, w) that another camera, of colour, saw at the points of a depth image on the ideal grid.
 
     Args:
         image: (H, W) grey as measured.
         depth_m: (h, w) on the ideal grid, straightened.
-        grid: fx, fy, cx, cy of the ideal grid.
+        exposure: of the image's rows.
         T_color_camera: (12,) the upper three rows.
         color: fx, fy, cx, cy, k1, k2, p1, p2, k3 of the colour camera at the image's size.
-        twist: (6,) velocity (v, ω) of the depth camera in its own frame a second.
-        shutter_s: time from the image's first row to the last; 0 for none.
         rows: first and last row to do.
         out: (h, w); -1 where the point is unknown or out of sight.
     """
-    width = depth_m.shape[1]
+    grid, width = exposure.grid, depth_m.shape[1]
     u, v = np.empty(width, np.float32), np.empty(width, np.float32)
     for r in range(rows[0], rows[1]):
         y = (np.float32(r) - grid[3]) / grid[1]
-        _look_up(y, depth_m[r], grid, T_color_camera, color, twist, shutter_s, image.shape[0], u, v)
+        _look_up(y, depth_m[r], exposure, T_color_camera, color, image.shape[0], u, v)
         for c in range(width):
             out[r, c] = _between(image, u[c], v[c])
 
 
 @kernel(error_model="numpy")
 def sample_color(
-    image: Any,
-    depth_m: Any,
-    grid: Any,
-    T_color_camera: Any,
-    color: Any,
-    twist: Any,
-    shutter_s: Any,
-    rows: Any,
-    out: Any,
+    image: Any, depth_m: Any, exposure: Exposure, T_color_camera: Any, color: Any, rows: Any, out: Any
 ) -> None:
     """Colours (h, w, 3) that another camera saw at the points of a depth image, as `sample_grey` finds grey values.
 
     Args: as of `sample_grey`, but `image` (H, W, 3) uint8 and `out` (h, w, 3).
     """
-    width = depth_m.shape[1]
+    grid, width = exposure.grid, depth_m.shape[1]
     u, v = np.empty(width, np.float32), np.empty(width, np.float32)
     for r in range(rows[0], rows[1]):
         y = (np.float32(r) - grid[3]) / grid[1]
-        _look_up(y, depth_m[r], grid, T_color_camera, color, twist, shutter_s, image.shape[0], u, v)
+        _look_up(y, depth_m[r], exposure, T_color_camera, color, image.shape[0], u, v)
         for c in range(width):
             out[r, c, 0], out[r, c, 1], out[r, c, 2] = _color_between(image, u[c], v[c])
 
 
 @kernel(error_model="numpy")
-def _find_source(
-    y: Any, source_px: Any, depth_m: Any, grid: Any, twist: Any, shutter_s: Any, height: Any, u: Any, v: Any, late: Any
-) -> None:
+def _find_source(y: Any, source_px: Any, depth_m: Any, exposure: Any, height: Any, u: Any, v: Any, late: Any) -> None:
     """Where (w,) u and v the ideal grid's pixels of the row at y were seen, and how late after the middle row.
 
     A row's delay grows linearly with its number, and the row a point is seen in moves linearly with the delay; both
     together give that row in closed form.
     """
+    grid, twist, shutter_s = exposure.grid, exposure.twist, exposure.shutter_s
     one, pace, middle = np.float32(1), shutter_s / np.float32(height), np.float32(0.5 * height - 0.5)
     for c in range(len(u)):
         u[c], v[c], late[c] = source_px[c, 0], source_px[c, 1], np.float32(0)
@@ -188,19 +179,9 @@ def _find_source(
 
 
 @kernel(error_model="numpy")
-def _look_up(
-    ray_y: Any,
-    depth_m: Any,
-    grid: Any,
-    T: Any,
-    color: Any,
-    twist: Any,
-    shutter_s: Any,
-    height: Any,
-    u: Any,
-    v: Any,
-) -> None:
+def _look_up(ray_y: Any, depth_m: Any, exposure: Any, T: Any, color: Any, height: Any, u: Any, v: Any) -> None:
     """Where (w,) u and v a colour camera of so many rows saw points of one row of depth (w,); -1 where unknown."""
+    grid, twist, shutter_s = exposure.grid, exposure.twist, exposure.shutter_s
     outside = np.float32(-1)
     pace, middle = shutter_s / np.float32(height), np.float32(0.5 * height - 0.5)
     for c in range(len(u)):

@@ -11,8 +11,8 @@ from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH
 
 _NAN = np.float32(np.nan)
 _FEWEST = np.float32(6)
-# So far a lens and a depth camera's window spread the rim of what stands out.
-_HEM_PX = 2
+# So far a lens and a depth camera's window spread the rim of what stands before a surface.
+_BOUNDARY_PX = 2
 # Squared cosine to the ray below which neighbours are too far apart in depth for a normal. Beyond what sensors measure:
 # of a floor that were cut off nearer, only the places would be left that noise tilts, and lifts, towards the camera.
 _GRAZED = np.float32(0.01)
@@ -24,14 +24,14 @@ _SUMS = 10
 
 
 @kernel(error_model="numpy")
-def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, hem: Any, begin: int, end: int, out: Any) -> None:
+def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, boundary: Any, begin: int, end: int, out: Any) -> None:
     """Rows `begin` to `end` of a reference's pixels (h, w, CHANNELS), NaN where something is unknown.
 
     Args:
         depth_m, normal, grey: (h, w), 0 where unknown; (h, w, 3), 0 where unknown; (h, w), -1 where unknown.
         grid: fx, fy, cx, cy.
-        hem: (3,) by how much what stands out before a surface must be nearer; see `_step`. Grey beside it has no
-            gradient: it moves as what stands out does.
+        boundary: (3,) by how much what stands before a surface must be nearer to make an occlusion boundary; see
+            `_step`. Grey beside one has no gradient: it moves as what stands before does.
     """
     height, width = depth_m.shape
     half = np.float32(0.5)
@@ -50,24 +50,24 @@ def pack(depth_m: Any, normal: Any, grey: Any, grid: Any, hem: Any, begin: int, 
                 out[r, c, ALONG_U] = half * (grey[r, c + 1] - grey[r, c - 1])
             if 0 < r < height - 1 and grey[r - 1, c] >= 0 and grey[r + 1, c] >= 0:
                 out[r, c, ALONG_V] = half * (grey[r + 1, c] - grey[r - 1, c])
-            if _is_hemmed(depth_m, r, c, hem):
+            if _is_at_boundary(depth_m, r, c, boundary):
                 out[r, c, ALONG_U] = out[r, c, ALONG_V] = _NAN
 
 
 @kernel(error_model="numpy", inline="always")
-def _is_hemmed(depth_m: Any, r: int, c: int, hem: Any) -> Any:
-    """Whether something stands out before the surface within `_HEM_PX`, by more than a step `hem`.
+def _is_at_boundary(depth_m: Any, r: int, c: int, boundary: Any) -> Any:
+    """Whether something stands before the surface within `_BOUNDARY_PX`, by more than a step `boundary`.
 
     On a plane inverse depth is linear: what is nearer on one side than it is farther on the other is another surface.
     """
     height, width = depth_m.shape
-    if min(r, c) < _HEM_PX or r >= height - _HEM_PX or c >= width - _HEM_PX:
+    if min(r, c) < _BOUNDARY_PX or r >= height - _BOUNDARY_PX or c >= width - _BOUNDARY_PX:
         return False
     z, two, found = depth_m[r, c], np.float32(2), False
-    limit = _step(hem, z)
+    limit = _step(boundary, z)
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        one = depth_m[r + _HEM_PX * i, c + _HEM_PX * j]
-        other = depth_m[r - _HEM_PX * i, c - _HEM_PX * j]
+        one = depth_m[r + _BOUNDARY_PX * i, c + _BOUNDARY_PX * j]
+        other = depth_m[r - _BOUNDARY_PX * i, c - _BOUNDARY_PX * j]
         found |= (one > 0) & (other > 0) & (z * (z / one + z / other - two) > limit)
     return found
 

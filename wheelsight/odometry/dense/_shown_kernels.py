@@ -7,11 +7,12 @@ averages out, as does what only one of both shows.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
+from wheelsight.geometry.arrays import Float32Array, FloatArray
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, NY, NZ, OFFSET
 
 # Columns of the sums of a row: upper triangle of the information, and how many points fell into the reference.
@@ -23,21 +24,33 @@ _GATE, _SCALE, _SIGMA, _GAIN, _HUBER, _WEIGHT, _MISPLACED = range(7)
 _LEAST_COSINE2 = 0.04
 
 
+class BothViews(NamedTuple):
+    """What a frame and its reference show, at one level.
+
+    Attributes:
+        depth_m: (h, w) float32 of the frame, 0 where unknown.
+        own, reference: (h, w, CHANNELS) float32 of the frame and of the reference.
+        grid: (4,) fx, fy, cx, cy of both.
+    """
+
+    depth_m: Float32Array
+    own: Float32Array
+    reference: Float32Array
+    grid: FloatArray
+
+
 @kernel(error_model="numpy")
-def show_planes(
-    depth_m: Any, own: Any, reference: Any, grid: Any, T: Any, noise: Any, how: Any, begin: int, end: int, sums: Any
-) -> None:
+def show_planes(both: BothViews, T: Any, noise: Any, how: Any, begin: int, end: int, sums: Any) -> None:
     """What planes of rows `begin` to `end` tell in both views, of the tangent (v, ω) from the left of T.
 
     Args:
-        depth_m: (h, w) of the frame, 0 where unknown.
-        own, reference: (h, w, CHANNELS) of the frame and of the reference.
-        grid: fx, fy, cx, cy of both.
+        both: frame and reference.
         T: (4, 4) T_reference_frame.
         noise: depth's constant and quadratic σ, near and far limit in metres.
         how: see above.
         sums: (h, SHOWN) float64, written row by row.
     """
+    depth_m, own, reference, grid = both.depth_m, both.own, both.reference, both.grid
     here, there = np.empty(6), np.empty(6)
     for r in range(begin, end):
         sums[r] = 0.0
@@ -64,10 +77,9 @@ def show_planes(
 
 
 @kernel(error_model="numpy")
-def show_slopes(
-    depth_m: Any, own: Any, reference: Any, grid: Any, T: Any, noise: Any, how: Any, begin: int, end: int, sums: Any
-) -> None:
+def show_slopes(both: BothViews, T: Any, noise: Any, how: Any, begin: int, end: int, sums: Any) -> None:
     """What slopes of grey tell in both views; arguments as of `show_planes`."""
+    depth_m, own, reference, grid = both.depth_m, both.own, both.reference, both.grid
     here, there = np.empty(6), np.empty(6)
     fx, fy, gain = grid[0], grid[1], how[_GAIN]
     for r in range(begin, end):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, GREY
+from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, GREY, Images
 from wheelsight.odometry.dense._step_kernels import fit_exposure, move
 
 # Sums over pixels: H's upper triangle, b, how many and the sum of absolute errors, then the regression of exposure.
@@ -18,7 +18,7 @@ _LIMIT, _LEAST_SHARE = 20.0, 0.3
 
 
 @kernel(error_model="numpy")
-def find_turn(depth_m: Any, grey: Any, reference: Any, grid: Any, T: Any, exposure: Any) -> None:
+def find_turn(images: Images, T: Any, exposure: Any) -> None:
     """Better rotation of T_reference_frame and exposure (gain, offset) in place; the best on the way is kept.
 
     The exposure is found before the first step: a step of it looks like any motion else.
@@ -26,11 +26,11 @@ def find_turn(depth_m: Any, grey: Any, reference: Any, grid: Any, T: Any, exposu
     Args: as of `accumulate_turn`.
     """
     best, sums, tried = np.inf, np.empty(TURN_SUMS), T.copy()
-    accumulate_turn(depth_m, grey, reference, grid, tried, exposure, np.inf, sums)
+    accumulate_turn(images, tried, exposure, np.inf, sums)
     _learn(sums, exposure)
     for _ in range(_STEPS):
-        accumulate_turn(depth_m, grey, reference, grid, tried, exposure, exposure[0] * _LIMIT, sums)
-        if sums[COUNT] < _LEAST_SHARE * grey.size or sums[ABSOLUTE] / sums[COUNT] > best:
+        accumulate_turn(images, tried, exposure, exposure[0] * _LIMIT, sums)
+        if sums[COUNT] < _LEAST_SHARE * images.grey.size or sums[ABSOLUTE] / sums[COUNT] > best:
             return
         best = sums[ABSOLUTE] / sums[COUNT]
         T[:] = tried
@@ -43,9 +43,7 @@ def find_turn(depth_m: Any, grey: Any, reference: Any, grid: Any, T: Any, exposu
 
 
 @kernel(error_model="numpy")
-def accumulate_turn(
-    depth_m: Any, grey: Any, reference: Any, grid: Any, T: Any, exposure: Any, limit: float, sums: Any
-) -> None:
+def accumulate_turn(images: Images, T: Any, exposure: Any, limit: float, sums: Any) -> None:
     """Normal equations of a rotation on the spot, R ← exp(ω) R, by grey values alone (Whelan et al. 2015, IV.B).
 
     There the frame before is the reference, and images are turned as if all were far away. A keyframe may lie metres
@@ -53,14 +51,13 @@ def accumulate_turn(
     The error is gain·I_reference + offset - I.
 
     Args:
-        depth_m, grey: (h, w) of the frame; depth 0 and grey -1 where unknown.
-        reference: (h, w, CHANNELS).
-        grid: fx, fy, cx, cy of both.
+        images: frame and reference; their grid is float64.
         T: (4, 4) T_reference_frame.
         exposure: (2,) gain and offset.
         limit: Huber's limit in grey levels.
         sums: (TURN_SUMS,).
     """
+    depth_m, grey, reference, grid = images.depth_m, images.grey, images.reference, images.grid
     height, width = grey.shape
     gain, offset = exposure[0], exposure[1]
     sums[:] = 0.0
@@ -68,9 +65,7 @@ def accumulate_turn(
         for c in range(width):
             x, y = (c - grid[2]) / grid[0], (r - grid[3]) / grid[1]
             near = 1.0 / depth_m[r, c] if depth_m[r, c] > 0 else 0.0
-            qx = T[0, 0] * x + T[0, 1] * y + T[0, 2]
-            qy = T[1, 0] * x + T[1, 1] * y + T[1, 2]
-            qz = T[2, 0] * x + T[2, 1] * y + T[2, 2]
+            qx, qy, qz = _turned(T, x, y)
             px, py, pz = qx + near * T[0, 3], qy + near * T[1, 3], qz + near * T[2, 3]
             if pz < 0.1:
                 continue
@@ -85,17 +80,33 @@ def accumulate_turn(
                 continue
             error = gain * there + offset - here
             weight = 1.0 if abs(error) <= limit else limit / abs(error)
-            _add(qx, qy, qz, gx, gy, -(gx * px + gy * py) / pz, error, weight, sums)
-            sums[FIT] += weight
-            sums[FIT + 1] += weight * there
-            sums[FIT + 2] += weight * here
-            sums[FIT + 3] += weight * there * there
-            sums[FIT + 4] += weight * here * here
+            _add((qx, qy, qz), (gx, gy, -(gx * px + gy * py) / pz), error, weight, sums)
+            _add_exposure(there, here, weight, sums)
 
 
 @kernel(error_model="numpy", inline="always")
-def _add(qx: Any, qy: Any, qz: Any, gx: Any, gy: Any, gz: Any, error: Any, weight: Any, sums: Any) -> None:
+def _turned(T: Any, x: Any, y: Any) -> Any:
+    """The ray (x, y, 1), turned."""
+    qx = T[0, 0] * x + T[0, 1] * y + T[0, 2]
+    qy = T[1, 0] * x + T[1, 1] * y + T[1, 2]
+    qz = T[2, 0] * x + T[2, 1] * y + T[2, 2]
+    return qx, qy, qz
+
+
+@kernel(error_model="numpy", inline="always")
+def _add_exposure(there: Any, here: Any, weight: Any, sums: Any) -> None:
+    """One pixel's share in the regression of exposure."""
+    sums[FIT] += weight
+    sums[FIT + 1] += weight * there
+    sums[FIT + 2] += weight * here
+    sums[FIT + 3] += weight * there * there
+    sums[FIT + 4] += weight * here * here
+
+
+@kernel(error_model="numpy", inline="always")
+def _add(q: Any, g: Any, error: Any, weight: Any, sums: Any) -> None:
     """One pixel's share in the normal equations: J = q × g."""
+    (qx, qy, qz), (gx, gy, gz) = q, g
     a, b, d = qy * gz - qz * gy, qz * gx - qx * gz, qx * gy - qy * gx
     sums[0] += weight * a * a
     sums[1] += weight * a * b

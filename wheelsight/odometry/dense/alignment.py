@@ -27,18 +27,8 @@ _FREE = (np.inf, np.inf)
 _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
 _SMALL_STEP = 1e-4
+# Grey levels that residuals of grey are taken to spread by at first; it is learned at once.
 _GREY_SIGMA = 8.0
-# Depth and colour of one frame are seldom of one instant: a turn that is right for grey may put points so many times as
-# far from planes, and as many standard deviations at least.
-_NO_WORSE = 3.0
-# Standard deviations that a point is off which has no plane near.
-_ASTRAY = 5.0
-# Another guess than the first is begun with where points lie so many times as near to planes.
-_CLEARLY_BETTER = 1.5
-# Where planes lie much as well in two alignments, so that it is grey that decides: shares of the first one's.
-_AS_MANY, _AS_NEAR, _CLEARER = 0.7, 1.1, 0.85
-# A colour camera that is off by pixels is off alike in frame and reference; so much of it is left between the two.
-_COLOR_ERROR_LEFT = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +75,7 @@ class Aligner:
         noise = calibration.depth_noise
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
         self._settings, self._rows, self._late_s, self._maker = settings, rows, gridder.late_s, maker
+        self._starts = settings.starts
         T_base_camera = calibration.T_base_camera
         self._T_base_camera = None if T_base_camera is None else se3.nearest(T_base_camera)
         self._Ad_base_camera = np.eye(6) if self._T_base_camera is None else se3.adjoint(self._T_base_camera)
@@ -98,9 +89,9 @@ class Aligner:
         start = np.array(T_reference_frame, float)
         T, exposure = start.copy(), np.array([1.0, 0.0])
         for level, seen in zip(frame.levels[:-3:-1], reference.levels[:-3:-1], strict=True):
-            find_turn(level.depth_m, level.grey, seen.pixels, level.intrinsics, T, exposure)
+            find_turn(kernels.Images(level.depth_m, level.grey, seen.pixels, level.intrinsics), T, exposure)
         before, after = self._misfits(frame, reference, [start, T])
-        return T if after <= _NO_WORSE * max(before, 1.0) else start
+        return T if after <= self._starts.turn_misfit * max(before, 1.0) else start
 
     def start(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
         """Where to begin, of some guesses (4, 4): the first, turned; another where planes clearly lie better there."""
@@ -109,7 +100,7 @@ class Aligner:
             return starts[0]
         misfits = self._misfits(frame, reference, starts)
         best = int(np.argmin(misfits))
-        return starts[best] if _CLEARLY_BETTER * misfits[best] < misfits[0] else starts[0]
+        return starts[best] if self._starts.clearly_nearer * misfits[best] < misfits[0] else starts[0]
 
     def _misfits(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
         """How far (N,) points lie from planes in the mean, in standard deviations, if frames are where guesses say.
@@ -125,7 +116,7 @@ class Aligner:
             totals.append(sums.sum(axis=0)[kernels.PLANE_COUNT : kernels.PLANE_COUNT + 2])
         planes, off = np.transpose(totals)
         most = max(planes.max(), 1.0)
-        return np.asarray((off + _ASTRAY * (most - planes)) / most)
+        return np.asarray((off + self._starts.unpaired_sigmas * (most - planes)) / most)
 
     def align(
         self,
@@ -149,7 +140,7 @@ class Aligner:
         T_held, hold = self._hold(T, step, held_m)
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
-            how[steps.COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
+            how[steps.COLOR_SIGMA] = self._settings.color_error_left * self._color_sigma_px / (1 << number)
             place = self._placer(frame, number, step)
             stride = settings.row_stride if number == 0 else 1
             sums = np.empty((len(frame.levels[number].depth_m) // stride, kernels.SUMS))
@@ -173,10 +164,12 @@ class Aligner:
 
         Along a wall planes say nothing, and its few marks fit each other's places: what comes out is where one began.
         """
+        limits = self._starts
         best, *others = (self.align(frame, reference, start, step, held_m) for start in starts)
         for other in others:
-            is_as_near = other.planes >= _AS_MANY * best.planes and other.residual < _AS_NEAR * best.residual
-            if is_as_near and other.grey_sigma < _CLEARER * best.grey_sigma:
+            as_many = other.planes >= limits.as_many_planes * best.planes
+            is_as_near = as_many and other.residual < limits.as_near_planes * best.residual
+            if is_as_near and other.grey_sigma < limits.clearer_grey * best.grey_sigma:
                 best = other
         return best
 
@@ -234,8 +227,8 @@ class Aligner:
         information = np.zeros((6, 6))
         for show, (level, here, there) in ((shown.show_planes, planes), (shown.show_slopes, slopes)):
             sums = np.empty((len(level.depth_m), shown.SHOWN))
-            with_grid = (level.depth_m, here, there, level.intrinsics, *given)
-            self._rows.share(len(sums), partial(_in_rows, show, with_grid, sums))
+            both = shown.BothViews(level.depth_m, here, there, level.intrinsics)
+            self._rows.share(len(sums), partial(_in_rows, show, (both, *given), sums))
             total = sums.sum(axis=0)
             information += _symmetric(total) * float(pairs / max(total[shown.POINTS], 1.0))
         return information
@@ -266,8 +259,8 @@ class Aligner:
         sums: FloatArray,
         stride: int = 1,
     ) -> None:
-        grid, how32 = level.intrinsics.astype(np.float32), how.astype(np.float32)
-        given = (level.depth_m, level.grey, pixels, grid, T_rows, self._noise, how32, stride)
+        images = kernels.Images(level.depth_m, level.grey, pixels, level.intrinsics.astype(np.float32))
+        given = (images, T_rows, self._noise, how.astype(np.float32), stride)
         self._rows.share(len(sums), lambda begin, end: kernels.accumulate(*given, begin, end, sums))
 
 

@@ -16,10 +16,8 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.threads import Rows
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
-# An image is dark if fewer of its pixels than this share are brighter than this: what is left in the dark is noise.
-_DARK_SHARE, _DARK_GREY = 0.01, 12
 _BRIGHTEST = np.float32(255)
-# Of the pixels asked whether it is dark, the distance.
+# Every so many pixels are asked whether an image is dark.
 _DARK_STRIDE = 8
 
 
@@ -46,13 +44,13 @@ class GridFrame:
         stamp_s: of the frame.
         levels: the pyramid; the last is for turns only.
         twist: (6,) the velocity (v, ω) a second in the camera's own frame by which rows were straightened.
-        falloff: the exponent by which its grey was evened; see `Gridder.even`.
+        vignetting: the exponent by which its grey was evened; see `Gridder.even`.
     """
 
     stamp_s: float
     levels: tuple[Level, ...]
     twist: FloatArray
-    falloff: float = 0.0
+    vignetting: float = 0.0
 
     @property
     def depth_share(self) -> float:
@@ -76,19 +74,19 @@ class Gridder:
         height = self.shape[0]
         late_share = (np.arange(height) + 0.5) / height - 0.5
         self.late_s: FloatArray = late_share * calibration.rolling_shutter_s
-        self._fall = self._lens_falloff()
+        self._darker = self._lens_vignetting()
         self.even(0.0)
 
     def even(self, exponent: float) -> None:
         """From now on, brighten grey by what the lens takes from it: cos⁴ to the axis, to the power of `exponent`."""
-        self._falloff = exponent
-        self._brighter: Float32Array = np.exp(-exponent * self._fall)
+        self._vignetting = exponent
+        self._brighter: Float32Array = np.exp(-exponent * self._darker)
 
     def on_grid(self, frame: RgbdFrame, twist: FloatArray) -> GridFrame:
         """The frame's pyramid, straightened for a camera moving at `twist` (6,).
 
-        Where the lights are off or the lens is covered, grey is noise: of a frame with hardly a pixel brighter than 12
-        of 255, no grey is known.
+        Where the lights are off or the lens is covered, grey is noise: of a frame with hardly a pixel brighter than
+        `dark_grey`, no grey is known.
         """
         depth_m, grey = self._small_depth(frame), self._small_grey(frame)
         if not self._is_straight:
@@ -96,14 +94,14 @@ class Gridder:
         if not self._calibration.is_registered:
             grey = self._looked_up(grey, depth_m, twist)
         levels = coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
-        return GridFrame(frame.stamp_s, levels, twist, self._falloff)
+        return GridFrame(frame.stamp_s, levels, twist, self._vignetting)
 
     def color_on_grid(self, frame: RgbdFrame, grid: GridFrame) -> Float32Array:
         """Red, green and blue (h, w, 3) from 0 to 255 of the frame that `grid` was made of, known where its grey is.
 
         Unknown colours are -1.
         """
-        if _is_dark(frame.color):
+        if self._is_dark(frame.color):
             return np.full((*self.shape, 3), -1, np.float32)
         image = self._small(frame.color)
         if not self._calibration.is_registered:
@@ -124,12 +122,12 @@ class Gridder:
         lens = replace(ideal, distortion=self._depth.distortion)
         return lens.denormalise(ideal.rays()[..., :2]).astype(np.float32)
 
-    def _lens_falloff(self) -> Float32Array:
-        """(H, W) `falloff_of` each pixel of the halved colour image."""
+    def _lens_vignetting(self) -> Float32Array:
+        """(H, W) `vignetting_of` each pixel of the halved colour image."""
         width, height = self._color.width >> self.halvings, self._color.height >> self.halvings
         fx, fy, cx, cy = self._halved(self._color)
         small = replace(self._color, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
-        return falloff_of((small.rays()[..., :2] ** 2).sum(axis=-1)).astype(np.float32)
+        return vignetting_of((small.rays()[..., :2] ** 2).sum(axis=-1)).astype(np.float32)
 
     def _small_depth(self, frame: RgbdFrame) -> Float32Array:
         """Depth (h, w) as measured, halved."""
@@ -141,7 +139,7 @@ class Gridder:
     def _small_grey(self, frame: RgbdFrame) -> Float32Array:
         """Grey (H, W), halved and evened; -1 in the dark."""
         grey = np.minimum(self._small(_grey(frame.color)) * self._brighter, _BRIGHTEST)
-        return np.full_like(grey, -1) if _is_dark(frame.color) else grey
+        return np.full_like(grey, -1) if self._is_dark(frame.color) else grey
 
     def _small(self, image: ByteArray) -> ByteArray:
         size = (image.shape[1] >> self.halvings, image.shape[0] >> self.halvings)
@@ -154,16 +152,14 @@ class Gridder:
         registered = self._calibration.is_registered
         out = np.empty((1 + registered, *self.shape), np.float32)
         images = (depth_m, grey if registered else _NO_IMAGE)
-        how = (np.float32(self._shutter_s(twist)), np.float32(self._settings.depth_jump))
-        given = (*images, self._source_px, _numbers(self.intrinsics), _numbers(twist), *how)
+        given = (*images, self._source_px, self._exposure(twist), np.float32(self._settings.depth_jump))
         self._rows.share(self.shape[0], lambda begin, end: kernels.straighten(*given, (begin, end), out))
         return out[0], out[1] if registered else grey
 
     def _straightened_color(self, image: ByteArray, frame: RgbdFrame, twist: FloatArray) -> Float32Array:
         """Colour (h, w, 3) on depth's grid, without lens and shutter."""
-        shutter_s = self._shutter_s(twist)
-        depth_m = self._small_depth(frame) if shutter_s else _NO_IMAGE
-        given = (image, depth_m, self._source_px, _numbers(self.intrinsics), _numbers(twist), np.float32(shutter_s))
+        depth_m = self._small_depth(frame) if self._shutter_s(twist) else _NO_IMAGE
+        given = (image, depth_m, self._source_px, self._exposure(twist))
         out = np.empty((*self.shape, 3), np.float32)
         self._rows.share(len(out), lambda begin, end: kernels.straighten_color(*given, (begin, end), out))
         return out
@@ -173,12 +169,21 @@ class Gridder:
         color = self._color
         lens = (*self._halved(color), *color.distortion)
         T_color_camera = _numbers(np.asarray(self._calibration.T_color_depth)[:3])
-        cameras = (_numbers(self.intrinsics), T_color_camera, _numbers(lens))
-        given = (image, depth_m, *cameras, _numbers(twist), np.float32(self._shutter_s(twist)))
+        given = (image, depth_m, self._exposure(twist), T_color_camera, _numbers(lens))
         out = np.empty((*self.shape, *image.shape[2:]), np.float32)
         sample = kernels.sample_grey if image.ndim == 2 else kernels.sample_color
         self._rows.share(len(out), lambda begin, end: sample(*given, (begin, end), out))
         return out
+
+    def _exposure(self, twist: FloatArray) -> kernels.Exposure:
+        shutter_s = np.float32(self._shutter_s(twist))
+        return kernels.Exposure(_numbers(self.intrinsics), _numbers(twist), shutter_s)
+
+    def _is_dark(self, color: ByteArray) -> bool:
+        """Whether a colour image (H, W, 3) shows nothing but noise: judged by some of its pixels."""
+        some = _grey(np.ascontiguousarray(color[::_DARK_STRIDE, ::_DARK_STRIDE]))
+        bright = np.count_nonzero(some > self._settings.dark_grey)
+        return bool(bright < self._settings.dark_share * some.size)
 
     def _shutter_s(self, twist: FloatArray) -> float:
         return self._calibration.rolling_shutter_s if twist.any() else 0.0
@@ -195,15 +200,9 @@ def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, 
     return tuple(levels)
 
 
-def falloff_of(squared_tangent: FloatArray) -> FloatArray:
+def vignetting_of(squared_tangent: FloatArray) -> FloatArray:
     """Logarithm of the fourth power of the cosine to the axis, by the squared tangent."""
     return np.asarray(-2 * np.log1p(squared_tangent))
-
-
-def _is_dark(color: ByteArray) -> bool:
-    """Whether a colour image (H, W, 3) shows nothing but noise: judged by some of its pixels."""
-    some = _grey(np.ascontiguousarray(color[::_DARK_STRIDE, ::_DARK_STRIDE]))
-    return bool(np.count_nonzero(some > _DARK_GREY) < _DARK_SHARE * some.size)
 
 
 def _grey(color: ByteArray) -> ByteArray:

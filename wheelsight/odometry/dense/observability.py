@@ -11,9 +11,6 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.dense.alignment import DenseAlignment
 from wheelsight.odometry.dense.settings import DenseSettings
 
-# Another motion than the one expected first is believed where it fits what is seen so many times as well.
-_CLEARLY = 0.5
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
@@ -74,7 +71,7 @@ def _nearest_prior(
     shifts = [seen.T @ (DEGENERATE_SCALE * se3.log(T @ se3.invert(T_prior))) for T_prior in priors]
     off_m = np.array([np.linalg.norm(shift) for shift in shifts])
     best = int(np.argmin(off_m))
-    if off_m[0] < settings.degenerate_sigma_m or off_m[best] > _CLEARLY * off_m[0]:
+    if off_m[0] < settings.degenerate_sigma_m or off_m[best] > settings.other_prior_share * off_m[0]:
         best = 0
     return priors[best], shifts[best]
 

@@ -16,15 +16,10 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.threads import Rows
 from wheelsight.views import PredictedView
 
-# Standard deviations of depth by which neighbours differ at most by noise: √2 times three.
-_SPREAD = 4.2
-# At creases, bent by more than so many standard deviations of depth, a fitted plane is no plane of the scene.
-_BENT, _ANY_BEND = 2.0, 1e6
+# No limit to how far a surface may be off its plane.
+_ANY_BEND = 1e6
 # How much of a residual is the frame's own noise: against another frame, which has as much, half; against a map all.
 _AS_NOISY, _MAPPED = 0.5, 1.0
-# What stands out before a surface by this share of its depth and so many standard deviations hems it with its own grey,
-# which moves as what stands out does.
-_HEM, _HEM_SIGMAS = 0.02, 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,15 +71,15 @@ class Reference:
     Attributes:
         T_map_reference: (4, 4).
         own_noise: how much of what a frame is off this is the frame's own noise.
-        falloff: the exponent by which its grey was evened.
+        vignetting: the exponent by which its grey was evened.
     """
 
-    __slots__ = ("T_map_reference", "_made", "_make", "falloff", "own_noise")
+    __slots__ = ("T_map_reference", "_made", "_make", "own_noise", "vignetting")
 
     def __init__(
-        self, T_map_reference: FloatArray, make: Callable[[], Scales], own_noise: float, falloff: float = 0.0
+        self, T_map_reference: FloatArray, make: Callable[[], Scales], own_noise: float, vignetting: float = 0.0
     ) -> None:
-        self.T_map_reference, self.own_noise, self.falloff = T_map_reference, own_noise, falloff
+        self.T_map_reference, self.own_noise, self.vignetting = T_map_reference, own_noise, vignetting
         self._make = make
         self._made: Scales | None = None
 
@@ -116,7 +111,7 @@ class ReferenceMaker:
     def __init__(self, noise: DepthNoise, settings: DenseSettings, rows: Rows) -> None:
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m], np.float32)
         self._settings, self._rows = settings, rows
-        self._hem = self._step(_HEM, _HEM_SIGMAS)
+        self._boundary = self._step(settings.occlusion_share, settings.occlusion_sigmas)
 
     def of_frame(self, frame: GridFrame, T_map_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
@@ -125,7 +120,7 @@ class ReferenceMaker:
             levels = tuple(self._level(level, self.normals(level)) for level in frame.levels)
             return Scales(levels, self._steep(frame.levels))
 
-        return Reference(T_map_camera, make, _AS_NOISY, frame.falloff)
+        return Reference(T_map_camera, make, _AS_NOISY, frame.vignetting)
 
     def of_view(self, view: PredictedView, T_map_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
@@ -149,7 +144,10 @@ class ReferenceMaker:
         deviations of depth a surface may be off its plane.
         """
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
-        limits = (self._step(steepness * self._settings.depth_jump, _SPREAD), np.float32(bend) * self._noise)
+        limits = (
+            self._step(steepness * self._settings.depth_jump, self._settings.depth_jump_sigmas),
+            np.float32(bend) * self._noise,
+        )
         given = (level.depth_m, level.intrinsics.astype(np.float32), self._settings.normal_radius_px, *limits)
         self._rows.share(len(normal), lambda begin, end: kernels.normals(*given, begin, end, normal))
         return normal
@@ -157,11 +155,11 @@ class ReferenceMaker:
     def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
         number = self._settings.levels - 1
         # The same slope is a larger step from pixel to pixel where pixels are larger.
-        return self._level(levels[number], self.normals(levels[number], 1 << number, _BENT))
+        return self._level(levels[number], self.normals(levels[number], 1 << number, self._settings.crease_sigmas))
 
     def _level(self, level: Level, normal: Float32Array) -> ReferenceLevel:
         pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
-        given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), self._hem)
+        given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), self._boundary)
         self._rows.share(len(pixels), lambda begin, end: kernels.pack(*given, begin, end, pixels))
         return ReferenceLevel(normal, pixels)
 

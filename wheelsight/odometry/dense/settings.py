@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from wheelsight.odometry.dense.settings_parts import (
+    DensePart,
+    FaultSettings,
+    KeyframeSettings,
+    StartSettings,
+    VerificationSettings,
+    VignettingSettings,
+)
 
 
-class DenseSettings(BaseModel):
+class DenseSettings(DensePart):
     """Settings of dense odometry; unknown names are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     reference: Literal["keyframes", "previous"] = Field(
         default="keyframes", description="what a frame is aligned with where no map predicts the view"
@@ -40,6 +47,27 @@ class DenseSettings(BaseModel):
         default=1.5, le=100, description="standard deviations beyond which a residual counts linearly"
     )
     depth_jump: PositiveFloat = Field(default=0.03, le=1, description="share of a depth that tells two surfaces apart")
+    depth_jump_sigmas: NonNegativeFloat = Field(
+        default=4.2,
+        le=100,
+        description="standard deviations of depth by which neighbours on one surface differ, beside that share: √2 "
+        "times three; a limit that noise reaches picks neighbours that err alike",
+    )
+    crease_sigmas: PositiveFloat = Field(
+        default=2.0,
+        le=1e6,
+        description="standard deviations of depth that a surface may be bent by to show a motion: at creases a fitted "
+        "plane is no plane of the scene",
+    )
+    occlusion_share: NonNegativeFloat = Field(
+        default=0.02,
+        le=1,
+        description="share of a depth by which what is nearer within two pixels makes an occlusion boundary, whose "
+        "grey moves as what is nearer does; on a corridor without noise ways were 0.09 % too long, 0.01 % since",
+    )
+    occlusion_sigmas: NonNegativeFloat = Field(
+        default=3.0, le=100, description="and so many standard deviations of depth, which would pick pixels by chance"
+    )
     normal_radius_px: int = Field(default=2, ge=1, le=6, description="half width of the window a normal is fitted to")
     keyframe_overlap: float = Field(
         default=0.75, gt=0, lt=1, description="of a keyframe; with less in sight a new one is made"
@@ -68,6 +96,19 @@ class DenseSettings(BaseModel):
     degenerate_sigma_m: PositiveFloat = Field(
         default=0.01, le=10, description="a direction less certain than this after one frame is left to the prior"
     )
+    other_prior_share: float = Field(
+        default=0.5,
+        gt=0,
+        le=1,
+        description="another motion than the one expected first fills unseen directions where it is off what is seen "
+        "by less than this share; found on the simulator alone, with wheels that slip",
+    )
+    color_error_left: float = Field(
+        default=0.25,
+        ge=0,
+        le=1,
+        description="of `color_sigma_px`, what is left between two images of a colour camera that is off alike in both",
+    )
     correlation: PositiveFloat = Field(
         default=20.0, le=1e6, description="how many neighbouring residuals err as one; variances are that much larger"
     )
@@ -80,6 +121,15 @@ class DenseSettings(BaseModel):
         default=0.15, gt=0, le=1, description="of that, how far a base on wheels may go sideways, rise or tilt instead"
     )
     min_depth_share: float = Field(default=0.05, gt=0, lt=1, description="of a frame's pixels that must have depth")
+    dark_grey: NonNegativeFloat = Field(
+        default=12.0, le=255, description="grey that is left in the dark, which is noise (real Kinects, lens covered)"
+    )
+    dark_share: float = Field(
+        default=0.01,
+        ge=0,
+        le=1,
+        description="an image is dark where fewer of its pixels than this are brighter than that",
+    )
     kept_keyframes: PositiveInt = Field(
         default=60, le=10_000, description="held in memory; those used longest ago go first"
     )
@@ -94,3 +144,8 @@ class DenseSettings(BaseModel):
         default=10, le=1_000_000, description="failed frames in a row, after which the state is lost"
     )
     threads: PositiveInt = Field(default=2, le=64, description="that share a frame's rows")
+    starts: StartSettings = StartSettings()
+    faults: FaultSettings = FaultSettings()
+    verification: VerificationSettings = VerificationSettings()
+    keyframes: KeyframeSettings = KeyframeSettings()
+    vignetting: VignettingSettings = VignettingSettings()

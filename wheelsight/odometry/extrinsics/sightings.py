@@ -72,7 +72,7 @@ def watch(recording: Recording, wheels: Wheels, on_frame: Callable[[str], None] 
         else:
             continue
         frame_count, span_s = frame_count + 1, (event.stamp_s if not frame_count else span_s[0], event.stamp_s)
-        if estimate.T_odom_body is not None and odometry.last_motion.shows_all:
+        if estimate.T_odom_body is not None and estimate.motion.shows_all:
             poses.append((estimate.stamp_s, estimate.T_odom_body))
         on_frame(estimate.status)
     stamps_s = np.array([stamp_s for stamp_s, _ in poses])

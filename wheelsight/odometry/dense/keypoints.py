@@ -1,9 +1,9 @@
-"""Keyframes: views that are kept, to come back to and to witness by their features where a frame is."""
+"""KeypointLocator: where a frame is by its keypoints, to verify what surfaces say and to recognise keyframes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -13,70 +13,52 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import MotionEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.odometry.dense.reference import Reference
+from wheelsight.keyframes import KeyframeFeatures
+from wheelsight.odometry.dense.settings_parts import VerificationSettings
+from wheelsight.odometry.dense.views import KnownView
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
 from wheelsight.odometry.features.landmarks import View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, ViewTracker
 from wheelsight.odometry.stopwatch import Stopwatch
 
-# Poses of one frame by its surfaces and by its keypoints that lie no farther apart say the same; so many times as far
-# apart too where keypoints are no surer: far ones hardly tell a turn from a way aside. χ² of 6, 99 %.
-_AGREE_M, _AGREE_RAD, _VAGUE, _CHI2 = 0.04, 0.035, 4.0, 16.8
-# Keypoints are believed against surfaces where so many agree, and such a share of all that were matched.
-_CLEAR_INLIERS, _CLEAR_SHARE = 60, 0.6
-_LIKELY_SHARE = 0.5
-
-
-@dataclass(eq=False)
-class Keyframe:
-    """A reference with the covariance (6, 6) of its pose, and with its features where it is to be recognised."""
-
-    reference: Reference
-    covariance: FloatArray
-    view: View | None = None
-
-    def with_motion(self, covariance: FloatArray) -> FloatArray:
-        """The covariance (6, 6) of a pose that lies off this one by a motion with its covariance (6, 6)."""
-        Ad = se3.adjoint(self.reference.T_map_reference)
-        return np.asarray(self.covariance + Ad @ covariance @ Ad.T)
-
-    def distance_m(self, T_map_camera: FloatArray) -> float:
-        """How far a view from there (4, 4) is from this one; a turn by a radian counts as 1.5 m."""
-        return float(se3.view_shift_m(se3.invert(self.reference.T_map_reference) @ T_map_camera))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class KeypointPose:
     """Where a frame is by its keypoints.
 
     Attributes:
         T_map_camera: (4, 4).
         covariance: (6, 6) of its left perturbation (v, ω), that of the keyframe included.
         matches: keypoints that were matched; inliers: those that agree.
+        settings: when it counts.
     """
 
     T_map_camera: FloatArray
     covariance: FloatArray
     matches: int
     inliers: int
+    settings: VerificationSettings = field(default_factory=VerificationSettings)
 
     @property
     def is_likely(self) -> bool:
         """Whether it is a place that was seen before rather than one that looks alike in parts."""
-        return self.inliers >= _LIKELY_SHARE * self.matches
+        return self.inliers >= self.settings.likely_share * self.matches
 
     @property
     def is_clear(self) -> bool:
         """Whether keypoints are to be believed even where surfaces say otherwise."""
-        return self.inliers >= max(_CLEAR_INLIERS, _CLEAR_SHARE * self.matches)
+        return self.inliers >= max(self.settings.clear_inliers, self.settings.clear_share * self.matches)
 
     def agrees_with(self, T_map_camera: FloatArray) -> bool:
         """Whether a pose (4, 4) is as near as two ways to find one leave them."""
+        limits = self.settings
         T = se3.invert(self.T_map_camera) @ T_map_camera
-        apart = max(float(np.linalg.norm(T[:3, 3])) / _AGREE_M, float(so3.angle(T[:3, :3])) / _AGREE_RAD)
+        off_m, off_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
+        apart = max(off_m / limits.agree_m, off_rad / limits.agree_rad)
         off = se3.log(self.T_map_camera @ se3.invert(T_map_camera))
-        return bool(apart < 1 or (apart < _VAGUE and off @ np.linalg.solve(self.covariance, off) < _CHI2))
+        is_within = apart < limits.vague and off @ np.linalg.solve(self.covariance, off) < limits.agree_chi2
+        return bool(apart < 1 or is_within)
 
     def motion_from(self, T_map_reference: FloatArray) -> MotionEstimate:
         """As a motion against a reference at (4, 4)."""
@@ -86,20 +68,21 @@ class Sighting:
         return MotionEstimate(T_reference_map @ self.T_map_camera, Ad @ self.covariance @ Ad.T, *counts)
 
 
-class Witness:
-    """Where a frame is by its keypoints and those of a keyframe: a second opinion that no smooth surface misleads.
+class KeypointLocator:
+    """Geometric verification: where a frame is by its keypoints and those of a keyframe; no smooth surface misleads it.
 
     Surfaces that are alike under a motion, such as walls, floors and backs of people, fit just as well where the camera
     is not. Keypoints of the wrong place hardly ever agree on one motion (Zhang, section 3.3).
     """
 
-    def __init__(self, calibration: Calibration) -> None:
-        settings = FeatureSettings()
+    def __init__(self, calibration: Calibration, settings: VerificationSettings) -> None:
+        features = FeatureSettings()
         calibration, self._straight = _without_lens(calibration)
         T = calibration.T_color_depth
         self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
-        self._extractor = FeatureExtractor(calibration, settings)
-        self._tracker = ViewTracker(calibration, settings, Stopwatch())
+        self._settings = settings
+        self._extractor = FeatureExtractor(calibration, features)
+        self._tracker = ViewTracker(calibration, features, Stopwatch())
         self._asked = 0
 
     def look(self, frame: RgbdFrame) -> Features:
@@ -110,23 +93,37 @@ class Witness:
             frame = replace(frame, depth_m=np.asarray(depth_m, np.float32))
         return self._extractor.extract(frame)
 
-    def view(self, features: Features, T_map_camera: FloatArray, covariance: FloatArray, twist: FloatArray) -> View:
-        """Features of a keyframe whose pose (4, 4), and velocity (6,) in its own frame, are known."""
-        T_map_color = T_map_camera @ se3.invert(self._T_color_camera)
-        straight = self._tracker.straighten(features, se3.adjoint(self._T_color_camera) @ twist)
-        return View(straight, T_map_color, covariance, np.full(len(features), -1))
+    def straightened(self, features: Features, twist: FloatArray) -> Features:
+        """As if all rows were read at once, of a camera whose velocity (6,) in its own frame is known."""
+        return self._tracker.straighten(features, se3.adjoint(self._T_color_camera) @ twist)
 
-    def locate(self, features: Features, keyframes: Iterable[Keyframe], twist: FloatArray) -> Sighting | None:
+    def kept(self, features: Features) -> KeyframeFeatures:
+        """Straightened features as a keyframe has them: their points in the camera's frame."""
+        points = se3.apply(se3.invert(self._T_color_camera), features.points)
+        points[~features.has_depth] = 0.0
+        return KeyframeFeatures(features.px, points, features.descriptors)
+
+    def locate(self, features: Features, keyframes: Iterable[KnownView], twist: FloatArray) -> KeypointPose | None:
         """Where a frame is by the first keyframe that it shows; None where it shows none."""
         self._asked += 1
         velocity = se3.adjoint(self._T_color_camera) @ twist
         for keyframe in keyframes:
-            if keyframe.view is not None:
-                found = self._tracker.track(features, keyframe.view, velocity, None, self._asked)
+            view = self._view(keyframe)
+            if view is not None:
+                found = self._tracker.track(features, view, velocity, None, self._asked)
                 if isinstance(found, Fix):
                     T_map_camera = np.asarray(found.view.T_map_color @ self._T_color_camera)
-                    return Sighting(T_map_camera, found.view.covariance, found.motion.matches, found.motion.inliers)
+                    counts = (found.motion.matches, found.motion.inliers)
+                    return KeypointPose(T_map_camera, found.view.covariance, *counts, self._settings)
         return None
+
+    def _view(self, keyframe: KnownView) -> View | None:
+        """A keyframe's features, with the colour camera's pose."""
+        features = keyframe.features
+        if features is None:
+            return None
+        T_map_color = keyframe.reference.T_map_reference @ se3.invert(self._T_color_camera)
+        return View(features, T_map_color, keyframe.covariance, np.full(len(features), -1))
 
 
 def _without_lens(calibration: Calibration) -> tuple[Calibration, Any]:

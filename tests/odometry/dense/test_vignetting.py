@@ -1,4 +1,4 @@
-"""A lens's falloff is learned from plain walls, whatever the exposure; evened frames no longer tilt the camera."""
+"""A lens's vignetting is learned from plain walls, whatever the exposure; evened frames no longer tilt the camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from odometry.views import run
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense._falloff import Falloff
+from wheelsight.odometry.dense.vignetting import Vignetting
 
 ROOM = [
     Plane((0, 0, 1), 4.0),
@@ -24,23 +24,23 @@ COSINE4 = (1 + (SMALL.rays()[..., :2] ** 2).sum(axis=-1)) ** -2.0
 
 
 def behind_lens(frame: RgbdFrame, exponent: float, gain: float = 1.0) -> RgbdFrame:
-    """The frame as a lens with such a falloff shows it, at another exposure."""
+    """The frame as a lens with such vignetting shows it, at another exposure."""
     grey = gain * COSINE4[..., None] ** exponent * frame.color
     return replace(frame, color=np.rint(grey).clip(0, 255).astype(np.uint8))
 
 
-def learned(exponent: float, poses: list[FloatArray], gain: float = 1.0, evened: float = 0.0) -> Falloff:
+def learned(exponent: float, poses: list[FloatArray], gain: float = 1.0, evened: float = 0.0) -> Vignetting:
     """What is learned from frames at poses, each against the one before, if they are evened from the second on."""
     parts = bench()
-    falloff, reference = Falloff(parts.gridder, DenseSettings()), None
+    vignetting, reference = Vignetting(parts.gridder, DenseSettings()), None
     for number, T in enumerate(poses):
         seen = frame_of(ROOM, T, 0.1 * number, noise_seed=number)
         frame = parts.grid(behind_lens(seen, exponent, gain**number))
         if reference is not None:
-            falloff.learn(frame, T, reference)
+            vignetting.learn(frame, T, reference)
             parts.gridder.even(evened)
         reference = parts.maker.of_frame(frame, T)
-    return falloff
+    return vignetting
 
 
 TURNS = [se3.exp([0.05 * k, 0, 0.1 * k, 0, 0.12 * (-1) ** k, 0]) for k in range(6)]
@@ -48,9 +48,9 @@ TURNS = [se3.exp([0.05 * k, 0, 0.1 * k, 0, 0.12 * (-1) ** k, 0]) for k in range(
 
 @pytest.mark.parametrize("gain", [1.0, 0.96], ids=["same exposure", "darker each time"])
 @pytest.mark.parametrize("exponent", [0.0, 0.2, 0.45])
-def test_falloff_is_learned_whatever_the_exposure(exponent: float, gain: float) -> None:
-    falloff = learned(exponent, TURNS, gain)
-    assert falloff.exponent == pytest.approx(exponent, abs=0.03)
+def test_vignetting_is_learned_whatever_the_exposure(exponent: float, gain: float) -> None:
+    vignetting = learned(exponent, TURNS, gain)
+    assert vignetting.exponent == pytest.approx(exponent, abs=0.03)
 
 
 def test_what_is_evened_already_teaches_the_same() -> None:
@@ -76,4 +76,4 @@ def test_odometry_learns_its_camera() -> None:
     frames = [behind_lens(frame_of(ROOM, T, k / 15, noise_seed=k), 0.3) for k, T in enumerate(poses)]
     odometry = dense()
     run(odometry, frames)
-    assert odometry._falloff.exponent == pytest.approx(0.3, abs=0.06)
+    assert odometry._policy.vignetting.exponent == pytest.approx(0.3, abs=0.06)

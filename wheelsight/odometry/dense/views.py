@@ -3,20 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry.dense._tracked import Tracked
+from wheelsight.keyframes import KeyframeId
 from wheelsight.odometry.dense.grid import Gridder
-from wheelsight.odometry.dense.keyframes import Keyframe
-from wheelsight.odometry.dense.reference import ReferenceMaker
+from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.odometry.dense.tracked import Tracked, moved
+from wheelsight.odometry.features.extraction import Features
+from wheelsight.odometry.state import TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.views import ReferenceModel
 
 # So many keyframes, those used last, are held ready; of others depth and grey alone, of which they are made in 5 ms.
 _AT_HAND = 6
+
+
+@dataclass(eq=False)
+class KnownView:
+    """A view with a pose.
+
+    Attributes:
+        keyframe: of the store, with which the pose moves: itself, or another that it was found by.
+        reference: what frames are aligned with.
+        covariance: (6, 6) of the left perturbation (v, ω) of its pose.
+        features: of the colour camera, rows straightened, where it is to be recognised by them; or None.
+    """
+
+    keyframe: KeyframeId
+    reference: Reference
+    covariance: FloatArray
+    features: Features | None = None
+
+    def with_motion(self, covariance: FloatArray) -> FloatArray:
+        """The covariance (6, 6) of a pose that lies off this one by a motion with its covariance (6, 6)."""
+        Ad = se3.adjoint(self.reference.T_map_reference)
+        return np.asarray(self.covariance + Ad @ covariance @ Ad.T)
+
+    def distance_m(self, T_map_camera: FloatArray) -> float:
+        """How far a view from there (4, 4) is from this one; a turn by a radian counts as 1.5 m."""
+        return float(se3.view_shift_m(se3.invert(self.reference.T_map_reference) @ T_map_camera))
+
+    def move(self, T_new_old: FloatArray) -> None:
+        """To where its keyframe has moved by (4, 4), from the left, in the map."""
+        reference = self.reference
+        reference.T_map_reference, self.covariance = moved(T_new_old, reference.T_map_reference, self.covariance)
 
 
 class Views:
@@ -42,8 +76,8 @@ class Views:
     ) -> None:
         self._settings, self._gridder, self._maker, self._watch = settings, gridder, maker, watch
         self._model = model
-        self._prediction: tuple[Keyframe | None, int] = None, 0
-        self.keyframes: list[Keyframe] = []
+        self._prediction: tuple[KnownView | None, int] = None, 0
+        self.keyframes: list[KnownView] = []
 
     @property
     def has_model(self) -> bool:
@@ -55,19 +89,30 @@ class Views:
         if model is not self._model:
             self._model, self._prediction = model, (None, 0)
 
-    def begin(self, keyframe: Keyframe) -> None:
+    def move(self, T_new_old: FloatArray) -> None:
+        """Keyframes have moved by (N, 4, 4), by number; the map has moved too, and is asked anew what it looks like."""
+        for view in self.keyframes:
+            view.move(T_new_old[view.keyframe])
+        self._prediction = None, 0
+
+    def begin(self, keyframe: KnownView) -> None:
         """Keep a keyframe from where all begins anew; what was predicted for elsewhere is forgotten."""
         self._prediction = None, 0
         self.keep(keyframe)
 
-    def keep(self, keyframe: Keyframe) -> None:
+    def keep(self, keyframe: KnownView) -> None:
         """Keep a keyframe, or let it count as the newest again; the oldest ones go."""
         if keyframe in self.keyframes:
             self.keyframes.remove(keyframe)
         self.keyframes.append(keyframe)
         del self.keyframes[: -self._settings.kept_keyframes]
 
-    def nearest(self, T_map_camera: FloatArray) -> Keyframe:
+    def of_frame(self, tracked: Tracked) -> KnownView:
+        """A tracked frame as a view."""
+        reference = self._maker.of_frame(tracked.frame, tracked.T_map_camera)
+        return KnownView(tracked.keyframe, reference, tracked.covariance)
+
+    def nearest(self, T_map_camera: FloatArray) -> KnownView:
         """The keyframe whose view is nearest to one from there (4, 4)."""
         T_map_keyframe = np.array([keyframe.reference.T_map_reference for keyframe in self.keyframes])
         return self.keyframes[int(np.argmin(se3.view_shift_m(se3.invert(T_map_keyframe) @ T_map_camera)))]
@@ -81,27 +126,27 @@ class Views:
         nearest = self.nearest(found.T_map_camera)
         return nearest.distance_m(found.T_map_camera) > self._settings.keyframe_way_m
 
-    def around(self, T_map_camera: FloatArray, failures: int) -> Iterator[Keyframe]:
+    def around(self, T_map_camera: FloatArray, state: TrackingState) -> Iterator[KnownView]:
         """What the model predicts, then the newest keyframe; after failures the nearest; once lost, others in turn."""
         for keyframe in self.keyframes[:-_AT_HAND]:
             keyframe.reference.forget()
         if self._model is not None:
-            yield self._predicted(self._model, T_map_camera, afresh=failures > 0)
+            yield self._predicted(self._model, T_map_camera, afresh=state.failures > 0)
         yield self.keyframes[-1]
-        if failures:
+        if state.failures:
             yield self.nearest(T_map_camera)
-        yield from self._in_turn(failures)
+        yield from self._in_turn(state)
 
-    def familiar(self, T_map_camera: FloatArray, failures: int) -> list[Keyframe]:
+    def familiar(self, T_map_camera: FloatArray, state: TrackingState) -> list[KnownView]:
         """Keyframes that a frame may show: the nearest, the newest, and once lost an older one in turn."""
-        keyframes = [self.nearest(T_map_camera), self.keyframes[-1], *self._in_turn(failures)]
+        keyframes = [self.nearest(T_map_camera), self.keyframes[-1], *self._in_turn(state)]
         return list(dict.fromkeys(keyframes))
 
-    def _in_turn(self, failures: int) -> Iterator[Keyframe]:
-        if failures >= self._settings.lost_after:
-            yield self.keyframes[-1 - failures % len(self.keyframes)]
+    def _in_turn(self, state: TrackingState) -> Iterator[KnownView]:
+        if state.is_lost:
+            yield self.keyframes[-1 - state.failures % len(self.keyframes)]
 
-    def _predicted(self, model: ReferenceModel, T_map_camera: FloatArray, *, afresh: bool) -> Keyframe:
+    def _predicted(self, model: ReferenceModel, T_map_camera: FloatArray, *, afresh: bool) -> KnownView:
         """What the model looks like from there; one view serves for some frames, while the camera is near."""
         known, served = self._prediction
         is_near = known is not None and known.distance_m(T_map_camera) < self._settings.predicted_way_m
@@ -109,6 +154,7 @@ class Views:
             with self._watch.stage("predict"):
                 view = model.predict(T_map_camera, self._gridder.intrinsics, self._gridder.shape)
                 reference = self._maker.of_view(view, T_map_camera, self._gridder.intrinsics)
-            known, served = Keyframe(reference, self.nearest(T_map_camera).covariance), 0
+            nearest = self.nearest(T_map_camera)
+            known, served = KnownView(nearest.keyframe, reference, nearest.covariance), 0
         self._prediction = known, served + 1
         return known

@@ -1,4 +1,4 @@
-"""Where two ways to one pose meet: by least squares, never far off the short one, and with less drift."""
+"""Where two motions to one pose meet: by least squares, never far off the short one, and with less drift."""
 
 from __future__ import annotations
 
@@ -12,11 +12,16 @@ from scipy.optimize import least_squares
 
 from wheelsight.estimates import MotionEstimate
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry.dense import odometry as dense_odometry
-from wheelsight.odometry.dense._two_ways import met
+from wheelsight.odometry.dense import DenseSettings, keyframe_policy
+from wheelsight.odometry.dense.two_references import joined
 
+SETTINGS = DenseSettings().keyframes
 T_SHORT = se3.exp([0.4, 0.1, 0.9, 0.1, -0.3, 0.2])
 T_LONG = T_SHORT @ se3.exp([1e-3, -2e-3, 2e-3, 4e-4, -6e-4, 3e-4])
+
+
+def met(T_short: FloatArray, short: MotionEstimate, T_long: FloatArray, long: MotionEstimate) -> FloatArray:
+    return joined(T_short, short, T_long, long, SETTINGS)
 
 
 def told(T_reference_current: FloatArray, covariance: FloatArray) -> MotionEstimate:
@@ -29,7 +34,7 @@ def spread(rng: np.random.Generator) -> FloatArray:
     return A @ A.T + np.diag([1e-6] * 3 + [1e-7] * 3)
 
 
-def test_ways_as_sure_as_each_other_meet_where_a_hop_counts_twice() -> None:
+def test_ways_as_sure_as_each_other_meet_where_the_short_one_counts_twice() -> None:
     C = np.diag([1e-6] * 3 + [1e-7] * 3)
     T = met(T_SHORT, told(np.eye(4), C), T_LONG, told(np.eye(4), C))
     expected = T_SHORT @ se3.exp(2 / 3 * se3.log(se3.invert(T_SHORT) @ T_LONG))
@@ -41,7 +46,7 @@ def test_ways_meet_where_least_squares_has_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
     motions = [told(se3.exp(rng.normal(0, 0.5, 6)), spread(rng)) for _ in range(2)]
     # Each as a left perturbation in its reference's frame, which stands where the motion comes from.
-    roots = [np.linalg.inv(np.linalg.cholesky(hops * m.covariance)) for hops, m in zip((2, 1), motions, strict=True)]
+    roots = [np.linalg.inv(np.linalg.cholesky(times * m.covariance)) for times, m in zip((2, 1), motions, strict=True)]
 
     def residuals(xi: FloatArray) -> FloatArray:
         T = T_SHORT @ se3.exp(xi)
@@ -70,7 +75,7 @@ def test_what_does_not_show_all_is_not_mixed_in(place: int) -> None:
 
 
 @pytest.mark.slow
-def test_hops_told_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_motions_told_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatch) -> None:
     corridor = [
         Plane((1, 0, 0), 1.2, is_painted=True),
         Plane((-1, 0, 0), 1.2, is_painted=True),
@@ -90,7 +95,7 @@ def test_hops_told_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatch) 
         return np.array(off)
 
     by_two = ends()
-    monkeypatch.setattr(dense_odometry, "met", lambda T_short, *_: T_short)
+    monkeypatch.setattr(keyframe_policy, "joined", lambda T_short, *_: T_short)
     by_one = ends()
     assert not np.array_equal(by_two, by_one)
     assert (by_two[:, 3:] ** 2).mean() < 0.8 * (by_one[:, 3:] ** 2).mean()

@@ -1,0 +1,143 @@
+"""Settings of dense odometry: each is read, reaches the run from a file, and what stays in modules is no behaviour."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from odometry.dense.scenes import bench, dense
+from odometry.views import room_frame, run
+from pydantic import BaseModel
+from synthetic import wobbling_trajectory
+
+import wheelsight.odometry.dense as package
+from wheelsight.config import load_config, save_config
+from wheelsight.errors import ConfigError
+from wheelsight.odometry.dense import DenseSettings
+
+FILES = [
+    path
+    for path in sorted(Path(package.__file__).parent.glob("*.py"))
+    if not path.stem.endswith("_kernels") and not path.stem.startswith("settings")
+]
+# What shapes no answer: where nothing is, what is done at once or held ready, and when steps end.
+NUMERICS = {
+    "alignment._DIVERGED_M": "an alignment that is so far off has run away",
+    "alignment._GREY_SIGMA": "where learning begins, which ends within a step or two",
+    "alignment._SMALL_STEP": "Gauss-Newton ends",
+    "fault_detection._PERFECT": "of a perfect fit, by definition",
+    "grid._BRIGHTEST": "of a byte",
+    "grid._DARK_STRIDE": "how many pixels are asked",
+    "keyframe_policy.START_VARIANCE": "no covariance may be singular",
+    "reference._ANY_BEND": "none",
+    "reference._AS_NOISY": "by definition",
+    "reference._MAPPED": "by definition",
+    "views._AT_HAND": "held ready; others are made again, alike to the bit",
+    "vignetting._FLAT": "no division by zero",
+    "vignetting._HUBER": "the usual limit",
+    "vignetting._ROUNDS": "reweighted least squares ends",
+    "vignetting._STRIDE_PX": "how many pixels are compared",
+}
+
+
+def parts(settings: BaseModel = DenseSettings(), name: str = "dense") -> Iterator[tuple[str, BaseModel]]:  # noqa: B008
+    yield name, settings
+    for field, value in settings:
+        if isinstance(value, BaseModel):
+            yield from parts(value, f"{name}.{field}")
+
+
+def fields() -> list[str]:
+    return [f"{name}.{field}" for name, part in parts() for field, value in part if not isinstance(value, BaseModel)]
+
+
+@pytest.fixture(scope="module")
+def read() -> set[str]:
+    """Names of all attributes that the modules read."""
+    trees = [ast.parse(path.read_text()) for path in FILES]
+    return {node.attr for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+
+
+@pytest.mark.parametrize("name", fields())
+def test_each_setting_is_read_and_told_what_for(read: set[str], name: str) -> None:
+    *path, field = name.split(".")
+    assert field in read
+    part = dict(parts())[".".join(path)]
+    assert type(part).model_fields[field].description or field in {"levels"}
+
+
+def test_no_number_that_shapes_an_answer_stays_in_a_module() -> None:
+    numbers = set()
+    for path in FILES:
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.Assign) and any(isinstance(n, ast.Constant) for n in ast.walk(node.value)):
+                names = [n.id for target in node.targets for n in ast.walk(target) if isinstance(n, ast.Name)]
+                is_number = any(
+                    isinstance(n, ast.Constant) and isinstance(n.value, int | float) for n in ast.walk(node.value)
+                )
+                numbers |= {f"{path.stem}.{name}" for name in names if is_number}
+    structural = {
+        "alignment._NOT_ROLLED",
+        "alignment._UPPER",
+        "grid._NO_IMAGE",
+    }  # which rows and columns; an empty image
+    assert numbers - structural == set(NUMERICS)
+
+
+def test_parts_are_read_from_a_file_and_written_beside_the_results(tmp_path: Path) -> None:
+    given = tmp_path / "given.yaml"
+    given.write_text("dense:\n  faults: {leap_m_s: 0.7}\n  verification:\n    clear_inliers: 80\n")
+    config = load_config(given, {"dense.vignetting.sigma": 0.2})
+    assert (config.dense.faults.leap_m_s, config.dense.verification.clear_inliers) == (0.7, 80)
+    assert config.dense.keyframes == DenseSettings().keyframes
+    save_config(config, tmp_path / "resolved.yaml")
+    written = yaml.safe_load((tmp_path / "resolved.yaml").read_text())["dense"]
+    assert written["vignetting"]["sigma"] == 0.2
+    assert written["starts"]["turn_misfit"] == 3.0
+    assert load_config(tmp_path / "resolved.yaml") == config
+
+
+@pytest.mark.parametrize("text", ["faults: {leap_m_s: -1}", "faults: {leaps: 1}", "verification: {clear_share: 1.5}"])
+def test_what_makes_no_sense_is_refused_by_its_line(tmp_path: Path, text: str) -> None:
+    given = tmp_path / "given.yaml"
+    given.write_text(f"dense:\n  {text}\n")
+    with pytest.raises(ConfigError, match=r"given\.yaml:2: .*dense\.(faults|verification)\.\w+"):
+        load_config(given)
+
+
+TRUTH = wobbling_trajectory(10)
+# So much in sight that keyframes are made on the way.
+BUSY = {"keyframe_overlap": 0.9}
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"keyframes": {"fineness": 1.0}},
+        {"depth_jump_sigmas": 0.0},
+        {"crease_sigmas": 0.1},
+        {"occlusion_share": 1.0},
+        {"occlusion_sigmas": 0.0},
+        {"dark_grey": 255.0},
+    ],
+    ids=str,
+)
+def test_what_is_changed_changes_the_answer(changed: dict[str, object]) -> None:
+    frames = [room_frame(T, stamp_s, depth_noise=True) for stamp_s, T in TRUTH]
+    one, other = (run(dense(**BUSY | settings), frames)[-1] for settings in ({}, changed))
+    assert not np.array_equal(one.covariance, other.covariance)
+
+
+def test_a_dim_image_is_dark_where_it_is_set_so() -> None:
+    frame = room_frame(np.array(TRUTH.T_frame_body[0]), 0.0)
+    for settings, is_dark in (
+        ({}, False),
+        ({"dark_grey": 255.0}, True),
+        ({"dark_share": 0.0, "dark_grey": 255.0}, False),
+    ):
+        grey = bench(**settings).grid(frame).levels[0].grey
+        assert (grey == -1).all() == is_dark

@@ -1,0 +1,146 @@
+"""KeyframePolicy: which frames are kept as keyframes, and where they are put."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from wheelsight.estimates import MotionEstimate, Reason
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.odometry.dense.grid import Gridder, GridFrame
+from wheelsight.odometry.dense.keypoints import KeypointLocator
+from wheelsight.odometry.dense.locating import Locator
+from wheelsight.odometry.dense.prediction import Prediction
+from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.odometry.dense.tracked import Tracked
+from wheelsight.odometry.dense.two_references import joined
+from wheelsight.odometry.dense.views import KnownView, Views
+from wheelsight.odometry.dense.vignetting import Vignetting
+from wheelsight.odometry.features.extraction import Features
+
+# Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
+START_VARIANCE = 1e-12
+
+
+class KeyframePolicy:
+    """Keeps frames that show much that is not known yet.
+
+    Args:
+        settings: how much that is.
+        gridder: straightens frames.
+        locator: aligns a frame with another keyframe.
+        keypoints: verify that a keyframe is where it seems to be.
+        views: keep what frames are aligned with.
+        store: holds all keyframes and where they are.
+    """
+
+    def __init__(
+        self,
+        settings: DenseSettings,
+        gridder: Gridder,
+        locator: Locator,
+        keypoints: KeypointLocator,
+        views: Views,
+        store: KeyframeStore,
+    ) -> None:
+        self._settings, self._gridder, self._store = settings, gridder, store
+        self._locator, self._keypoints, self._views = locator, keypoints, views
+        self.vignetting = Vignetting(gridder, settings)
+
+    def begin(self, frame: RgbdFrame, grid: GridFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Tracked:
+        """Keep a frame at a pose (4, 4) with its covariance (6, 6), from which all begins anew."""
+        motion = MotionEstimate(np.eye(4), START_VARIANCE * np.eye(6))
+        start = Tracked(grid, T_map_camera, covariance, motion, KeyframeId(-1))
+        start, view = self._stored(start, self._keypoints.look(frame))
+        self._views.begin(view)
+        return start
+
+    def begin_again(self, frame: RgbdFrame, first: Tracked) -> KnownView:
+        """Put the first frame, whose speed is known by now, in its own place, straightened."""
+        features = self._keypoints.straightened(self._keypoints.look(frame), first.twist)
+        self._store.replace(first.keyframe, self._kept(first.frame, features))
+        view = replace(self._views.of_frame(first), features=features)
+        self._views.keyframes[:] = [view]
+        return view
+
+    def update(self, frame: RgbdFrame, found: Tracked, ahead: Prediction) -> Tracked | MotionEstimate:
+        """Keep a frame that shows much that the last keyframe did not; keypoints must not contradict it.
+
+        Returns it with its rows straightened by the speed that was found.
+        """
+        if self._settings.reference == "previous" and not self._views.has_model:
+            return self._follow(frame, found)
+        if not self._views.lack(found, is_helped=ahead.is_helped):
+            return self._straightened(frame, found, is_kept=False)
+        seen = self._seen_from_before(found, ahead)
+        if seen is not None:
+            return seen
+        straight = self._straightened(frame, self._by_two(found, ahead))
+        features = self._keypoints.look(frame)
+        told = self._keypoints.locate(features, self._views.keyframes[-1:], found.twist)
+        if told is not None and not told.agrees_with(found.T_map_camera) and (told.is_clear or not ahead.is_helped):
+            return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED)
+        self.vignetting.learn(straight.frame, straight.T_map_camera, self._views.keyframes[-1].reference)
+        straight, view = self._stored(straight, features)
+        self._views.keep(view)
+        return straight
+
+    def _follow(self, frame: RgbdFrame, found: Tracked) -> Tracked:
+        """The frame as the only view to align with; the store gets one wherever the last one there is far."""
+        straight, features = self._straightened(frame, found), self._keypoints.look(frame)
+        T_keyframe_camera = se3.invert(self._store.pose(found.keyframe)) @ straight.T_map_camera
+        if float(se3.view_shift_m(T_keyframe_camera)) > self._settings.keyframe_way_m:
+            straight, view = self._stored(straight, features)
+        else:
+            straightened = self._keypoints.straightened(features, straight.twist)
+            view = replace(self._views.of_frame(straight), features=straightened)
+        self._views.keyframes[:] = [view]
+        return straight
+
+    def _seen_from_before(self, found: Tracked, ahead: Prediction) -> Tracked | None:
+        """The frame by an older keyframe that is nearer and shows the same, which ends the drift, if there is one."""
+        nearest = self._views.nearest(found.T_map_camera)
+        if self._views.has_model or nearest is self._views.keyframes[-1]:
+            return None
+        here = ahead.at(found.T_map_camera)
+        seen = self._locator.by_view(found.frame, nearest, here, here.T_map_camera)
+        if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
+            self._views.keep(nearest)
+            return seen
+        return None
+
+    def _by_two(self, found: Tracked, ahead: Prediction) -> Tracked:
+        """The frame by the keyframe before the last one, too, where no map ties keyframes together."""
+        before = self._views.keyframes[-2:-1]
+        if not before or self._views.has_model or not found.is_by_keyframe:
+            return found
+        here = ahead.at(found.T_map_camera)
+        seen = self._locator.by_view(found.frame, before[0], here, here.T_map_camera)
+        if not isinstance(seen, Tracked):
+            return found
+        poses = (found.T_map_camera, found.motion, seen.T_map_camera, seen.motion)
+        return replace(found, T_map_camera=joined(*poses, self._settings.keyframes))
+
+    def _straightened(self, frame: RgbdFrame, found: Tracked, *, is_kept: bool = True) -> Tracked:
+        """The same frame, its rows straightened by the speed that was found rather than the one expected."""
+        wrong = np.abs(found.twist - found.frame.twist)[3:].max() * np.abs(self._gridder.late_s).max()
+        limits = self._settings.keyframes
+        limit_px = limits.kept_straight_px if is_kept else limits.straight_px
+        if wrong * self._gridder.intrinsics[0] < limit_px:
+            return found
+        return replace(found, frame=self._gridder.on_grid(frame, found.twist))
+
+    def _stored(self, tracked: Tracked, features: Features) -> tuple[Tracked, KnownView]:
+        """A frame as a keyframe of the store, and as a view to align with."""
+        features = self._keypoints.straightened(features, tracked.twist)
+        number = self._store.add(self._kept(tracked.frame, features), tracked.T_map_camera)
+        tracked = replace(tracked, keyframe=number)
+        return tracked, replace(self._views.of_frame(tracked), features=features)
+
+    def _kept(self, grid: GridFrame, features: Features) -> Keyframe:
+        finest = grid.levels[0]
+        images = (grid.stamp_s, finest.intrinsics, finest.depth_m, finest.grey)
+        return Keyframe.of_images(*images, self._keypoints.kept(features))

@@ -1,0 +1,131 @@
+"""Locator: where a frame is by the views that are known, from where it is expected."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from wheelsight.estimates import MotionEstimate, Reason
+from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.odometry._velocity import LONGEST_STEP_S
+from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment, Step
+from wheelsight.odometry.dense.grid import GridFrame
+from wheelsight.odometry.dense.observability import Judgement, Prior, judge
+from wheelsight.odometry.dense.prediction import Prediction
+from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.odometry.dense.tracked import Tracked
+from wheelsight.odometry.dense.views import KnownView, Views
+from wheelsight.odometry.state import TrackingState
+from wheelsight.odometry.stopwatch import Stopwatch
+
+
+class Locator:
+    """Aligns a frame with what is known.
+
+    Args:
+        settings: how far off a prediction may be, and how fast a camera goes.
+        aligner: aligns a frame with one view.
+        views: what is known.
+        watch: counts the time of "align".
+    """
+
+    def __init__(self, settings: DenseSettings, aligner: Aligner, views: Views, watch: Stopwatch) -> None:
+        self._settings, self._aligner, self._views, self._watch = settings, aligner, views, watch
+
+    def locate(self, grid: GridFrame, ahead: Prediction, state: TrackingState) -> Tracked | MotionEstimate:
+        """Align with the first view that fits, beginning at the best of the expected poses; or why none does."""
+        failure: MotionEstimate | None = None
+        for place, view in enumerate(self._references(ahead, state)):
+            is_elsewhere = place > 0 and state.is_lost
+            begun = (view.reference.T_map_reference,) if is_elsewhere else ahead.T_map_camera
+            found = self.by_view(grid, view, ahead, begun)
+            if isinstance(found, Tracked):
+                return self._seen_sharper(found, view, ahead, state)
+            failure = failure or found
+        assert failure is not None
+        return failure
+
+    def by_view(
+        self,
+        grid: GridFrame,
+        view: KnownView,
+        ahead: Prediction,
+        begun: Sequence[FloatArray],
+        *,
+        is_held: bool = False,
+    ) -> Tracked | MotionEstimate:
+        """Where a frame is by one view, begun at the best of some poses T_map_camera; or why that is not known."""
+        reference, seconds = view.reference, ahead.seconds_to(grid.stamp_s)
+        T_reference_map = se3.invert(reference.T_map_reference)
+        step = Step(T_reference_map @ ahead.last.T_map_camera, seconds) if seconds <= LONGEST_STEP_S else None
+        sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
+        # One's own guess is held only where nothing tells more: what noise pulls off is to betray itself by a leap.
+        held_m = sigma_m if ahead.is_helped or is_held else np.inf, self._settings.nonholonomic_share * sigma_m
+        with self._watch.stage("align"):
+            starts = [self._aligner.start(grid, reference, [T_reference_map @ T for T in begun])]
+            if ahead.T_map_other is not None:
+                starts.append(self._aligner.turn(grid, reference, T_reference_map @ ahead.T_map_other))
+            found = self._aligner.align_clearest(grid, reference, starts, step, held_m)
+        first, *others = (T_reference_map @ T for T in ahead.T_map_camera)
+        judged = judge(found, Prior(first, sigma_m, tuple(others)), self._settings)
+        T_map_camera = se3.nearest(reference.T_map_reference @ judged.T_reference_frame)
+        reason = judged.reason or implausible(ahead.last, T_map_camera, seconds, self._settings)
+        if reason is not None:
+            return MotionEstimate.failed(reason, found.pairs, found.planes)
+        twist = step.twist_to(judged.T_reference_frame) if step else grid.twist
+        return self._tracked(grid, view, found, judged, T_map_camera, twist)
+
+    def _tracked(
+        self,
+        grid: GridFrame,
+        view: KnownView,
+        found: DenseAlignment,
+        judged: Judgement,
+        T_map_camera: FloatArray,
+        twist: FloatArray,
+    ) -> Tracked:
+        counts = (None, found.pairs, found.planes, judged.degenerate)
+        motion = MotionEstimate(judged.T_reference_frame, judged.covariance, *counts)
+        fine = fine_share(grid, judged.T_reference_frame, self._settings.keyframes.fineness)
+        fit = (found.planes / max(found.points, 1) * fine, view in self._views.keyframes, found.residual)
+        covariance = view.with_motion(judged.covariance)
+        return Tracked(grid, T_map_camera, covariance, motion, view.keyframe, twist, *fit)
+
+    def _references(self, ahead: Prediction, state: TrackingState) -> Iterator[KnownView]:
+        """Views from about there; while no frame has failed, the frame before too."""
+        yield from self._views.around(ahead.T_map_camera[0], state)
+        if state.failures == 0:
+            yield self._views.of_frame(ahead.last)
+
+    def _seen_sharper(self, found: Tracked, by: KnownView, ahead: Prediction, state: TrackingState) -> Tracked:
+        """A pose by the map; by the frame before if only that shows all motion: a bare wall's marks fade in a map.
+
+        Where neither does, constant velocity is held: a mark that fits another's place would pull along the wall.
+        """
+        if not self._views.has_model or state.failures or found.motion.shows_all:
+            return found
+        for view, is_held in [(self._views.of_frame(ahead.last), False), (by, True)][: 1 if ahead.is_helped else 2]:
+            again = self.by_view(found.frame, view, ahead, ahead.T_map_camera, is_held=is_held)
+            if isinstance(again, Tracked) and (is_held or again.motion.shows_all):
+                return again
+        return found
+
+
+def fine_share(frame: GridFrame, T_reference_frame: FloatArray, least: float) -> float:
+    """The share of a frame's points that its reference saw at `least` so many times as finely."""
+    level = frame.levels[-1]
+    fx, fy, cx, cy = level.intrinsics
+    rows, columns = np.nonzero(level.depth_m)
+    z = level.depth_m[rows, columns]
+    points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
+    there = points @ T_reference_frame[2, :3] + T_reference_frame[2, 3]
+    return float(np.count_nonzero(z >= least * there) / max(len(z), 1))
+
+
+def implausible(last: Tracked, T_map_camera: FloatArray, seconds: float, settings: DenseSettings) -> Reason | None:
+    """The reason against a pose (4, 4) that no camera comes to in so short a time, or None."""
+    T = se3.invert(last.T_map_camera) @ T_map_camera
+    fast = np.linalg.norm(T[:3, 3]) > settings.max_speed_m_s * seconds
+    turning = so3.angle(T[:3, :3]) > settings.max_turn_rad_s * seconds
+    return Reason.IMPLAUSIBLE_MOTION if fast or turning else None
