@@ -99,7 +99,7 @@ def swapped(seen: Sightings) -> Sightings:
 
 
 def halved(seen: Sightings) -> Sightings:
-    T = seen.camera.T_odom_body.copy()
+    T = seen.camera.T_frame_body.copy()
     T[:, :3, 3] /= 2
     return replace(seen, camera=Trajectory(seen.camera.stamps_s, T))
 
