@@ -10,17 +10,40 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 
 from wheelsight.geometry import BoolArray, FloatArray
 
 UNKNOWN_SIGMA = 1e3
 
-_STEP = 0.01
-_FIRST_SCALES = np.array([0.02, 0.02, 0.02])
-_LEAST_SCALES = np.array([5e-4, 5e-4, 5e-4])  # nothing is better than half a millimetre and half a milliradian
-_NARROWING = (32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
-_OUTLIER_CHI2 = 16.0  # three normal residuals exceed it once in a thousand
-_MOST_CLUSTERS = 25
+_STEP = 0.01  # of a value's bound, by which the solver scales it
+
+
+class RobustFitSettings(BaseModel):
+    """What counts as a disagreement of a piece with the rest."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    first_scale: PositiveFloat = Field(default=0.02, le=1, description="spread at first, in metres and in radians")
+    least_scale: PositiveFloat = Field(
+        default=5e-4,
+        le=1,
+        description="spread at least: nothing is better than half a mm and half a mrad",
+    )
+    narrowing: tuple[PositiveFloat, ...] = Field(
+        default=(32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0),
+        min_length=1,
+        description="times the spread found, step by step from generous on (Yang et al. 2020)",
+    )
+    outlier_chi2: PositiveFloat = Field(
+        default=16.0, le=1e4, description="three normal residuals exceed it once in a thousand"
+    )
+    most_clusters: PositiveInt = Field(
+        default=25, le=10_000, description="runs of neighbouring pieces, by whose spread the covariance is told"
+    )
+
+
+DEFAULTS = RobustFitSettings()
 
 
 class Problem(Protocol):
@@ -57,18 +80,19 @@ class RobustFit:
     is_outlier: BoolArray
 
 
-def robust_fit(problem: Problem, start: FloatArray) -> RobustFit:
+def robust_fit(problem: Problem, start: FloatArray, settings: RobustFitSettings = DEFAULTS) -> RobustFit:
     """The values for which most pieces agree, sought from `start` (P,)."""
-    values, scales, weights = start, _FIRST_SCALES, np.ones(len(problem.residuals(start)))
-    for factor in _NARROWING:
+    values, scales = start, np.full(3, settings.first_scale)
+    weights = np.ones(len(problem.residuals(start)))
+    for factor in settings.narrowing:
         residuals = problem.residuals(values)
         if values is not start:
-            scales = np.maximum(spread(residuals), _LEAST_SCALES)
-        weights = _weights(((residuals / (factor * scales)) ** 2).sum(axis=1))
+            scales = np.maximum(spread(residuals), settings.least_scale)
+        weights = _weights(((residuals / (factor * scales)) ** 2).sum(axis=1), settings)
         values = _solve(problem, values, scales, weights)
     residuals = problem.residuals(values)
-    is_outlier = ((residuals / scales) ** 2).sum(axis=1) > _OUTLIER_CHI2
-    return RobustFit(values, *_covariances(problem, values, scales), residuals, weights, is_outlier)
+    is_outlier = ((residuals / scales) ** 2).sum(axis=1) > settings.outlier_chi2
+    return RobustFit(values, *_covariances(problem, values, scales, settings), residuals, weights, is_outlier)
 
 
 def spread(residuals: FloatArray) -> FloatArray:
@@ -89,12 +113,14 @@ def _solve(problem: Problem, start: FloatArray, scales: FloatArray, weights: Flo
     return np.asarray(least_squares(misfit, within, jac="3-point", bounds=(-bounds, bounds), x_scale=_STEP * bounds).x)
 
 
-def _weights(chi2: FloatArray) -> FloatArray:
+def _weights(chi2: FloatArray, settings: RobustFitSettings) -> FloatArray:
     """Geman and McClure's weights (M,) of squared residuals (M,) in units of their scale."""
-    return (_OUTLIER_CHI2 / (_OUTLIER_CHI2 + chi2)) ** 2
+    return np.asarray((settings.outlier_chi2 / (settings.outlier_chi2 + chi2)) ** 2)
 
 
-def _covariances(problem: Problem, values: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _covariances(
+    problem: Problem, values: FloatArray, scales: FloatArray, settings: RobustFitSettings
+) -> tuple[FloatArray, FloatArray]:
     """The robust cost's inverse Hessian on both sides of its gradient's spread (Huber 1967), and alone, (P, P) each.
 
     The gradient is summed over runs of neighbouring pieces, for neighbours share a pose and so that pose's error.
@@ -103,8 +129,8 @@ def _covariances(problem: Problem, values: FloatArray, scales: FloatArray) -> tu
     r = problem.residuals(values) / scales
     J = _jacobian(problem, values) / scales[None, :, None]
     chi2 = (r**2).sum(axis=1)
-    w = _weights(chi2)
-    slope = -4 * _OUTLIER_CHI2**2 / (_OUTLIER_CHI2 + chi2) ** 3
+    w = _weights(chi2, settings)
+    slope = -4 * settings.outlier_chi2**2 / (settings.outlier_chi2 + chi2) ** 3
     H = np.einsum("mip,m,miq->pq", J, w, J)
     along = np.einsum("mip,mi->mp", J, r)
     robust = H + np.einsum("mp,m,mq->pq", along, slope, along)
@@ -112,17 +138,17 @@ def _covariances(problem: Problem, values: FloatArray, scales: FloatArray) -> tu
     if np.linalg.eigvalsh(robust + known)[0] < 0.1 * np.linalg.eigvalsh(H + known)[0]:
         robust = H
     inverse = np.linalg.inv(robust + known)
-    size = -(-len(r) // _MOST_CLUSTERS)
+    size = -(-len(r) // settings.most_clusters)
     gradients = np.add.reduceat(w[:, None] * along, np.arange(0, len(r), size))
     groups = len(gradients)
     scatter = gradients.T @ gradients * groups / (groups - len(values))
-    floor = _floor(J, scales, known)
+    floor = _floor(J, scales / settings.least_scale, known)
     return inverse @ scatter @ inverse + floor, inverse + floor
 
 
-def _floor(J: FloatArray, scales: FloatArray, known: FloatArray) -> FloatArray:
-    """The covariance (P, P) that residuals of the least credible size would leave."""
-    whole = J * (scales / _LEAST_SCALES)[None, :, None]
+def _floor(J: FloatArray, times: FloatArray, known: FloatArray) -> FloatArray:
+    """The covariance (P, P) that residuals of the least credible size would leave; scales are so many `times` that."""
+    whole = J * times[None, :, None]
     return np.asarray(np.linalg.inv(np.einsum("mip,miq->pq", whole, whole) + known))
 
 

@@ -10,16 +10,20 @@ from wheelsight.odometry.extrinsics.calibrate import (
 )
 from wheelsight.odometry.extrinsics.floor import Floor, FloorViews, fit_floor, height_below, tilt_of
 from wheelsight.odometry.extrinsics.hand_eye import MountFit, fit_mount
+from wheelsight.odometry.extrinsics.settings import AgreementSettings, ExtrinsicsSettings, FloorSettings
 from wheelsight.odometry.extrinsics.sightings import Sightings, watch
 from wheelsight.odometry.extrinsics.turning import Turning, common_turning
 
 __all__ = [
     "QUANTITIES",
     "Agreement",
+    "AgreementSettings",
     "BaseCalibration",
     "Culprit",
     "Explanation",
+    "ExtrinsicsSettings",
     "Floor",
+    "FloorSettings",
     "FloorViews",
     "MountFit",
     "Sightings",

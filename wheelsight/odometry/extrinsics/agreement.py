@@ -20,23 +20,9 @@ import numpy as np
 
 from wheelsight.calibration import Wheels
 from wheelsight.geometry import FloatArray, so3
+from wheelsight.odometry.extrinsics.settings import DEFAULTS, AgreementSettings
 
-# A piece is over when either has gone so far: a camera errs by a millimetre or two, and a robot of half a metre a
-# second is told of after its first three frames.
-_PIECE_M, _PIECE_RAD = 0.06, 0.06
-# What wheels and camera differ by in any piece, by clocks that are some milliseconds apart.
-_USUAL_M, _USUAL_RAD = 0.01, 0.01
-# Turns that nobody has to explain: twice what the wheels' slip makes, by their calibration, and what radii that are
-# unequal by 2 % do in a metre, as filters allow for.
-_SLIPS, _DRIFT_RAD_PER_M = 2.0, 0.04
 _LITTLE = 1e-3  # of the usual squares: what a fit is held by where a drive does not turn
-_LARGEST_FACTOR = 100.0  # a gear that was left out; beyond, one tells of motion and the other of none
-# Shares of the squared motion that is left: 0.03 is a scale 20 % or a direction 10° off, which no data sheet, tape
-# measure or protractor is; half of it is explained well.
-_DISAGREES, _EXPLAINED = 0.03, 0.015
-_SAME_SCALE = 0.15  # by which a floor's height may be off, by mount, tilt and what lies on it
-_LEAST_TURN = math.cos(math.radians(8.0))  # of a mount that looks elsewhere; less is within what is called agreement
-_LARGEST_TILT = math.cos(math.radians(10.0))
 _UP = np.array([0.0, 0.0, 1.0])
 _WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
 
@@ -75,6 +61,7 @@ class Agreement:
 
     Attributes:
         wheels: as they are believed to be. T_base_camera: (4, 4) as the camera is believed to sit.
+        settings: when both agree, and what explains that they do not.
         products: (8, 8) of way and turn of the wheels, way (3) and turn (3) of the camera, in the base's axes.
         of_gyro: (3, 3) of turns by wheels, camera and gyroscope, where that tells.
         pieces: how many.
@@ -84,6 +71,7 @@ class Agreement:
 
     wheels: Wheels
     T_base_camera: FloatArray
+    settings: AgreementSettings = DEFAULTS.agreement
     products: FloatArray = field(default_factory=lambda: np.zeros((8, 8)))
     of_gyro: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     pieces: int = 0
@@ -105,14 +93,14 @@ class Agreement:
         """Take the base's motion (4, 4) by each since the piece began; False while that is too little for one."""
         w, c = _way_and_turn(T_by_wheels), _way_and_turn(T_by_camera)
         ways_m, turns_rad = (np.array([_size(w[part]), _size(c[part])]) for part in (np.s_[:3], np.s_[3:]))
-        if ways_m.max() < _PIECE_M and turns_rad.max() < _PIECE_RAD:
+        if ways_m.max() < self.settings.piece_m and turns_rad.max() < self.settings.piece_rad:
             return False
         told = np.array([w[0], w[5], *c])
         if gyro_rad is not None:
             turns = np.array([w[5], c[5], gyro_rad])
             self.of_gyro += np.outer(turns, turns)
         slip = 2 * self.wheels.slip_m_per_sqrt_m**2 * ways_m[0] / self.wheels.track_width_m**2
-        self.drift += _SLIPS * slip + (_DRIFT_RAD_PER_M * ways_m.max()) ** 2
+        self.drift += self.settings.slips * slip + (self.settings.drift_rad_per_m * ways_m.max()) ** 2
         self.products += np.outer(told, told)
         self.pieces += 1
         self.ways_m += ways_m
@@ -124,13 +112,13 @@ class Agreement:
         G = self.products
         cross = expected @ G[_WHEELS, 2:]
         left = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
-        way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0]) + self.pieces * _USUAL_M**2
-        turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1]) + self.pieces * _USUAL_RAD**2
+        way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0]) + self.pieces * self.settings.usual_m**2
+        turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1]) + self.pieces * self.settings.usual_rad**2
         return float(left[:3].sum() / way), max(float(left[3:].sum() - self.drift), 0.0) / turn
 
-    def agrees(self, most: float = _DISAGREES) -> bool:
-        """Whether both tell of one drive, but for such a share of the squared motion."""
-        return max(self.unexplained(_seen_of(np.eye(2)))) < most
+    def agrees(self, most: float | None = None) -> bool:
+        """Whether both tell of one drive, but for such a share of the squared motion; None for the settings' own."""
+        return max(self.unexplained(_seen_of(np.eye(2)))) < (self.settings.disagrees if most is None else most)
 
     def explanations(self, floor_ratio: float | None, *, is_accused: bool = False) -> list[Explanation]:
         """What explains it, by the witnesses too, if both do not tell of one drive.
@@ -139,16 +127,17 @@ class Agreement:
             floor_ratio: the camera's height over the floor by its view, over that by its mount; None for no floor.
             is_accused: whether something was found before, which is dropped only where both agree well.
         """
-        if not self.pieces or self.agrees(_EXPLAINED if is_accused else _DISAGREES):
+        if not self.pieces or self.agrees(self.settings.explained if is_accused else None):
             return []
         turned = self._turned()
-        looks_elsewhere = [] if turned[0, 0] > _LEAST_TURN and turned[2, 2] > _LEAST_TURN else [self._of_mount(turned)]
+        is_near = min(turned[0, 0], turned[2, 2]) > math.cos(math.radians(self.settings.least_turn_deg))
+        looks_elsewhere = [] if is_near else [self._of_mount(turned)]
         fit = [*self._explained(self._of_wheels())[:1], *self._explained([*self._of_camera(), *looks_elsewhere])]
         found = fit or self._explained([self._of_mount(turned, self._swings()[:, 1]) for _ in looks_elsewhere])
-        return self._by_gyro(_by_floor(found, floor_ratio))
+        return self._by_gyro(self._by_floor(found, floor_ratio))
 
     def _explained(self, candidates: list[Explanation]) -> list[Explanation]:
-        return [one for one in candidates if max(self.unexplained(one.expected)) < _EXPLAINED]
+        return [one for one in candidates if max(self.unexplained(one.expected)) < self.settings.explained]
 
     def _of_wheels(self) -> list[Explanation]:
         """Signs and places of both wheels, and their sizes, the simplest first."""
@@ -166,7 +155,7 @@ class Agreement:
         )
         found = [Explanation(Culprit.WHEELS, cause, _seen_of(M)) for M, cause in ways]
         way, turn = _ratio(G[0, 2], G[0, 0]), _ratio(G[1, 7], G[1, 1])
-        weights = np.array([G[0, 0] / _USUAL_M**2, G[1, 1] / _USUAL_RAD**2])
+        weights = np.array([G[0, 0] / self.settings.usual_m**2, G[1, 1] / self.settings.usual_rad**2])
         both = float(weights @ [way, turn] / max(weights.sum(), 1e-12))
         sizes = (
             ((both, both), both, "their ways and turns are {} times the true ones: check ticks_per_turn and radii"),
@@ -174,7 +163,7 @@ class Agreement:
             ((way, 1.0), way, "their ways, not their turns, are {} times the true ones: check radii and track_width_m"),
         )
         for M, ratio, cause in sizes:
-            if 1 / _LARGEST_FACTOR < ratio < _LARGEST_FACTOR:
+            if 1 / self.settings.largest_factor < ratio < self.settings.largest_factor:
                 told = cause.format(f"{1 / ratio:.2g}")
                 found.append(Explanation(Culprit.WHEELS, told, _seen_of(np.diag(M)), is_scale=True))
         return found
@@ -184,7 +173,7 @@ class Agreement:
         way, R = _ratio(self.products[0, 2], self.products[0, 0]), self.T_base_camera[:3, :3]
         swing = np.cross(_UP, self._place)  # of the camera, in a turn
         found = []
-        if 1 / _LARGEST_FACTOR < way < _LARGEST_FACTOR:
+        if 1 / self.settings.largest_factor < way < self.settings.largest_factor:
             told = _seen_of(np.diag([way, 1.0]))
             told[:3, 1] = (way - 1) * swing
             found.append(Explanation(Culprit.CAMERA, depth_cause(way), told, True, way))
@@ -206,14 +195,14 @@ class Agreement:
     def _swings(self) -> FloatArray:
         """(3, 2) what of the camera's ways goes with the wheels' ways and turns, by least squares."""
         G = self.products
-        usual = self.pieces * np.diag(np.square([_USUAL_M, _USUAL_RAD])) * _LITTLE
+        usual = self.pieces * np.diag(np.square([self.settings.usual_m, self.settings.usual_rad])) * _LITTLE
         return np.asarray(G[_WAYS, _WHEELS] @ np.linalg.inv(G[_WHEELS, _WHEELS] + usual))
 
     def _turned(self) -> FloatArray:
         """The rotation (3, 3) that lays the wheels' motions on the camera's best (Kabsch)."""
         G, M = self.products, np.zeros((3, 3))
-        M[:, 0] = self._swings()[:, 0] * G[0, 0] / _USUAL_M**2
-        M[:, 2] = G[_TURNS, 1] / _USUAL_RAD**2
+        M[:, 0] = self._swings()[:, 0] * G[0, 0] / self.settings.usual_m**2
+        M[:, 2] = G[_TURNS, 1] / self.settings.usual_rad**2
         return np.asarray(so3.nearest(M))
 
     def _of_mount(self, turned: FloatArray, swing: FloatArray | None = None) -> Explanation:
@@ -221,19 +210,36 @@ class Agreement:
         G, told = self.products, np.zeros((6, 2))
         told[:3, 0], told[3:, 1] = turned[:, 0], turned[:, 2]
         told[:3, 1] = np.cross(self._place - turned @ self._place, turned[:, 2]) if swing is None else swing
-        is_turning = G[1, 1] > self.pieces * _USUAL_RAD**2
+        is_turning = G[1, 1] > self.pieces * self.settings.usual_rad**2
         off_deg = math.degrees(float(so3.angle(turned))) if is_turning else _degrees(turned[0, 0])
         cause = f"it looks about {off_deg:.0f}° from where T_base_camera says (wheelsight calibrate base finds it)"
-        return Explanation(Culprit.CAMERA, cause, told, tilts=is_turning and turned[2, 2] < _LARGEST_TILT)
+        return Explanation(
+            Culprit.CAMERA,
+            cause,
+            told,
+            tilts=is_turning and turned[2, 2] < math.cos(math.radians(self.settings.largest_tilt_deg)),
+        )
+
+    def _by_floor(self, found: list[Explanation], ratio: float | None) -> list[Explanation]:
+        """Without those that the floor contradicts: it is where the mount has it, or as wrong as the ways are."""
+        if ratio is None:
+            return found
+        near = self.settings.same_scale
+        if abs(math.log(ratio)) < near:
+            return [one for one in found if one.depth is None and not one.tilts]
+        return [one for one in found if one.depth is not None and abs(math.log(ratio / one.depth)) < near] or found
 
     def _by_gyro(self, found: list[Explanation]) -> list[Explanation]:
         """Without those that a gyroscope contradicts, where it turns clearly with one of both."""
         wheels, camera, gyro = np.diag(self.of_gyro)
-        if gyro < self.pieces * _USUAL_RAD**2 or len({one.culprit for one in found}) < 2:
+        if gyro < self.pieces * self.settings.usual_rad**2 or len({one.culprit for one in found}) < 2:
             return found
         by_wheels = (wheels + gyro - 2 * self.of_gyro[0, 2]) / max(wheels, gyro)
         by_camera = (camera + gyro - 2 * self.of_gyro[1, 2]) / max(camera, gyro)
-        if max(by_wheels, by_camera) < 2 * _DISAGREES or min(by_wheels, by_camera) > _DISAGREES:
+        if (
+            max(by_wheels, by_camera) < 2 * self.settings.disagrees
+            or min(by_wheels, by_camera) > self.settings.disagrees
+        ):
             return found
         wrong = Culprit.CAMERA if by_wheels < by_camera else Culprit.WHEELS
         return [one for one in found if one.culprit is wrong]
@@ -242,16 +248,6 @@ class Agreement:
 def depth_cause(ratio: float) -> str:
     """What to say of depth that is so many times the true one."""
     return f"depth is {ratio:.2g} times the true one: check depth_factor"
-
-
-def _by_floor(found: list[Explanation], ratio: float | None) -> list[Explanation]:
-    """Without those that the floor contradicts: it is where the mount has it, or as wrong as the ways are."""
-    if ratio is None:
-        return found
-    if abs(math.log(ratio)) < _SAME_SCALE:
-        return [one for one in found if one.depth is None and not one.tilts]
-    same = [one for one in found if one.depth is not None and abs(math.log(ratio / one.depth)) < _SAME_SCALE]
-    return same or found
 
 
 def _way_and_turn(T: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.extrinsics import _observability as observability
 from wheelsight.odometry.extrinsics.floor import Floor, fit_floor, tilt_of
 from wheelsight.odometry.extrinsics.hand_eye import MountFit, cut_level, fit_mount, level_rotation, levelled
+from wheelsight.odometry.extrinsics.settings import DEFAULTS, ExtrinsicsSettings
 from wheelsight.odometry.extrinsics.sightings import Sightings, watch
 from wheelsight.odometry.extrinsics.turning import Turning, common_turning
 from wheelsight.odometry.wheels import drive_of
@@ -24,7 +25,6 @@ from wheelsight.recordings import Recording
 from wheelsight.recordings.clocks import refuse_if_apart
 
 QUANTITIES = ("roll", "pitch", "yaw", "x", "y", "height", "delay")
-_FAR_OFF_RAD = np.radians(30.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +68,18 @@ class BaseCalibration:
         return before if wheels is None else before | {"delay": wheels.delay_s}
 
 
-def calibrate_base(recording: Recording, on_frame: Callable[[str], None] = lambda _: None) -> BaseCalibration:
+def calibrate_base(
+    recording: Recording,
+    on_frame: Callable[[str], None] = lambda _: None,
+    settings: ExtrinsicsSettings = DEFAULTS,
+) -> BaseCalibration:
     """Find T_base_camera and the wheels' delay from a drive with wheels and camera.
 
     Args:
         recording: with nominal wheels in its calibration, sizes right to a few hundredths. A nominal T_base_camera is
             only compared with.
         on_frame: told the camera's status after each frame.
+        settings: or the defaults.
 
     Raises:
         RecordingError: wheels and camera share hardly any time.
@@ -87,34 +92,37 @@ def calibrate_base(recording: Recording, on_frame: Callable[[str], None] = lambd
             fix="give nominal ones in a calibration.yaml by --calibration: radii, track width, ticks a turn",
         )
     nominal.cameras  # noqa: B018  refuses a recording without, before anything is read
-    refuse_if_apart(recording, observability.LEAST_SHARED_S)
-    observability.refuse_if_hardly_moving(drive_of(recording, nominal.wheels), nominal.wheels)
-    sightings = watch(recording, nominal.wheels, on_frame)
-    found = base_from(sightings, nominal)
+    refuse_if_apart(recording, settings.drive.least_shared_s)
+    observability.refuse_if_hardly_moving(drive_of(recording, nominal.wheels), nominal.wheels, settings.drive)
+    sightings = watch(recording, nominal.wheels, on_frame, settings.sightings)
+    found = base_from(sightings, nominal, settings)
     return replace(found, recording=recording.name, warnings=(*recording.warnings, *found.warnings))
 
 
-def base_from(sightings: Sightings, nominal: Calibration) -> BaseCalibration:
+def base_from(sightings: Sightings, nominal: Calibration, settings: ExtrinsicsSettings = DEFAULTS) -> BaseCalibration:
     """The same from what a pass over a recording left; `nominal` has wheels. Raises CalibrationError."""
     wheels, drive, mount = nominal.wheels, sightings.drive, nominal.T_base_camera
     assert wheels is not None
-    observability.refuse_if_apart(drive, *sightings.span_s)
-    observability.refuse_if_lost(sightings)
-    turning = common_turning(drive, wheels, sightings.camera)
-    observability.refuse_if_unlike(turning, wheels, None if mount is None else mount[2, :3])
-    floor = fit_floor(sightings.views, turning.up_camera, nominal.depth_noise)
-    observability.refuse_if_tilted(floor, turning)
-    segments = cut_level(drive, wheels, levelled(sightings.camera, floor.up_camera))
-    observability.refuse_if_few(len(segments))
-    fit = fit_mount(drive, wheels, segments, turning.delay_s)
-    observability.refuse_if_out_of_scale(wheels, fit.wheels)
+    observability.refuse_if_apart(drive, *sightings.span_s, settings.drive)
+    observability.refuse_if_lost(sightings, settings.drive)
+    turning = common_turning(drive, wheels, sightings.camera, settings.turning)
+    up_expected, largest_s = None if mount is None else mount[2, :3], settings.mount.largest_delay_s
+    observability.refuse_if_unlike(turning, wheels, up_expected, largest_s, settings.drive)
+    floor = fit_floor(sightings.views, turning.up_camera, nominal.depth_noise, settings.floor)
+    observability.refuse_if_tilted(floor, turning, settings.drive)
+    segments = cut_level(drive, wheels, levelled(sightings.camera, floor.up_camera), settings.mount)
+    observability.refuse_if_few(len(segments), settings.drive)
+    fit = fit_mount(drive, wheels, segments, turning.delay_s, settings.mount, settings.fit)
+    observability.refuse_if_out_of_scale(wheels, fit.wheels, settings.drive)
     T_base_camera = _mount(fit, floor)
     values = mount_values(T_base_camera) | {"delay": fit.wheels.delay_s}
     sigmas = _sigmas(fit, floor)
-    observability.refuse_if_unobservable(sigmas, fit)
+    observability.refuse_if_unobservable(sigmas, fit, settings.drive)
     late = replace(wheels, delay_s=fit.wheels.delay_s)
     steps = (sightings, turning, floor, fit)
-    return BaseCalibration("", nominal, T_base_camera, late, values, sigmas, *steps, _doubts(T_base_camera, mount))
+    return BaseCalibration(
+        "", nominal, T_base_camera, late, values, sigmas, *steps, _doubts(T_base_camera, mount, settings)
+    )
 
 
 def mount_values(T_base_camera: FloatArray) -> dict[str, float]:
@@ -139,12 +147,12 @@ def _sigmas(fit: MountFit, floor: Floor) -> dict[str, float]:
     return dict(zip(QUANTITIES, (roll, pitch, yaw, x, y, height, delay), strict=True))
 
 
-def _doubts(T_base_camera: FloatArray, nominal: FloatArray | None) -> tuple[str, ...]:
+def _doubts(T_base_camera: FloatArray, nominal: FloatArray | None, settings: ExtrinsicsSettings) -> tuple[str, ...]:
     if nominal is None:
         return ()
     cosine = (np.trace(nominal[:3, :3].T @ T_base_camera[:3, :3]) - 1) / 2
     off_rad = float(np.arccos(np.clip(cosine, -1, 1)))
-    if off_rad < _FAR_OFF_RAD:
+    if off_rad < np.radians(settings.drive.far_off_deg):
         return ()
     return (
         f"The camera looks {np.degrees(off_rad):.0f}° away from where its nominal mount says: if it does not, "

@@ -15,22 +15,11 @@ import numpy as np
 from wheelsight.calibration import DepthNoise
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.odometry.extrinsics.settings import DEFAULTS, FloorSettings
 
-_FARTHEST_M = 5.0
-_HIGHEST_M, _LEAST_HEIGHT_M = 3.0, 0.05
-_BIN_M = 0.04
-_PEAK_SHARE = 0.2
-_BANDS_M = (0.15, 0.10, 0.06, 0.04, 0.04)
-_ROBUST_STEPS = 8
-_OUTLIER_CHI2 = 9.0
-_FEWEST_POINTS, _FEWEST_VIEWS, _FEWEST_SHARE = 40, 10, 0.25
-_BELOW_M, _MOST_BELOW = 0.15, 0.1
-_MOST_SWAY_RAD, _MOST_SWAY_M = np.radians(0.6), 0.02
-_WORST_CONDITION = 1e6
-_MOST_CLUSTERS = 25
+_WORST_CONDITION = 1e6  # of equations that tell a plane
+_MOST_CLUSTERS = 25  # of views in a row, by whose spread the covariance is told
 _LEAST_SIGMAS = np.array([2e-4, 2e-4, 5e-4])  # no depth camera is better than a hundredth of a degree and half a mm
-# Of one view: the sine by which a ray points down, and heights in steps of 8 %, up to ten times less or more.
-_STEEP, _BIN_LOG, _RANGE_LOG = 0.2, 0.08, 2.3
 _ADVICE = "tilt the camera down, or drive where more floor lies free before it"
 
 
@@ -76,28 +65,36 @@ def tilt_of(up_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.arctan2(-x, -y), np.arctan2(-z, np.hypot(x, y))
 
 
-def fit_floor(views: FloorViews, up_camera: FloatArray, noise: DepthNoise) -> Floor:
+def fit_floor(
+    views: FloorViews, up_camera: FloatArray, noise: DepthNoise, settings: FloorSettings = DEFAULTS.floor
+) -> Floor:
     """The floor, from where `up_camera` (3,), the axis of the robot's turns, is right to a few degrees.
 
     Raises:
         CalibrationError: no view shows a floor, too few do, or what is taken for it lies above much else or sways.
     """
-    points = _Points.of(views, noise)
+    points = _Points.of(views, noise, settings)
     q = -up_camera / _coarse_height_m(points, up_camera)
-    for band_m in _BANDS_M:
+    for band_m in settings.bands_m:
         q = points.plane(np.abs(points.off_m(q)) < band_m)
-    for _ in range(_ROBUST_STEPS):
+    for _ in range(settings.robust_steps):
         q = points.plane(points.agreement(q))
     agreement = points.agreement(q)
     seen, tilts = _view_by_view(points, q, agreement, len(views.stamps_s))
-    _refuse_if_unsteady(tilts, len(views.stamps_s))
+    _refuse_if_unsteady(tilts, len(views.stamps_s), settings)
     _refuse_if_not_lowest(points, q)
     height_m = float(1 / np.linalg.norm(q))
     covariance = _covariance(points, q, agreement)
     return Floor(-q * height_m, height_m, covariance, views.stamps_s[seen], tilts, len(views.stamps_s))
 
 
-def height_below(rays: FloatArray, depth_m: FloatArray, up_camera: FloatArray, expected_m: float) -> float | None:
+def height_below(
+    rays: FloatArray,
+    depth_m: FloatArray,
+    up_camera: FloatArray,
+    expected_m: float,
+    settings: FloorSettings = DEFAULTS.floor,
+) -> float | None:
     """How high over the floor a camera is, roughly, by one view and where up is said to be; None where it sees none.
 
     Rays that are steep tell it even where up is some degrees off.
@@ -107,13 +104,14 @@ def height_below(rays: FloatArray, depth_m: FloatArray, up_camera: FloatArray, e
         depth_m: (N,), 0 where nothing was measured; its unit may be wrong.
         up_camera: (3,) by the mount.
         expected_m: the height by the mount; searched is from a tenth of that to ten times it.
+        settings: of one view.
     """
     down = -(rays @ up_camera)
-    is_steep = (down > _STEEP * np.linalg.norm(rays, axis=-1)) & (depth_m > 0)
+    is_steep = (down > settings.steep * np.linalg.norm(rays, axis=-1)) & (depth_m > 0)
     logs = np.log(down[is_steep] * depth_m[is_steep] / expected_m)
-    counts, edges = np.histogram(logs, np.arange(-_RANGE_LOG, _RANGE_LOG, _BIN_LOG))
+    counts, edges = np.histogram(logs, np.arange(-settings.range_log, settings.range_log, settings.bin_log))
     pairs = counts[:-1] + counts[1:]
-    many = np.flatnonzero(pairs >= max(_PEAK_SHARE * pairs.max(initial=0), _FEWEST_POINTS))
+    many = np.flatnonzero(pairs >= max(settings.peak_share * pairs.max(initial=0), settings.fewest_points))
     if not len(many):
         return None
     lowest = (logs >= edges[many[-1]]) & (logs < edges[many[-1] + 2])
@@ -122,19 +120,23 @@ def height_below(rays: FloatArray, depth_m: FloatArray, up_camera: FloatArray, e
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Depth readings of all views: view (P,), rays (P, 3), inverse depth (P,) and its standard deviation (P,)."""
+    """Depth readings of all views: view (P,), rays (P, 3), inverse depth (P,) and its standard deviation (P,).
+
+    `settings` say which of them count.
+    """
 
     view: IntArray
     rays: FloatArray
     inverse: FloatArray
     sigma: FloatArray
+    settings: FloorSettings
 
     @classmethod
-    def of(cls, views: FloorViews, noise: DepthNoise) -> _Points:
-        is_near = (views.depth_m > noise.near_m) & (views.depth_m < min(noise.far_m, _FARTHEST_M))
+    def of(cls, views: FloorViews, noise: DepthNoise, settings: FloorSettings) -> _Points:
+        is_near = (views.depth_m > noise.near_m) & (views.depth_m < min(noise.far_m, settings.farthest_m))
         view, pixel = np.nonzero(is_near)
         depth_m = views.depth_m[is_near].astype(float)
-        return cls(view, views.rays[pixel], 1 / depth_m, noise.sigma_m(depth_m) / depth_m**2)
+        return cls(view, views.rays[pixel], 1 / depth_m, noise.sigma_m(depth_m) / depth_m**2, settings)
 
     def off_m(self, q: FloatArray) -> FloatArray:
         """How far (P,) each point lies above the plane."""
@@ -149,10 +151,11 @@ class _Points:
 
     def agreement(self, q: FloatArray) -> FloatArray:
         """Geman and McClure's weights (P,), as narrow as the spread of what is near the plane; 0 for all else."""
-        near = np.abs(self.off_m(q)) < 2 * _BANDS_M[-1]
+        near = np.abs(self.off_m(q)) < 2 * self.settings.bands_m[-1]
         r = (self.inverse - self.rays @ q) / self.sigma
         scale = 1.4826 * float(np.median(np.abs(r[near]))) if near.any() else 1.0
-        return np.where(near, (_OUTLIER_CHI2 / (_OUTLIER_CHI2 + (r / scale) ** 2)) ** 2, 0.0)
+        chi2 = self.settings.outlier_chi2
+        return np.where(near, (chi2 / (chi2 + (r / scale) ** 2)) ** 2, 0.0)
 
     def _equations(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         weighted = weights[:, None] * self.rays
@@ -162,10 +165,11 @@ class _Points:
 def _coarse_height_m(points: _Points, up_camera: FloatArray) -> float:
     """Of the heights below the camera at which many points lie, the lowest."""
     below_m = -(points.rays @ up_camera) / points.inverse
-    edges = np.arange(_LEAST_HEIGHT_M, _HIGHEST_M, _BIN_M)
+    settings = points.settings
+    edges = np.arange(settings.least_height_m, settings.highest_m, settings.bin_m)
     counts, _ = np.histogram(below_m, edges)
     pairs = counts[:-1] + counts[1:]
-    many = np.flatnonzero(pairs >= max(_PEAK_SHARE * pairs.max(), _FEWEST_POINTS))
+    many = np.flatnonzero(pairs >= max(settings.peak_share * pairs.max(), settings.fewest_points))
     if not len(many):
         raise CalibrationError("next to no depth lies below the camera: no floor is in view", fix=_ADVICE)
     lowest = (below_m >= edges[many[-1]]) & (below_m < edges[many[-1] + 2])
@@ -181,7 +185,7 @@ def _view_by_view(
     np.add.at(H, points.view, weights[:, None, None] * points.rays[:, :, None] * points.rays[:, None, :])
     g = np.zeros((view_count, 3))
     np.add.at(g, points.view, (weights * (points.inverse - points.rays @ q))[:, None] * points.rays)
-    enough = np.bincount(points.view, agreement > 0.5, minlength=view_count) >= _FEWEST_POINTS
+    enough = np.bincount(points.view, agreement > 0.5, minlength=view_count) >= points.settings.fewest_points
     seen = np.flatnonzero(enough)
     seen = seen[np.linalg.cond(H[seen]) < _WORST_CONDITION]
     planes = q + np.linalg.solve(H[seen], g[seen][..., None])[..., 0]
@@ -213,9 +217,9 @@ def _covariance(points: _Points, q: FloatArray, agreement: FloatArray) -> FloatA
 
 
 def _refuse_if_not_lowest(points: _Points, q: FloatArray) -> None:
-    off_m = points.off_m(q)
-    below, on = np.count_nonzero(off_m < -_BELOW_M), np.count_nonzero(np.abs(off_m) < _BANDS_M[-1])
-    if below > _MOST_BELOW * on:
+    settings, off_m = points.settings, points.off_m(q)
+    below, on = np.count_nonzero(off_m < -settings.below_m), np.count_nonzero(np.abs(off_m) < settings.bands_m[-1])
+    if below > settings.most_below * on:
         raise CalibrationError(
             f"much lies below the lowest plane in sight, {1 / np.linalg.norm(q):.2f} m under the camera: "
             "no floor is in view",
@@ -223,11 +227,11 @@ def _refuse_if_not_lowest(points: _Points, q: FloatArray) -> None:
         )
 
 
-def _refuse_if_unsteady(tilts: FloatArray, view_count: int) -> None:
-    if len(tilts) < max(_FEWEST_VIEWS, _FEWEST_SHARE * view_count):
+def _refuse_if_unsteady(tilts: FloatArray, view_count: int, settings: FloorSettings) -> None:
+    if len(tilts) < max(settings.fewest_views, settings.fewest_share * view_count):
         raise CalibrationError(f"only {len(tilts)} of {view_count} views show enough floor to tell it", fix=_ADVICE)
     sway = 1.4826 * np.median(np.abs(tilts - np.median(tilts, axis=0)), axis=0)
-    if max(sway[:2]) > _MOST_SWAY_RAD or sway[2] > _MOST_SWAY_M:
+    if max(sway[:2]) > np.radians(settings.most_sway_deg) or sway[2] > settings.most_sway_m:
         raise CalibrationError(
             f"the floor sways by {np.degrees(max(sway[:2])):.1f}° and {100 * sway[2]:.0f} cm from view to view",
             fix="fix the camera to the robot, and drive on level ground",

@@ -16,20 +16,18 @@ from numpy.typing import NDArray
 
 from wheelsight.calibration import Wheels
 from wheelsight.geometry import BoolArray, FloatArray, se3
-from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, robust_fit, spread
+from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, RobustFitSettings, robust_fit, spread
+from wheelsight.odometry.extrinsics.settings import DEFAULTS, MountSettings
 from wheelsight.odometry.wheels.drive import Drive
 from wheelsight.odometry.wheels.segments import Segments, cut
 from wheelsight.trajectory import Trajectory
 
 ComplexArray = NDArray[np.complex128]
 
-LARGEST_DELAY_S = 0.5
-
-_SEGMENT_M, _SEGMENT_RAD = 0.3, 0.25
 # Odometry by images is biased by as much, which no residual shows: found on simulated drives.
 _LEAST_SIGMAS = np.array([1e-3, 1e-3, 1e-3, 5e-3, 2e-3, 2e-3, 1e-3, 1e-4])
-_BOUNDS = np.array([np.log(2.0)] * 3 + [3.0, 3.0, 1.0] + [2 * LARGEST_DELAY_S] + [0.2])
-_SLIDE_SIGMA_S = 0.02
+# Of all that is fitted, but for the delay, which no robot exceeds.
+_BOUNDS = np.array([np.log(2.0)] * 3 + [3.0, 3.0, 1.0, np.nan, 0.2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +77,20 @@ def levelled(camera: Trajectory, up_camera: FloatArray) -> Trajectory:
     return Trajectory(camera.stamps_s, camera.T_frame_body @ T_camera_level, body="base")
 
 
-def cut_level(drive: Drive, wheels: Wheels, level: Trajectory) -> Segments:
+def cut_level(drive: Drive, wheels: Wheels, level: Trajectory, settings: MountSettings = DEFAULTS.mount) -> Segments:
     """The pieces to be explained. Raises CalibrationError where readings and frames share no time."""
-    return cut(drive, level, wheels, _SEGMENT_M, LARGEST_DELAY_S + abs(wheels.delay_s), _SEGMENT_RAD)
+    longest_s = settings.largest_delay_s + abs(wheels.delay_s)
+    return cut(drive, level, wheels, settings.segment_m, longest_s, settings.segment_rad)
 
 
-def fit_mount(drive: Drive, wheels: Wheels, segments: Segments, delay_s: float) -> MountFit:
+def fit_mount(
+    drive: Drive,
+    wheels: Wheels,
+    segments: Segments,
+    delay_s: float,
+    settings: MountSettings = DEFAULTS.mount,
+    fit: RobustFitSettings = DEFAULTS.fit,
+) -> MountFit:
     """The mount for which the wheels explain most pieces of the camera's way.
 
     Args:
@@ -92,9 +98,11 @@ def fit_mount(drive: Drive, wheels: Wheels, segments: Segments, delay_s: float) 
         wheels: nominal ones, right to a few hundredths or so.
         segments: from `cut_level`, with turns and straight ways.
         delay_s: of the wheels' stamps, right to a few hundredths of a second.
+        settings: of the mount.
+        fit: what counts as a disagreement.
     """
-    problem = _Problem(drive, wheels, segments, delay_s)
-    found = robust_fit(problem, np.zeros(len(_BOUNDS)))
+    problem = _Problem(drive, wheels, segments, delay_s, settings)
+    found = robust_fit(problem, np.zeros(len(_BOUNDS)), fit)
     left_m, right_m, track_m = problem.sizes_m(found.values).tolist()
     fitted = replace(
         wheels,
@@ -136,14 +144,17 @@ def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
 class _Problem:
     """Residuals as a function of what is sought: logarithms of sizes over nominal, mount and delay over their start."""
 
-    def __init__(self, drive: Drive, wheels: Wheels, segments: Segments, delay_s: float) -> None:
+    def __init__(
+        self, drive: Drive, wheels: Wheels, segments: Segments, delay_s: float, settings: MountSettings
+    ) -> None:
         self.drive, self.segments, self.start_delay_s = drive, segments, delay_s
         self.nominal_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
         base = segments.predicted(drive, self.nominal_m, delay_s, np.zeros(3))
         self.start_mount = closed_form(base, segments.motions)
-        self.bounds = _BOUNDS
+        self.bounds = _BOUNDS.copy()
+        self.bounds[6] = 2 * settings.largest_delay_s
         self.prior_sigmas = np.full(len(_BOUNDS), UNKNOWN_SIGMA)
-        self.prior_sigmas[7] = _SLIDE_SIGMA_S
+        self.prior_sigmas[7] = settings.slide_sigma_s
         self.sideways = _sideways(base, segments.end_s - segments.start_s)
 
     def sizes_m(self, values: FloatArray) -> FloatArray:

@@ -13,14 +13,11 @@ from wheelsight.events import RgbdFrame, SkippedFrame
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.extrinsics.floor import FloorViews
+from wheelsight.odometry.extrinsics.settings import DEFAULTS, SightingSettings
 from wheelsight.odometry.wheels import Drive, drive_of
 from wheelsight.recordings import Recording
 from wheelsight.recordings.repeats import Repeats
 from wheelsight.trajectory import Trajectory
-
-_ROWS = 30
-_FIRST_PERIOD_S = 0.5
-_MOST_VIEWS = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +40,19 @@ class Sightings:
     views: FloorViews
 
 
-def watch(recording: Recording, wheels: Wheels, on_frame: Callable[[str], None] = lambda _: None) -> Sightings:
+def watch(
+    recording: Recording,
+    wheels: Wheels,
+    on_frame: Callable[[str], None] = lambda _: None,
+    settings: SightingSettings = DEFAULTS.sightings,
+) -> Sightings:
     """Read a recording once, wheels and images.
 
     Args:
         recording: with wheel readings and a camera.
         wheels: what its counters count.
         on_frame: told the camera's status after each frame.
+        settings: what is kept of depth images.
 
     Raises:
         CalibrationError: fewer than two wheel readings, or no camera.
@@ -57,7 +60,7 @@ def watch(recording: Recording, wheels: Wheels, on_frame: Callable[[str], None] 
     drive = drive_of(recording, wheels)
     _, depth_camera = recording.calibration.cameras
     odometry = DenseOdometry(recording.calibration)
-    gatherer = _ViewGatherer(depth_camera)
+    gatherer = _ViewGatherer(depth_camera, settings)
     poses: list[tuple[float, FloatArray]] = []
     repeats = Repeats()
     frame_count, span_s = 0, (math.nan, math.nan)
@@ -81,22 +84,22 @@ def watch(recording: Recording, wheels: Wheels, on_frame: Callable[[str], None] 
 
 
 class _ViewGatherer:
-    """Keeps a coarse grid of depth twice a second, less often in long drives, so that memory stays flat."""
+    """Keeps a coarse grid of depth now and then, less often in long drives, so that memory stays flat."""
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        step = max(1, camera.height // _ROWS)
+    def __init__(self, camera: PinholeCamera, settings: SightingSettings) -> None:
+        step = max(1, camera.height // settings.rows)
         self._grid = np.s_[step // 2 :: step, step // 2 :: step]
         self._rays = camera.rays()[self._grid].reshape(-1, 3)
         self._stamps_s: list[float] = []
         self._depths_m: list[Float32Array] = []
-        self._period_s = _FIRST_PERIOD_S
+        self._period_s, self._most_views = settings.first_period_s, settings.most_views
 
     def add(self, frame: RgbdFrame) -> None:
         if self._stamps_s and frame.stamp_s < self._stamps_s[-1] + self._period_s:
             return
         self._stamps_s.append(frame.stamp_s)
         self._depths_m.append(frame.depth_m[self._grid].ravel())
-        if len(self._stamps_s) > _MOST_VIEWS:
+        if len(self._stamps_s) > self._most_views:
             del self._stamps_s[1::2], self._depths_m[1::2]
             self._period_s *= 2
 

@@ -12,15 +12,9 @@ import numpy as np
 
 from wheelsight.calibration import Wheels
 from wheelsight.geometry import FloatArray, IntArray, se3, so3
+from wheelsight.odometry.extrinsics.settings import DEFAULTS, TurningSettings
 from wheelsight.odometry.wheels.drive import Drive, poses_at
 from wheelsight.trajectory import Trajectory
-
-LARGEST_OFFSET_S = 10.0
-
-_STEP_S = 0.02
-_INTERVAL_S = 0.25
-_LONGEST_INTERVAL_S = 1.0
-_FEWEST_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +23,7 @@ class Turning:
 
     Attributes:
         up_camera: (3,) the axis about which left turns go, of length 1, in the camera frame.
-        delay_s: of the wheels' stamps against the camera's, to 20 ms, within ±`LARGEST_OFFSET_S` of the nominal one.
+        delay_s: of the wheels' stamps against the camera's, to 20 ms, within ±`largest_offset_s` of the nominal one.
         agreement: 0 to 1, the correlation of the camera's turns about that axis with the wheels'.
     """
 
@@ -38,20 +32,22 @@ class Turning:
     agreement: float
 
 
-def common_turning(drive: Drive, wheels: Wheels, camera: Trajectory) -> Turning:
+def common_turning(
+    drive: Drive, wheels: Wheels, camera: Trajectory, settings: TurningSettings = DEFAULTS.turning
+) -> Turning:
     """The axis and delay for which the turns of `camera` (T_map_camera) and of the wheels agree best.
 
     Turns that share no time with the readings, at a delay, have no say in it; where fewer than half do, the delay is
     not considered. Without turns the agreement is 0.
     """
-    start, end = _intervals(camera.stamps_s)
+    start, end = _intervals(camera.stamps_s, settings)
     turns = so3.log(se3.invert(camera.T_frame_body[start])[:, :3, :3] @ camera.T_frame_body[end, :3, :3])
-    steps = round(LARGEST_OFFSET_S / _STEP_S)
+    steps = round(settings.largest_offset_s / settings.step_s)
     best = Turning(np.array([0.0, -1.0, 0.0]), wheels.delay_s, 0.0)
-    for delay_s in wheels.delay_s + _STEP_S * np.arange(-steps, steps + 1):
+    for delay_s in wheels.delay_s + settings.step_s * np.arange(-steps, steps + 1):
         begin_s, until_s = camera.stamps_s[start] + delay_s, camera.stamps_s[end] + delay_s
         inside = (begin_s >= drive.stamps_s[0]) & (until_s <= drive.stamps_s[-1])
-        if np.count_nonzero(inside) < max(1.0, _FEWEST_SHARE * len(start)):
+        if np.count_nonzero(inside) < max(1.0, settings.fewest_share * len(start)):
             continue
         yaw_rad = _yaw_at(drive, wheels, until_s[inside]) - _yaw_at(drive, wheels, begin_s[inside])
         axis = yaw_rad @ turns[inside]
@@ -67,10 +63,10 @@ def _yaw_at(drive: Drive, wheels: Wheels, stamps_s: FloatArray) -> FloatArray:
     return poses_at(drive, sizes_m, stamps_s)[:, 2]
 
 
-def _intervals(stamps_s: FloatArray) -> tuple[IntArray, IntArray]:
-    """Indices of first and last frame of intervals of a quarter of a second, without those over gaps."""
-    marks = np.floor((stamps_s - stamps_s[:1]) / _INTERVAL_S) if len(stamps_s) else np.zeros(0)
+def _intervals(stamps_s: FloatArray, settings: TurningSettings) -> tuple[IntArray, IntArray]:
+    """Indices of first and last frame of intervals, without those over gaps."""
+    marks = np.floor((stamps_s - stamps_s[:1]) / settings.interval_s) if len(stamps_s) else np.zeros(0)
     cuts = np.flatnonzero(np.diff(marks, prepend=-1) > 0)
     start, end = cuts[:-1], cuts[1:]
-    whole = stamps_s[end] - stamps_s[start] <= _LONGEST_INTERVAL_S
+    whole = stamps_s[end] - stamps_s[start] <= settings.longest_interval_s
     return start[whole], end[whole]
