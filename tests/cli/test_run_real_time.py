@@ -13,9 +13,10 @@ from simulated_controller import SimulatedController
 from stand_ins import MemoryRecording
 from typer.testing import Result
 
-from wheelsight.cli._run_progress import words
+from wheelsight.cli._run_progress import played, words
 from wheelsight.pipeline import RealTimeRecording
 from wheelsight.recordings import open_recording
+from wheelsight.settings import RealTimeSettings
 
 pytestmark = pytest.mark.timed
 
@@ -128,3 +129,10 @@ def test_wheels_that_cannot_be_had_are_refused(refusal: Refusal, drive: Path, wh
 
 def test_what_the_bar_says_before_anything_was_answered() -> None:
     assert words(RealTimeRecording(MemoryRecording([]))) == ""
+
+
+def test_it_is_played_by_the_settings_of_the_run() -> None:
+    settings = RealTimeSettings(dropped_share=0.5)
+    with played(MemoryRecording([]), True, None, None, settings) as source:
+        assert isinstance(source, RealTimeRecording)
+        assert source.settings is settings
