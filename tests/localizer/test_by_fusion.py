@@ -418,3 +418,16 @@ def test_what_the_last_event_did_to_the_map_is_of_that_event(monkeypatch: pytest
         fused += subject.last_fused is not None
         assert subject.last_fused is None or isinstance(event, RgbdFrame)
     assert fused == len(kept.fused) > 30
+
+
+def test_settings_of_joining_reach_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After so many frames that show nothing known, the camera begins again."""
+    made = drive(faults=only((3.0, 4.0), Sight(Reason.NOT_RECOGNISED)))
+    stamps_s = [event.stamp_s for event in made.events() if isinstance(event, RgbdFrame)]
+    first = []
+    for restart_after in (2, 5):
+        eye = made.eye()
+        subject, _ = joined(monkeypatch, eye, **{"fusion.joining.restart_after": restart_after})
+        answers_to(subject, made.events())
+        first.append(stamps_s.index(min(eye.restarts)))
+    assert first[1] - first[0] == 3
