@@ -407,3 +407,16 @@ def test_the_same_events_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> 
     one, other = (answers_to(joined(monkeypatch, made.eye())[0], made.events())[-1][1] for _ in range(2))
     np.testing.assert_array_equal(one.T_odom_body, other.T_odom_body)
     np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_settings_of_joining_reach_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After so many frames that show nothing known, the camera begins again."""
+    made = drive(faults=only((3.0, 4.0), Sight(Reason.NOT_RECOGNISED)))
+    stamps_s = [event.stamp_s for event in made.events() if isinstance(event, RgbdFrame)]
+    first = []
+    for restart_after in (2, 5):
+        eye = made.eye()
+        subject, _ = joined(monkeypatch, eye, **{"fusion.joining.restart_after": restart_after})
+        answers_to(subject, made.events())
+        first.append(stamps_s.index(min(eye.restarts)))
+    assert first[1] - first[0] == 3

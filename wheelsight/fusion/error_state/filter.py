@@ -110,7 +110,8 @@ class ErrorStateFilter:
     def predict_to(self, wheels: WheelEstimate) -> FusedEstimate:
         """Take the next estimate of wheel odometry, in order; the first is the start, whatever step it tells."""
         step, begins = wheels.step, not self._reading_stamps_s
-        if wheels.reason is Reason.CLOCK_BACKWARDS or not _is_pose(wheels.T_odom_body, wheels.covariance):
+        told = (wheels.T_odom_body, wheels.covariance) if step is None else (step.T_before_now, step.covariance)
+        if wheels.reason is Reason.CLOCK_BACKWARDS or not _is_pose(*told):
             return self._refused(wheels.reason or Reason.INVALID)
         self._reading_stamps_s.append(wheels.stamp_s)
         if begins or step is None or wheels.reason is not None:
@@ -118,7 +119,7 @@ class ErrorStateFilter:
             self._waiting = None
             return self._take(FilterEvent(wheels.stamp_s, drop=""), reason=wheels.reason)
         step = step if self._waiting is None else self._waiting.then(step)
-        if not step.begin_s < step.end_s or not motions.is_pose(step.T_before_now, step.covariance):
+        if not step.begin_s < step.end_s:
             return self._refused(Reason.INVALID)
         if step.end_s - step.begin_s < self._shortest_step_s():
             self._waiting = step  # its way counts with the next reading's
