@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wheelsight.estimates import Status
-from wheelsight.fusion import FusedEstimate
+from wheelsight.fusion import FusedEstimate, JoiningSettings
 from wheelsight.geometry import se3
 from wheelsight.localizer._carried import Carried
 
@@ -16,7 +16,7 @@ AHEAD = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
 
 def carried() -> Carried:
     """In a dark of 4 s, at the origin."""
-    subject = Carried()
+    subject = Carried(JoiningSettings())
     subject.unknown(4.0, AHEAD, np.eye(4))
     return subject
 
@@ -34,7 +34,7 @@ def test_wheels_that_stood_and_another_view_say_so_and_a_known_view_takes_it_bac
 
 
 def test_wheels_that_went_on_tell_where_the_view_changed() -> None:
-    subject = Carried()
+    subject = Carried(JoiningSettings())
     subject.unknown(4.0, se3.exp([0.0, 0.0, 0.4, 0.0, 0.0, 0.0]), np.eye(4))
     assert not subject.is_so
 
