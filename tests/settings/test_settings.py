@@ -19,6 +19,7 @@ from wheelsight.config import Config, load_config, save_config
 from wheelsight.errors import ConfigError
 from wheelsight.events import YawRate
 from wheelsight.localizer import Localizer
+from wheelsight.localizer._pace import Pace
 from wheelsight.odometry.wheels import YawRateMeter
 from wheelsight.pipeline import RealTimeRecording
 from wheelsight.settings import FrameGateSettings, Settings
@@ -37,9 +38,7 @@ IN_FUSION = "of the way in which wheels and camera are joined: goes into the set
 COMPILED = "compiled into kernels, whose values are a part of their code"
 LAYOUT = "a place in an array"
 MAY_STAY = {
-    "localizer/_anchor.py": IN_FUSION,
     "localizer/_carried.py": IN_FUSION,
-    "localizer/by_fusion.py": IN_FUSION,
     "odometry/wheels/_observability.py": OFFLINE,
     "odometry/wheels/fit.py": OFFLINE,
     "odometry/wheels/segments.py": OFFLINE,
@@ -256,7 +255,7 @@ def test_gap_and_pace_reach_who_goes_by_them() -> None:
     given = {"odometry": "wheels,dense", "wheels.gyro_gap_s": 0.3, "localizer.pace_s": 0.7}
     subject = Localizer(CALIBRATION, load_config(overrides=given))
     assert {meter.gap_s for meter in held_by(subject, YawRateMeter)} == {0.3}
-    assert {one.longest_step_s for one in parts_of(subject, set()) if hasattr(one, "longest_step_s")} == {0.7}
+    assert {pace.longest_step_s for pace in held_by(subject, Pace)} == {0.7}
 
 
 def test_real_time_is_played_by_the_settings() -> None:
