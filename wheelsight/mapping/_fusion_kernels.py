@@ -8,7 +8,7 @@ share the work. Arrays are indexed and numbers kept as in matching.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from wheelsight.mapping._match_kernels import (
     READING,
     VARIANCE,
     WEIGHT,
+    Camera,
+    Candidates,
+    Seen,
     apart,
     deviation,
     faces,
@@ -46,31 +49,29 @@ _LEAST_VARIANCE = np.float32(1e-8)
 _BEYOND_SIGMAS = np.float32(6.0)
 
 
+class Home(NamedTuple):
+    """The cells that pages belong to: (pages,) which, (cells, 3) where in edges, (cells,) seen last, and their edge."""
+
+    page_cell: Any
+    xyz: Any
+    seen_s: Any
+    block_m: Any
+
+
 @kernel(error_model="numpy")
-def read(
-    begin: Any,
-    end: Any,
-    depth_m: Any,
-    normal: Any,
-    weight: Any,
-    T: Any,
-    ray_x: Any,
-    ray_y: Any,
-    pitch: Any,
-    noise: Any,
-    settings: Any,
-    reading: Any,
-    radius: Any,
-) -> None:
+def read(begin: Any, end: Any, seen: Seen, normal: Any, weight: Any, camera: Camera, settings: Any) -> None:
     """Readings (h·w, READING) of rows `begin` to `end` in the map, and the radius (h·w,) a surfel would have.
 
     Depth errs along the ray; what of it counts is its share along the normal, bounded where planes are grazed. The
     radius is that of a disk that covers a pixel on its plane: z / (f·|cos|), after Whelan et al. 2015, III.A.
 
     Args:
-        weight: (h, w) of a reading by its place in the image. pitch: 1 / f.
-        T: (4, 4) T_map_camera.
+        seen: to be filled in.
+        weight: (h, w) of a reading by its place in the image.
     """
+    # Taken out of their tuples once: each time would be counted.
+    depth_m, reading, radius, T = seen.depth_m, seen.reading, seen.radius, camera.T
+    ray_x, ray_y, pitch, noise = camera.ray_x, camera.ray_y, camera.pitch, camera.noise
     far_m = settings[FAR_M]
     far_m = min(noise[FAR], far_m + _BEYOND_SIGMAS * deviation(noise, far_m))
     for r in range(begin, end):
@@ -108,26 +109,11 @@ def _paint(look: Any, slot: Any, share: Any, color: Any, grey: Any, p: Any) -> N
 def update(
     begin: Any,
     end: Any,
-    slots: Any,
-    pixel: Any,
-    chosen: Any,
-    geometry: Any,
-    look: Any,
-    seen_s: Any,
-    variance: Any,
-    page_cell: Any,
-    cell_xyz: Any,
-    cell_seen_s: Any,
-    block_m: Any,
-    T: Any,
-    noise: Any,
-    reading: Any,
-    radius: Any,
-    color: Any,
-    grey: Any,
-    stamp_s: Any,
-    frames: Any,
-    candidates: Any,
+    found: Candidates,
+    surfels: SurfelArrays,
+    home: Home,
+    camera: Camera,
+    seen: Seen,
     counts: Any,
 ) -> None:
     """Average into the chosen among the candidates of pages `begin` to `end` what their pixels saw.
@@ -139,12 +125,13 @@ def update(
     passes along the rim would need four times as many.
 
     Args:
-        T: (4, 4) T_map_camera.
-        color: (h·w, 3), or (0, 3) where the frame has none.
-        frames: how many the frame counts as.
-        candidates: (pages, 2) how many, and something else.
         counts: (pages, 2) matched and died.
     """
+    slots, pixel, chosen, candidates = found.slots, found.pixel, found.chosen, found.counts
+    geometry, look, seen_s, variance = surfels.geometry, surfels.look, surfels.seen_s, surfels.variance
+    page_cell, cell_xyz, cell_seen_s, block_m = home.page_cell, home.xyz, home.seen_s, home.block_m
+    reading, radius, color, grey = seen.reading, seen.radius, seen.color, seen.grey
+    T, noise, stamp_s, frames = camera.T, camera.noise, seen.stamp_s, seen.frames
     for k in range(begin, end):
         matched = died = 0
         for entry in range(k * PAGE, k * PAGE + candidates[k, 0]):
@@ -204,23 +191,14 @@ def _has_left(geometry: Any, slot: Any, cell_xyz: Any, cell: Any, block_m: Any) 
 
 @kernel(error_model="numpy")
 def merge(
-    begin: Any,
-    end: Any,
-    width: Any,
-    slots: Any,
-    pixel: Any,
-    counts: Any,
-    chosen: Any,
-    geometry: Any,
-    seen_s: Any,
-    variance: Any,
-    settings: Any,
-    merged: Any,
+    begin: Any, end: Any, width: Any, found: Candidates, surfels: SurfelArrays, settings: Any, merged: Any
 ) -> None:
     """Merge into each chosen surfel of rows `begin` to `end` the candidates of its pixel that are its like.
 
     `merged`: (h,) how many; of all these rows at the first.
     """
+    slots, pixel, counts, chosen = found.slots, found.pixel, found.counts, found.chosen
+    geometry, seen_s, variance = surfels.geometry, surfels.seen_s, surfels.variance
     merged[begin:end] = 0
     low, high = begin * width, end * width
     for k in range(len(counts)):
@@ -250,27 +228,19 @@ def _are_alike(geometry: Any, slot: Any, kept: Any, variance: Any, settings: Any
 
 
 @kernel(error_model="numpy")
-def make_new(
-    is_new: Any,
-    reading: Any,
-    radius: Any,
-    color: Any,
-    grey: Any,
-    stamp_s: Any,
-    frames: Any,
-    new: SurfelArrays,
-) -> None:
+def make_new(is_new: Any, seen: Seen, new: SurfelArrays) -> None:
     """Surfels of the pixels (h·w,) marked, row by row; who calls knows their keyframe."""
+    reading, radius, color, grey = seen.reading, seen.radius, seen.color, seen.grey
     geometry, look, seen_s, variance, i = new.geometry, new.look, new.seen_s, new.variance, 0
     for p in range(len(is_new)):
         if not is_new[p]:
             continue
         for k in range(READING):
             geometry[i, k] = reading[p, k]
-        geometry[i, RADIUS], geometry[i, CONFIDENCE] = radius[p], frames
+        geometry[i, RADIUS], geometry[i, CONFIDENCE] = radius[p], seen.frames
         for k in range(3):
             look[i, k] = color[p, k] if len(color) > 0 else -_ONE
         look[i, 3] = grey[p]
-        seen_s[i, 0] = seen_s[i, 1] = stamp_s
+        seen_s[i, 0] = seen_s[i, 1] = seen.stamp_s
         variance[i] = reading[p, VARIANCE] / reading[p, WEIGHT]
         i += 1

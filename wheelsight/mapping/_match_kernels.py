@@ -6,12 +6,12 @@ flat where one number tells a pixel. Numbers are float32: a literal beside one w
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
+from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
 
@@ -36,38 +36,97 @@ CONSTANT, QUADRATIC, NEAR, FAR = range(4)
 READING, VARIANCE, WEIGHT = 8, 3, 7
 
 
+class Camera(NamedTuple):
+    """Where a camera is and how it sees, all float32.
+
+    Attributes:
+        T: (4, 4) T_map_camera.
+        grid: (4,) fx, fy, cx, cy.
+        ray_x, ray_y: (w,), (h,) slopes of columns and rows.
+        pitch: 1 / f.
+        noise: (4,) of depth; see the constants.
+    """
+
+    T: Any
+    grid: Any
+    ray_x: Any
+    ray_y: Any
+    pitch: Any
+    noise: Any
+
+
+class Seen(NamedTuple):
+    """What a frame saw.
+
+    Attributes:
+        depth_m: (h, w).
+        reading: (h·w, READING) what each pixel says of the map.
+        radius: (h·w,) that a surfel of the pixel's reading would have.
+        color: (h·w, 3), or (0, 3) where the frame has none.
+        grey: (h·w,).
+        stamp_s: of the frame.
+        frames: how many it counts as.
+    """
+
+    depth_m: Any
+    reading: Any
+    radius: Any
+    color: Any
+    grey: Any
+    stamp_s: Any
+    frames: Any
+
+
+class Gates(NamedTuple):
+    """When surfels agree, and which are gone.
+
+    Attributes:
+        settings: (9,) float32; see the constants.
+        since_s: (3,) unstable surfels first seen before the first of these, or last seen before the second, are gone;
+            surfels seen since the third are active.
+    """
+
+    settings: Any
+    since_s: Any
+
+
+class Candidates(NamedTuple):
+    """Surfels that fit what is seen where they fall in the image.
+
+    Attributes:
+        slots, pixel: (entries,); those of page k from entry k·PAGE on. Pixels count row by row.
+        rank: (entries,) the lower, the better it fits.
+        counts: (pages, 2) how many, and how many died.
+        chosen: (h·w,) the best one's entry, -1 where there is none.
+    """
+
+    slots: Any
+    pixel: Any
+    rank: Any
+    counts: Any
+    chosen: Any
+
+
 @kernel(error_model="numpy")
 def find_candidates(
     begin: Any,
     end: Any,
-    pages: Any,
-    page_fill: Any,
-    geometry: Any,
-    seen_s: Any,
-    variance: Any,
-    depth_m: Any,
-    reading: Any,
-    T: Any,
-    grid: Any,
-    noise: Any,
-    settings: Any,
-    since_s: Any,
-    slots: Any,
-    pixel: Any,
-    rank: Any,
-    counts: Any,
+    in_view: InView,
+    surfels: SurfelArrays,
+    seen: Seen,
+    camera: Camera,
+    gates: Gates,
+    out: Candidates,
 ) -> None:
     """The surfels of pages `begin` to `end` that agree with what is seen where they fall in the image.
 
     Surfels that contradict free space lose confidence here, and unstable ones die when their time has come.
-
-    Args:
-        since_s: (3,) unstable surfels first seen before the first of these, or last seen before the second, are gone;
-            surfels seen since the third are active.
-        slots, pixel: (entries,) of the candidates; those of page k from entry k·PAGE on. Pixels count row by row.
-        rank: (entries,) the lower, the better it fits.
-        counts: (pages, 2) how many candidates, and how many died.
     """
+    # Taken out of their tuples once: each time would be counted.
+    pages, page_fill, slots, pixel, rank = in_view.pages, in_view.fill, out.slots, out.pixel, out.rank
+    geometry, seen_s, variance = surfels.geometry, surfels.seen_s, surfels.variance
+    depth_m, reading, T, grid, noise = seen.depth_m, seen.reading, camera.T, camera.grid, camera.noise
+    settings, since_s = gates.settings, gates.since_s
     seen_m, place, where = depth_m.reshape(-1), np.empty((_PLACE, PAGE), np.float32), np.empty(PAGE, np.int32)
     for k in range(begin, end):
         first, fill, entry, died = pages[k] * PAGE, page_fill[pages[k]], k * PAGE, 0
@@ -89,7 +148,7 @@ def find_candidates(
                 if _is_free(depth_m, p, place[_Z, i], aside_m, noise, settings):
                     geometry[slot, CONFIDENCE] = _HALF * confidence if _HALF * confidence >= _GONE else _ZERO
                     died += geometry[slot, CONFIDENCE] <= 0
-        counts[k, 0], counts[k, 1] = entry - k * PAGE, died
+        out.counts[k, 0], out.counts[k, 1] = entry - k * PAGE, died
 
 
 @kernel(inline="always", error_model="numpy")
@@ -154,23 +213,18 @@ def choose(begin: Any, end: Any, width: Any, pixel: Any, rank: Any, counts: Any,
 def find_new(
     begin: Any,
     end: Any,
-    slots: Any,
-    geometry: Any,
-    variance: Any,
-    chosen: Any,
-    depth_m: Any,
-    reading: Any,
-    radius: Any,
+    found: Candidates,
+    surfels: SurfelArrays,
+    seen: Seen,
     pitch: Any,
     settings: Any,
     is_new: Any,
 ) -> None:
     """Which pixels of rows `begin` to `end` saw something that no surfel stands for: (h, w) of bool.
 
-    Args:
-        radius: (h·w,) that a surfel of the pixel's reading would have: so far about it others are looked for.
-        pitch: 1 / f.
+    Others are looked for as far about a pixel as a surfel of its reading would reach.
     """
+    depth_m, reading, radius, chosen = seen.depth_m, seen.reading, seen.radius, found.chosen
     width = depth_m.shape[1]
     for r in range(begin, end):
         for c in range(width):
@@ -180,25 +234,17 @@ def find_new(
                 wide_m = depth_m[r, c] * pitch
                 near = (r, c, max(np.int64(radius[p] / wide_m), 1))
                 is_new[r, c] = not _is_covered(
-                    near, slots, geometry, variance, chosen, reading, radius[p], wide_m, depth_m.shape, settings
+                    near, found, surfels, reading, (radius[p], wide_m), depth_m.shape, settings
                 )
 
 
 @kernel(error_model="numpy")
 def _is_covered(
-    near: Any,
-    slots: Any,
-    geometry: Any,
-    variance: Any,
-    chosen: Any,
-    reading: Any,
-    radius_m: Any,
-    wide_m: Any,
-    shape: Any,
-    settings: Any,
+    near: Any, found: Candidates, surfels: SurfelArrays, reading: Any, size_m: Any, shape: Any, settings: Any
 ) -> Any:
     """Whether one of the surfels chosen for pixels near a reading's makes another one needless there."""
-    (r, c, reach), (height, width) = near, shape
+    (r, c, reach), (radius_m, wide_m), (height, width) = near, size_m, shape
+    slots, chosen, geometry, variance = found.slots, found.chosen, surfels.geometry, surfels.variance
     for i in range(max(r - reach, 0), min(r + reach + 1, height)):
         for j in range(max(c - reach, 0), min(c + reach + 1, width)):
             entry = chosen[i * width + j]

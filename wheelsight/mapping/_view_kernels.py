@@ -5,12 +5,12 @@ Rows are shared among threads, and each takes the disks in their order, so that 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS
+from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
 
 # Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
 
@@ -37,41 +37,69 @@ NEAR, _RANK, _TOTAL, _DEPTH = 3, 0, 1, 2
 SUMS = 8
 
 
+class Lens(NamedTuple):
+    """T_map_camera (4, 4) and fx, fy, cx, cy (4,), float32, and the image's size in pixels."""
+
+    T: Any
+    grid: Any
+    width: Any
+    height: Any
+
+
+class Limits(NamedTuple):
+    """Which surfels are shown.
+
+    Attributes:
+        far_m: no farther.
+        stable: confidence from which surfels are stable.
+        least: confidence from which they are shown.
+        vague_m2: unstable surfels with a larger variance are left out.
+        since_s: surfels not seen since are left out.
+    """
+
+    far_m: Any
+    stable: Any
+    least: Any
+    vague_m2: Any
+    since_s: Any
+
+
+class Disks(NamedTuple):
+    """Surfels as a camera sees them.
+
+    Attributes:
+        disk: (entries, DISK) float32.
+        bound: (entries, 4) int16 first and last row, first and last column.
+        count: (pages, 2) of stable and unstable disks.
+    """
+
+    disk: Any
+    bound: Any
+    count: Any
+
+
+class Image(NamedTuple):
+    """What is summed up for pixels: slopes of columns (w,) and rows (h,), `near` (h, w, NEAR), `sums` (h, w, SUMS)."""
+
+    ray_x: Any
+    ray_y: Any
+    near: Any
+    sums: Any
+
+
 @kernel(error_model="numpy", fastmath={"contract"})
 def project_disks(
-    begin: Any,
-    end: Any,
-    pages: Any,
-    page_fill: Any,
-    geometry: Any,
-    look: Any,
-    seen_s: Any,
-    variance: Any,
-    T: Any,
-    grid: Any,
-    width: Any,
-    height: Any,
-    far_m: Any,
-    stable: Any,
-    least: Any,
-    vague_m2: Any,
-    since_s: Any,
-    disk: Any,
-    bound: Any,
-    count: Any,
+    begin: Any, end: Any, in_view: InView, surfels: SurfelArrays, lens: Lens, limits: Limits, out: Disks
 ) -> None:
     """The surfels of pages `begin` to `end` that face the camera, as disks.
 
     Page k's stable ones are from entry k·PAGE on, and its unstable ones before entry (k + 1)·PAGE.
-
-    Args:
-        T: (4, 4) T_map_camera, float32. grid: fx, fy, cx, cy, float32.
-        stable: confidence from which surfels are stable. least: confidence from which they are shown.
-        vague_m2: unstable surfels with a larger variance are left out.
-        since_s: surfels not seen since are left out.
-        disk: (entries, DISK) float32. bound: (entries, 4) int16 first and last row, first and last column.
-        count: (pages, 2) of stable and unstable disks.
     """
+    # Taken out of their tuples once: each time would be counted.
+    pages, page_fill, T, grid = in_view.pages, in_view.fill, lens.T, lens.grid
+    geometry, look, seen_s, variance = surfels.geometry, surfels.look, surfels.seen_s, surfels.variance
+    far_m, stable, least, vague_m2, since_s = limits.far_m, limits.stable, limits.least, limits.vague_m2, limits.since_s
+    disk, bound, last_column, last_row = out.disk, out.bound, np.float32(lens.width - 1), np.float32(lens.height - 1)
     surfel, shown = np.empty((_SURFEL, PAGE), np.float32), np.empty((_SHOWN, PAGE), np.float32)
     for k in range(begin, end):
         first, fill, low, high = pages[k] * PAGE, page_fill[pages[k]], k * PAGE, (k + 1) * PAGE
@@ -81,23 +109,29 @@ def project_disks(
             is_vague = surfel[CONFIDENCE, i] < stable and variance[first + i] > vague_m2
             if surfel[CONFIDENCE, i] < least or seen_s[first + i, 1] < since_s or is_vague:
                 surfel[CONFIDENCE, i] = _ZERO
-        _project(surfel, fill, T, grid, np.float32(width - 1), np.float32(height - 1), far_m, shown)
+        _project(surfel, fill, T, grid, last_column, last_row, far_m, shown)
         for i in range(fill):
             if not shown[_WEIGHT, i] > 0:
                 continue
             is_stable = shown[_WEIGHT, i] >= stable
             entry = low if is_stable else high - 1
             low, high = (low + 1, high) if is_stable else (low, high - 1)
-            for j in range(_PAINTED):
-                disk[entry, j] = shown[j, i]
-            for j in range(4):
-                bound[entry, j] = int(shown[_BOUND + j, i])
-            known = _ONE if look[first + i, 3] >= 0 else _ZERO
-            disk[entry, _PAINTED], disk[entry, _GREY] = known, known * look[first + i, 3]
-            for j in range(3):
-                seen = look[first + i, j]
-                disk[entry, _RED + j] = known * (seen if seen >= 0 else look[first + i, 3])
-        count[k, 0], count[k, 1] = low - k * PAGE, (k + 1) * PAGE - high
+            _draw(disk, bound, entry, shown, look, first + i, i)
+        out.count[k, 0], out.count[k, 1] = low - k * PAGE, (k + 1) * PAGE - high
+
+
+@kernel(error_model="numpy", inline="always")
+def _draw(disk: Any, bound: Any, entry: Any, shown: Any, look: Any, slot: Any, i: Any) -> None:
+    """Write what is shown of a page's surfel i, and what it looks like, as a disk."""
+    for j in range(_PAINTED):
+        disk[entry, j] = shown[j, i]
+    for j in range(4):
+        bound[entry, j] = int(shown[_BOUND + j, i])
+    known = _ONE if look[slot, 3] >= 0 else _ZERO
+    disk[entry, _PAINTED], disk[entry, _GREY] = known, known * look[slot, 3]
+    for j in range(3):
+        seen = look[slot, j]
+        disk[entry, _RED + j] = known * (seen if seen >= 0 else look[slot, 3])
 
 
 @kernel(error_model="numpy", inline="always")
@@ -148,36 +182,28 @@ def _form(x: Any, y: Any, nx: Any, ny: Any, plane: Any, z: Any, radius: Any) -> 
 
 
 @kernel(error_model="numpy")
-def blend(
-    begin: Any, end: Any, ray_x: Any, ray_y: Any, disk: Any, bound: Any, count: Any, near: Any, sums: Any
-) -> None:
+def blend(begin: Any, end: Any, disks: Disks, image: Image) -> None:
     """Weighted sums of the stable disks on the surface nearest to each pixel of rows `begin` to `end`.
 
     A disk that is clearly nearer than what was summed so far begins the sum anew; one clearly farther is left out.
-
-    Args:
-        ray_x, ray_y: (w,), (h,) slopes of columns and rows, float32.
-        near: (h, w, NEAR). sums: (h, w, SUMS).
     """
-    sums[begin:end], near[begin:end] = 0, 0
-    near[begin:end, :, _RANK] = np.inf
+    bound, count = disks.bound, disks.count
+    image.sums[begin:end], image.near[begin:end] = 0, 0
+    image.near[begin:end, :, _RANK] = np.inf
     for k in range(len(count)):
         for entry in range(k * PAGE, k * PAGE + count[k, 0]):
             if bound[entry, 0] < end and bound[entry, 1] >= begin:
-                _add_disk(entry, _ZERO, False, disk, bound, begin, end, ray_x, ray_y, near, sums)
+                _add_disk(entry, _ZERO, False, begin, end, disks, image)
 
 
 @kernel(error_model="numpy")
-def fill_in(
-    begin: Any, end: Any, ray_x: Any, ray_y: Any, disk: Any, bound: Any, count: Any, near: Any, sums: Any
-) -> None:
+def fill_in(begin: Any, end: Any, disks: Disks, image: Image) -> None:
     """Once all rows are blended, add the unstable disks where no stable one is, but for those in whose middle one is.
 
     They are noisy, and the nearest of some is too near: summed up once, they are again about the mean that comes out.
-
-    Args: as of `blend`.
     """
-    _add_unstable(False, begin, end, ray_x, ray_y, disk, bound, count, near, sums)
+    near, sums = image.near, image.sums
+    _add_unstable(False, begin, end, disks, image)
     for r in range(begin, end):
         for c in range(near.shape[1]):
             if near[r, c, _RANK] >= BEHIND_M and near[r, c, _TOTAL] > _ZERO:
@@ -185,47 +211,26 @@ def fill_in(
                 near[r, c, _TOTAL] = near[r, c, _DEPTH] = _ZERO
                 for i in range(SUMS):
                     sums[r, c, i] = _ZERO
-    _add_unstable(True, begin, end, ray_x, ray_y, disk, bound, count, near, sums)
+    _add_unstable(True, begin, end, disks, image)
 
 
 @kernel(error_model="numpy", inline="always")
-def _add_unstable(
-    is_known: Any,
-    begin: Any,
-    end: Any,
-    ray_x: Any,
-    ray_y: Any,
-    disk: Any,
-    bound: Any,
-    count: Any,
-    near: Any,
-    sums: Any,
-) -> None:
+def _add_unstable(is_known: Any, begin: Any, end: Any, disks: Disks, image: Image) -> None:
+    bound, count, near = disks.bound, disks.count, image.near
     for k in range(len(count)):
         for entry in range((k + 1) * PAGE - count[k, 1], (k + 1) * PAGE):
             r, c = (bound[entry, 0] + bound[entry, 1]) // 2, (bound[entry, 2] + bound[entry, 3]) // 2
             if bound[entry, 0] < end and bound[entry, 1] >= begin and near[r, c, _RANK] >= BEHIND_M:
-                _add_disk(entry, BEHIND_M, is_known, disk, bound, begin, end, ray_x, ray_y, near, sums)
+                _add_disk(entry, BEHIND_M, is_known, begin, end, disks, image)
 
 
 @kernel(error_model="numpy", inline="always")
-def _add_disk(
-    entry: Any,
-    behind_m: Any,
-    is_known: Any,
-    disk: Any,
-    bound: Any,
-    begin: Any,
-    end: Any,
-    ray_x: Any,
-    ray_y: Any,
-    near: Any,
-    sums: Any,
-) -> None:
+def _add_disk(entry: Any, behind_m: Any, is_known: Any, begin: Any, end: Any, disks: Disks, image: Image) -> None:
     """Add a disk to its pixels' sums, unless they have what ranks before all that are so far behind.
 
     Pixels take the nearest surface, or where that is known those disks that are about it.
     """
+    disk, bound, ray_x, ray_y, near, sums = disks.disk, disks.bound, image.ray_x, image.ray_y, image.near, image.sums
     low, high = max(bound[entry, 0], begin), min(bound[entry, 1] + 1, end)
     left, right = max(bound[entry, 2], 0), bound[entry, 3] + 1
     middle_x, middle_y, plane, confidence = disk[entry, 0], disk[entry, 1], disk[entry, _PLANE], disk[entry, _WEIGHT]

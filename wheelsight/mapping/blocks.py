@@ -6,6 +6,7 @@ import numpy as np
 
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight.mapping import _block_kernels as kernels
+from wheelsight.mapping import _move_kernels as move_kernels
 from wheelsight.mapping._block_kernels import (
     ALIVE,
     CELLS,
@@ -136,7 +137,7 @@ class Blocks:
         """
         has_moved = (T_new_old != np.eye(4)).any(axis=(1, 2))
         left = np.empty(len(self.geometry), np.int32)
-        left = left[: kernels.move(T_new_old, has_moved, self.surfels, self.pages, self.cells, left)]
+        left = left[: move_kernels.move(T_new_old, has_moved, self.surfels, self.pages, self.cells, left)]
         if not len(left):
             return
         taken = SurfelArrays(*(array[left] for array in self.surfels))

@@ -38,8 +38,25 @@ class SurfelSettings(BaseModel):
         le=1,
         description="where more of a frame's depths lie beyond far_m, keyframes show more than the map does",
     )
+    merged_every: PositiveInt = Field(
+        default=3,
+        le=100,
+        description="duplicates are looked for in one of so many fused frames: those of a few can be merged at once",
+    )
     far_m: PositiveFloat = Field(
-        default=6.0, le=40, description="no surfel is predicted beyond; they are laid 12 σ farther"
+        default=6.0, le=40, description="no surfel is predicted beyond; they are laid laid_sigmas farther"
+    )
+    laid_sigmas: NonNegativeFloat = Field(
+        default=12.0,
+        le=100,
+        description="standard deviations of depth: where laying ends, readings that err towards the camera lay "
+        "surfels, and others are to mend that before they are shown",
+    )
+    radial_sigma: PositiveFloat = Field(
+        default=0.6,
+        le=100,
+        description="of a reading's weight over its distance from the image's centre, 1 at the farthest corner "
+        "(Keller et al. 2013, 4.2)",
     )
     vague_m: PositiveFloat = Field(
         default=0.035,

@@ -16,22 +16,13 @@ from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.mapping import _fusion_kernels as fusion
 from wheelsight.mapping import _match_kernels as match
 from wheelsight.mapping import _view_kernels as view
-from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, SurfelArrays
+from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
 from wheelsight.mapping._inputs import Frame, Pose, checked_frame, checked_motion, checked_pose, rays_of
 from wheelsight.mapping.blocks import Blocks
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
 from wheelsight.threads import Rows
 from wheelsight.views import PredictedView, Surface
-
-# Duplicates are looked for in one of so many frames, and not in that which brings colour: those of a few frames can be
-# merged at once.
-_MERGED_EVERY = 3
-# Surfels are laid so many standard deviations farther than they are shown: where laying ends, the readings that err
-# towards the camera lay the surfels, and others are to mend that first.
-_LAID_SIGMAS = 12.0
-# Of the weight over the distance from the image's centre, which is 1 at its farthest corner (Keller et al. 2013).
-_RADIAL_SIGMA = 0.6
 
 
 class SurfelMap:
@@ -174,13 +165,11 @@ class SurfelMap:
         if keyframe is not None and not 0 <= keyframe < len(self.T_map_keyframe):
             raise MapError(f"there is no keyframe {keyframe}", fix="give the map the store that has it")
         self._follow()
-        self.stamp_s, noise = float(stamp_s), noise or DepthNoise()
-        sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
-        dropped = self._blocks.dropped
-        readings = self._readings(frame.depth_m, frame.normal, pose, sensor)
-        when = (self.stamp_s, np.float32(frames))
-        matched, removed, merged, is_new = self._average(frame, pose, readings, sensor, when)
-        added = self._add_new(frame, readings, is_new, when, -1 if keyframe is None else keyframe)
+        self.stamp_s, dropped = float(stamp_s), self._blocks.dropped
+        camera = self._camera(pose, frame.depth_m.shape, noise or DepthNoise())
+        seen = self._seen(frame, camera, pose.grid, frames)
+        matched, removed, merged, is_new = self._average(seen, camera, pose)
+        added = self._add_new(seen, is_new, -1 if keyframe is None else keyframe)
         self.frames += 1
         removed += self._blocks.sweep(self.stamp_s, self._rules)
         return FusedFrame(matched, added, removed, merged, self._blocks.dropped - dropped)
@@ -230,28 +219,22 @@ class SurfelMap:
     def _laid_m(self, sensor: Float32Array) -> float:
         """How far surfels are laid."""
         far_m = self.settings.far_m
-        return far_m + _LAID_SIGMAS * float(sensor[0] + sensor[1] * far_m**2)
+        return far_m + self.settings.laid_sigmas * float(sensor[0] + sensor[1] * far_m**2)
 
-    def _readings(
-        self, depth_m: Float32Array, normal: Float32Array, pose: Pose, sensor: Float32Array
-    ) -> tuple[Float32Array, Float32Array]:
-        """What each pixel says of the map (h·w, 8), and the radius (h·w,) a surfel there would have."""
-        shape = depth_m.shape
-        reading = self._room("reading", (depth_m.size, match.READING), np.float32)
-        radius = self._room("radius", (depth_m.size,), np.float32)
-        weight = self._weight(pose.grid, (shape[0], shape[1]))
-        given = (
-            depth_m,
-            normal,
-            weight,
-            pose.T32,
-            *rays_of(pose.grid, shape),
-            pose.pitch,
-            sensor,
-            self._kernel_settings(sensor),
-        )
-        self._rows.share(shape[0], lambda a, b: fusion.read(a, b, *given, reading, radius))
-        return reading, radius
+    def _camera(self, pose: Pose, shape: tuple[int, ...], noise: DepthNoise) -> match.Camera:
+        sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
+        return match.Camera(pose.T32, pose.grid32, *rays_of(pose.grid, shape), pose.pitch, sensor)
+
+    def _seen(self, frame: Frame, camera: match.Camera, grid: FloatArray, frames: int) -> match.Seen:
+        """What each pixel says of the map, and the radius a surfel there would have."""
+        height, width = frame.depth_m.shape
+        reading = self._room("reading", (frame.depth_m.size, match.READING), np.float32)
+        radius = self._room("radius", (frame.depth_m.size,), np.float32)
+        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
+        seen = match.Seen(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames))
+        given = (seen, frame.normal, self._weight(grid, (height, width)), camera, self._kernel_settings(camera.noise))
+        self._rows.share(height, lambda a, b: fusion.read(a, b, *given))
+        return seen
 
     def _weight(self, grid: FloatArray, shape: tuple[int, int]) -> Float32Array:
         """How much readings (h, w) count by their distance from the image's centre: Keller et al. 2013, 4.2."""
@@ -261,73 +244,56 @@ class SurfelMap:
             u, v = np.arange(shape[1]) - grid[2], np.arange(shape[0]) - grid[3]
             farthest2 = max(np.abs(u[[0, -1]])) ** 2 + max(np.abs(v[[0, -1]])) ** 2
             share2 = (u[None] ** 2 + v[:, None] ** 2) / max(farthest2, 1.0)
-            self._scratch["weight"] = np.exp(-share2 / (2 * _RADIAL_SIGMA**2)).astype(np.float32)
+            self._scratch["weight"] = np.exp(-share2 / (2 * self.settings.radial_sigma**2)).astype(np.float32)
         return self._scratch["weight"]
 
-    def _average(
-        self,
-        frame: Frame,
-        pose: Pose,
-        readings: tuple[Float32Array, Float32Array],
-        sensor: Float32Array,
-        when: tuple[float, np.float32],
-    ) -> tuple[int, int, int, np.ndarray]:
+    def _average(self, seen: match.Seen, camera: match.Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
         """Match, average and merge; how many were matched, removed and merged, and which pixels (h, w) are new."""
-        blocks, share, settings = self._blocks, self._rows.share, self._kernel_settings(sensor)
-        (height, width), size = frame.depth_m.shape, frame.depth_m.size
-        pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._laid_m(sensor) + 1, -np.inf)
-        slots, pixel, rank, found = self._candidates(frame, pose, pages, readings[0], sensor)
-        best, chosen = self._room("best", (size,), np.float32), self._room("chosen", (size,), np.int32)
-        share(height, lambda a, b: match.choose(a, b, width, pixel, rank, found, best, chosen))
+        blocks, share, settings = self._blocks, self._rows.share, self._kernel_settings(camera.noise)
+        height, width = seen.depth_m.shape
+        pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._laid_m(camera.noise) + 1, -np.inf)
+        found, surfels = self._candidates(seen, camera, pages), blocks.surfels
+        best = self._room("best", (seen.depth_m.size,), np.float32)
+        ranked = (found.pixel, found.rank, found.counts, best, found.chosen)
+        share(height, lambda a, b: match.choose(a, b, width, *ranked))
         is_new = self._room("is_new", (height, width), np.bool_)
-        seen = (slots, blocks.geometry, blocks.variance, chosen, frame.depth_m, *readings, pose.pitch)
-        share(height, lambda a, b: match.find_new(a, b, *seen, settings, is_new))
+        share(height, lambda a, b: match.find_new(a, b, found, surfels, seen, camera.pitch, settings, is_new))
         counts = np.zeros((len(pages), 2), np.int64)
-        surfels = (blocks.geometry, blocks.look, blocks.seen_s, blocks.variance)
-        cells = (blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
-        looks = (pose.T32, sensor, *readings, frame.color.reshape(-1, 3), frame.grey.reshape(-1), *when)
-        given = (slots, pixel, chosen, *surfels, *cells, *looks, found, counts)
-        share(len(pages), lambda a, b: fusion.update(a, b, *given))
-        is_due, matches = self.frames % _MERGED_EVERY == 1, (slots, pixel, found, chosen)
-        merged = self._merge((height, width), settings, *matches) if is_due else 0
-        removed = int(found[:, 1].sum() + counts[:, 1].sum())
+        home = fusion.Home(blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
+        share(len(pages), lambda a, b: fusion.update(a, b, found, surfels, home, camera, seen, counts))
+        is_due = self.frames % self.settings.merged_every == 1 % self.settings.merged_every
+        merged = self._merge((height, width), settings, found) if is_due else 0
+        removed = int(found.counts[:, 1].sum() + counts[:, 1].sum())
         blocks.count_deaths(removed + merged)
         return int(counts[:, 0].sum()), removed, merged, is_new
 
-    def _merge(self, shape: tuple[int, int], settings: Float32Array, *matches: np.ndarray) -> int:
-        """Merge into the chosen surfels the candidates (slots, pixel, found, chosen) that are their like; how many."""
-        merged, blocks = np.zeros(shape[0], np.int64), self._blocks
-        pairs = (*matches, blocks.geometry, blocks.seen_s, blocks.variance, settings, merged)
-        self._rows.share(shape[0], lambda a, b: fusion.merge(a, b, shape[1], *pairs))
+    def _merge(self, shape: tuple[int, int], settings: Float32Array, found: match.Candidates) -> int:
+        """Merge into the chosen surfels the candidates that are their like; how many."""
+        merged, surfels = np.zeros(shape[0], np.int64), self._blocks.surfels
+        self._rows.share(shape[0], lambda a, b: fusion.merge(a, b, shape[1], found, surfels, settings, merged))
         return int(merged.sum())
 
-    def _candidates(
-        self, frame: Frame, pose: Pose, pages: Int32Array, reading: Float32Array, sensor: Float32Array
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Slot, pixel and rank (entries,) of the surfels that fit; how many fit and how many died, by page (n, 2)."""
+    def _candidates(self, seen: match.Seen, camera: match.Camera, pages: Int32Array) -> match.Candidates:
+        """The surfels that fit; who is chosen is not known yet."""
         blocks, entries = self._blocks, (len(pages) * PAGE,)
-        slots, pixel = self._room("slots", entries, np.int32), self._room("pixel", entries, np.int32)
-        rank, found = self._room("rank", entries, np.float32), self._room("found", (len(pages), 2), np.int32)
-        surfels = (pages, blocks.page_fill, blocks.geometry, blocks.seen_s, blocks.variance)
-        about = (frame.depth_m, reading, pose.T32, pose.grid32, sensor, self._kernel_settings(sensor))
+        found = match.Candidates(
+            self._room("slots", entries, np.int32),
+            self._room("pixel", entries, np.int32),
+            self._room("rank", entries, np.float32),
+            self._room("found", (len(pages), 2), np.int32),
+            self._room("chosen", (seen.depth_m.size,), np.int32),
+        )
         since_s = self.stamp_s - np.array([self.settings.unstable_s, self.settings.unseen_s, self.settings.active_s])
-        given = (*surfels, *about, since_s, slots, pixel, rank, found)
+        gates = match.Gates(self._kernel_settings(camera.noise), since_s)
+        given = (InView(pages, blocks.page_fill), blocks.surfels, seen, camera, gates, found)
         self._rows.share(len(pages), lambda a, b: match.find_candidates(a, b, *given))
-        return slots, pixel, rank, found
+        return found
 
-    def _add_new(
-        self,
-        frame: Frame,
-        readings: tuple[Float32Array, Float32Array],
-        is_new: np.ndarray,
-        when: tuple[float, np.float32],
-        keyframe: int,
-    ) -> int:
+    def _add_new(self, seen: match.Seen, is_new: np.ndarray, keyframe: int) -> int:
         n = int(np.count_nonzero(is_new))
         images = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2))
         new = SurfelArrays(*images, np.empty(n, np.float32), np.full(n, keyframe, np.int32))
-        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1), *when)
-        fusion.make_new(is_new.reshape(-1), *readings, *looks, new)
+        fusion.make_new(is_new.reshape(-1), seen, new)
         return self._blocks.append(new, self.stamp_s, self._rules)
 
     def _show(
@@ -335,25 +301,27 @@ class SurfelMap:
     ) -> tuple[Float32Array, ...]:
         """Depth, normal, grey, and colour if asked for; limits: how far, least confidence, largest variance."""
         far_m, least, vague_m2 = limits
-        blocks, (height, width) = self._blocks, shape
+        blocks, (height, width), share = self._blocks, shape, self._rows.share
         pages = blocks.pages_in_view(pose.T, pose.grid, shape, far_m, since_s)
         entries = len(pages) * PAGE
-        disk = self._room("disk", (entries, view.DISK), np.float32)
-        bound = self._room("bound", (entries, 4), np.int16)
-        count = self._room("count", (len(pages), 2), np.int32)
-        bounds = tuple(np.float32(bound) for bound in (far_m, self.settings.stable_confidence, least, vague_m2))
-        surfels = (pages, blocks.page_fill, blocks.geometry, blocks.look, blocks.seen_s, blocks.variance)
-        given = (*surfels, pose.T32, pose.grid32, width, height, *bounds, since_s, disk, bound, count)
-        self._rows.share(len(pages), lambda a, b: view.project_disks(a, b, *given))
+        disks = view.Disks(
+            self._room("disk", (entries, view.DISK), np.float32),
+            self._room("bound", (entries, 4), np.int16),
+            self._room("count", (len(pages), 2), np.int32),
+        )
+        stable = np.float32(self.settings.stable_confidence)
+        shown = view.Limits(np.float32(far_m), stable, np.float32(least), np.float32(vague_m2), since_s)
+        lens = view.Lens(pose.T32, pose.grid32, width, height)
+        given = (InView(pages, blocks.page_fill), blocks.surfels, lens, shown, disks)
+        share(len(pages), lambda a, b: view.project_disks(a, b, *given))
         near = self._room("near", (*shape, view.NEAR), np.float32)
         sums = self._room("sums", (*shape, view.SUMS), np.float32)
-        rays = rays_of(pose.grid, shape)
-        disks = (*rays, disk, bound, count, near, sums)
-        self._rows.share(height, lambda a, b: view.blend(a, b, *disks))
-        self._rows.share(height, lambda a, b: view.fill_in(a, b, *disks))
+        image = view.Image(*rays_of(pose.grid, shape), near, sums)
+        share(height, lambda a, b: view.blend(a, b, disks, image))
+        share(height, lambda a, b: view.fill_in(a, b, disks, image))
         color = np.empty((*shape, 3) if with_color else (0, 0, 3), np.float32)
         out = np.empty(shape, np.float32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
-        self._rows.share(height, lambda a, b: view.divide(a, b, near, sums, *out, color))
+        share(height, lambda a, b: view.divide(a, b, near, sums, *out, color))
         return *out, color
 
     def _room(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
