@@ -6,12 +6,14 @@ reference goes pixel by pixel. What is inlined here takes its liberties with rou
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.geometry.arrays import Float32Array, FloatArray
+
+if TYPE_CHECKING:
+    from wheelsight.geometry.arrays import Float32Array, FloatArray
 
 # Columns of the partial sums of a row: of planes 21 of H's upper triangle and 6 of b, the same of grey, then these.
 GREY_SUMS = 27

@@ -7,13 +7,15 @@ averages out, as does what only one of both shows.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.geometry.arrays import Float32Array, FloatArray
 from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, NY, NZ, OFFSET
+
+if TYPE_CHECKING:
+    from wheelsight.geometry.arrays import Float32Array, FloatArray
 
 # Columns of the sums of a row: upper triangle of the information, and how many points fell into the reference.
 POINTS = 21
