@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -11,23 +10,6 @@ import pytest
 PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 FILES = sorted(PACKAGE.rglob("*_kernels.py"))
 MOST = 8
-# Kernels of more arguments that are left, by their file; a file goes from here once it has none, and none is added.
-EXCEPTIONS = {
-    "fusion/*_look_kernels.py",
-    "fusion/*_step_kernels.py",
-    "mapping/_block_kernels.py",
-    "mapping/_fusion_kernels.py",
-    "mapping/_match_kernels.py",
-    "mapping/_view_kernels.py",
-    "odometry/dense/_alignment_kernels.py",
-    "odometry/dense/_grid_kernels.py",
-    "odometry/dense/_shown_kernels.py",
-    "odometry/dense/_turn_kernels.py",
-    "odometry/features/_hamming_kernels.py",
-    "odometry/features/_kernels.py",
-    "odometry/wheels/_gyro_kernels.py",
-    "odometry/wheels/_kernels.py",
-}
 
 
 def with_many_arguments(source: str) -> list[str]:
@@ -40,8 +22,7 @@ def with_many_arguments(source: str) -> list[str]:
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
 def test_kernels_have_at_most_eight_arguments(path: Path) -> None:
     many = with_many_arguments(path.read_text(encoding="utf-8"))
-    if not any(fnmatch(path.relative_to(PACKAGE).as_posix(), pattern) for pattern in EXCEPTIONS):
-        assert not many, f"{path.name}: {'; '.join(many)}: put what belongs together into a NamedTuple"
+    assert not many, f"{path.name}: {'; '.join(many)}: put what belongs together into a NamedTuple"
 
 
 def test_a_ninth_argument_is_found() -> None:

@@ -124,18 +124,17 @@ class ColorSensor:
         kernels.develop(
             image,
             self._fall_off(view.rays),
-            kernels.Exposed(
-                self.electrons_per_s * exposure.time_s,
-                self.full_well,
-                self.read_noise,
-                exposure.gain / self.full_well,
-            ),
+            self._exposed(exposure),
             _normal_quantiles(),
             _srgb_bytes(),
             int(rng.integers(2**31)),
             out,
         )
         return out
+
+    def _exposed(self, exposure: Exposure) -> kernels.Exposed:
+        electrons, gain = self.electrons_per_s * exposure.time_s, exposure.gain / self.full_well
+        return kernels.Exposed(electrons, self.full_well, self.read_noise, gain)
 
     def _through_lens(self, radiance: Float32Array) -> Float32Array:
         if self.lens_sigma_px <= 0:

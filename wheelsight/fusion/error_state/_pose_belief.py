@@ -145,8 +145,9 @@ class PoseBelief:
         """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         known = self._known_before(step, s.known_for_s)
-        told_by = (step.xi, step.covariance, share, dt_s, known, s.unseen_a_metre, s.walks, s.fades, s.lever_m)
-        T, rest, P, told, way_m = steps.wheel_step(self.T, self.rest, self.covariance, *told_by)
+        told_by = steps.Step(step.xi, step.covariance, share, dt_s, known)
+        unseen = steps.Unseen(s.unseen_a_metre, s.walks, s.fades, s.lever_m)
+        T, rest, P, told, way_m = steps.wheel_step(self.T, self.rest, self.covariance, told_by, unseen)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         times["turn_known_for_s"] = self.turn_known_for_s + dt_s
         after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
@@ -275,9 +276,10 @@ class PoseBelief:
         `teaches`: what else than motion. Where wheels may slip, what is off is no error of theirs or of the camera.
         """
         at = self.reference(measurement.name)
-        then, of_look = self.remembered[at - 1], (measurement.Z, measurement.seen, measurement.covariance)
-        known = (*self.since(at), self.rest, self.covariance, 6 * at, then.twist)
-        residual, S, PHt, H, nis, change = relative.measured(*known, *of_look)
+        then = self.remembered[at - 1]
+        told = relative.Told(measurement.Z, measurement.seen, measurement.covariance)
+        poses = relative.Poses(*self.since(at), 6 * at, then.twist)
+        residual, S, PHt, H, nis, change = relative.measured(poses, self.rest, self.covariance, told)
         if without_slip and not (self.slip_covariance is then.slip_covariance is _NO_SLIP):
             certain = S - H @ (self.slip_covariance - then.slip_covariance) @ H.T
             # Corrections have made some of it smaller than it was written down.

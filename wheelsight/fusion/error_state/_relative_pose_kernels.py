@@ -6,6 +6,7 @@ T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -132,28 +133,44 @@ def apart(
     return xi
 
 
+class Poses(NamedTuple):
+    """The pose now and one that is remembered.
+
+    Attributes:
+        T_now, T_reference: (4, 4).
+        by_wheel_errors: (6, 3) how the wheels' errors moved the one since the other, as left perturbations in odom.
+        place: of the remembered pose in the covariance.
+        twist_then: (3,) at that pose.
+    """
+
+    T_now: FloatArray
+    T_reference: FloatArray
+    by_wheel_errors: FloatArray
+    place: int
+    twist_then: FloatArray
+
+
+class Told(NamedTuple):
+    """A motion Z (4, 4), of which directions `seen` (m, 6) were seen, with noise R (m, m)."""
+
+    Z: FloatArray
+    seen: FloatArray
+    R: FloatArray
+
+
 @kernel
 def measured(
-    T_now: FloatArray,
-    T_reference: FloatArray,
-    told: FloatArray,
-    rest: FloatArray,
-    P: FloatArray,
-    place: int,
-    twist_then: FloatArray,
-    Z: FloatArray,
-    seen: FloatArray,
-    R: FloatArray,
+    poses: Poses, rest: FloatArray, P: FloatArray, told: Told
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, float]:
-    """What a motion Z (4, 4) says of directions `seen` (m, 6), with noise R (m, m), against the pose at `place`.
+    """What a motion that was told says, against a pose that is remembered.
 
     Returns the residual (m,), its covariance S (m, m), that with the state P Hᵀ (n, m), H (m, 6) of the pose now, the
     residual's χ², and that of how the twist changed since.
     """
-    T_imaged = imaged_at(T_now, rest)
-    _, B, Ad = expected(T_imaged, T_reference, told)
+    T_imaged, seen, R, place = imaged_at(poses.T_now, rest), told.seen, told.R, poses.place
+    _, B, Ad = expected(T_imaged, poses.T_reference, poses.by_wheel_errors)
     H, by_errors = times(seen, Ad), times(seen, B)
-    residual = _rows(seen, apart(T_imaged, T_reference, told, Z, rest[6 : 6 + _CAMERA]))
+    residual = _rows(seen, apart(T_imaged, poses.T_reference, poses.by_wheel_errors, told.Z, rest[6 : 6 + _CAMERA]))
     twist = rest[:3].copy()
     PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
     # What is late counts by the twist as this measurement tells it: the wheels' noise is in theirs and in the residual,
@@ -163,7 +180,7 @@ def measured(
         for j in range(len(residual)):
             twist[i] += PHt[len(P) - _REST + i, j] * weighed[j]
     PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
-    return residual, S, PHt, H, chi_squared(residual, S), _change_of_twist(rest, P, twist_then)
+    return residual, S, PHt, H, chi_squared(residual, S), _change_of_twist(rest, P, poses.twist_then)
 
 
 @kernel

@@ -6,6 +6,7 @@ T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,35 +45,57 @@ def by_wheel_errors(raw: FloatArray, known_way: FloatArray) -> FloatArray:
     return by_errors
 
 
+class Step(NamedTuple):
+    """A share of a step of the wheels.
+
+    Attributes:
+        xi: (6,) the whole step.
+        noise: (6, 6) of its left perturbation.
+        share: of the whole.
+        dt_s: how long the share lasts.
+        known_twist: (3,) as known before, NaN where it is not.
+    """
+
+    xi: FloatArray
+    noise: FloatArray
+    share: float
+    dt_s: float
+    known_twist: FloatArray
+
+
+class Unseen(NamedTuple):
+    """What happens on the way that no wheel tells.
+
+    Attributes:
+        unseen: (6, 6) noise that a metre of the way of a point `lever_m` aside adds.
+        walks: (14,) that it adds to the variances of the errors of wheels and camera; the last is of the gyroscope's
+            bias, in a second.
+        fades: (14,) the share of them that it takes back.
+        lever_m: see above.
+    """
+
+    unseen: FloatArray
+    walks: FloatArray
+    fades: FloatArray
+    lever_m: float
+
+
 @kernel
 def wheel_step(
-    T: FloatArray,
-    rest: FloatArray,
-    P: FloatArray,
-    step: FloatArray,
-    noise: FloatArray,
-    share: float,
-    dt_s: float,
-    known_twist: FloatArray,
-    unseen: FloatArray,
-    walks: FloatArray,
-    fades: FloatArray,
-    lever_m: float,
+    T: FloatArray, rest: FloatArray, P: FloatArray, step: Step, unseen: Unseen
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
-    """T, rest and P after a share, `dt_s` long, of a step ξ (6,) of the wheels; `noise` is of its left perturbation.
+    """T, rest and P after a share of a step of the wheels.
 
-    A metre of the way of a point `lever_m` aside adds `unseen` (6, 6) to the noise, and `walks` (14,) to the variances
-    of the errors of wheels and camera, of which it takes the share `fades` (14,) back; the last of these are of the
-    gyroscope's bias, in a second. A part of a step has the twist of the whole, and is as uncertain of it; what is
-    learned of that goes back over the part alone.
+    A part of a step has the twist of the whole, and is as uncertain of it; what is learned of that goes back over the
+    part alone.
 
     Returns (6, 3), too: how the wheels' errors move the pose by this step, as a left perturbation; and the way.
     """
-    T, rest, P = T.copy(), rest.copy(), P.copy()
-    raw = step * share
-    way_m = lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
-    Q = noise * share + unseen * way_m
-    by_errors = by_wheel_errors(raw, known_twist * dt_s)
+    T, rest, P, share, dt_s = T.copy(), rest.copy(), P.copy(), step.share, step.dt_s
+    raw = step.xi * share
+    way_m = unseen.lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
+    Q = step.noise * share + unseen.unseen * way_m
+    by_errors = by_wheel_errors(raw, step.known_twist * dt_s)
     twist, errors = len(P) - _REST, len(P) - _REST + 3
     xi = raw + times(by_errors, rest[3:6].copy().reshape(3, 1))[:, 0]
     Ad, J = adjoint(T[0]), left_jacobian(xi)
@@ -86,16 +109,23 @@ def wheel_step(
     P[:6, twist:errors] += grown[:6, 6:] * math.sqrt(share)
     P[twist:errors, :6] += grown[6:, :6] * math.sqrt(share)
     P[twist:errors, twist:errors] += grown[6:, 6:]
-    for i in range(len(walks)):
-        k, far = errors + i, way_m if errors + i < len(P) - 1 else dt_s
-        kept = math.exp(-fades[i] * far)
-        rest[3 + i] *= kept
-        P[k] *= kept
-        P[:, k] *= kept
-        P[k, k] += walks[i] * far
+    _wander(rest, P, unseen, way_m, dt_s)
     T[0] = times(T[0], exp(xi))
     rest[0], rest[1], rest[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
     return T, rest, P, to_pose, way_m
+
+
+@kernel
+def _wander(rest: FloatArray, P: FloatArray, unseen: Unseen, way_m: float, dt_s: float) -> None:
+    """Let the errors of wheels, camera and gyroscope wander, and fade, along a way and a time."""
+    errors = len(P) - _REST + 3
+    for i in range(len(unseen.walks)):
+        k, far = errors + i, way_m if errors + i < len(P) - 1 else dt_s
+        kept = math.exp(-unseen.fades[i] * far)
+        rest[3 + i] *= kept
+        P[k] *= kept
+        P[:, k] *= kept
+        P[k, k] += unseen.walks[i] * far
 
 
 @kernel

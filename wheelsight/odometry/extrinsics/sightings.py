@@ -78,9 +78,11 @@ def watch(
         if estimate.T_odom_body is not None and estimate.motion.shows_all:
             poses.append((estimate.stamp_s, estimate.T_odom_body))
         on_frame(estimate.status)
-    stamps_s = np.array([stamp_s for stamp_s, _ in poses])
-    motions = np.array([T for _, T in poses]).reshape(-1, 4, 4)
-    return Sightings(drive, Trajectory(stamps_s, motions), frame_count, span_s, gatherer.views)
+    return Sightings(drive, _trajectory(poses), frame_count, span_s, gatherer.views)
+
+
+def _trajectory(poses: list[tuple[float, FloatArray]]) -> Trajectory:
+    return Trajectory(np.array([stamp_s for stamp_s, _ in poses]), np.array([T for _, T in poses]).reshape(-1, 4, 4))
 
 
 class _ViewGatherer:
