@@ -98,7 +98,7 @@ def with_late_camera(sightings: Sightings, late_s: float) -> Sightings:
     camera, views = sightings.camera, sightings.views
     return replace(
         sightings,
-        camera=Trajectory(camera.stamps_s + late_s, camera.T_odom_body),
+        camera=Trajectory(camera.stamps_s + late_s, camera.T_frame_body),
         span_s=(sightings.span_s[0] + late_s, sightings.span_s[1] + late_s),
         views=replace(views, stamps_s=views.stamps_s + late_s),
     )

@@ -6,7 +6,6 @@ import importlib
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -29,29 +28,19 @@ def test_importing_wheelsight_loads_nothing_heavy() -> None:
     assert not {name.partition(".")[0] for name in loaded} & set(HEAVY)
 
 
-def test_importing_wheelsight_is_quick() -> None:
-    def seconds(code: str) -> float:
-        started = time.perf_counter()
-        run_python(code)
-        return time.perf_counter() - started
-
-    # the best of some runs, against an empty interpreter: other programs on the machine must not fail it
-    extra = min(seconds("import wheelsight") for _ in range(5)) - min(seconds("pass") for _ in range(5))
-    assert extra < 0.3
-
-
 @pytest.mark.parametrize("name", wheelsight.__all__)
 def test_every_public_name_can_be_had(name: str) -> None:
     assert getattr(wheelsight, name) is not None
 
 
 def test_each_public_name_is_the_object_of_its_module() -> None:
-    for name, module in wheelsight._MODULE_OF.items():
+    for name, module in wheelsight._MODULE_OF.items():  # noqa: SLF001 - the package's own table
         assert getattr(wheelsight, name) is getattr(importlib.import_module(f"wheelsight.{module}"), name)
 
 
 def test_the_lazy_names_are_the_public_names() -> None:
-    assert {*wheelsight._MODULE_OF, "__version__"} == set(wheelsight.__all__) == set(dir(wheelsight))
+    lazy = {*wheelsight._MODULE_OF, "__version__"}  # noqa: SLF001 - the package's own table
+    assert lazy == set(wheelsight.__all__) == set(dir(wheelsight))
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

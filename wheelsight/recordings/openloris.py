@@ -13,10 +13,10 @@ from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
 from wheelsight.inputs import as_number, is_there, read_yaml, split_words
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._file_lists import read_file_list
-from wheelsight.recordings._image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import keep_growing, read_lines
+from wheelsight.recordings.image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.text import keep_growing, read_lines
 from wheelsight.recordings.tum import read_truth
 from wheelsight.trajectory import Trajectory
 
