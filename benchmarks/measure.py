@@ -24,7 +24,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.files import write_text
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.recordings import Recording, open_recording
-from wheelsight.recordings._image_recording import ImageRecording
+from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.trajectory import Trajectory, write_tum
 
 THREADS = 2

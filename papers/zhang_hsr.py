@@ -157,7 +157,7 @@ def absolute_error_figure(error: AbsoluteError, name: str) -> Figure:
     figure = _figure(7.2, 8.2)
     above, over_time = figure.subplots(2, 1, height_ratios=(3.2, 1))
     for label, trajectory, color in (("ground truth", error.truth, INK), ("estimate", error.aligned, BLUE)):
-        x, y, _ = _broken_at_gaps(trajectory.stamps_s, trajectory.positions_m).T
+        x, y, _ = broken_at_gaps(trajectory.stamps_s, trajectory.positions_m).T
         above.plot(x, y, color=color, linewidth=1.3, label=label)
     ends = np.stack([error.truth.positions_m, error.aligned.at(error.stamps_s)[:, :3, 3]], axis=1)[..., :2]
     above.add_collection(LineCollection(list(ends), colors=RED, linewidths=0.7, zorder=1.5, label="difference"))
@@ -168,7 +168,7 @@ def absolute_error_figure(error: AbsoluteError, name: str) -> Figure:
     above.set_title(f"Absolute trajectory error on {name}\nRMSE {s.rmse:.3f} m, max {s.max:.3f} m", loc="left")
     above.legend(loc="best", frameon=False)
     elapsed_s = error.stamps_s - error.stamps_s[0]
-    over_time.plot(*_broken_at_gaps(elapsed_s, np.stack([elapsed_s, error.errors_m], 1)).T, color=RED, linewidth=1)
+    over_time.plot(*broken_at_gaps(elapsed_s, np.stack([elapsed_s, error.errors_m], 1)).T, color=RED, linewidth=1)
     over_time.axhline(s.rmse, color=INK, linewidth=0.8, linestyle="--", label="RMSE")
     over_time.set(xlabel="time (s)", ylabel="error (m)", ylim=(0, None))
     over_time.margins(x=0)
@@ -184,7 +184,7 @@ def save(figure: Figure, path: Path) -> None:
     print(f"wrote {path}")
 
 
-def _broken_at_gaps(stamps_s: FloatArray, values: FloatArray) -> FloatArray:
+def broken_at_gaps(stamps_s: FloatArray, values: FloatArray) -> FloatArray:
     """Values (N, K) with a row of NaN wherever stamps (N,) leap, so that no line is drawn where nothing is known."""
     leaps = np.flatnonzero(np.diff(stamps_s) > LEAP_S) + 1
     return np.insert(values, leaps, np.nan, axis=0)

@@ -23,9 +23,9 @@ TRUE_WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 BELIEVED_WHEELS = replace(TRUE_WHEELS, right_radius_m=0.1713)
 AREAS = AreaMap(
     (
-        Area(NAMES[0], [[-2, -2], [20, -2], [20, 2], [-2, 2]], y_m=0.0),
-        Area(NAMES[1], [[20, -2], [23, -2], [23, 13.5], [20, 13.5]], x_m=21.0),
-        Area(NAMES[2], [[-2, 10], [20, 10], [20, 13.5], [-2, 13.5]], y_m=11.9),
+        Area(NAMES[0], np.array([[-2, -2], [20, -2], [20, 2], [-2, 2]], float), y_m=0.0),
+        Area(NAMES[1], np.array([[20, -2], [23, -2], [23, 13.5], [20, 13.5]], float), x_m=21.0),
+        Area(NAMES[2], np.array([[-2, 10], [20, 10], [20, 13.5], [-2, 13.5]], float), y_m=11.9),
     )
 )
 T_WORLD_START = se3.from_plane(0.5, 0.0, 0.0)

@@ -46,7 +46,8 @@ def render_room(
     `blank` paints every surface the same grey; depth stays.
     """
     origin, rays = T_odom_camera[:3, 3], camera.rays() @ T_odom_camera[:3, :3].T
-    depth_m, face = (image.reshape(rays.shape[:2]) for image in _cast(origin, rays.reshape(-1, 3)))
+    depth_m, face = _cast(origin, rays.reshape(-1, 3))
+    depth_m, face = depth_m.reshape(rays.shape[:2]), face.reshape(rays.shape[:2])
     color = _paint(origin + rays * depth_m[..., None], face, seed)
     if blank:
         color = np.full_like(color, 128)
@@ -139,8 +140,8 @@ def _paint(p_odom: FloatArray, face: IntArray, seed: int) -> ByteArray:
     axis = face % 3
     u = np.where(axis == 0, p_odom[..., 1], p_odom[..., 0]) / _TEXEL_M + 197.3 * face
     v = np.where(axis == 2, p_odom[..., 1], p_odom[..., 2]) / _TEXEL_M + 89.7 * face
-    u, v = (np.float32(px % _TEXTURE_SIZE) for px in (u, v))
-    return np.asarray(cv2.remap(_texture(seed), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
+    in_u, in_v = ((px % _TEXTURE_SIZE).astype(np.float32) for px in (u, v))
+    return np.asarray(cv2.remap(_texture(seed), in_u, in_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
 
 
 @lru_cache(maxsize=4)

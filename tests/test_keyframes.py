@@ -47,7 +47,7 @@ def test_a_keyframe_is_known_by_its_number_and_where_it_is_by_the_store() -> Non
 
 
 def test_a_keyframe_may_still_be_in_the_making_when_it_is_added() -> None:
-    store, made = KeyframeStore(), Future()
+    store, made = KeyframeStore(), Future[Keyframe]()
     number = store.add(made, np.eye(4))
     store.move([number], poses(1, 2))
     made.set_result(keyframe(7))

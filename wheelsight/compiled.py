@@ -56,7 +56,7 @@ def kernel(function: Any = None, **options: Any) -> Any:
     compiled = njit(nogil=True, **options)(function)
     if isinstance(compiled, Dispatcher):
         # As `Dispatcher.enable_caching` does, which asks for no class.
-        compiled._cache = _Cache(function)  # type: ignore[attr-defined]
+        compiled._cache = _Cache(function)  # type: ignore[attr-defined]  # noqa: SLF001
     return compiled
 
 

@@ -46,14 +46,14 @@ class Tracker:
 
     def __init__(self, truth, *, off_m=0.0, off_rad=0.0, wrong_s=(9, 9), silent_s=(9, 9), fuses=False):
         self._T_start_world = se3.invert(truth.T_frame_body[0])
-        self._truth, self._fuses = truth, fuses
+        self.truth, self._fuses = truth, fuses
         self._wrong_s, self._silent_s = wrong_s, silent_s
         self._T_off = se3.from_parts(so3.exp([0, 0, off_rad]), [0, off_m, 0])
 
     def __call__(self, frame):
         if self._silent_s[0] <= frame.stamp_s < self._silent_s[1]:
             return Answer(Estimate(frame.stamp_s, Status.LOST, reason=Reason.TOO_LITTLE_DEPTH), self._fuses)
-        T = self._T_start_world @ self._truth.at(frame.stamp_s)[0]
+        T = self._T_start_world @ self.truth.at(frame.stamp_s)[0]
         if self._wrong_s[0] <= frame.stamp_s < self._wrong_s[1]:
             T = T @ self._T_off
         return Answer(Estimate(frame.stamp_s, Status.TRACKING, T, VARIANCE * np.eye(6)), self._fuses)
@@ -106,7 +106,7 @@ def _standing(truth):
 
 
 def _on(tracker, truth):
-    tracker._truth = truth
+    tracker.truth = truth
     return tracker
 
 

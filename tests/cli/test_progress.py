@@ -18,7 +18,6 @@ def test_numbers_are_whole_at_any_width(
     with FrameProgress("tracking", 25_000, unit="events") as progress:
         for _ in range(3):
             progress.reach(12_345, 25_000, "tracking · 1.23M surfels, 412k given up for want of room")
-            progress._progress.refresh()
     lines = [re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", line) for line in re.split(r"[\r\n]+", capfd.readouterr().err)]
     drawn = [line for line in lines if "12345/25000" in line]
     assert drawn

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import signal
 import subprocess
 import sys
@@ -13,13 +11,13 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from full_disk import FullDisk
 from simulated_controller import SimulatedController
 from typer.testing import Result
 
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.devices import open_wheels
 from wheelsight.recordings import open_recording
-from wheelsight.recordings._growing_text import GrowingText
 
 pytestmark = pytest.mark.timed
 
@@ -131,15 +129,9 @@ def test_a_folder_in_use_is_refused_and_left_as_it_was(
 def test_a_full_disk_is_one_line(
     wheelsight: Command, controller: SimulatedController, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wheelsight.recordings._growing_text.GrowingText._write", _full_after_the_header)
+    FullDisk("wheels.csv", room=len("stamp_s,left,right\n")).take_over(monkeypatch)
     result = wheelsight("record", "--wheels", controller.port, "--out", tmp_path / "out", "--seconds", 5)
     assert result.exit_code == 2
     wheels = tmp_path / "out" / "wheels.csv"
     assert result.stderr.splitlines()[-1].startswith(f"error: {wheels}: no space left on the disk")
     assert wheels.read_text() == "stamp_s,left,right\n"
-
-
-def _full_after_the_header(self: GrowingText, data: memoryview) -> None:
-    if bytes(data[:1]).isdigit():
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    self._stream.write(data)

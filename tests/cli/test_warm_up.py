@@ -12,7 +12,7 @@ from typer.testing import Result
 from wheelsight.errors import OutputError
 from wheelsight.mapping import save_map
 from wheelsight.pipeline import kernels
-from wheelsight.pipeline._compile import floor_map
+from wheelsight.pipeline.rehearsal import floor_map
 
 Command = Callable[..., Result]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -110,13 +112,14 @@ def test_batches_are_loops(shape: tuple[int, ...], rng: np.random.Generator) -> 
         ({"distortion": (0.1, np.inf, 0, 0, 0)}, "finite"),
     ],
 )
-def test_no_camera_has_such_values(changes: dict[str, object], message: str) -> None:
-    values = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5}
+def test_no_camera_has_such_values(changes: dict[str, Any], message: str) -> None:
+    values: dict[str, Any] = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5}
     with pytest.raises(CalibrationError, match=message):
         PinholeCamera(**(values | changes))
 
 
 def test_equal_cameras_are_equal_however_their_distortion_was_given() -> None:
-    lists = PinholeCamera(640, 480, 517.3, 516.5, 318.6, 255.3, list(FREIBURG1.distortion))
+    in_a_list: Any = list(FREIBURG1.distortion)
+    lists = PinholeCamera(640, 480, 517.3, 516.5, 318.6, 255.3, in_a_list)
     assert lists == FREIBURG1
     assert hash(lists) == hash(FREIBURG1)

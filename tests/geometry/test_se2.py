@@ -81,7 +81,7 @@ def test_a_wrapped_angle_is_the_same_direction_within_half_a_turn(angle_rad: flo
     wrapped = se2.wrap_angle(angle_rad)
     assert abs(wrapped) <= np.pi
     turns = (angle_rad - wrapped) / (2 * np.pi)
-    assert turns == pytest.approx(round(turns), abs=1e-12)
+    assert turns == pytest.approx(np.round(turns), abs=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(0,), (5,), (2, 3)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
@@ -35,6 +34,7 @@ def test_what_opencv_writes_is_read() -> None:
     assert parsed(text) == {"matrix": {"rows": 1, "data": [1.0, 2.0]}}
 
 
+@pytest.mark.timeout(30)
 @pytest.mark.parametrize(
     ("text", "told"),
     [
@@ -61,14 +61,12 @@ def test_what_opencv_writes_is_read() -> None:
     ],
 )
 def test_hostile_text_is_refused_in_one_short_line(text: str, told: str) -> None:
-    begun_s = time.perf_counter()
     with pytest.raises(CalibrationError) as caught:
         parsed(text)
     message = str(caught.value)
     assert message.startswith(f"{PATH}{told}")
     assert message.endswith(" (correct the line, or put the text in quotes)")
     assert len(message) < 300
-    assert time.perf_counter() - begun_s < 2
 
 
 def test_a_setting_is_found_on_its_line(tmp_path: Path) -> None:

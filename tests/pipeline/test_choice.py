@@ -13,7 +13,7 @@ from wheelsight.config import load_config
 from wheelsight.pipeline import Choice, default_odometry
 from wheelsight.pipeline.choice import unused_of
 from wheelsight.recordings import open_recording
-from wheelsight.recordings._image_recording import ImageRecording
+from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.runs import run_each
 
 

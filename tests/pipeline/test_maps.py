@@ -19,13 +19,15 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.mapping import SurfelMap, load_map
 from wheelsight.pipeline import MAP_FILE, run_each
 from wheelsight.pipeline.maps import Stops
+from wheelsight.pipeline.origin import spread
 from wheelsight.recordings import open_recording
+from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.trajectory import read_tum
 
 
 def seen_along(T_odom_map: list[FloatArray]) -> tuple[Stops, SurfelMap]:
     """A wall that is mapped from poses 2 cm apart, while the map lies at some motions (4, 4)."""
-    stops, surfel_map = Stops.spread(2, len(T_odom_map)), made_map(threads=1)
+    stops, surfel_map = Stops(spread(2, len(T_odom_map))), made_map(threads=1)
     for k, T in enumerate(T_odom_map):
         T_map_camera = pose(0.02 * k)
         fuse(surfel_map, see([Wall(2.0)], T_map_camera), T_map_camera, k * FRAME_S)
@@ -80,6 +82,7 @@ def test_a_joined_map_shows_from_the_written_trajectory_what_frames_showed(tmp_p
     """Wheels that are 3 % too large take Ligocki's pose along, while the camera's own map knows nothing of them."""
     make_room_drive(tmp_path / "room", frames=8)
     recording = open_recording(tmp_path / "room")
+    assert isinstance(recording, ImageRecording)
     assert recording.calibration.wheels is not None
     T_base_camera = recording.calibration.T_base_camera
     assert T_base_camera is not None

@@ -19,7 +19,7 @@ from stand_ins import MemoryRecording
 
 from wheelsight.config import Config, load_config
 from wheelsight.errors import ConfigError
-from wheelsight.recordings import _image_recording, open_recording
+from wheelsight.recordings import image_recording, open_recording
 from wheelsight.runs import run, run_each
 from wheelsight.trajectory import Trajectory, read_tum
 
@@ -80,7 +80,7 @@ def test_wheels_alone_decode_no_image(tmp_path: Path, monkeypatch: pytest.Monkey
     def refuse(path: Path) -> None:
         raise AssertionError(f"{path} was read")
 
-    monkeypatch.setattr(_image_recording, "read_color", refuse)
+    monkeypatch.setattr(image_recording, "read_color", refuse)
     assert len(run(recording, BY_WHEELS, tmp_path / "out").estimate) == recording.wheel_count
     with pytest.raises(AssertionError, match="was read"):
         run(recording, BOTH.alone("features"), tmp_path / "features")

@@ -15,8 +15,8 @@ from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import ByteArray
 from wheelsight.recordings import OpenOptions, open_recording
 from wheelsight.recordings._images import DepthEncoding, read_depth
-from wheelsight.recordings._registration import RegistrationOffset
 from wheelsight.recordings.inspection import Inspection, inspect_recording
+from wheelsight.recordings.registration import RegistrationOffset
 
 REGISTERED = Calibration.registered_camera(CAMERA)
 

@@ -86,12 +86,14 @@ def test_makes_no_more_than_it_may():
 
 
 def test_works_while_the_consumer_is_busy():
-    def slow():
-        for i in range(6):
-            time.sleep(0.05)
-            yield i
+    made = threading.Event()
 
-    start = time.perf_counter()
-    for _ in read_ahead(slow(), 4):
-        time.sleep(0.05)
-    assert time.perf_counter() - start < 0.55
+    def source():
+        yield 0
+        made.set()
+        yield 1
+
+    items = read_ahead(source(), 4)
+    next(items)
+    assert made.wait(timeout=30), "the second is not made before it is asked for"
+    items.close()

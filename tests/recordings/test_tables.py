@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from pathlib import Path
 
 import numpy as np
@@ -91,16 +90,14 @@ def test_the_rest_is_refused_with_the_fix(tmp_path: Path, text: str, told: str) 
         read(tmp_path, text)
 
 
-def test_a_million_readings_take_seconds_and_lose_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Read in pieces: none is lost between them. At 5 µs a line the reader of lines took 5 s and more."""
+def test_many_readings_lose_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Read in pieces: none is lost between them."""
     count = 400_000
     left = np.cumsum(rng.integers(-3, 9, count)) + 2**53  # beyond what a float holds
     stamps_s = 1.7e9 + 0.001 * np.arange(count)
     rows = "".join(f"{s:.4f},{a},{i}\n" for i, (s, a) in enumerate(zip(stamps_s, left.tolist(), strict=True)))
     (tmp_path / "wheels.csv").write_text(f"stamp_s,left,right\n{rows}")
-    begin_s = time.process_time()
     ticks, warnings = read_wheels(tmp_path / "wheels.csv")
-    assert time.process_time() - begin_s < 4
     assert warnings == []
     assert [reading.left for reading in ticks] == left.tolist()
     assert [reading.right for reading in ticks] == list(range(count))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from wheelsight.errors import RecordingError
 from wheelsight.recordings._file_lists import read_file_list
-from wheelsight.recordings._text import keep_growing, read_lines
+from wheelsight.recordings.text import keep_growing, read_lines
 
 
 @dataclass

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from full_disk import FullDisk
 from synthetic import make_tum_recording, render_room, wobbling_trajectory
 
 from wheelsight.calibration import Calibration
@@ -19,7 +20,7 @@ from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import PinholeCamera, se3
 from wheelsight.recordings import RecordingWriter, open_recording, write_recording
-from wheelsight.recordings._growing_text import GrowingText
+from wheelsight.recordings.growing_text import GrowingText
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.recordings.tum import TumReader
 from wheelsight.trajectory import Trajectory, read_tum
@@ -294,30 +295,13 @@ def test_truth_and_labels_refuse_what_no_reader_would_take(tmp_path, calibration
 
 
 def test_a_disk_that_fills_up_within_a_line_keeps_whole_lines(tmp_path, monkeypatch):
+    disk = FullDisk("list.txt", room=len("header\none\na lo"))
+    disk.take_over(monkeypatch)
     text = GrowingText(tmp_path / "list.txt", "header\n")
     text.append("one\n")
-    stream = text._stream
-
-    class Full:
-        """Takes four bytes more."""
-
-        def __init__(self):
-            self.room = 4
-
-        def write(self, data):
-            if not self.room:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            written = stream.write(bytes(data[: self.room]))
-            self.room -= written
-            return written
-
-        def __getattr__(self, name):
-            return getattr(stream, name)
-
-    monkeypatch.setattr(text, "_stream", Full())
     with pytest.raises(OutputError, match=r"list.txt: no space left on the disk"):
         text.append("a longer line\n")
-    monkeypatch.undo()
+    disk.room = 1000
     assert (tmp_path / "list.txt").read_text() == "header\none\n"
     text.append("two\n")
     text.close()

@@ -147,7 +147,9 @@ def assigned(node: ast.stmt) -> Iterator[tuple[ast.expr, ast.expr]]:
     """Targets with their values, those of tuples one by one."""
     if isinstance(node, ast.AnnAssign) and node.value is not None:
         yield node.target, node.value
-    for target in node.targets if isinstance(node, ast.Assign) else ():
+    if not isinstance(node, ast.Assign):
+        return
+    for target in node.targets:
         value = node.value
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
             yield from zip(target.elts, value.elts, strict=True)
@@ -222,11 +224,9 @@ def changed(section: Settings) -> dict[str, Any]:
     """Another value of the first number of a section that may be a little more."""
     for name, about in type(section).model_fields.items():
         value = getattr(section, name)
-        if (
-            isinstance(value, int | float)
-            and not isinstance(value, bool)
-            and "source" in (about.json_schema_extra or ())
-        ):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        extra = about.json_schema_extra
+        if is_number and isinstance(extra, dict) and "source" in extra:
             return {name: value + 1 if isinstance(value, int) else value * 1.01}
     raise AssertionError(section)
 

@@ -191,7 +191,7 @@ def test_rays_go_through_parts_of_their_pixels(camera: PinholeCamera) -> None:
     spread = kernels.spread(rays, pixels)
     px = camera.project(spread.reshape(-1, 3))[0].reshape(*spread.shape[:2], 2)
     off = px - pixels[:, None, ::-1]
-    np.testing.assert_allclose(off, np.broadcast_to(kernels._OFFSETS, off.shape), atol=0.01)
+    np.testing.assert_allclose(off, np.broadcast_to(kernels.OFFSETS, off.shape), atol=0.01)
     # One ray, that of the middle among them, in each fifth of a pixel.
     fifths = np.sort(np.round(5 * np.concatenate([off, np.zeros_like(off[:, :1])], axis=1)), axis=1)
     np.testing.assert_array_equal(fifths, np.broadcast_to(np.arange(-2, 3)[:, None], fifths.shape))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import filecmp
-import os
 import sys
 from contextlib import nullcontext
 from dataclasses import replace
@@ -15,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
+from full_disk import FullDisk
 
 from wheelsight.areas import load_areas
 from wheelsight.calibration import load_calibration
@@ -22,7 +21,6 @@ from wheelsight.errors import ConfigError, InputError, OutputError
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.recordings import open_recording
-from wheelsight.recordings._growing_text import GrowingText
 from wheelsight.simulation import Patch, Robot, SimulationSettings, WheelFaults, simulate, write_simulation
 from wheelsight.simulation._way import driver_of, refuse_walls
 from wheelsight.simulation.worlds import build_world
@@ -123,18 +121,7 @@ def test_ctrl_c_leaves_a_shorter_recording(recording, tmp_path, frames):
 
 @pytest.mark.parametrize(("full", "room"), [("depth.txt", 250), ("groundtruth.txt", 3000), ("labels.csv", 70)])
 def test_a_full_disk_leaves_a_shorter_recording(recording, tmp_path, monkeypatch, full, room):
-    write, written = GrowingText._write, 0
-
-    def write_while_there_is_room(self: GrowingText, data: memoryview) -> None:
-        nonlocal written
-        if self._path.name == full:
-            written += len(data)
-            if written > room:
-                write(self, data[: len(data) - (written - room)])
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        write(self, data)
-
-    monkeypatch.setattr(GrowingText, "_write", write_while_there_is_room)
+    FullDisk(full, room).take_over(monkeypatch)
     with pytest.raises(OutputError, match=f"{full}: no space left on the disk"):
         write_simulation(recording, tmp_path / "cut")
     monkeypatch.undo()

@@ -37,13 +37,18 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
         stdout.print(first.realtime.sentence, markup=False)
     for warning in dict.fromkeys(w for record in records for w in record.warnings):
         print_warning(warning)
+    for line in _maps(records, out):
+        stdout.print(line)
+    if why_no_page() is None:
+        stdout.print(f"report: {out / 'report.html'}")
+
+
+def _maps(records: Sequence[RunRecord], out: Path) -> Iterator[str]:
+    """Where each map is, and how large."""
     for record in records:
         if record.map is not None:
             folder, status = out / record.odometry if len(records) > 1 else out, record.map.status
-            surfels = f"{status.surfels:,} surfels, {status.stable:,} of them stable"
-            stdout.print(f"map: {folder / record.map.file} ({surfels})")
-    if why_no_page() is None:
-        stdout.print(f"report: {out / 'report.html'}")
+            yield f"map: {folder / record.map.file} ({status.surfels:,} surfels, {status.stable:,} of them stable)"
 
 
 def _joint_table(records: Sequence[RunRecord]) -> Table:

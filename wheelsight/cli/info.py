@@ -22,8 +22,8 @@ from wheelsight.cli._options import (
 if TYPE_CHECKING:
     from wheelsight.evaluation import SequenceStatistics
     from wheelsight.recordings import AssociationReport
-    from wheelsight.recordings._registration import RegistrationOffset
     from wheelsight.recordings.inspection import Inspection
+    from wheelsight.recordings.registration import RegistrationOffset
 
 _GAPS_SHOWN = 5
 

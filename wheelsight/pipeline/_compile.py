@@ -7,14 +7,13 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numba.core import event
 
 from wheelsight.config import load_config
 from wheelsight.events import RgbdFrame
-from wheelsight.mapping import SurfelMap, Surfels, mesh_of
+from wheelsight.mapping import mesh_of
 from wheelsight.pipeline.kernels import PARTS, mark_compiled
-from wheelsight.pipeline.rehearsal import write_rehearsal
+from wheelsight.pipeline.rehearsal import floor_map, write_rehearsal
 from wheelsight.pipeline.runs import run_each
 from wheelsight.places import HistogramDescriber, LayoutDescriber
 from wheelsight.recordings import Recording, open_recording
@@ -81,20 +80,6 @@ def _simulate(camera: str) -> None:
     settings = SimulationSettings("square", camera, (64, 48), rate_hz=4, duration_s=1.0, **seen)  # type: ignore[arg-type]
     for _ in simulate(settings).events():
         pass
-
-
-def floor_map() -> SurfelMap:
-    """A square of a floor, 0.3 m wide and between two layers of voxels, where a mesh crosses zero."""
-    across, along = np.meshgrid(np.arange(0, 0.3, 0.01), np.arange(0, 0.3, 0.01))
-    n = across.size
-    position = np.column_stack([across.ravel(), along.ravel(), np.full(n, 0.011)]).astype(np.float32)
-    normal = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
-    radius_m, grey, confidence, variance_m2 = (np.full(n, x, np.float32) for x in (0.01, 128, 50, 1e-6))
-    color, stamps_s = np.full((n, 3), 128, np.float32), np.zeros(n)
-    surfel_map = SurfelMap()
-    seen = (stamps_s, stamps_s, np.full(n, -1, np.int32))
-    surfel_map.add(Surfels(position, normal, radius_m, color, grey, confidence, variance_m2, *seen), stamp_s=0.0)
-    return surfel_map
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import numpy as np
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.events import RgbdFrame, WheelTicks, YawRate
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.mapping import SurfelMap, Surfels
 from wheelsight.recordings import RecordingWriter
 from wheelsight.trajectory import Trajectory
 
@@ -109,3 +110,17 @@ def _seen(T_odom_camera: FloatArray, leg: _Leg) -> tuple[ByteArray, Float32Array
         color = np.zeros_like(color)
     depth_m = np.zeros_like(depth_m) if leg.is_covered else depth_m.clip(max=_DEEPEST_M)
     return color, depth_m.astype(np.float32)
+
+
+def floor_map() -> SurfelMap:
+    """A square of a floor, 0.3 m wide and between two layers of voxels, where a mesh crosses zero."""
+    across, along = np.meshgrid(np.arange(0, 0.3, 0.01), np.arange(0, 0.3, 0.01))
+    n = across.size
+    position = np.column_stack([across.ravel(), along.ravel(), np.full(n, 0.011)]).astype(np.float32)
+    normal = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
+    radius_m, grey, confidence, variance_m2 = (np.full(n, x, np.float32) for x in (0.01, 128, 50, 1e-6))
+    color, stamps_s = np.full((n, 3), 128, np.float32), np.zeros(n)
+    surfel_map = SurfelMap()
+    seen = (stamps_s, stamps_s, np.full(n, -1, np.int32))
+    surfel_map.add(Surfels(position, normal, radius_m, color, grey, confidence, variance_m2, *seen), stamp_s=0.0)
+    return surfel_map

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from wheelsight.errors import RecordingError
 from wheelsight.recordings._file_lists import find_files, pair_of_files
-from wheelsight.recordings._image_recording import FramePaths
 from wheelsight.recordings._images import is_depth_image
-from wheelsight.recordings._text import keep_growing, listed_lines
+from wheelsight.recordings.image_recording import FramePaths
+from wheelsight.recordings.text import keep_growing, listed_lines
 
 # The last such word in a path counts: depth/rgb_17.png is colour's.
 _WORD = re.compile(r"(?P<depth>depth)|(?:rgb|colou?r)(?!-?d(?![a-z]))", re.IGNORECASE)

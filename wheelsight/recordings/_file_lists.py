@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wheelsight.errors import RecordingError
 from wheelsight.inputs import is_there, split_words
-from wheelsight.recordings._text import Line, keep_growing, listed_lines, parse_stamp
+from wheelsight.recordings.text import Line, keep_growing, listed_lines, parse_stamp
 
 _STAMP = r"[+-]?\d+,\d+(?=[\s;\"'])|[^\s,;\"']+"
 _ENTRY = re.compile(rf"[\"']?(?P<stamp>{_STAMP})[\"']?(?:\s*[,;]\s*|\s+)(?P<rest>.*\S)")

@@ -14,9 +14,9 @@ from wheelsight.errors import RecordingError
 from wheelsight.events import WheelSpeeds
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings._text import keep_growing, read_lines
 from wheelsight.recordings._wheel_recording import WheelRecording, need_wheels, shipped_robot, speeds_of_wheels
 from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.text import keep_growing, read_lines
 from wheelsight.trajectory import Trajectory
 
 _INPUT, _TRUTH = "*_Input.txt", "*_GT.txt"

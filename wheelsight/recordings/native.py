@@ -12,12 +12,12 @@ from wheelsight.errors import CalibrationError
 from wheelsight.events import WheelTicks, YawRate
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import camera_choices, choose_calibration
-from wheelsight.recordings._image_recording import ImageRecording, complete
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._tables import read_columns
-from wheelsight.recordings._text import keep_growing
 from wheelsight.recordings._wheel_recording import WheelRecording
+from wheelsight.recordings.image_recording import ImageRecording, complete
 from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.tables import read_columns
+from wheelsight.recordings.text import keep_growing
 from wheelsight.recordings.tum import DEPTH_FACTOR, beside, read_frames, read_truth
 
 WHEELS_HEADER = "stamp_s,left,right"

@@ -13,8 +13,8 @@ from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
 from wheelsight.inputs import is_there, read_yaml
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._file_lists import read_file_list
-from wheelsight.recordings._image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
+from wheelsight.recordings.image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings.protocol import OpenOptions
 from wheelsight.recordings.tum import read_truth
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from wheelsight.errors import RecordingError
 from wheelsight.files import StrPath
-from wheelsight.recordings._image_recording import ImageRecording
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
 from wheelsight.recordings.counters import counter_warnings
+from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader

@@ -14,10 +14,10 @@ from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration, load_camera
 from wheelsight.recordings._file_lists import ListedFile
-from wheelsight.recordings._image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings._text import read_lines
+from wheelsight.recordings.image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.text import read_lines
 from wheelsight.trajectory import Trajectory
 
 _RATE_HZ = 30.0

@@ -8,10 +8,10 @@ from pathlib import Path
 from wheelsight.events import WheelTicks, YawRate
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings._tables import read_columns
-from wheelsight.recordings._text import keep_growing
 from wheelsight.recordings._wheel_recording import WheelRecording, shipped_robot
 from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.tables import read_columns
+from wheelsight.recordings.text import keep_growing
 from wheelsight.recordings.tum import read_truth
 
 _SIDES = (("front_left", "rear_left"), ("front_right", "rear_right"))

@@ -13,8 +13,8 @@ from wheelsight.inputs import is_there
 from wheelsight.recordings._associations import read_associations
 from wheelsight.recordings._cameras import camera_choices, choose_calibration, load_camera
 from wheelsight.recordings._file_lists import read_file_list
-from wheelsight.recordings._image_recording import FramePaths, ImageRecording, complete, pair_images
 from wheelsight.recordings._images import DepthEncoding
+from wheelsight.recordings.image_recording import FramePaths, ImageRecording, complete, pair_images
 from wheelsight.recordings.protocol import AssociationReport, OpenOptions
 from wheelsight.trajectory import Trajectory, read_tum
 

@@ -10,10 +10,10 @@ from wheelsight.events import WheelSpeeds
 from wheelsight.geometry import se3
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings._tables import read_columns, read_table
-from wheelsight.recordings._text import keep_growing
 from wheelsight.recordings._wheel_recording import WheelRecording, need_wheels, shipped_robot, speeds_of_wheels
 from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.tables import read_columns, read_table
+from wheelsight.recordings.text import keep_growing
 from wheelsight.trajectory import Trajectory
 
 

@@ -14,9 +14,9 @@ from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.files import StrPath, make_output_folder, write_bytes
 from wheelsight.geometry import Float32Array, PinholeCamera
-from wheelsight.recordings._growing_text import GrowingText
 from wheelsight.recordings._images import image_size
 from wheelsight.recordings.bodies import express_for
+from wheelsight.recordings.growing_text import GrowingText
 from wheelsight.recordings.native import GYRO_HEADER, WHEELS_HEADER
 from wheelsight.recordings.protocol import Recording
 from wheelsight.recordings.tum import DEPTH_FACTOR

@@ -12,7 +12,7 @@ from wheelsight.compiled import kernel
 _SAME_FACE = 0.9
 # x and y from a pixel's middle, in pixels. With the ray through the middle there is one in each fifth of the width and
 # of the height: upright and level edges, of which rooms are full, are told as finely as by a grid of 25.
-_OFFSETS = np.array([[-0.4, 0.2], [-0.2, -0.4], [0.2, 0.4], [0.4, -0.2]])
+OFFSETS = np.array([[-0.4, 0.2], [-0.2, -0.4], [0.2, 0.4], [0.4, -0.2]])
 
 
 @kernel
@@ -61,13 +61,13 @@ def spread(rays: Any, pixels: Any) -> Any:
     Between neighbouring pixels a lens bends rays evenly.
     """
     height, width = rays.shape[:2]
-    out = np.empty((len(pixels), len(_OFFSETS), 3))
+    out = np.empty((len(pixels), len(OFFSETS), 3))
     for i in range(len(pixels)):
         v, u = pixels[i]
         left, right = max(u - 1, 0), min(u + 1, width - 1)
         above, below = max(v - 1, 0), min(v + 1, height - 1)
-        for s in range(len(_OFFSETS)):
-            x, y = _OFFSETS[s, 0] / max(right - left, 1), _OFFSETS[s, 1] / max(below - above, 1)
+        for s in range(len(OFFSETS)):
+            x, y = OFFSETS[s, 0] / max(right - left, 1), OFFSETS[s, 1] / max(below - above, 1)
             for k in range(3):
                 across, down = rays[v, right, k] - rays[v, left, k], rays[below, u, k] - rays[above, u, k]
                 out[i, s, k] = rays[v, u, k] + x * across + y * down

@@ -20,8 +20,8 @@ from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray, se2, se3
 from wheelsight.inputs import lines_of
-from wheelsight.recordings._tables import Row, read_table
-from wheelsight.recordings._text import read_list
+from wheelsight.recordings.tables import Row, read_table
+from wheelsight.recordings.text import read_list
 from wheelsight.simulation._paths import Path2d, laps_of, smooth_path
 
 MAX_SPEED_M_S = 1.2

@@ -20,7 +20,7 @@ from wheelsight.files import StrPath, make_output_folder, write_bytes, write_tex
 from wheelsight.geometry import se3
 from wheelsight.inputs import read_bytes
 from wheelsight.recordings import RecordingWriter
-from wheelsight.recordings._text import LIST
+from wheelsight.recordings.text import LIST
 from wheelsight.simulation._way import driver_of, expected_s, refuse_walls, route_of
 from wheelsight.simulation.camera_faults import Covered
 from wheelsight.simulation.cameras import camera_model

@@ -14,7 +14,7 @@ import numpy as np
 
 from wheelsight.errors import RecordingError
 from wheelsight.inputs import as_number, plain_rows, unquoted
-from wheelsight.recordings._text import COMMENT, LARGEST_STAMP, parse_stamp, read_list
+from wheelsight.recordings.text import COMMENT, LARGEST_STAMP, parse_stamp, read_list
 from wheelsight.stamps import column_unit
 
 _FIX = "correct or remove the line"
