@@ -77,7 +77,7 @@ def test_the_trajectory_goes_on_while_coasting(ran: Runner, tmp_path: Path) -> N
     assert set(readings[1:].tolist()) <= set(records["joined"].estimate.stamps_s.tolist())
     assert (np.diff(records["joined"].estimate.stamps_s) > 0).all()
     off = (
-        records["joined"].estimate.T_odom_body[:, :3, 3] - made.truth.at(records["joined"].estimate.stamps_s)[:, :3, 3]
+        records["joined"].estimate.T_frame_body[:, :3, 3] - made.truth.at(records["joined"].estimate.stamps_s)[:, :3, 3]
     )
     assert np.linalg.norm(off, axis=1).max() < 0.03
     assert records["joined"].estimate.covariances is not None
