@@ -61,8 +61,7 @@ def watch(
     _, depth_camera = recording.calibration.cameras
     odometry = DenseOdometry(recording.calibration)
     gatherer = _ViewGatherer(depth_camera, settings)
-    poses: list[tuple[float, FloatArray]] = []
-    repeats = Repeats()
+    poses, repeats = list[tuple[float, FloatArray]](), Repeats()
     frame_count, span_s = 0, (math.nan, math.nan)
     for event in recording.events():
         if isinstance(event, SkippedFrame):
