@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
+from wheelsight.keyframes import KeyframeId, KeyframeStore
 
 # Of (v, ω) in `MotionEstimate.degenerate`: turns count as the way of a point 2 m off, to be compared with ways.
 DEGENERATE_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
@@ -125,6 +125,15 @@ class Estimate:
     def T_map_body(self) -> FloatArray | None:
         """(4, 4) in the map, or None while it is not known: what was seen lies there, and poses may jump."""
         return None if self.T_odom_body is None else self.T_map_odom @ self.T_odom_body
+
+    def remembered_in(self, store: KeyframeStore) -> FloatArray | None:
+        """T_map_body (4, 4) by where its keyframe is by now; None where no keyframe remembers it.
+
+        Where keyframes have moved since, as by a loop closure, this is where the body has been.
+        """
+        if self.keyframe is None or self.T_keyframe_body is None:
+            return None
+        return store.pose(self.keyframe) @ self.T_keyframe_body
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
+from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.localizer.by_ligocki import ByLigocki
@@ -100,6 +101,15 @@ class Localizer:
         """What was built on the way, where `T_odom_map` has it; None where the configuration asks for no map."""
         mapper = None if isinstance(self._way, ByWheels | ByPlaces) else self._way.mapper
         return None if mapper is None else mapper.map
+
+    @property
+    def keyframes(self) -> KeyframeStore | None:
+        """What the camera remembers, and where; None of wheels alone.
+
+        Who moves a keyframe there moves all that hangs on it.
+        """
+        odometry = self.odometry
+        return None if isinstance(odometry, WheelOdometry) else odometry.store
 
     @property
     def T_odom_map(self) -> FloatArray:
