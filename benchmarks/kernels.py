@@ -78,7 +78,7 @@ def _frame(camera: PinholeCamera, number: int) -> RgbdFrame:
     """A bulging wall with smooth paint."""
     x, y = np.moveaxis(camera.rays()[..., :2], -1, 0)
     depth_m = (2.0 + 0.3 * np.sin(3 * x) * np.cos(4 * y)).astype(np.float32)
-    grey = 128 + 90 * np.sin(25 * x) * np.cos(21 * y)
+    grey = 128 + 90 * np.sin(25 * x) * np.cos(21 * y) + number  # a camera never takes the same image twice
     return RgbdFrame(number / 30, np.repeat(grey[..., None], 3, axis=-1).astype(np.uint8), depth_m, number)
 
 

@@ -168,8 +168,9 @@ class MapOfFrames:
     def shows_most(self, odometry: object) -> bool:
         return self.shows
 
-    def fuse_tracked(self, odometry: object, frame: RgbdFrame, T_odom_camera: FloatArray, *_: object) -> None:
-        self.fused[frame.stamp_s] = T_odom_camera
+    def fuse_tracked(self, odometry: object, frame: RgbdFrame, seen: Estimate) -> None:
+        assert seen.T_odom_body is not None
+        self.fused[frame.stamp_s] = seen.T_odom_body
 
 
 @dataclass(frozen=True)

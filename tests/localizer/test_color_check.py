@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wheelsight.calibration import Calibration, Wheels
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import Status, WheelEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.fusion import ErrorStateFilter
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
@@ -99,7 +99,7 @@ def test_a_camera_whose_colour_is_late_is_left_out() -> None:
         for reading in range(5):
             stamp_s = index * PERIOD_S + reading * READING_S
             T = se3.from_plane(0.0, 0.0, heading_at(stamp_s))
-            check.hear(Estimate(stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6), body="base"))
+            check.hear(WheelEstimate(stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6), body="base"))
         check.look(view.frame(index, 2))
     assert check.left_out is Culprit.CAMERA
     (warning,) = check.warnings

@@ -85,7 +85,7 @@ def test_a_blackout_on_a_drive(room: Room, camera: str) -> None:
     assert max(off_m(a, way, frame.stamp_s) for frame, a, _ in answers) < 0.02
     assert all(off_m(a, way, frame.stamp_s) < 3 * spread_m(a) + 2e-3 for frame, a, _ in answers)
     assert spread_m(dark[-1][1]) > spread_m(dark[0][1])
-    assert way.T_odom_body[-1][0, 3] > 0.5
+    assert way.T_frame_body[-1][0, 3] > 0.5
     if camera == "map":
         sizes = [size for _, _, size in dark]
         assert sizes[0] == sizes[-1] > 0

@@ -14,7 +14,7 @@ def rolled(seconds: float, kept_s: float = 3.0) -> WheelPoses:
     """Straight on at 0.5 m/s, told fifty times a second; the gyroscope turns at 0.2 rad/s."""
     poses = WheelPoses(kept_s, gyro_after_s=0.1)
     for k in range(round(50 * seconds) + 1):
-        assert poses.add(k / 50, se3.from_plane(0.5 * k / 50, 0.0, 0.0))
+        assert poses.add(k / 50, se3.from_plane(0.5 * k / 50, 0.0, 0.0), 0.5 / 50)
         poses.turn(k / 50, 0.2)
     return poses
 
@@ -34,7 +34,7 @@ def test_they_are_kept_for_so_long(kept_s: float, is_told: bool) -> None:
 
 def test_a_clock_that_goes_back_begins_anew_but_the_way_stays() -> None:
     poses = rolled(2.0)
-    assert not poses.add(1.0, se3.from_plane(1.0, 0.0, 0.0))
+    assert not poses.add(1.0, se3.from_plane(1.0, 0.0, 0.0), 0.01)
     assert poses.at(0.5) is None
     assert poses.way_m == pytest.approx(1.0)
     poses.forget()

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from itertools import count
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pipeline.live import Live
 from pipeline.made import BOTH, FILES, WHEELS, frames_at, metrics_in, mixed_recording
-from stand_ins import CAMERA, MemoryRecording, frame
+from stand_ins import CAMERA, MemoryRecording
 
 from wheelsight.calibration import Calibration
-from wheelsight.cli._run_progress import expected
 from wheelsight.config import Config, load_config
 from wheelsight.errors import ConfigError
-from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.events import RgbdFrame
 from wheelsight.localizer import Localizer
 from wheelsight.pipeline import Choice, default_odometry
 from wheelsight.recordings import Recording
@@ -25,36 +22,6 @@ from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
 MOUNT = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])
-CAMERA_ALONE = Calibration.registered_camera(CAMERA)
-
-
-@dataclass
-class Live:
-    """A camera at 30 Hz, or with `wheels` readings at 50 Hz too; Ctrl-C comes at an event, if at all."""
-
-    truth: Trajectory
-    calibration: Calibration = CAMERA_ALONE
-    stop_at: int | None = None
-    name: str = "robot"
-    warnings: tuple[str, ...] = ("The camera is warm.",)
-    given: list[Event] = field(default_factory=list)
-    is_closed: bool = False
-
-    def events(self, *, images: bool = True) -> Iterator[Event]:
-        try:
-            for number, event in enumerate(self._forever(images)):
-                if number == self.stop_at:
-                    raise KeyboardInterrupt
-                self.given.append(event)
-                yield event
-        finally:
-            self.is_closed = True
-
-    def _forever(self, images: bool) -> Iterator[Event]:
-        begin_s = float(self.truth.stamps_s[0])
-        if images:
-            return (frame(index, begin_s + index / 30) for index in count())
-        return (WheelTicks(begin_s + index / 50, 30 * index, 40 * index) for index in count())
 
 
 def test_a_source_without_an_end_stops_after_a_while(tmp_path: Path, truth: Trajectory) -> None:
@@ -115,11 +82,6 @@ def test_places_of_a_live_source_are_given_by_name(tmp_path: Path, truth: Trajec
     settings = load_config(overrides={"odometry": "wheels", "places": {"model": "a.places"}})
     with pytest.raises(ConfigError, match=r"^robot: the recording has no areas.yaml .give --areas FILE"):
         run_each(Live(truth, Calibration(wheels=WHEELS)), settings, tmp_path / "out")
-
-
-@pytest.mark.parametrize(("settings", "unit"), [(Config(), "frames"), (BOTH, "events")])
-def test_progress_has_no_total(settings: Config, unit: str, truth: Trajectory) -> None:
-    assert expected(Live(truth), settings) == (None, unit)
 
 
 def test_a_recording_is_a_source_with_more(truth: Trajectory) -> None:
