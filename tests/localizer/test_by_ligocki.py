@@ -71,7 +71,7 @@ def test_it_is_eq_2_over_both_alone(paper: Callable[..., Localizer]) -> None:
         T_begin_odom = T @ se3.invert(T_odom_base) if T_begin_odom is None else T_begin_odom
         expected.append(by_hand.update(event.stamp_s, se3.nearest(T_begin_odom @ T_odom_base), se3.nearest(T)))
     for answer, wanted in zip(joined, expected, strict=True):
-        np.testing.assert_allclose(answer.T_odom_body, wanted.T_frame_body, atol=2e-3)
+        np.testing.assert_allclose(answer.T_odom_body, wanted.T_odom_body, atol=2e-3)
         np.testing.assert_allclose(answer.covariance, wanted.covariance, rtol=0.05, atol=1e-6)
 
 

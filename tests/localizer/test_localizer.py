@@ -181,19 +181,18 @@ def test_a_localizer_goes_by_one_odometry() -> None:
     both = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})
     with pytest.raises(ConfigError, match=r"not by wheels and features .*alone"):
         Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both)
-    assert Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both.alone("wheels")).world == "odom"
+    assert Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both.alone("wheels")).frame == "odom"
 
 
 def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.MonkeyPatch, truth: Trajectory) -> None:
     made: list[object] = []
 
     class Dense(TrueOdometry):
-        def __init__(self, calibration: Calibration, settings: object, T_odom_first: object = None) -> None:
+        def __init__(self, calibration: Calibration, settings: object, T_map_first: object = None) -> None:
             super().__init__(calibration, settings)
             made.append(settings)
 
-    for part in ("_camera", "by_frames"):
-        monkeypatch.setattr(f"wheelsight.localizer.{part}.DenseOdometry", Dense)
+    monkeypatch.setattr("wheelsight.localizer._camera.DenseOdometry", Dense)
     config = load_config(overrides={"odometry": "dense", "dense.levels": 2})
     subject = Localizer(Calibration.registered_camera(CAMERA), config)
     assert made == [config.dense]

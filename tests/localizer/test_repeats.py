@@ -107,7 +107,7 @@ def test_a_mount_is_found_by_images_listed_twice_as_by_images_listed_once(drive:
     given = MemoryRecording(list(twice(drive.events(), 0.02)), calibration=drive.calibration)
     once, both = watch(drive, drive.calibration.wheels), watch(given, drive.calibration.wheels)
     np.testing.assert_array_equal(both.camera.stamps_s, once.camera.stamps_s)
-    np.testing.assert_array_equal(both.camera.T_odom_body, once.camera.T_odom_body)
+    np.testing.assert_array_equal(both.camera.T_frame_body, once.camera.T_frame_body)
     assert both.frame_count == once.frame_count == len(once.camera) < given.frame_count / 2 + 1
 
 
