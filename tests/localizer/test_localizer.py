@@ -200,5 +200,4 @@ def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.Monkey
     estimate = subject.process(frame(3, 3.0))
     assert estimate is not None
     np.testing.assert_allclose(estimate.T_odom_body, truth.T_frame_body[3])
-    assert subject.last_matches is None
     assert (subject.body, subject.frame) == ("camera", "map")
