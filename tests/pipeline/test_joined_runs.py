@@ -8,7 +8,7 @@ from pipeline.made import OF_ONE, metrics_in, names_in, status_in
 from room_drive import make_room_drive
 
 from wheelsight.config import load_config
-from wheelsight.pipeline import RunRecord, facts_of, rival_of
+from wheelsight.pipeline import RunRecord, best_alone_of, facts_of
 from wheelsight.recordings import open_recording
 from wheelsight.report import summarise
 from wheelsight.runs import run_each
@@ -36,9 +36,9 @@ def test_a_joined_run_leaves_its_own_folder_and_figures(ran: tuple[Path, tuple[R
     assert set(found["flag_shares"]) == {"slip", "doubtful", "degenerate"}
     assert found["consistency"]["drift_at_end_m"] == facts.consistency.drift_m  # type: ignore[union-attr]
     assert 0 <= found["consistency"]["within_three_sigma_share"] <= 1
-    rival = rival_of(records)
-    assert rival is not None
-    assert joint["joined_beside_alone"] == {"better": rival.odometry, "ate_ratio": rival.ratio}
+    best_alone = best_alone_of(records)
+    assert best_alone is not None
+    assert joint["joined_beside_alone"] == {"better": best_alone.odometry, "ate_ratio": best_alone.ratio}
 
 
 def test_its_trajectory_has_poses_at_frames_and_at_readings(ran: tuple[Path, tuple[RunRecord, ...]]) -> None:

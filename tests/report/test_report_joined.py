@@ -11,7 +11,7 @@ from run_example import empty_run, example_map
 from wheelsight.estimates import Status
 from wheelsight.evaluation import THREE_SIGMA_RADIUS, consistency, position_covariances_m2
 from wheelsight.geometry import se3
-from wheelsight.pipeline import facts_of, rival_of
+from wheelsight.pipeline import best_alone_of, facts_of
 from wheelsight.report import overlay_figure, overlay_of, summarise, trust_figure, words
 from wheelsight.report._joined import judge
 from wheelsight.report.comparison import render_comparison
@@ -58,14 +58,14 @@ def test_errors_are_those_from_the_true_start() -> None:
 def test_the_better_sensor_is_one_that_followed_throughout() -> None:
     wheels, dense, joined = joined_runs()
     rmse_m = {r.odometry: r.evaluation.ate.translation.rmse for r in (wheels, dense, joined)}
-    found = rival_of([wheels, dense, joined])
+    found = best_alone_of([wheels, dense, joined])
     best = min(("wheels", "dense"), key=rmse_m.__getitem__)
     assert (found.odometry, found.ratio) == (best, rmse_m["joined"] / rmse_m[best])
     silent = [replace(r, evaluation=replace(r.evaluation, truth_time_covered=0.4)) for r in (wheels, dense)]
-    assert rival_of([wheels, silent[1], joined]).odometry == "wheels"
-    assert rival_of([*silent, joined]) is None
-    assert rival_of([replace(wheels, odometry="rectified"), joined]) is None
-    assert rival_of([wheels, dense]) is None
+    assert best_alone_of([wheels, silent[1], joined]).odometry == "wheels"
+    assert best_alone_of([*silent, joined]) is None
+    assert best_alone_of([replace(wheels, odometry="rectified"), joined]) is None
+    assert best_alone_of([wheels, dense]) is None
 
 
 def test_ellipses_are_outlines_of_the_stated_covariance() -> None:
@@ -162,10 +162,10 @@ def test_without_a_truth_three_sigma_stands_alone() -> None:
 def test_the_joined_verdict_comes_first_and_says_what_it_is_worth() -> None:
     records = joined_runs()
     text = Page(render_comparison(records)).text
-    joined = judge(records[2], summarise(records[2]), facts_of(records[2]), rival_of(records))
+    joined = judge(records[2], summarise(records[2]), facts_of(records[2]), best_alone_of(records))
     assert text.index(joined.phrase) < text.index("Joined: 160 of 160 frames") < text.index("Wheels: 798 of 800")
-    found, rival = facts_of(records[2]).consistency, rival_of(records)
-    assert joined.phrase.endswith(f"{words.number(rival.ratio, 2)} times the error of {rival.odometry} alone")
+    found, best_alone = facts_of(records[2]).consistency, best_alone_of(records)
+    assert joined.phrase.endswith(f"{words.number(best_alone.ratio, 2)} times the error of {best_alone.odometry} alone")
     told = " ".join(joined.sentences)
     assert "it coasted on the wheels once, for 1.60 s in all (10 % of the time)" in told
     assert "Flagged, in shares of the time: slip 5 %, doubtful 1.9 %, degenerate never." in told
@@ -178,8 +178,8 @@ def test_the_joined_verdict_comes_first_and_says_what_it_is_worth() -> None:
 )
 def test_a_bold_or_worse_answer_does_not_sound_good(boldness: float, ratio: float, tone: str) -> None:
     run = joined_run(boldness=boldness)
-    rival = replace(rival_of(joined_runs()), ratio=ratio)
-    verdict = judge(run, summarise(run), facts_of(run), rival)
+    best_alone = replace(best_alone_of(joined_runs()), ratio=ratio)
+    verdict = judge(run, summarise(run), facts_of(run), best_alone)
     assert verdict.tone == tone
     assert ("which is better" in verdict.phrase) == (ratio > 1)
 

@@ -79,14 +79,14 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
 def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
     """What joining came to."""
     from wheelsight.cli._console import percent
-    from wheelsight.pipeline import facts_of, joined_of, rival_of
+    from wheelsight.pipeline import best_alone_of, facts_of, joined_of
     from wheelsight.report import words
 
     joined = joined_of(records)
     assert joined is not None
-    facts, rival = facts_of(joined), rival_of(records)
-    if rival is not None:
-        yield "error", f"{words.number(rival.ratio, 2)} times that of {rival.odometry} alone"
+    facts, best_alone = facts_of(joined), best_alone_of(records)
+    if best_alone is not None:
+        yield "error", f"{words.number(best_alone.ratio, 2)} times that of {best_alone.odometry} alone"
     for status, seconds in facts.seconds.items():
         episodes = len(facts.coasting_s)
         times = "once" if episodes == 1 else f"{episodes} times"

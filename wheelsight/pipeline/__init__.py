@@ -1,7 +1,7 @@
 """From events to a folder of results: track, compare, write; and the records of what was learned."""
 
 from wheelsight.pipeline.choice import Choice, default_odometry
-from wheelsight.pipeline.joined import FLAGS, JoinedFacts, Rival, facts_of, joined_of, rival_of
+from wheelsight.pipeline.joined import FLAGS, BestAlone, JoinedFacts, best_alone_of, facts_of, joined_of
 from wheelsight.pipeline.map_record import MapPicture, MapRecord
 from wheelsight.pipeline.maps import MAP_FILE
 from wheelsight.pipeline.outputs import PAGE_FILE
@@ -15,6 +15,7 @@ __all__ = [
     "FLAGS",
     "MAP_FILE",
     "PAGE_FILE",
+    "BestAlone",
     "Choice",
     "FrameRecord",
     "JoinedFacts",
@@ -26,12 +27,11 @@ __all__ = [
     "RealTimeRecord",
     "RealTimeRecording",
     "RectificationRecord",
-    "Rival",
     "RunRecord",
+    "best_alone_of",
     "default_odometry",
     "facts_of",
     "in_real_time",
     "joined_of",
-    "rival_of",
     "run_each",
 ]

@@ -46,7 +46,7 @@ class JoinedFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Rival:
+class BestAlone:
     """The better of the sensors alone, and the joined ATE (RMSE) over its own: under 1 joining them helped."""
 
     odometry: str
@@ -89,7 +89,7 @@ def consistency_of(record: RunRecord) -> Consistency | None:
         return None
 
 
-def rival_of(records: Sequence[RunRecord]) -> Rival | None:
+def best_alone_of(records: Sequence[RunRecord]) -> BestAlone | None:
     """Who was nearest to the truth of the sensors that followed nearly as long; None where that cannot be said."""
     joined = joined_of(records)
     if joined is None or joined.evaluation is None:
@@ -105,4 +105,4 @@ def rival_of(records: Sequence[RunRecord]) -> Rival | None:
     best = min(rmse_m, key=rmse_m.__getitem__, default=None)
     if best is None or not rmse_m[best] > 0:
         return None
-    return Rival(best, joined.evaluation.ate.translation.rmse / rmse_m[best])
+    return BestAlone(best, joined.evaluation.ate.translation.rmse / rmse_m[best])

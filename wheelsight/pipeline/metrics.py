@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight._version import __version__
-from wheelsight.pipeline.joined import JoinedFacts, facts_of, joined_of, rival_of
+from wheelsight.pipeline.joined import JoinedFacts, best_alone_of, facts_of, joined_of
 from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.origin import format_of, frame_count_of, path_of, wheel_count_of
 from wheelsight.pipeline.rectification_record import RectificationRecord
@@ -84,8 +84,12 @@ def _beside_alone(records: Sequence[RunRecord]) -> dict[str, Any]:
     """How joined sensors compare with the better one alone; nothing where none were joined."""
     if joined_of(records) is None:
         return {}
-    rival = rival_of(records)
-    return {"joined_beside_alone": None if rival is None else {"better": rival.odometry, "ate_ratio": rival.ratio}}
+    best_alone = best_alone_of(records)
+    return {
+        "joined_beside_alone": None
+        if best_alone is None
+        else {"better": best_alone.odometry, "ate_ratio": best_alone.ratio}
+    }
 
 
 def _joined(facts: JoinedFacts) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from wheelsight.estimates import Status
-from wheelsight.pipeline.joined import JoinedFacts, Rival
+from wheelsight.pipeline.joined import BestAlone, JoinedFacts
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _html as html
 from wheelsight.report import _sections as sections
@@ -18,14 +18,14 @@ from wheelsight.report.verdict import Tone, Verdict, accuracy_sentence, speed_se
 _NO_WORSE, _MOSTLY_WITHIN = 1.2, 0.95
 
 
-def judge(record: RunRecord, summary: Summary, facts: JoinedFacts, rival: Rival | None) -> Verdict:
+def judge(record: RunRecord, summary: Summary, facts: JoinedFacts, best_alone: BestAlone | None) -> Verdict:
     """What joining came to, in words, with the sensors alone beside it."""
     phrase, tone = tracking_phrase(summary)
     if tone == "good":
-        tone = _tone(facts, rival)
+        tone = _tone(facts, best_alone)
     if summary.posed and record.evaluation is not None:
         error = words.length(record.evaluation.ate.translation.rmse)
-        phrase = f"Joined: {error} off (RMSE){_beside(rival)}"
+        phrase = f"Joined: {error} off (RMSE){_beside(best_alone)}"
     elif summary.posed:
         phrase = f"Joined: {phrase[0].lower()}{phrase[1:]}, without a truth to judge it by"
     sentences = (
@@ -38,12 +38,14 @@ def judge(record: RunRecord, summary: Summary, facts: JoinedFacts, rival: Rival 
     return Verdict(phrase, tuple(filter(None, sentences)), tone)
 
 
-def tiles(record: RunRecord, facts: JoinedFacts, rival: Rival | None) -> Iterable[tuple[str, str, str]]:
+def tiles(record: RunRecord, facts: JoinedFacts, best_alone: BestAlone | None) -> Iterable[tuple[str, str, str]]:
     """Key figures."""
     if record.evaluation is None:
         yield "ATE, joined", words.UNKNOWN, "not evaluated"
     else:
-        more = "RMSE" if rival is None else f"{words.number(rival.ratio, 2)} times that of {rival.odometry}"
+        more = (
+            "RMSE" if best_alone is None else f"{words.number(best_alone.ratio, 2)} times that of {best_alone.odometry}"
+        )
         yield "ATE, joined", words.length(record.evaluation.ate.translation.rmse), more
     found = facts.consistency
     if found is not None:
@@ -88,15 +90,15 @@ def section(record: RunRecord, facts: JoinedFacts) -> str:
     return html.section(key, title, intro, plot, sections.matches(record, record.odometry))
 
 
-def _beside(rival: Rival | None) -> str:
-    if rival is None:
+def _beside(best_alone: BestAlone | None) -> str:
+    if best_alone is None:
         return ""
-    better = ", which is better" if rival.ratio > 1 else ""
-    return f", {words.number(rival.ratio, 2)} times the error of {rival.odometry} alone{better}"
+    better = ", which is better" if best_alone.ratio > 1 else ""
+    return f", {words.number(best_alone.ratio, 2)} times the error of {best_alone.odometry} alone{better}"
 
 
-def _tone(facts: JoinedFacts, rival: Rival | None) -> Tone:
-    is_worse = rival is not None and rival.ratio > _NO_WORSE
+def _tone(facts: JoinedFacts, best_alone: BestAlone | None) -> Tone:
+    is_worse = best_alone is not None and best_alone.ratio > _NO_WORSE
     is_boasting = facts.consistency is not None and facts.consistency.share < _MOSTLY_WITHIN
     return "fair" if is_worse or is_boasting else "good"
 

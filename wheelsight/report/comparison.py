@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
-from wheelsight.pipeline.joined import JOINED, JoinedFacts, Rival, facts_of, joined_of, rival_of
+from wheelsight.pipeline.joined import JOINED, BestAlone, JoinedFacts, best_alone_of, facts_of, joined_of
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _html as html
 from wheelsight.report import _joined as fusion
@@ -46,7 +46,7 @@ class _Joined:
 
     record: RunRecord
     facts: JoinedFacts
-    rival: Rival | None
+    best_alone: BestAlone | None
 
 
 def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:
@@ -62,7 +62,7 @@ def render_comparison(records: Sequence[RunRecord]) -> str:
     for record in records:
         summary = summarise(record)
         if joined is not None and record is joined.record:
-            judged.append((record, summary, fusion.judge(record, summary, joined.facts, joined.rival)))
+            judged.append((record, summary, fusion.judge(record, summary, joined.facts, joined.best_alone)))
         else:
             judged.append((record, summary, judge(record, summary)))
     judged.sort(key=lambda found: not found[0].is_joined)  # the main answer comes first
@@ -85,7 +85,7 @@ def render_comparison(records: Sequence[RunRecord]) -> str:
 
 def _joined_of(records: Sequence[RunRecord]) -> _Joined | None:
     record = joined_of(records)
-    return None if record is None else _Joined(record, facts_of(record), rival_of(records))
+    return None if record is None else _Joined(record, facts_of(record), best_alone_of(records))
 
 
 def comparison_rows(records: Sequence[RunRecord]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -155,7 +155,7 @@ def _phrase(records: Sequence[RunRecord]) -> str:
 
 def _tiles(judged: Sequence[Judged], joined: _Joined | None) -> Iterable[tuple[str, str, str]]:
     if joined is not None:
-        yield from fusion.tiles(joined.record, joined.facts, joined.rival)
+        yield from fusion.tiles(joined.record, joined.facts, joined.best_alone)
     for record, _, _ in judged:
         yield from rectification.tiles(record)
     for record, summary in ((record, summary) for record, summary, _ in judged if not record.is_joined):
