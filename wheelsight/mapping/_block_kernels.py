@@ -225,6 +225,7 @@ def pages_in_view(view: Frustum, since_s: Any, page_next: Any, cells: Cells, out
     sides, count = _sides(view, reach), 0
     first = np.floor((low - STRAY_M) / block_m).astype(np.int64)
     last = np.floor((high + STRAY_M) / block_m).astype(np.int64)
+    _clip(first, last, cell_xyz, cells.counters[CELLS])
     for x in range(first[0], last[0] + 1):
         for y in range(first[1], last[1] + 1):
             for z in range(first[2], last[2] + 1):
@@ -240,6 +241,19 @@ def pages_in_view(view: Frustum, since_s: Any, page_next: Any, cells: Cells, out
                     count += 1
                     page = page_next[page]
     return count
+
+
+@kernel
+def _clip(first: Any, last: Any, cell_xyz: Any, count: Any) -> None:
+    """Clip a box of cells, `first` (3,) to `last` (3,), to where there are any: far views would ask of millions."""
+    if count == 0 or (last[0] - first[0]) * (last[1] - first[1]) * (last[2] - first[2]) < count:
+        return
+    low, high = cell_xyz[0].copy(), cell_xyz[0].copy()
+    for i in range(count):
+        for k in range(3):
+            low[k], high[k] = min(low[k], cell_xyz[i, k]), max(high[k], cell_xyz[i, k])
+    for k in range(3):
+        first[k], last[k] = max(first[k], low[k]), min(last[k], high[k])
 
 
 @kernel
