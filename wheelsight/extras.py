@@ -1,4 +1,4 @@
-"""Libraries that an extra of wheelsight brings: loaded when they are needed, and named with the extra where missing."""
+"""Libraries that an extra of wheelsight brings: loaded when they are needed, and named where they are missing."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 from wheelsight.errors import ConfigError
 
-# By the name that is imported: the library's, and the extra that brings it.
+# By the name that is imported: the library's, and all that its extra brings, by names that install from anywhere.
 _EXTRAS = {
-    "plotly": ("plotly", "report"),
-    "sklearn": ("scikit-learn", "places"),
-    "skops": ("skops", "places"),
+    "plotly": ("plotly", "plotly"),
+    "sklearn": ("scikit-learn", "scikit-learn skops"),
+    "skops": ("skops", "scikit-learn skops"),
 }
 
 
@@ -21,11 +21,11 @@ def needed(module: str) -> Any:
     Raises:
         ConfigError: the library is not installed; says how to install it.
     """
-    library, extra = _EXTRAS[module.partition(".")[0]]
+    library, libraries = _EXTRAS[module.partition(".")[0]]
     try:
         return import_module(module)
     except ImportError as error:
-        raise ConfigError(f"{library} is missing", fix=f'pip install "wheelsight[{extra}]"') from error
+        raise ConfigError(f"{library} is missing", fix=f"pip install {libraries}") from error
 
 
 def why_missing(library: str) -> str | None:
