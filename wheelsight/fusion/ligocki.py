@@ -25,19 +25,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat
+from pydantic import Field, NonNegativeFloat
 
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.geometry import FloatArray, se2, se3
+from wheelsight.settings import Settings
 
 _PLANE = np.array([0, 1, 5])
 
 
-class LigockiSettings(BaseModel):
+class LigockiSettings(Settings):
     """What the paper leaves open; unknown names are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     weight: float = Field(
         default=0.95, ge=0.5, lt=1, description="C of eq. 2, of the wheels in each frame; the paper asks for 0 ≪ C < 1"

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from wheelsight.fusion.areas import AreaRectifierSettings
 from wheelsight.fusion.error_state import ErrorStateSettings
 from wheelsight.fusion.ligocki import LigockiSettings
+from wheelsight.settings import Settings
 
 FusionName = Literal["default", "ligocki", "none"]
 
 
-class JoiningSettings(BaseModel):
+class JoiningSettings(Settings):
     """What the default filter's way of joining goes by beside the filter; unknown names are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     anchor_way_m: PositiveFloat = Field(
         default=0.3,
@@ -52,10 +51,8 @@ class JoiningSettings(BaseModel):
     )
 
 
-class FusionSettings(BaseModel):
+class FusionSettings(Settings):
     """Settings of all filters; a name alone says which one joins."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     filter: FusionName = Field(
         default="none",

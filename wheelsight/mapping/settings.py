@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from wheelsight.settings import Settings
 
 
-class SurfelSettings(BaseModel):
+class SurfelSettings(Settings):
     """Settings of the surfel map; unknown names are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     stable_confidence: PositiveFloat = Field(default=10.0, le=1e6, description="how many frames make a surfel stable")
     unstable_s: PositiveFloat = Field(

@@ -10,19 +10,18 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.settings import Settings
 
 UNKNOWN_SIGMA = 1e3
 
 _STEP = 0.01  # of a value's bound, by which the solver scales it
 
 
-class RobustFitSettings(BaseModel):
+class RobustFitSettings(Settings):
     """What counts as a disagreement of a piece with the rest."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     first_scale: PositiveFloat = Field(default=0.02, le=1, description="spread at first, in metres and in radians")
     least_scale: PositiveFloat = Field(

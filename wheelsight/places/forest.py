@@ -7,22 +7,21 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
+from pydantic import Field, NonNegativeInt, PositiveInt
 
 from wheelsight.errors import PlaceError
 from wheelsight.extras import needed
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array, IntArray
 from wheelsight.places import _kernels as kernels
+from wheelsight.settings import Settings
 
 _NO_CHILD = -1
 # Under this, starting threads takes longer than growing trees.
 _WORTH_THREADS = 20_000
 
 
-class ForestSettings(BaseModel):
+class ForestSettings(Settings):
     """How a forest is grown, and how its probabilities are made to mean what they say."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     trees: int = Field(default=64, ge=1, le=1000, description="T of Trinh et al., eq. 7; the paper tries 1 to 6")
     max_depth: PositiveInt | None = Field(

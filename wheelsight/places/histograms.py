@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import Float32Array
 from wheelsight.places import _kernels as kernels
 from wheelsight.places.describer import size_of
+from wheelsight.settings import Settings
 
 
-class HistogramSettings(BaseModel):
+class HistogramSettings(Settings):
     """How images are counted; the paper gives the number of bins and leaves the rest open."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     bins: int = Field(default=100, ge=2, le=256, description="of each histogram")
     near_m: NonNegativeFloat = Field(

@@ -5,22 +5,21 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import Field, PositiveFloat
 
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import Float32Array
 from wheelsight.places import _layout_kernels as kernels
 from wheelsight.places.describer import size_of
+from wheelsight.settings import Settings
 
 _OF_COLOR = ("grey", "grey deviation", "grey across", "grey down", "red to green", "yellow to blue")
 _OF_DEPTH = ("depth 0.2", "depth 0.5", "depth 0.8", "holes", "normal x", "normal y")
 _PROFILE = ("profile 0.5", "profile 0.8")
 
 
-class LayoutSettings(BaseModel):
+class LayoutSettings(Settings):
     """How finely a frame is told. All is relative to the image's size, so that resolution matters little."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     rows: int = Field(default=4, ge=1, le=16, description="of cells")
     columns: int = Field(default=6, ge=1, le=16, description="of cells")

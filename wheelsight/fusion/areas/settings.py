@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat
+
+from wheelsight.settings import Settings
 
 _Share = Annotated[float, Field(gt=0, lt=1)]
 _Probability = Annotated[float, Field(ge=0, le=1)]
-_SETTINGS = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class AreaFilterSettings(BaseModel):
+class AreaFilterSettings(Settings):
     """What is believed of areas and of the model that names them, before the first frame."""
-
-    model_config = _SETTINGS
 
     accuracies: tuple[_Share, ...] = Field(
         default=(0.95, 0.8, 0.6), min_length=1, description="of a model that does not fail, one level each; assumed"
@@ -45,10 +44,8 @@ class AreaFilterSettings(BaseModel):
     )
 
 
-class AreaRectifierSettings(BaseModel):
+class AreaRectifierSettings(Settings):
     """What is believed of wheels, areas and model before the drive."""
-
-    model_config = _SETTINGS
 
     position_sigma_m: NonNegativeFloat = Field(default=0.05, description="of the start, m: as by a ruler; assumed")
     yaw_sigma_rad: NonNegativeFloat = Field(default=0.01, description="of the start, rad; assumed")

@@ -10,10 +10,11 @@ from functools import cached_property
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from wheelsight.calibration import Gyro
 from wheelsight.geometry import FloatArray
+from wheelsight.settings import Settings
 
 _Share = Annotated[float, Field(gt=0, lt=1)]
 # As `PoseBelief.rest` has them, behind the twist; each has a sigma and a walk. Behind these, the gyroscope's bias.
@@ -25,14 +26,12 @@ _ERRORS = (
 )
 
 
-class ErrorStateSettings(BaseModel):
+class ErrorStateSettings(Settings):
     """Settings of the error-state filter; unknown names are refused.
 
     Walks are random, told by their standard deviations after a metre; an error that walks is drawn back, so that it
     stays within what was believed of it before the drive.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     # What is wrong with the wheels: sigmas before the drive, and random walks in one metre.
     scale_sigma: NonNegativeFloat = Field(

@@ -7,16 +7,16 @@ from typing import Annotated, Literal
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from wheelsight.odometry.dense.settings_parts import (
-    DensePart,
     FaultSettings,
     KeyframeSettings,
     StartSettings,
     VerificationSettings,
     VignettingSettings,
 )
+from wheelsight.settings import Settings
 
 
-class DenseSettings(DensePart):
+class DenseSettings(Settings):
     """Settings of dense odometry; unknown names are refused."""
 
     reference: Literal["keyframes", "previous"] = Field(

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from wheelsight.settings import Settings
 
 
-class DensePart(BaseModel):
-    """Settings that belong together; unknown names are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class StartSettings(DensePart):
+class StartSettings(Settings):
     """From which of several guesses alignment begins, and which of its outcomes is taken."""
 
     turn_misfit: float = Field(
@@ -46,7 +42,7 @@ class StartSettings(DensePart):
     )
 
 
-class FaultSettings(DensePart):
+class FaultSettings(Settings):
     """Which poses by surfaces are suspected, so that keypoints must verify them."""
 
     leap_m_s: PositiveFloat = Field(
@@ -96,7 +92,7 @@ class FaultSettings(DensePart):
     )
 
 
-class VerificationSettings(DensePart):
+class VerificationSettings(Settings):
     """When a pose by keypoints says the same as one by surfaces, and which of both counts."""
 
     agree_m: PositiveFloat = Field(
@@ -137,7 +133,7 @@ class VerificationSettings(DensePart):
     )
 
 
-class KeyframeSettings(DensePart):
+class KeyframeSettings(Settings):
     """Where a keyframe is put, and how straight its rows must be."""
 
     fineness: float = Field(
@@ -164,7 +160,7 @@ class KeyframeSettings(DensePart):
     )
 
 
-class VignettingSettings(DensePart):
+class VignettingSettings(Settings):
     """What is known of lenses before anything is seen, and which pixels tell more."""
 
     sigma: PositiveFloat = Field(

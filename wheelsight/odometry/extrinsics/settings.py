@@ -6,16 +6,13 @@ measured mount are too few to tell better.
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from wheelsight.odometry._robust_fit import RobustFitSettings
+from wheelsight.settings import Settings
 
 
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class AgreementSettings(_Settings):
+class AgreementSettings(Settings):
     """When wheels and camera tell of one drive, and what explains it where they do not."""
 
     piece_m: PositiveFloat = Field(
@@ -60,7 +57,7 @@ class AgreementSettings(_Settings):
     )
 
 
-class FloorSettings(_Settings):
+class FloorSettings(Settings):
     """Which plane is the floor, and when it is told well enough."""
 
     farthest_m: PositiveFloat = Field(default=5.0, le=100, description="depth beyond tells less than it may mislead")
@@ -89,7 +86,7 @@ class FloorSettings(_Settings):
     range_log: PositiveFloat = Field(default=2.3, le=10, description="of one view: ten times as high or as low at most")
 
 
-class MountSettings(_Settings):
+class MountSettings(Settings):
     """How the mount is fitted to the motions of wheels and camera."""
 
     segment_m: PositiveFloat = Field(default=0.3, le=100, description="of a piece: long beside the camera's noise")
@@ -100,7 +97,7 @@ class MountSettings(_Settings):
     )
 
 
-class TurningSettings(_Settings):
+class TurningSettings(Settings):
     """How turns of wheels and camera are compared, to find up and the delay roughly."""
 
     largest_offset_s: PositiveFloat = Field(default=10.0, le=1000, description="between clocks, that is searched")
@@ -110,7 +107,7 @@ class TurningSettings(_Settings):
     fewest_share: float = Field(default=0.5, ge=0, le=1, description="of intervals that must share time with readings")
 
 
-class SightingSettings(_Settings):
+class SightingSettings(Settings):
     """What is kept of depth images while a drive is watched."""
 
     rows: PositiveInt = Field(default=30, le=10_000, description="of the grid to which images are thinned")
@@ -118,7 +115,7 @@ class SightingSettings(_Settings):
     most_views: int = Field(default=400, ge=2, le=10**6, description="kept, so that memory stays flat")
 
 
-class DriveSettings(_Settings):
+class DriveSettings(Settings):
     """What a drive must show, and how certain its outcome must be."""
 
     sample_s: PositiveFloat = Field(default=0.5, le=10, description="at which the wheels' turns are added up")
@@ -139,7 +136,7 @@ class DriveSettings(_Settings):
     )
 
 
-class ExtrinsicsSettings(_Settings):
+class ExtrinsicsSettings(Settings):
     """All of them."""
 
     agreement: AgreementSettings = AgreementSettings()

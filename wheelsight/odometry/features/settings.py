@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from wheelsight.odometry._velocity import LONGEST_STEP_S
+from wheelsight.settings import Settings
 
 
-class FeatureSettings(BaseModel):
+class FeatureSettings(Settings):
     """Settings of feature odometry; unknown names are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     reference: Literal["keyframes", "previous"] = Field(
         default="keyframes",
