@@ -37,14 +37,14 @@ def numeric(moved: object, about: FloatArray) -> FloatArray:
 def test_a_motion_is_told_from_the_anchor_with_what_its_alignment_left_uncertain(
     anchor: FloatArray, reference: FloatArray, by: FloatArray, seed: int
 ) -> None:
-    T_odom_anchor, T_odom_reference, T_reference_now = se3.exp(anchor), se3.exp(reference), se3.exp(by)
+    T_odom_anchor, T_map_reference, T_reference_now = se3.exp(anchor), se3.exp(reference), se3.exp(by)
     covariance = some_covariance(np.random.default_rng(seed))
     told = Anchor(T_odom_anchor, np.zeros((6, 6))).motion_to(
-        T_odom_reference @ T_reference_now, motion(T_reference_now, covariance)
+        T_map_reference @ T_reference_now, motion(T_reference_now, covariance)
     )
 
     def moved(xi: FloatArray) -> FloatArray:
-        return np.asarray(se3.invert(T_odom_anchor) @ T_odom_reference @ se3.exp(xi) @ T_reference_now)
+        return np.asarray(se3.invert(T_odom_anchor) @ T_map_reference @ se3.exp(xi) @ T_reference_now)
 
     np.testing.assert_allclose(told.T_reference_current, moved(np.zeros(6)), atol=1e-12)
     J = numeric(moved, moved(np.zeros(6)))
@@ -55,14 +55,14 @@ def test_a_motion_is_told_from_the_anchor_with_what_its_alignment_left_uncertain
 @settings(max_examples=30)
 @given(tangents, tangents, seeds)
 def test_an_anchors_own_uncertainty_is_that_of_its_frame(reference: FloatArray, by: FloatArray, seed: int) -> None:
-    """As a left perturbation in the frame itself: T_odom_camera exp(ξ)."""
-    T_odom_reference, T_reference_now = se3.exp(reference), se3.exp(by)
+    """As a left perturbation in the frame itself: T_map_camera exp(ξ)."""
+    T_map_reference, T_reference_now = se3.exp(reference), se3.exp(by)
     covariance = some_covariance(np.random.default_rng(seed))
-    T_odom_camera = T_odom_reference @ T_reference_now
-    anchor = Anchor.at(T_odom_camera, motion(T_reference_now, covariance))
+    T_map_camera = T_map_reference @ T_reference_now
+    anchor = Anchor.at(T_map_camera, motion(T_reference_now, covariance))
 
     def seen_from_it(xi: FloatArray) -> FloatArray:
-        return np.asarray(se3.invert(T_odom_camera) @ T_odom_reference @ se3.exp(xi) @ T_reference_now)
+        return np.asarray(se3.invert(T_map_camera) @ T_map_reference @ se3.exp(xi) @ T_reference_now)
 
     J = numeric(seen_from_it, np.eye(4))
     np.testing.assert_allclose(anchor.covariance, J @ covariance @ J.T, atol=1e-8)
@@ -74,15 +74,15 @@ def test_hidden_directions_span_the_same_motions_from_the_anchor(
     anchor: FloatArray, reference: FloatArray, by: FloatArray, count: int, seed: int
 ) -> None:
     hidden = np.linalg.qr(np.random.default_rng(seed).standard_normal((6, count)))[0].T
-    T_odom_anchor, T_odom_reference, T_reference_now = se3.exp(anchor), se3.exp(reference), se3.exp(by)
-    T_odom_now = T_odom_reference @ T_reference_now
+    T_odom_anchor, T_map_reference, T_reference_now = se3.exp(anchor), se3.exp(reference), se3.exp(by)
+    T_odom_now = T_map_reference @ T_reference_now
     at = Anchor(T_odom_anchor, np.zeros((6, 6)))
     told = at.motion_to(T_odom_now, motion(T_reference_now, 1e-6 * np.eye(6), hidden))
     assert told.degenerate is not None
     np.testing.assert_allclose(told.degenerate @ told.degenerate.T, np.eye(count), atol=1e-9)
     # The camera moved a little along each hidden direction of its reference, as the anchor sees it.
     for direction in hidden:
-        moved = T_odom_reference @ se3.exp(1e-6 * direction / _SCALE) @ T_reference_now
+        moved = T_map_reference @ se3.exp(1e-6 * direction / _SCALE) @ T_reference_now
         xi = se3.log(se3.invert(T_odom_anchor) @ moved @ se3.invert(se3.invert(T_odom_anchor) @ T_odom_now))
         xi = _SCALE * xi / 1e-6
         outside = xi - told.degenerate.T @ (told.degenerate @ xi)

@@ -13,29 +13,29 @@ from wheelsight.geometry import motion_kernels as motions
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
-    """A frame's pose by camera odometry, T_odom_camera (4, 4).
+    """A frame's pose by camera odometry, T_map_camera (4, 4).
 
     `covariance` (6, 6) is what its alignment left uncertain, in its own frame: all motions told against it share that.
     """
 
-    T_odom_camera: FloatArray
+    T_map_camera: FloatArray
     covariance: FloatArray
 
     @classmethod
-    def at(cls, T_odom_camera: FloatArray, motion: MotionEstimate) -> Anchor:
+    def at(cls, T_map_camera: FloatArray, motion: MotionEstimate) -> Anchor:
         """A frame at a pose, which `motion` against its own reference has told."""
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
-        return cls(T_odom_camera, motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
+        return cls(T_map_camera, motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
 
-    def motion_to(self, T_odom_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
+    def motion_to(self, T_map_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
         """The motion from here to a pose that odometry found by `motion` against a reference of its own.
 
         Its covariance is what the last alignment left uncertain; directions that this did not show are named.
         """
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
-        T_anchor_camera = motions.mended(motions.times(motions.inverse(self.T_odom_camera), T_odom_camera))
+        T_anchor_camera = motions.mended(motions.times(motions.inverse(self.T_map_camera), T_map_camera))
         T_anchor_reference = motions.times(T_anchor_camera, motions.inverse(motion.T_reference_current))
         covariance, hidden = motions.carried(T_anchor_reference, motion.covariance), None
         if motion.degenerate is not None and not motion.shows_all:

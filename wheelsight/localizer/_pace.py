@@ -17,9 +17,9 @@ class Pace:
         self._before: tuple[float, FloatArray] | None = None
         self._last: tuple[float, FloatArray] | None = None
 
-    def tell(self, stamp_s: float, T_odom_camera: FloatArray) -> None:
+    def tell(self, stamp_s: float, T_map_camera: FloatArray) -> None:
         """A tracked frame's pose (4, 4)."""
-        self._before, self._last = self._last, (stamp_s, T_odom_camera)
+        self._before, self._last = self._last, (stamp_s, T_map_camera)
 
     def expect(self, stamp_s: float) -> FloatArray | None:
         """T_last_current (4, 4) at constant velocity; None where that is unknown or too long ago."""

@@ -14,6 +14,7 @@ from wheelsight.estimates import MotionEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.keyframes import KeyframeFeatures
+from wheelsight.odometry._lens import maps_without_lens
 from wheelsight.odometry.dense.settings_parts import VerificationSettings
 from wheelsight.odometry.dense.views import KnownView
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
@@ -131,6 +132,4 @@ def _without_lens(calibration: Calibration) -> tuple[Calibration, Any]:
     depth = calibration.cameras[1]
     if calibration.is_registered or not depth.has_distortion:
         return calibration, None
-    size = (depth.width, depth.height)
-    maps = cv2.initUndistortRectifyMap(depth.K, np.array(depth.distortion), None, depth.K, size, cv2.CV_32FC1)
-    return replace(calibration, depth=replace(depth, distortion=(0.0,) * 5)), maps
+    return replace(calibration, depth=replace(depth, distortion=(0.0,) * 5)), maps_without_lens(depth)

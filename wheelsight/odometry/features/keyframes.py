@@ -11,6 +11,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeFeatures
+from wheelsight.odometry._lens import maps_without_lens
 from wheelsight.odometry.features.extraction import Features
 
 
@@ -25,7 +26,7 @@ class KeyframeMaker:
         T = calibration.T_color_depth
         self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
         self._rays = None if calibration.is_registered else self._depth.rays()
-        self._maps = _maps_without_lens(calibration) if self._depth.has_distortion else None
+        self._maps = maps_without_lens(self._depth) if self._depth.has_distortion else None
         self._thread = ThreadPoolExecutor(1, "wheelsight-keyframes")
 
     def keyframe(self, frame: RgbdFrame, features: Features) -> Future[Keyframe]:
@@ -55,11 +56,3 @@ class KeyframeMaker:
         px, is_inside = self._color.project(se3.apply(self._T_color_camera, (rays * depth_m[..., None])))
         px = np.where((is_inside & (depth_m > 0))[..., None], px, -2.0).astype(np.float32)
         return np.asarray(cv2.remap(grey, px[..., 0], px[..., 1], cv2.INTER_LINEAR), np.uint8)
-
-
-def _maps_without_lens(calibration: Calibration) -> tuple[Float32Array, Float32Array]:
-    """Where (h, w) in the images each pixel of the ideal camera is found: its column, and its row."""
-    depth = calibration.cameras[1]
-    size = (depth.width, depth.height)
-    maps = cv2.initUndistortRectifyMap(depth.K, np.array(depth.distortion), None, depth.K, size, cv2.CV_32FC1)
-    return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
