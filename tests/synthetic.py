@@ -45,6 +45,17 @@ def render_room(
     `seed` chooses the textures. `depth_noise` adds Kinect v1's σ(z) = 1.425e-3 z², seeded by pose and `seed`.
     `blank` paints every surface the same grey; depth stays.
     """
+    pose = np.ascontiguousarray(T_odom_camera, dtype=float).tobytes()
+    color, depth_m = _rendered(pose, camera, seed, depth_noise, blank)
+    return color.copy(), depth_m.copy()
+
+
+# Tests ask for the same few poses again and again: half a megabyte an image.
+@lru_cache(maxsize=256)
+def _rendered(
+    pose: bytes, camera: PinholeCamera, seed: int, depth_noise: bool, blank: bool
+) -> tuple[ByteArray, Float32Array]:
+    T_odom_camera = np.frombuffer(pose).reshape(4, 4)
     origin, rays = T_odom_camera[:3, 3], camera.rays() @ T_odom_camera[:3, :3].T
     depth_m, face = _cast(origin, rays.reshape(-1, 3))
     depth_m, face = depth_m.reshape(rays.shape[:2]), face.reshape(rays.shape[:2])
@@ -52,7 +63,7 @@ def render_room(
     if blank:
         color = np.full_like(color, 128)
     if depth_noise:
-        rng = np.random.default_rng([seed, *T_odom_camera.tobytes()])
+        rng = np.random.default_rng([seed, *pose])
         depth_m = depth_m + 1.425e-3 * depth_m**2 * rng.standard_normal(depth_m.shape)
     return color, depth_m.astype(np.float32)
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -45,12 +46,18 @@ def refusal(wheelsight: Callable[..., Result]) -> Callable[..., str]:
     return refuse
 
 
-@pytest.fixture
-def room(tmp_path: Path) -> Path:
-    """A sound recording of ten frames."""
-    folder = tmp_path / "room"
+@pytest.fixture(scope="session")
+def one_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `room` is a copy of."""
+    folder = tmp_path_factory.mktemp("one_room")
     make_tum_recording(folder, frames=10)
     return folder
+
+
+@pytest.fixture
+def room(one_room: Path, tmp_path: Path) -> Path:
+    """A sound recording of ten frames."""
+    return Path(shutil.copytree(one_room, tmp_path / "room"))
 
 
 @pytest.fixture

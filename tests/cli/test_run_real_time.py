@@ -18,8 +18,6 @@ from wheelsight.pipeline import RealTimeRecording
 from wheelsight.recordings import open_recording
 from wheelsight.settings import RealTimeSettings
 
-pytestmark = pytest.mark.timed
-
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
 JOINED = ("--realtime", "--odometry", "wheels,features")
