@@ -103,13 +103,13 @@ def test_no_pulse_is_lost_when_the_format_changes_at_full_speed(chip: Chip, port
         link.set_format(Format.PAPER)
     with WheelLink(port) as link:  # which knows nothing but what comes from here on
         wait(lambda: link.report().format is Format.PAPER)
-        chip.turn("left", 12 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
-        chip.turn("right", -12 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
+        chip.turn("left", 4 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
+        chip.turn("right", -4 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
         for wanted in (Format.FRAMED, Format.PAPER, Format.FRAMED, Format.PAPER):
             time.sleep(0.1)
             link.set_format(wanted)
             wait(lambda wanted=wanted: link.report().format is wanted)
-        wait(lambda: last(link) == (3 * FASTEST_PULSES_PER_S, -3 * FASTEST_PULSES_PER_S))
+        wait(lambda: last(link) == (FASTEST_PULSES_PER_S, -FASTEST_PULSES_PER_S))
         assert link.report().restarts == 0
 
 

@@ -28,7 +28,7 @@ def fit(simulated: SimulatedDrive, nominal: Wheels = NOMINAL, **options: object)
     return fit_wheels(nominal, drive_of(simulated), simulated.truth, **options)  # type: ignore[arg-type]
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(
     ratio=st.floats(0.98, 1.02),
     track_m=st.floats(0.45, 0.8),
