@@ -44,7 +44,7 @@ def render_room(
     """Colour (H, W, 3) uint8 and depth (H, W) float32 in metres as seen from a pose (4, 4) in the room.
 
     `seed` chooses the textures. `depth_noise` adds Kinect v1's σ(z) = 1.425e-3 z², seeded by pose and `seed`.
-    `blank` paints every surface the same grey; depth stays. `rows` are the first, and the one after the last, of a band.
+    `blank` paints every surface the same grey; depth stays. `rows`, a first one and an end, ask for a band alone.
     """
     pose = np.ascontiguousarray(T_odom_camera, dtype=float).tobytes()
     color, depth_m = _rendered(pose, camera, seed, depth_noise, blank, rows or (0, camera.height))
