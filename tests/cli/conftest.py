@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stand_ins import leave_pages_bare
 from synthetic import make_tum_recording
 from typer.testing import CliRunner, Result
 
@@ -22,6 +23,17 @@ from wheelsight.trajectory import Trajectory
 def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels are compiled on the way, not all of them ahead; what is said of that has its own test."""
     monkeypatch.setattr(kernels, "missing_parts", lambda parts: ())
+
+
+@pytest.fixture(autouse=True)
+def bare_pages(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "drawn_pages" not in request.fixturenames:
+        leave_pages_bare(monkeypatch)
+
+
+@pytest.fixture
+def drawn_pages() -> None:
+    """Asked for by tests that want the page of a run as it is."""
 
 
 @pytest.fixture

@@ -80,6 +80,7 @@ def test_the_page_shows_what_it_was_seen_by(wheelsight: Command, drive: Path, tm
     assert all(plot.alt for plot in page.plots.values())
 
 
+@pytest.mark.slow
 def test_the_page_draws(wheelsight: Command, chromium: str, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "base.yaml"
     assert wheelsight("calibrate", "base", drive, "--out", out).exit_code == 0

@@ -18,6 +18,7 @@ from wheelsight.trajectory import Trajectory, read_tum
 Command = Callable[..., Result]
 
 
+@pytest.mark.usefixtures("drawn_pages")
 def test_results_are_written_and_summed_up(wheelsight: Command, room: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = wheelsight("run", room, "--out", out)

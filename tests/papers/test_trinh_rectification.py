@@ -207,6 +207,7 @@ def test_the_table_stands_beside_the_papers(parts: dict[str, ModuleType]) -> Non
     assert rows[3][-1] == "8.9 m, 0.34"
 
 
+@pytest.mark.slow
 def test_the_figure_shows_truth_and_methods(
     parts: dict[str, ModuleType], world: Any, trial: Any, tmp_path: Path
 ) -> None:

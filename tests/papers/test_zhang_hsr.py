@@ -48,6 +48,7 @@ def colours(path: Path) -> set[tuple[int, ...]]:
     return set(map(tuple, image.reshape(-1, 3)[:, ::-1].tolist()))
 
 
+@pytest.mark.slow
 def test_prints_the_table_and_draws_both_figures(
     zhang_hsr: ModuleType, files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -77,6 +77,7 @@ def test_the_record_shows_the_map_from_above_and_along_the_way(room: Path, tmp_p
         assert np.corrcoef(shown[known], grey[known])[0, 1] > 0.7
 
 
+@pytest.mark.usefixtures("drawn_pages")
 @pytest.mark.slow
 def test_of_several_odometries_the_map_is_in_the_folder_of_its_own(tmp_path: Path) -> None:
     make_room_drive(tmp_path / "drive", frames=4)
@@ -183,6 +184,7 @@ def test_a_map_of_an_earlier_run_goes(room: Path, tmp_path: Path) -> None:
     assert names_in(tmp_path) == FILES
 
 
+@pytest.mark.usefixtures("drawn_pages")
 def test_where_nothing_could_be_followed_the_map_is_empty_and_said_so(tmp_path: Path) -> None:
     covered = [RgbdFrame(0.1 * k, np.zeros((24, 32, 3), np.uint8), np.zeros((24, 32), np.float32), k) for k in range(3)]
     record = run(MemoryRecording(covered), mapped(), tmp_path / "out")

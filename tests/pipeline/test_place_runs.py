@@ -110,6 +110,7 @@ def test_the_papers_way_has_neither_belief_nor_trust(tmp_path: Path) -> None:
     assert (figures["belief_accuracy"], figures["lowest_trust"]) == (None, None)
 
 
+@pytest.mark.usefixtures("drawn_pages")
 def test_a_start_taken_from_the_truth_is_told(tmp_path: Path) -> None:
     records = run_each(shortened(area_recording(tmp_path)), by_areas(tmp_path), tmp_path / "out")
     assert any("taken from the ground truth" in warning for warning in records[1].warnings)

@@ -90,6 +90,7 @@ def test_images_that_came_before_are_no_frames_but_counted_and_told(
     assert (summary.frames, summary.posed, summary.skips) == (20, 20, (("the same image as before", 20),))
 
 
+@pytest.mark.usefixtures("drawn_pages")
 def test_without_ground_truth_the_rest_is_written(tmp_path: Path, truth: Trajectory) -> None:
     record = run(MemoryRecording(frames_at(truth)), Config(), tmp_path)
     assert record.evaluation is None

@@ -28,6 +28,7 @@ def test_without_depth_nothing_is_shown() -> None:
     assert fine_share(frame, np.eye(4), 0.5) == 0.0
 
 
+@pytest.mark.slow
 def test_on_the_way_to_a_wall_keyframes_are_made_though_all_stays_in_sight() -> None:
     subject, made = dense(), []
     for k in range(60):
