@@ -16,7 +16,7 @@ from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
 
 # Gates off and no pull to level: what is left is a plain Kalman filter, whose NEES and NIS are χ².
 PLAIN = ErrorStateSettings(level_sigma_rad=None, confidence=1 - 1e-9, clock_sigma_s=0.0)
-RUNS = 200
+RUNS = 100
 ALONG = np.array([[0.0, 0, 1, 0, 0, 0]])
 FAULTS = {
     "every measurement": lambda t, motion: motion,
