@@ -64,7 +64,8 @@ class MemoryRecording:
             for event in self.given:
                 if isinstance(event, RgbdFrame | SkippedFrame) and not images:
                     continue
-                time.sleep(self.decoding_s)
+                if self.decoding_s > 0:
+                    time.sleep(self.decoding_s)
                 if isinstance(event, BaseException):
                     raise event
                 yield event

@@ -131,6 +131,7 @@ def test_what_may_not_stand_beside_its_file_stands_in_the_users_cache(area: Area
     assert area.run(**environment)[:2] == (6.0, 1)
 
 
+@pytest.mark.slow
 def test_processes_that_compile_at_once_leave_one_that_all_use(area: Area) -> None:
     for process in [area.start(), area.start()]:
         assert outcome(process)[0] == 6.0

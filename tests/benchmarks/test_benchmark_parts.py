@@ -31,6 +31,7 @@ def test_damage_and_noise_are_judged_by_what_the_checksum_lets_through() -> None
     assert judge_link(figures(noise, Outcome(damaged=100_000, wrong=3)))[4].is_met  # 1.5 are expected
 
 
+@pytest.mark.slow
 def test_latency_is_from_the_real_daemon() -> None:
     latencies_ms = measure_latency_ms(frames=20)
     assert latencies_ms.shape == (20,)

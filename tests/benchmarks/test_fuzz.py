@@ -20,6 +20,7 @@ def test_every_reader_takes_its_sound_files(tmp_path: Path) -> None:
         target.read(folder)
 
 
+@pytest.mark.slow
 def test_readers_that_fail_hang_die_or_fill_memory_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fuzz, "LONGEST_S", 4.0)
     outcome = fuzz.fuzz(6, are_controls=True)

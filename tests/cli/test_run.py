@@ -143,6 +143,7 @@ def test_a_blackout_of_two_seconds_is_lost_and_found_again(wheelsight: Command, 
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["evaluation"]["ate_m"]["max"] < 0.02
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
     make_tum_recording(tmp_path / "room", frames=20)
     out = tmp_path / "out"

@@ -55,6 +55,7 @@ def test_a_recording_takes_as_long_as_it_took_and_says_how_that_went(
     assert f"latency {played['latency_median_ms']:.0f} ms median" in line
 
 
+@pytest.mark.slow
 def test_a_terminal_sees_how_it_keeps_up(
     wheelsight: Command, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -83,6 +84,7 @@ def test_wheels_alone_are_played_too(
     assert (played["readings"], played["frames"]) == (count, 0)
 
 
+@pytest.mark.slow
 def test_wheels_of_a_file_take_the_place_of_the_recordings(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
     lines = (drive / "wheels.csv").read_text().splitlines()
     (tmp_path / "half.csv").write_text("\n".join([lines[0], *lines[1::2]]) + "\n")

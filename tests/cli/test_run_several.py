@@ -33,6 +33,7 @@ def test_several_are_summed_up_in_one_row_each(wheelsight: Command, drive: Path,
     assert (out / "features" / "trajectory.txt").is_file()
 
 
+@pytest.mark.slow
 def test_a_terminal_sees_all_events_pass_by(
     wheelsight: Command, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

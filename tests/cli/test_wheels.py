@@ -97,6 +97,7 @@ def test_serve_tells_poses_and_ends_cleanly(
     assert "lines sent" in told
 
 
+@pytest.mark.slow
 def test_readers_of_serve_come_and_go(controller: SimulatedController, served: Served) -> None:
     controller.speeds = (10, 20)
     for _ in range(3):
@@ -108,6 +109,7 @@ def test_readers_of_serve_come_and_go(controller: SimulatedController, served: S
     assert served.process.poll() is None
 
 
+@pytest.mark.slow
 def test_serve_waits_for_a_port_that_vanished(controller: SimulatedController, served: Served) -> None:
     read_lines(served.pipe, 3)
     controller.vanish()

@@ -15,6 +15,8 @@ from wheelsight.devices.link import LinkStatus, WheelLink
 from wheelsight.devices.recognition import Format
 from wheelsight.events import WheelTicks
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def port(chip: Chip) -> Iterator[str]:

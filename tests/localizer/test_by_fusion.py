@@ -140,7 +140,7 @@ def test_the_camera_is_handed_the_motion_that_wheels_expect(ran: Callable[..., R
     assert max(steps_m) > 0.2  # over the gap
 
 
-@pytest.mark.parametrize("kind", ["dense", "features"])
+@pytest.mark.parametrize("kind", ["dense", pytest.param("features", marks=pytest.mark.slow)])
 def test_a_blackout_is_coasted_and_the_map_waits(ran: Callable[..., Run], kind: str) -> None:
     run = ran(drive(faults=only((2.0, 3.5), Sight(Reason.TOO_LITTLE_DEPTH))), kind)
     dark = between(run, 2.0, 3.5)
@@ -159,7 +159,7 @@ def test_a_blackout_is_coasted_and_the_map_waits(ran: Callable[..., Run], kind: 
     assert not run[1].restarts
 
 
-@pytest.mark.parametrize("kind", ["dense", "features"])
+@pytest.mark.parametrize("kind", ["dense", pytest.param("features", marks=pytest.mark.slow)])
 def test_where_nothing_known_is_in_sight_the_camera_starts_again_where_wheels_have_it(
     ran: Callable[..., Run], kind: str
 ) -> None:
@@ -207,7 +207,7 @@ def test_blind_frames_alone_never_start_the_camera_again(ran: Callable[..., Run]
     assert {a.status for a in between(run, 2.1, 99)} == {Status.TRACKING}
 
 
-@pytest.mark.parametrize("kind", ["dense", "features"])
+@pytest.mark.parametrize("kind", ["dense", pytest.param("features", marks=pytest.mark.slow)])
 def test_a_camera_that_leaps_away_is_not_believed_nor_mapped(ran: Callable[..., Run], kind: str) -> None:
     run = ran(drive(faults=only((2.0, 3.5), Sight(wrong=(0.0, 0.5, 0.3)))), kind)
     told = between(run, 2.0, 3.5)

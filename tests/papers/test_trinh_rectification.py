@@ -105,6 +105,7 @@ def trial(parts: dict[str, ModuleType], world: Any) -> Any:
     )
 
 
+@pytest.mark.slow
 def test_both_ways_rectify_and_the_probabilistic_one_by_far_the_most(trial: Any) -> None:
     """The order that the paper's table and the page beside it claim, on drives that no forest has seen."""
     alone = trial.errors["wheels"].mean_m

@@ -50,6 +50,7 @@ def test_wheels_are_followed_alone_and_rectified(tmp_path: Path) -> None:
     assert len(written) == readings + len(area_drive().frames)
 
 
+@pytest.mark.slow
 def test_beside_a_camera_they_are_rectified_and_joined(tmp_path: Path) -> None:
     given = {"odometry": "wheels,features", "places.model": by_areas(tmp_path).places.model}
     out, config = tmp_path / "out", load_config(overrides=given)

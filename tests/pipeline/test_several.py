@@ -24,6 +24,7 @@ from wheelsight.runs import run, run_each
 from wheelsight.trajectory import Trajectory, read_tum
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("real_odometry")
 def test_several_odometries_answer_one_pass_as_each_alone_would(tmp_path: Path) -> None:
     make_room_drive(tmp_path / "room")

@@ -207,6 +207,7 @@ class Luring:
         return PredictedView(depth_m, normal, spot(color)[..., 0].astype(np.float32))
 
 
+@pytest.mark.slow
 def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace() -> None:
     """A spot is too little to tell the motion, yet enough to pull; it does so by as much in every frame."""
     poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(15)]

@@ -50,6 +50,7 @@ def test_tilt_is_that_of_the_robot() -> None:
         np.testing.assert_allclose(tilt_of(up), (roll, pitch), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_stated() -> None:
     """Normalised error squared of three quantities over forty noisy drives; what no camera betters is added to σ."""
     truth = np.array([*tilt_of(MOUNT[2, :3]), MOUNT[2, 3]])

@@ -154,6 +154,7 @@ def test_landmarks_and_views_go_with_the_keyframe_that_made_them(rng, points):
     np.testing.assert_allclose(moved.covariance, Ad @ Ad.T, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_long_drive_stays_within_its_memory():
     """Back and forth, with so few keyframes kept that most are forgotten: tracking goes on, arrays stay bounded."""
     truth = wobbling_trajectory(90, speed=4.0)

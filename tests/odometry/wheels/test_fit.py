@@ -28,6 +28,7 @@ def fit(simulated: SimulatedDrive, nominal: Wheels = NOMINAL, **options: object)
     return fit_wheels(nominal, drive_of(simulated), simulated.truth, **options)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(
     ratio=st.floats(0.98, 1.02),
