@@ -55,6 +55,7 @@ def test_a_run_measures_a_contender_in_its_own_processes(bench_data: Path) -> No
     assert figures.accuracy.ate_m is not None
     assert figures.accuracy.ate_m < 0.005
     assert 0 < figures.median_ms <= figures.p95_ms
+    assert figures.peak_memory_mb is not None
     assert 20 < figures.peak_memory_mb < 2000
 
 

@@ -79,7 +79,7 @@ def wheels(tmp_path: Path) -> Path:
     stamps_s, left, right = 0.02 * np.arange(200), 30 * np.arange(200), 40 * np.arange(200)
     with RecordingWriter(tmp_path / "wheels", Calibration(wheels=robot, source="our robot")) as writer:
         path = integrate_log(robot, stamps_s, left, right).trajectory()
-        writer.add_ground_truth(Trajectory(stamps_s, path.T_frame_body, body="base"))
+        writer.add_ground_truth(Trajectory(path.stamps_s, path.T_frame_body, body="base"))
         for reading in zip(stamps_s.tolist(), left.tolist(), right.tolist(), strict=True):
             writer.add(WheelTicks(*reading))
     return tmp_path / "wheels"

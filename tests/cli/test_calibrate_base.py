@@ -169,5 +169,5 @@ def test_a_simulated_drive_from_end_to_end(wheelsight: Command, tmp_path: Path) 
     assert result.exit_code == 0, result.output
     metrics = json.loads((tmp_path / "run" / "joined" / "metrics.json").read_text())
     assert metrics["evaluation"]["ate_m"]["rmse"] < 0.03
-    settings = load_config(tmp_path / "run" / "config.yaml").recording
-    assert settings.calibration == (str(sizes), str(out))
+    recording = load_config(tmp_path / "run" / "config.yaml").recording
+    assert recording.calibration == (str(sizes), str(out))

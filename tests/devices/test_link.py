@@ -249,8 +249,9 @@ def test_a_program_that_ends_in_any_way_stops_the_motors(
         {ending}
     """)
     arguments = [sys.executable, "-c", program, port]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(arguments, **pipes) as process:
+    pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
+    with subprocess.Popen(arguments, stdin=pipe, stdout=pipe, stderr=nowhere) as process:
+        assert process.stdout is not None
         assert process.stdout.readline() == b"driving\n"
         wait(lambda: controller.duties == (500, 500))
         process.communicate(b"\n", timeout=30)
@@ -335,4 +336,5 @@ def test_ticks_that_nobody_fetches_are_dropped_from_the_oldest(
         newest = link.report().last
         gathered = waiting(link)
     assert len(gathered) <= 6
+    assert newest is not None
     assert gathered[-1].left >= newest.left

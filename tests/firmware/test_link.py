@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import pairwise
 
 import pytest
@@ -46,6 +47,10 @@ def last(link: WheelLink) -> tuple[int, int] | None:
     """The newest counts that the link gave out."""
     ticks = link.report().last
     return None if ticks is None else (ticks.left, ticks.right)
+
+
+def has_format(link: WheelLink, wanted: Format) -> bool:
+    return link.report().format is wanted
 
 
 def turn_at_full_speed(chip: Chip) -> tuple[int, int]:
@@ -110,7 +115,7 @@ def test_no_pulse_is_lost_when_the_format_changes_at_full_speed(chip: Chip, port
         for wanted in (Format.FRAMED, Format.PAPER, Format.FRAMED, Format.PAPER):
             time.sleep(0.1)
             link.set_format(wanted)
-            wait(lambda wanted=wanted: link.report().format is wanted)
+            wait(partial(has_format, link, wanted))
         wait(lambda: last(link) == (FASTEST_PULSES_PER_S, -FASTEST_PULSES_PER_S))
         assert link.report().restarts == 0
 
@@ -121,7 +126,7 @@ def test_a_change_of_format_is_no_motion(chip: Chip, port: str) -> None:
         wait(lambda: last(link) == expected)
         for wanted in (Format.PAPER, Format.FRAMED, Format.PAPER, Format.FRAMED):
             link.set_format(wanted)
-            wait(lambda wanted=wanted: link.report().format is wanted)
+            wait(partial(has_format, link, wanted))
         time.sleep(0.1)
         assert last(link) == expected
 

@@ -65,7 +65,9 @@ def test_the_record_shows_the_map_from_above_and_along_the_way(room: Path, tmp_p
     assert record.map.plan is not None
     assert not record.map.is_levelled
     # The room's z axis points up, and the camera, which is tilted, is the map's world.
-    R_room_odom = open_recording(room).ground_truth.T_frame_body[0, :3, :3]
+    truth = open_recording(room).ground_truth
+    assert truth is not None
+    R_room_odom = truth.T_frame_body[0, :3, :3]
     np.testing.assert_allclose(R_room_odom @ record.map.plan.R_plan_map[2], [0, 0, 1], atol=0.03)
     assert len(record.map.pictures) == 2
     for picture in record.map.pictures:
@@ -94,7 +96,9 @@ def test_of_several_odometries_the_map_is_in_the_folder_of_its_own(tmp_path: Pat
     assert by_name["wheels"].map is None
     assert by_name["dense"].map is not None
     assert by_name["dense"].map.is_levelled
-    np.testing.assert_array_equal(by_name["dense"].map.plan.R_plan_map, np.eye(3))
+    plan = by_name["dense"].map.plan
+    assert plan is not None
+    np.testing.assert_array_equal(plan.R_plan_map, np.eye(3))
     assert 'id="dense-map"' in (out / "report.html").read_text()
 
 

@@ -220,7 +220,7 @@ def test_a_frame_of_another_size_breaks_the_run_off_and_keeps_what_was(tmp_path:
 
 def test_models_and_areas_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     recording = area_recording(tmp_path)
-    others = AreaMap((*list(AREAS)[:2], Area("cellar", [[-2, 10], [20, 10], [20, 13], [-2, 13]], y_m=11.0)))
+    others = AreaMap((*list(AREAS)[:2], Area("cellar", np.array([[-2.0, 10], [20, 10], [20, 13], [-2, 13]]), y_m=11.0)))
     save_areas(others, tmp_path / "others.yaml")
     with pytest.raises(PlaceError, match=r"three.places: the model knows area 'cellar' not"):
         run_each(recording, by_areas(tmp_path, areas=str(tmp_path / "others.yaml")), tmp_path / "out")

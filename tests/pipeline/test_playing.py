@@ -45,7 +45,7 @@ def play(clock: VirtualClock, items: Iterator[Event | ListedFrame], work: Callab
 
 
 def said_by(playing: Playing) -> list[Said]:
-    return playing.said  # type: ignore[attr-defined, no-any-return]
+    return playing.said  # type: ignore[attr-defined]
 
 
 def indices(playing: Playing) -> list[int]:
@@ -128,7 +128,8 @@ def test_at_most_a_few_frames_are_held_however_long_nobody_takes_them() -> None:
 
 
 def test_a_frame_that_was_overtaken_before_it_was_decoded_never_is() -> None:
-    clock, read = VirtualClock(), []
+    clock = VirtualClock()
+    read: list[int] = []
     playing = play(clock, iter(listed(clock, 40, 0.15, read)), lambda _: 0.0)
     assert playing.unread == playing.dropped == 40 - len(read) > 5
     assert indices(playing) == read
