@@ -28,7 +28,7 @@ def driven(driver: Driver, limit_s: float = 300.0) -> tuple[FloatArray, list[Com
     x, y, yaw = driver.T_world_start[0, 3], driver.T_world_start[1, 3], None
     yaw = math.atan2(driver.T_world_start[1, 0], driver.T_world_start[0, 0])
     states: list[tuple[float, float, float]] = [(x, y, yaw)]
-    commands: list[tuple[float, float]] = []
+    commands: list[Command] = []
     for i in range(round(limit_s / COMMAND_PERIOD_S)):
         command = driver.command(i * COMMAND_PERIOD_S, se3.from_plane(x, y, yaw))
         if command is None:

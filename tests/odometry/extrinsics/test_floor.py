@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ def views_of(T_base_camera: FloatArray, rng: np.random.Generator | None = None) 
 
 
 def mount(**angles: float) -> FloatArray:
-    return Robot(**{f"camera_{name}": value for name, value in angles.items()}).T_base_camera
+    named: dict[str, Any] = {f"camera_{name}": value for name, value in angles.items()}
+    return Robot(**named).T_base_camera
 
 
 @pytest.mark.parametrize(
