@@ -163,6 +163,7 @@ def test_what_swapped_wheels_and_mirrored_images_have_alike_is_covered(run: Run)
         assert all(nearby(answer, made) for answer in frames)
 
 
+@pytest.mark.slow
 def test_a_gyroscope_tells_which_it_is(run: Run) -> None:
     made = drive(LEGS)
     swapped = wheels_that(lambda left, right: (right, left), made.events())

@@ -280,6 +280,7 @@ def test_the_map_is_tracked_where_it_shows_what_frames_see_and_the_base_goes_str
     assert not any(tracked[True, True] + tracked[False, False])
 
 
+@pytest.mark.slow
 def test_the_map_is_tracked_in_turns_too_right_after_a_look_that_was_not_believed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -298,6 +299,7 @@ def test_the_map_is_tracked_in_turns_too_right_after_a_look_that_was_not_believe
     assert not any(tracked[False])
 
 
+@pytest.mark.slow
 def test_in_a_turn_keyframes_are_tracked_once_it_is_the_wheels_that_are_not_believed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -388,6 +390,7 @@ def test_a_camera_starts_again_where_its_frame_was_taken_however_late_it_comes(m
     assert np.linalg.norm((poses[1] - poses[0])[:3, 3]) < 0.005
 
 
+@pytest.mark.slow
 def test_frames_that_come_late_end_where_those_in_time_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a live robot readings come at once, and frames when they are decoded."""
     made = drive()

@@ -85,6 +85,7 @@ def before_boards(T_map_camera: np.ndarray, stamp_s: float) -> RgbdFrame:
     return RgbdFrame(stamp_s, np.repeat(np.rint(grey).astype(np.uint8)[..., None], 3, axis=2), depth_m)
 
 
+@pytest.mark.slow
 def test_what_stands_out_before_a_wall_does_not_carry_the_camera_along() -> None:
     """Its rim is spread over the wall, whose depth makes of it a longer way."""
     off_m = []

@@ -176,7 +176,7 @@ class Faded:
         return PredictedView(depth_m, normal, np.full(shape, 128, np.float32))
 
 
-@pytest.mark.parametrize("is_painted", [True, False])
+@pytest.mark.parametrize("is_painted", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_what_faded_in_a_map_is_seen_by_the_frame_before(is_painted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Marks of a wall that the map has lost still tell the way along it; where there are none, tracking ends."""
     monkeypatch.setattr(KeypointLocator, "locate", lambda *_: None)

@@ -26,7 +26,7 @@ MOUNTS = {
 }
 
 
-@pytest.mark.parametrize("name", MOUNTS)
+@pytest.mark.parametrize("name", ["aside", *(pytest.param(name, marks=pytest.mark.slow) for name in [*MOUNTS][1:])])
 def test_mount_and_delay_are_found(rng: np.random.Generator, name: str) -> None:
     """With wheels 2 % off, slips, and a camera 40 ms late, within half a degree, a centimetre and five milliseconds."""
     T_base_camera = MOUNTS[name]

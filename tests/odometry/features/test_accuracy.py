@@ -22,7 +22,8 @@ def noisy():
     return room_frames(TRUTH, depth_noise=True)
 
 
-@pytest.mark.parametrize("reference", ["keyframes", pytest.param("previous", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("reference", MODES)
 def test_the_stated_covariance_is_that_of_the_errors(reference, noisy):
     """Over three rooms, NEES/6 near 1; errors of one recording hang together, so the band is wide."""
     mean = []

@@ -183,6 +183,7 @@ def test_a_reference_of_the_camera_is_refused() -> None:
         fit_wheels(NOMINAL, drive_of(simulated), camera)
 
 
+@pytest.mark.slow
 def test_swapped_and_backward_wheels_are_named() -> None:
     simulated = simulate(TRUE)
     swapped = drive_from_ticks(NOMINAL, simulated.stamps_s, simulated.right, simulated.left)
