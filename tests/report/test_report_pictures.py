@@ -65,4 +65,4 @@ def test_the_page_gets_a_jpeg() -> None:
     image = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     assert image.shape == draw_matches(picture).shape
-    assert abs(image.astype(int) - draw_matches(picture)).mean() < 25
+    assert abs(image[..., ::-1].astype(int) - draw_matches(picture)).mean() < 25
