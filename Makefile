@@ -14,12 +14,10 @@ ODOMETRY ?=
 OUT ?= out/demo
 # Processes that tests are shared between; the one that runs out of tests takes of another's.
 WORKERS ?= auto
-# What ARGS choose may all be of one kind: pytest ends with 5 where it chose nothing.
-OR_NONE := [ $$? -eq 5 ]
 
 VENV := .venv
 BIN := $(VENV)/bin
-QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),, and not slow)
+QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 
 .PHONY: demo test check bench docs firmware wheel clean
 
@@ -35,9 +33,10 @@ demo: $(VENV)/.installed-report
 	$(BIN)/wheelsight run "$(RECORDING)" $(if $(ODOMETRY),--odometry "$(ODOMETRY)") --out "$(OUT)/results" --force
 endif
 
+# What pytest and programs that tests start have translated is kept for the next, wherever the environment says otherwise.
+test: export PYTHONDONTWRITEBYTECODE :=
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m "not timed$(QUICK)" $(ARGS) || $(OR_NONE)
-	$(BIN)/python -m pytest -m "timed$(QUICK)" $(ARGS) || $(OR_NONE)
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(QUICK) $(ARGS)
 
 check: $(VENV)/.installed-dev docs
 	$(BIN)/ruff check

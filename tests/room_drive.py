@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from drives import simulate
@@ -26,6 +28,23 @@ def make_room_drive(folder: Path, frames: int = 12, *, with_truth: bool = True, 
     It stands for a second, drives for `frames` frames, and stands for another second.
     Not `mounted`, its calibration does not tell where the camera is on the base, and the truth is the camera's.
     """
+    truth, files = _made(frames, with_truth, mounted)
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    return truth
+
+
+@lru_cache(maxsize=8)
+def _made(frames: int, with_truth: bool, mounted: bool) -> tuple[Trajectory, dict[Path, bytes]]:
+    """The truth, and what is in each file by its name: many tests ask for the same drive."""
+    with TemporaryDirectory() as name:
+        folder = Path(name) / "drive"
+        truth = _write(folder, frames, with_truth, mounted)
+        return truth, {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def _write(folder: Path, frames: int, with_truth: bool, mounted: bool) -> Trajectory:
     rng = np.random.default_rng(11)
     drive = simulate(WHEELS, [(frames * _STEPS_A_FRAME / 50, 0.4, 0.3)])
     truth = drive.truth.moved(_T_WORLD_START)

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import pytest
 
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.files import write_text
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 from wheelsight.recordings import AssociationReport
@@ -62,7 +64,8 @@ class MemoryRecording:
             for event in self.given:
                 if isinstance(event, RgbdFrame | SkippedFrame) and not images:
                     continue
-                time.sleep(self.decoding_s)
+                if self.decoding_s > 0:
+                    time.sleep(self.decoding_s)
                 if isinstance(event, BaseException):
                     raise event
                 yield event
@@ -101,3 +104,9 @@ class TrueOdometry:
         return FeatureEstimate(
             frame.stamp_s, Status.TRACKING, T, 1e-6 * Ad @ Ad.T, None, "camera", 3, 2, matched=matched
         )
+
+
+def leave_pages_bare(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let runs write a page without figures: drawing them takes most of a short run's time, and has its own tests."""
+    for name in ("write_report", "write_comparison"):
+        monkeypatch.setattr(f"wheelsight.report.pages.{name}", lambda records, path: write_text(path, "<html></html>"))

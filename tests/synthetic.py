@@ -39,20 +39,32 @@ def render_room(
     seed: int = 0,
     depth_noise: bool = False,
     blank: bool = False,
+    rows: tuple[int, int] | None = None,
 ) -> tuple[ByteArray, Float32Array]:
     """Colour (H, W, 3) uint8 and depth (H, W) float32 in metres as seen from a pose (4, 4) in the room.
 
     `seed` chooses the textures. `depth_noise` adds Kinect v1's σ(z) = 1.425e-3 z², seeded by pose and `seed`.
-    `blank` paints every surface the same grey; depth stays.
+    `blank` paints every surface the same grey; depth stays. `rows`, a first one and an end, ask for a band alone.
     """
-    origin, rays = T_odom_camera[:3, 3], camera.rays() @ T_odom_camera[:3, :3].T
+    pose = np.ascontiguousarray(T_odom_camera, dtype=float).tobytes()
+    color, depth_m = _rendered(pose, camera, seed, depth_noise, blank, rows or (0, camera.height))
+    return color.copy(), depth_m.copy()
+
+
+# Tests ask for the same few poses again and again: half a megabyte an image.
+@lru_cache(maxsize=256)
+def _rendered(
+    pose: bytes, camera: PinholeCamera, seed: int, depth_noise: bool, blank: bool, rows: tuple[int, int]
+) -> tuple[ByteArray, Float32Array]:
+    T_odom_camera = np.frombuffer(pose).reshape(4, 4)
+    origin, rays = T_odom_camera[:3, 3], camera.rays()[slice(*rows)] @ T_odom_camera[:3, :3].T
     depth_m, face = _cast(origin, rays.reshape(-1, 3))
     depth_m, face = depth_m.reshape(rays.shape[:2]), face.reshape(rays.shape[:2])
     color = _paint(origin + rays * depth_m[..., None], face, seed)
     if blank:
         color = np.full_like(color, 128)
     if depth_noise:
-        rng = np.random.default_rng([seed, *T_odom_camera.tobytes()])
+        rng = np.random.default_rng([seed, *pose])
         depth_m = depth_m + 1.425e-3 * depth_m**2 * rng.standard_normal(depth_m.shape)
     return color, depth_m.astype(np.float32)
 

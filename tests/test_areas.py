@@ -80,7 +80,7 @@ def test_neighbours_touch_or_come_close():
 
 
 def test_what_is_saved_is_what_is_loaded(tmp_path: Path):
-    areas = AreaMap((*floor().areas, Area("Flur Süd", [[20, 0], [21, 0.1], [20.5, 1 / 3]], 20.5, 0.1)))
+    areas = AreaMap((*floor().areas, Area("Flur Süd", np.array([[20, 0], [21, 0.1], [20.5, 1 / 3]]), 20.5, 0.1)))
     save_areas(areas, tmp_path / "areas.yaml")
     loaded = load_areas(tmp_path / "areas.yaml")
     assert loaded.names == areas.names

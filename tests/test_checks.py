@@ -21,7 +21,7 @@ from wheelsight.odometry.wheels import WheelOdometry
 
 CALIBRATION = Calibration.registered_camera(CAMERA, wheels=Wheels(0.17, 0.17, 0.5, 3200.0), T_base_camera=np.eye(4))
 FRAME = RgbdFrame(1.0, *render_room(wobbling_trajectory(1).T_frame_body[0]))
-AREAS = AreaMap((Area("hall", [[0, 0], [1, 0], [1, 1], [0, 1]], x_m=0.5),))
+AREAS = AreaMap((Area("hall", np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), x_m=0.5),))
 WRONG_FRAMES = (
     ({"color": FRAME.color[..., 0]}, r"color is of shape \(240, 320\), not \(240, 320, 3\)"),
     ({"color": FRAME.color[::2]}, r"color is of shape \(120, 320, 3\), not \(240, 320, 3\)"),
@@ -71,7 +71,7 @@ def test_numbers_that_are_none_are_refused(event: Any, told: str) -> None:
 
 def test_numbers_of_numpy_are_numbers() -> None:
     localizer = Localizer(CALIBRATION, load_config(overrides={"odometry": "wheels"}))
-    assert localizer.process(WheelTicks(np.float64(1.0), np.int32(3), np.int64(4))) is not None
+    assert localizer.process(WheelTicks(np.float64(1.0), np.int32(3), np.int64(4))) is not None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

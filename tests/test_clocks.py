@@ -160,7 +160,8 @@ def test_leaps_without_end_are_told_ten_times() -> None:
     )
 )
 def test_whatever_comes_the_times_of_a_sensor_grow(given_events: list[tuple[int, float, int]]) -> None:
-    clock, last, stamp_s = SessionClock(), {}, 0.0
+    clock, stamp_s = SessionClock(), 0.0
+    last: dict[int, float] = {}
     for kind, value, how in given_events:
         stamp_s = value if how == 0 else stamp_s + 0.02 * how
         event = (WheelTicks(stamp_s, 0, 0), SkippedFrame(stamp_s, ""), YawRate(stamp_s, 0.0))[kind]

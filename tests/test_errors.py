@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -35,7 +36,7 @@ def test_the_tree_in_the_docstring_is_the_tree() -> None:
         ({"path": "two  blanks/rgb.txt"}, "two  blanks/rgb.txt: is wrong"),
     ],
 )
-def test_a_message_names_place_problem_and_fix(keywords: dict[str, object], message: str) -> None:
+def test_a_message_names_place_problem_and_fix(keywords: dict[str, Any], message: str) -> None:
     error = InputError("is wrong", **keywords)
     assert str(error) == message
     assert error.problem == "is wrong"

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from pipeline.made import wheel_recording
+from typer.testing import CliRunner, Result
 
 import wheelsight
+from wheelsight.cli import app
 from wheelsight.errors import ConfigError
 from wheelsight.extras import needed, why_missing
+from wheelsight.pipeline import kernels
 from wheelsight.recordings import write_recording
 
 LIBRARIES = ("plotly", "sklearn", "skops")
@@ -32,9 +37,15 @@ def run_without(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
 
 
-def wheelsight_without(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """The command."""
-    return run_without(f"sys.argv = {['wheelsight', *arguments]!r}\nfrom wheelsight.cli import main\nmain()", folder)
+@pytest.fixture
+def wheelsight_without(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Result]:
+    """Runs a command in `tmp_path` and this process, which cannot import the libraries of extras either."""
+    loaded = {name for name in sys.modules if name.partition(".")[0] in LIBRARIES}
+    for name in loaded.union(LIBRARIES):
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setattr(kernels, "missing_parts", lambda parts: ())  # what is said of that has its own test
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: CliRunner().invoke(app, arguments)
 
 
 def test_no_module_loads_them_when_imported(tmp_path: Path) -> None:
@@ -43,12 +54,14 @@ def test_no_module_loads_them_when_imported(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_a_run_without_plotly_leaves_all_but_the_page_and_says_what_to_install(tmp_path: Path) -> None:
+def test_a_run_without_plotly_leaves_all_but_the_page_and_says_what_to_install(
+    wheelsight_without: Callable[..., Result], tmp_path: Path
+) -> None:
     write_recording(tmp_path / "drive", wheel_recording(100))
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "report.html").write_text("of an earlier run")
-    done = wheelsight_without(tmp_path, "run", "drive", "--odometry", "wheels", "--out", "out", "--force")
-    assert done.returncode == 0, done.stderr
+    done = wheelsight_without("run", "drive", "--odometry", "wheels", "--out", "out", "--force")
+    assert done.exit_code == 0, done.output
     assert "no page is drawn: plotly is missing (pip install plotly)" in " ".join(done.stderr.split())
     files = {path.name for path in (tmp_path / "out").iterdir()}
     assert files == {"trajectory.txt", "status.csv", "metrics.json", "config.yaml"}
@@ -63,22 +76,15 @@ def test_a_run_without_plotly_leaves_all_but_the_page_and_says_what_to_install(t
         (("predict", "a.places", "drive", "--out", "new.csv"), "skops"),
     ],
 )
-def test_places_say_what_to_install(tmp_path: Path, arguments: tuple[str, ...], library: str) -> None:
+def test_places_say_what_to_install(
+    wheelsight_without: Callable[..., Result], tmp_path: Path, arguments: tuple[str, ...], library: str
+) -> None:
     (tmp_path / "drive").mkdir()
     (tmp_path / "a.places").write_bytes(b"")
-    done = wheelsight_without(tmp_path, "places", *arguments)
-    assert done.returncode == 2
+    done = wheelsight_without("places", *arguments)
+    assert done.exit_code == 2
     assert f"{library} is missing (pip install scikit-learn skops)" in " ".join(done.stderr.split())
     assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_a_figure_says_what_to_install(tmp_path: Path) -> None:
-    done = run_without(
-        "from wheelsight.errors import ConfigError\nfrom wheelsight.report._plotly import make_subplots\n"
-        "try: make_subplots(rows=1)\nexcept ConfigError as error: print(error)",
-        tmp_path,
-    )
-    assert done.stdout == "plotly is missing (pip install plotly)\n"
 
 
 def test_what_is_installed_is_handed_out() -> None:
@@ -86,7 +92,14 @@ def test_what_is_installed_is_handed_out() -> None:
     assert why_missing("plotly") is None
 
 
-def test_what_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "skops.io", None)
-    with pytest.raises(ConfigError, match=r"^skops is missing .pip install scikit-learn skops."):
-        needed("skops.io")
+@pytest.mark.parametrize(
+    ("module", "told"),
+    [
+        ("skops.io", "skops is missing (pip install scikit-learn skops)"),
+        ("plotly.subplots", "plotly is missing (pip install plotly)"),
+    ],
+)
+def test_what_is_missing_is_told(monkeypatch: pytest.MonkeyPatch, module: str, told: str) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ConfigError, match=f"^{re.escape(told)}$"):
+        needed(module)

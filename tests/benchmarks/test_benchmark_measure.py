@@ -46,6 +46,7 @@ def test_every_frame_is_timed_and_lost_ones_have_no_pose(bench_data: Path, feed:
     np.testing.assert_allclose(trajectory.stamps_s, np.delete(passage.stamps_s, 3))
 
 
+@pytest.mark.slow
 def test_a_run_measures_a_contender_in_its_own_processes(bench_data: Path) -> None:
     (sequence,) = find_sequences(bench_data)
     figures = run(opencv_odometry.RGB_DEPTH, sequence, limit=7).figures
@@ -54,6 +55,7 @@ def test_a_run_measures_a_contender_in_its_own_processes(bench_data: Path) -> No
     assert figures.accuracy.ate_m is not None
     assert figures.accuracy.ate_m < 0.005
     assert 0 < figures.median_ms <= figures.p95_ms
+    assert figures.peak_memory_mb is not None
     assert 20 < figures.peak_memory_mb < 2000
 
 
@@ -115,6 +117,7 @@ def test_without_any_pose_there_is_no_accuracy(tmp_path: Path) -> None:
     assert (figures.with_pose, figures.accuracy.ate_m, figures.differing_poses) == (0, None, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="peak memory is read the POSIX way")
 def test_peak_memory_grows_with_what_is_held() -> None:
     before = peak_memory_mb()

@@ -94,6 +94,7 @@ def test_every_row_is_as_wide_as_its_header() -> None:
         console.print(sheet.to_rich())
 
 
+@pytest.mark.slow
 def test_the_command_measures_prints_and_keeps(
     bench_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

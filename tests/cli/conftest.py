@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from stand_ins import leave_pages_bare
 from synthetic import make_tum_recording
 from typer.testing import CliRunner, Result
 
@@ -21,6 +23,17 @@ from wheelsight.trajectory import Trajectory
 def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels are compiled on the way, not all of them ahead; what is said of that has its own test."""
     monkeypatch.setattr(kernels, "missing_parts", lambda parts: ())
+
+
+@pytest.fixture(autouse=True)
+def bare_pages(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "drawn_pages" not in request.fixturenames:
+        leave_pages_bare(monkeypatch)
+
+
+@pytest.fixture
+def drawn_pages() -> None:
+    """Asked for by tests that want the page of a run as it is."""
 
 
 @pytest.fixture
@@ -45,12 +58,18 @@ def refusal(wheelsight: Callable[..., Result]) -> Callable[..., str]:
     return refuse
 
 
-@pytest.fixture
-def room(tmp_path: Path) -> Path:
-    """A sound recording of ten frames."""
-    folder = tmp_path / "room"
+@pytest.fixture(scope="session")
+def one_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `room` is a copy of."""
+    folder = tmp_path_factory.mktemp("one_room")
     make_tum_recording(folder, frames=10)
     return folder
+
+
+@pytest.fixture
+def room(one_room: Path, tmp_path: Path) -> Path:
+    """A sound recording of ten frames."""
+    return Path(shutil.copytree(one_room, tmp_path / "room"))
 
 
 @pytest.fixture
@@ -60,7 +79,7 @@ def wheels(tmp_path: Path) -> Path:
     stamps_s, left, right = 0.02 * np.arange(200), 30 * np.arange(200), 40 * np.arange(200)
     with RecordingWriter(tmp_path / "wheels", Calibration(wheels=robot, source="our robot")) as writer:
         path = integrate_log(robot, stamps_s, left, right).trajectory()
-        writer.add_ground_truth(Trajectory(stamps_s, path.T_frame_body, body="base"))
+        writer.add_ground_truth(Trajectory(path.stamps_s, path.T_frame_body, body="base"))
         for reading in zip(stamps_s.tolist(), left.tolist(), right.tolist(), strict=True):
             writer.add(WheelTicks(*reading))
     return tmp_path / "wheels"

@@ -28,7 +28,9 @@ def rewrite(path: Path, change: Callable[[str], str]) -> None:
 
 def change_depth(room: Path, change: Callable[[np.ndarray], np.ndarray]) -> None:
     for path in (room / "depth").iterdir():
-        cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        cv2.imwrite(str(path), change(image))
 
 
 def test_no_such_folder(refused: Refusal, tmp_path: Path) -> None:

@@ -173,6 +173,7 @@ def test_help_shows_an_example(wheelsight: Command, command: str) -> None:
     assert f"wheelsight calibrate {command} " in result.output.split("Examples")[1]
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 def test_the_pages_draw_all_they_promise(
     wheelsight: Command, drive: Path, squares: list[Path], tmp_path: Path, chromium: str

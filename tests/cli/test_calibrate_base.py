@@ -80,6 +80,7 @@ def test_the_page_shows_what_it_was_seen_by(wheelsight: Command, drive: Path, tm
     assert all(plot.alt for plot in page.plots.values())
 
 
+@pytest.mark.slow
 def test_the_page_draws(wheelsight: Command, chromium: str, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "base.yaml"
     assert wheelsight("calibrate", "base", drive, "--out", out).exit_code == 0
@@ -168,5 +169,5 @@ def test_a_simulated_drive_from_end_to_end(wheelsight: Command, tmp_path: Path) 
     assert result.exit_code == 0, result.output
     metrics = json.loads((tmp_path / "run" / "joined" / "metrics.json").read_text())
     assert metrics["evaluation"]["ate_m"]["rmse"] < 0.03
-    settings = load_config(tmp_path / "run" / "config.yaml").recording
-    assert settings.calibration == (str(sizes), str(out))
+    recording = load_config(tmp_path / "run" / "config.yaml").recording
+    assert recording.calibration == (str(sizes), str(out))

@@ -49,6 +49,7 @@ def test_a_depth_scale_that_is_probably_wrong_is_warned_of(wheelsight: Command, 
     assert len(result.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_the_kitchen_is_said_to_be_unregistered(wheelsight: Command, data_folder: Path) -> None:
     result = wheelsight("info", data_folder / "rgbd" / "red_kitchen")

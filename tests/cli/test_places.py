@@ -51,6 +51,7 @@ def test_training_tells_what_the_model_is_worth_and_keeps_settings(
     assert f"model: {out}" in result.stdout
 
 
+@pytest.mark.slow
 def test_the_same_seed_trains_the_same_model(wheelsight: Command, drives: tuple[Path, Path], tmp_path: Path) -> None:
     for name in ("a", "b"):
         wheelsight("places", "train", drives[0], *QUICK, "--out", tmp_path / name)
@@ -109,6 +110,7 @@ def test_areas_and_a_trajectory_of_the_camera_may_come_from_elsewhere(
     assert [sum(row) for row in told["confusion"]] == [60, 0, 0]
 
 
+@pytest.mark.slow
 def test_ranges_train_as_polygons_do(wheelsight: Command, drives: tuple[Path, Path], tmp_path: Path) -> None:
     ranges = tmp_path / "ranges.csv"
     ranges.write_text("from_s,to_s,area\n0,1.95,corridor\n1.95,3.95,hall\n3.95,6,lift\n")

@@ -18,6 +18,7 @@ from wheelsight.trajectory import Trajectory, read_tum
 Command = Callable[..., Result]
 
 
+@pytest.mark.usefixtures("drawn_pages")
 def test_results_are_written_and_summed_up(wheelsight: Command, room: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = wheelsight("run", room, "--out", out)
@@ -142,6 +143,7 @@ def test_a_blackout_of_two_seconds_is_lost_and_found_again(wheelsight: Command, 
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["evaluation"]["ate_m"]["max"] < 0.02
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
     make_tum_recording(tmp_path / "room", frames=20)
     out = tmp_path / "out"

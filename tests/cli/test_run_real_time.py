@@ -18,8 +18,6 @@ from wheelsight.pipeline import RealTimeRecording
 from wheelsight.recordings import open_recording
 from wheelsight.settings import RealTimeSettings
 
-pytestmark = pytest.mark.timed
-
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
 JOINED = ("--realtime", "--odometry", "wheels,features")
@@ -34,7 +32,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def metrics_in(folder: Path) -> dict[str, Any]:
-    return json.loads((folder / "metrics.json").read_text())  # type: ignore[no-any-return]
+    return json.loads((folder / "metrics.json").read_text())
 
 
 def test_a_recording_takes_as_long_as_it_took_and_says_how_that_went(
@@ -57,6 +55,7 @@ def test_a_recording_takes_as_long_as_it_took_and_says_how_that_went(
     assert f"latency {played['latency_median_ms']:.0f} ms median" in line
 
 
+@pytest.mark.slow
 def test_a_terminal_sees_how_it_keeps_up(
     wheelsight: Command, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,6 +84,7 @@ def test_wheels_alone_are_played_too(
     assert (played["readings"], played["frames"]) == (count, 0)
 
 
+@pytest.mark.slow
 def test_wheels_of_a_file_take_the_place_of_the_recordings(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
     lines = (drive / "wheels.csv").read_text().splitlines()
     (tmp_path / "half.csv").write_text("\n".join([lines[0], *lines[1::2]]) + "\n")

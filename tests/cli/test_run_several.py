@@ -20,6 +20,7 @@ def drive(tmp_path: Path) -> Path:
     return tmp_path / "drive"
 
 
+@pytest.mark.usefixtures("drawn_pages")
 def test_several_are_summed_up_in_one_row_each(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = wheelsight("run", drive, "--odometry", "wheels,features", "--out", out)
@@ -32,6 +33,7 @@ def test_several_are_summed_up_in_one_row_each(wheelsight: Command, drive: Path,
     assert (out / "features" / "trajectory.txt").is_file()
 
 
+@pytest.mark.slow
 def test_a_terminal_sees_all_events_pass_by(
     wheelsight: Command, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

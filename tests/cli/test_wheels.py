@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,12 +19,13 @@ from simulated_controller import SimulatedController
 from typer.testing import Result
 
 from wheelsight.calibration import Calibration, Wheels, save_calibration
+from wheelsight.cli._monitor import Meter, live_line
 from wheelsight.devices import WheelLink, open_wheels
-
-pytestmark = pytest.mark.timed
+from wheelsight.events import WheelTicks
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
+WHEELS = Wheels(0.17, 0.17, 0.6, 3200.0, counter_bits=32)
 M_PER_TICK = 2 * 3.141592653589793 * 0.17 / 3200
 
 
@@ -36,7 +38,7 @@ def controller(tmp_path: Path) -> Iterator[SimulatedController]:
 @pytest.fixture
 def calibration(tmp_path: Path) -> Path:
     path = tmp_path / "robot.yaml"
-    save_calibration(Calibration(wheels=Wheels(0.17, 0.17, 0.6, 3200.0, counter_bits=32)), path)
+    save_calibration(Calibration(wheels=WHEELS), path)
     return path
 
 
@@ -51,7 +53,7 @@ class Served:
             stderr=subprocess.PIPE,
             text=True,
         )
-        ends_s = time.monotonic() + 60
+        ends_s = time.monotonic() + 120
         while not pipe.exists():
             assert self.process.poll() is None
             assert time.monotonic() < ends_s
@@ -59,7 +61,7 @@ class Served:
 
     def end(self, by: signal.Signals) -> str:
         self.process.send_signal(by)
-        _, told = self.process.communicate(timeout=10)
+        _, told = self.process.communicate(timeout=60)
         return told
 
 
@@ -82,11 +84,12 @@ def test_serve_tells_poses_and_ends_cleanly(
 ) -> None:
     controller.speeds = (60, 60)
     lines = read_lines(served.pipe, 30)
-    assert lines[-1]["v_m_s"] == pytest.approx(60 * M_PER_TICK / 0.02, rel=0.3)
     assert all(after["stamp_s"] > before["stamp_s"] for before, after in pairwise(lines))
     for before, after in pairwise(lines):
         ticks = after["left_ticks"] - before["left_ticks"]
         assert after["x_m"] - before["x_m"] == pytest.approx(ticks * M_PER_TICK)
+        passed_s = after["stamp_s"] - before["stamp_s"]
+        assert after["v_m_s"] == pytest.approx(ticks * M_PER_TICK / passed_s, rel=1e-3)
     told = served.end(by)
     assert served.process.returncode == 0
     assert not served.pipe.exists()
@@ -94,6 +97,7 @@ def test_serve_tells_poses_and_ends_cleanly(
     assert "lines sent" in told
 
 
+@pytest.mark.slow
 def test_readers_of_serve_come_and_go(controller: SimulatedController, served: Served) -> None:
     controller.speeds = (10, 20)
     for _ in range(3):
@@ -105,6 +109,7 @@ def test_readers_of_serve_come_and_go(controller: SimulatedController, served: S
     assert served.process.poll() is None
 
 
+@pytest.mark.slow
 def test_serve_waits_for_a_port_that_vanished(controller: SimulatedController, served: Served) -> None:
     read_lines(served.pipe, 3)
     controller.vanish()
@@ -120,21 +125,29 @@ def test_monitor_prints_lines_where_no_terminal_watches(
     wheelsight: Command, controller: SimulatedController, calibration: Path
 ) -> None:
     controller.speeds = (60, -30)
-    result = wheelsight("wheels", "monitor", controller.port, "--seconds", 2.2, "--calibration", calibration)
+    result = wheelsight("wheels", "monitor", controller.port, "--seconds", 1.5, "--calibration", calibration)
     assert result.exit_code == 0, result.output
     lines = result.stdout.splitlines()
-    assert 2 <= len(lines) <= 4
     assert "status: connected" in lines[-1]
     assert "format: framed" in lines[-1]
-    speed = float(lines[-1].split("left: ")[1].split("ticks, ")[1].split(" m/s")[0])
-    assert speed == pytest.approx(60 * M_PER_TICK / 0.02, rel=0.2)
     assert "lost: 0; 0 damaged, 0 garbled, 0 repeated" in lines[-1]
     assert "\x1b" not in result.stdout
 
 
-def test_monitor_without_calibration_counts_ticks(wheelsight: Command, controller: SimulatedController) -> None:
-    result = wheelsight("wheels", "monitor", controller.port, "--seconds", 1.2)
-    assert "+0.000 ticks/s" in result.stdout
+@pytest.mark.parametrize(
+    ("wheels", "left", "right"),
+    [(WHEELS, "+1.001 m/s", "-0.501 m/s"), (None, "+3000.000 ticks/s", "-1500.000 ticks/s")],
+)
+def test_monitor_shows_the_speeds_between_the_stamps(
+    controller: SimulatedController, wheels: Wheels | None, left: str, right: str
+) -> None:
+    meter = Meter(wheels)
+    with WheelLink(str(controller.port)) as link:
+        report = link.report()
+    line = ""
+    for last in (WheelTicks(5.0, 100, 100), WheelTicks(5.2, 700, -200)):
+        line = live_line(meter.look(replace(report, last=last)))
+    assert f"left: 700 ticks, {left}; right: -200 ticks, {right}" in line
 
 
 def test_monitor_draws_a_table_for_a_terminal(
@@ -151,7 +164,7 @@ def test_monitor_draws_a_table_for_a_terminal(
 def test_monitor_tells_a_wrong_baud_rate(wheelsight: Command, controller: SimulatedController) -> None:
     controller.is_muted = True
     controller.is_noisy = True
-    result = wheelsight("wheels", "monitor", controller.port, "--seconds", 2.5)
+    result = wheelsight("wheels", "monitor", controller.port, "--seconds", 1.5)
     assert "noise: wrong baud rate?" in result.stdout.splitlines()[-1]
 
 

@@ -117,7 +117,7 @@ def bent_path(bend: float, n: int = 200) -> Trajectory:
     way = np.linspace(0, 20, n)
     yaw = np.cumsum(0.1 * np.sin(way / 3) * 0.1 + bend * 0.1)
     xy = np.cumsum(0.1 * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1), axis=0)
-    return Trajectory(way, se3.from_plane(*xy.T, yaw), body="base")
+    return Trajectory(way, se3.from_plane(xy[:, 0], xy[:, 1], yaw), body="base")
 
 
 @pytest.mark.parametrize("with_scale", [False, True])

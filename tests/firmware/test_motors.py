@@ -73,6 +73,7 @@ def test_motors_rest_half_a_second_after_the_last_command(chip: Chip) -> None:
     assert silent_until_neutral(chip) == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.slow
 def test_ten_commands_a_second_keep_them_turning(chip: Chip) -> None:
     for _ in range(20):
         chip.command(Command.DRIVE, drive_body(0.6, 0.6))

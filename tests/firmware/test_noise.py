@@ -7,6 +7,7 @@ from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip
 from wheelsight.devices.protocol import Command, drive_body, encode_frame
 
 
+@pytest.mark.slow
 def test_a_command_is_heard_after_any_garbage(chip: Chip, rng: np.random.Generator) -> None:
     for round_ in range(40):
         chip.send(rng.bytes(int(rng.integers(1, 300))))

@@ -28,7 +28,7 @@ def test_an_ordinary_file_and_a_link_to_one_are_read(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.timeout(5)
+@pytest.mark.timeout(60)
 def test_a_pipe_that_nobody_writes_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("pipe")
@@ -44,7 +44,7 @@ def test_folders_and_sockets_are_no_files(tmp_path: Path, monkeypatch: pytest.Mo
         refused(Path("socket"), "is a socket, not a file")
 
 
-@pytest.mark.timeout(5)
+@pytest.mark.timeout(60)
 @pytest.mark.parametrize("name", ["/dev/zero", "/dev/null", "/proc/self/mem", "/proc/self/status", "/proc/kmsg"])
 def test_devices_and_what_the_kernel_makes_up_are_no_files(name: str, tmp_path: Path) -> None:
     if not Path(name).exists():

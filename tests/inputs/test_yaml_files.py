@@ -34,7 +34,7 @@ def test_what_opencv_writes_is_read() -> None:
     assert parsed(text) == {"matrix": {"rows": 1, "data": [1.0, 2.0]}}
 
 
-@pytest.mark.timeout(30)
+@pytest.mark.timeout(60)
 @pytest.mark.parametrize(
     ("text", "told"),
     [

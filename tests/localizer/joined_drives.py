@@ -99,6 +99,7 @@ class Eye:
         T_prior = T_previous_current_prior
         T_key_prior = None if T_prior is None else se3.invert(T_odom_key) @ self._last[1] @ T_prior
         motion = _judged(T_key_now, T_key_prior, shows.hidden)
+        assert motion.T_reference_current is not None
         T_key_now = motion.T_reference_current
         self._last = frame.stamp_s, se3.nearest(T_odom_key @ T_key_now)
         if np.linalg.norm(T_key_now[:3, 3]) > _KEYFRAME_M:

@@ -140,7 +140,7 @@ def test_the_camera_is_handed_the_motion_that_wheels_expect(ran: Callable[..., R
     assert max(steps_m) > 0.2  # over the gap
 
 
-@pytest.mark.parametrize("kind", ["dense", "features"])
+@pytest.mark.parametrize("kind", ["dense", pytest.param("features", marks=pytest.mark.slow)])
 def test_a_blackout_is_coasted_and_the_map_waits(ran: Callable[..., Run], kind: str) -> None:
     run = ran(drive(faults=only((2.0, 3.5), Sight(Reason.TOO_LITTLE_DEPTH))), kind)
     dark = between(run, 2.0, 3.5)
@@ -159,7 +159,7 @@ def test_a_blackout_is_coasted_and_the_map_waits(ran: Callable[..., Run], kind: 
     assert not run[1].restarts
 
 
-@pytest.mark.parametrize("kind", ["dense", "features"])
+@pytest.mark.parametrize("kind", ["dense", pytest.param("features", marks=pytest.mark.slow)])
 def test_where_nothing_known_is_in_sight_the_camera_starts_again_where_wheels_have_it(
     ran: Callable[..., Run], kind: str
 ) -> None:
@@ -207,7 +207,7 @@ def test_blind_frames_alone_never_start_the_camera_again(ran: Callable[..., Run]
     assert {a.status for a in between(run, 2.1, 99)} == {Status.TRACKING}
 
 
-@pytest.mark.parametrize("kind", ["dense", "features"])
+@pytest.mark.parametrize("kind", ["dense", pytest.param("features", marks=pytest.mark.slow)])
 def test_a_camera_that_leaps_away_is_not_believed_nor_mapped(ran: Callable[..., Run], kind: str) -> None:
     run = ran(drive(faults=only((2.0, 3.5), Sight(wrong=(0.0, 0.5, 0.3)))), kind)
     told = between(run, 2.0, 3.5)
@@ -280,6 +280,7 @@ def test_the_map_is_tracked_where_it_shows_what_frames_see_and_the_base_goes_str
     assert not any(tracked[True, True] + tracked[False, False])
 
 
+@pytest.mark.slow
 def test_the_map_is_tracked_in_turns_too_right_after_a_look_that_was_not_believed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -298,6 +299,7 @@ def test_the_map_is_tracked_in_turns_too_right_after_a_look_that_was_not_believe
     assert not any(tracked[False])
 
 
+@pytest.mark.slow
 def test_in_a_turn_keyframes_are_tracked_once_it_is_the_wheels_that_are_not_believed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -388,6 +390,7 @@ def test_a_camera_starts_again_where_its_frame_was_taken_however_late_it_comes(m
     assert np.linalg.norm((poses[1] - poses[0])[:3, 3]) < 0.005
 
 
+@pytest.mark.slow
 def test_frames_that_come_late_end_where_those_in_time_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a live robot readings come at once, and frames when they are decoded."""
     made = drive()

@@ -57,6 +57,8 @@ def test_wheels_are_no_worse_joined_with_a_dark_camera_than_alone(data_folder: P
         assert rmse_m(joined, recording) < rmse_m(alone, recording)
         return
     for ours, theirs in zip(joined, alone, strict=True):
+        assert ours.T_odom_body is not None
+        assert theirs.T_odom_body is not None
         np.testing.assert_allclose(ours.T_odom_body, theirs.T_odom_body, atol=1e-9)
 
 

@@ -47,6 +47,7 @@ def test_at_five_frames_a_second_turns_of_a_right_angle_a_second_are_followed_or
     frames = [event for event in events_with((LowRate(),), recording.events()) if isinstance(event, RgbdFrame)]
     T_first = truth.at(frames[0].stamp_s)[0]
     T_map_first = recording.calibration.T_base_camera
+    assert T_map_first is not None
     for frame in frames:
         answer = subject.process(frame)
         if answer is not None and answer.T_odom_body is not None:

@@ -21,7 +21,9 @@ def rolled(seconds: float, kept_s: float = 3.0) -> WheelPoses:
 
 def test_poses_are_told_between_readings_and_never_beyond() -> None:
     poses = rolled(2.0)
-    assert_allclose(poses.at(1.013), se3.from_plane(0.5065, 0.0, 0.0), atol=1e-12)
+    between = poses.at(1.013)
+    assert between is not None
+    assert_allclose(between, se3.from_plane(0.5065, 0.0, 0.0), atol=1e-12)
     assert poses.at(2.01) is None
     assert poses.at(-0.01) is None
     assert poses.way_m == pytest.approx(1.0)

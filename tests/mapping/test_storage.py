@@ -7,6 +7,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def test_the_format_can_be_read_without_wheelsight(surfel_map, tmp_path):
     assert about["surfels"] == len(surfel_map)
 
 
-def rewritten(data: bytes, change: Callable[[dict[str, object], bytearray], None]) -> bytes:
+def rewritten(data: bytes, change: Callable[[dict[str, Any], bytearray], None]) -> bytes:
     """With header and body changed, and the checksum made right."""
     name, header, body = data.split(b"\n", 2)
     about, numbers = json.loads(header), bytearray(body)
@@ -84,24 +85,24 @@ def rewritten(data: bytes, change: Callable[[dict[str, object], bytearray], None
     return b"\n".join([name, json.dumps(about).encode(), bytes(numbers)])
 
 
-def put(offset_fields: int, value: float) -> Callable[[dict[str, object], bytearray], None]:
+def put(offset_fields: int, value: float) -> Callable[[dict[str, Any], bytearray], None]:
     """Write a number as the first surfel's in the field that begins after so many floats a surfel."""
 
-    def change(about: dict[str, object], numbers: bytearray) -> None:
+    def change(about: dict[str, Any], numbers: bytearray) -> None:
         struct.pack_into("<f", numbers, 4 * offset_fields * about["surfels"], value)
 
     return change
 
 
-def put_pose(entry: int, value: float) -> Callable[[dict[str, object], bytearray], None]:
+def put_pose(entry: int, value: float) -> Callable[[dict[str, Any], bytearray], None]:
     """Write a number into the pose of the last keyframe."""
     return lambda _, numbers: struct.pack_into("<d", numbers, len(numbers) - 8 * (16 - entry), value)
 
 
-def put_keyframe(value: int) -> Callable[[dict[str, object], bytearray], None]:
+def put_keyframe(value: int) -> Callable[[dict[str, Any], bytearray], None]:
     """Write the number of the keyframe that the last surfel hangs on."""
 
-    def change(about: dict[str, object], numbers: bytearray) -> None:
+    def change(about: dict[str, Any], numbers: bytearray) -> None:
         struct.pack_into("<i", numbers, len(numbers) - 128 * about["keyframes"] - 4, value)
 
     return change
@@ -130,7 +131,7 @@ def test_a_file_of_the_first_version_is_a_map_whose_surfels_hang_on_no_keyframe(
     assert (old.settings, old.stamp_s) == (new.settings, new.stamp_s)
 
 
-def header_entry(name: str, value: object) -> Callable[[dict[str, object], bytearray], None]:
+def header_entry(name: str, value: object) -> Callable[[dict[str, Any], bytearray], None]:
     return lambda about, _: about.__setitem__(name, value)
 
 

@@ -97,6 +97,7 @@ def test_looks_the_way_it_is_told_and_keeps_upright(parts: dict[str, ModuleType]
         assert R[2, 1] < 0
 
 
+@pytest.mark.slow
 def test_ceiling_and_near_walls_are_cut_away(parts: dict[str, ModuleType], room: SurfelMap) -> None:
     helper = parts["_ligocki_view"]
     towards_red, _ = helper.picture_of(room, helper.outside(room, UP, AHEAD, 0.0, 40))

@@ -105,6 +105,7 @@ def trial(parts: dict[str, ModuleType], world: Any) -> Any:
     )
 
 
+@pytest.mark.slow
 def test_both_ways_rectify_and_the_probabilistic_one_by_far_the_most(trial: Any) -> None:
     """The order that the paper's table and the page beside it claim, on drives that no forest has seen."""
     alone = trial.errors["wheels"].mean_m
@@ -207,6 +208,7 @@ def test_the_table_stands_beside_the_papers(parts: dict[str, ModuleType]) -> Non
     assert rows[3][-1] == "8.9 m, 0.34"
 
 
+@pytest.mark.slow
 def test_the_figure_shows_truth_and_methods(
     parts: dict[str, ModuleType], world: Any, trial: Any, tmp_path: Path
 ) -> None:

@@ -48,6 +48,7 @@ def colours(path: Path) -> set[tuple[int, ...]]:
     return set(map(tuple, image.reshape(-1, 3)[:, ::-1].tolist()))
 
 
+@pytest.mark.slow
 def test_prints_the_table_and_draws_both_figures(
     zhang_hsr: ModuleType, files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,6 +73,7 @@ def test_a_ground_truth_file_alone_gives_one_figure(
     assert [path.name for path in (tmp_path / "figures").iterdir()] == ["ground_truth.png"]
 
 
+@pytest.mark.slow
 def test_a_recording_is_tracked_where_no_estimate_is_given(
     zhang_hsr: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from stand_ins import TrueOdometry
+from stand_ins import TrueOdometry, leave_pages_bare
 from synthetic import wobbling_trajectory
 
 from wheelsight.trajectory import Trajectory
@@ -24,3 +24,14 @@ def true_odometry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
 @pytest.fixture
 def real_odometry() -> None:
     """Asked for by tests that want no stand-in."""
+
+
+@pytest.fixture(autouse=True)
+def bare_pages(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "drawn_pages" not in request.fixturenames:
+        leave_pages_bare(monkeypatch)
+
+
+@pytest.fixture
+def drawn_pages() -> None:
+    """Asked for by tests that look into the page of a run."""

@@ -30,7 +30,7 @@ def frames_at(truth: Trajectory, dark: tuple[int, ...] = ()) -> list[Event | Bas
 
 
 def metrics_in(folder: Path) -> dict[str, Any]:
-    return json.loads((folder / "metrics.json").read_text())  # type: ignore[no-any-return]
+    return json.loads((folder / "metrics.json").read_text())
 
 
 def status_in(folder: Path) -> list[dict[str, str]]:
@@ -44,7 +44,7 @@ def wheel_recording(readings: int = 300, start_s: float = 0.0, **others: Any) ->
     left, right = 30 * np.arange(readings), 40 * np.arange(readings)
     events = [WheelTicks(*reading) for reading in zip(stamps_s.tolist(), left.tolist(), right.tolist(), strict=True)]
     truth = integrate_log(WHEELS, stamps_s, left, right).trajectory()
-    truth = Trajectory(stamps_s, se3.exp([1, 2, 0, 0, 0, 0.5]) @ truth.T_frame_body, body="base")
+    truth = Trajectory(truth.stamps_s, se3.exp([1, 2, 0, 0, 0, 0.5]) @ truth.T_frame_body, body="base")
     return MemoryRecording(events, truth, **{"calibration": Calibration(wheels=WHEELS), **others})
 
 

@@ -88,6 +88,7 @@ def test_a_run_tells_why_it_could_not(drive: ImageRecording) -> None:
     assert unused_of(replace(drive, wheels=()), load_config(overrides={"odometry": "features"}), yaw_rates=0) == ()
 
 
+@pytest.mark.usefixtures("drawn_pages")
 @pytest.mark.usefixtures("real_odometry")
 @pytest.mark.parametrize("odometry", ["dense", "features,dense"])
 def test_report_and_metrics_say_it_once(drive: ImageRecording, tmp_path: Path, odometry: str) -> None:

@@ -76,8 +76,9 @@ def test_ctrl_c_ends_the_other_process(monkeypatch: pytest.MonkeyPatch) -> None:
     children: list[subprocess.Popen[str]] = []
     popen = subprocess.Popen
 
-    def start(*arguments: Any, **options: Any) -> subprocess.Popen[str]:
-        children.append(popen(*arguments, **options))
+    def start(command: list[str], **options: Any) -> subprocess.Popen[str]:
+        code = "import time; print('wheels 1', flush=True); time.sleep(600)"  # compiles for a long while
+        children.append(popen([sys.executable, "-c", code], **options))
         return children[0]
 
     def press(part: str, count: int) -> None:

@@ -65,7 +65,9 @@ def test_the_record_shows_the_map_from_above_and_along_the_way(room: Path, tmp_p
     assert record.map.plan is not None
     assert not record.map.is_levelled
     # The room's z axis points up, and the camera, which is tilted, is the map's world.
-    R_room_odom = open_recording(room).ground_truth.T_frame_body[0, :3, :3]
+    truth = open_recording(room).ground_truth
+    assert truth is not None
+    R_room_odom = truth.T_frame_body[0, :3, :3]
     np.testing.assert_allclose(R_room_odom @ record.map.plan.R_plan_map[2], [0, 0, 1], atol=0.03)
     assert len(record.map.pictures) == 2
     for picture in record.map.pictures:
@@ -77,6 +79,7 @@ def test_the_record_shows_the_map_from_above_and_along_the_way(room: Path, tmp_p
         assert np.corrcoef(shown[known], grey[known])[0, 1] > 0.7
 
 
+@pytest.mark.usefixtures("drawn_pages")
 @pytest.mark.slow
 def test_of_several_odometries_the_map_is_in_the_folder_of_its_own(tmp_path: Path) -> None:
     make_room_drive(tmp_path / "drive", frames=4)
@@ -93,7 +96,9 @@ def test_of_several_odometries_the_map_is_in_the_folder_of_its_own(tmp_path: Pat
     assert by_name["wheels"].map is None
     assert by_name["dense"].map is not None
     assert by_name["dense"].map.is_levelled
-    np.testing.assert_array_equal(by_name["dense"].map.plan.R_plan_map, np.eye(3))
+    plan = by_name["dense"].map.plan
+    assert plan is not None
+    np.testing.assert_array_equal(plan.R_plan_map, np.eye(3))
     assert 'id="dense-map"' in (out / "report.html").read_text()
 
 
@@ -183,6 +188,7 @@ def test_a_map_of_an_earlier_run_goes(room: Path, tmp_path: Path) -> None:
     assert names_in(tmp_path) == FILES
 
 
+@pytest.mark.usefixtures("drawn_pages")
 def test_where_nothing_could_be_followed_the_map_is_empty_and_said_so(tmp_path: Path) -> None:
     covered = [RgbdFrame(0.1 * k, np.zeros((24, 32, 3), np.uint8), np.zeros((24, 32), np.float32), k) for k in range(3)]
     record = run(MemoryRecording(covered), mapped(), tmp_path / "out")

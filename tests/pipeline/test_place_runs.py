@@ -50,6 +50,7 @@ def test_wheels_are_followed_alone_and_rectified(tmp_path: Path) -> None:
     assert len(written) == readings + len(area_drive().frames)
 
 
+@pytest.mark.slow
 def test_beside_a_camera_they_are_rectified_and_joined(tmp_path: Path) -> None:
     given = {"odometry": "wheels,features", "places.model": by_areas(tmp_path).places.model}
     out, config = tmp_path / "out", load_config(overrides=given)
@@ -110,6 +111,7 @@ def test_the_papers_way_has_neither_belief_nor_trust(tmp_path: Path) -> None:
     assert (figures["belief_accuracy"], figures["lowest_trust"]) == (None, None)
 
 
+@pytest.mark.usefixtures("drawn_pages")
 def test_a_start_taken_from_the_truth_is_told(tmp_path: Path) -> None:
     records = run_each(shortened(area_recording(tmp_path)), by_areas(tmp_path), tmp_path / "out")
     assert any("taken from the ground truth" in warning for warning in records[1].warnings)
@@ -218,7 +220,7 @@ def test_a_frame_of_another_size_breaks_the_run_off_and_keeps_what_was(tmp_path:
 
 def test_models_and_areas_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     recording = area_recording(tmp_path)
-    others = AreaMap((*list(AREAS)[:2], Area("cellar", [[-2, 10], [20, 10], [20, 13], [-2, 13]], y_m=11.0)))
+    others = AreaMap((*list(AREAS)[:2], Area("cellar", np.array([[-2.0, 10], [20, 10], [20, 13], [-2, 13]]), y_m=11.0)))
     save_areas(others, tmp_path / "others.yaml")
     with pytest.raises(PlaceError, match=r"three.places: the model knows area 'cellar' not"):
         run_each(recording, by_areas(tmp_path, areas=str(tmp_path / "others.yaml")), tmp_path / "out")

@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from pipeline.made import (
     metrics_in,
     status_in,
 )
-from stand_ins import MemoryRecording
+from stand_ins import MemoryRecording, TrueOdometry
 from synthetic import make_tum_recording
 
 from wheelsight.config import Config, load_config
@@ -89,6 +90,7 @@ def test_images_that_came_before_are_no_frames_but_counted_and_told(
     assert (summary.frames, summary.posed, summary.skips) == (20, 20, (("the same image as before", 20),))
 
 
+@pytest.mark.usefixtures("drawn_pages")
 def test_without_ground_truth_the_rest_is_written(tmp_path: Path, truth: Trajectory) -> None:
     record = run(MemoryRecording(frames_at(truth)), Config(), tmp_path)
     assert record.evaluation is None
@@ -163,11 +165,24 @@ def test_a_full_disk_is_one_line(tmp_path: Path, truth: Trajectory, monkeypatch:
     assert not list(tmp_path.iterdir())
 
 
-def test_time_a_frame_leaves_decoding_out(tmp_path: Path, truth: Trajectory) -> None:
+def test_time_a_frame_leaves_decoding_out(tmp_path: Path, truth: Trajectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = [0.0]
+    process = TrueOdometry.process
+
+    def pass_time(seconds: float) -> None:
+        now_s[0] += seconds
+
+    def slow(self: TrueOdometry, *given: object) -> object:
+        pass_time(0.003)
+        return process(self, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(time, "perf_counter", lambda: now_s[0])
+    monkeypatch.setattr(time, "sleep", pass_time)
+    monkeypatch.setattr(TrueOdometry, "process", slow)
     run(MemoryRecording(frames_at(truth), truth, decoding_s=0.02), Config(), tmp_path)
     timing = metrics_in(tmp_path)["timing"]
-    assert timing["frame_median_ms"] < 10
-    assert timing["elapsed_s"] >= 20 * 0.02
+    assert timing["frame_median_ms"] == pytest.approx(3)
+    assert timing["elapsed_s"] == pytest.approx(20 * (0.02 + 0.003))
     assert timing["throughput_frames_per_s"] == pytest.approx(20 / timing["elapsed_s"])
     assert timing["stages_median_ms"] == {"extract": 2.0, "align": 1.0}
 

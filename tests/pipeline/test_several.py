@@ -24,6 +24,7 @@ from wheelsight.runs import run, run_each
 from wheelsight.trajectory import Trajectory, read_tum
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("real_odometry")
 def test_several_odometries_answer_one_pass_as_each_alone_would(tmp_path: Path) -> None:
     make_room_drive(tmp_path / "room")
@@ -42,7 +43,7 @@ def test_several_odometries_answer_one_pass_as_each_alone_would(tmp_path: Path) 
             passes.append(images)
             return self.inner.events(images=images)
 
-    records = run_each(Counted(), BOTH, tmp_path / "both")  # type: ignore[arg-type]
+    records = run_each(Counted(), BOTH, tmp_path / "both")
     assert passes == [True]
     assert [record.odometry for record in records] == ["wheels", "features"]
     assert names_in(tmp_path / "both") == {"wheels", "features", "metrics.json", "config.yaml", "report.html"}

@@ -17,7 +17,7 @@ from wheelsight.recordings import open_recording
 
 
 def test_frames_are_chosen_in_the_middle_of_each_part() -> None:
-    stamps_s = 100 + 0.1 * np.arange(101)
+    stamps_s = 100 + 0.1 * np.arange(101, dtype=float)
     assert chosen_frames(stamps_s, 2.0) == [10, 30, 50, 70, 90]
     assert chosen_frames(stamps_s[:1], 2.0) == [0]
     assert chosen_frames(np.array([0.0, 0.2, 9.8, 10.0]), 2.0) == [1, 2]  # a gap is not filled

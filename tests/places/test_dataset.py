@@ -13,7 +13,7 @@ from stand_ins import MemoryRecording
 
 from wheelsight.areas import AreaMap, save_areas
 from wheelsight.errors import AreaError, PlaceError
-from wheelsight.events import SkippedFrame, WheelTicks
+from wheelsight.events import Event, SkippedFrame, WheelTicks
 from wheelsight.places import (
     ForestSettings,
     check_every_area,
@@ -117,7 +117,12 @@ def test_frames_without_depth_and_skipped_ones_teach_nothing(tmp_path: Path, rng
 
 
 def test_stamps_of_what_is_no_folder_of_images(rng: np.random.Generator) -> None:
-    events = [frame_of(0, rng, 0.5), WheelTicks(0.6, 1, 1), SkippedFrame(1.0, "dark", 1), frame_of(0, rng, 1.5)]
+    events: list[Event] = [
+        frame_of(0, rng, 0.5),
+        WheelTicks(0.6, 1, 1),
+        SkippedFrame(1.0, "dark", 1),
+        frame_of(0, rng, 1.5),
+    ]
     recording = MemoryRecording(events)
     assert stamps_of(recording) == [0.5, 1.0, 1.5]
     assert [frame.stamp_s for frame in frames_of(recording)] == [0.5, 1.5]

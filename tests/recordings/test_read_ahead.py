@@ -7,8 +7,6 @@ import pytest
 
 from wheelsight.recordings._read_ahead import read_ahead
 
-pytestmark = pytest.mark.timed
-
 
 def threads():
     return [thread for thread in threading.enumerate() if thread.name == "wheelsight-read-ahead"]
@@ -80,7 +78,7 @@ def test_makes_no_more_than_it_may():
     source = Source(1_000_000)
     items = read_ahead(source.items(), 3)
     next(items)
-    time.sleep(0.05)
+    time.sleep(0.05)  # for a thread that does not stop to show it
     assert source.made <= 1 + 3 + 1
     items.close()
 

@@ -25,7 +25,9 @@ def _page(folder: Path) -> Page:
 def _image(uri: str) -> np.ndarray:
     kind, data = uri.split(",", 1)
     assert kind == "data:image/jpeg;base64"
-    return cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return image[..., ::-1]
 
 
 def _trace(figure: go.Figure, name: str) -> np.ndarray:
@@ -52,6 +54,7 @@ def test_the_plan_is_where_its_pixels_are_and_the_path_lies_on_it():
 def test_the_path_turns_with_the_plan():
     found = example_map()
     aslant = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    assert found.plan is not None
     run = example_run(60, map=replace(found, plan=replace(found.plan, R_plan_map=aslant)))
     path = _trace(plan_figure(run), "path")
     np.testing.assert_allclose(path[~np.isnan(path).any(axis=1)], run.estimate.positions_m[:, 1:])

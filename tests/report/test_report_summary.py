@@ -94,6 +94,7 @@ def test_the_verdict_on_a_run_without_gaps() -> None:
 
 def test_the_verdict_says_how_far_off_and_how_quick() -> None:
     run = example_run(500)
+    assert run.evaluation is not None
     ate = run.evaluation.ate.translation
     text = " ".join(judge(run, summarise(run)).sentences)
     assert f"{100 * ate.rmse:.2f} cm (RMSE) and by {100 * ate.max:.2f} cm at worst" in text
@@ -122,6 +123,7 @@ def test_notes_tell_all_that_was_left_out() -> None:
 
 def test_notes_tell_what_the_truth_does_not_cover() -> None:
     run = example_run(300)
+    assert run.evaluation is not None
     half = replace(run, estimate=run.estimate, evaluation=replace(run.evaluation, pairs=100, scale=1.25))
     text = " ".join(notes(half, summarise(half)))
     assert f"Only 100 of {len(run.estimate)} poses have a true pose" in text

@@ -27,7 +27,8 @@ def driven(driver: Driver, limit_s: float = 300.0) -> tuple[FloatArray, list[Com
     assert driver.T_world_start is not None
     x, y, yaw = driver.T_world_start[0, 3], driver.T_world_start[1, 3], None
     yaw = math.atan2(driver.T_world_start[1, 0], driver.T_world_start[0, 0])
-    states, commands = [(x, y, yaw)], []
+    states: list[tuple[float, float, float]] = [(x, y, yaw)]
+    commands: list[Command] = []
     for i in range(round(limit_s / COMMAND_PERIOD_S)):
         command = driver.command(i * COMMAND_PERIOD_S, se3.from_plane(x, y, yaw))
         if command is None:
@@ -159,4 +160,4 @@ def test_speeds_over_a_walk_are_refused(speed_m_s: float) -> None:
 )
 def test_routes_that_are_none_are_refused(route: list[tuple[float, float]], options: dict[str, bool]) -> None:
     with pytest.raises(ConfigError):
-        follow_route(route, **options)  # type: ignore[arg-type]
+        follow_route(route, **options)

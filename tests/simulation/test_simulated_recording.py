@@ -87,6 +87,7 @@ def test_a_run_needs_no_disk_but_for_its_results(recording, tmp_path):
     record = run(recording, Config(odometry="wheels"), tmp_path / "out")
     assert len(record.frames) == recording.wheel_count
     assert record.evaluation is not None
+    assert record.ground_truth is not None
     assert record.ground_truth.body == "base"
     assert (tmp_path / "out" / "report.html").is_file()
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -107,6 +108,6 @@ def test_a_world_that_is_no_mjcf_is_refused_in_one_line() -> None:
         ("height_m", 0.0),
     ],
 )
-def test_wheels_that_no_wheelchair_has_are_refused(name: str, value: float) -> None:
+def test_wheels_that_no_wheelchair_has_are_refused(name: str, value: Any) -> None:
     with pytest.raises(ConfigError, match=name):
         Robot(**{name: value})

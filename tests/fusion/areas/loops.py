@@ -119,6 +119,8 @@ def rectify(
             rectifier.predict(drive.steps[t - 1], drive.covariance)
         estimate = rectifier.update(t * PERIOD_S, None if probabilities is None else probabilities[t])
         T = estimate.T_odom_body
+        assert T is not None
+        assert estimate.covariance is not None
         x, y, yaw = T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])
         J = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
         poses.append((x, y, yaw))

@@ -121,6 +121,7 @@ def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
     assert np.abs(relative.apart(*since, seen, np.zeros(9))).max() <= 3e-3
 
 
+@pytest.mark.slow
 def test_what_wheels_and_camera_err_by_alike_is_not_learned_from_noise() -> None:
     """Nobody sees it, so nothing may move it: what noise taught of it would go one way, and never be mended."""
     still = dict.fromkeys(("scale_walk", "turn_walk", "camera_scale_walk", "camera_turn_walk"), 0.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import time
 import tracemalloc
 from dataclasses import replace
 
@@ -17,7 +16,7 @@ from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
 
 # Gates off and no pull to level: what is left is a plain Kalman filter, whose NEES and NIS are χ².
 PLAIN = ErrorStateSettings(level_sigma_rad=None, confidence=1 - 1e-9, clock_sigma_s=0.0)
-RUNS = 200
+RUNS = 100
 ALONG = np.array([[0.0, 0, 1, 0, 0, 0]])
 FAULTS = {
     "every measurement": lambda t, motion: motion,
@@ -84,22 +83,18 @@ def test_nis_of_gyroscope_and_places_are_chi_squared():
     assert within(np.mean(of_places), 2, len(of_places))
 
 
-@pytest.mark.slow
-def test_memory_and_time_of_an_event_do_not_grow(rng):
-    steps = simulate(Drive(seconds=120.0), rng, PLAIN)
+def test_what_is_held_does_not_grow(rng):
+    """The time of an event is measured by `benchmarks.joined_hour`."""
+    steps = simulate(Drive(seconds=24.0), rng, PLAIN)
     follow(ErrorStateFilter(T_BASE_CAMERA), steps)  # loads kernels: some are called first in the middle of the drive
-    fusion = ErrorStateFilter(T_BASE_CAMERA)
-    seconds, held = [], []
+    fusion, held = ErrorStateFilter(T_BASE_CAMERA), []
     tracemalloc.start()
     for part in np.array_split(np.arange(len(steps)), 6):
-        begin = time.process_time()
         follow(fusion, [steps[i] for i in part])
-        seconds.append(time.process_time() - begin)
         gc.collect()
         held.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     assert held[-1] - held[1] < 50_000
-    assert seconds[-1] < 2 * seconds[1]
 
 
 def follow(fusion, steps):

@@ -189,6 +189,7 @@ def test_without_faults_nothing_is_flagged():
     assert np.mean(flags) < 0.02
 
 
+@pytest.mark.slow
 def test_frames_that_are_wrong_now_and_then_do_not_make_all_before_them_uncertain():
     """What wheels and camera both were uncertain of before they contradicted each other, they are afterwards, once."""
     wrong_s = np.arange(2.0, 40.0, 2.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -34,14 +35,14 @@ def test_any_order_ends_alike(order):
 
 
 def test_events_at_one_stamp_are_taken_by_rank():
-    history = History((), 1.0, heard)
+    history: History[Note, Any] = History((), 1.0, heard)
     for rank in (2, 0, 1):
         history.take(Note(0.0, 0.0, rank))
     assert [rank for _, rank, _ in history.newest] == [0, 1, 2]
 
 
 def test_what_is_older_than_the_window_is_forgotten_and_refused():
-    history = History(0, 0.5, lambda state, note, notes: state + 1)
+    history: History[Note, int] = History(0, 0.5, lambda state, note, notes: state + 1)
     for i in range(100):
         history.take(Note(0.1 * i, 0.1 * i))
     assert len(history) <= 6

@@ -70,7 +70,7 @@ def noise_after(ratio: float, seed: int, seconds: float = 60.0, slips_s: float =
     return found
 
 
-@pytest.mark.parametrize("ratio", [1 / 16, 1 / 4, 1.0, 3.0])
+@pytest.mark.parametrize("ratio", [1 / 16, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_noise_is_learned_whatever_the_calibration_says(ratio: float) -> None:
     found = [noise_after(ratio, seed)[-1] for seed in range(4)]
     assert 0.5 * ratio < np.mean(found) < 2 * ratio

@@ -58,7 +58,7 @@ def noiseless_view(parts: Bench, frame: RgbdFrame) -> Reference:
     return parts.maker.of_view(view, np.eye(4), level.intrinsics)
 
 
-@pytest.mark.parametrize("is_map", [False, True], ids=["frame", "map"])
+@pytest.mark.parametrize("is_map", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["frame", "map"])
 def test_the_noise_of_walls_does_not_pull_along_a_corridor(is_map: bool) -> None:
     """Walls beside the way say nothing of it, and what errs by chance errs both ways: in two frames of one place."""
     sides = [Plane((1, 0, 0), 0.9), Plane((-1, 0, 0), 1.3), Plane((0, 1, 0), 0.9), Plane((0, -1, 0), 1.5)]
@@ -85,6 +85,7 @@ def before_boards(T_map_camera: np.ndarray, stamp_s: float) -> RgbdFrame:
     return RgbdFrame(stamp_s, np.repeat(np.rint(grey).astype(np.uint8)[..., None], 3, axis=2), depth_m)
 
 
+@pytest.mark.slow
 def test_what_stands_out_before_a_wall_does_not_carry_the_camera_along() -> None:
     """Its rim is spread over the wall, whose depth makes of it a longer way."""
     off_m = []

@@ -176,11 +176,11 @@ class Faded:
         return PredictedView(depth_m, normal, np.full(shape, 128, np.float32))
 
 
-@pytest.mark.parametrize("is_painted", [True, False])
+@pytest.mark.parametrize("is_painted", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_what_faded_in_a_map_is_seen_by_the_frame_before(is_painted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Marks of a wall that the map has lost still tell the way along it; where there are none, tracking ends."""
     monkeypatch.setattr(KeypointLocator, "locate", lambda *_: None)
-    poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(40)]
+    poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(20 if is_painted else 40)]
     subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(threads=1), model=Faded())
     wall = [Plane((0, 0, 1), 1.5, is_painted)]
     answers = run(subject, [frame_of(wall, T, k / 30, noise_seed=k) for k, T in enumerate(poses)])
@@ -207,6 +207,7 @@ class Luring:
         return PredictedView(depth_m, normal, spot(color)[..., 0].astype(np.float32))
 
 
+@pytest.mark.slow
 def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace() -> None:
     """A spot is too little to tell the motion, yet enough to pull; it does so by as much in every frame."""
     poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(15)]

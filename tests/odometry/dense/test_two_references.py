@@ -82,12 +82,14 @@ def test_motions_told_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatc
         Plane((0, 1, 0), 0.9, is_painted=True),
     ]
     poses = [se3.exp([0, 0, 0.1 * k, 0, 0, 0]) for k in range(36)]
+    drives = [
+        [frame_of(corridor, T, 0.1 * k, noise_seed=1000 * seed + k) for k, T in enumerate(poses)] for seed in range(8)
+    ]
 
     def ends() -> FloatArray:
         """(8, 6) how far off the last pose is in as many drives."""
         off = []
-        for seed in range(8):
-            frames = [frame_of(corridor, T, 0.1 * k, noise_seed=1000 * seed + k) for k, T in enumerate(poses)]
+        for frames in drives:
             odometry = dense()
             found = run(odometry, frames)[-1].T_odom_body
             assert len(odometry._views.keyframes) > 3

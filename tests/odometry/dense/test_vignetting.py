@@ -71,6 +71,7 @@ def test_an_evened_wall_is_even() -> None:
     assert parts.grid(wall).levels[0].grey.max() <= 255
 
 
+@pytest.mark.slow
 def test_odometry_learns_its_camera() -> None:
     poses = [se3.exp([0, 0, 0.04 * k, 0, 0.02 * k, 0]) for k in range(40)]
     frames = [behind_lens(frame_of(ROOM, T, k / 15, noise_seed=k), 0.3) for k, T in enumerate(poses)]

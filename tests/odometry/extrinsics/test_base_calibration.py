@@ -26,7 +26,7 @@ MOUNTS = {
 }
 
 
-@pytest.mark.parametrize("name", MOUNTS)
+@pytest.mark.parametrize("name", ["aside", *(pytest.param(name, marks=pytest.mark.slow) for name in [*MOUNTS][1:])])
 def test_mount_and_delay_are_found(rng: np.random.Generator, name: str) -> None:
     """With wheels 2 % off, slips, and a camera 40 ms late, within half a degree, a centimetre and five milliseconds."""
     T_base_camera = MOUNTS[name]
@@ -40,7 +40,9 @@ def test_mount_and_delay_are_found(rng: np.random.Generator, name: str) -> None:
         off = found.values[quantity] - expected[quantity]
         off = (off + np.pi) % (2 * np.pi) - np.pi if quantity in ("roll", "pitch", "yaw") else off
         assert abs(off) < limit, (quantity, off)
-        assert abs(off) < 4 * found.sigmas[quantity], (quantity, off, found.sigmas[quantity])
+        sigma = found.sigmas[quantity]
+        assert sigma is not None
+        assert abs(off) < 4 * sigma, (quantity, off, sigma)
     np.testing.assert_allclose(found.T_base_camera[:3, :3], T_base_camera[:3, :3], atol=0.01)
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ def views_of(T_base_camera: FloatArray, rng: np.random.Generator | None = None) 
 
 
 def mount(**angles: float) -> FloatArray:
-    return Robot(**{f"camera_{name}": value for name, value in angles.items()}).T_base_camera
+    named: dict[str, Any] = {f"camera_{name}": value for name, value in angles.items()}
+    return Robot(**named).T_base_camera
 
 
 @pytest.mark.parametrize(
@@ -50,6 +52,7 @@ def test_tilt_is_that_of_the_robot() -> None:
         np.testing.assert_allclose(tilt_of(up), (roll, pitch), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_stated() -> None:
     """Normalised error squared of three quantities over forty noisy drives; what no camera betters is added to σ."""
     truth = np.array([*tilt_of(MOUNT[2, :3]), MOUNT[2, 3]])

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from odometry.views import odometry, room_frames
@@ -24,7 +26,7 @@ def features_at(points: np.ndarray, sigma_m: float = 0.01, has_depth: np.ndarray
     return Features(0.0, 100 * xy, np.zeros(n, int), words, xy, depth_m, np.ones(n), np.full(n, sigma_m))
 
 
-def view_at(T: np.ndarray, points: np.ndarray, landmark: np.ndarray | None = None, **how: object) -> View:
+def view_at(T: np.ndarray, points: np.ndarray, landmark: np.ndarray | None = None, **how: Any) -> View:
     landmark = np.full(len(points), -1) if landmark is None else landmark
     return View(features_at(points, **how), T, np.eye(6), landmark)
 
@@ -154,6 +156,7 @@ def test_landmarks_and_views_go_with_the_keyframe_that_made_them(rng, points):
     np.testing.assert_allclose(moved.covariance, Ad @ Ad.T, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_long_drive_stays_within_its_memory():
     """Back and forth, with so few keyframes kept that most are forgotten: tracking goes on, arrays stay bounded."""
     truth = wobbling_trajectory(90, speed=4.0)

@@ -25,4 +25,5 @@ def test_two_seconds_of_a_real_recording_are_followed(data_folder, name):
     found = Trajectory(
         np.array([answer.stamp_s for answer in answers]), np.array([answer.T_odom_body for answer in answers])
     )
+    assert recording.ground_truth is not None
     assert ate(found, recording.ground_truth).translation.rmse < 0.03

@@ -103,8 +103,7 @@ def rolling_frame(truth: Trajectory, stamp_s: float, bands: int = 24) -> RgbdFra
     for first in range(0, 240, rows):
         band = slice(first, first + rows)
         late_s = ((first + (rows - 1) / 2) / 240 - 0.5) * SHUTTER_S
-        c, d = render_room(truth.at([stamp_s + late_s])[0])
-        color[band], depth_m[band] = c[band], d[band]
+        color[band], depth_m[band] = render_room(truth.at([stamp_s + late_s])[0], rows=(first, first + rows))
     return RgbdFrame(stamp_s, color, depth_m)
 
 

@@ -28,7 +28,8 @@ def fit(simulated: SimulatedDrive, nominal: Wheels = NOMINAL, **options: object)
     return fit_wheels(nominal, drive_of(simulated), simulated.truth, **options)  # type: ignore[arg-type]
 
 
-@settings(max_examples=12)
+@pytest.mark.slow
+@settings(max_examples=6)
 @given(
     ratio=st.floats(0.98, 1.02),
     track_m=st.floats(0.45, 0.8),
@@ -182,6 +183,7 @@ def test_a_reference_of_the_camera_is_refused() -> None:
         fit_wheels(NOMINAL, drive_of(simulated), camera)
 
 
+@pytest.mark.slow
 def test_swapped_and_backward_wheels_are_named() -> None:
     simulated = simulate(TRUE)
     swapped = drive_from_ticks(NOMINAL, simulated.stamps_s, simulated.right, simulated.left)
