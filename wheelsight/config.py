@@ -29,6 +29,7 @@ from wheelsight.inputs import line_of, read_yaml
 from wheelsight.inputs.settings import Fault
 from wheelsight.mapping import SurfelSettings
 from wheelsight.odometry.dense import DenseSettings
+from wheelsight.odometry.extrinsics import ExtrinsicsSettings
 from wheelsight.odometry.features import FeatureSettings
 from wheelsight.odometry.wheels import WheelSettings
 from wheelsight.recordings import OpenOptions
@@ -209,6 +210,7 @@ class Config(Settings):
     )
     surfels: SurfelSettings = SurfelSettings()
     wheels: WheelSettings = WheelSettings()
+    extrinsics: ExtrinsicsSettings = ExtrinsicsSettings()
     clocks: ClockSettings = ClockSettings()
     localizer: LocalizerSettings = LocalizerSettings()
     places: PlaceSettings = PlaceSettings()

@@ -19,6 +19,7 @@ from wheelsight.config import Config, load_config, save_config
 from wheelsight.errors import ConfigError
 from wheelsight.events import YawRate
 from wheelsight.localizer import Localizer
+from wheelsight.odometry.extrinsics import AgreementSettings, FloorSettings
 from wheelsight.odometry.wheels import YawRateMeter
 from wheelsight.pipeline import RealTimeRecording
 from wheelsight.settings import FrameGateSettings, Settings
@@ -210,8 +211,11 @@ def parts_of(thing: Any, seen: set[int]) -> Iterator[Any]:
             yield from parts_of(one, seen)
     elif type(thing).__module__.startswith("wheelsight"):
         yield thing
-        for one in () if isinstance(thing, Settings) else getattr(thing, "__dict__", {}).values():
-            yield from parts_of(one, seen)
+        names = (
+            () if isinstance(thing, Settings) else (*getattr(thing, "__dict__", ()), *getattr(thing, "__slots__", ()))
+        )
+        for name in names:
+            yield from parts_of(getattr(thing, name), seen)
 
 
 def held_by(thing: Any, kind: type[Any] = Settings) -> list[Any]:
@@ -255,6 +259,14 @@ def test_gap_and_pace_reach_who_goes_by_them() -> None:
     subject = Localizer(CALIBRATION, load_config(overrides=given))
     assert {meter.gap_s for meter in held_by(subject, YawRateMeter)} == {0.3}
     assert {one.longest_step_s for one in parts_of(subject, set()) if type(one).__name__ == "Pace"} == {0.7}
+
+
+def test_how_both_motions_are_compared_reaches_a_joined_run() -> None:
+    given = {"odometry": "wheels,features", "extrinsics.agreement.piece_m": 0.09, "extrinsics.floor.steep": 0.3}
+    settings = load_config(overrides=given)
+    subject = Localizer(CALIBRATION, settings)
+    assert held_by(subject, AgreementSettings) == [settings.extrinsics.agreement]
+    assert held_by(subject, FloorSettings) == [settings.extrinsics.floor]
 
 
 def test_real_time_is_played_by_the_settings() -> None:

@@ -24,7 +24,7 @@ from wheelsight.localizer._floor_views import FloorViews
 from wheelsight.localizer._pieces import Pieces
 from wheelsight.localizer._verdict import Verdict, late_color
 from wheelsight.localizer._wheel_poses import WheelPoses
-from wheelsight.odometry.extrinsics import Culprit
+from wheelsight.odometry.extrinsics import Culprit, ExtrinsicsSettings
 from wheelsight.settings import BaseCheckSettings, ColorCheckSettings
 
 
@@ -37,6 +37,7 @@ class BaseCheck:
         by_wheels: a filter that begins as the one that joins both; it hears the wheels alone.
         settings: how much must be compared; of None, the defaults.
         of_color: how late colour is told; of None, the defaults.
+        of_mount: how both motions are compared, and the floor is told; of None, the defaults.
 
     Attributes:
         by_wheels: see above; None once both are known to tell of one drive, or who is left out has been.
@@ -49,14 +50,16 @@ class BaseCheck:
         by_wheels: ErrorStateFilter,
         settings: BaseCheckSettings | None = None,
         of_color: ColorCheckSettings | None = None,
+        of_mount: ExtrinsicsSettings | None = None,
     ) -> None:
         assert calibration.wheels is not None
         self.settings = of = settings or BaseCheckSettings()
+        mount = of_mount or ExtrinsicsSettings()
         self.by_wheels: ErrorStateFilter | None = by_wheels
         self._wheels = WheelPoses(of.kept_s, of.gyro_after_s)
         self._camera = CameraPoses(T_base_camera, of.waiting_frames)
-        self._floor = FloorViews(calibration, T_base_camera, of.floor_views, of.floor_rows)
-        self._pieces = Pieces(calibration.wheels, T_base_camera)
+        self._floor = FloorViews(calibration, T_base_camera, of, mount.floor)
+        self._pieces = Pieces(calibration.wheels, T_base_camera, mount.agreement)
         self._colors = ColorCheck(of_color)
         self._verdict = Verdict(of)
 

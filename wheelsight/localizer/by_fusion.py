@@ -48,7 +48,8 @@ class ByFusion:
         T_start, spread = (None, None) if self._places is None else self._places.start
         begin = (T_base_camera, T_start, spread, settings.fusion.error_state, calibration.gyro)
         self.filter = ErrorStateFilter(*begin)
-        self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), of.base_check, of.color_check)
+        checks = (of.base_check, of.color_check, settings.extrinsics)
+        self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)
         self._carried = Carried(self._settings)
 
     @property
