@@ -18,6 +18,7 @@ from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reaso
 from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer import Localizer
 from wheelsight.trajectory import Trajectory
 
@@ -69,7 +70,7 @@ class Eye:
         self._key: tuple[float, FloatArray] | None = None  # stamp and T_odom_camera
         self._last: tuple[float, FloatArray] | None = None
         self._place, self._wrong = 0, np.eye(4)
-        self.stage_seconds = {"align": 0.001}
+        self.stage_seconds, self.store = {"align": 0.001}, KeyframeStore()
         self.priors: dict[float, tuple[float, FloatArray | None]] = {}
         self.others: dict[float, tuple[FloatArray | None, ...]] = {}
         self.restarts: dict[float, FloatArray] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -156,7 +157,7 @@ class FeatureOdometry:
 
     def _keep(self, frame: RgbdFrame, features: Features, T_map_color: FloatArray) -> KeyframeId:
         """The frame as a keyframe of the store."""
-        return self.store.add(self._maker.keyframe(frame, features), T_map_color @ self._T_color_camera)
+        return self.store.add(partial(self._maker.keyframe, frame, features), T_map_color @ self._T_color_camera)
 
     def _begin_again(self, first_raw: Features, raw: Features, fix: Fix) -> Fix:
         """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
