@@ -86,7 +86,16 @@ def test_what_is_installed_is_handed_out() -> None:
     assert why_missing("plotly") is None
 
 
-def test_what_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "skops.io", None)
-    with pytest.raises(ConfigError, match=r"^skops is missing .pip install scikit-learn skops."):
-        needed("skops.io")
+@pytest.mark.parametrize(
+    ("module", "told"),
+    [
+        ("skops.io", "skops is missing (pip install scikit-learn skops)"),
+        ("skimage.measure", "scikit-image is missing (pip install scikit-image)"),
+        ("mujoco", "MuJoCo is missing (pip install mujoco matplotlib)"),
+    ],
+)
+def test_what_is_missing_is_told(module: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ConfigError) as missing:
+        needed(module)
+    assert str(missing.value) == told

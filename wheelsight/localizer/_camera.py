@@ -11,7 +11,6 @@ from wheelsight.config import Config
 from wheelsight.errors import CalibrationError
 from wheelsight.estimates import MotionEstimate
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
@@ -44,10 +43,10 @@ def camera_odometry(
     Beside wheels, tracking begins against keyframes; who joins both says when the map shows more.
     """
     if settings.map == "surfels":
-        store = KeyframeStore()
-        mapper = MapBuilder(calibration, settings.surfels, store)
-        model = None if settings.fusion.filter == "default" else mapper.map
-        return DenseOdometry(calibration, settings.dense, model, calibration.T_base_camera, store), mapper
+        dense = DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera)
+        mapper = MapBuilder(dense, calibration, settings.surfels)
+        mapper.track_map(settings.fusion.filter != "default")
+        return dense, mapper
     if "dense" in settings.odometry:
         return DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera), None
     return FeatureOdometry(calibration, settings.features, T_map_first=calibration.T_base_camera), None

@@ -14,7 +14,7 @@ from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer._pace import Pace
-from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 
 _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
@@ -97,7 +97,8 @@ class FusedCamera:
         if self.mapper is not None:
             turns = answer.twist is None or abs(answer.twist[2]) > self._settings.map_turn_rad_s
             is_calm = answer.stamp_s - self._unbelieved_s > self._settings.uncalm_s
-            self.mapper.track_map(self.odometry, self.mapper.shows_most(self._seen) and not (turns and is_calm))
+            shows_most = isinstance(self._seen, DenseEstimate) and self.mapper.shows_most(self._seen)
+            self.mapper.track_map(shows_most and not (turns and is_calm))
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""

@@ -21,7 +21,7 @@ from wheelsight.localizer._fused_camera import FusedCamera
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.map_builder import MapBuilder
-from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.extrinsics import Culprit
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.places import PlaceMatch
@@ -192,8 +192,8 @@ class ByFusion:
         if update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING:
             self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
             self._map.refer(seen)
-            if self.mapper is not None:
-                self.mapper.fuse_tracked(self.odometry, frame, seen)
+            if self.mapper is not None and isinstance(seen, DenseEstimate):
+                self.mapper.fuse_tracked(frame, seen)
         if update.is_reference:
             self._map.anchor = here
         return answer

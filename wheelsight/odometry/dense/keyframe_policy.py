@@ -21,9 +21,7 @@ from wheelsight.odometry.dense.two_references import joined
 from wheelsight.odometry.dense.views import KnownView, Views
 from wheelsight.odometry.dense.vignetting import Vignetting
 from wheelsight.odometry.features.extraction import Features
-
-# Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
-START_VARIANCE = 1e-12
+from wheelsight.odometry.state import START_VARIANCE
 
 
 class KeyframePolicy:

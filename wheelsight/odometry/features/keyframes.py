@@ -18,8 +18,7 @@ class KeyframeMaker:
 
     def __init__(self, calibration: Calibration) -> None:
         self._color, self._depth = calibration.cameras
-        T = calibration.T_color_depth
-        self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
+        self._T_color_camera = calibration.T_color_camera
         self._rays = None if calibration.is_registered else self._depth.rays()
         self._maps = maps_without_lens(self._depth) if self._depth.has_distortion else None
 

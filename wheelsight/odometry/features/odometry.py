@@ -20,11 +20,8 @@ from wheelsight.odometry.features.keyframes import KeyframeMaker
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
-from wheelsight.odometry.state import TrackingState
+from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
-
-# Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
-_START_VARIANCE = 1e-12
 
 
 class FeatureOdometry:
@@ -64,8 +61,7 @@ class FeatureOdometry:
         self._watch = Stopwatch()
         self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
         self._map_tracker = MapTracker(calibration, self._settings)
-        T = calibration.T_color_depth
-        self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
+        self._T_color_camera = calibration.T_color_camera
         T_map_camera = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
         self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
         self._last: View | None = None
@@ -144,7 +140,7 @@ class FeatureOdometry:
     def _start(
         self, frame: RgbdFrame, features: Features, T_map_color: FloatArray, covariance: FloatArray | None = None
     ) -> FeatureEstimate:
-        certain = _START_VARIANCE * np.eye(6)
+        certain = START_VARIANCE * np.eye(6)
         number = self._keep(frame, features, T_map_color)
         self._last = self._begin(features, T_map_color, certain if covariance is None else covariance, number)
         self._state = self._state.tracked()
