@@ -11,12 +11,6 @@ import pytest
 PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 LONGEST_FUNCTION, LONGEST_FILE = 40, 400
-# Longer than that from of old, by file and function; these shall go, and nothing shall come.
-TOO_LONG = {
-    ("_fusion_kernels.py", "update"),
-    ("_match_kernels.py", "find_candidates"),
-}
-FILES_TOO_LONG: set[str] = set()
 
 
 def too_long(source: str, is_command: bool) -> Iterator[str]:
@@ -39,9 +33,8 @@ def is_command(path: Path) -> bool:
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
 def test_functions_and_files_are_short(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
-    assert [name for name in too_long(source, is_command(path)) if (path.name, name) not in TOO_LONG] == []
-    if path.relative_to(PACKAGE).as_posix() not in FILES_TOO_LONG:
-        assert len(source.splitlines()) <= LONGEST_FILE
+    assert [*too_long(source, is_command(path))] == []
+    assert len(source.splitlines()) <= LONGEST_FILE
 
 
 def test_what_is_too_long_is_found() -> None:
@@ -54,8 +47,3 @@ def test_what_is_too_long_is_found() -> None:
     assert list(too_long(function(41, docstring=5), is_command=False)) == ["work"]
     assert list(too_long(function(41, docstring=5), is_command=True)) == []
     assert list(too_long("class Thing:\n    " + function(41).replace("\n", "\n    "), is_command=False)) == ["work"]
-
-
-def test_the_exceptions_are_few() -> None:
-    assert len(TOO_LONG) <= 12
-    assert len(FILES_TOO_LONG) <= 1

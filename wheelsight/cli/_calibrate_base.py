@@ -23,7 +23,7 @@ def base(
     of wheels it keeps what --calibration, or FILE itself, told.
     A drive that does not show them is refused, as a straight one hides x and y;
     what to drive instead is said: a minute or two, straight and with turns both ways.
-    Of a --config, its section extrinsics counts.
+    Of --config the section extrinsics counts.
 
     [bold]Examples[/bold]
 
@@ -37,12 +37,11 @@ def base(
     from wheelsight.odometry.extrinsics import calibrate_base
     from wheelsight.report.base_page import write_base_page
 
-    settings = settings_from({}, config).extrinsics
-    page, kept = page_beside(out, force), kept_in(out, calibration)
+    settings, page, kept = settings_from({}, config), page_beside(out, force), kept_in(out, calibration)
     source = open_for(recording, calibration, rate_hz)
     compile_missing(("wheels", "dense"))
     with FrameProgress("watching", source.frame_count) as progress:
-        found = calibrate_base(source, progress.advance, settings)
+        found = calibrate_base(source, progress.advance, settings.extrinsics)
     parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}
     written = save_found(parts, kept, source.calibration, f"mount found on {source.name}", out)
     if page is not None:

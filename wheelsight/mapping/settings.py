@@ -5,6 +5,7 @@ from __future__ import annotations
 from wheelsight.settings import CHOSEN, ON_SIMULATOR, Settings, setting
 
 _FROM_0026 = f"{ON_SIMULATOR}: docs/decisions/0026"
+_FROM_0037 = f"{ON_SIMULATOR}: docs/decisions/0037"
 _FROM_0038 = f"{ON_SIMULATOR}: docs/decisions/0038"
 
 
@@ -12,6 +13,27 @@ class SurfelSettings(Settings):
     """Settings of the surfel map; unknown names are refused."""
 
     stable_confidence: float = setting(10.0, "how many frames make a surfel stable", CHOSEN, gt=0, le=1e6)
+    most_confidence: float = setting(
+        100.0, "beyond, more frames change nothing: what is seen for long can still change", CHOSEN, gt=0, le=1e6
+    )
+    gone_confidence: float = setting(
+        0.4, "a surfel before free space loses half of its confidence a frame, and is gone below", CHOSEN, gt=0, le=1e6
+    )
+    color_frames: float = setting(
+        4.0,
+        "frames over which colour is averaged: lamps and lenses shade a spot differently from each place, and what a "
+        "far-off view showed would draw tracking back to there",
+        _FROM_0037,
+        ge=0,
+        le=1e6,
+    )
+    most_readings: float = setting(
+        50.0,
+        "readings that count for a position, at most: it is never better known than poses are",
+        CHOSEN,
+        gt=0,
+        le=1e6,
+    )
     unstable_s: float = setting(3.0, "a surfel not stable so long after it was first seen goes", CHOSEN, gt=0, le=1e6)
     unseen_s: float = setting(1.0, "a surfel not stable goes sooner if not seen for so long", CHOSEN, gt=0, le=1e6)
     active_s: float = setting(
@@ -55,6 +77,14 @@ class SurfelSettings(Settings):
         ge=0,
         le=100,
     )
+    averaged_sigmas: float = setting(
+        6.0,
+        "standard deviations of depth that surfels are averaged farther than they are laid: else of a wall there only "
+        "the readings that err towards the camera would count",
+        _FROM_0026,
+        ge=0,
+        le=100,
+    )
     radial_sigma: float = setting(
         0.6,
         "of a reading's weight over its distance from the image's centre, 1 at the farthest corner",
@@ -73,9 +103,44 @@ class SurfelSettings(Settings):
     gate_m: float = setting(0.01, "added to it: poses err too", CHOSEN, ge=0, le=10)
     max_angle_deg: float = setting(40.0, "between normals that agree", CHOSEN, gt=0, lt=90)
     max_slant_deg: float = setting(84.5, "surfaces seen at a sharper angle are not fused", _FROM_0026, gt=0, lt=90)
+    least_cosine: float = setting(
+        0.2,
+        "of the angle at which a plane is seen, by which the depth's error counts along its normal",
+        CHOSEN,
+        gt=0,
+        le=1,
+    )
+    disk_cosine: float = setting(
+        0.35,
+        "likewise, by which a disk is larger than its pixel: one that is grazed would reach far",
+        CHOSEN,
+        gt=0,
+        le=1,
+    )
+    fine_enough: float = setting(
+        1.5, "a disk so many times as large as a reading's is too coarse to stand for it", CHOSEN, ge=1, le=100
+    )
     gap_m: float = setting(0.02, "so near a stable surfel's middle, its disk is not filled in", CHOSEN, ge=0, le=10)
-    free_m: float = setting(0.05, "a surfel so far in front of what is measured, and 4 σ, is gone", CHOSEN, gt=0, le=10)
+    free_m: float = setting(
+        0.05, "a surfel so far in front of what is measured, and free_sigmas, is gone", CHOSEN, gt=0, le=10
+    )
+    free_sigmas: float = setting(4.0, "standard deviations of depth, of that", CHOSEN, ge=0, le=100)
     drift_m: float = setting(0.1, "added to it for surfels outside the active window", CHOSEN, ge=0, le=100)
+    blend: float = setting(
+        0.012, "disks no farther apart, a metre of depth, are shown as one surface, and by", CHOSEN, ge=0, le=1
+    )
+    blend_m: float = setting(0.006, "more, metres, at any depth", CHOSEN, ge=0, le=1)
+    smallest_px: float = setting(
+        0.75,
+        "radius of a disk that is shown, at least: pixels would fall between disks that were seen from nearer",
+        CHOSEN,
+        gt=0,
+        le=100,
+    )
+    largest_px: float = setting(24.0, "likewise at most, for speed", CHOSEN, gt=0, le=1000)
+    shown_cosine: float = setting(
+        0.05, "of the angle at which a disk is seen, from which on it is shown", CHOSEN, gt=0, le=1
+    )
     max_surfels: int = setting(3_000_000, "bound on memory, about 72 bytes a surfel", "reckoned", ge=1024, le=6_000_000)
     block_m: float = setting(0.5, "edge of the blocks by which surfels in view are found", CHOSEN, ge=0.05, le=10)
     threads: int = setting(2, "that share a frame's rows", "two cores, for which wheelsight is made", gt=0, le=64)
