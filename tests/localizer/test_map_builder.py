@@ -16,9 +16,8 @@ from wheelsight.estimates import CameraEstimate, Estimate, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.localizer.by_frames import ByFrames
-from wheelsight.localizer.map_builder import MapBuilder
+from wheelsight.localizer.map_builder import MapBuilder, Thinning
 from wheelsight.mapping import SurfelSettings
-from wheelsight.mapping.thinning import Thinning
 from wheelsight.odometry.dense import DenseOdometry
 
 TRUTH = synthetic.wobbling_trajectory(6)

@@ -65,7 +65,12 @@ CHANGED = {
 def outcome(**settings: float) -> list[np.ndarray]:
     """A map of walls that meet, hide each other or stand aslant, seen on a way; one goes away. And a view of it."""
     rng = np.random.default_rng(4)
-    rest = [Wall(3.0, 0.5, low=-0.6), Wall(3.0, 0.2, low=-0.6), Wall(4.25, high=-0.8), Wall(1.0, 1.5, low=0.2, high=0.8)]
+    rest = [
+        Wall(3.0, 0.5, low=-0.6),
+        Wall(3.0, 0.2, low=-0.6),
+        Wall(4.25, high=-0.8),
+        Wall(1.0, 1.5, low=0.2, high=0.8),
+    ]
     subject = made_map(**{"far_m": 4.0, "stable_confidence": 4.0, "active_s": 0.2} | settings)
     way = [pose(x=0.06 * k, z=0.03 * k, yaw=0.02 * k) for k in range(8)]
     look_at(subject, [Wall(2.3, 0.1, high=-0.1), *rest], way, rng)

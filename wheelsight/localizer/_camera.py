@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError
-from wheelsight.estimates import MotionEstimate
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseOdometry
@@ -22,17 +17,6 @@ def mount_of(calibration: Calibration) -> FloatArray:
         problem = f"the calibration ({calibration.source}) does not say where the camera sits on the base"
         raise CalibrationError(problem, fix="wheelsight calibrate base finds T_base_camera; or --fusion none")
     return se3.nearest(calibration.T_base_camera)
-
-
-def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
-    """A motion of the camera, at a velocity (6,) of its own, beside wheels whose times are uncertain by so much.
-
-    What it goes in that time is added to its covariance: else stamps that are off look like slip.
-    """
-    if twist is None or motion.T_reference_current is None or motion.covariance is None or not noise_s:
-        return motion
-    apart = se3.adjoint(motion.T_reference_current) @ (twist * noise_s)
-    return replace(motion, covariance=motion.covariance + np.outer(apart, apart))
 
 
 def camera_odometry(

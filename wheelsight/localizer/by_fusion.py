@@ -11,11 +11,10 @@ from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reaso
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray
-from wheelsight.localizer._anchor import Anchor, is_far
 from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._base_sensors import BaseSensors
-from wheelsight.localizer._camera import blurred, mount_of
-from wheelsight.localizer._camera_map import CameraMap
+from wheelsight.localizer._camera import mount_of
+from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far
 from wheelsight.localizer._carried import Carried
 from wheelsight.localizer._fused_camera import FusedCamera
 from wheelsight.localizer._place_sense import PlaceSense

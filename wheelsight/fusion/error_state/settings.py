@@ -126,6 +126,9 @@ class ErrorStateSettings(Settings):
     wheel_noise_cap_nats: float = setting(
         4.0, "most that one stretch of way tells of it: one that the camera saw wrong is one", CHOSEN, gt=0, le=1000
     )
+    wheel_noise_heard_share: float = setting(
+        0.95, "of the time since a pose, what the wheels must have told of to be compared with it", CHOSEN, ge=0, le=1
+    )
     side_m_per_sqrt_m: float = setting(0.005, "sideways", ON_SIMULATOR, ge=0, le=10)
     rise_m_per_sqrt_m: float = setting(0.003, "up", ON_SIMULATOR, ge=0, le=10)
     tilt_rad_per_sqrt_m: float = setting(0.05, "roll and pitch: ramps begin at once", CHOSEN, ge=0, le=3)
@@ -178,6 +181,13 @@ class ErrorStateSettings(Settings):
         CHOSEN,
         ge=0,
         le=60,
+    )
+    rate_readings: int = setting(
+        16,
+        "readings over which their rate is told: longer than a busy host stalls, shorter than rates change",
+        CHOSEN,
+        ge=2,
+        le=100_000,
     )
     even_s: float = setting(
         0.25,
