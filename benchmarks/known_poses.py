@@ -10,8 +10,8 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.localizer.map_builder import Thinning
 from wheelsight.mapping import SurfelMap
-from wheelsight.mapping.thinning import Thinning
 from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.dense.grid import Gridder

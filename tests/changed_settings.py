@@ -11,9 +11,6 @@ from pydantic.fields import FieldInfo
 from wheelsight.config import Config
 from wheelsight.settings import Settings
 
-# Sections whose defaults say their source; those of odometry, map and filter are tested with these.
-SECTIONS = ("clocks", "wheels", "localizer", "realtime")
-
 
 def leaves(settings: Settings, name: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
     """Dotted name, value and field of each setting that is no section."""
@@ -36,7 +33,7 @@ def sections(settings: Settings, name: str = "") -> Iterator[tuple[str, Settings
 
 
 def all_leaves() -> list[tuple[str, Any, FieldInfo]]:
-    return [leaf for leaf in leaves(Config()) if leaf[0].split(".")[0] in SECTIONS]
+    return [*leaves(Config())]
 
 
 def bounds(about: FieldInfo) -> dict[str, float]:

@@ -16,6 +16,7 @@ from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.files import write_text
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.keyframes import KeyframeStore
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 from wheelsight.recordings import AssociationReport
 from wheelsight.trajectory import Trajectory
@@ -83,6 +84,7 @@ class TrueOdometry:
         type(self).seen = []
         self._T_map_first = np.eye(4) if T_map_first is None else T_map_first
         self.stage_seconds: dict[str, float] = {}
+        self.store = KeyframeStore()
         self._reference_s: float | None = None
 
     def miss(self, stamp_s: float) -> Estimate:

@@ -371,3 +371,9 @@ def test_counters_of_any_width_or_modulus_keep_it_in_a_file(tmp_path: Path, coun
     assert read.counter_span == span
     assert read.never_rolling_over.counter_span == 0
     assert isinstance(yaml.safe_load((tmp_path / "c.yaml").read_text())["wheels"]["counter_modulus"], int)
+
+
+def test_the_camera_frame_is_the_colour_camera_s_where_depth_was_registered() -> None:
+    np.testing.assert_array_equal(Calibration.registered_camera(COLOR).T_color_camera, np.eye(4))
+    apart = Calibration(color=COLOR, depth=DEPTH, T_color_depth=T_COLOR_DEPTH)
+    np.testing.assert_array_equal(apart.T_color_camera, T_COLOR_DEPTH)

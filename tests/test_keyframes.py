@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from threading import Event, current_thread
 
 import numpy as np
 import pytest
@@ -46,13 +49,83 @@ def test_a_keyframe_is_known_by_its_number_and_where_it_is_by_the_store() -> Non
         store.T_map_keyframe[0] = np.eye(4)
 
 
-def test_a_keyframe_may_still_be_in_the_making_when_it_is_added() -> None:
-    store, made = KeyframeStore(), Future[Keyframe]()
+def test_a_keyframe_is_made_in_a_thread_while_the_store_goes_on() -> None:
+    store, may_go_on, threads = KeyframeStore(), Event(), []
+
+    def made() -> Keyframe:
+        threads.append(current_thread())
+        assert may_go_on.wait(30)
+        return keyframe(7)
+
     number = store.add(made, np.eye(4))
     store.move([number], poses(1, 2))
-    made.set_result(keyframe(7))
+    may_go_on.set()
     assert store[number].stamp_s == 7
     assert store[number] is store[number]
+    assert threads[0] is not current_thread()
+    store.close()
+    assert not threads[0].is_alive()
+
+
+def test_keyframes_that_threads_made_are_those_that_were_handed_in() -> None:
+    here, meanwhile = KeyframeStore(), KeyframeStore()
+    rng = np.random.default_rng(3)
+    for k in range(20):
+        images = rng.uniform(0.3, 10, (48, 64)).astype(np.float32), rng.uniform(0, 255, (48, 64)).astype(np.float32)
+        make = partial(Keyframe.of_images, float(k), INTRINSICS, *images)
+        here.add(make(), np.eye(4))
+        meanwhile.add(make, np.eye(4))
+    meanwhile.replace(KeyframeId(3), partial(keyframe, 3.5))
+    here.replace(KeyframeId(3), keyframe(3.5))
+    meanwhile.close()
+    for number in here:
+        one, other = here[number], meanwhile[number]
+        assert (one.stamp_s, one.depth_png, one.grey_png) == (other.stamp_s, other.depth_png, other.grey_png)
+
+
+def test_a_closed_store_is_read_and_takes_more() -> None:
+    store = KeyframeStore()
+    store.close()
+    first = store.add(partial(keyframe, 1.0), np.eye(4))
+    store.close()
+    second = store.add(partial(keyframe, 2.0), np.eye(4))
+    store.close()
+    assert [store[number].stamp_s for number in (first, second)] == [1.0, 2.0]
+
+
+def failing() -> Keyframe:
+    raise MemoryError("no room for a keyframe")
+
+
+@pytest.mark.parametrize(
+    "then",
+    [
+        lambda store: store.add(keyframe, np.eye(4)),
+        lambda store: store.replace(KeyframeId(0), keyframe),
+        lambda store: store.close(),
+        lambda store: store[KeyframeId(1)],
+    ],
+    ids=["add", "replace", "close", "get"],
+)
+def test_an_error_in_making_one_is_raised_where_the_store_is_used_next(then: Callable[[KeyframeStore], object]) -> None:
+    store = KeyframeStore()
+    store.add(keyframe, np.eye(4))
+    store.add(failing, np.eye(4))
+    with pytest.raises(MemoryError, match="no room for a keyframe"):
+        then(store)
+    assert len(store) == 2
+    with suppress(MemoryError):
+        store.close()
+
+
+def test_an_error_that_was_raised_once_does_not_stop_what_comes_later() -> None:
+    store = KeyframeStore()
+    store.add(failing, np.eye(4))
+    with pytest.raises(MemoryError):
+        store.close()
+    number = store.add(keyframe, np.eye(4))
+    store.close()
+    assert store[number].stamp_s == 0.0
 
 
 def test_what_follows_is_told_how_keyframes_moved_since_it_asked() -> None:

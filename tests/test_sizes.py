@@ -9,12 +9,6 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 LONGEST_FUNCTION, LONGEST_FILE = 40, 400
-# Longer than that from of old, by file and function; these shall go, and nothing shall come.
-TOO_LONG = {
-    ("_fusion_kernels.py", "update"),
-    ("_match_kernels.py", "find_candidates"),
-}
-FILES_TOO_LONG: set[str] = set()
 
 
 def too_long(source: str, is_command: bool) -> Iterator[str]:
@@ -41,8 +35,8 @@ def test_functions_and_files_are_short() -> None:
         functions |= {(path.name, name) for name in too_long(source, is_command(path))}
         if len(source.splitlines()) > LONGEST_FILE:
             files.add(path.relative_to(PACKAGE).as_posix())
-    assert functions == TOO_LONG
-    assert files == FILES_TOO_LONG
+    assert functions == set()
+    assert files == set()
 
 
 def test_what_is_too_long_is_found() -> None:
@@ -55,8 +49,3 @@ def test_what_is_too_long_is_found() -> None:
     assert list(too_long(function(41, docstring=5), is_command=False)) == ["work"]
     assert list(too_long(function(41, docstring=5), is_command=True)) == []
     assert list(too_long("class Thing:\n    " + function(41).replace("\n", "\n    "), is_command=False)) == ["work"]
-
-
-def test_the_exceptions_are_few() -> None:
-    assert len(TOO_LONG) <= 12
-    assert len(FILES_TOO_LONG) <= 1

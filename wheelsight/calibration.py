@@ -107,6 +107,11 @@ class Calibration:
         return self.T_color_depth is None
 
     @property
+    def T_color_camera(self) -> FloatArray:
+        """(4, 4) that maps points of the camera frame into the colour camera's: the identity where both are one."""
+        return np.eye(4) if self.T_color_depth is None else self.T_color_depth
+
+    @property
     def cameras(self) -> tuple[PinholeCamera, PinholeCamera]:
         """Colour and depth camera. Raises CalibrationError where there are none."""
         if self.color is None or self.depth is None:

@@ -169,3 +169,8 @@ class Gyro:
             check_range(name, value, allowed)
         if self.noise_rad_per_sqrt_s == 0:
             raise CalibrationError("noise_rad_per_sqrt_s is 0", fix="no gyroscope is without noise")
+
+
+def least_step(ticks: int, span: int) -> int:
+    """A difference of counters that roll over after `span` values (0: never) as the least step that explains it."""
+    return (ticks + span // 2) % span - span // 2 if span else ticks

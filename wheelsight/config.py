@@ -11,11 +11,7 @@ import yaml
 from pydantic import (
     AfterValidator,
     BeforeValidator,
-    Field,
-    NonNegativeFloat,
-    NonNegativeInt,
     PlainSerializer,
-    PositiveFloat,
     ValidationError,
     model_validator,
 )
@@ -29,10 +25,20 @@ from wheelsight.inputs import line_of, read_yaml
 from wheelsight.inputs.settings import Fault
 from wheelsight.mapping import SurfelSettings
 from wheelsight.odometry.dense import DenseSettings
+from wheelsight.odometry.extrinsics import ExtrinsicsSettings
 from wheelsight.odometry.features import FeatureSettings
 from wheelsight.odometry.wheels import WheelSettings
 from wheelsight.recordings import OpenOptions
-from wheelsight.settings import LocalizerSettings, RealTimeSettings, Settings, conflict
+from wheelsight.settings import (
+    ASKED,
+    CHOSEN,
+    LocalizerSettings,
+    RealTimeSettings,
+    Settings,
+    bounds,
+    conflict,
+    setting,
+)
 
 OdometryName = Literal["features", "dense", "wheels"]
 TrackName = Literal["features", "dense", "wheels", "rectified", "joined"]
@@ -50,20 +56,20 @@ def _unlisted(files: tuple[str, ...]) -> str | list[str] | None:
 class RecordingSettings(Settings):
     """What a user says about a recording that its files do not."""
 
-    camera: str | None = Field(default=None, description="name of a shipped calibration, or a calibration.yaml")
-    max_gap_s: NonNegativeFloat = Field(
-        default=0.02, le=3600, description="largest distance in time between colour and depth of one frame"
+    camera: str | None = setting(None, "name of a shipped calibration, or a calibration.yaml", ASKED)
+    max_gap_s: float = setting(
+        0.02, "largest distance in time between colour and depth of one frame", CHOSEN, ge=0, le=3600
     )
-    depth_factor: PositiveFloat | None = Field(
-        default=None, le=1e6, description="depth units a metre, if not the usual"
+    depth_factor: float | None = setting(None, "depth units a metre, if not the usual", ASKED, gt=0, le=1e6)
+    calibration: Annotated[tuple[str, ...], BeforeValidator(_listed), PlainSerializer(_unlisted)] = setting(
+        (), "a calibration.yaml, or several, laid over the recording's: what a later one tells wins", ASKED
     )
-    calibration: Annotated[tuple[str, ...], BeforeValidator(_listed), PlainSerializer(_unlisted)] = Field(
-        default=(), description="a calibration.yaml, or several, laid over the recording's: what a later one tells wins"
-    )
-    rate_hz: PositiveFloat | None = Field(
-        default=None,
+    rate_hz: float | None = setting(
+        None,
+        "how many a second the images' stamps count, if they are numbers of frames or no seconds",
+        ASKED,
+        gt=0,
         le=1e9,
-        description="how many a second the images' stamps count, if they are numbers of frames or no seconds",
     )
 
     def open_options(self) -> OpenOptions:
@@ -85,9 +91,9 @@ def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
 class StartSettings(Settings):
     """Where the base stands in the map at the first wheel reading."""
 
-    x_m: float = Field(ge=-1e6, le=1e6)
-    y_m: float = Field(ge=-1e6, le=1e6)
-    yaw_deg: float = Field(ge=-3600, le=3600)
+    x_m: float = setting(..., "where it stands, metres", ASKED, ge=-1e6, le=1e6)
+    y_m: float = setting(..., "likewise", ASKED, ge=-1e6, le=1e6)
+    yaw_deg: float = setting(..., "where it looks, degrees from x to y", ASKED, ge=-3600, le=3600)
 
     @model_validator(mode="before")
     @classmethod
@@ -103,11 +109,16 @@ class StartSettings(Settings):
         return se3.from_plane(self.x_m, self.y_m, np.radians(self.yaw_deg))
 
 
+_Weight = Annotated[float, bounds(ge=0, le=1)]
+
+
 class WeightSettings(Settings):
     """Eq. 5's weights, alpha of the last coordinate, beta of odometry, gamma of the area."""
 
-    told: tuple[float, float, float] = Field(description="where the area tells the coordinate; sum to 1")
-    untold: tuple[float, float] = Field(description="alpha and beta where it does not; sum to 1")
+    told: tuple[_Weight, _Weight, _Weight] = setting(
+        ..., "where the area tells the coordinate; sum to 1", "Trinh, eq. 5"
+    )
+    untold: tuple[_Weight, _Weight] = setting(..., "alpha and beta where it does not; sum to 1", "Trinh, eq. 5")
 
     @model_validator(mode="before")
     @classmethod
@@ -136,16 +147,16 @@ class WeightSettings(Settings):
 class PlaceSettings(Settings):
     """Areas that rectify the wheels. Without a model nothing does, and all else is None; with one, defaults are set."""
 
-    model: str | None = Field(default=None, description="model that names areas, from wheelsight places train")
-    areas: str | None = Field(default=None, description="areas.yaml; of None, the one in the recording's folder")
-    rectify: Literal["probabilistic", "paper"] | None = Field(
-        default=None, description="by a filter with covariance, which is the default, or by Trinh's eq. 5"
+    model: str | None = setting(None, "model that names areas, from wheelsight places train", ASKED)
+    areas: str | None = setting(None, "areas.yaml; of None, the one in the recording's folder", ASKED)
+    rectify: Literal["probabilistic", "paper"] | None = setting(
+        None, "by a filter with covariance, which is the default, or by Trinh's eq. 5", ASKED
     )
-    start: StartSettings | None = Field(default=None, description="of None, from the recording's ground truth")
-    odometry_term: OdometryTerm | None = Field(
-        default=None, description="what eq. 5 takes for odometry: its own coordinate, or the last one and the way since"
+    start: StartSettings | None = setting(None, "of None, from the recording's ground truth", ASKED)
+    odometry_term: OdometryTerm | None = setting(
+        None, "what eq. 5 takes for odometry: its own coordinate, or the last one and the way since", ASKED
     )
-    weights: WeightSettings | None = Field(default=None, description="of eq. 5")
+    weights: WeightSettings | None = setting(None, "of eq. 5", ASKED)
 
     @model_validator(mode="before")
     @classmethod
@@ -163,16 +174,16 @@ class PlaceSettings(Settings):
 class EvaluationSettings(Settings):
     """How an estimate is compared with the ground truth."""
 
-    with_scale: bool = Field(default=False, description="estimate a scale too when aligning; hides errors of scale")
-    max_gap_s: NonNegativeFloat = Field(
-        default=0.02, le=3600, description="largest distance in time between an estimated and a true pose"
+    with_scale: bool = setting(False, "estimate a scale too when aligning; hides errors of scale", ASKED)
+    max_gap_s: float = setting(
+        0.02, "largest distance in time between an estimated and a true pose", CHOSEN, ge=0, le=3600
     )
 
 
 class ReportSettings(Settings):
     """What report.html shows beside the curves."""
 
-    pictures: NonNegativeInt = Field(default=4, le=100, description="frames drawn with their matches")
+    pictures: int = setting(4, "frames drawn with their matches", CHOSEN, ge=0, le=100)
 
 
 def _split(names: Any) -> Any:
@@ -199,16 +210,15 @@ class Config(Settings):
 
     odometry: Annotated[
         tuple[OdometryName, ...], BeforeValidator(_split), AfterValidator(_each_once), PlainSerializer(_joined)
-    ] = Field(default=("features",), description="one name or several, in the order in which they are reported")
+    ] = setting(("features",), "one name or several, in the order in which they are reported", ASKED)
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
     fusion: FusionSettings = FusionSettings()
-    map: Literal["surfels"] | None = Field(
-        default=None, description="what dense odometry builds on the way and tracks against"
-    )
+    map: Literal["surfels"] | None = setting(None, "what dense odometry builds on the way and tracks against", ASKED)
     surfels: SurfelSettings = SurfelSettings()
     wheels: WheelSettings = WheelSettings()
+    extrinsics: ExtrinsicsSettings = ExtrinsicsSettings()
     clocks: ClockSettings = ClockSettings()
     localizer: LocalizerSettings = LocalizerSettings()
     places: PlaceSettings = PlaceSettings()

@@ -9,7 +9,9 @@ from wheelsight.errors import ConfigError
 
 # By the name that is imported: the library's, and all that its extra brings, by names that install from anywhere.
 _EXTRAS = {
+    "mujoco": ("MuJoCo", "mujoco matplotlib"),
     "plotly": ("plotly", "plotly"),
+    "skimage": ("scikit-image", "scikit-image"),
     "sklearn": ("scikit-learn", "scikit-learn skops"),
     "skops": ("skops", "scikit-learn skops"),
 }

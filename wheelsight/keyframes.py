@@ -6,8 +6,8 @@ the store: it asks how keyframes have moved since it asked last, and moves what 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NewType
 
@@ -86,6 +86,10 @@ class Keyframe:
 class KeyframeStore:
     """All keyframes, and the only table of where they are.
 
+    To compress a keyframe's images takes as long as to track a frame: a thread of the store does it beside the next.
+    One keyframe at a time is in the making. An error in it is raised where the next one is added, where the store is
+    closed, and wherever that keyframe is asked for.
+
     Attributes:
         revision: grows each time keyframes are moved; adding one moves none.
     """
@@ -94,6 +98,8 @@ class KeyframeStore:
         self._keyframes: list[Keyframe | Future[Keyframe]] = []
         self._T_map_keyframe = np.zeros((16, 4, 4))
         self._followers: list[Follower] = []
+        self._thread: ThreadPoolExecutor | None = None
+        self._making: Future[Keyframe] | None = None
         self.revision = 0
 
     def __len__(self) -> int:
@@ -122,19 +128,35 @@ class KeyframeStore:
         self._check([number])
         return np.array(self._T_map_keyframe[number])
 
-    def add(self, keyframe: Keyframe | Future[Keyframe], T_map_keyframe: ArrayLike) -> KeyframeId:
-        """Keep a keyframe that is at a pose (4, 4) by what is known now; another thread may still be making it."""
-        number = len(self)
+    def add(self, keyframe: Keyframe | Callable[[], Keyframe], T_map_keyframe: ArrayLike) -> KeyframeId:
+        """Keep a keyframe, or one that is yet to be made, at a pose (4, 4) by what is known now.
+
+        What it is made of may not be written to any more. Raises what went wrong with the one before.
+        """
+        kept, number = self._made(keyframe), len(self)
         if number == len(self._T_map_keyframe):
             self._T_map_keyframe = np.concatenate([self._T_map_keyframe, np.zeros_like(self._T_map_keyframe)])
         self._T_map_keyframe[number] = np.asarray(T_map_keyframe, float)
-        self._keyframes.append(keyframe)
+        self._keyframes.append(kept)
         return KeyframeId(number)
 
-    def replace(self, number: KeyframeId, keyframe: Keyframe) -> None:
-        """Keep better images of the same frame in a keyframe's place. Raises ArgumentError where it holds none."""
+    def replace(self, number: KeyframeId, keyframe: Keyframe | Callable[[], Keyframe]) -> None:
+        """Keep better images of the same frame in a keyframe's place.
+
+        Raises as `add` does, and ArgumentError where it holds none.
+        """
         self._check([number])
-        self._keyframes[number] = keyframe
+        self._keyframes[number] = self._made(keyframe)
+
+    def close(self) -> None:
+        """Wait until all are made, and end the thread; all stay, and who adds more starts another thread.
+
+        Raises what went wrong with the last one.
+        """
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.shutdown()
+        self._finish()
 
     def move(self, numbers: Sequence[KeyframeId], T_map_keyframe: ArrayLike) -> None:
         """Put keyframes to new poses (K, 4, 4); all that follows them is told. Raises ArgumentError."""
@@ -157,6 +179,21 @@ class KeyframeStore:
         follower = Follower()
         self._followers.append(follower)
         return follower
+
+    def _made(self, keyframe: Keyframe | Callable[[], Keyframe]) -> Keyframe | Future[Keyframe]:
+        if isinstance(keyframe, Keyframe):
+            return keyframe
+        self._finish()
+        if self._thread is None:
+            self._thread = ThreadPoolExecutor(1, "wheelsight-keyframes")
+        self._making = self._thread.submit(keyframe)
+        return self._making
+
+    def _finish(self) -> None:
+        """Wait for the one in the making, and raise what went wrong with it, once."""
+        making, self._making = self._making, None
+        if making is not None:
+            making.result()
 
     def _check(self, numbers: Sequence[KeyframeId]) -> None:
         for number in numbers:

@@ -17,7 +17,7 @@ from typer.testing import Result
 from wheelsight.calibration import Calibration, load_calibration, read_layer, save_calibration
 from wheelsight.config import load_config
 from wheelsight.odometry import extrinsics
-from wheelsight.odometry.extrinsics import BaseCalibration, base_from, mount_values
+from wheelsight.odometry.extrinsics import BaseCalibration, ExtrinsicsSettings, base_from, mount_values
 from wheelsight.recordings import OpenOptions, Recording, open_recording
 from wheelsight.simulation import Robot, SimulationSettings, simulate, write_simulation
 
@@ -43,9 +43,11 @@ def drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: BaseCalibratio
     """A recording whose images nobody rendered; what they would have shown is known."""
     write_recording(tmp_path / "drive", NOMINAL, drive_legs(NOMINAL))
 
-    def calibrate(recording: Recording, on_frame: Callable[[str], None]) -> BaseCalibration:
+    def calibrate(
+        recording: Recording, on_frame: Callable[[str], None], settings: ExtrinsicsSettings
+    ) -> BaseCalibration:
         on_frame("tracking")
-        return replace(found, recording=recording.name)
+        return replace(found, recording=recording.name, warnings=(*found.warnings, f"{settings.floor.steep:g} steep"))
 
     monkeypatch.setattr(extrinsics, "calibrate_base", calibrate)
     return tmp_path / "drive"
@@ -109,6 +111,15 @@ def test_nothing_is_overwritten_unasked(wheelsight: Command, refusal: Refusal, d
     assert told == f"{out}: is there already (choose another --out, or add --force to overwrite)"
     assert wheelsight("calibrate", "base", drive, "--out", out, "--force").exit_code == 0
     assert load_calibration(out).T_base_camera is not None
+
+
+def test_it_goes_by_settings(wheelsight: Command, refusal: Refusal, drive: Path, tmp_path: Path) -> None:
+    out, config = tmp_path / "base.yaml", tmp_path / "settings.yaml"
+    config.write_text("extrinsics:\n  floor: {steep: 0.35}\n")
+    assert "0.35 steep" in wheelsight("calibrate", "base", drive, "--config", config, "--out", out).stderr
+    config.write_text("extrinsics:\n  floor: {steep: 2}\n")
+    told = refusal("calibrate", "base", drive, "--config", config, "--out", tmp_path / "other.yaml")
+    assert told.startswith(f"{config}:2: extrinsics.floor.steep is 2")
 
 
 def test_a_recording_without_images_is_refused(refusal: Refusal, wheels: Path, tmp_path: Path) -> None:

@@ -138,9 +138,9 @@ def test_the_folder_is_not_in_the_way_of_a_second_try(wheelsight: Command, refus
 
 
 def test_without_mujoco_the_extra_is_named(refusal: Refusal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.modules["wheelsight.simulation.simulate"], "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
     text = refusal("simulate", "square", "--out", tmp_path / "out")
-    assert text == "the simulator needs MuJoCo (pip install mujoco matplotlib)"
+    assert text == "MuJoCo is missing (pip install mujoco matplotlib)"
     assert not (tmp_path / "out").exists()
 
 

@@ -14,11 +14,13 @@ from stand_ins import CAMERA, frame
 
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
-from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
+from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer import Localizer
+from wheelsight.odometry.dense import DenseEstimate
 from wheelsight.trajectory import Trajectory
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0, slip_m_per_sqrt_m=0.005)
@@ -69,7 +71,7 @@ class Eye:
         self._key: tuple[float, FloatArray] | None = None  # stamp and T_odom_camera
         self._last: tuple[float, FloatArray] | None = None
         self._place, self._wrong = 0, np.eye(4)
-        self.stage_seconds = {"align": 0.001}
+        self.stage_seconds, self.store = {"align": 0.001}, KeyframeStore()
         self.priors: dict[float, tuple[float, FloatArray | None]] = {}
         self.others: dict[float, tuple[FloatArray | None, ...]] = {}
         self.restarts: dict[float, FloatArray] = {}
@@ -131,11 +133,11 @@ class Eye:
     def _tracking(self, stamp_s: float, motion: MotionEstimate) -> Estimate:
         assert self._last is not None
         told = (Status.TRACKING, self._last[1], 1e-6 * np.eye(6))
-        return CameraEstimate(stamp_s, *told, matches=200, inliers=160, motion=motion)
+        return DenseEstimate(stamp_s, *told, matches=200, inliers=160, motion=motion)
 
     def _fail(self, reason: Reason, stamp_s: float) -> Estimate:
         status = Status.INITIALIZING if self._last is None else Status.FAILING
-        return CameraEstimate(stamp_s, status, reason=reason, motion=MotionEstimate.failed(reason))
+        return DenseEstimate(stamp_s, status, reason=reason, motion=MotionEstimate.failed(reason))
 
 
 def _judged(T: FloatArray, T_prior: FloatArray | None, hidden: FloatArray | None) -> MotionEstimate:
@@ -163,13 +165,13 @@ class MapOfFrames:
     is_tracked: bool = False
     shows: bool = False
 
-    def track_map(self, odometry: object, tracks: bool) -> None:
+    def track_map(self, tracks: bool) -> None:
         self.is_tracked = tracks
 
-    def shows_most(self, odometry: object) -> bool:
+    def shows_most(self, seen: object) -> bool:
         return self.shows
 
-    def fuse_tracked(self, odometry: object, frame: RgbdFrame, seen: Estimate) -> None:
+    def fuse_tracked(self, frame: RgbdFrame, seen: Estimate) -> None:
         assert seen.T_odom_body is not None
         self.fused[frame.stamp_s] = seen.T_odom_body
 

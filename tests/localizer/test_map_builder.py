@@ -16,9 +16,8 @@ from wheelsight.estimates import CameraEstimate, Estimate, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.localizer.by_frames import ByFrames
-from wheelsight.localizer.map_builder import MapBuilder
+from wheelsight.localizer.map_builder import MapBuilder, Thinning
 from wheelsight.mapping import SurfelSettings
-from wheelsight.mapping.thinning import Thinning
 from wheelsight.odometry.dense import DenseOdometry
 
 TRUTH = synthetic.wobbling_trajectory(6)
@@ -121,8 +120,7 @@ def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
 def test_a_map_shows_most_where_hardly_anything_lies_beyond_its_end(far_m: float, expected: bool) -> None:
     calibration = Calibration.registered_camera(SMALL)
     odometry = DenseOdometry(calibration)
-    subject = MapBuilder(calibration, store=odometry.store)
-    assert not subject.shows_most(None)  # nothing was seen
+    subject = MapBuilder(odometry, calibration)
     scene = [Plane((0, 0, 1), far_m), Plane((0, 1, 0), 1.0)]
     for k in range(2):
         seen = odometry.process(frame_of(scene, np.eye(4), k / 30, noise_seed=k))
@@ -132,7 +130,7 @@ def test_a_map_shows_most_where_hardly_anything_lies_beyond_its_end(far_m: float
 def test_of_a_frame_that_failed_no_map_shows_anything(frames: list[RgbdFrame]) -> None:
     calibration = Calibration.registered_camera(synthetic.CAMERA)
     odometry = DenseOdometry(calibration)
-    subject = MapBuilder(calibration, store=odometry.store)
+    subject = MapBuilder(odometry, calibration)
     assert subject.shows_most(odometry.process(frames[0]))
     assert not subject.shows_most(odometry.process(replace(frames[1], depth_m=np.zeros_like(frames[1].depth_m))))
 
@@ -141,10 +139,10 @@ def test_a_frame_goes_to_where_others_have_it(frames: list[RgbdFrame]) -> None:
     """Odometry tells what the frame shows; where that is, who joins it with wheels may know better."""
     calibration, T_told = Calibration.registered_camera(synthetic.CAMERA), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])
     odometry = DenseOdometry(calibration)
-    subject = MapBuilder(calibration, store=odometry.store)
+    subject = MapBuilder(odometry, calibration)
     told = replace(odometry.process(frames[0]), T_odom_body=T_told)
     assert len(subject.map) == 0
-    fused = subject.fuse_tracked(odometry, frames[0], told)
+    fused = subject.fuse_tracked(frames[0], told)
     assert fused is not None
     assert fused.added == len(subject.map) > 10_000
     assert odometry.stage_seconds["fuse"] > 0
@@ -178,10 +176,10 @@ def test_frames_that_hardly_move_are_thinned_out(way_m: float, turn_rad: float, 
 def test_a_camera_that_stands_still_fuses_some_frames(frames: list[RgbdFrame]) -> None:
     calibration = Calibration.registered_camera(synthetic.CAMERA)
     odometry = DenseOdometry(calibration)
-    subject = MapBuilder(calibration, store=odometry.store)
+    subject = MapBuilder(odometry, calibration)
     for k in range(30):
         frame = replace(frames[0], stamp_s=k / 30)
         estimate = odometry.process(frame)
         assert estimate.T_odom_body is not None
-        subject.fuse_tracked(odometry, frame, estimate)
+        subject.fuse_tracked(frame, estimate)
     assert 8 <= subject.map.frames <= 11

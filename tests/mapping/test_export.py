@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mapping.scenes import Wall, look_at, made_map, pose
 
-from wheelsight.errors import MapError
+from wheelsight.errors import ConfigError, MapError
 from wheelsight.mapping import Mesh, SurfelMap, export, mesh_of, write_mesh_ply, write_ply
 
 TYPES = {"float": "<f4", "uchar": "u1"}
@@ -124,7 +124,7 @@ def test_meshing_tells_how_far_it_is(monkeypatch):
 
 def test_without_scikit_image_the_fix_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "skimage.measure", None)
-    with pytest.raises(MapError, match="pip install scikit-image"):
+    with pytest.raises(ConfigError, match="pip install scikit-image"):
         mesh_of(wall_map())
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_args, get_origin
 
 import numpy as np
 import pytest
-from changed_settings import SECTIONS, all_leaves, bounds, sections
+from changed_settings import all_leaves, bounds, sections
 from pydantic.fields import FieldInfo
 from stand_ins import CAMERA, MemoryRecording
 
@@ -18,7 +18,10 @@ from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import Config, load_config, save_config
 from wheelsight.errors import ConfigError
 from wheelsight.events import YawRate
+from wheelsight.fusion.error_state import ErrorStateSettings
+from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.localizer import Localizer
+from wheelsight.odometry.extrinsics import AgreementSettings, FloorSettings
 from wheelsight.odometry.wheels import YawRateMeter
 from wheelsight.pipeline import RealTimeRecording
 from wheelsight.settings import FrameGateSettings, Settings
@@ -57,6 +60,61 @@ def with_value(dotted: str, value: Any) -> str:
     """YAML of one setting, a line a level."""
     names = dotted.split(".")
     return "".join(f"{'  ' * depth}{name}:\n" for depth, name in enumerate(names))[:-1] + f" {value}\n"
+
+
+def classes(of: type[Settings] = Settings) -> Iterator[type[Settings]]:
+    """All classes of settings, those that no configuration holds too."""
+    for kind in of.__subclasses__():
+        if kind.__module__.startswith("wheelsight."):
+            yield kind
+            yield from classes(kind)
+
+
+KINDS = list(classes())
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=[f"{kind.__module__}.{kind.__name__}" for kind in KINDS])
+def test_each_field_has_its_reason_and_its_source(kind: type[Settings]) -> None:
+    own = [(name, about) for name, about in kind.model_fields.items() if not isinstance(about.default, Settings)]
+    assert [name for name, about in own if not about.description] == []
+    sources = {name: (about.json_schema_extra or {}).get("source") for name, about in own}  # type: ignore[union-attr]
+    assert [name for name, source in sources.items() if not source] == []
+
+
+def test_fields_have_one_form() -> None:
+    """By `setting`, so that none comes without reason and source."""
+    modules = {path.relative_to(PACKAGE).as_posix(): path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
+    imports = [
+        (module, alias.name)
+        for module, text in modules.items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.ImportFrom) and node.module == "pydantic"
+        for alias in node.names
+    ]
+    assert [module for module, name in imports if name == "Field"] == ["settings/base.py"]
+
+
+def numbers_in(kind: Any) -> Iterator[Any]:
+    """Of the types that a field is made of, those that are numbers, with what they are annotated with."""
+    if get_origin(kind) is Annotated:
+        yield from ((kind,) if get_args(kind)[0] in (int, float) else numbers_in(get_args(kind)[0]))
+    elif kind in (int, float):
+        yield kind
+    for part in get_args(kind) if get_origin(kind) is tuple else ():
+        yield from numbers_in(part)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=[f"{kind.__module__}.{kind.__name__}" for kind in KINDS])
+def test_each_of_several_numbers_has_bounds(kind: type[Settings]) -> None:
+    """And there are not endlessly many of them."""
+    for name, about in kind.model_fields.items():
+        several = [*numbers_in(about.annotation)] if get_origin(about.annotation) is tuple else []
+        for number in several:
+            (limits,) = get_args(number)[1:] or ({},)
+            assert {"gt", "ge"} & bounds(limits).keys(), name
+            assert {"lt", "le"} & bounds(limits).keys(), name
+        if Ellipsis in get_args(about.annotation) and several:
+            assert any(hasattr(rule, "max_length") for rule in about.metadata), name
 
 
 @pytest.mark.parametrize(("name", "value", "about"), LEAVES, ids=[leaf[0] for leaf in LEAVES])
@@ -133,7 +191,7 @@ def test_all_of_them_are_in_the_config_of_a_run(tmp_path: Path) -> None:
     save_config(config, tmp_path / "config.yaml")
     text = (tmp_path / "config.yaml").read_text()
     assert load_config(tmp_path / "config.yaml") == config
-    assert [name for name, _, _ in LEAVES if f" {name.rsplit('.')[-1]}:" not in text] == []
+    assert [name for name, _, _ in LEAVES if f" {name.rsplit('.')[-1]}:" not in f" {text}".replace("\n", " ")] == []
 
 
 def is_numeric(node: ast.expr) -> bool:
@@ -194,10 +252,28 @@ def test_no_setting_is_dead() -> None:
     """Each is read somewhere beside the classes that declare it."""
     read: set[str] = set()
     for path in PACKAGE.rglob("*.py"):
-        if path.parent.name != "settings" and path.name != "settings.py":
+        # What the default filter reckons of its settings, once, stands beside them.
+        if path.parent.name not in ("settings", "error_state") and path.name == "settings.py":
+            continue
+        if path.parent.name != "settings":
             tree = ast.parse(path.read_text(encoding="utf-8"))
             read |= {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Load)}
-    assert [name for name, _, _ in LEAVES if name.rsplit(".")[-1] not in read] == []
+    left = [name for name, _, _ in LEAVES if name.rsplit(".")[-1] not in read]
+    assert [name for name in left if not is_of_an_error(name) and not name.startswith(HANDED_ON)] == []
+
+
+# Handed on as a whole, to who takes each by its name.
+HANDED_ON = ("evaluation.",)
+
+
+def is_of_an_error(name: str) -> bool:
+    """Whether a setting says how an error of a sensor spreads, which the default filter looks up by its name."""
+    section, _, own = name.rpartition(".")
+    if section != "fusion.error_state":
+        return False
+    value = getattr(ErrorStateSettings(), own)
+    usual, other = (FilterParameters(**given) for given in ({}, {own: value / 2}))
+    return not (np.array_equal(usual.variances, other.variances) and np.array_equal(usual.walks, other.walks))
 
 
 def parts_of(thing: Any, seen: set[int]) -> Iterator[Any]:
@@ -210,8 +286,11 @@ def parts_of(thing: Any, seen: set[int]) -> Iterator[Any]:
             yield from parts_of(one, seen)
     elif type(thing).__module__.startswith("wheelsight"):
         yield thing
-        for one in () if isinstance(thing, Settings) else getattr(thing, "__dict__", {}).values():
-            yield from parts_of(one, seen)
+        names = (
+            () if isinstance(thing, Settings) else (*getattr(thing, "__dict__", ()), *getattr(thing, "__slots__", ()))
+        )
+        for name in names:
+            yield from parts_of(getattr(thing, name), seen)
 
 
 def held_by(thing: Any, kind: type[Any] = Settings) -> list[Any]:
@@ -230,8 +309,9 @@ def changed(section: Settings) -> dict[str, Any]:
     raise AssertionError(section)
 
 
-OWN = [(name, section) for name, section in sections(Config()) if name.split(".")[0] in SECTIONS]
-REACHED = [(name, section) for name, section in OWN if name not in ("wheels", "localizer", "realtime")]
+# What a localizer by wheels and features hands to parts as it is.
+WHOLE = ("clocks", "wheels.", "localizer.", "features", "fusion.joining", "extrinsics.agreement", "extrinsics.floor")
+REACHED = [(name, section) for name, section in sections(Config()) if name.startswith(WHOLE)]
 
 
 @pytest.mark.parametrize(("name", "section"), REACHED, ids=[name for name, _ in REACHED])
@@ -255,6 +335,14 @@ def test_gap_and_pace_reach_who_goes_by_them() -> None:
     subject = Localizer(CALIBRATION, load_config(overrides=given))
     assert {meter.gap_s for meter in held_by(subject, YawRateMeter)} == {0.3}
     assert {one.longest_step_s for one in parts_of(subject, set()) if type(one).__name__ == "Pace"} == {0.7}
+
+
+def test_how_both_motions_are_compared_reaches_a_joined_run() -> None:
+    given = {"odometry": "wheels,features", "extrinsics.agreement.piece_m": 0.09, "extrinsics.floor.steep": 0.3}
+    settings = load_config(overrides=given)
+    subject = Localizer(CALIBRATION, settings)
+    assert held_by(subject, AgreementSettings) == [settings.extrinsics.agreement]
+    assert held_by(subject, FloorSettings) == [settings.extrinsics.floor]
 
 
 def test_real_time_is_played_by_the_settings() -> None:

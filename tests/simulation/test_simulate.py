@@ -214,8 +214,8 @@ def test_progress_tells_how_far_of_how_much():
 
 
 def test_without_mujoco_the_way_to_it_is_told(monkeypatch):
-    monkeypatch.setattr(sys.modules["wheelsight.simulation.simulate"], "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"the simulator needs MuJoCo \(pip install mujoco"):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ConfigError, match=r"^MuJoCo is missing \(pip install mujoco matplotlib\)"):
         simulate(SETTINGS)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from wheelsight.cli._calibration_files import Force, Out, kept_in, open_for, page_beside, save_found
-from wheelsight.cli._options import CalibrationFile, RateHz, RecordingPath
+from wheelsight.cli._options import CalibrationFile, RateHz, RecordingPath, settings_from
+from wheelsight.cli._run_options import SettingsFile
 
 
 def base(
@@ -11,6 +12,7 @@ def base(
     out: Out,
     calibration: CalibrationFile = None,
     rate_hz: RateHz = None,
+    config: SettingsFile = None,
     force: Force = False,
 ) -> None:
     """Find where the camera sits on the robot and how late the wheels' stamps are, from an ordinary drive.
@@ -21,6 +23,7 @@ def base(
     of wheels it keeps what --calibration, or FILE itself, told.
     A drive that does not show them is refused, as a straight one hides x and y;
     what to drive instead is said: a minute or two, straight and with turns both ways.
+    Of --config the section extrinsics counts.
 
     [bold]Examples[/bold]
 
@@ -34,11 +37,11 @@ def base(
     from wheelsight.odometry.extrinsics import calibrate_base
     from wheelsight.report.base_page import write_base_page
 
-    page, kept = page_beside(out, force), kept_in(out, calibration)
+    settings, page, kept = settings_from({}, config), page_beside(out, force), kept_in(out, calibration)
     source = open_for(recording, calibration, rate_hz)
     compile_missing(("wheels", "dense"))
     with FrameProgress("watching", source.frame_count) as progress:
-        found = calibrate_base(source, progress.advance)
+        found = calibrate_base(source, progress.advance, settings.extrinsics)
     parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}
     written = save_found(parts, kept, source.calibration, f"mount found on {source.name}", out)
     if page is not None:

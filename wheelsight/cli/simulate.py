@@ -86,10 +86,10 @@ def simulate(
 def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note, print_warning
+    from wheelsight.extras import needed
     from wheelsight.files import make_output_folder
-    from wheelsight.simulation import need_mujoco
 
-    need_mujoco()
+    needed("mujoco")
     make_output_folder(out, force)  # refused before the long work
     recording = _drive(settings, out)
     for warning in recording.warnings:

@@ -25,12 +25,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, NonNegativeFloat
 
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.geometry import FloatArray, se2, se3
-from wheelsight.settings import Settings
+from wheelsight.settings import CHOSEN, Settings, setting
 
 _PLANE = np.array([0, 1, 5])
 
@@ -38,17 +37,19 @@ _PLANE = np.array([0, 1, 5])
 class LigockiSettings(Settings):
     """What the paper leaves open; unknown names are refused."""
 
-    weight: float = Field(
-        default=0.95, ge=0.5, lt=1, description="C of eq. 2, of the wheels in each frame; the paper asks for 0 ≪ C < 1"
+    weight: float = setting(
+        0.95,
+        "C of eq. 2, of the wheels in each frame; the paper asks for 0 ≪ C < 1",
+        "Ligocki's paper, eq. 2: 0 ≪ C < 1; the figure is chosen",
+        ge=0.5,
+        lt=1,
     )
-    wheel_sigma_m_per_sqrt_s: NonNegativeFloat = Field(
-        default=0.02, description="how wheels drift, for the covariance only; assumed"
+    wheel_sigma_m_per_sqrt_s: float = setting(0.02, "how wheels drift, for the covariance only", CHOSEN, ge=0, le=100)
+    wheel_sigma_rad_per_sqrt_s: float = setting(0.02, "likewise in yaw", CHOSEN, ge=0, le=100)
+    visual_sigma_m_per_sqrt_s: float = setting(
+        0.005, "how vision drifts, for the covariance only", CHOSEN, ge=0, le=100
     )
-    wheel_sigma_rad_per_sqrt_s: NonNegativeFloat = Field(default=0.02, description="likewise in yaw; assumed")
-    visual_sigma_m_per_sqrt_s: NonNegativeFloat = Field(
-        default=0.005, description="how vision drifts, for the covariance only; assumed"
-    )
-    visual_sigma_rad_per_sqrt_s: NonNegativeFloat = Field(default=0.003, description="likewise in yaw; assumed")
+    visual_sigma_rad_per_sqrt_s: float = setting(0.003, "likewise in yaw", CHOSEN, ge=0, le=100)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,60 +4,78 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import model_validator
 
 from wheelsight.fusion.areas import AreaRectifierSettings
 from wheelsight.fusion.error_state import ErrorStateSettings
 from wheelsight.fusion.ligocki import LigockiSettings
-from wheelsight.settings import Settings
+from wheelsight.settings import ASKED, CHOSEN, ON_SIMULATOR, Settings, setting
 
 FusionName = Literal["default", "ligocki", "none"]
+
+
+_FROM_0038 = f"{ON_SIMULATOR}: docs/decisions/0038"
 
 
 class JoiningSettings(Settings):
     """What the default filter's way of joining goes by beside the filter; unknown names are refused."""
 
-    anchor_way_m: PositiveFloat = Field(
-        default=0.3,
-        description="way from the frame that the camera's motions are told against to the next such one, a turn by "
-        "1 rad as 1.5 m: against one that is held for a while, errors of single frames do not add up",
+    anchor_way_m: float = setting(
+        0.3,
+        "way from the frame that the camera's motions are told against to the next such one, a turn by 1 rad as "
+        "1.5 m: against one that is held for a while, errors of single frames do not add up",
+        CHOSEN,
+        gt=0,
+        le=100,
     )
-    dark_s: PositiveFloat = Field(
-        default=1.0,
-        description="after so long in the dark a measurement is believed only where it shows all directions: one that "
-        "slides along a wall may have taken one place for another, and wheels alone do not go astray so soon",
+    dark_s: float = setting(
+        1.0,
+        "after so long in the dark a measurement is believed only where it shows all directions: one that slides "
+        "along a wall may have taken one place for another, and wheels alone do not go astray so soon",
+        CHOSEN,
+        gt=0,
+        le=3600,
     )
-    restart_after: PositiveInt = Field(
-        default=5,
-        description="frames in a row that show nothing known, after which the camera goes on from where the wheels are",
+    restart_after: int = setting(
+        5,
+        "frames in a row that show nothing known, after which the camera goes on from where the wheels are",
+        CHOSEN,
+        gt=0,
+        le=10_000,
     )
-    map_turn_rad_s: PositiveFloat = Field(
-        default=0.1,
-        description="from here on a base turns, and keyframes lead instead of the map, which turns 0.08 % too far; of "
-        "five flats of the simulator alone",
+    map_turn_rad_s: float = setting(
+        0.1,
+        "from here on a base turns, and keyframes lead instead of the map, which turns 0.08 % too far",
+        _FROM_0038,
+        gt=0,
+        le=100,
     )
-    uncalm_s: NonNegativeFloat = Field(
-        default=5.0, description="so long after a measurement that was not believed, people may go on to mislead"
+    uncalm_s: float = setting(
+        5.0, "so long after a measurement that was not believed, people may go on to mislead", _FROM_0038, ge=0, le=3600
     )
-    same_view_m: PositiveFloat = Field(
-        default=0.3,
-        description="a camera that by the wheels has moved less, a turn by 1 rad as 1.5 m, shows what it showed before",
+    same_view_m: float = setting(
+        0.3,
+        "a camera that by the wheels has moved less, a turn by 1 rad as 1.5 m, shows what it showed before",
+        CHOSEN,
+        gt=0,
+        le=100,
     )
-    carried_m_s: PositiveFloat = Field(
-        default=0.7, description="σ of the speed at which people carry a robot in the dark: up to a walk"
+    carried_m_s: float = setting(
+        0.7, "σ of the speed at which people carry a robot in the dark: up to a walk", CHOSEN, gt=0, le=100
     )
-    known_turn_rad: PositiveFloat = Field(
-        default=0.5, description="σ of a heading that areas have told again after that: a third of a right angle"
+    known_turn_rad: float = setting(
+        0.5, "σ of a heading that areas have told again after that: a third of a right angle", CHOSEN, gt=0, le=3.2
     )
 
 
 class FusionSettings(Settings):
     """Settings of all filters; a name alone says which one joins."""
 
-    filter: FusionName = Field(
-        default="none",
-        description="how wheels and one camera odometry are joined: by the default filter, which is the default where "
-        "both are named, by Ligocki's, or not at all",
+    filter: FusionName = setting(
+        "none",
+        "how wheels and one camera odometry are joined: by the default filter, which is the default where both are"
+        " named, by Ligocki's, or not at all",
+        ASKED,
     )
     joining: JoiningSettings = JoiningSettings()
     error_state: ErrorStateSettings = ErrorStateSettings()

@@ -8,23 +8,24 @@ makes the answer that of the other sensor, or one that covers both; something th
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate, WheelEstimate
+from wheelsight.estimates import Estimate, Reason, WheelEstimate
 from wheelsight.events import RgbdFrame
-from wheelsight.fusion import ErrorStateFilter, FusedEstimate
+from wheelsight.fusion import ErrorStateFilter, FusedEstimate, covering_pose
 from wheelsight.geometry import FloatArray
-from wheelsight.localizer._camera_poses import CameraPoses
+from wheelsight.geometry import motion_kernels as motions
+from wheelsight.localizer._camera_poses import BasePose, CameraPoses
 from wheelsight.localizer._color_check import ColorCheck
-from wheelsight.localizer._doubted_answer import covered, doubted
 from wheelsight.localizer._floor_views import FloorViews
 from wheelsight.localizer._pieces import Pieces
 from wheelsight.localizer._verdict import Verdict, late_color
 from wheelsight.localizer._wheel_poses import WheelPoses
-from wheelsight.odometry.extrinsics import Culprit
+from wheelsight.odometry.extrinsics import Culprit, ExtrinsicsSettings
 from wheelsight.settings import BaseCheckSettings, ColorCheckSettings
 
 
@@ -37,6 +38,7 @@ class BaseCheck:
         by_wheels: a filter that begins as the one that joins both; it hears the wheels alone.
         settings: how much must be compared; of None, the defaults.
         of_color: how late colour is told; of None, the defaults.
+        of_mount: how both motions are compared, and the floor is told; of None, the defaults.
 
     Attributes:
         by_wheels: see above; None once both are known to tell of one drive, or who is left out has been.
@@ -49,14 +51,17 @@ class BaseCheck:
         by_wheels: ErrorStateFilter,
         settings: BaseCheckSettings | None = None,
         of_color: ColorCheckSettings | None = None,
+        of_mount: ExtrinsicsSettings | None = None,
     ) -> None:
         assert calibration.wheels is not None
         self.settings = of = settings or BaseCheckSettings()
+        mount = of_mount or ExtrinsicsSettings()
         self.by_wheels: ErrorStateFilter | None = by_wheels
+        self._sigmas = by_wheels.settings.covered_sigmas
         self._wheels = WheelPoses(of.kept_s, of.gyro_after_s)
         self._camera = CameraPoses(T_base_camera, of.waiting_frames)
-        self._floor = FloorViews(calibration, T_base_camera, of.floor_views, of.floor_rows)
-        self._pieces = Pieces(calibration.wheels, T_base_camera)
+        self._floor = FloorViews(calibration, T_base_camera, of, mount.floor)
+        self._pieces = Pieces(calibration.wheels, T_base_camera, mount.agreement)
         self._colors = ColorCheck(of_color)
         self._verdict = Verdict(of)
 
@@ -135,7 +140,8 @@ class BaseCheck:
         if not found:
             return replace(by_wheels, reason=answer.reason) if self._is_floor_off else self._covered(answer)
         seen = self._camera.seen
-        return answer if seen is None else doubted(answer, by_wheels, seen, {one.culprit for one in found})
+        culprits = {one.culprit for one in found}
+        return answer if seen is None else doubted(answer, by_wheels, seen, culprits, self._sigmas)
 
     @property
     def is_without_wheels(self) -> bool:
@@ -178,7 +184,7 @@ class BaseCheck:
             return answer
         told = self._wheels.at(answer.stamp_s)
         apart = self._pieces.apart(T_odom_base if told is None else told, newest[1])
-        return answer if apart is None else covered(answer, apart)
+        return answer if apart is None else covered(answer, apart, self._sigmas)
 
     def _leave_out_blind(self) -> None:
         """A camera that shows the floor elsewhere, and is hardly ever tracked, is left out."""
@@ -193,3 +199,34 @@ class BaseCheck:
         """Nobody is left out once all that is compared goes together."""
         if self._verdict.has_agreed and self._colors.is_sound:
             self.by_wheels = None
+
+
+def doubted(
+    answer: FusedEstimate, by_wheels: FusedEstimate, seen: BasePose, culprits: Collection[Culprit], sigmas: float
+) -> FusedEstimate:
+    """The answer that covers wheels and camera; it is where those are who are not accused.
+
+    Args:
+        answer: of the filter that joins both.
+        by_wheels: of the one that hears the wheels alone; it has a pose.
+        seen: where the camera alone has the base.
+        culprits: who may be wrong.
+        sigmas: at how many standard deviations the other pose lies.
+    """
+    assert by_wheels.T_odom_body is not None
+    assert by_wheels.covariance is not None
+    reason = answer.reason or Reason.CONTRADICTION
+    first, second = (by_wheels.T_odom_body, by_wheels.covariance), (seen.T, seen.covariance)
+    if set(culprits) == {Culprit.WHEELS}:
+        first, second = second, first
+    T, C = covering_pose(*first, *second, sigmas)
+    return replace(by_wheels, T_odom_body=T, covariance=C, doubtful=True, slip=False, reason=reason)
+
+
+def covered(answer: FusedEstimate, T_wheels_camera: FloatArray, sigmas: float) -> FusedEstimate:
+    """The answer to a frame, less certain by what wheels and camera have gone apart (4, 4)."""
+    if answer.T_odom_body is None or answer.covariance is None:
+        return answer
+    other = motions.times(answer.T_odom_body, T_wheels_camera)
+    _, C = covering_pose(answer.T_odom_body, answer.covariance, motions.mended(other), np.zeros((6, 6)), sigmas)
+    return replace(answer, covariance=C)

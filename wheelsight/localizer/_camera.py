@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError
-from wheelsight.estimates import MotionEstimate
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
@@ -25,17 +19,6 @@ def mount_of(calibration: Calibration) -> FloatArray:
     return se3.nearest(calibration.T_base_camera)
 
 
-def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
-    """A motion of the camera, at a velocity (6,) of its own, beside wheels whose times are uncertain by so much.
-
-    What it goes in that time is added to its covariance: else stamps that are off look like slip.
-    """
-    if twist is None or motion.T_reference_current is None or motion.covariance is None or not noise_s:
-        return motion
-    apart = se3.adjoint(motion.T_reference_current) @ (twist * noise_s)
-    return replace(motion, covariance=motion.covariance + np.outer(apart, apart))
-
-
 def camera_odometry(
     calibration: Calibration, settings: Config
 ) -> tuple[FeatureOdometry | DenseOdometry, MapBuilder | None]:
@@ -44,10 +27,10 @@ def camera_odometry(
     Beside wheels, tracking begins against keyframes; who joins both says when the map shows more.
     """
     if settings.map == "surfels":
-        store = KeyframeStore()
-        mapper = MapBuilder(calibration, settings.surfels, store)
-        model = None if settings.fusion.filter == "default" else mapper.map
-        return DenseOdometry(calibration, settings.dense, model, calibration.T_base_camera, store), mapper
+        dense = DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera)
+        mapper = MapBuilder(dense, calibration, settings.surfels)
+        mapper.track_map(settings.fusion.filter != "default")
+        return dense, mapper
     if "dense" in settings.odometry:
         return DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera), None
     return FeatureOdometry(calibration, settings.features, T_map_first=calibration.T_base_camera), None

@@ -6,16 +6,48 @@ where the camera's last believed pose in it is the one that is known of its fram
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wheelsight.estimates import Estimate
+from wheelsight.estimates import DEGENERATE_SCALE, Estimate, MotionEstimate
 from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId
-from wheelsight.localizer._anchor import Anchor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """The frame against which the camera's motions are told to the filter: its pose T_map_camera (4, 4) by odometry.
+
+    `covariance` (6, 6) is what its alignment left uncertain, in its own frame: all motions told against it share that.
+    """
+
+    T_map_camera: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def at(cls, T_map_camera: FloatArray, motion: MotionEstimate) -> Anchor:
+        """A frame at a pose, which `motion` against its own reference has told."""
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        return cls(T_map_camera, motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
+
+    def motion_to(self, T_map_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
+        """The motion from here to a pose that odometry found by `motion` against a reference of its own.
+
+        Its covariance is what the last alignment left uncertain; directions that this did not show are named.
+        """
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        T_anchor_camera = motions.mended(motions.times(motions.inverse(self.T_map_camera), T_map_camera))
+        T_anchor_reference = motions.times(T_anchor_camera, motions.inverse(motion.T_reference_current))
+        covariance, hidden = motions.carried(T_anchor_reference, motion.covariance), None
+        if motion.degenerate is not None and not motion.shows_all:
+            Ad = motions.adjoint(T_anchor_reference)
+            hidden = np.linalg.qr(((motion.degenerate / DEGENERATE_SCALE) @ Ad.T * DEGENERATE_SCALE).T)[0].T
+        return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden)
 
 
 class CameraMap:
@@ -71,3 +103,20 @@ class CameraMap:
             T_keyframe_base = motions.times(self._T_keyframe_map, motions.times(self._T_map_odom, answer.T_odom_body))
         keyframe = None if T_keyframe_base is None else self._keyframe
         return replace(answer, T_map_odom=self._T_map_odom, keyframe=keyframe, T_keyframe_body=T_keyframe_base)
+
+
+def is_far(motion: MotionEstimate, way_m: float) -> bool:
+    """Whether a motion against an anchor goes so far that the next one is due; a turn by a radian counts as 1.5 m."""
+    T = motion.T_reference_current
+    return T is not None and bool(motions.view_shift_m(T) > way_m)
+
+
+def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
+    """A motion of the camera, at a velocity (6,) of its own, beside wheels whose times are uncertain by so much.
+
+    What it goes in that time is added to its covariance: else stamps that are off look like slip.
+    """
+    if twist is None or motion.T_reference_current is None or motion.covariance is None or not noise_s:
+        return motion
+    apart = se3.adjoint(motion.T_reference_current) @ (twist * noise_s)
+    return replace(motion, covariance=motion.covariance + np.outer(apart, apart))

@@ -7,7 +7,8 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray
-from wheelsight.odometry.extrinsics import height_below
+from wheelsight.odometry.extrinsics import FloorSettings, height_below
+from wheelsight.settings import BaseCheckSettings
 
 
 class FloorViews:
@@ -16,17 +17,23 @@ class FloorViews:
     Args:
         calibration: with the camera.
         T_base_camera: (4, 4), rigid.
-        most_views: that are looked for.
-        rows: of the depth image that are looked at.
+        settings: how many views, and of each how many rows.
+        of_floor: how the floor is told in one view.
     """
 
-    def __init__(self, calibration: Calibration, T_base_camera: FloatArray, most_views: int, rows: int) -> None:
+    def __init__(
+        self,
+        calibration: Calibration,
+        T_base_camera: FloatArray,
+        settings: BaseCheckSettings,
+        of_floor: FloorSettings,
+    ) -> None:
         camera = calibration.cameras[1]
-        step = max(1, camera.height // rows)
+        step = max(1, camera.height // settings.floor_rows)
         self._grid = np.s_[step // 2 :: step, step // 2 :: step]
         self._rays = camera.rays()[self._grid].reshape(-1, 3)
         self._up, self._height_m = T_base_camera[2, :3], float(T_base_camera[2, 3])
-        self._most_views = most_views
+        self._most_views, self._of_floor = settings.floor_views, of_floor
         self._ratios: list[float] = []
 
     @property
@@ -39,6 +46,6 @@ class FloorViews:
         if len(self._ratios) >= self._most_views or not self._height_m > 0:
             return
         depth_m = frame.depth_m[self._grid].ravel().astype(float)
-        found_m = height_below(self._rays, depth_m, self._up, self._height_m)
+        found_m = height_below(self._rays, depth_m, self._up, self._height_m, self._of_floor)
         if found_m is not None:
             self._ratios.append(found_m / self._height_m)

@@ -9,12 +9,11 @@ from wheelsight.config import Config
 from wheelsight.estimates import CameraEstimate, Estimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
-from wheelsight.localizer._pace import Pace
-from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 
 _BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
@@ -97,7 +96,8 @@ class FusedCamera:
         if self.mapper is not None:
             turns = answer.twist is None or abs(answer.twist[2]) > self._settings.map_turn_rad_s
             is_calm = answer.stamp_s - self._unbelieved_s > self._settings.uncalm_s
-            self.mapper.track_map(self.odometry, self.mapper.shows_most(self._seen) and not (turns and is_calm))
+            shows_most = isinstance(self._seen, DenseEstimate) and self.mapper.shows_most(self._seen)
+            self.mapper.track_map(shows_most and not (turns and is_calm))
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""
@@ -105,3 +105,29 @@ class FusedCamera:
             return (by_wheels,)
         by_pace = self._pace.expect(stamp_s)
         return (by_pace, by_wheels) if isinstance(self.odometry, DenseOdometry) else (by_pace,)
+
+
+class Pace:
+    """Where a camera would be that goes on as it went last, for when the wheels cannot be asked.
+
+    Args:
+        longest_step_s: over a longer gap the velocity is unknown.
+    """
+
+    def __init__(self, longest_step_s: float) -> None:
+        self.longest_step_s = longest_step_s
+        self._before: tuple[float, FloatArray] | None = None
+        self._last: tuple[float, FloatArray] | None = None
+
+    def tell(self, stamp_s: float, T_map_camera: FloatArray) -> None:
+        """A tracked frame's pose (4, 4)."""
+        self._before, self._last = self._last, (stamp_s, T_map_camera)
+
+    def expect(self, stamp_s: float) -> FloatArray | None:
+        """T_last_current (4, 4) at constant velocity; None where that is unknown or too long ago."""
+        if self._before is None or self._last is None:
+            return None
+        seconds, since_s = self._last[0] - self._before[0], stamp_s - self._last[0]
+        if not (0 < seconds <= self.longest_step_s and 0 < since_s <= self.longest_step_s):
+            return None
+        return se3.exp(se3.log(se3.invert(self._before[1]) @ self._last[1]) * (since_s / seconds))

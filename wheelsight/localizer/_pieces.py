@@ -7,7 +7,7 @@ from collections.abc import Callable
 from wheelsight.calibration import Wheels
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
-from wheelsight.odometry.extrinsics import Agreement
+from wheelsight.odometry.extrinsics import Agreement, AgreementSettings
 
 
 class Pieces:
@@ -16,13 +16,14 @@ class Pieces:
     Args:
         wheels: of the robot.
         T_base_camera: (4, 4), rigid.
+        settings: how long a piece is, and when both agree.
 
     Attributes:
         agreement: what all pieces come to.
     """
 
-    def __init__(self, wheels: Wheels, T_base_camera: FloatArray) -> None:
-        self.agreement = Agreement(wheels, T_base_camera)
+    def __init__(self, wheels: Wheels, T_base_camera: FloatArray, settings: AgreementSettings) -> None:
+        self.agreement = Agreement(wheels, T_base_camera, settings)
         # Stamp, T_odom_base and T_map_base where a piece begins; and where both were last known to go together.
         self._begin: tuple[float, FloatArray, FloatArray] | None = None
         self._together: tuple[float, FloatArray, FloatArray] | None = None

@@ -13,7 +13,7 @@ from wheelsight.geometry import se3
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.odometry.dense import DenseEstimate
-from wheelsight.odometry.features import FeatureEstimate, FeatureOdometry, MatchedPixels
+from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 
 
 class ByFrames:
@@ -63,10 +63,8 @@ class ByFrames:
     def _tracked(self, frame: RgbdFrame) -> Estimate:
         """The camera's pose at a frame; the map learns where all of its motion was seen."""
         estimate = self.odometry.process(frame)
-        if self.mapper is None or estimate.T_odom_body is None or isinstance(self.odometry, FeatureOdometry):
-            return estimate
-        if estimate.status is Status.TRACKING and estimate.shows_all:
-            self.mapper.fuse_tracked(self.odometry, frame, estimate)
+        if self.mapper is not None and isinstance(estimate, DenseEstimate) and estimate.shows_all:
+            self.mapper.fuse_tracked(frame, estimate)
         return estimate
 
     def _repeated(self, stamp_s: float) -> Estimate:

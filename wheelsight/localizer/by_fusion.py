@@ -11,17 +11,16 @@ from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reaso
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray
-from wheelsight.localizer._anchor import Anchor, is_far
 from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._base_sensors import BaseSensors
-from wheelsight.localizer._camera import blurred, mount_of
-from wheelsight.localizer._camera_map import CameraMap
+from wheelsight.localizer._camera import mount_of
+from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far
 from wheelsight.localizer._carried import Carried
 from wheelsight.localizer._fused_camera import FusedCamera
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.map_builder import MapBuilder
-from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.extrinsics import Culprit
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.places import PlaceMatch
@@ -48,7 +47,8 @@ class ByFusion:
         T_start, spread = (None, None) if self._places is None else self._places.start
         begin = (T_base_camera, T_start, spread, settings.fusion.error_state, calibration.gyro)
         self.filter = ErrorStateFilter(*begin)
-        self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), of.base_check, of.color_check)
+        checks = (of.base_check, of.color_check, settings.extrinsics)
+        self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)
         self._carried = Carried(self._settings)
 
     @property
@@ -191,8 +191,8 @@ class ByFusion:
         if update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING:
             self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
             self._map.refer(seen)
-            if self.mapper is not None:
-                self.mapper.fuse_tracked(self.odometry, frame, seen)
+            if self.mapper is not None and isinstance(seen, DenseEstimate):
+                self.mapper.fuse_tracked(frame, seen)
         if update.is_reference:
             self._map.anchor = here
         return answer

@@ -131,6 +131,14 @@ class Localizer:
         """How long each stage of the last frame took; none of a wheel reading."""
         return self._way.stage_seconds
 
+    def close(self) -> None:
+        """End the threads that work for it, at the end of a run. What it knows stays, and it may go on all the same.
+
+        Raises what went wrong in them.
+        """
+        if self.keyframes is not None:
+            self.keyframes.close()
+
     def process(self, event: Event) -> Estimate | None:
         """The estimate at an event that is answered, None at any other.
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from wheelsight.compiled import kernel
 
-# Small, for few surfels are all that some cells hold, and a page is theirs alone. The other kernels of this folder are
-# compiled with it, and numba's cache looks at their own files only: who changes it saves those anew.
+# Small, for few surfels are all that some cells hold, and a page is theirs alone.
 PAGE = 32
 # Columns of a surfel's geometry.
 RADIUS, CONFIDENCE = 3, 7

@@ -16,37 +16,21 @@ from wheelsight.compiled import kernel
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, STRAY_M, SurfelArrays
 from wheelsight.mapping._match_kernels import (
     FAR,
-    FAR_M,
-    GATE_M,
-    GATE_SIGMAS,
-    MIN_COSINE,
     NEAR,
     READING,
     VARIANCE,
     WEIGHT,
     Camera,
     Candidates,
+    Rules,
     Seen,
     apart,
     deviation,
     faces,
 )
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-# Beyond, more sightings change nothing: what is seen for long can still change.
-MOST_CONFIDENCE = np.float32(100.0)
-# So many frames' colour is averaged: lamps and lenses shade a spot differently from each place, and what a far-off view
-# showed would draw tracking back to there.
-_COLOR_MEMORY = np.float32(4.0)
-# A position is never better known than poses are: no more than so many readings count.
-_MOST_READINGS = np.float32(50.0)
-_LEAST_COSINE2, _LEAST_COSINE = np.float32(0.04), np.float32(0.35)
 _LEAST_VARIANCE = np.float32(1e-8)
-# Surfels are averaged so many standard deviations farther than they are laid: else of a wall there only the readings
-# that err towards the camera would count.
-_BEYOND_SIGMAS = np.float32(6.0)
 
 
 class Home(NamedTuple):
@@ -59,7 +43,7 @@ class Home(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def read(begin: Any, end: Any, seen: Seen, normal: Any, weight: Any, camera: Camera, settings: Any) -> None:
+def read(begin: Any, end: Any, seen: Seen, normal: Any, weight: Any, camera: Camera, rules: Rules) -> None:
     """Readings (h·w, READING) of rows `begin` to `end` in the map, and the radius (h·w,) a surfel would have.
 
     Depth errs along the ray; what of it counts is its share along the normal, bounded where planes are grazed. The
@@ -72,8 +56,7 @@ def read(begin: Any, end: Any, seen: Seen, normal: Any, weight: Any, camera: Cam
     # Taken out of their tuples once: each time would be counted.
     depth_m, reading, radius, T = seen.depth_m, seen.reading, seen.radius, camera.T
     ray_x, ray_y, pitch, noise = camera.ray_x, camera.ray_y, camera.pitch, camera.noise
-    far_m = settings[FAR_M]
-    far_m = min(noise[FAR], far_m + _BEYOND_SIGMAS * deviation(noise, far_m))
+    far_m = min(noise[FAR], rules.laid_m + rules.averaged_sigmas * deviation(noise, rules.laid_m))
     for r in range(begin, end):
         y = ray_y[r]
         for c in range(depth_m.shape[1]):
@@ -82,15 +65,15 @@ def read(begin: Any, end: Any, seen: Seen, normal: Any, weight: Any, camera: Cam
             nx, ny, nz = normal[r, c, 0], normal[r, c, 1], normal[r, c, 2]
             along, ray2 = -(nx * x + ny * y + nz), x * x + y * y + _ONE
             cosine = along / np.sqrt(ray2)
-            if not (noise[NEAR] <= z <= far_m and cosine >= settings[MIN_COSINE]):
+            if not (noise[NEAR] <= z <= far_m and cosine >= rules.min_cosine):
                 continue
             for k in range(3):
                 reading[p, k] = (T[k, 0] * x + T[k, 1] * y + T[k, 2]) * z + T[k, 3]
                 reading[p, 4 + k] = T[k, 0] * nx + T[k, 1] * ny + T[k, 2] * nz
             sigma = deviation(noise, z)
-            reading[p, VARIANCE] = max(sigma * sigma * max(along * along, _LEAST_COSINE2), _LEAST_VARIANCE)
+            reading[p, VARIANCE] = max(sigma * sigma * max(along * along, rules.least_cosine2), _LEAST_VARIANCE)
             reading[p, WEIGHT] = weight[r, c]
-            radius[p] = z * pitch / max(cosine, _LEAST_COSINE)
+            radius[p] = z * pitch / max(cosine, rules.disk_cosine)
 
 
 @kernel(inline="always", error_model="numpy")
@@ -107,14 +90,7 @@ def _paint(look: Any, slot: Any, share: Any, color: Any, grey: Any, p: Any) -> N
 
 @kernel(error_model="numpy")
 def update(
-    begin: Any,
-    end: Any,
-    found: Candidates,
-    surfels: SurfelArrays,
-    home: Home,
-    camera: Camera,
-    seen: Seen,
-    counts: Any,
+    begin: Any, end: Any, found: Candidates, surfels: SurfelArrays, home: Home, camera: Camera, seen: Seen, rules: Rules
 ) -> None:
     """Average into the chosen among the candidates of pages `begin` to `end` what their pixels saw.
 
@@ -123,40 +99,38 @@ def update(
 
     Confidence counts frames, wherever in the image they saw a surfel: by weights, as Keller et al. add them up, what
     passes along the rim would need four times as many.
-
-    Args:
-        counts: (pages, 2) matched and died.
     """
-    slots, pixel, chosen, candidates = found.slots, found.pixel, found.chosen, found.counts
+    slots, pixel, chosen, counts = found.slots, found.pixel, found.chosen, found.counts
     geometry, look, seen_s, variance = surfels.geometry, surfels.look, surfels.seen_s, surfels.variance
     page_cell, cell_xyz, cell_seen_s, block_m = home.page_cell, home.xyz, home.seen_s, home.block_m
     reading, radius, color, grey = seen.reading, seen.radius, seen.color, seen.grey
     T, noise, stamp_s, frames = camera.T, camera.noise, seen.stamp_s, seen.frames
     for k in range(begin, end):
         matched = died = 0
-        for entry in range(k * PAGE, k * PAGE + candidates[k, 0]):
+        for entry in range(k * PAGE, k * PAGE + counts[k, 0]):
             p, slot = pixel[entry], slots[entry]
             if chosen[p] != entry:
                 continue
             matched += 1
             confidence = geometry[slot, CONFIDENCE]
-            share = _learn(geometry, slot, variance, reading, p, T, noise)
+            share = _learn(geometry, slot, variance, reading, p, T, noise, rules.most_readings)
             geometry[slot, RADIUS] += share * min(radius[p] - geometry[slot, RADIUS], _ZERO)
-            _paint(look, slot, _ONE / (min(confidence, _COLOR_MEMORY) + _ONE), color, grey, p)
+            _paint(look, slot, _ONE / (min(confidence, rules.color_frames) + _ONE), color, grey, p)
             seen_s[slot, 1] = stamp_s
             cell = page_cell[slot // PAGE]
             cell_seen_s[cell] = stamp_s
             has_left = _has_left(geometry, slot, cell_xyz, cell, block_m)
-            geometry[slot, CONFIDENCE] = _ZERO if has_left else min(confidence + frames, MOST_CONFIDENCE)
+            geometry[slot, CONFIDENCE] = _ZERO if has_left else min(confidence + frames, rules.most_confidence)
             died += has_left
-        counts[k, 0], counts[k, 1] = matched, died
+        counts[k, 2], counts[k, 3] = matched, died
 
 
 @kernel(inline="always", error_model="numpy")
-def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any, noise: Any) -> Any:
+def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any, noise: Any, most: Any) -> Any:
     """Move and turn a surfel by the reading of pixel p; the share by which.
 
-    The reading weighs as is usual at the surfel's depth: by its own, what errs towards the camera would weigh more.
+    The reading weighs as is usual at the surfel's depth: by its own, what errs towards the camera would weigh more. No
+    more than the `most` readings count.
     """
     there = here = _ZERO
     for i in range(3):
@@ -164,7 +138,7 @@ def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any
         here += T[i, 2] * (reading[p, i] - T[i, 3])
     usual = deviation(noise, there) / deviation(noise, here)
     spread = usual * usual * reading[p, VARIANCE]
-    before = max(variance[slot], spread / _MOST_READINGS)
+    before = max(variance[slot], spread / most)
     share = before / (before + spread / reading[p, WEIGHT])
     variance[slot] = before * (_ONE - share)
     off = length2 = _ZERO
@@ -191,7 +165,7 @@ def _has_left(geometry: Any, slot: Any, cell_xyz: Any, cell: Any, block_m: Any) 
 
 @kernel(error_model="numpy")
 def merge(
-    begin: Any, end: Any, width: Any, found: Candidates, surfels: SurfelArrays, settings: Any, merged: Any
+    begin: Any, end: Any, width: Any, found: Candidates, surfels: SurfelArrays, rules: Rules, merged: Any
 ) -> None:
     """Merge into each chosen surfel of rows `begin` to `end` the candidates of its pixel that are its like.
 
@@ -208,8 +182,8 @@ def merge(
                 continue
             slot, kept = slots[entry], slots[chosen[p]]
             confidence = geometry[kept, CONFIDENCE]
-            if confidence > 0 and _are_alike(geometry, slot, kept, variance, settings):
-                geometry[kept, CONFIDENCE] = min(confidence + geometry[slot, CONFIDENCE], MOST_CONFIDENCE)
+            if confidence > 0 and _are_alike(geometry, slot, kept, variance, rules):
+                geometry[kept, CONFIDENCE] = min(confidence + geometry[slot, CONFIDENCE], rules.most_confidence)
                 geometry[kept, RADIUS] = min(geometry[kept, RADIUS], geometry[slot, RADIUS])
                 seen_s[kept, 0] = min(seen_s[kept, 0], seen_s[slot, 0])
                 seen_s[kept, 1] = max(seen_s[kept, 1], seen_s[slot, 1])
@@ -218,13 +192,13 @@ def merge(
 
 
 @kernel(inline="always", error_model="numpy")
-def _are_alike(geometry: Any, slot: Any, kept: Any, variance: Any, settings: Any) -> Any:
+def _are_alike(geometry: Any, slot: Any, kept: Any, variance: Any, rules: Rules) -> Any:
     """Whether two surfels stand for one spot of one surface: closer than half the smaller one's radius across it."""
     along, across2 = apart(geometry, slot, geometry, kept)
     reach = _HALF * min(geometry[slot, RADIUS], geometry[kept, RADIUS])
-    gate = settings[GATE_SIGMAS] * np.sqrt(variance[slot] + variance[kept]) + settings[GATE_M]
+    gate = rules.gate_sigmas * np.sqrt(variance[slot] + variance[kept]) + rules.gate_m
     is_near = (across2 <= reach * reach) & (abs(along) <= gate)
-    return is_near & faces(geometry, slot, geometry, kept, settings)
+    return is_near & faces(geometry, slot, geometry, kept, rules)
 
 
 @kernel(error_model="numpy")

@@ -13,23 +13,14 @@ import numpy as np
 from wheelsight.compiled import kernel
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 # Order in which surfels are preferred to each other where several fit a pixel; added to a distance in pixels².
 _UNSTABLE, _INACTIVE = np.float32(1.0), np.float32(2.0)
 _NEAREST_M = np.float32(0.1)
-# A surfel in front of free space loses half its confidence a frame, and is gone below this.
-_GONE = np.float32(0.4)
-_FREE_SIGMAS = np.float32(4.0)
-# A surfel so much larger than a reading's is too coarse to stand for it.
-_FINE_ENOUGH = np.float32(1.5)
 # What each entry of `since_s` is.
 _MADE, _SHOWN, _ACTIVE = range(3)
 # Rows of the buffer of a page's surfels: where they are (3), how deep, and how far off their pixel's middle, squared.
 _PLACE, _Z, _OFF, _OUTSIDE = 5, 3, 4, np.int32(-1)
-# What each entry of `settings` is; FAR_M is how far surfels are laid.
-STABLE, GATE_SIGMAS, GATE_M, MIN_NORMAL_DOT, MIN_COSINE, FREE_M, DRIFT_M, FAR_M, GAP_M = range(9)
 # What each entry of `noise` is.
 CONSTANT, QUADRATIC, NEAR, FAR = range(4)
 # What a reading is, in the map: point (3), variance along the normal, normal (3), weight; weight 0 is not fused.
@@ -66,6 +57,8 @@ class Seen(NamedTuple):
         grey: (h·w,).
         stamp_s: of the frame.
         frames: how many it counts as.
+        since_s: (3,) unstable surfels first seen before the first of these, or last seen before the second, are gone;
+            surfels seen since the third are active.
     """
 
     depth_m: Any
@@ -75,19 +68,37 @@ class Seen(NamedTuple):
     grey: Any
     stamp_s: Any
     frames: Any
+    since_s: Any
 
 
-class Gates(NamedTuple):
-    """When surfels agree, and which are gone.
+class Rules(NamedTuple):
+    """`SurfelSettings` as kernels read them, all float32, by their names there; and what is reckoned of them.
 
     Attributes:
-        settings: (9,) float32; see the constants.
-        since_s: (3,) unstable surfels first seen before the first of these, or last seen before the second, are gone;
-            surfels seen since the third are active.
+        min_normal_dot, min_cosine: of normals that agree, and of the angle at which a surface is seen.
+        laid_m: how far surfels are laid.
+        least_cosine2: the square of least_cosine.
     """
 
-    settings: Any
-    since_s: Any
+    stable_confidence: Any
+    most_confidence: Any
+    gone_confidence: Any
+    color_frames: Any
+    most_readings: Any
+    far_m: Any
+    averaged_sigmas: Any
+    gate_sigmas: Any
+    gate_m: Any
+    disk_cosine: Any
+    gap_m: Any
+    fine_enough: Any
+    free_m: Any
+    free_sigmas: Any
+    drift_m: Any
+    min_normal_dot: Any
+    min_cosine: Any
+    laid_m: Any
+    least_cosine2: Any
 
 
 class Candidates(NamedTuple):
@@ -96,7 +107,7 @@ class Candidates(NamedTuple):
     Attributes:
         slots, pixel: (entries,); those of page k from entry k·PAGE on. Pixels count row by row.
         rank: (entries,) the lower, the better it fits.
-        counts: (pages, 2) how many, and how many died.
+        counts: (pages, 4) how many, and how many died; of these, later, how many were chosen, and how many died then.
         chosen: (h·w,) the best one's entry, -1 where there is none.
     """
 
@@ -109,24 +120,17 @@ class Candidates(NamedTuple):
 
 @kernel(error_model="numpy")
 def find_candidates(
-    begin: Any,
-    end: Any,
-    in_view: InView,
-    surfels: SurfelArrays,
-    seen: Seen,
-    camera: Camera,
-    gates: Gates,
-    out: Candidates,
+    begin: Any, end: Any, view: InView, surfels: SurfelArrays, seen: Seen, camera: Camera, rules: Rules, out: Candidates
 ) -> None:
     """The surfels of pages `begin` to `end` that agree with what is seen where they fall in the image.
 
     Surfels that contradict free space lose confidence here, and unstable ones die when their time has come.
     """
     # Taken out of their tuples once: each time would be counted.
-    pages, page_fill, slots, pixel, rank = in_view.pages, in_view.fill, out.slots, out.pixel, out.rank
+    pages, page_fill, slots, pixel, rank = view.pages, view.fill, out.slots, out.pixel, out.rank
     geometry, seen_s, variance = surfels.geometry, surfels.seen_s, surfels.variance
     depth_m, reading, T, grid, noise = seen.depth_m, seen.reading, camera.T, camera.grid, camera.noise
-    settings, since_s = gates.settings, gates.since_s
+    since_s, stable, gone = seen.since_s, rules.stable_confidence, rules.gone_confidence
     seen_m, place, where = depth_m.reshape(-1), np.empty((_PLACE, PAGE), np.float32), np.empty(PAGE, np.int32)
     for k in range(begin, end):
         first, fill, entry, died = pages[k] * PAGE, page_fill[pages[k]], k * PAGE, 0
@@ -135,18 +139,18 @@ def find_candidates(
             slot, p, confidence = first + i, where[i], geometry[first + i, CONFIDENCE]
             if confidence <= 0:
                 continue
-            is_stable, is_active = confidence >= settings[STABLE], seen_s[slot, 1] >= since_s[_ACTIVE]
+            is_stable, is_active = confidence >= stable, seen_s[slot, 1] >= since_s[_ACTIVE]
             if not is_stable and (seen_s[slot, 0] < since_s[_MADE] or seen_s[slot, 1] < since_s[_SHOWN]):
                 geometry[slot, CONFIDENCE] = _ZERO
                 died += 1
-            elif p >= 0 and _agree(geometry, slot, reading, p, variance, settings):
+            elif p >= 0 and _agree(geometry, slot, reading, p, variance, rules):
                 worse = (_ZERO if is_stable else _UNSTABLE) + (_ZERO if is_active else _INACTIVE)
                 slots[entry], pixel[entry], rank[entry] = slot, p, place[_OFF, i] + worse
                 entry += 1
-            elif p >= 0 and place[_Z, i] < seen_m[p] - settings[FREE_M]:
-                aside_m = _ZERO if is_active else settings[DRIFT_M]
-                if _is_free(depth_m, p, place[_Z, i], aside_m, noise, settings):
-                    geometry[slot, CONFIDENCE] = _HALF * confidence if _HALF * confidence >= _GONE else _ZERO
+            elif p >= 0 and place[_Z, i] < seen_m[p] - rules.free_m:
+                aside_m = _ZERO if is_active else rules.drift_m
+                if _is_free(depth_m, p, place[_Z, i], aside_m, noise, rules):
+                    geometry[slot, CONFIDENCE] = _HALF * confidence if _HALF * confidence >= gone else _ZERO
                     died += geometry[slot, CONFIDENCE] <= 0
         out.counts[k, 0], out.counts[k, 1] = entry - k * PAGE, died
 
@@ -175,21 +179,21 @@ def _place(geometry: Any, first: Any, fill: Any, T: Any, grid: Any, shape: Any, 
 
 
 @kernel(inline="always", error_model="numpy")
-def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, settings: Any) -> Any:
+def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, rules: Rules) -> Any:
     """Whether a surfel lies on the plane of pixel p's reading, and faces as it does."""
     along = _ZERO
     for k in range(3):
         along += reading[p, 4 + k] * (geometry[slot, k] - reading[p, k])
-    is_near = abs(along) <= _gate(reading, p, variance, slot, settings)
-    return (reading[p, WEIGHT] > 0) & faces(geometry, slot, reading, p, settings) & is_near
+    is_near = abs(along) <= _gate(reading, p, variance, slot, rules)
+    return (reading[p, WEIGHT] > 0) & faces(geometry, slot, reading, p, rules) & is_near
 
 
 @kernel(inline="always", error_model="numpy")
-def _is_free(depth_m: Any, p: Any, z: Any, aside_m: Any, noise: Any, settings: Any) -> Any:
+def _is_free(depth_m: Any, p: Any, z: Any, aside_m: Any, noise: Any, rules: Rules) -> Any:
     """Whether all that is seen about pixel p lies behind a depth z, clearly; `aside_m` more for what rests."""
     r, c, is_free = p // depth_m.shape[1], p % depth_m.shape[1], True
     sigma = deviation(noise, depth_m[r, c])
-    beyond_m = z + settings[FREE_M] + aside_m + _FREE_SIGMAS * sigma
+    beyond_m = z + rules.free_m + aside_m + rules.free_sigmas * sigma
     for i in range(max(r - 1, 0), min(r + 2, depth_m.shape[0])):
         for j in range(max(c - 1, 0), min(c + 2, depth_m.shape[1])):
             is_free &= depth_m[i, j] > beyond_m
@@ -211,14 +215,7 @@ def choose(begin: Any, end: Any, width: Any, pixel: Any, rank: Any, counts: Any,
 
 @kernel(error_model="numpy")
 def find_new(
-    begin: Any,
-    end: Any,
-    found: Candidates,
-    surfels: SurfelArrays,
-    seen: Seen,
-    pitch: Any,
-    settings: Any,
-    is_new: Any,
+    begin: Any, end: Any, found: Candidates, surfels: SurfelArrays, seen: Seen, pitch: Any, rules: Rules, is_new: Any
 ) -> None:
     """Which pixels of rows `begin` to `end` saw something that no surfel stands for: (h, w) of bool.
 
@@ -229,18 +226,17 @@ def find_new(
     for r in range(begin, end):
         for c in range(width):
             p = r * width + c
-            is_new[r, c] = chosen[p] < 0 and reading[p, WEIGHT] > 0 and depth_m[r, c] <= settings[FAR_M]
+            is_new[r, c] = chosen[p] < 0 and reading[p, WEIGHT] > 0 and depth_m[r, c] <= rules.laid_m
             if is_new[r, c]:
                 wide_m = depth_m[r, c] * pitch
                 near = (r, c, max(np.int64(radius[p] / wide_m), 1))
-                is_new[r, c] = not _is_covered(
-                    near, found, surfels, reading, (radius[p], wide_m), depth_m.shape, settings
-                )
+                size_m = (radius[p], wide_m)
+                is_new[r, c] = not _is_covered(near, found, surfels, reading, size_m, depth_m.shape, rules)
 
 
 @kernel(error_model="numpy")
 def _is_covered(
-    near: Any, found: Candidates, surfels: SurfelArrays, reading: Any, size_m: Any, shape: Any, settings: Any
+    near: Any, found: Candidates, surfels: SurfelArrays, reading: Any, size_m: Any, shape: Any, rules: Rules
 ) -> Any:
     """Whether one of the surfels chosen for pixels near a reading's makes another one needless there."""
     (r, c, reach), (radius_m, wide_m), (height, width) = near, size_m, shape
@@ -249,7 +245,7 @@ def _is_covered(
         for j in range(max(c - reach, 0), min(c + reach + 1, width)):
             entry = chosen[i * width + j]
             if entry >= 0 and _covers(
-                geometry, slots[entry], variance, reading, r * width + c, radius_m, wide_m, settings
+                geometry, slots[entry], variance, reading, r * width + c, radius_m, wide_m, rules
             ):
                 return True
     return False
@@ -257,7 +253,7 @@ def _is_covered(
 
 @kernel(inline="always", error_model="numpy")
 def _covers(
-    geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, radius_m: Any, wide_m: Any, settings: Any
+    geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, radius_m: Any, wide_m: Any, rules: Rules
 ) -> Any:
     """Whether a surfel agrees with a reading and has it on its disk, so near its middle that no other is needed.
 
@@ -265,17 +261,17 @@ def _covers(
     reading's would be: what one lap leaves between disks, laps of the same place would else fill for ever.
     """
     radius = geometry[slot, RADIUS]
-    is_settled = (geometry[slot, CONFIDENCE] >= settings[STABLE]) & (radius <= _FINE_ENOUGH * radius_m)
-    near_m = min(max(wide_m, _HALF * radius, settings[GAP_M] if is_settled else _ZERO), radius)
+    is_settled = (geometry[slot, CONFIDENCE] >= rules.stable_confidence) & (radius <= rules.fine_enough * radius_m)
+    near_m = min(max(wide_m, _HALF * radius, rules.gap_m if is_settled else _ZERO), radius)
     along, across2 = apart(geometry, slot, reading, p)
-    is_on_it = (across2 <= near_m * near_m) & (abs(along) <= _gate(reading, p, variance, slot, settings))
-    return is_on_it & faces(geometry, slot, reading, p, settings)
+    is_on_it = (across2 <= near_m * near_m) & (abs(along) <= _gate(reading, p, variance, slot, rules))
+    return is_on_it & faces(geometry, slot, reading, p, rules)
 
 
 @kernel(inline="always", error_model="numpy")
-def _gate(reading: Any, p: Any, variance: Any, slot: Any, settings: Any) -> Any:
+def _gate(reading: Any, p: Any, variance: Any, slot: Any, rules: Rules) -> Any:
     """How far from a surfel, along the normal, a reading still agrees with it."""
-    return settings[GATE_SIGMAS] * np.sqrt(reading[p, VARIANCE] + variance[slot]) + settings[GATE_M]
+    return rules.gate_sigmas * np.sqrt(reading[p, VARIANCE] + variance[slot]) + rules.gate_m
 
 
 @kernel(inline="always", error_model="numpy")
@@ -285,12 +281,12 @@ def deviation(noise: Any, z: Any) -> Any:
 
 
 @kernel(inline="always", error_model="numpy")
-def faces(geometry: Any, slot: Any, others: Any, other: Any, settings: Any) -> Any:
+def faces(geometry: Any, slot: Any, others: Any, other: Any, rules: Rules) -> Any:
     """Whether the normals of a surfel and of another surfel or reading agree."""
     cosine = _ZERO
     for k in range(4, 7):
         cosine += geometry[slot, k] * others[other, k]
-    return cosine >= settings[MIN_NORMAL_DOT]
+    return cosine >= rules.min_normal_dot
 
 
 @kernel(inline="always", error_model="numpy")

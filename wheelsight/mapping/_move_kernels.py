@@ -9,8 +9,6 @@ import numpy as np
 from wheelsight.compiled import kernel
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, PAGES, Cells, Pages, SurfelArrays
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-
 
 @kernel
 def move(T_new_old: Any, has_moved: Any, surfels: SurfelArrays, pages: Pages, cells: Cells, left: Any) -> Any:

@@ -12,18 +12,10 @@ import numpy as np
 from wheelsight.compiled import kernel
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
 
-# Of the kernels imported, so that numba's cache of this file's ends with theirs; a test tells when to renew it.
-
 _ZERO, _QUARTER, _ONE = np.float32(0.0), np.float32(0.25), np.float32(1.0)
 # Unstable surfels show only where no stable one does: they rank as if so far away.
 BEHIND_M = np.float32(1000.0)
-# Disks no farther apart than this, a metre of depth and in all, are of one surface.
-_BLEND, _BLEND_M = np.float32(0.012), np.float32(0.006)
 _NEAREST_M = np.float32(0.1)
-_LARGEST_PX = np.float32(24.0)
-# No disk is smaller than this in pixels, or pixels would fall between disks that were seen from nearer.
-_SMALLEST_PX = np.float32(0.75)
-_LEAST_COSINE = np.float32(0.05)
 _RIM = np.float32(1.001)
 # What a disk is in the camera's frame: slopes x/z, y/z of its middle, the quadratic form (3) of slopes that is 1 at its
 # rim, n·p, weight; then what a pixel averages: normal (3), whether grey is known, grey, red, green, blue (0 if not).
@@ -54,6 +46,8 @@ class Limits(NamedTuple):
         stable: confidence from which surfels are stable.
         least: confidence from which they are shown.
         vague_m2: unstable surfels with a larger variance are left out.
+        smallest_px, largest_px: radii of their disks in the image.
+        cosine: of the angle at which they are seen, at least.
         since_s: surfels not seen since are left out.
     """
 
@@ -61,6 +55,9 @@ class Limits(NamedTuple):
     stable: Any
     least: Any
     vague_m2: Any
+    smallest_px: Any
+    largest_px: Any
+    cosine: Any
     since_s: Any
 
 
@@ -79,12 +76,17 @@ class Disks(NamedTuple):
 
 
 class Image(NamedTuple):
-    """What is summed up for pixels: slopes of columns (w,) and rows (h,), `near` (h, w, NEAR), `sums` (h, w, SUMS)."""
+    """What is summed up for pixels: slopes of columns (w,) and rows (h,), `near` (h, w, NEAR), `sums` (h, w, SUMS).
+
+    Disks no farther apart than `blend` a metre of depth, and `blend_m`, are of one surface.
+    """
 
     ray_x: Any
     ray_y: Any
     near: Any
     sums: Any
+    blend: Any
+    blend_m: Any
 
 
 @kernel(error_model="numpy", fastmath={"contract"})
@@ -98,7 +100,7 @@ def project_disks(
     # Taken out of their tuples once: each time would be counted.
     pages, page_fill, T, grid = in_view.pages, in_view.fill, lens.T, lens.grid
     geometry, look, seen_s, variance = surfels.geometry, surfels.look, surfels.seen_s, surfels.variance
-    far_m, stable, least, vague_m2, since_s = limits.far_m, limits.stable, limits.least, limits.vague_m2, limits.since_s
+    stable, least, vague_m2, since_s = limits.stable, limits.least, limits.vague_m2, limits.since_s
     disk, bound, last_column, last_row = out.disk, out.bound, np.float32(lens.width - 1), np.float32(lens.height - 1)
     surfel, shown = np.empty((_SURFEL, PAGE), np.float32), np.empty((_SHOWN, PAGE), np.float32)
     for k in range(begin, end):
@@ -109,7 +111,7 @@ def project_disks(
             is_vague = surfel[CONFIDENCE, i] < stable and variance[first + i] > vague_m2
             if surfel[CONFIDENCE, i] < least or seen_s[first + i, 1] < since_s or is_vague:
                 surfel[CONFIDENCE, i] = _ZERO
-        _project(surfel, fill, T, grid, last_column, last_row, far_m, shown)
+        _project(surfel, fill, T, grid, last_column, last_row, limits, shown)
         for i in range(fill):
             if not shown[_WEIGHT, i] > 0:
                 continue
@@ -136,30 +138,31 @@ def _draw(disk: Any, bound: Any, entry: Any, shown: Any, look: Any, slot: Any, i
 
 @kernel(error_model="numpy", inline="always")
 def _project(
-    surfel: Any, fill: Any, T: Any, grid: Any, last_column: Any, last_row: Any, far_m: Any, shown: Any
+    surfel: Any, fill: Any, T: Any, grid: Any, last_column: Any, last_row: Any, limits: Limits, shown: Any
 ) -> None:
     """The first entries of disks and their boxes, of a page's surfels (_SHOWN, PAGE); weight 0 if out of sight."""
     # Read once: the compiler cannot know that they stay as they are while buffers are written.
     fx, fy, cx, cy = grid[0], grid[1], grid[2], grid[3]
     ax, ay, az, bx, by, bz = T[0, 0], T[1, 0], T[2, 0], T[0, 1], T[1, 1], T[2, 1]
     dx, dy, dz, tx, ty, tz = T[0, 2], T[1, 2], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    far_m, smallest_px, largest_px, cosine = limits.far_m, limits.smallest_px, limits.largest_px, limits.cosine
     for i in range(fill):
         a, b, d = surfel[0, i] - tx, surfel[1, i] - ty, surfel[2, i] - tz
         p, q, s = surfel[4, i], surfel[5, i], surfel[6, i]
         z, facing = dx * a + dy * b + dz * d, -(a * p + b * q + d * s)
         x, y = (ax * a + ay * b + az * d) / z, (bx * a + by * b + bz * d) / z
         nx, ny = ax * p + ay * q + az * s, bx * p + by * q + bz * s
-        least_m = _SMALLEST_PX * z * z / (fx * (facing if facing < z else z))
+        least_m = smallest_px * z * z / (fx * (facing if facing < z else z))
         radius = surfel[RADIUS, i] if surfel[RADIUS, i] > least_m else least_m
         xx, xy, yy = _form(x, y, nx, ny, -facing, z, radius)
         det = xx * yy - _QUARTER * xy * xy
         across, down = fx * np.sqrt(yy / det), fy * np.sqrt(xx / det)
-        across, down = across if across < _LARGEST_PX else _LARGEST_PX, down if down < _LARGEST_PX else _LARGEST_PX
+        across, down = across if across < largest_px else largest_px, down if down < largest_px else largest_px
         top, bottom = np.ceil(fy * y + cy - down), np.floor(fy * y + cy + down)
         left, right = np.ceil(fx * x + cx - across), np.floor(fx * x + cx + across)
         top, bottom = top if top > _ZERO else _ZERO, bottom if bottom < last_row else last_row
         left, right = left if left > _ZERO else _ZERO, right if right < last_column else last_column
-        is_seen = (z >= _NEAREST_M) & (z <= far_m) & (facing >= _LEAST_COSINE * z) & (top <= bottom) & (left <= right)
+        is_seen = (z >= _NEAREST_M) & (z <= far_m) & (facing >= cosine * z) & (top <= bottom) & (left <= right)
         shown[0, i], shown[1, i], shown[_PLANE, i] = x, y, -facing
         shown[_FORM, i], shown[_FORM + 1, i], shown[_FORM + 2, i] = xx, xy, yy
         shown[_WEIGHT, i] = surfel[CONFIDENCE, i] if is_seen else _ZERO
@@ -247,7 +250,7 @@ def _add_disk(entry: Any, behind_m: Any, is_known: Any, begin: Any, end: Any, di
                 continue
             rim = dx * (xx * dx + xy * dy) + part
             z = plane / (nx * ray_x[c] + across)
-            rank, reach = z + behind_m, _BLEND * z + _BLEND_M
+            rank, reach = z + behind_m, image.blend * z + image.blend_m
             is_before = rank < nearest - reach
             if (rim > _ONE) | (rank > nearest + reach) | (is_known & is_before):
                 continue

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight.errors import MapError
+from wheelsight.extras import needed
 from wheelsight.files import StrPath, atomic_write
 from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array
 from wheelsight.mapping.surfels import SurfelMap
@@ -97,9 +98,10 @@ def mesh_of(
         on_chunk: called after each chunk with how many are done, and of how many, for a progress bar.
 
     Raises:
-        MapError: scikit-image is missing, `voxel_m` is not positive, or there are no such surfels.
+        ConfigError: scikit-image is missing.
+        MapError: `voxel_m` is not positive, or there are no such surfels.
     """
-    measure = _need_marching_cubes()
+    measure: _MarchingCubes = needed("skimage.measure").marching_cubes
     if not voxel_m > 0 or not np.isfinite(voxel_m):
         raise MapError(f"voxel_m is {voxel_m}, not a positive length")
     surfels = surfel_map.surfels("stable" if stable_only else "all")
@@ -177,14 +179,6 @@ def _dressed(vertices: FloatArray, triangles: Int32Array, surfels: Surfels) -> M
 
     _, nearest = KDTree(surfels.position).query(vertices, workers=-1)
     return Mesh(vertices.astype(np.float32), surfels.normal[nearest], colors_of(surfels)[nearest], triangles)
-
-
-def _need_marching_cubes() -> _MarchingCubes:
-    try:
-        from skimage.measure import marching_cubes
-    except ImportError as error:
-        raise MapError("scikit-image is missing", fix="pip install scikit-image") from error
-    return marching_cubes
 
 
 def _refuse_empty(surfels: Surfels, stable_only: bool) -> None:

@@ -2,88 +2,145 @@
 
 from __future__ import annotations
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from wheelsight.settings import CHOSEN, ON_SIMULATOR, Settings, setting
 
-from wheelsight.settings import Settings
+_FROM_0026 = f"{ON_SIMULATOR}: docs/decisions/0026"
+_FROM_0037 = f"{ON_SIMULATOR}: docs/decisions/0037"
+_FROM_0038 = f"{ON_SIMULATOR}: docs/decisions/0038"
 
 
 class SurfelSettings(Settings):
     """Settings of the surfel map; unknown names are refused."""
 
-    stable_confidence: PositiveFloat = Field(default=10.0, le=1e6, description="how many frames make a surfel stable")
-    unstable_s: PositiveFloat = Field(
-        default=3.0, le=1e6, description="a surfel not stable so long after it was first seen goes"
+    stable_confidence: float = setting(10.0, "how many frames make a surfel stable", CHOSEN, gt=0, le=1e6)
+    most_confidence: float = setting(
+        100.0, "beyond, more frames change nothing: what is seen for long can still change", CHOSEN, gt=0, le=1e6
     )
-    unseen_s: PositiveFloat = Field(
-        default=1.0, le=1e6, description="a surfel not stable goes sooner if not seen for so long"
+    gone_confidence: float = setting(
+        0.4, "a surfel before free space loses half of its confidence a frame, and is gone below", CHOSEN, gt=0, le=1e6
     )
-    active_s: PositiveFloat = Field(
-        default=60.0, le=1e9, description="surfels not seen for longer are kept, but not tracked against"
+    color_frames: float = setting(
+        4.0,
+        "frames over which colour is averaged: lamps and lenses shade a spot differently from each place, and what a "
+        "far-off view showed would draw tracking back to there",
+        _FROM_0037,
+        ge=0,
+        le=1e6,
     )
-    fused_way_m: NonNegativeFloat = Field(
-        default=0.04,
+    most_readings: float = setting(
+        50.0,
+        "readings that count for a position, at most: it is never better known than poses are",
+        CHOSEN,
+        gt=0,
+        le=1e6,
+    )
+    unstable_s: float = setting(3.0, "a surfel not stable so long after it was first seen goes", CHOSEN, gt=0, le=1e6)
+    unseen_s: float = setting(1.0, "a surfel not stable goes sooner if not seen for so long", CHOSEN, gt=0, le=1e6)
+    active_s: float = setting(
+        60.0, "surfels not seen for longer are kept, but not tracked against", CHOSEN, gt=0, le=1e9
+    )
+    fused_way_m: float = setting(
+        0.04, "frames nearer to the last one fused are left out, a turn by a radian as 1.5 m", CHOSEN, ge=0, le=100
+    )
+    fused_after_s: float = setting(
+        0.1, "a frame so long after the last one fused is fused anyway", CHOSEN, gt=0, le=3600
+    )
+    colored_every: int = setting(
+        3,
+        "of so many fused frames one gives colour, which is only looked at; bringing it takes time",
+        CHOSEN,
+        gt=0,
         le=100,
-        description="frames nearer to the last one fused are left out, a turn by a radian as 1.5 m",
     )
-    fused_after_s: PositiveFloat = Field(
-        default=0.1, le=3600, description="a frame so long after the last one fused is fused anyway"
-    )
-    colored_every: PositiveInt = Field(
-        default=3,
-        le=100,
-        description="of so many fused frames one gives colour, which is only looked at; bringing it takes time",
-    )
-    beyond_share: NonNegativeFloat = Field(
-        default=0.05,
+    beyond_share: float = setting(
+        0.05,
+        "where more of a frame's depths lie beyond far_m, keyframes show more than the map does",
+        _FROM_0038,
+        ge=0,
         le=1,
-        description="where more of a frame's depths lie beyond far_m, keyframes show more than the map does",
     )
-    merged_every: PositiveInt = Field(
-        default=3,
+    merged_every: int = setting(
+        3,
+        "duplicates are looked for in one of so many fused frames: those of a few can be merged at once",
+        CHOSEN,
+        gt=0,
         le=100,
-        description="duplicates are looked for in one of so many fused frames: those of a few can be merged at once",
     )
-    far_m: PositiveFloat = Field(
-        default=6.0, le=40, description="no surfel is predicted beyond; they are laid laid_sigmas farther"
+    far_m: float = setting(
+        6.0, "no surfel is predicted beyond; they are laid laid_sigmas farther", _FROM_0026, gt=0, le=40
     )
-    laid_sigmas: NonNegativeFloat = Field(
-        default=12.0,
+    laid_sigmas: float = setting(
+        12.0,
+        "standard deviations of depth: where laying ends, readings that err towards the camera lay surfels, and "
+        "others are to mend that before they are shown",
+        _FROM_0026,
+        ge=0,
         le=100,
-        description="standard deviations of depth: where laying ends, readings that err towards the camera lay "
-        "surfels, and others are to mend that before they are shown",
     )
-    radial_sigma: PositiveFloat = Field(
-        default=0.6,
+    averaged_sigmas: float = setting(
+        6.0,
+        "standard deviations of depth that surfels are averaged farther than they are laid: else of a wall there only "
+        "the readings that err towards the camera would count",
+        _FROM_0026,
+        ge=0,
         le=100,
-        description="of a reading's weight over its distance from the image's centre, 1 at the farthest corner "
-        "(Keller et al. 2013, 4.2)",
     )
-    vague_m: PositiveFloat = Field(
-        default=0.035,
+    radial_sigma: float = setting(
+        0.6,
+        "of a reading's weight over its distance from the image's centre, 1 at the farthest corner",
+        "Keller et al. 2013, 4.2",
+        gt=0,
+        le=100,
+    )
+    vague_m: float = setting(
+        0.035,
+        "unstable surfels less surely placed are not predicted: a far wall's depth errs as one",
+        _FROM_0026,
+        gt=0,
         le=10,
-        description="unstable surfels less surely placed are not predicted: a far wall's depth errs as one",
     )
-    gate_sigmas: PositiveFloat = Field(
-        default=3.0, le=100, description="distance along the normal at which readings still agree"
+    gate_sigmas: float = setting(3.0, "distance along the normal at which readings still agree", CHOSEN, gt=0, le=100)
+    gate_m: float = setting(0.01, "added to it: poses err too", CHOSEN, ge=0, le=10)
+    max_angle_deg: float = setting(40.0, "between normals that agree", CHOSEN, gt=0, lt=90)
+    max_slant_deg: float = setting(84.5, "surfaces seen at a sharper angle are not fused", _FROM_0026, gt=0, lt=90)
+    least_cosine: float = setting(
+        0.2,
+        "of the angle at which a plane is seen, by which the depth's error counts along its normal",
+        CHOSEN,
+        gt=0,
+        le=1,
     )
-    gate_m: NonNegativeFloat = Field(default=0.01, le=10, description="added to it: poses err too")
-    max_angle_deg: float = Field(default=40.0, gt=0, lt=90, description="between normals that agree")
-    max_slant_deg: float = Field(
-        default=84.5, gt=0, lt=90, description="surfaces seen at a sharper angle are not fused"
+    disk_cosine: float = setting(
+        0.35,
+        "likewise, by which a disk is larger than its pixel: one that is grazed would reach far",
+        CHOSEN,
+        gt=0,
+        le=1,
     )
-    gap_m: NonNegativeFloat = Field(
-        default=0.02, le=10, description="so near a stable surfel's middle, its disk is not filled in"
+    fine_enough: float = setting(
+        1.5, "a disk so many times as large as a reading's is too coarse to stand for it", CHOSEN, ge=1, le=100
     )
-    free_m: PositiveFloat = Field(
-        default=0.05, le=10, description="a surfel so far in front of what is measured, and 4 σ, is gone"
+    gap_m: float = setting(0.02, "so near a stable surfel's middle, its disk is not filled in", CHOSEN, ge=0, le=10)
+    free_m: float = setting(
+        0.05, "a surfel so far in front of what is measured, and free_sigmas, is gone", CHOSEN, gt=0, le=10
     )
-    drift_m: NonNegativeFloat = Field(
-        default=0.1, le=100, description="added to it for surfels outside the active window"
+    free_sigmas: float = setting(4.0, "standard deviations of depth, of that", CHOSEN, ge=0, le=100)
+    drift_m: float = setting(0.1, "added to it for surfels outside the active window", CHOSEN, ge=0, le=100)
+    blend: float = setting(
+        0.012, "disks no farther apart, a metre of depth, are shown as one surface, and by", CHOSEN, ge=0, le=1
     )
-    max_surfels: PositiveInt = Field(
-        default=3_000_000, ge=1024, le=6_000_000, description="bound on memory, about 72 bytes a surfel"
+    blend_m: float = setting(0.006, "more, metres, at any depth", CHOSEN, ge=0, le=1)
+    smallest_px: float = setting(
+        0.75,
+        "radius of a disk that is shown, at least: pixels would fall between disks that were seen from nearer",
+        CHOSEN,
+        gt=0,
+        le=100,
     )
-    block_m: PositiveFloat = Field(
-        default=0.5, ge=0.05, le=10, description="edge of the blocks by which surfels in view are found"
+    largest_px: float = setting(24.0, "likewise at most, for speed", CHOSEN, gt=0, le=1000)
+    shown_cosine: float = setting(
+        0.05, "of the angle at which a disk is seen, from which on it is shown", CHOSEN, gt=0, le=1
     )
-    threads: PositiveInt = Field(default=2, le=64, description="that share a frame's rows")
+    max_surfels: int = setting(3_000_000, "bound on memory, about 72 bytes a surfel", "reckoned", ge=1024, le=6_000_000)
+    block_m: float = setting(0.5, "edge of the blocks by which surfels in view are found", CHOSEN, ge=0.05, le=10)
+    threads: int = setting(2, "that share a frame's rows", "two cores, for which wheelsight is made", gt=0, le=64)

@@ -209,12 +209,12 @@ class SurfelMap:
         s = self.settings
         return np.array([s.stable_confidence, s.unstable_s, s.active_s, s.unseen_s])
 
-    def _kernel_settings(self, sensor: Float32Array) -> Float32Array:
-        """In the order of the fusion kernels' constants."""
+    def _rules_for(self, sensor: Float32Array) -> match.Rules:
+        """The settings as kernels read them, for a sensor of that noise."""
         s = self.settings
         turn, slant = np.cos(np.radians([s.max_angle_deg, s.max_slant_deg]))
-        gates = [s.stable_confidence, s.gate_sigmas, s.gate_m, turn, slant]
-        return np.array([*gates, s.free_m, s.drift_m, self._laid_m(sensor), s.gap_m], np.float32)
+        named = (getattr(s, name) for name in match.Rules._fields if name in type(s).model_fields)
+        return match.Rules(*map(np.float32, (*named, turn, slant, self._laid_m(sensor), s.least_cosine**2)))
 
     def _laid_m(self, sensor: Float32Array) -> float:
         """How far surfels are laid."""
@@ -231,8 +231,9 @@ class SurfelMap:
         reading = self._room("reading", (frame.depth_m.size, match.READING), np.float32)
         radius = self._room("radius", (frame.depth_m.size,), np.float32)
         looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
-        seen = match.Seen(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames))
-        given = (seen, frame.normal, self._weight(grid, (height, width)), camera, self._kernel_settings(camera.noise))
+        since_s = self.stamp_s - np.array([self.settings.unstable_s, self.settings.unseen_s, self.settings.active_s])
+        seen = match.Seen(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
+        given = (seen, frame.normal, self._weight(grid, (height, width)), camera, self._rules_for(camera.noise))
         self._rows.share(height, lambda a, b: fusion.read(a, b, *given))
         return seen
 
@@ -249,43 +250,42 @@ class SurfelMap:
 
     def _average(self, seen: match.Seen, camera: match.Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
         """Match, average and merge; how many were matched, removed and merged, and which pixels (h, w) are new."""
-        blocks, share, settings = self._blocks, self._rows.share, self._kernel_settings(camera.noise)
+        blocks, share, rules = self._blocks, self._rows.share, self._rules_for(camera.noise)
         height, width = seen.depth_m.shape
         pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._laid_m(camera.noise) + 1, -np.inf)
-        found, surfels = self._candidates(seen, camera, pages), blocks.surfels
+        found, surfels = self._candidates(seen, camera, pages, rules), blocks.surfels
         best = self._room("best", (seen.depth_m.size,), np.float32)
         ranked = (found.pixel, found.rank, found.counts, best, found.chosen)
         share(height, lambda a, b: match.choose(a, b, width, *ranked))
         is_new = self._room("is_new", (height, width), np.bool_)
-        share(height, lambda a, b: match.find_new(a, b, found, surfels, seen, camera.pitch, settings, is_new))
-        counts = np.zeros((len(pages), 2), np.int64)
+        share(height, lambda a, b: match.find_new(a, b, found, surfels, seen, camera.pitch, rules, is_new))
         home = fusion.Home(blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
-        share(len(pages), lambda a, b: fusion.update(a, b, found, surfels, home, camera, seen, counts))
+        share(len(pages), lambda a, b: fusion.update(a, b, found, surfels, home, camera, seen, rules))
         is_due = self.frames % self.settings.merged_every == 1 % self.settings.merged_every
-        merged = self._merge((height, width), settings, found) if is_due else 0
-        removed = int(found.counts[:, 1].sum() + counts[:, 1].sum())
-        blocks.count_deaths(removed + merged)
-        return int(counts[:, 0].sum()), removed, merged, is_new
+        merged = self._merge((height, width), rules, found) if is_due else 0
+        _, died, matched, died_then = found.counts.sum(axis=0, dtype=np.int64).tolist()
+        blocks.count_deaths(died + died_then + merged)
+        return matched, died + died_then, merged, is_new
 
-    def _merge(self, shape: tuple[int, int], settings: Float32Array, found: match.Candidates) -> int:
+    def _merge(self, shape: tuple[int, int], rules: match.Rules, found: match.Candidates) -> int:
         """Merge into the chosen surfels the candidates that are their like; how many."""
         merged, surfels = np.zeros(shape[0], np.int64), self._blocks.surfels
-        self._rows.share(shape[0], lambda a, b: fusion.merge(a, b, shape[1], found, surfels, settings, merged))
+        self._rows.share(shape[0], lambda a, b: fusion.merge(a, b, shape[1], found, surfels, rules, merged))
         return int(merged.sum())
 
-    def _candidates(self, seen: match.Seen, camera: match.Camera, pages: Int32Array) -> match.Candidates:
+    def _candidates(
+        self, seen: match.Seen, camera: match.Camera, pages: Int32Array, rules: match.Rules
+    ) -> match.Candidates:
         """The surfels that fit; who is chosen is not known yet."""
         blocks, entries = self._blocks, (len(pages) * PAGE,)
         found = match.Candidates(
             self._room("slots", entries, np.int32),
             self._room("pixel", entries, np.int32),
             self._room("rank", entries, np.float32),
-            self._room("found", (len(pages), 2), np.int32),
+            self._room("found", (len(pages), 4), np.int32),
             self._room("chosen", (seen.depth_m.size,), np.int32),
         )
-        since_s = self.stamp_s - np.array([self.settings.unstable_s, self.settings.unseen_s, self.settings.active_s])
-        gates = match.Gates(self._kernel_settings(camera.noise), since_s)
-        given = (InView(pages, blocks.page_fill), blocks.surfels, seen, camera, gates, found)
+        given = (InView(pages, blocks.page_fill), blocks.surfels, seen, camera, rules, found)
         self._rows.share(len(pages), lambda a, b: match.find_candidates(a, b, *given))
         return found
 
@@ -309,14 +309,15 @@ class SurfelMap:
             self._room("bound", (entries, 4), np.int16),
             self._room("count", (len(pages), 2), np.int32),
         )
-        stable = np.float32(self.settings.stable_confidence)
-        shown = view.Limits(np.float32(far_m), stable, np.float32(least), np.float32(vague_m2), since_s)
+        s = self.settings
+        numbers = (far_m, s.stable_confidence, least, vague_m2, s.smallest_px, s.largest_px, s.shown_cosine)
+        shown = view.Limits._make((*map(np.float32, numbers), since_s))
         lens = view.Lens(pose.T32, pose.grid32, width, height)
         given = (InView(pages, blocks.page_fill), blocks.surfels, lens, shown, disks)
         share(len(pages), lambda a, b: view.project_disks(a, b, *given))
         near = self._room("near", (*shape, view.NEAR), np.float32)
         sums = self._room("sums", (*shape, view.SUMS), np.float32)
-        image = view.Image(*rays_of(pose.grid, shape), near, sums)
+        image = view.Image(*rays_of(pose.grid, shape), near, sums, np.float32(s.blend), np.float32(s.blend_m))
         share(height, lambda a, b: view.blend(a, b, disks, image))
         share(height, lambda a, b: view.fill_in(a, b, disks, image))
         color = np.empty((*shape, 3) if with_color else (0, 0, 3), np.float32)

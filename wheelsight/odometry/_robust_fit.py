@@ -7,13 +7,12 @@ disagreement is narrowed from generous to the spread found.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt
 
 from wheelsight.geometry import BoolArray, FloatArray
-from wheelsight.settings import Settings
+from wheelsight.settings import CHOSEN, Settings, bounds, setting
 
 UNKNOWN_SIGMA = 1e3
 
@@ -23,22 +22,22 @@ _STEP = 0.01  # of a value's bound, by which the solver scales it
 class RobustFitSettings(Settings):
     """What counts as a disagreement of a piece with the rest."""
 
-    first_scale: PositiveFloat = Field(default=0.02, le=1, description="spread at first, in metres and in radians")
-    least_scale: PositiveFloat = Field(
-        default=5e-4,
-        le=1,
-        description="spread at least: nothing is better than half a mm and half a mrad",
+    first_scale: float = setting(0.02, "spread at first, in metres and in radians", CHOSEN, gt=0, le=1)
+    least_scale: float = setting(
+        5e-4, "spread at least: nothing is better than half a mm and half a mrad", CHOSEN, gt=0, le=1
     )
-    narrowing: tuple[PositiveFloat, ...] = Field(
-        default=(32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0),
+    narrowing: tuple[Annotated[float, bounds(gt=0, le=1e6)], ...] = setting(
+        (32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0),
+        "times the spread found, step by step",
+        "Yang et al. 2020: from generous on; the steps are chosen",
         min_length=1,
-        description="times the spread found, step by step from generous on (Yang et al. 2020)",
+        max_length=100,
     )
-    outlier_chi2: PositiveFloat = Field(
-        default=16.0, le=1e4, description="three normal residuals exceed it once in a thousand"
+    outlier_chi2: float = setting(
+        16.0, "three normal residuals exceed it once in a thousand", "reckoned: χ² of 3", gt=0, le=1e4
     )
-    most_clusters: PositiveInt = Field(
-        default=25, le=10_000, description="runs of neighbouring pieces, by whose spread the covariance is told"
+    most_clusters: int = setting(
+        25, "runs of neighbouring pieces, by whose spread the covariance is told", CHOSEN, gt=0, le=10_000
     )
 
 

@@ -6,6 +6,9 @@ from dataclasses import dataclass, replace
 
 from wheelsight.estimates import Status
 
+# Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
+START_VARIANCE = 1e-12
+
 
 @dataclass(frozen=True, slots=True)
 class TrackingState:

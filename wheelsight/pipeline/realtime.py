@@ -241,6 +241,8 @@ def rehearse(recording: RealTimeRecording, localizers: Sequence[Localizer]) -> N
         for event in recording.rehearsal():
             for localizer in localizers:
                 localizer.process(event)
+    for localizer in localizers:
+        localizer.close()
 
 
 def _check_times(recording: Recording, wheels: RecordedWheels) -> None:

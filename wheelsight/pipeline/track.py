@@ -194,7 +194,7 @@ def follow(
 ) -> Passage:
     """Hand each event to every track, in their order; without one that looks, no image is decoded.
 
-    Ends with the source, at the first event `duration_s` after the first, or by Ctrl-C.
+    Ends with the source, at the first event `duration_s` after the first, or by Ctrl-C; then localizers are closed.
     """
     passage, yaw_rates = Passage(tracks), 0
     events = source.events(images=any(track.needs_images for track in tracks))
@@ -219,6 +219,8 @@ def follow(
     finally:
         if isinstance(events, Generator):
             events.close()  # stops the reader's thread
+        for track in tracks:
+            track.localizer.close()
     passage.elapsed_s = time.perf_counter() - started
     passage.unused = unused_of(source, config, yaw_rates)
     return passage

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydantic import Field, NonNegativeInt, PositiveInt
 
 from wheelsight.errors import PlaceError
 from wheelsight.extras import needed
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array, IntArray
 from wheelsight.places import _kernels as kernels
-from wheelsight.settings import Settings
+from wheelsight.settings import CHOSEN, Settings, setting
 
 _NO_CHILD = -1
 # Under this, starting threads takes longer than growing trees.
@@ -23,24 +22,15 @@ _WORTH_THREADS = 20_000
 class ForestSettings(Settings):
     """How a forest is grown, and how its probabilities are made to mean what they say."""
 
-    trees: int = Field(default=64, ge=1, le=1000, description="T of Trinh et al., eq. 7; the paper tries 1 to 6")
-    max_depth: PositiveInt | None = Field(
-        default=16, le=64, description="D: splits from root to leaf at most; none: no limit"
-    )
-    min_leaf: PositiveInt = Field(default=1, le=1_000_000, description="frames that a leaf holds at least")
-    seed: NonNegativeInt = Field(default=0, lt=2**32, description="one seed gives one forest")
-    folds: int = Field(default=5, ge=2, le=20, description="blocks held out in turn to calibrate probabilities")
-    block_frames: PositiveInt = Field(
-        default=10, le=1_000_000, description="neighbours that are held out together, about"
-    )
-    gap_frames: NonNegativeInt = Field(
-        default=2, le=1_000_000, description="left out of training on both sides of a block held out"
-    )
-    wanted_accuracy: float = Field(
-        default=0.95,
-        gt=0,
-        le=1,
-        description="of answers on blocks held out; what is less sure is answered with unknown",
+    trees: int = setting(64, "T of Trinh et al., eq. 7; the paper tries 1 to 6", CHOSEN, ge=1, le=1000)
+    max_depth: int | None = setting(16, "D: splits from root to leaf at most; none: no limit", CHOSEN, gt=0, le=64)
+    min_leaf: int = setting(1, "frames that a leaf holds at least", CHOSEN, gt=0, le=1_000_000)
+    seed: int = setting(0, "one seed gives one forest", CHOSEN, ge=0, lt=2**32)
+    folds: int = setting(5, "blocks held out in turn to calibrate probabilities", CHOSEN, ge=2, le=20)
+    block_frames: int = setting(10, "neighbours that are held out together, about", CHOSEN, gt=0, le=1_000_000)
+    gap_frames: int = setting(2, "left out of training on both sides of a block held out", CHOSEN, ge=0, le=1_000_000)
+    wanted_accuracy: float = setting(
+        0.95, "of answers on blocks held out; what is less sure is answered with unknown", CHOSEN, gt=0, le=1
     )
 
 

@@ -5,34 +5,30 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import model_validator
 
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import Float32Array
 from wheelsight.places import _kernels as kernels
 from wheelsight.places.describer import size_of
-from wheelsight.settings import Settings
+from wheelsight.settings import CHOSEN, Settings, setting
 
 
 class HistogramSettings(Settings):
     """How images are counted; the paper gives the number of bins and leaves the rest open."""
 
-    bins: int = Field(default=100, ge=2, le=256, description="of each histogram")
-    near_m: NonNegativeFloat = Field(
-        default=0.0, le=100, description="where the first bin of depth begins; nearer depths fall into it"
+    bins: int = setting(100, "of each histogram", "Trinh", ge=2, le=256)
+    near_m: float = setting(
+        0.0, "where the first bin of depth begins; nearer depths fall into it", CHOSEN, ge=0, le=100
     )
-    far_m: PositiveFloat = Field(
-        default=8.0, le=100, description="where the last bin of depth ends; farther depths fall into it"
+    far_m: float = setting(8.0, "where the last bin of depth ends; farther depths fall into it", CHOSEN, gt=0, le=100)
+    missing: Literal["first_bin", "own_bin", "ignored"] = setting(
+        "first_bin", "where pixels without depth count; an own bin adds a number, and all leave it as it is", CHOSEN
     )
-    missing: Literal["first_bin", "own_bin", "ignored"] = Field(
-        default="first_bin",
-        description="where pixels without depth count; an own bin adds a number, and all leave it as it is",
+    scale: Literal["share", "counts", "cumulative"] = setting(
+        "share", "of all pixels of a histogram, plain counts, or shares summed from the first bin on", CHOSEN
     )
-    scale: Literal["share", "counts", "cumulative"] = Field(
-        default="share",
-        description="of all pixels of a histogram, plain counts, or shares summed from the first bin on",
-    )
-    step_px: PositiveInt = Field(default=2, le=16, description="every how many columns and rows a pixel is counted")
+    step_px: int = setting(2, "every how many columns and rows a pixel is counted", CHOSEN, gt=0, le=16)
 
     @model_validator(mode="after")
     def _range_is_not_empty(self) -> Self:

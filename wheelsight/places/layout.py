@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, PositiveFloat
 
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import Float32Array
 from wheelsight.places import _layout_kernels as kernels
 from wheelsight.places.describer import size_of
-from wheelsight.settings import Settings
+from wheelsight.settings import CHOSEN, Settings, setting
 
 _OF_COLOR = ("grey", "grey deviation", "grey across", "grey down", "red to green", "yellow to blue")
 _OF_DEPTH = ("depth 0.2", "depth 0.5", "depth 0.8", "holes", "normal x", "normal y")
@@ -21,18 +20,16 @@ _PROFILE = ("profile 0.5", "profile 0.8")
 class LayoutSettings(Settings):
     """How finely a frame is told. All is relative to the image's size, so that resolution matters little."""
 
-    rows: int = Field(default=4, ge=1, le=16, description="of cells")
-    columns: int = Field(default=6, ge=1, le=16, description="of cells")
-    profile: int = Field(default=16, ge=1, le=64, description="upright strips of the middle third whose depth is told")
-    bins: int = Field(default=40, ge=2, le=100, description="of the whole frame's histograms of grey and of depth")
-    sides: int = Field(default=5, ge=2, le=15, description="bins a side of the whole frame's histogram of normals")
-    samples_down: int = Field(default=120, ge=16, le=480, description="rows of the grid at which images are read")
-    samples_across: int = Field(default=160, ge=16, le=640, description="columns of that grid")
-    far_m: PositiveFloat = Field(default=8.0, le=100, description="farther depths count as this far")
-    focal_in_widths: PositiveFloat = Field(
-        default=0.9,
-        le=100,
-        description="the depth camera's focal length in image widths, roughly; it only bends normals",
+    rows: int = setting(4, "of cells", CHOSEN, ge=1, le=16)
+    columns: int = setting(6, "of cells", CHOSEN, ge=1, le=16)
+    profile: int = setting(16, "upright strips of the middle third whose depth is told", CHOSEN, ge=1, le=64)
+    bins: int = setting(40, "of the whole frame's histograms of grey and of depth", CHOSEN, ge=2, le=100)
+    sides: int = setting(5, "bins a side of the whole frame's histogram of normals", CHOSEN, ge=2, le=15)
+    samples_down: int = setting(120, "rows of the grid at which images are read", CHOSEN, ge=16, le=480)
+    samples_across: int = setting(160, "columns of that grid", CHOSEN, ge=16, le=640)
+    far_m: float = setting(8.0, "farther depths count as this far", CHOSEN, gt=0, le=100)
+    focal_in_widths: float = setting(
+        0.9, "the depth camera's focal length in image widths, roughly; it only bends normals", CHOSEN, gt=0, le=100
     )
 
 

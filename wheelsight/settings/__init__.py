@@ -3,7 +3,7 @@
 What an odometry, a map or a filter goes by stands beside it; here is what a localizer and a run in real time go by.
 """
 
-from wheelsight.settings.base import CHOSEN, ON_SIMULATOR, Settings, conflict, setting
+from wheelsight.settings.base import ASKED, CHOSEN, ON_SIMULATOR, Settings, bounds, conflict, setting
 from wheelsight.settings.localizer import (
     BaseCheckSettings,
     ColorCheckSettings,
@@ -13,6 +13,7 @@ from wheelsight.settings.localizer import (
 from wheelsight.settings.real_time import RealTimeSettings
 
 __all__ = [
+    "ASKED",
     "CHOSEN",
     "ON_SIMULATOR",
     "BaseCheckSettings",
@@ -21,6 +22,7 @@ __all__ = [
     "LocalizerSettings",
     "RealTimeSettings",
     "Settings",
+    "bounds",
     "conflict",
     "setting",
 ]

@@ -10,6 +10,8 @@ from pydantic_core import PydanticCustomError
 # Sources of defaults: one that no real drive has confirmed, and one of which no measurement is recorded.
 ON_SIMULATOR = "found on the simulator alone"
 CHOSEN = "chosen; no measurement"
+# Of what only a user knows.
+ASKED = "what nobody has asked for otherwise"
 
 
 class Settings(BaseModel):
@@ -22,12 +24,17 @@ def setting(default: Any, why: str, source: str, **bounds: Any) -> Any:
     """A field of a settings class.
 
     Args:
-        default: its value where nobody says otherwise.
+        default: its value where nobody says otherwise; `...` where somebody must.
         why: what it does and why it is so large; with its unit, where its name has none.
         source: of the default: what it was reckoned from, or which drives showed it.
-        bounds: as pydantic's `Field` takes them: gt, ge, lt, le.
+        bounds: as pydantic's `Field` takes them: gt, ge, lt, le, and min_length, max_length of several.
     """
     return Field(default=default, description=why, json_schema_extra={"source": source}, **bounds)
+
+
+def bounds(**limits: Any) -> Any:
+    """Of each of several numbers: `tuple[Annotated[float, bounds(gt=0, le=10)], ...]`; named as those of `setting`."""
+    return Field(**limits)
 
 
 def conflict(name: str, problem: str, fix: str) -> PydanticCustomError:

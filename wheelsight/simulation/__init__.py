@@ -12,7 +12,7 @@ from wheelsight.simulation.renderer import Renderer
 from wheelsight.simulation.robot import Patch, Robot, WheelFaults
 from wheelsight.simulation.scene import Scene
 from wheelsight.simulation.settings import SimulationSettings
-from wheelsight.simulation.simulate import need_mujoco, simulate, write_simulation
+from wheelsight.simulation.simulate import simulate, write_simulation
 from wheelsight.simulation.simulated_recording import SimulatedRecording
 from wheelsight.simulation.view import Geoms, View
 from wheelsight.simulation.world import Surface, World
@@ -38,7 +38,6 @@ __all__ = [
     "camera_model",
     "camera_names",
     "follow_route",
-    "need_mujoco",
     "read_manual_velocities",
     "simulate",
     "simulate_drive",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from wheelsight.areas import save_areas
 from wheelsight.calibration import save_calibration
 from wheelsight.errors import ConfigError
 from wheelsight.events import RgbdFrame
+from wheelsight.extras import needed
 from wheelsight.files import StrPath, make_output_folder, write_bytes, write_text
 from wheelsight.geometry import se3
 from wheelsight.inputs import read_bytes
@@ -56,7 +56,7 @@ def simulate(
         InputError: a file of velocities that cannot be read; names file and line.
     """
     refused = None if refused is None else Path(refused)
-    need_mujoco()
+    needed("mujoco")
     camera = camera_model(settings.camera, settings.size)
     world = build_world(settings.world, settings.seed)
     driver = driver_of(settings, world)
@@ -77,12 +77,6 @@ def simulate(
     _refuse_never(settings, drive.duration_s)
     recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
     return with_camera_faults(recording, *covers) if covers else recording
-
-
-def need_mujoco() -> None:
-    """Raises ConfigError where the simulator's extra is not installed."""
-    if find_spec("mujoco") is None:
-        raise ConfigError("the simulator needs MuJoCo", fix="pip install mujoco matplotlib")
 
 
 def _refuse_never(settings: SimulationSettings, end_s: float) -> None:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from fusion.error_state.test_pose_belief import SETTINGS, belief_somewhere, difference, look_at
 
-from wheelsight.fusion.error_state._mixture import covering, mixed
+from wheelsight.fusion.error_state._mixture import covering, covering_pose, mixed
 from wheelsight.fusion.error_state._pose_belief import LAG
+from wheelsight.geometry import se3
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
@@ -66,3 +67,15 @@ def test_what_covers_another_belief_knows_the_way_since_a_clone_as_well_as_befor
         before, after = (b.innovation(look_at(one, name, np.random.default_rng(0)), SETTINGS) for b in (one, found))
         wider = np.linalg.eigvalsh(after.covariance)[-1] / np.linalg.eigvalsh(before.covariance)[-1]
         assert (wider > 3) == is_wider
+
+
+@pytest.mark.parametrize("sigmas", [1.0, 2.5])
+def test_a_pose_covers_another_at_so_many_standard_deviations(sigmas: float) -> None:
+    T_one, T_other = se3.exp([1.0, 2.0, 0.0, 0.0, 0.0, 0.5]), se3.exp([1.3, 1.8, 0.0, 0.0, 0.0, 0.9])
+    T, C = covering_pose(T_one, np.zeros((6, 6)), T_other, np.zeros((6, 6)), sigmas)
+    np.testing.assert_array_equal(T, T_one)
+    moved = se3.log(T_other @ se3.invert(T_one))
+    values, axes = np.linalg.eigh(C)
+    assert values[:5] == pytest.approx(0.0, abs=1e-12)  # it may be elsewhere in that direction only
+    apart = np.concatenate([T_other[:3, 3] - T_one[:3, 3] - np.cross(moved[3:], T_one[:3, 3]), moved[3:]])
+    assert abs(axes[:, 5] @ apart) / np.sqrt(values[5]) == pytest.approx(sigmas)

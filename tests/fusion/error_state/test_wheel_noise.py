@@ -11,9 +11,8 @@ from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, looked, simula
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.fusion import ErrorStateFilter
 from wheelsight.fusion.error_state._measurements import RelativePose, WheelStep
-from wheelsight.fusion.error_state._odometer import Odometer
 from wheelsight.fusion.error_state._pose_belief import ERRORS, LAG, PoseBelief
-from wheelsight.fusion.error_state._wheel_noise import Preintegration, WheelNoise
+from wheelsight.fusion.error_state._wheel_noise import Odometer, Preintegration, WheelNoise
 from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import se3
 
@@ -124,9 +123,10 @@ def test_what_was_known_fades_along_the_way() -> None:
 
 def test_a_ride_that_wheels_told_half_of_is_not_judged() -> None:
     preintegration, told, _, _ = ride_and_look(0.0)
-    assert preintegration.is_told(told, 1.0)
-    assert not preintegration.is_told(told, 2.0)
-    assert not preintegration.is_told(Odometer(heard_s=1.0), 1.0)
+    assert preintegration.is_told(told, 1.0, share=0.95)
+    assert not preintegration.is_told(told, 2.0, share=0.95)
+    assert preintegration.is_told(told, 2.0, share=0.4)
+    assert not preintegration.is_told(Odometer(heard_s=1.0), 1.0, share=0.95)
 
 
 def test_errors_as_known_when_the_ride_began_are_no_noise() -> None:

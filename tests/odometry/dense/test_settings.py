@@ -32,7 +32,6 @@ NUMERICS = {
     "fault_detection._PERFECT": "of a perfect fit, by definition",
     "grid._BRIGHTEST": "of a byte",
     "grid._DARK_STRIDE": "how many pixels are asked",
-    "keyframe_policy.START_VARIANCE": "no covariance may be singular",
     "reference._ANY_BEND": "none",
     "reference._AS_NOISY": "by definition",
     "reference._MAPPED": "by definition",

@@ -215,7 +215,7 @@ def _noise_after(
     if preintegration is None or preintegration.name != measurement.name:
         return noise
     told = detection.odometer.since(preintegration.begin)
-    if not preintegration.is_told(told, stamp_s):
+    if not preintegration.is_told(told, stamp_s, settings.wheel_noise_heard_share):
         return noise
     return noise.after(preintegration, told, measurement, detection.primary, settings)
 

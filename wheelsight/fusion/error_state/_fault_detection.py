@@ -26,13 +26,12 @@ from functools import cache
 import numpy as np
 
 from wheelsight.estimates import Reason
-from wheelsight.fusion.error_state import _step_kernels as steps
+from wheelsight.fusion.error_state import _pose_kernels as kernels
 from wheelsight.fusion.error_state._changed import changed
 from wheelsight.fusion.error_state._measurements import Innovation, RelativePose
 from wheelsight.fusion.error_state._mixture import covering, mixed
-from wheelsight.fusion.error_state._odometer import Odometer
 from wheelsight.fusion.error_state._pose_belief import IN_PLANE, PoseBelief, Teaches
-from wheelsight.fusion.error_state._wheel_noise import Preintegration, WheelNoise
+from wheelsight.fusion.error_state._wheel_noise import Odometer, Preintegration, WheelNoise
 from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
@@ -59,13 +58,13 @@ class Speed:
     @classmethod
     def over(cls, T: FloatArray, covariance: FloatArray, seconds: float) -> Speed:
         """Of a motion (4, 4) with its covariance (3, 3)."""
-        return cls(*steps.speed(T, covariance, seconds))
+        return cls(*kernels.speed(T, covariance, seconds))
 
     def leap_from(self, before: Speed, seconds: float, settings: FilterParameters) -> float:
         """χ² of the change of speed since, against what a robot does in so many seconds; 0 where that is no wonder."""
         s = settings
         usual = (s.leap_m_s2 * seconds, s.leap_m_s2 * s.leap_side_share * seconds, s.leap_rad_s2 * seconds)
-        leap = steps.leap(self.mean, self.covariance, before.mean, before.covariance, usual)
+        leap = kernels.leap(self.mean, self.covariance, before.mean, before.covariance, usual)
         return min(leap, s.leap_chi2_cap) if leap > _quantile(s.leap_confidence, 3) else 0.0
 
 

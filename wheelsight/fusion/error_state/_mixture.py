@@ -9,8 +9,6 @@ from wheelsight.fusion.error_state._pose_belief import LAG, PoseBelief
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 
-_COVERED_SIGMAS = 2.5  # of a pose alone; as `ErrorStateSettings.covered_sigmas`
-
 
 def mixed(one: PoseBelief, other: PoseBelief, share: float) -> PoseBelief:
     """One belief with the moments of both, where `other` is right with probability `share`: it covers both."""
@@ -67,11 +65,11 @@ def _shift(one: PoseBelief, other: PoseBelief) -> FloatArray:
 
 
 def covering_pose(
-    T_one: FloatArray, one: FloatArray, T_other: FloatArray, other: FloatArray
+    T_one: FloatArray, one: FloatArray, T_other: FloatArray, other: FloatArray, sigmas: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The one pose (4, 4), and a covariance (6, 6) by which the other lies within three standard deviations."""
+    """The one pose (4, 4), and a covariance (6, 6) by which the other's lies at so many standard deviations."""
     apart = _shift_of(T_one, T_other)
-    return T_one, one + other + np.outer(apart, apart) / _COVERED_SIGMAS**2
+    return T_one, one + other + np.outer(apart, apart) / sigmas**2
 
 
 def _shift_of(T_from: FloatArray, T_to: FloatArray) -> FloatArray:

@@ -22,7 +22,6 @@ import numpy as np
 
 from wheelsight.fusion.error_state import _pose_kernels as kernels
 from wheelsight.fusion.error_state import _relative_pose_kernels as relative
-from wheelsight.fusion.error_state import _step_kernels as steps
 from wheelsight.fusion.error_state._changed import changed
 from wheelsight.fusion.error_state._measurements import Innovation, RelativePose, WheelStep
 from wheelsight.fusion.error_state.settings import FilterParameters
@@ -145,9 +144,9 @@ class PoseBelief:
         """After a share of what the wheels tell, corrected by what is known to be wrong with them."""
         s, dt_s = settings, (step.end_s - step.begin_s) * share
         known = self._known_before(step, s.known_for_s)
-        told_by = steps.Step(step.xi, step.covariance, share, dt_s, known)
-        unseen = steps.Unseen(s.unseen_a_metre, s.walks, s.fades, s.lever_m)
-        T, rest, P, told, way_m = steps.wheel_step(self.T, self.rest, self.covariance, told_by, unseen)
+        told_by = kernels.Step(step.xi, step.covariance, share, dt_s, known)
+        unseen = kernels.Unseen(s.unseen_a_metre, s.walks, s.fades, s.lever_m)
+        T, rest, P, told, way_m = kernels.wheel_step(self.T, self.rest, self.covariance, told_by, unseen)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         times["turn_known_for_s"] = self.turn_known_for_s + dt_s
         after = changed(self, T=T, rest=rest, covariance=P, told=self.told + told, **times)
@@ -170,7 +169,7 @@ class PoseBelief:
         q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
         way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
         noise = (q, s.unseen_a_metre * way_m, dt_s, s.gyro.bias_walk_rad_s_per_sqrt_s**2 * dt_s)
-        T, P = steps.coast(self.T, rest, self.covariance, *noise)
+        T, P = kernels.coast(self.T, rest, self.covariance, *noise)
         return changed(self, T=T, covariance=P)
 
     def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:

@@ -1,4 +1,6 @@
-"""How noisy the wheels are: Preintegration, and WheelNoise, learned from how it fits a camera that is believed.
+"""How noisy the wheels are: Odometer and Preintegration, what they tell, and WheelNoise, which is learned of it.
+
+It is learned from how that fits a camera that is believed.
 
 A calibration tells of wheels how far they slip in a metre on whatever floor (`slip_m_per_sqrt_m`); on the one that is
 driven they may hold ten times as well. What a filter thinks of them decides what it believes of the camera after the
@@ -9,13 +11,14 @@ and turn by d ~ N(0, R + ρ N), with N the wheels' covariance by the calibration
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from wheelsight.fusion.error_state import _pose_kernels as kernels
 from wheelsight.fusion.error_state import _relative_pose_kernels as relative
-from wheelsight.fusion.error_state._measurements import RelativePose
-from wheelsight.fusion.error_state._odometer import Odometer
+from wheelsight.fusion.error_state._changed import changed
+from wheelsight.fusion.error_state._measurements import RelativePose, WheelStep
 from wheelsight.fusion.error_state._pose_belief import ERRORS, LAG, PLANE, TWIST, PoseBelief
 from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray
@@ -24,8 +27,42 @@ from wheelsight.geometry import motion_kernels as motions
 _VALUES = 13
 _WAY_AND_TURN = np.array([0, 5])
 _IN_THESE = np.ix_(_WAY_AND_TURN, _WAY_AND_TURN)
-_HEARD = 0.95
 _ERRORS = slice(ERRORS.start, LAG + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Odometer:
+    """What wheels and gyroscope alone tell, whoever is believed: sums since the filter began, or between two instants.
+
+    Attributes:
+        T: (4, 4) the wheels' motion, and its covariance (6, 6) by their calibration, as a left perturbation.
+        way_m: of both wheels' middle.
+        heard_s: for how long they told anything.
+        turn_rad: by the gyroscope, and for how long it told anything: turned_s.
+    """
+
+    T: FloatArray = field(default_factory=lambda: np.eye(4))
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    way_m: float = 0.0
+    heard_s: float = 0.0
+    turn_rad: float = 0.0
+    turned_s: float = 0.0
+
+    def moved_by_wheels(self, step: WheelStep, share: float) -> Odometer:
+        """After a share of a wheel step."""
+        T, covariance = kernels.odometer(self.T, self.covariance, step.xi, step.covariance, share)
+        way_m, heard_s = abs(step.xi[0]) * share, (step.end_s - step.begin_s) * share
+        return changed(self, T=T, covariance=covariance, way_m=self.way_m + way_m, heard_s=self.heard_s + heard_s)
+
+    def turned(self, turn_rad: float, seconds: float) -> Odometer:
+        """After a turn that the gyroscope told."""
+        return changed(self, turn_rad=self.turn_rad + turn_rad, turned_s=self.turned_s + seconds)
+
+    def since(self, before: Odometer) -> Odometer:
+        """What was told since it stood as `before`."""
+        moved = motions.between(before.T, before.covariance, self.T, self.covariance)
+        turn = self.turn_rad - before.turn_rad, self.turned_s - before.turned_s
+        return Odometer(*moved, self.way_m - before.way_m, self.heard_s - before.heard_s, *turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +94,9 @@ class Preintegration:
         known = belief.rest[_ERRORS].copy(), belief.covariance[rows, rows].copy(), belief.rest[TWIST].copy()
         return cls(name, stamp_s, odometer, none if spread is None else spread, *known)
 
-    def is_told(self, told: Odometer, stamp_s: float) -> bool:
-        """Whether the wheels moved since, and told of all the time up to a stamp."""
-        return told.heard_s > _HEARD * (stamp_s - self.begin_s) and bool(told.covariance[5, 5] > 0)
+    def is_told(self, told: Odometer, stamp_s: float, share: float) -> bool:
+        """Whether the wheels moved since, and told of such a share of the time up to a stamp."""
+        return told.heard_s > share * (stamp_s - self.begin_s) and bool(told.covariance[5, 5] > 0)
 
     def against(
         self, measurement: RelativePose, told: Odometer, belief: PoseBelief

@@ -44,8 +44,6 @@ from wheelsight.geometry import motion_kernels as motions
 # Poses that are remembered: of the camera's last frame, of the one that its motions are told against, and of one that
 # is asked for.
 FRAME, REFERENCE, _IMAGED = "frame", "reference", "imaged"
-# Of so many readings the mean time between them is taken: longer than a busy host stalls, shorter than rates change.
-_READINGS = 16
 
 
 class ErrorStateFilter:
@@ -87,7 +85,7 @@ class ErrorStateFilter:
         state = FusionState(FaultDetection(PoseBelief.begin(begin, spread, self._parameters)))
         self._history: History[FilterEvent, FusionState] = History(state, self._parameters.window_s, self._after)
         self._waiting: Step | None = None  # of the wheels, too short to tell a speed
-        self._reading_stamps_s: deque[float] = deque(maxlen=_READINGS)
+        self._reading_stamps_s: deque[float] = deque(maxlen=self._parameters.rate_readings)
         # The last state that was asked what to expect, and as it is by then: what is expected mostly comes.
         self._moved: tuple[FusionState, FusionState] | None = None
 

@@ -7,16 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from wheelsight.calibration import Gyro
 from wheelsight.geometry import FloatArray
-from wheelsight.settings import Settings
+from wheelsight.settings import CHOSEN, ON_SIMULATOR, Settings, setting
 
-_Share = Annotated[float, Field(gt=0, lt=1)]
 # As `PoseBelief.rest` has them, behind the twist; each has a sigma and a walk. Behind these, the gyroscope's bias.
 _ERRORS = (
     *("scale_{}", "drift_{}_rad_per_m", "turn_{}"),
@@ -24,6 +22,10 @@ _ERRORS = (
     *("mount_{}_m", "mount_{}_m", "mount_{}_rad", "mount_{}_rad", "mount_{}_rad"),
     "camera_lag_{}_s",
 )
+
+
+_FROM_0041 = f"{ON_SIMULATOR}: docs/decisions/0041"
+_FROM_0046 = f"{ON_SIMULATOR}: docs/decisions/0046"
 
 
 class ErrorStateSettings(Settings):
@@ -34,234 +36,283 @@ class ErrorStateSettings(Settings):
     """
 
     # What is wrong with the wheels: sigmas before the drive, and random walks in one metre.
-    scale_sigma: NonNegativeFloat = Field(
-        default=0.04,
-        description="ratio by which ways are wrong: of a data sheet's radius, a tyre under load is off by some percent",
+    scale_sigma: float = setting(
+        0.04,
+        "ratio by which ways are wrong: of a data sheet's radius, a tyre under load is off by some percent",
+        _FROM_0041,
+        ge=0,
+        le=1,
     )
-    drift_sigma_rad_per_m: NonNegativeFloat = Field(
-        default=0.02, description="rad of turn a metre too much: of wheels 1 % unequal, 0.5 m apart"
+    drift_sigma_rad_per_m: float = setting(
+        0.02, "rad of turn a metre too much: of wheels 1 % unequal, 0.5 m apart", "reckoned", ge=0, le=1
     )
-    turn_sigma: NonNegativeFloat = Field(
-        default=0.03,
-        description="ratio by which turns are wrong: of a track's width, told by where tyres touch the floor",
+    turn_sigma: float = setting(
+        0.03,
+        "ratio by which turns are wrong: of a track's width, told by where tyres touch the floor",
+        CHOSEN,
+        ge=0,
+        le=1,
     )
-    scale_walk: NonNegativeFloat = Field(
-        default=0.0005, description="of the ratio of ways, per √m; found on the simulator alone"
-    )
-    drift_walk_rad_per_m: NonNegativeFloat = Field(
-        default=0.0005, description="rad/m of the drift, per √m; found on the simulator alone"
-    )
-    turn_walk: NonNegativeFloat = Field(
-        default=0.0005, description="of the ratio of turns, per √m; found on the simulator alone"
-    )
+    scale_walk: float = setting(0.0005, "of the ratio of ways, per √m", ON_SIMULATOR, ge=0, le=1)
+    drift_walk_rad_per_m: float = setting(0.0005, "rad/m of the drift, per √m", ON_SIMULATOR, ge=0, le=1)
+    turn_walk: float = setting(0.0005, "of the ratio of turns, per √m", ON_SIMULATOR, ge=0, le=1)
 
     # What is wrong with the camera, likewise.
-    camera_scale_sigma: NonNegativeFloat = Field(
-        default=0.005, description="ratio by which its ways are wrong; assumed"
+    camera_scale_sigma: float = setting(0.005, "ratio by which its ways are wrong", CHOSEN, ge=0, le=1)
+    camera_drift_sigma_rad_per_m: float = setting(
+        0.0003, "rad of turn a metre too much, and of pitch", ON_SIMULATOR, ge=0, le=1
     )
-    camera_drift_sigma_rad_per_m: NonNegativeFloat = Field(
-        default=0.0003, description="rad of turn a metre too much, and of pitch; found on the simulator alone"
+    camera_turn_sigma: float = setting(
+        0.002,
+        "ratio by which its turns are wrong: a focal length is known to a pixel of five hundred",
+        "reckoned; docs/decisions/0041",
+        ge=0,
+        le=1,
     )
-    camera_turn_sigma: NonNegativeFloat = Field(
-        default=0.002,
-        description="ratio by which its turns are wrong: a focal length is known to a pixel of five hundred",
+    camera_scale_walk: float = setting(
+        0.0005, "of the ratio of its ways, per √m: it fades along 200 m", ON_SIMULATOR, ge=0, le=1
     )
-    camera_scale_walk: NonNegativeFloat = Field(
-        default=0.0005,
-        description="of the ratio of its ways, per √m: it fades along 200 m; found on the simulator alone",
+    camera_drift_walk_rad_per_m: float = setting(
+        0.0001, "rad/m of its drift, per √m: it fades along 18 m", ON_SIMULATOR, ge=0, le=1
     )
-    camera_drift_walk_rad_per_m: NonNegativeFloat = Field(
-        default=0.0001, description="rad/m of its drift, per √m: it fades along 18 m; found on the simulator alone"
+    camera_turn_walk: float = setting(0.0001, "of the ratio of its turns, per √m", ON_SIMULATOR, ge=0, le=1)
+    mount_sigma_m: float = setting(
+        0.005, "m that the camera sits ahead and aside of where it is said to be, by a ruler", CHOSEN, ge=0, le=10
     )
-    camera_turn_walk: NonNegativeFloat = Field(
-        default=0.0001, description="of the ratio of its turns, per √m; found on the simulator alone"
+    mount_walk_m: float = setting(
+        0.0001, "m, per √m: the point about which tyres let a base turn is not quite fixed", ON_SIMULATOR, ge=0, le=1
     )
-    mount_sigma_m: NonNegativeFloat = Field(
-        default=0.005,
-        description="m that the camera sits ahead and aside of where it is said to be, by a ruler; assumed",
+    mount_sigma_rad: float = setting(
+        0.005, "rad that it is turned about each axis, by a spirit level", CHOSEN, ge=0, le=3
     )
-    mount_walk_m: NonNegativeFloat = Field(
-        default=0.0001,
-        description="m, per √m: the point about which tyres let a base turn is not quite fixed; found on the "
-        "simulator alone",
+    mount_walk_rad: float = setting(0.0002, "rad, per √m", ON_SIMULATOR, ge=0, le=1)
+    camera_lag_sigma_s: float = setting(
+        0.02, "s that its stamps are late: less than a frame at 30 frames/s", CHOSEN, ge=0, le=10
     )
-    mount_sigma_rad: NonNegativeFloat = Field(
-        default=0.005, description="rad that it is turned about each axis, by a spirit level; assumed"
+    camera_lag_walk_s: float = setting(0.0001, "s, per √m", ON_SIMULATOR, ge=0, le=1)
+    lag_chi2: float = setting(
+        30.0,
+        "χ² of a change of twist, of which a lag is learned: noise alone has three, so nine tenths are motion",
+        "reckoned",
+        gt=0,
+        le=1e6,
     )
-    mount_walk_rad: NonNegativeFloat = Field(default=0.0002, description="rad, per √m; found on the simulator alone")
-    camera_lag_sigma_s: NonNegativeFloat = Field(
-        default=0.02, description="s that its stamps are late: less than a frame at 30 frames/s"
-    )
-    camera_lag_walk_s: NonNegativeFloat = Field(default=0.0001, description="s, per √m; found on the simulator alone")
-    lag_chi2: PositiveFloat = Field(
-        default=30.0,
-        description="χ² of a change of twist, of which a lag is learned: noise alone has three, so nine tenths are "
-        "motion",
-    )
-    chain_yaw_share: _Share = Field(
-        default=0.4,
-        description="of what alignments leave uncertain of turns, what adds up along a way: 3 to 18 m of ten "
-        "simulated drives",
+    chain_yaw_share: float = setting(
+        0.4,
+        "of what alignments leave uncertain of turns, what adds up along a way: 3 to 18 m of ten simulated drives",
+        ON_SIMULATOR,
+        gt=0,
+        lt=1,
     )
 
     # Noise of the wheels, and of what they do not tell.
-    wheel_noise_memory_m: PositiveFloat = Field(
-        default=10.0,
-        description="m of way along which it fades how noisy the wheels were: floors change from room to room; assumed",
+    wheel_noise_memory_m: float = setting(
+        10.0,
+        "m of way along which it fades how noisy the wheels were: floors change from room to room",
+        CHOSEN,
+        gt=0,
+        le=1e9,
     )
-    wheel_noise_least: PositiveFloat = Field(
-        default=0.0625,
-        description="least ratio of their variance to the calibration's, a quarter of the σ: no floor is the next one",
+    wheel_noise_least: float = setting(
+        0.0625,
+        "least ratio of their variance to the calibration's, a quarter of the σ: no floor is the next one",
+        CHOSEN,
+        gt=0,
+        le=1,
     )
-    wheel_noise_most: PositiveFloat = Field(
-        default=4.0, description="most of it: a calibration may be wrong by a factor of two in σ"
+    wheel_noise_most: float = setting(
+        4.0, "most of it: a calibration may be wrong by a factor of two in σ", CHOSEN, ge=1, le=1e4
     )
-    wheel_noise_cap_nats: PositiveFloat = Field(
-        default=4.0, description="most that one stretch of way tells of it: one that the camera saw wrong is one"
+    wheel_noise_cap_nats: float = setting(
+        4.0, "most that one stretch of way tells of it: one that the camera saw wrong is one", CHOSEN, gt=0, le=1000
     )
-    side_m_per_sqrt_m: NonNegativeFloat = Field(default=0.005, description="sideways; found on the simulator alone")
-    rise_m_per_sqrt_m: NonNegativeFloat = Field(default=0.003, description="up; found on the simulator alone")
-    tilt_rad_per_sqrt_m: NonNegativeFloat = Field(
-        default=0.05, description="roll and pitch: ramps begin at once; assumed"
+    wheel_noise_heard_share: float = setting(
+        0.95, "of the time since a pose, what the wheels must have told of to be compared with it", CHOSEN, ge=0, le=1
     )
-    lever_m: NonNegativeFloat = Field(
-        default=0.25,
-        description="m beside the base of the point whose way these are told by: turns on the spot count, by about "
-        "half a track",
+    side_m_per_sqrt_m: float = setting(0.005, "sideways", ON_SIMULATOR, ge=0, le=10)
+    rise_m_per_sqrt_m: float = setting(0.003, "up", ON_SIMULATOR, ge=0, le=10)
+    tilt_rad_per_sqrt_m: float = setting(0.05, "roll and pitch: ramps begin at once", CHOSEN, ge=0, le=3)
+    lever_m: float = setting(
+        0.25,
+        "m beside the base of the point whose way these are told by: turns on the spot count, by about half a track",
+        "reckoned, of wheels 0.5 m apart",
+        ge=0,
+        le=10,
     )
-    level_sigma_rad: PositiveFloat | None = Field(
-        default=0.005,
-        description="floors are level up to this, 25 mm in 5 m, twice what DIN 18202 allows; null: never level",
+    level_sigma_rad: float | None = setting(
+        0.005,
+        "floors are level up to this, 25 mm in 5 m, twice what DIN 18202 allows; null: never level",
+        "reckoned; DIN 18202",
+        gt=0,
+        le=1,
     )
-    level_m: PositiveFloat = Field(
-        default=5.0, description="m; one stretch of floor so long is level or not whatever the one before was"
+    level_m: float = setting(
+        5.0, "m; one stretch of floor so long is level or not whatever the one before was", CHOSEN, gt=0, le=1e4
     )
-    level_every_m: PositiveFloat = Field(
-        default=0.25, description="m of way from one comparison with level to the next, for speed"
+    level_every_m: float = setting(
+        0.25, "m of way from one comparison with level to the next, for speed", CHOSEN, gt=0, le=1e4
     )
-    ramp_chi2: PositiveFloat = Field(
-        default=9.21, description="of two tilts, 0.99: what is tilted more is a ramp, of which nothing is believed"
+    ramp_chi2: float = setting(
+        9.21,
+        "of two tilts, 0.99: what is tilted more is a ramp, of which nothing is believed",
+        "reckoned: χ² of 2",
+        gt=0,
+        le=1e6,
     )
-    known_for_s: PositiveFloat = Field(
-        default=0.25,
-        description="s for which a twist that a measurement told says how a step changes with the wheels' errors",
+    known_for_s: float = setting(
+        0.25,
+        "s for which a twist that a measurement told says how a step changes with the wheels' errors",
+        CHOSEN,
+        gt=0,
+        le=60,
     )
 
     # Motion while no wheel tells, and stamps.
-    clock_sigma_s: NonNegativeFloat = Field(
-        default=0.01, description="s by which stamps of camera and wheels are apart; at speed, that is a way"
+    clock_sigma_s: float = setting(
+        0.01, "s by which stamps of camera and wheels are apart; at speed, that is a way", CHOSEN, ge=0, le=10
     )
-    acceleration_m_s2: NonNegativeFloat = Field(
-        default=1.0, description="how speeds change in a second; assumed of a robot indoors"
+    acceleration_m_s2: float = setting(
+        1.0, "how speeds change in a second; assumed of a robot indoors", CHOSEN, ge=0, le=1000
     )
-    acceleration_rad_s2: NonNegativeFloat = Field(default=3.0, description="likewise how yaw rates do")
-    window_s: NonNegativeFloat = Field(
-        default=0.5,
-        description="how late an event may come: longer than hosts stall, short enough to be reckoned again",
+    acceleration_rad_s2: float = setting(3.0, "likewise how yaw rates do", CHOSEN, ge=0, le=1000)
+    window_s: float = setting(
+        0.5,
+        "how late an event may come: longer than hosts stall, short enough to be reckoned again",
+        CHOSEN,
+        ge=0,
+        le=60,
     )
-    even_s: NonNegativeFloat = Field(
-        default=0.25,
-        description="over a longer step of the wheels, as across a pause, the base need not have gone evenly",
+    rate_readings: int = setting(
+        16,
+        "readings over which their rate is told: longer than a busy host stalls, shorter than rates change",
+        CHOSEN,
+        ge=2,
+        le=100_000,
     )
-    swing_rad: NonNegativeFloat = Field(
-        default=0.1, description="rad by which the heading on such a step may differ from that of an even one"
+    even_s: float = setting(
+        0.25,
+        "over a longer step of the wheels, as across a pause, the base need not have gone evenly",
+        CHOSEN,
+        ge=0,
+        le=60,
     )
-    coast_after_s: NonNegativeFloat = Field(
-        default=0.3, description="since vision was last believed: some frames at any usual rate"
+    swing_rad: float = setting(
+        0.1, "rad by which the heading on such a step may differ from that of an even one", CHOSEN, ge=0, le=3.2
     )
-    lost_after_s: NonNegativeFloat = Field(
-        default=2.0, description="since anything was heard: a speed of longer ago says nothing"
+    coast_after_s: float = setting(
+        0.3, "since vision was last believed: some frames at any usual rate", CHOSEN, ge=0, le=600
     )
-    lost_sigma_m: PositiveFloat = Field(
-        default=30.0, description="how far away a lost base may be: some rooms; assumed"
+    lost_after_s: float = setting(
+        2.0, "since anything was heard: a speed of longer ago says nothing", CHOSEN, ge=0, le=3600
     )
-    lost_rise_m: PositiveFloat = Field(default=1.0, description="how far up or down; assumed")
-    lost_tilt_rad: PositiveFloat = Field(default=0.3, description="how far tilted; assumed")
-    largest_sigma_m: PositiveFloat = Field(
-        default=1000.0, description="a covariance beyond says nothing: anywhere about a town"
+    lost_sigma_m: float = setting(30.0, "how far away a lost base may be: some rooms", CHOSEN, gt=0, le=1e5)
+    lost_rise_m: float = setting(1.0, "how far up or down", CHOSEN, gt=0, le=1e4)
+    lost_tilt_rad: float = setting(0.3, "how far tilted", CHOSEN, gt=0, le=3.2)
+    largest_sigma_m: float = setting(
+        1000.0, "a covariance beyond says nothing: anywhere about a town", CHOSEN, gt=0, le=1e6
     )
-    largest_sigma_rad: PositiveFloat = Field(
-        default=6.283185307179586,
-        description="likewise: any heading. Wheels alone come to 1 rad in some hundred metres",
+    largest_sigma_rad: float = setting(
+        6.283185307179586,
+        "likewise: any heading. Wheels alone come to 1 rad in some hundred metres",
+        "reckoned: 2 π",
+        gt=0,
+        le=100,
     )
-    max_clones: PositiveInt = Field(default=4, description="past poses remembered at most; the oldest goes")
+    max_clones: int = setting(4, "past poses remembered at most; the oldest goes", CHOSEN, gt=0, le=1000)
 
     # The gyroscope; what it is worth, its calibration says.
-    gyro_mean_s: PositiveFloat = Field(
-        default=0.05,
-        description="s; where no wheel tells, the mean over so long is one measurement: as a step of the wheels takes",
+    gyro_mean_s: float = setting(
+        0.05,
+        "s; where no wheel tells, the mean over so long is one measurement: as a step of the wheels takes",
+        CHOSEN,
+        gt=0,
+        le=10,
     )
-    gyro_told_share: _Share = Field(
-        default=0.5, description="of a time that it must have told of, to be measured by as if of all of it"
+    gyro_told_share: float = setting(
+        0.5, "of a time that it must have told of, to be measured by as if of all of it", CHOSEN, gt=0, lt=1
     )
-    gyro_test_s: PositiveFloat = Field(
-        default=0.3,
-        description="s of readings of which `1 - confidence` are refused though good: each tells of slip for "
-        "`coast_after_s`",
+    gyro_test_s: float = setting(
+        0.3,
+        "s of readings of which `1 - confidence` are refused though good: each tells of slip for `coast_after_s`",
+        CHOSEN,
+        gt=0,
+        le=60,
     )
 
     # Fault detection: do the wheels slip, or does vision fail? A sequential test (Wald 1945).
-    confidence: _Share = Field(default=0.999, description="share of good measurements that a gate lets pass")
-    decision_nats: NonNegativeFloat = Field(default=6.0, description="log-likelihood ratio that decides: 1 to 400")
-    leap_m_s2: NonNegativeFloat = Field(
-        default=2.0, description="σ of what a robot's acceleration may be; more is a leap of a sensor"
+    confidence: float = setting(0.999, "share of good measurements that a gate lets pass", CHOSEN, gt=0, lt=1)
+    decision_nats: float = setting(
+        6.0,
+        "log-likelihood ratio that decides: 1 to 400",
+        "chosen, as Wald 1945 chooses error rates: e⁶ is 400",
+        ge=0,
+        le=1000,
     )
-    leap_rad_s2: NonNegativeFloat = Field(default=6.0, description="likewise of its yaw rate")
-    leap_side_share: NonNegativeFloat = Field(default=0.25, description="of that, sideways: wheels hold a base")
-    leap_confidence: _Share = Field(default=0.99, description="share of changes of speed that are no leap at all")
-    leap_chi2_cap: NonNegativeFloat = Field(
-        default=16.0, description="most that one leap counts: it may be no Gaussian"
+    leap_m_s2: float = setting(
+        2.0, "σ of what a robot's acceleration may be; more is a leap of a sensor", CHOSEN, ge=0, le=1000
     )
-    contradiction_nats: NonNegativeFloat = Field(
-        default=1.5,
-        description="for slip, a frame in which a camera with its usual inliers contradicts the wheels, and once "
-        "within `slippery_s` of slip; found on the simulator alone",
+    leap_rad_s2: float = setting(6.0, "likewise of its yaw rate", CHOSEN, ge=0, le=1000)
+    leap_side_share: float = setting(0.25, "of that, sideways: wheels hold a base", CHOSEN, ge=0, le=10)
+    leap_confidence: float = setting(0.99, "share of changes of speed that are no leap at all", CHOSEN, gt=0, lt=1)
+    leap_chi2_cap: float = setting(16.0, "most that one leap counts: it may be no Gaussian", CHOSEN, ge=0, le=1e6)
+    contradiction_nats: float = setting(
+        1.5,
+        "for slip, a frame in which a camera with its usual inliers contradicts the wheels, and once within "
+        "`slippery_s` of slip",
+        _FROM_0046,
+        ge=0,
+        le=1000,
     )
-    slip_m_per_sqrt_s: NonNegativeFloat = Field(
-        default=0.3, description="where a base whose wheels slip may have gone instead: at a walk, any way"
+    slip_m_per_sqrt_s: float = setting(
+        0.3, "where a base whose wheels slip may have gone instead: at a walk, any way", CHOSEN, ge=0, le=100
     )
-    slip_rad_per_sqrt_s: NonNegativeFloat = Field(default=0.5, description="likewise turned")
-    slip_rise_m_per_sqrt_s: NonNegativeFloat = Field(default=0.1, description="likewise up: a wheel that is lifted")
-    slip_tilt_rad_per_sqrt_s: NonNegativeFloat = Field(default=0.2, description="likewise to either side")
-    slippery_s: NonNegativeFloat = Field(
-        default=5.0, description="s for which a floor stays slippery, at a walk; found on the simulator alone"
+    slip_rad_per_sqrt_s: float = setting(0.5, "likewise turned", CHOSEN, ge=0, le=100)
+    slip_rise_m_per_sqrt_s: float = setting(0.1, "likewise up: a wheel that is lifted", CHOSEN, ge=0, le=100)
+    slip_tilt_rad_per_sqrt_s: float = setting(0.2, "likewise to either side", CHOSEN, ge=0, le=100)
+    slippery_s: float = setting(5.0, "s for which a floor stays slippery, at a walk", _FROM_0046, ge=0, le=3600)
+    contradiction_nats_per_s: float = setting(
+        8.0,
+        "likewise a second, once decided for the wheels: a camera that fails does so for less than two",
+        ON_SIMULATOR,
+        ge=0,
+        le=1000,
     )
-    contradiction_nats_per_s: NonNegativeFloat = Field(
-        default=8.0,
-        description="likewise a second, once decided for the wheels: a camera that fails does so for less than two",
+    poor_inliers_nats: float = setting(
+        2.0, "for visual failure, a frame with fewer inliers than usual", ON_SIMULATOR, ge=0, le=1000
     )
-    poor_inliers_nats: NonNegativeFloat = Field(
-        default=2.0,
-        description="for visual failure, a frame with fewer inliers than usual; found on the simulator alone",
+    inlier_share: float = setting(
+        0.6,
+        "of the usual share of inliers: with fewer, a camera that contradicts may be wrong itself",
+        CHOSEN,
+        gt=0,
+        lt=1,
     )
-    inlier_share: _Share = Field(
-        default=0.6,
-        description="of the usual share of inliers: with fewer, a camera that contradicts may be wrong itself",
+    inlier_memory: float = setting(
+        0.05, "of the usual share, what one frame changes: about the last twenty count", CHOSEN, gt=0, lt=1
     )
-    inlier_memory: _Share = Field(
-        default=0.05, description="of the usual share, what one frame changes: about the last twenty count"
+    likelihood_memory: float = setting(
+        0.5, "of the log-likelihood ratio, what is left after a frame in which both agree", CHOSEN, ge=0, le=1
     )
-    likelihood_memory: NonNegativeFloat = Field(
-        default=0.5, description="of the log-likelihood ratio, what is left after a frame in which both agree"
+    compared_s: float = setting(0.25, "s; over more between two frames, speeds are not compared", CHOSEN, gt=0, le=60)
+    agreements: int = setting(
+        5, "frames that must agree in a row before both are believed again", CHOSEN, gt=0, le=10_000
     )
-    compared_s: PositiveFloat = Field(
-        default=0.25, description="s; over more between two frames, speeds are not compared"
+    undecided_s: float = setting(
+        2.0, "s after which both hypotheses become one that covers both", CHOSEN, ge=0, le=3600
     )
-    agreements: PositiveInt = Field(
-        default=5, description="frames that must agree in a row before both are believed again"
-    )
-    undecided_s: NonNegativeFloat = Field(
-        default=2.0, description="s after which both hypotheses become one that covers both"
-    )
-    covered_sigmas: PositiveFloat = Field(
-        default=2.5, description="at which the other hypothesis lies, so that its own error, too, has room within three"
+    covered_sigmas: float = setting(
+        2.5,
+        "at which the other hypothesis lies, so that its own error, too, has room within three",
+        CHOSEN,
+        gt=0,
+        le=100,
     )
 
 
 class FilterParameters(ErrorStateSettings):
     """Settings, and what the gyroscope's readings are worth."""
 
-    gyro: Gyro = Gyro()
+    gyro: Gyro = setting(Gyro(), "what its readings are worth", "the calibration")
 
     @classmethod
     def of(cls, settings: ErrorStateSettings, gyro: Gyro) -> FilterParameters:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -20,9 +21,7 @@ from wheelsight.odometry.dense.two_references import joined
 from wheelsight.odometry.dense.views import KnownView, Views
 from wheelsight.odometry.dense.vignetting import Vignetting
 from wheelsight.odometry.features.extraction import Features
-
-# Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
-START_VARIANCE = 1e-12
+from wheelsight.odometry.state import START_VARIANCE
 
 
 class KeyframePolicy:
@@ -61,7 +60,7 @@ class KeyframePolicy:
     def begin_again(self, frame: RgbdFrame, first: Tracked) -> KnownView:
         """Put the first frame, whose speed is known by now, in its own place, straightened."""
         features = self._keypoints.straightened(self._keypoints.look(frame), first.twist)
-        self._store.replace(first.keyframe, self._kept(first.frame, features))
+        self._store.replace(first.keyframe, partial(self._kept, first.frame, features))
         view = replace(self._views.of_frame(first), features=features)
         self._views.keyframes[:] = [view]
         return view
@@ -136,7 +135,7 @@ class KeyframePolicy:
     def _stored(self, tracked: Tracked, features: Features) -> tuple[Tracked, KnownView]:
         """A frame as a keyframe of the store, and as a view to align with."""
         features = self._keypoints.straightened(features, tracked.twist)
-        number = self._store.add(self._kept(tracked.frame, features), tracked.T_map_camera)
+        number = self._store.add(partial(self._kept, tracked.frame, features), tracked.T_map_camera)
         tracked = replace(tracked, keyframe=number)
         return tracked, replace(self._views.of_frame(tracked), features=features)
 

@@ -79,8 +79,7 @@ class KeypointLocator:
     def __init__(self, calibration: Calibration, settings: VerificationSettings) -> None:
         features = FeatureSettings()
         calibration, self._straight = _without_lens(calibration)
-        T = calibration.T_color_depth
-        self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
+        self._T_color_camera = calibration.T_color_camera
         self._settings = settings
         self._extractor = FeatureExtractor(calibration, features)
         self._tracker = ViewTracker(calibration, features, Stopwatch())

@@ -14,7 +14,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.odometry.dense.alignment import Aligner
 from wheelsight.odometry.dense.grid import Gridder, GridFrame
-from wheelsight.odometry.dense.keyframe_policy import START_VARIANCE, KeyframePolicy
+from wheelsight.odometry.dense.keyframe_policy import KeyframePolicy
 from wheelsight.odometry.dense.keypoints import KeypointLocator
 from wheelsight.odometry.dense.locating import Locator
 from wheelsight.odometry.dense.prediction import Prediction, PriorMotion, predict
@@ -23,7 +23,7 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.dense.tracked import DenseEstimate, Tracked
 from wheelsight.odometry.dense.verification import Verifier
 from wheelsight.odometry.dense.views import Views
-from wheelsight.odometry.state import TrackingState
+from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.threads import Rows
 from wheelsight.views import ReferenceModel, Surface

@@ -1,138 +1,143 @@
 """ExtrinsicsSettings: what can be set about finding where a camera sits, with the reasons for the defaults.
 
-Where no source is named, a number was chosen by reasoning and found to do on simulated drives; real drives with a
-measured mount are too few to tell better.
+Real drives with a measured mount are too few to tell much: most of these numbers were chosen by reasoning.
 """
 
 from __future__ import annotations
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from typing import Annotated
 
 from wheelsight.odometry._robust_fit import RobustFitSettings
-from wheelsight.settings import Settings
+from wheelsight.settings import Settings, bounds, setting
+
+_DOES = "chosen; that it does was found on the simulator alone"
 
 
 class AgreementSettings(Settings):
     """When wheels and camera tell of one drive, and what explains it where they do not."""
 
-    piece_m: PositiveFloat = Field(
-        default=0.06,
+    piece_m: float = setting(
+        0.06,
+        "a piece of the drive is over when either has gone so far: a camera errs by a millimetre or two, and a "
+        "robot of half a metre a second is told of after its first three frames",
+        _DOES,
+        gt=0,
         le=10,
-        description="a piece of the drive is over when either has gone so far: a camera errs by a millimetre or two, "
-        "and a robot of half a metre a second is told of after its first three frames",
     )
-    piece_rad: PositiveFloat = Field(default=0.06, le=3, description="or when either has turned so far")
-    usual_m: PositiveFloat = Field(
-        default=0.01, le=1, description="wheels and camera differ by it in any piece, as clocks are milliseconds apart"
+    piece_rad: float = setting(0.06, "or when either has turned so far", _DOES, gt=0, le=3)
+    usual_m: float = setting(
+        0.01, "wheels and camera differ by it in any piece, as clocks are milliseconds apart", _DOES, gt=0, le=1
     )
-    usual_rad: PositiveFloat = Field(default=0.01, le=1, description="likewise in turns")
-    slips: NonNegativeFloat = Field(
-        default=2.0, le=100, description="of turns that nobody has to explain: times what the calibration's slip makes"
+    usual_rad: float = setting(0.01, "likewise in turns", _DOES, gt=0, le=1)
+    slips: float = setting(
+        2.0, "of turns that nobody has to explain: times what the calibration's slip makes", _DOES, ge=0, le=100
     )
-    drift_rad_per_m: NonNegativeFloat = Field(
-        default=0.04, le=1, description="and what radii that are unequal by 2 % do in a metre, as filters allow for"
-    )
-    largest_factor: float = Field(
-        default=100.0, gt=1, le=1e6, description="of sizes: a gear left out; beyond, one tells of motion, the other not"
-    )
-    disagrees: PositiveFloat = Field(
-        default=0.03,
+    drift_rad_per_m: float = setting(
+        0.04,
+        "and what radii that are unequal by 2 % do in a metre, as filters allow for",
+        "reckoned, of wheels 0.5 m apart",
+        ge=0,
         le=1,
-        description="share of the squared motion that is left: a scale 20 % or a direction 10° off, which no data "
-        "sheet, tape measure or protractor is",
     )
-    explained: PositiveFloat = Field(
-        default=0.015, le=1, description="share that an explanation leaves: half of it is explained well"
+    largest_factor: float = setting(
+        100.0, "of sizes: a gear left out; beyond, one tells of motion, the other not", _DOES, gt=1, le=1e6
     )
-    same_scale: PositiveFloat = Field(
-        default=0.15,
-        le=3,
-        description="logarithm by which a floor's height may be off, by mount, tilt and what lies on it",
+    disagrees: float = setting(
+        0.03,
+        "share of the squared motion that is left: a scale 20 % or a direction 10° off, which no data sheet, tape "
+        "measure or protractor is",
+        "reckoned from these",
+        gt=0,
+        le=1,
     )
-    least_turn_deg: PositiveFloat = Field(
-        default=8.0, le=90, description="of a mount that looks elsewhere; less is within what is called agreement"
+    explained: float = setting(
+        0.015, "share that an explanation leaves: half of it is explained well", _DOES, gt=0, le=1
     )
-    largest_tilt_deg: PositiveFloat = Field(
-        default=10.0, le=90, description="of a mount's up, from which on the floor would lie elsewhere too"
+    same_scale: float = setting(
+        0.15, "logarithm by which a floor's height may be off, by mount, tilt and what lies on it", _DOES, gt=0, le=3
+    )
+    least_turn_deg: float = setting(
+        8.0, "of a mount that looks elsewhere; less is within what is called agreement", _DOES, gt=0, le=90
+    )
+    largest_tilt_deg: float = setting(
+        10.0, "of a mount's up, from which on the floor would lie elsewhere too", _DOES, gt=0, le=90
     )
 
 
 class FloorSettings(Settings):
     """Which plane is the floor, and when it is told well enough."""
 
-    farthest_m: PositiveFloat = Field(default=5.0, le=100, description="depth beyond tells less than it may mislead")
-    least_height_m: PositiveFloat = Field(default=0.05, le=10, description="of a camera over the floor")
-    highest_m: PositiveFloat = Field(default=3.0, le=100, description="likewise at most")
-    bin_m: PositiveFloat = Field(default=0.04, le=1, description="steps of heights in which points are counted")
-    peak_share: float = Field(
-        default=0.2, gt=0, le=1, description="of the most points at one height, which many points are"
+    farthest_m: float = setting(5.0, "depth beyond tells less than it may mislead", _DOES, gt=0, le=100)
+    least_height_m: float = setting(0.05, "of a camera over the floor", _DOES, gt=0, le=10)
+    highest_m: float = setting(3.0, "likewise at most", _DOES, gt=0, le=100)
+    bin_m: float = setting(0.04, "steps of heights in which points are counted", _DOES, gt=0, le=1)
+    peak_share: float = setting(0.2, "of the most points at one height, which many points are", _DOES, gt=0, le=1)
+    bands_m: tuple[Annotated[float, bounds(gt=0, le=10)], ...] = setting(
+        (0.15, 0.10, 0.06, 0.04, 0.04), "about the plane, narrowed step by step", _DOES, min_length=1, max_length=100
     )
-    bands_m: tuple[PositiveFloat, ...] = Field(
-        default=(0.15, 0.10, 0.06, 0.04, 0.04), min_length=1, description="about the plane, narrowed step by step"
+    robust_steps: int = setting(8, "of reweighting, after that", _DOES, gt=0, le=1000)
+    outlier_chi2: float = setting(9.0, "three standard deviations off the plane", "reckoned: χ² of 1", gt=0, le=1e4)
+    fewest_points: int = setting(40, "that show the plane in a view", _DOES, gt=0, le=10**6)
+    fewest_views: int = setting(10, "that show it, and at least", _DOES, gt=0, le=10**6)
+    fewest_share: float = setting(0.25, "of all views", _DOES, ge=0, le=1)
+    below_m: float = setting(0.15, "under the plane lies what is no noise of it", _DOES, gt=0, le=10)
+    most_below: float = setting(0.1, "of the points on it; with more below it is a table", _DOES, ge=0, le=1000)
+    most_sway_deg: float = setting(0.6, "from view to view; more is a loose camera", _DOES, gt=0, le=90)
+    most_sway_m: float = setting(0.02, "likewise in height", _DOES, gt=0, le=10)
+    steep: float = setting(
+        0.2, "of one view: the sine by which a ray points down that tells the height", _DOES, gt=0, lt=1
     )
-    robust_steps: PositiveInt = Field(default=8, le=1000, description="of reweighting, after that")
-    outlier_chi2: PositiveFloat = Field(default=9.0, le=1e4, description="three standard deviations off the plane")
-    fewest_points: PositiveInt = Field(default=40, le=10**6, description="that show the plane in a view")
-    fewest_views: PositiveInt = Field(default=10, le=10**6, description="that show it, and at least")
-    fewest_share: float = Field(default=0.25, ge=0, le=1, description="of all views")
-    below_m: PositiveFloat = Field(default=0.15, le=10, description="under the plane lies what is no noise of it")
-    most_below: float = Field(default=0.1, ge=0, description="of the points on it; with more below it is a table")
-    most_sway_deg: PositiveFloat = Field(default=0.6, le=90, description="from view to view; more is a loose camera")
-    most_sway_m: PositiveFloat = Field(default=0.02, le=10, description="likewise in height")
-    steep: float = Field(
-        default=0.2, gt=0, lt=1, description="of one view: the sine by which a ray points down that tells the height"
-    )
-    bin_log: PositiveFloat = Field(default=0.08, le=1, description="of one view: steps of the height's logarithm, 8 %")
-    range_log: PositiveFloat = Field(default=2.3, le=10, description="of one view: ten times as high or as low at most")
+    bin_log: float = setting(0.08, "of one view: steps of the height's logarithm, 8 %", _DOES, gt=0, le=1)
+    range_log: float = setting(2.3, "of one view: ten times as high or as low at most", _DOES, gt=0, le=10)
 
 
 class MountSettings(Settings):
     """How the mount is fitted to the motions of wheels and camera."""
 
-    segment_m: PositiveFloat = Field(default=0.3, le=100, description="of a piece: long beside the camera's noise")
-    segment_rad: PositiveFloat = Field(default=0.25, le=3, description="or a turn of so much")
-    largest_delay_s: PositiveFloat = Field(default=0.5, le=10, description="between clocks, that is searched")
-    slide_sigma_s: PositiveFloat = Field(
-        default=0.02, le=10, description="how far tyres may creep outwards in bends, as `MountFit.slide_s`"
+    segment_m: float = setting(0.3, "of a piece: long beside the camera's noise", _DOES, gt=0, le=100)
+    segment_rad: float = setting(0.25, "or a turn of so much", _DOES, gt=0, le=3)
+    largest_delay_s: float = setting(0.5, "between clocks, that is searched", _DOES, gt=0, le=10)
+    slide_sigma_s: float = setting(
+        0.02, "how far tyres may creep outwards in bends, as `MountFit.slide_s`", _DOES, gt=0, le=10
     )
 
 
 class TurningSettings(Settings):
     """How turns of wheels and camera are compared, to find up and the delay roughly."""
 
-    largest_offset_s: PositiveFloat = Field(default=10.0, le=1000, description="between clocks, that is searched")
-    step_s: PositiveFloat = Field(default=0.02, le=1, description="of that search; fits refine it")
-    interval_s: PositiveFloat = Field(default=0.25, le=10, description="over which turns are compared")
-    longest_interval_s: PositiveFloat = Field(default=1.0, le=100, description="longer ones hide a gap")
-    fewest_share: float = Field(default=0.5, ge=0, le=1, description="of intervals that must share time with readings")
+    largest_offset_s: float = setting(10.0, "between clocks, that is searched", _DOES, gt=0, le=1000)
+    step_s: float = setting(0.02, "of that search; fits refine it", _DOES, gt=0, le=1)
+    interval_s: float = setting(0.25, "over which turns are compared", _DOES, gt=0, le=10)
+    longest_interval_s: float = setting(1.0, "longer ones hide a gap", _DOES, gt=0, le=100)
+    fewest_share: float = setting(0.5, "of intervals that must share time with readings", _DOES, ge=0, le=1)
 
 
 class SightingSettings(Settings):
     """What is kept of depth images while a drive is watched."""
 
-    rows: PositiveInt = Field(default=30, le=10_000, description="of the grid to which images are thinned")
-    first_period_s: PositiveFloat = Field(default=0.5, le=100, description="between views, doubled when many are kept")
-    most_views: int = Field(default=400, ge=2, le=10**6, description="kept, so that memory stays flat")
+    rows: int = setting(30, "of the grid to which images are thinned", _DOES, gt=0, le=10_000)
+    first_period_s: float = setting(0.5, "between views, doubled when many are kept", _DOES, gt=0, le=100)
+    most_views: int = setting(400, "kept, so that memory stays flat", _DOES, ge=2, le=10**6)
 
 
 class DriveSettings(Settings):
     """What a drive must show, and how certain its outcome must be."""
 
-    sample_s: PositiveFloat = Field(default=0.5, le=10, description="at which the wheels' turns are added up")
-    least_way_m: PositiveFloat = Field(default=2.0, le=1000, description="without it, where it looks stays unseen")
-    least_turn_rad: PositiveFloat = Field(default=1.0, le=1000, description="in all; without it, x and y stay unseen")
-    least_shared_s: PositiveFloat = Field(default=5.0, le=1e4, description="for which readings and frames tell both")
-    least_tracked_share: float = Field(default=0.5, ge=0, le=1, description="of the frames that are tracked")
-    fewest_tracked: PositiveInt = Field(default=50, le=10**6, description="frames that are tracked")
-    least_agreement: float = Field(default=0.6, ge=0, le=1, description="correlation of the turns of wheels and camera")
-    fewest_segments: PositiveInt = Field(default=24, le=10**6, description="pieces, to judge them by one another")
-    most_tilt_deg: PositiveFloat = Field(default=4.0, le=90, description="of the floor against the axis of turning")
-    largest_factor: float = Field(default=1.25, gt=1, le=100, description="of the wheels' sizes against nominal ones")
-    most_uncertain_deg: PositiveFloat = Field(default=1.0, le=90, description="σ of angles: a protractor does as well")
-    most_uncertain_m: PositiveFloat = Field(default=0.02, le=10, description="σ of places: a tape measure does as well")
-    most_uncertain_s: PositiveFloat = Field(default=0.02, le=10, description="σ of the delay")
-    far_off_deg: PositiveFloat = Field(
-        default=30.0, le=180, description="of the mount from its nominal one, beyond which a warning says so"
+    sample_s: float = setting(0.5, "at which the wheels' turns are added up", _DOES, gt=0, le=10)
+    least_way_m: float = setting(2.0, "without it, where it looks stays unseen", _DOES, gt=0, le=1000)
+    least_turn_rad: float = setting(1.0, "in all; without it, x and y stay unseen", _DOES, gt=0, le=1000)
+    least_shared_s: float = setting(5.0, "for which readings and frames tell both", _DOES, gt=0, le=1e4)
+    least_tracked_share: float = setting(0.5, "of the frames that are tracked", _DOES, ge=0, le=1)
+    fewest_tracked: int = setting(50, "frames that are tracked", _DOES, gt=0, le=10**6)
+    least_agreement: float = setting(0.6, "correlation of the turns of wheels and camera", _DOES, ge=0, le=1)
+    fewest_segments: int = setting(24, "pieces, to judge them by one another", _DOES, gt=0, le=10**6)
+    most_tilt_deg: float = setting(4.0, "of the floor against the axis of turning", _DOES, gt=0, le=90)
+    largest_factor: float = setting(1.25, "of the wheels' sizes against nominal ones", _DOES, gt=1, le=100)
+    most_uncertain_deg: float = setting(1.0, "σ of angles: a protractor does as well", _DOES, gt=0, le=90)
+    most_uncertain_m: float = setting(0.02, "σ of places: a tape measure does as well", _DOES, gt=0, le=10)
+    most_uncertain_s: float = setting(0.02, "σ of the delay", _DOES, gt=0, le=10)
+    far_off_deg: float = setting(
+        30.0, "of the mount from its nominal one, beyond which a warning says so", _DOES, gt=0, le=180
     )
 
 

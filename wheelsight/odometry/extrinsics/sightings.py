@@ -77,6 +77,7 @@ def watch(
         if estimate.T_odom_body is not None and estimate.motion.shows_all:
             poses.append((estimate.stamp_s, estimate.T_odom_body))
         on_frame(estimate.status)
+    odometry.store.close()
     return Sightings(drive, _trajectory(poses), frame_count, span_s, gatherer.views)
 
 

@@ -106,11 +106,11 @@ class FeatureExtractor:
     def _image_of(self, frame: RgbdFrame) -> _kernels.DepthImage:
         """The depth of a frame, as kernels read it."""
         calibration, depth = self._calibration, self._calibration.cameras[1]
-        T_color_depth = np.eye(4) if calibration.T_color_depth is None else np.array(calibration.T_color_depth)
+        T_color_camera = calibration.T_color_camera
         return _kernels.DepthImage(
             frame.depth_m,
-            np.ascontiguousarray(T_color_depth[:3, :3]),
-            T_color_depth[:3, 3].copy(),
+            np.ascontiguousarray(T_color_camera[:3, :3]),
+            T_color_camera[:3, 3].copy(),
             np.array([depth.fx, depth.fy, depth.cx, depth.cy]),
             calibration.is_registered,
             float(calibration.depth_noise.near_m),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
-
 import cv2
 import numpy as np
 
@@ -16,24 +14,16 @@ from wheelsight.odometry.features.extraction import Features
 
 
 class KeyframeMaker:
-    """Makes keyframes of the frames of one camera; lens distortion and the gap between its two lenses are taken out.
-
-    A thread of its own does so: to compress both images takes as long as to track a frame.
-    """
+    """Makes keyframes of the frames of one camera; lens distortion and the gap between its two lenses are taken out."""
 
     def __init__(self, calibration: Calibration) -> None:
         self._color, self._depth = calibration.cameras
-        T = calibration.T_color_depth
-        self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
+        self._T_color_camera = calibration.T_color_camera
         self._rays = None if calibration.is_registered else self._depth.rays()
         self._maps = maps_without_lens(self._depth) if self._depth.has_distortion else None
-        self._thread = ThreadPoolExecutor(1, "wheelsight-keyframes")
 
-    def keyframe(self, frame: RgbdFrame, features: Features) -> Future[Keyframe]:
-        """A frame with what was found in it; neither may be written to any more."""
-        return self._thread.submit(self._made, frame, features)
-
-    def _made(self, frame: RgbdFrame, features: Features) -> Keyframe:
+    def keyframe(self, frame: RgbdFrame, features: Features) -> Keyframe:
+        """A frame with what was found in it; both images are compressed, which takes as long as to track a frame."""
         depth_m, grey = frame.depth_m, np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8)
         if self._rays is not None:
             grey = self._seen_from_depth(grey, depth_m, self._rays)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,11 +20,8 @@ from wheelsight.odometry.features.keyframes import KeyframeMaker
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
-from wheelsight.odometry.state import TrackingState
+from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
-
-# Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
-_START_VARIANCE = 1e-12
 
 
 class FeatureOdometry:
@@ -63,8 +61,7 @@ class FeatureOdometry:
         self._watch = Stopwatch()
         self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
         self._map_tracker = MapTracker(calibration, self._settings)
-        T = calibration.T_color_depth
-        self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
+        self._T_color_camera = calibration.T_color_camera
         T_map_camera = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
         self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
         self._last: View | None = None
@@ -143,7 +140,7 @@ class FeatureOdometry:
     def _start(
         self, frame: RgbdFrame, features: Features, T_map_color: FloatArray, covariance: FloatArray | None = None
     ) -> FeatureEstimate:
-        certain = _START_VARIANCE * np.eye(6)
+        certain = START_VARIANCE * np.eye(6)
         number = self._keep(frame, features, T_map_color)
         self._last = self._begin(features, T_map_color, certain if covariance is None else covariance, number)
         self._state = self._state.tracked()
@@ -156,7 +153,7 @@ class FeatureOdometry:
 
     def _keep(self, frame: RgbdFrame, features: Features, T_map_color: FloatArray) -> KeyframeId:
         """The frame as a keyframe of the store."""
-        return self.store.add(self._maker.keyframe(frame, features), T_map_color @ self._T_color_camera)
+        return self.store.add(partial(self._maker.keyframe, frame, features), T_map_color @ self._T_color_camera)
 
     def _begin_again(self, first_raw: Features, raw: Features, fix: Fix) -> Fix:
         """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Wheels
+from wheelsight.calibration_parts import least_step
 from wheelsight.errors import CalibrationError
 from wheelsight.events import WheelSpeeds, WheelTicks
 from wheelsight.geometry import FloatArray, se3
@@ -109,11 +110,6 @@ def _arcs(left_rad: FloatArray, right_rad: FloatArray, sizes_m: FloatArray) -> t
 def _chords(arc_m: FloatArray, turn_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
     """The straight steps (N,) across arcs that begin at yaw, as complex numbers x + iy."""
     return np.asarray(arc_m * np.sinc(turn_rad / (2 * np.pi)) * np.exp(1j * (yaw_rad + turn_rad / 2)))
-
-
-def least_step(ticks: int, span: int) -> int:
-    """A difference of counters that roll over after `span` values (0: never) as the least step that explains it."""
-    return (ticks + span // 2) % span - span // 2 if span else ticks
 
 
 def _narrowed(counts: Sequence[int], span: int) -> Sequence[int]:

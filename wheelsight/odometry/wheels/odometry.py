@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Gyro, Wheels
+from wheelsight.calibration_parts import least_step
 from wheelsight.checks import check_event
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Reason, Status, WheelEstimate
@@ -27,7 +28,6 @@ from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.odometry.wheels import _kernels as kernels
 from wheelsight.odometry.wheels import _state_kernels as at
 from wheelsight.odometry.wheels._gyro_kernels import likelier
-from wheelsight.odometry.wheels.drive import least_step
 from wheelsight.trajectory import Trajectory
 
 Integration = Literal["arc", "midpoint", "euler"]

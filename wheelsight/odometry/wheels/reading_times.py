@@ -13,8 +13,8 @@ import math
 from collections import deque
 
 from wheelsight.calibration import Wheels
+from wheelsight.calibration_parts import least_step
 from wheelsight.events import WheelTicks
-from wheelsight.odometry.wheels.drive import least_step
 from wheelsight.odometry.wheels.settings import ReadingTimesSettings
 
 

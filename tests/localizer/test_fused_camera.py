@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from wheelsight.geometry import se3
-from wheelsight.localizer._pace import Pace
+from wheelsight.localizer._fused_camera import Pace
 
 TWIST = np.array([0.4, -0.1, 0.05, 0.1, -0.3, 1.2])
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from wheelsight.estimates import MotionEstimate
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer._anchor import Anchor, is_far
+from wheelsight.localizer._camera_map import Anchor, is_far
 
 _SCALE = np.array([1.0, 1, 1, 2, 2, 2])  # of degenerate directions (v, ω · 2 m)
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
