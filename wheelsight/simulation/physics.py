@@ -51,8 +51,7 @@ def simulate_drive(
 
     Args:
         world: what there is to bump into, and where the drive starts unless the driver says so.
-        robot: as it truly is.
-        driver: who gives the commands.
+        robot, driver: the robot as it truly is, and who gives it commands.
         faults: what goes wrong with the wheels, and when.
         slip: whether the wheels may slip.
         seed: of the floor, the rider, the castors' first directions, the encoders' phases and the gyroscope.

@@ -226,7 +226,9 @@ def _times(count: int, rate_hz: float, realism: Realism | None, seed: int) -> Fr
 def _sensor(settings: SimulationSettings, unit: CameraUnit) -> ColorSensor:
     if unit.realism is None:
         return ColorSensor(motion_blur=settings.has_motion_blur)
-    return ColorSensor(motion_blur=True, longest_s=unit.realism.control.longest_s)
+    control = unit.realism.control
+    level = float(stream(unit.seed, "exposure").uniform(*control.level))
+    return ColorSensor(motion_blur=True, longest_s=control.longest_s, target=level)
 
 
 def in_order(make: Callable[[int], Result], count: int, threads: int) -> Generator[Result]:

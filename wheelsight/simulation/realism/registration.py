@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import BoolArray, Float32Array, FloatArray
 from wheelsight.simulation.color_sensor import image_flow
 from wheelsight.simulation.view import View
 
 _NATIVE_WIDTH_PX = 640
+_FOCAL_BASELINE_PX_M = 586 * 0.075  # of Kinect v1
+_FAR_M = 100.0
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,12 +31,22 @@ class RegistrationSettings:
         period_s: of the cameras' own clocks. Depth is taken free of colour, so that it is up to half a period early or
             late: -19 to +17 ms in freiburg1_desk, 0 to 14 ms in 8.5 s of freiburg1_rpy.
         drift: how fast the one clock runs from the other, seconds a second; the same 14 ms in 8.5 s.
+        border_px: (left, top, right, bottom) of the colour image that the depth camera does not see, in pixels of an
+            image 640 wide: where no pixel of freiburg1_desk and freiburg1_rpy ever has depth, or on the left one in
+            three has.
+        step_px: a step of disparity, in native pixels, beside which blocks do not match. Chosen.
+        hole_px: how wide the hole is, in pixels of an image 640 wide: in rows of the two recordings and red_kitchen,
+            holes between depths that differ by 15 cm are 6 to 9 px wide in the median, the projector's shadow among
+            them; 5 px beside it.
     """
 
     offset_sigma_px: float = 3.0
     parallax_sigma_px_m: float = 1.2
     period_s: float = 1 / 30
     drift: float = 1.7e-3
+    border_px: tuple[float, float, float, float] = (9.0, 37.0, 42.0, 0.0)
+    step_px: float = 3.0
+    hole_px: float = 5.0
 
 
 class Registration:
@@ -46,7 +60,7 @@ class Registration:
 
     def __init__(self, settings: RegistrationSettings, width: int, rng: np.random.Generator) -> None:
         scale = width / _NATIVE_WIDTH_PX
-        self._settings = settings
+        self._settings, self._scale = settings, scale
         self.offset_px: FloatArray = settings.offset_sigma_px * scale * rng.standard_normal(2)
         self.parallax_px_m: FloatArray = settings.parallax_sigma_px_m * scale * rng.standard_normal(2)
         self._phase = float(rng.random())
@@ -71,6 +85,7 @@ class Registration:
         """
         late_s = self.late_s(stamp_s)
         at, is_inside = self._sources(view, twist_camera, late_s)
+        is_inside &= ~self._beside_steps(view.depth_m).ravel()[at]
         depth_m = np.where(is_inside, view.depth_m.ravel()[at], np.float32(0))
         v, w = np.split(np.asarray(twist_camera, float), 2)
         nearer = 1 + late_s * (w[0] * view.rays[..., 1] - w[1] * view.rays[..., 0]) * -1
@@ -80,9 +95,7 @@ class Registration:
         normal[geom < 0] = 0
         return View(depth_m.astype(np.float32), geom, normal, view.T_world_camera, view.rays)
 
-    def _sources(
-        self, view: View, twist_camera: ArrayLike, late_s: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _sources(self, view: View, twist_camera: ArrayLike, late_s: float) -> tuple[NDArray[np.int64], BoolArray]:
         """Which pixel of the view (H, W), as an index of the flat image, each one shows; and whether it is in it."""
         h, w = view.depth_m.shape
         with np.errstate(divide="ignore"):
@@ -93,4 +106,21 @@ class Registration:
         rows = np.arange(h)[:, None] + self.offset_px[1] + self.parallax_px_m[1] * inverse + moved_px[..., 1]
         column, row = np.rint(columns).astype(np.int64), np.rint(rows).astype(np.int64)
         is_inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
-        return np.where(is_inside, row * w + column, 0), is_inside
+        return np.where(is_inside, row * w + column, 0), is_inside & self._in_sight(h, w)
+
+    def _in_sight(self, h: int, w: int) -> BoolArray:
+        """(H, W) which pixels of the colour image the depth camera sees."""
+        left, top, right, bottom = (round(self._scale * px) for px in self._settings.border_px)
+        is_in_sight = np.zeros((h, w), bool)
+        is_in_sight[top : h - bottom, left : w - right] = True
+        return is_in_sight
+
+    def _beside_steps(self, depth_m: Float32Array) -> BoolArray:
+        """(H, W) where a block of the pattern lies on two depths."""
+        s = self._settings
+        near_m = cv2.erode(np.where(depth_m > 0, depth_m, np.float32(_FAR_M)), _CROSS)
+        far_m = cv2.dilate(depth_m, _CROSS)
+        step_px = _FOCAL_BASELINE_PX_M * (1 / np.maximum(near_m, 0.1) - 1 / np.maximum(far_m, 0.1))
+        across = max(round(s.hole_px * self._scale), 1)
+        shape = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, across))
+        return np.asarray(cv2.dilate((step_px > s.step_px).astype(np.uint8), shape), bool)
