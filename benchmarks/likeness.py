@@ -27,10 +27,12 @@ from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
 from wheelsight.recordings import express_for, open_recording
 from wheelsight.simulation import SimulationSettings, replay
+from wheelsight.simulation.realism import RealismName
 from wheelsight.trajectory import Trajectory
 
 _SEED = 7
 _KINECT = SimulationSettings(size=(640, 480), rate_hz=30.0, seed=_SEED)
+_REALISMS: tuple[RealismName, ...] = ("real", "ideal")
 _EVERY = 20  # of which frames depths are looked at, to find a place like theirs
 # Height of the camera on average, and what is up in the frame of the truth. The motion capture's z is; the kitchen's
 # truth begins with the first camera, which looks down by about 25°.
@@ -74,7 +76,7 @@ def measure_real(sequence: Sequence, seconds: float) -> Likeness:
     return _measure(f"{sequence.name}, recorded", sequence, recording.calibration, list(_first(sequence, seconds)))
 
 
-def measure_replayed(sequence: Sequence, realism: str, seconds: float) -> Likeness:
+def measure_replayed(sequence: Sequence, realism: RealismName, seconds: float) -> Likeness:
     """Of the simulated camera that moves as the recording's did."""
     assert sequence.truth is not None
     height_m, up = _HELD[sequence.name]
@@ -151,7 +153,7 @@ def main() -> None:
     rows = []
     for sequence in sequences:
         rows.append(measure_real(sequence, arguments.seconds))
-        rows += [measure_replayed(sequence, realism, arguments.seconds) for realism in ("real", "ideal")]
+        rows += [measure_replayed(sequence, realism, arguments.seconds) for realism in _REALISMS]
     Console(width=150).print(likeness_sheet(rows).to_rich())
 
 

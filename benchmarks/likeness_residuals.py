@@ -34,7 +34,7 @@ class Residuals:
 def residuals(
     frames: Sequence[RgbdFrame], truth: Trajectory, calibration: Calibration, apart: int = 5
 ) -> Residuals | None:
-    """Of pairs of frames so many frames apart, carried into each other by the truth; None where none can be compared."""
+    """Of pairs so many frames apart, carried into each other by the truth; None where none can be compared."""
     if not calibration.is_registered:
         return None
     found = [

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from wheelsight.errors import ConfigError
-from wheelsight.geometry import se3, so3
+from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.simulation.cameras import camera_model
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.realism import Carriage
@@ -43,7 +43,8 @@ def replay(
     world = build_world(settings.world, settings.seed) if world is None else world
     way = _smoothed(T_world_camera, settings.duration_s, smooth_s)
     T_base_camera = settings.robot.T_base_camera
-    drive = Drive(Trajectory(way.stamps_s, se3.compose(way.T_frame_body, se3.invert(T_base_camera)), body="base"), ())
+    T_world_base = se3.compose(way.T_frame_body, se3.invert(T_base_camera))
+    drive = Drive(Trajectory(way.stamps_s, T_world_base, body="base"), ())
     model = camera_model(settings.camera, settings.size)
     renderer = Renderer(world, drive, settings, model, Carriage(drive.truth, T_base_camera))
     return SimulatedRecording(settings, world, drive, renderer)
@@ -52,7 +53,7 @@ def replay(
 def _smoothed(way: Trajectory, duration_s: float | None, smooth_s: float) -> Trajectory:
     """The way from 0 s on, every 5 ms."""
     whole_s = way.duration_s if duration_s is None else min(way.duration_s, duration_s)
-    stamps_s = np.arange(int(whole_s / _PERIOD_S + 1e-9) + 1) * _PERIOD_S
+    stamps_s: FloatArray = np.arange(int(whole_s / _PERIOD_S + 1e-9) + 1) * _PERIOD_S
     T = way.at((stamps_s + way.stamps_s[0]).clip(None, way.stamps_s[-1]))
     if smooth_s <= 0:
         return Trajectory(stamps_s, T, body="camera")
@@ -61,8 +62,7 @@ def _smoothed(way: Trajectory, duration_s: float | None, smooth_s: float) -> Tra
     signs = np.where(np.einsum("ni,ni->n", quaternions[1:], quaternions[:-1]) < 0, -1.0, 1.0)
     quaternions[1:] *= np.cumprod(signs)[:, None]
     sigma = smooth_s / _PERIOD_S
-    positions, quaternions = (
-        gaussian_filter1d(values, sigma, axis=0, mode="nearest") for values in (T[:, :3, 3], quaternions)
-    )
+    positions = gaussian_filter1d(T[:, :3, 3], sigma, axis=0, mode="nearest")
+    quaternions = gaussian_filter1d(quaternions, sigma, axis=0, mode="nearest")
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     return Trajectory(stamps_s, se3.from_quaternion(positions, quaternions), body="camera")
