@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from wheelsight.errors import ConfigError
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.geometry import se3, so3
 from wheelsight.simulation.cameras import camera_model
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.realism import Carriage
@@ -53,7 +53,7 @@ def replay(
 def _smoothed(way: Trajectory, duration_s: float | None, smooth_s: float) -> Trajectory:
     """The way from 0 s on, every 5 ms."""
     whole_s = way.duration_s if duration_s is None else min(way.duration_s, duration_s)
-    stamps_s: FloatArray = np.arange(int(whole_s / _PERIOD_S + 1e-9) + 1) * _PERIOD_S
+    stamps_s = np.asarray(_PERIOD_S * np.arange(int(whole_s / _PERIOD_S + 1e-9) + 1), np.float64)
     T = way.at((stamps_s + way.stamps_s[0]).clip(None, way.stamps_s[-1]))
     if smooth_s <= 0:
         return Trajectory(stamps_s, T, body="camera")

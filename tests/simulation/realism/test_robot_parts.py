@@ -12,6 +12,7 @@ from small_rooms import room
 from wheelsight.areas import Area, AreaMap
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.simulation import Robot, Surface, World, build_world
+from wheelsight.simulation._ground import drag_n
 from wheelsight.simulation.lighting import Lighting
 from wheelsight.simulation.realism import Realism, carriage_of
 from wheelsight.simulation.realism.body import BodyMotion, BodySettings
@@ -62,6 +63,17 @@ def test_a_threshold_lies_between_areas_and_a_carpet_where_it_lies():
     heights = floor.height_m([(2.0, 0.0), (2.06, 3.0), (5.0, 0.0), (-1.0, 5.0), (-3.0, 5.0)])
     np.testing.assert_allclose(heights, [0.008, 0.008 * np.exp(-2), 0, 0.006, 0], atol=1.5e-3)
     np.testing.assert_array_equal(floor.is_carpet([(-1.0, 5.0), (-0.1, 4.1), (0.1, 5.0), (2.0, 0.0)]), [1, 1, 0, 0])
+
+
+def test_a_wheel_is_held_back_by_what_it_climbs_and_by_carpet():
+    floor = ground(FloorSettings(threshold_m=(0.008, 0.008), threshold_width_m=0.04, carpet_m=0.0, carpet_drag=0.02))
+    ahead, loads_n = np.array([1.0, 0.0]), np.array([400.0])
+    slope = 0.008 / 0.04 * np.exp(-0.5)  # of the Gaussian, one half width before its top
+    assert drag_n(floor, np.array([[1.96, 0.0]]), loads_n, ahead, 0.5) == pytest.approx(-400 * slope, rel=0.2)
+    assert drag_n(floor, np.array([[2.04, 0.0]]), loads_n, ahead, 0.5) == pytest.approx(400 * slope, rel=0.2)
+    assert drag_n(floor, np.array([[-1.0, 5.0]]), loads_n, ahead, 0.5) == pytest.approx(-8.0, rel=1e-3)
+    assert drag_n(floor, np.array([[-1.0, 5.0]]), loads_n, ahead, 0.0) == 0
+    assert drag_n(floor, np.array([[7.0, 0.0]]), loads_n, ahead, 0.5) == 0
 
 
 def test_a_large_floor_has_larger_cells():
