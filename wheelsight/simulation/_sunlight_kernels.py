@@ -5,18 +5,27 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from wheelsight.compiled import kernel
-from wheelsight.geometry.arrays import FloatArray
+from wheelsight.geometry.arrays import Float32Array, FloatArray
 from wheelsight.simulation._light_kernels import Views, nine, turned
 
 _NEAREST_M = 0.05
+_SHADE_M = 0.1  # behind what stands in the light before it is shaded; a cell of a pane is as wide
 
 
 class Panes(NamedTuple):
-    """Windows: middle (P, 3), axes (P, 3, 3) across, along and through the pane as rows, half lengths (P, 2)."""
+    """Windows that the sun stands behind.
+
+    Attributes:
+        middle: (P, 3).
+        axes: (P, 3, 3) across, along and through the pane, as rows.
+        half_m: (P, 2) half lengths across and along.
+        reach_m: (P, A, B) how far sunlight comes from each cell of a pane before it meets something.
+    """
 
     middle: FloatArray
     axes: FloatArray
     half_m: FloatArray
+    reach_m: Float32Array
 
 
 @kernel(error_model="numpy")
@@ -46,7 +55,8 @@ def shine_in(view: Views, panes: Panes, towards: FloatArray, out: Any) -> None:
 @kernel(error_model="numpy")
 def _is_reached(p0: float, p1: float, p2: float, panes: Panes, towards: FloatArray) -> bool:
     """Whether the way from a point to the sun goes through a pane."""
-    middle, axes, half_m = panes
+    middle, axes, half_m, reach_m = panes
+    cells_across, cells_along = reach_m.shape[1:]
     for k in range(len(middle)):
         a0, a1, a2 = middle[k, 0] - p0, middle[k, 1] - p1, middle[k, 2] - p2
         along = axes[k, 2, 0] * towards[0] + axes[k, 2, 1] * towards[1] + axes[k, 2, 2] * towards[2]
@@ -59,6 +69,11 @@ def _is_reached(p0: float, p1: float, p2: float, panes: Panes, towards: FloatArr
         across = axes[k, 0, 0] * b0 + axes[k, 0, 1] * b1 + axes[k, 0, 2] * b2
         if abs(across) >= half_m[k, 0]:
             continue
-        if abs(axes[k, 1, 0] * b0 + axes[k, 1, 1] * b1 + axes[k, 1, 2] * b2) < half_m[k, 1]:
+        along_m = axes[k, 1, 0] * b0 + axes[k, 1, 1] * b1 + axes[k, 1, 2] * b2
+        if abs(along_m) >= half_m[k, 1]:
+            continue
+        i = min(int((across / half_m[k, 0] + 1) * 0.5 * cells_across), cells_across - 1)
+        j = min(int((along_m / half_m[k, 1] + 1) * 0.5 * cells_along), cells_along - 1)
+        if way_m < reach_m[k, i, j] + _SHADE_M:
             return True
     return False

@@ -194,10 +194,8 @@ class _Eye:
         self._sun: Sunlight | None = None
         self._lights: Lights | None = None
         if realism is not None:
-            towards, geoms = self._lighting.sun, self._scene.geoms
-            self._sun = Sunlight(realism.sunlight, geoms, towards, stream(seed, "sunlight"))
+            self._sun = Sunlight(realism.sunlight, self._scene, self._lighting.sun, stream(seed, "sunlight"))
             self._lights = Lights(realism.lights, duration_s, stream(seed, "lights"))
-            self._brightness = np.float32(realism.sunlight.brightness)
 
     def look(self, camera: PinholeCamera, T_world_camera: FloatArray, stamp_s: float) -> View:
         """What a camera sees at a time."""
@@ -213,7 +211,7 @@ class _Eye:
         if self._sun is None:
             return radiance, None
         sun = self._sun.on(view)
-        radiance *= (1 + self._brightness * sun)[..., None]
+        radiance *= (1 + np.float32(self._sun.brightness) * sun)[..., None]
         return radiance, sun
 
 

@@ -176,15 +176,15 @@ def test_distances_swing_about_the_true_ones():
     assert np.sqrt(2) * np.std(off_m) == pytest.approx(settings.swing_m, rel=0.02)
 
 
-def sunny(chance: float = 1.0) -> tuple[Scene, Sunlight]:
-    """A floor, and a window 1 m high and 2 m wide, 3 m ahead, behind which the sun stands at 45°."""
+def sunny(chance: float = 1.0, more: str = "") -> tuple[Scene, Sunlight]:
+    """A floor, what there is more, and a window 1 m high and 2 m wide, 3 m ahead, before the sun at 45°."""
     geoms = (
         '<geom name="floor" type="plane" size="40 40 1"/>'
-        '<geom name="pane_east" type="box" pos="3 0 2" size="0.015 1 0.5"/>'
+        '<geom name="pane_east" type="box" pos="3 0 2" size="0.015 1 0.5"/>' + more
     )
     scene = Scene(room(geoms), threads=1)
     settings = SunlightSettings(chance=chance, elevation_deg=(45.0, 45.0))
-    return scene, Sunlight(settings, scene.geoms, np.array([1.0, 0, 0]), np.random.default_rng(0))
+    return scene, Sunlight(settings, scene, np.array([1.0, 0, 0]), np.random.default_rng(0))
 
 
 def test_the_sun_shines_on_the_floor_where_the_window_lets_it():
@@ -200,6 +200,20 @@ def test_the_sun_shines_on_the_floor_where_the_window_lets_it():
     assert inside.sum() > 100
     np.testing.assert_allclose(share[inside], np.sqrt(0.5), rtol=1e-6)
     np.testing.assert_array_equal(share[outside], 0)
+
+
+def test_what_stands_in_the_sun_throws_a_shadow():
+    board = '<geom name="board" type="box" pos="2 -0.5 1" size="0.02 0.5 2"/>'
+    _, whole = sunny()
+    scene, sun = sunny(more=board)
+    view = scene.cast(CAMERA, looking(x=-1.0, pitch=0.4))
+    share, without = sun.on(view), whole.on(view)
+    p = view.T_world_camera[0, :3, 3] + (view.rays * view.depth_m[..., None]) @ view.T_world_camera[0, :3, :3].T
+    behind = (view.geom == 0) & (without > 0) & (p[..., 1] < -0.05) & (p[..., 1] > -0.95)
+    beside = (view.geom == 0) & (without > 0) & (p[..., 1] > 0.05)
+    assert min(behind.sum(), beside.sum()) > 50
+    assert not share[behind].any()
+    np.testing.assert_array_equal(share[beside], without[beside])
 
 
 def test_some_days_are_overcast():

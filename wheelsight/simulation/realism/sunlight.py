@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +9,13 @@ import numpy as np
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.simulation import _sunlight_kernels as kernels
 from wheelsight.simulation._light_kernels import Views
-from wheelsight.simulation.view import Geoms, View
+from wheelsight.simulation.scene import Scene
+from wheelsight.simulation.view import View
 
 _PANE = "pane"  # what the names of windows' geoms begin with
 _BOX = 6
+_CELLS = 64, 32
+_BEHIND_M = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,35 +39,45 @@ class SunlightSettings:
 
 
 class Sunlight:
-    """The sun of one drive.
+    """The sun of one drive. What stands in its way throws a shadow; people do not.
 
     Args:
         settings: how it shines.
-        geoms: of the scene; windows are the boxes whose names begin with "pane".
+        scene: with its windows, which are the boxes whose names begin with "pane".
         towards: (3,) vector to where the windows' light comes from; its height is replaced.
         rng: of the drive.
     """
 
-    def __init__(self, settings: SunlightSettings, geoms: Geoms, towards: FloatArray, rng: np.random.Generator) -> None:
+    def __init__(self, settings: SunlightSettings, scene: Scene, towards: FloatArray, rng: np.random.Generator) -> None:
         elevation_rad = np.radians(rng.uniform(*settings.elevation_deg))
         level = np.asarray(towards[:2], float) / np.hypot(*towards[:2])
+        self.brightness = settings.brightness
         self.towards = np.array([*(np.cos(elevation_rad) * level), np.sin(elevation_rad)])
-        shines = bool(rng.random() < settings.chance)
-        names: Sequence[str] = geoms.names if shines else ()
-        panes = [g for g, name in enumerate(names) if name.startswith(_PANE) and geoms.kind[g] == _BOX]
-        axes, halves = np.zeros((len(panes), 3, 3)), np.zeros((len(panes), 2))
-        for k, g in enumerate(panes):
-            # Across, along, and last through it.
-            order = np.argsort(-geoms.size_m[g])
-            axes[k], halves[k] = geoms.R_world_geom[g].T[order], geoms.size_m[g][order[:2]]
-        self._panes = kernels.Panes(np.ascontiguousarray(geoms.position_world[panes]), axes, halves)
+        self._panes = _panes_of(scene, self.towards, bool(rng.random() < settings.chance))
 
     def on(self, view: View) -> Float32Array:
-        """(H, W) share of full sunlight on what a view shows: the cosine of incidence in patches, 0 elsewhere.
-
-        Furniture throws no shadow into them.
-        """
+        """(H, W) share of full sunlight on what a view shows: the cosine of incidence in patches, 0 elsewhere."""
         out = np.empty(view.depth_m.shape, np.float32)
         arrays = Views(view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays)
         kernels.shine_in(arrays, self._panes, self.towards, out)
         return out
+
+
+def _panes_of(scene: Scene, towards: FloatArray, shines: bool) -> kernels.Panes:
+    """The windows of a scene, and how far the sun comes through them; none where it does not shine."""
+    geoms = scene.geoms
+    panes = [g for g, name in enumerate(geoms.names) if shines and name.startswith(_PANE) and geoms.kind[g] == _BOX]
+    axes, halves = np.zeros((len(panes), 3, 3)), np.zeros((len(panes), 2))
+    reach_m = np.zeros((len(panes), *_CELLS), np.float32)
+    for k, g in enumerate(panes):
+        # Across, along, and last through it.
+        order = np.argsort(-geoms.size_m[g])
+        axes[k], halves[k] = geoms.R_world_geom[g].T[order], geoms.size_m[g][order[:2]]
+        across, along = ((np.arange(count) + 0.5) / count * 2 - 1 for count in _CELLS)
+        grid = across[:, None, None] * halves[k, 0] * axes[k, 0] + along[None, :, None] * halves[k, 1] * axes[k, 1]
+        # Begun behind the pane, which would stop the ray itself.
+        through_m = geoms.size_m[g][order[2]] + _BEHIND_M
+        slant = max(abs(float(axes[k, 2] @ towards)), 0.05)
+        begins = geoms.position_world[g] + grid - towards * through_m / slant
+        reach_m[k] = scene.reach_m(begins.reshape(-1, 3), -towards).reshape(_CELLS) + through_m / slant
+    return kernels.Panes(np.ascontiguousarray(geoms.position_world[panes]), axes, halves, reach_m)
