@@ -33,6 +33,7 @@ from wheelsight.simulation.camera_faults import (
 )
 from wheelsight.simulation.drivers import Driver, follow_route
 from wheelsight.simulation.passersby import RADIUS_M, Passersby
+from wheelsight.simulation.realism import realism_of
 
 _SIZE = (320, 240)
 _BEGIN_S, _END_S = 4.0, 7.0
@@ -141,18 +142,20 @@ DRIVES = (
 class _Given(ManualVelocities):
     """Velocities given for times, from a place given."""
 
-    def __init__(self, T_odom_start: FloatArray, *velocities: tuple[float, ...]) -> None:
+    def __init__(self, T_world_start: FloatArray, *velocities: tuple[float, ...]) -> None:
         super().__init__(*velocities)
-        self.T_odom_start = T_odom_start
+        self.T_world_start = T_world_start
 
 
 def _driven(
     world_name: str, seed: int, driver: Callable[[FloatArray], Driver], duration_s: float, people: int = 0
 ) -> SimulatedRecording:
     """What a Kinect v1 sees of a drive, 320×240 at 30 frames a second."""
-    settings = SimulationSettings(world_name, size=_SIZE, seed=seed, duration_s=duration_s, passersby=people)
-    world = build_world(world_name, seed)
-    drive = simulate_drive(world, Robot(), driver(world.route), seed=seed, time_limit_s=duration_s)
+    settings = SimulationSettings(
+        world_name, size=_SIZE, seed=seed, duration_s=duration_s, passersby=people, realism="real"
+    )
+    world, realism = build_world(world_name, seed), realism_of(settings.realism)
+    drive = simulate_drive(world, Robot(), driver(world.route), seed=seed, realism=realism, time_limit_s=duration_s)
     return SimulatedRecording(
         settings, world, drive, Renderer(world, drive, settings, camera_model("kinect-v1", _SIZE))
     )
@@ -161,8 +164,7 @@ def _driven(
 def _hidden_share(recording: SimulatedRecording, people: Passersby, stamp_s: float) -> float:
     """Share of the view's width behind whoever hides most of it."""
     camera = camera_model(recording.settings.camera, recording.settings.size).camera
-    T_odom_base = recording.ground_truth.at(stamp_s)[0]
-    T_camera_odom = se3.invert(T_odom_base @ recording.settings.robot.T_base_camera)
+    T_camera_odom = se3.invert(recording.renderer.carriage.T_world_camera(stamp_s)[0])
     shares = [0.0]
     for x, y in people.positions_at(stamp_s):
         right_m, _, ahead_m = T_camera_odom[:3, :3] @ (x, y, 0.9) + T_camera_odom[:3, 3]

@@ -24,6 +24,7 @@ from wheelsight.simulation import (
     simulate_drive,
 )
 from wheelsight.simulation.camera_faults import CameraFault, Covered, FramesDropped, LateClock
+from wheelsight.simulation.realism import realism_of
 from wheelsight.simulation.robot import NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M
 from wheelsight.simulation.worlds.blank import BLANK_M
 from wheelsight.trajectory import Trajectory
@@ -174,7 +175,14 @@ def drive_of(way: Way, seed: int, duration_s: float = DURATION_S) -> SimulatedRe
     """
     world = "floor4" if seed % 2 else "flat"
     settings = SimulationSettings(
-        world, size=SIZE, rate_hz=RATE_HZ, seed=seed, duration_s=duration_s, laps=3, robot=robot_of(seed)
+        world,
+        size=SIZE,
+        rate_hz=RATE_HZ,
+        seed=seed,
+        duration_s=duration_s,
+        laps=3,
+        robot=robot_of(seed),
+        realism="real",
     )
     settings = replace(settings, is_reverse=(seed - 1) // 2 % 2 == 1)
     if way is Way.BLANK:
@@ -202,6 +210,7 @@ def recorded_along(route: FloatArray, settings: SimulationSettings) -> Simulated
         faults=settings.faults,
         slip=settings.has_slip,
         seed=settings.seed,
+        realism=realism_of(settings.realism),
         time_limit_s=settings.duration_s or 3600.0,
     )
     camera = camera_model(settings.camera, settings.size)

@@ -9,7 +9,7 @@ import heapq
 import re
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,10 +53,8 @@ def drive_long(minutes: float, odometry: str = "dense") -> None:
     keep_to(2)
     seconds = 60 * minutes
     laps = int(seconds / _LAP_S) + 1
-    settings = SimulationSettings(
-        "floor4", size=SIZE, rate_hz=_RATE_HZ, laps=laps, duration_s=seconds, seed=_SEED, robot=robot_of(_SEED)
-    )
-    recording = simulate(settings)
+    drive = SimulationSettings("floor4", size=SIZE, rate_hz=_RATE_HZ, laps=laps, duration_s=seconds, seed=_SEED)
+    recording = simulate(replace(drive, robot=robot_of(_SEED), realism="real"))
     quarters = quarters_of(recording, odometry)
     console = Console(width=130)
     console.print(hour_sheet(quarters, minutes).to_rich())

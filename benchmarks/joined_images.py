@@ -28,7 +28,7 @@ def kept_events(recording: SimulatedRecording, folder: Path) -> Iterator[Event]:
     depth_m = np.load(images / "depth_m.npy", mmap_mode="r")
     stamp_s = recording.renderer.stamp_s
     frames = (RgbdFrame(stamp_s(i), np.array(color[i]), np.array(depth_m[i]), i) for i in range(len(color)))
-    return heapq.merge(recording.drive.yaw_rates, recording.drive.ticks, frames, key=lambda event: event.stamp_s)
+    return heapq.merge(recording.events(images=False), frames, key=lambda event: event.stamp_s)
 
 
 def _render(recording: SimulatedRecording, images: Path) -> None:

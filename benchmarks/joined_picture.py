@@ -64,7 +64,7 @@ _FAULTS = (
 def picture_drive() -> SimulatedRecording:
     """Half a lap of `floor4`, on which the left wheel is lifted for 3 s."""
     settings = SimulationSettings("floor4", size=SIZE, rate_hz=RATE_HZ, seed=_SEED, robot=robot_of(_SEED))
-    settings = replace(settings, speed_m_s=_SPEED_M_S, duration_s=_DURATION_S)
+    settings = replace(settings, speed_m_s=_SPEED_M_S, duration_s=_DURATION_S, realism="real")
     return recorded_along(_ROUTE, replace(settings, faults=WheelFaults(lifted_s=(_LIFTED_S,))))
 
 

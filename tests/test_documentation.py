@@ -38,7 +38,7 @@ NOT_RUN = {
     "wheelsight record ": "needs a wheel controller; tests/cli/test_record.py",
     "wheelsight run corridor ": "of the recording that the controller made",
     "wheelsight simulate floor4 --laps 2": "four minutes of driving; docs/simulation.md's is run for some seconds",
-    "wheelsight simulate floor4 --rate 5": "drives of whole floors; small ones stand for them",
+    "wheelsight simulate floor4 --realism ideal --rate 5": "drives of whole floors; small ones stand for them",
     "for seed in 1 2 3": "six squares, simulated; drawn ones stand for them",
 }
 # Options put to the end of commands, where the last one wins, so that they take seconds.

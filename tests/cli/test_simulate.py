@@ -14,6 +14,7 @@ import pytest
 import yaml
 from typer.testing import Result
 
+from wheelsight.calibration import load_calibration
 from wheelsight.cli._simulation_inputs import size_of
 from wheelsight.events import SkippedFrame
 from wheelsight.recordings import open_recording
@@ -21,7 +22,8 @@ from wheelsight.simulation import camera_names, world_names
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
-SMALL = ("--size", "64x48", "--rate", 10, "--duration", 0.5)
+TINY = ("--size", "64x48", "--rate", 10, "--duration", 0.5)
+SMALL = (*TINY, "--realism", "ideal")
 
 
 def test_a_drive_becomes_a_recording(wheelsight: Command, tmp_path: Path) -> None:
@@ -37,6 +39,25 @@ def test_a_drive_becomes_a_recording(wheelsight: Command, tmp_path: Path) -> Non
     assert told["yaw_readings"] > 0
     assert 0.2 < told["valid_depth_share"] < 1
     assert told["ground_truth"]["duration_s"] == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_drive_is_real_unless_told_otherwise(wheelsight: Command, tmp_path: Path) -> None:
+    for name, options in (("real", ()), ("ideal", ("--realism", "ideal"))):
+        result = wheelsight("simulate", "square", *TINY, *options, "--out", tmp_path / name)
+        assert result.exit_code == 0, result.output
+        told = yaml.safe_load((tmp_path / name / "truth" / "settings.yaml").read_text())["settings"]
+        assert told["realism"] == name
+    real, ideal = (open_recording(tmp_path / name) for name in ("real", "ideal"))
+    true = load_calibration(tmp_path / "real" / "truth" / "calibration.yaml")
+    assert true.color != real.calibration.color
+    assert ideal.calibration.color == load_calibration(tmp_path / "ideal" / "truth" / "calibration.yaml").color
+    assert [tick.stamp_s for tick in ideal.wheels] == [round(0.02 * k, 6) for k in range(26)]
+    assert [tick.stamp_s for tick in real.wheels] != [tick.stamp_s for tick in ideal.wheels]
+
+
+def test_an_unknown_realism_is_refused(refusal: Refusal, tmp_path: Path) -> None:
+    told = refusal("simulate", "square", *TINY, "--realism", "reel", "--out", tmp_path / "out")
+    assert told.rstrip() == "--realism is reel (did you mean real? choose from ideal, real)"
 
 
 def test_options_reach_the_settings(wheelsight: Command, tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from wheelsight.geometry import BoolArray, Float32Array, FloatArray, PinholeCame
 from wheelsight.simulation import Drive, Renderer, SimulationSettings, build_world, camera_model
 from wheelsight.simulation import _outline_kernels as kernels
 from wheelsight.simulation.appearance import Painter
-from wheelsight.simulation.renderer import _Eye
 from wheelsight.simulation.scene import Scene
 from wheelsight.simulation.view import Outlines, View
 from wheelsight.simulation.world import Surface, World
@@ -139,7 +138,7 @@ def test_frames_have_smooth_outlines_and_the_depth_they_had(monkeypatch: pytest.
         return made.color.astype(float), made.depth_m
 
     color, depth_m = frame()
-    monkeypatch.setattr(_Eye, "outlines", lambda eye, view: None)
+    monkeypatch.setattr(Scene, "outlines", lambda scene, view: None)
     ragged, ragged_depth_m = frame()
     np.testing.assert_array_equal(depth_m, ragged_depth_m)
     changed = (abs(color - ragged) > 8).any(axis=-1)

@@ -17,6 +17,7 @@ from wheelsight.simulation._chair import Chair
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.drivers import ManualVelocities, StopAndTurn, follow_route
 from wheelsight.simulation.physics import simulate_drive
+from wheelsight.simulation.realism import Realism
 from wheelsight.simulation.robot import Patch, Robot, WheelFaults
 
 ROBOT = Robot()
@@ -45,6 +46,23 @@ def test_without_slip_true_wheels_close_to_a_thousandth(robot: Robot) -> None:
     assert errors_m[-1] < 1e-3 * drive.truth.length_m
     assert errors_m.max() < 0.02
     assert np.abs(yaws_rad(path.T_frame_body) - yaws_rad(truth)).max() < 0.01
+
+
+def test_in_a_bend_the_outer_tyre_is_pressed_in_and_turns_further() -> None:
+    """130 kg, 0.42 m high, at 0.48 m/s² across 0.52 m: 50 N change sides, two thirds of them on the driven wheels."""
+    bend = ManualVelocities([0.0, 14.0, 15.0], [0.8, 0.0, 0.0], [0.6, 0.0, 0.0])
+    ideal, real = (
+        simulate_drive(WORLD, ROBOT, bend, seed=2, realism=realism, time_limit_s=13.0) for realism in (None, Realism())
+    )
+    np.testing.assert_allclose(real.truth.positions_m[-1], ideal.truth.positions_m[-1], atol=1e-6)
+    left, right = (
+        (getattr(real.ticks[-1], side) - getattr(real.ticks[200], side))
+        / (getattr(ideal.ticks[-1], side) - getattr(ideal.ticks[200], side))
+        for side in ("left", "right")
+    )
+    expected = 0.4 * 50 * 0.67 / 80_000 / 0.17
+    assert right - 1 == pytest.approx(expected, rel=0.5)  # the bend is to the left
+    assert 1 - left == pytest.approx(expected, rel=0.5)
 
 
 def test_with_slip_what_turns_do_to_the_heading_outweighs_what_straights_do_to_the_way() -> None:

@@ -37,11 +37,15 @@ def check_same(a, b):
     np.testing.assert_array_equal(a.depth_m, b.depth_m)
 
 
-@pytest.mark.parametrize("others", [{}, {"passersby": 1, "has_motion_blur": True}], ids=["plain", "people and blur"])
+@pytest.mark.parametrize(
+    "others",
+    [{}, {"passersby": 1, "has_motion_blur": True}, {"realism": "real"}, {"realism": "real", "camera": "kinect-v2"}],
+    ids=["plain", "people and blur", "real", "real by time of flight"],
+)
 def test_a_frame_depends_on_no_other(others):
     settings = replace(SETTINGS, **others)
     in_turn = list(renderer(settings).frames())
-    assert [frame.index for frame in in_turn] == list(range(10))
+    assert [frame.index for frame in in_turn] == list(range(11 if others.get("camera") == "kinect-v2" else 10))
     backwards = renderer(settings)
     for index in (9, 4, 0):
         check_same(backwards.frame(index), in_turn[index])
@@ -101,6 +105,25 @@ def test_motion_blur_smears_a_turn_and_nothing_at_rest():
 
     assert sharpness(0.0, True) == sharpness(0.0, False)
     assert sharpness(1.5, True) < 0.9 * sharpness(1.5, False)
+
+
+def test_a_real_frame_is_taken_before_it_is_stamped():
+    settings = replace(SETTINGS, realism="real", rate_hz=30.0)
+    frames = renderer(settings, drive(10.0))
+    taken_s, told_s = (np.array([of(k) for k in range(frames.frame_count)]) for of in (frames.taken_s, frames.stamp_s))
+    assert frames.frame_count < 300  # some are lost
+    assert -0.008 < (told_s - taken_s).min() < (told_s - taken_s).max() < 0.03
+    assert [frames.frame(k).stamp_s for k in (0, 250)] == [told_s[0], told_s[250]]
+
+
+def test_a_real_camera_is_another_than_its_calibration_says():
+    ideal, real = renderer(), renderer(replace(SETTINGS, realism="real"))
+    assert ideal.true_calibration.color == ideal.calibration.color
+    assert real.true_calibration.color != real.calibration.color
+    assert real.calibration.color is not None
+    assert real.calibration.color.has_distortion
+    exact = renderer(replace(SETTINGS, realism="real", camera="ideal"))
+    assert exact.true_calibration.color == exact.calibration.color == camera_model("ideal", (64, 48)).camera
 
 
 def test_a_drive_too_short_for_a_frame_is_refused():

@@ -75,6 +75,28 @@ def test_truth_holds_for_the_robot_as_it_is(folder):
     np.testing.assert_allclose(se3.log(true.T_base_camera @ se3.invert(ROBOT.T_base_camera)), 0, atol=1e-12)
 
 
+def test_a_real_drive_is_repeated_to_the_byte_and_tells_where_the_camera_was(tmp_path):
+    settings = replace(SETTINGS, realism="real")
+    recording = simulate(settings)
+    for name in ("one", "two"):
+        write_simulation(recording if name == "one" else simulate(settings), tmp_path / name)
+    names = files_in(tmp_path / "one")
+    _, differ, missing = filecmp.cmpfiles(tmp_path / "one", tmp_path / "two", names, shallow=False)
+    assert (differ, missing) == ([], [])
+    read = open_recording(tmp_path / "one")
+    frames = [event for event in read.events() if isinstance(event, RgbdFrame)]
+    assert [frame.stamp_s for frame in frames] == [recording.renderer.stamp_s(k) for k in range(len(frames))]
+    camera = read_tum(tmp_path / "one" / "groundtruth.txt")
+    expected = recording.renderer.carriage.T_world_camera(camera.stamps_s)
+    np.testing.assert_allclose(camera.T_frame_body, expected, atol=1e-8)
+    true = load_calibration(tmp_path / "one" / "truth" / "calibration.yaml")
+    off = se3.log(se3.invert(read.calibration.T_base_camera) @ true.T_base_camera)
+    off -= se3.log(se3.invert(Robot().T_base_camera) @ ROBOT.T_base_camera)
+    assert 1e-4 < np.linalg.norm(off[:3]) < 0.02
+    assert 1e-4 < np.linalg.norm(off[3:]) < 0.02
+    assert true.color != read.calibration.color
+
+
 def test_each_frame_has_its_area(recording, folder):
     header, *rows = (folder / "labels.csv").read_text().splitlines()
     assert header == "stamp_s,area"

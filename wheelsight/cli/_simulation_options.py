@@ -43,6 +43,12 @@ StopAndTurn = Annotated[
 ]
 PassersBy = Annotated[int, typer.Option("--passers-by", metavar="N", help="How many people walk about.")]
 MotionBlur = Annotated[bool, typer.Option("--motion-blur", help="Smear colour by the motion during exposure.")]
+Realism = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME", help="`real`: all that real sensors do; `ideal`: nothing but their noise, for closed forms."
+    ),
+]
 Gyro = Annotated[bool, typer.Option("--gyro", help="Carry a gyroscope; DIR gets gyro.csv.")]
 LeftRadius = Annotated[
     float | None,

@@ -31,6 +31,7 @@ def simulate(
     drive: options.DriveFile = None,
     stop_and_turn: options.StopAndTurn = False,
     passers_by: options.PassersBy = 0,
+    realism: options.Realism = "real",
     motion_blur: options.MotionBlur = False,
     gyro: options.Gyro = False,
     left_radius: options.LeftRadius = None,
@@ -74,7 +75,8 @@ def simulate(
     settings = settings_from(
         {"world": world, "camera": camera, "laps": laps, "seed": seed, "speed_m_s": speed, "duration_s": duration}
         | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn}
-        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip},
+        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip}
+        | {"realism": realism},
         size=size,
         robot={"left_radius_m": left_radius, "right_radius_m": right_radius, "track_width_m": track, "has_gyro": gyro},
         times={"--dropout": dropout, "--unplug": unplug, "--lift": lift, "--cover": cover},

@@ -76,7 +76,7 @@ def _rehearse(part: str, recording: Recording, out: Path) -> None:
 
 def _simulate(camera: str) -> None:
     """A second of driving, rendered with all that may be in an image."""
-    seen = {"passersby": 1, "has_motion_blur": True, "covered_s": ((0.5, 1.0),)}
+    seen = {"passersby": 1, "has_motion_blur": True, "realism": "real", "covered_s": ((0.5, 1.0),)}
     settings = SimulationSettings("square", camera, (64, 48), rate_hz=4, duration_s=1.0, **seen)  # type: ignore[arg-type]
     for _ in simulate(settings).events():
         pass

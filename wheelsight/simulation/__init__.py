@@ -9,6 +9,7 @@ from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.drivers import ManualVelocities, StopAndTurn, follow_route, read_manual_velocities
 from wheelsight.simulation.physics import simulate_drive
 from wheelsight.simulation.renderer import Renderer
+from wheelsight.simulation.replay import replay
 from wheelsight.simulation.robot import Patch, Robot, WheelFaults
 from wheelsight.simulation.scene import Scene
 from wheelsight.simulation.settings import SimulationSettings
@@ -39,6 +40,7 @@ __all__ = [
     "camera_names",
     "follow_route",
     "read_manual_velocities",
+    "replay",
     "simulate",
     "simulate_drive",
     "world_names",

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.simulation._ground import Tyres, UnevenFloor
+from wheelsight.simulation._ground import Tyres, Underfoot, UnevenFloor, drag_n
 from wheelsight.simulation.drivers import COMMAND_PERIOD_S
 from wheelsight.simulation.encoders import is_during
 from wheelsight.simulation.robot import Robot, WheelFaults
@@ -34,6 +34,7 @@ class Chair:
         *,
         slip: bool,
         rng: np.random.Generator,
+        underfoot: Underfoot | None = None,
     ) -> None:
         import mujoco
 
@@ -41,7 +42,9 @@ class Chair:
         self._nominal = robot.nominal
         self._model = scene(world, robot, slip=slip)
         self._data = mujoco.MjData(self._model)
-        self._tyres = Tyres(self._model, (robot.left_radius_m, robot.right_radius_m), faults.patches, creep=slip)
+        radii_m = robot.left_radius_m, robot.right_radius_m
+        self._tyres = Tyres(self._model, radii_m, faults.patches, creep=slip, underfoot=underfoot)
+        self._underfoot = underfoot
         self._floor, self._sway_n = UnevenFloor(rng), np.zeros(2)
         base = self._model.joint(PREFIX + "base")
         self._body = int(base.bodyid[0])
@@ -117,7 +120,12 @@ class Chair:
         self._tyres.grip(self._data)
         if self._slip:
             self._disturb(steps * TIMESTEP_S)
+        before_rad = self._data.qpos[self._angles].copy()
         self._mujoco.mj_step(self._model, self._data, steps)
+        if self._underfoot is not None:
+            # In place of smaller wheels, which ring on MuJoCo's stiff floor: the same way takes more of a turn.
+            more = self._tyres.rolled(self._data, steps * TIMESTEP_S)[:2] - 1
+            self._zero_rad -= more * (self._data.qpos[self._angles] - before_rad)
 
     def _lift(self, is_lifted: bool, seconds: float) -> None:
         """Moves the jack under the left end of the axle down against the ground, or back up."""
@@ -133,3 +141,10 @@ class Chair:
         keep = math.exp(-seconds / _SWAY_S)
         self._sway_n = keep * self._sway_n + _SWAY_N * math.sqrt(1 - keep**2) * self._rng.standard_normal(2)
         self._data.xfrc_applied[self._body, :2] = self._sway_n
+        if self._underfoot is not None:
+            ahead = self.T_world_base[:2, 0]
+            places, loads_n = self._tyres.places(self._data), self._tyres.loads_n(self._data)
+            speed_m_s = float(ahead @ self._velocity[:2])
+            self._data.xfrc_applied[self._body, :2] += ahead * drag_n(
+                self._underfoot.floor, places, loads_n, ahead, speed_m_s
+            )

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wheelsight.geometry import FloatArray
+from wheelsight.simulation.realism.floor import Floor
+from wheelsight.simulation.realism.tyres import LoadedRadii, TyreSettings
 from wheelsight.simulation.robot import Patch
 from wheelsight.simulation.wheelchair import CASTOR_RADIUS_M, PREFIX, ROLLING, TIMESTEP_S
 
@@ -18,7 +21,16 @@ if TYPE_CHECKING:
 _CREEP_STIFFNESS = 10.0
 _SLOWEST_M_S = 0.02
 _STIFFEST_PER_S = 1 / TIMESTEP_S
+_SLOPE_STEP_M = 0.005
 _SLOPE, _WAVES, _WAVE_LENGTH_M = 0.002, 12, (0.5, 4.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Underfoot:
+    """A floor with thresholds and carpets, and tyres that give way."""
+
+    floor: Floor
+    tyres: TyreSettings
 
 
 class Tyres:
@@ -32,9 +44,16 @@ class Tyres:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, radii_m: Sequence[float], patches: Sequence[Patch], *, creep: bool
+        self,
+        model: mujoco.MjModel,
+        radii_m: Sequence[float],
+        patches: Sequence[Patch],
+        *,
+        creep: bool,
+        underfoot: Underfoot | None = None,
     ) -> None:
-        self._model, self._patches, self._creeps = model, patches, creep
+        self._model, self._patches, self._creeps, self._underfoot = model, patches, creep, underfoot
+        self._loaded: LoadedRadii | None = None
         self._pairs = [model.pair(name).id for name in ROLLING]
         self._geoms = [model.geom(PREFIX + name).id for name in ROLLING]
         self._speeds = [int(model.joint(PREFIX + name).dofadr[0]) for name in ROLLING]
@@ -44,22 +63,47 @@ class Tyres:
 
     def weigh(self, data: mujoco.MjData) -> None:
         """Takes each wheel's load from a wheelchair that stands still."""
-        of_geom = {int(contact.geom[1]): int(contact.efc_address) for contact in data.contact}
-        for i, geom in enumerate(self._geoms):
-            row = of_geom.get(geom, -1)
+        for i, row in enumerate(self._rows(data)):
             if row >= 0:
                 self._rates[i] = float(data.efc_R[row + 1] * data.efc_force[row]) * _CREEP_STIFFNESS
+        if self._underfoot is not None:
+            self._loaded = LoadedRadii(np.array(self._radii_m), self.loads_n(data), self._underfoot.tyres)
+
+    def loads_n(self, data: mujoco.MjData) -> FloatArray:
+        """(4,) load of each wheel in newton; 0 for one in the air."""
+        return np.array([float(data.efc_force[row]) if row >= 0 else 0.0 for row in self._rows(data)])
+
+    def _rows(self, data: mujoco.MjData) -> list[int]:
+        """Where MuJoCo has the contact of each wheel among its constraints; -1 for one in the air."""
+        of_geom = {int(contact.geom[1]): int(contact.efc_address) for contact in data.contact}
+        return [of_geom.get(geom, -1) for geom in self._geoms]
+
+    def places(self, data: mujoco.MjData) -> FloatArray:
+        """(4, 2) where the wheels stand."""
+        return np.asarray(data.geom_xpos[self._geoms, :2])
+
+    def rolled(self, data: mujoco.MjData, seconds: float) -> FloatArray:
+        """(4,) how far each wheel turns a turn of a wheel under its load at rest; 1 where tyres do not give way."""
+        if self._loaded is None:
+            return np.ones(len(ROLLING))
+        return np.array(self._radii_m) / self._loaded.after(self.loads_n(data), seconds)
 
     def grip(self, data: mujoco.MjData) -> None:
         """Sets friction and creep for where the wheels stand and how fast they turn."""
         if self._creeps:
-            for pair, dof, rate, radius_m in zip(self._pairs, self._speeds, self._rates, self._radii_m, strict=True):
+            rates = self._rates if self._underfoot is None else self._rates_on(self._underfoot.floor, data)
+            for pair, dof, rate, radius_m in zip(self._pairs, self._speeds, rates, self._radii_m, strict=True):
                 speed_m_s = max(abs(float(data.qvel[dof])) * radius_m, _SLOWEST_M_S)
                 self._model.pair_solreffriction[pair] = 0.0, -min(rate / speed_m_s, _STIFFEST_PER_S)
         if self._patches:
             for pair, geom in zip(self._pairs, self._geoms, strict=True):
                 x, y = data.geom_xpos[geom, :2].tolist()
                 self._model.pair_friction[pair, :2] = self._friction_at(x, y)
+
+    def _rates_on(self, floor: Floor, data: mujoco.MjData) -> list[float]:
+        """Of creep, by what each wheel stands on."""
+        softer = np.where(floor.is_carpet(self.places(data)), floor.settings.carpet_creep, 1.0)
+        return [rate * share for rate, share in zip(self._rates, softer.tolist(), strict=True)]
 
     def _friction_at(self, x_m: float, y_m: float) -> float:
         for patch in self._patches:
@@ -84,3 +128,14 @@ class UnevenFloor:
         """(2,) rise a metre along x and y."""
         heights = np.sin(self._waves_per_m @ (x_m, y_m) + self._phases_rad)
         return np.asarray(_SLOPE * 2 / math.sqrt(_WAVES) * (heights @ self._units))
+
+
+def drag_n(floor: Floor, places: FloatArray, loads_n: FloatArray, ahead: FloatArray, speed_m_s: float) -> float:
+    """Force in newton along `ahead` (2,) on wheels at places (W, 2) that climb thresholds or roll on carpet.
+
+    A wheel that carries a load up a slope is pushed back by the load's share along it.
+    """
+    step = ahead * _SLOPE_STEP_M
+    rise = (floor.height_m(places + step) - floor.height_m(places - step)) / (2 * _SLOPE_STEP_M)
+    carpet = floor.is_carpet(places) * floor.settings.carpet_drag * math.tanh(speed_m_s / _SLOWEST_M_S)
+    return -float(loads_n @ (rise + carpet))

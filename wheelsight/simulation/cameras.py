@@ -34,6 +34,11 @@ class CameraModel:
     depth: DepthSensor
     depth_noise: DepthNoise
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether it has no errors at all: what remains of an error is then not the camera's."""
+        return isinstance(self.depth, IdealDepth)
+
     def resized(self, width: int, height: int) -> CameraModel:
         """The same camera with other pixels over the same field of view.
 

@@ -13,9 +13,11 @@ from wheelsight.errors import ConfigError
 from wheelsight.events import WheelTicks, YawRate
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.simulation._chair import Chair
+from wheelsight.simulation._ground import Underfoot
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.drivers import COMMAND_PERIOD_S, Command, Driver
 from wheelsight.simulation.encoders import GYRO_PERIOD_S, Encoders, Gyroscope, Reckoning
+from wheelsight.simulation.realism import Realism
 from wheelsight.simulation.robot import TICK_PERIOD_S, Robot, WheelFaults
 from wheelsight.simulation.wheelchair import TIMESTEP_S
 from wheelsight.simulation.world import World
@@ -38,38 +40,47 @@ def simulate_drive(
     faults: WheelFaults = NO_FAULTS,
     slip: bool = True,
     seed: int = 0,
+    realism: Realism | None = None,
     time_limit_s: float = 3600.0,
     on_progress: Callable[[float], None] | None = None,
 ) -> Drive:
     """Drive until the driver has arrived, the robot is stuck or has fallen over, or the time is up.
 
-    The base is the middle between the points where the driven wheels touch the ground. Wheels slip as far as friction,
-    an uneven floor and a fidgeting rider make them; with `slip` False they roll as odometry takes them to. The same
-    arguments and seed give the same drive to the last bit.
+    The base is the middle between the driven wheels, on the ground. Wheels slip as friction, an uneven floor and a
+    fidgeting rider make them; with `slip` False they roll as odometry takes them to. Equal arguments, equal drives.
 
     Args:
         world: what there is to bump into, and where the drive starts unless the driver says so.
-        robot: as it truly is.
-        driver: who gives the commands.
+        robot, driver: the robot as it truly is, and who gives it commands.
         faults: what goes wrong with the wheels, and when.
         slip: whether the wheels may slip.
         seed: of the floor, the rider, the castors' first directions, the encoders' phases and the gyroscope.
+        realism: what tyres and floor do beside slipping, or None for nothing.
         time_limit_s: when a drive ends that has not arrived.
         on_progress: told the simulated seconds, once for each.
 
     Raises:
         ConfigError: a time limit that is none, or a world MuJoCo does not take.
     """
-    if not (math.isfinite(time_limit_s) and time_limit_s > 0):
-        raise ConfigError(f"time_limit_s is {time_limit_s}", fix="give seconds above 0")
+    _check_limit(time_limit_s)
     chair_rng, encoder_rng, gyro_rng = (np.random.default_rng([seed, part]) for part in range(3))
     start = driver.T_world_start if driver.T_world_start is not None else _start_of(world)
-    chair = Chair(world, robot, faults, start, slip=slip, rng=chair_rng)
+    underfoot = _underfoot(world, realism, seed)
+    chair = Chair(world, robot, faults, start, slip=slip, rng=chair_rng, underfoot=underfoot)
     chair.settle(_SETTLING_S)
     gyroscope = Gyroscope(Gyro(), gyro_rng) if robot.has_gyro else None
     log = _Log(chair, Encoders(robot, faults, encoder_rng), gyroscope, Reckoning(robot.nominal, start))
     reason = _drive(chair, driver, log, time_limit_s, on_progress)
     return log.drive(reason)
+
+
+def _check_limit(time_limit_s: float) -> None:
+    if not (math.isfinite(time_limit_s) and time_limit_s > 0):
+        raise ConfigError(f"time_limit_s is {time_limit_s}", fix="give seconds above 0")
+
+
+def _underfoot(world: World, realism: Realism | None, seed: int) -> Underfoot | None:
+    return None if realism is None else Underfoot(realism.floor_of(world, seed), realism.tyres)
 
 
 def _drive(

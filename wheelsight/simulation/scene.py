@@ -123,6 +123,17 @@ class Scene:
         self._cast_tiles(samples, tiles, far_m)
         return Outlines(pixels, samples)
 
+    def reach_m(self, begins: FloatArray, direction: FloatArray) -> FloatArray:
+        """How far (N,) rays from points (N, 3) come in a unit direction (3,); infinitely far where nothing is hit."""
+        import mujoco
+
+        hit, normal = np.zeros(1, np.int32), np.zeros(3)
+        ways_m = [
+            mujoco.mj_ray(self.model, self.data, begin, direction, _FIRST_GROUP, True, -1, hit, normal)
+            for begin in begins
+        ]
+        return np.array([way_m if way_m >= 0 else np.inf for way_m in ways_m])
+
     def _cast_tiles(self, view: View, tiles: list[IntArray], far_m: float) -> None:
         center = self.geoms.position_world + np.einsum(
             "gij,gj->gi", self.geoms.R_world_geom, self.model.geom_aabb[:, :3]

@@ -11,6 +11,7 @@ from typing import Any
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
 from wheelsight.simulation.drivers import MAX_SPEED_M_S
+from wheelsight.simulation.realism import RealismName, realism_of
 from wheelsight.simulation.robot import Robot, WheelFaults
 
 _LARGEST_PX = 4096
@@ -35,6 +36,8 @@ class SimulationSettings:
         stops_to_turn: whether the robot stops at each waypoint and turns on the spot, rather than round the corner.
         passersby: how many people walk about.
         has_motion_blur: whether colour images are smeared by the camera's motion during exposure.
+        realism: one of `realism_names()`: "ideal" has nothing but the sensors' noise, "real" all that real sensors
+            and robots do beside it, motion blur included.
         has_slip: whether wheels slip on the floor.
         robot: as it truly is; its owner believes in `Robot()`.
         faults: of the wheels.
@@ -61,8 +64,10 @@ class SimulationSettings:
     robot: Robot = field(default_factory=Robot)
     faults: WheelFaults = field(default_factory=WheelFaults)
     covered_s: tuple[tuple[float, float], ...] = ()
+    realism: RealismName = "ideal"
 
     def __post_init__(self) -> None:
+        realism_of(self.realism)
         _check_whole("--laps", self.laps, 1, 1000)
         _check_whole("--seed", self.seed, 0, 2**32 - 1)
         _check_whole("--passers-by", self.passersby, 0, 100)

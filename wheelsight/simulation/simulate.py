@@ -17,20 +17,22 @@ from wheelsight.errors import ConfigError
 from wheelsight.events import RgbdFrame
 from wheelsight.extras import needed
 from wheelsight.files import StrPath, make_output_folder, write_bytes, write_text
-from wheelsight.geometry import se3
 from wheelsight.inputs import read_bytes
 from wheelsight.recordings import RecordingWriter
 from wheelsight.recordings.text import LIST
 from wheelsight.simulation._way import driver_of, expected_s, refuse_walls, route_of
 from wheelsight.simulation.camera_faults import Covered
 from wheelsight.simulation.cameras import camera_model
+from wheelsight.simulation.drive import Drive
+from wheelsight.simulation.drivers import Driver
 from wheelsight.simulation.faulty_recording import with_camera_faults
 from wheelsight.simulation.physics import simulate_drive
+from wheelsight.simulation.realism import realism_of
 from wheelsight.simulation.renderer import Renderer
 from wheelsight.simulation.settings import SimulationSettings
 from wheelsight.simulation.simulated_recording import SimulatedRecording
+from wheelsight.simulation.world import World
 from wheelsight.simulation.worlds import build_world
-from wheelsight.trajectory import Trajectory
 
 _LONGEST_DRIVE_S = 4 * 3600.0
 _FORMAT = "wheelsight-simulation-1"
@@ -63,20 +65,30 @@ def simulate(
     refuse_walls(settings, world, driver, refused)
     covers = [Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s]
     _refuse_never(settings, settings.duration_s or _LONGEST_DRIVE_S)
+    drive = _driven(settings, world, driver, on_progress)
+    _refuse_never(settings, drive.duration_s)
+    recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
+    return with_camera_faults(recording, *covers) if covers else recording
+
+
+def _driven(
+    settings: SimulationSettings,
+    world: World,
+    driver: Driver,
+    on_progress: Callable[[float, float | None], None] | None,
+) -> Drive:
     total_s = expected_s(settings, world)
-    drive = simulate_drive(
+    return simulate_drive(
         world,
         settings.robot,
         driver,
         faults=settings.faults,
         slip=settings.has_slip,
         seed=settings.seed,
+        realism=realism_of(settings.realism),
         time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
         on_progress=None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s),
     )
-    _refuse_never(settings, drive.duration_s)
-    recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
-    return with_camera_faults(recording, *covers) if covers else recording
 
 
 def _refuse_never(settings: SimulationSettings, end_s: float) -> None:
@@ -137,18 +149,17 @@ class _TruthInSteps:
 
     def __init__(self, recording: SimulatedRecording, writer: RecordingWriter) -> None:
         self._base = recording.ground_truth
-        self._T_base_camera = recording.settings.robot.T_base_camera
+        self._camera = recording.camera_truth
         self._writer = writer
         self._written = 0
 
     def write_until(self, stamp_s: float) -> None:
         """All poses up to the first one at or after `stamp_s`."""
         end = int(np.searchsorted(self._base.stamps_s, stamp_s)) + 1
-        base = self._base.select(slice(self._written, end))
+        part = slice(self._written, end)
         self._written = max(self._written, end)
-        camera = Trajectory(base.stamps_s, se3.compose(base.T_frame_body, self._T_base_camera), body="camera")
-        for truth in (base, camera):
-            self._writer.append_ground_truth(truth)
+        for truth in (self._base, self._camera):
+            self._writer.append_ground_truth(truth.select(part))
 
 
 def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:

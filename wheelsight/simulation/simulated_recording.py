@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
 from wheelsight.recordings import AssociationReport
 from wheelsight.simulation.drive import Drive
+from wheelsight.simulation.realism import realism_of, stream
+from wheelsight.simulation.realism.stamps import as_stamped
 from wheelsight.simulation.renderer import Renderer
 from wheelsight.simulation.robot import Robot
 from wheelsight.simulation.settings import SimulationSettings
@@ -66,8 +68,14 @@ class SimulatedRecording:
     @property
     def true_calibration(self) -> Calibration:
         """What the robot truly is."""
-        robot = self.settings.robot
-        return calibration_of(robot.wheels, robot.T_base_camera, self.renderer.calibration, "true")
+        T_base_camera = self.renderer.carriage.T_base_camera
+        return calibration_of(self.settings.robot.wheels, T_base_camera, self.renderer.true_calibration, "true")
+
+    @property
+    def camera_truth(self) -> Trajectory:
+        """T_world_camera, on a body that may move against the base."""
+        stamps_s = self.drive.truth.stamps_s
+        return Trajectory(stamps_s, self.renderer.carriage.T_world_camera(stamps_s), body="camera")
 
     @property
     def frame_count(self) -> int:
@@ -101,12 +109,20 @@ class SimulatedRecording:
     def events(self, *, images: bool = True) -> Generator[Event]:
         """Readings and frames (unless without `images`) in order of time; frames are rendered a few ahead."""
         frames = self.renderer.frames()
-        readings = (self.drive.yaw_rates, self.drive.ticks)
+        readings = self._readings()
         sources: tuple[Iterable[Event], ...] = (*readings, frames) if images else readings
         try:
             yield from heapq.merge(*sources, key=lambda event: event.stamp_s)
         finally:
             frames.close()
+
+    def _readings(self) -> tuple[Sequence[Event], ...]:
+        """Of gyroscope and wheels, as they are stamped."""
+        realism, drive, seed = realism_of(self.settings.realism), self.drive, self.settings.seed
+        if realism is None:
+            return drive.yaw_rates, drive.ticks
+        gyro, wheels = stream(seed, "gyro stamps"), stream(seed, "wheel stamps")
+        return as_stamped(drive.yaw_rates, realism.stamps, gyro), as_stamped(drive.ticks, realism.stamps, wheels)
 
     def area_at(self, stamp_s: float) -> str | None:
         """The area in which the base truly was."""
