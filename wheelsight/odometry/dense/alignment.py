@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -52,6 +52,14 @@ class DenseAlignment:
     points: int
     residual: float
     grey_sigma: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """What others tell of the motion: where the frame is (4, 4), and information (6, 6) of its left perturbation."""
+
+    T_reference_frame: FloatArray
+    information: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,19 +133,23 @@ class Aligner:
         T_reference_frame: FloatArray,
         step: Step | None = None,
         held_m: tuple[float, float] = _FREE,
+        told: Told | None = None,
     ) -> DenseAlignment:
         """The motion of a frame against a reference, from a first guess (4, 4).
 
         The guess holds what hardly anything shows: else the noise of a plain wall would pull it along for decimetres.
         It is off by the first of `held_m`, turns as ways at 2 m; a base on wheels goes sideways, rises and tilts by the
         second since the frame before, whatever the guess says: one by grey values of a plain wall tilts by degrees.
-        With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way.
+        With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way. What
+        keypoints have `told` counts as their residuals would: near their own best motion these are as a paraboloid.
         """
         settings = self._settings
         rules = settings.huber, settings.color_weight, 0, settings.min_gradient, reference.own_noise
         how = np.array([0, 1, _GREY_SIGMA, 1, 0, *rules], float)
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
         T_held, hold = self._hold(T, step, held_m)
+        if told is not None:
+            T_held, hold = both(T_held, hold, told.T_reference_frame, self._settings.correlation * told.information)
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = self._settings.color_error_left * self._color_sigma_px / (1 << number)
@@ -150,7 +162,10 @@ class Aligner:
                     break
                 if not np.abs(T).max() < _DIVERGED_M:
                     return self._answer(frame, reference, np.array(T_reference_frame), np.zeros(kernels.SUMS), how)
-        return self._answer(frame, reference, T, total, how)
+        found = self._answer(frame, reference, T, total, how)
+        if told is None:
+            return found
+        return replace(found, information=found.information + self._settings.correlation * told.information)
 
     def align_clearest(
         self,
@@ -159,13 +174,14 @@ class Aligner:
         starts: Sequence[FloatArray],
         step: Step | None = None,
         held_m: tuple[float, float] = _FREE,
+        told: Told | None = None,
     ) -> DenseAlignment:
         """The alignment from the first guess (4, 4), unless grey values fit clearly better from another one.
 
         Along a wall planes say nothing, and its few marks fit each other's places: what comes out is where one began.
         """
         limits = self._starts
-        best, *others = (self.align(frame, reference, start, step, held_m) for start in starts)
+        best, *others = (self.align(frame, reference, start, step, held_m, told) for start in starts)
         for other in others:
             as_many = other.planes >= limits.as_many_planes * best.planes
             is_as_near = as_many and other.residual < limits.as_near_planes * best.residual
@@ -262,6 +278,14 @@ class Aligner:
         images = kernels.Images(level.depth_m, level.grey, pixels, level.intrinsics.astype(np.float32))
         given = (images, T_rows, self._noise, how.astype(np.float32), stride)
         self._rows.share(len(sums), lambda begin, end: kernels.accumulate(*given, begin, end, sums))
+
+
+def both(
+    T_first: FloatArray, first: FloatArray, T_second: FloatArray, second: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where (4, 4) two pieces of information (6, 6) each, about left perturbations, meet, and their sum."""
+    off, total = se3.log(T_second @ se3.invert(T_first)), first + second
+    return se3.exp(np.linalg.solve(total, second @ off)) @ T_first, total
 
 
 def _symmetric(sums: FloatArray) -> FloatArray:

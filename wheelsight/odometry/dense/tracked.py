@@ -10,6 +10,7 @@ from wheelsight.estimates import CameraEstimate, MotionEstimate
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.odometry.dense.grid import GridFrame
+from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,6 +27,7 @@ class Tracked:
         overlap: the share of the frame that its reference shows finely enough.
         is_by_keyframe: whether that reference is a keyframe.
         residual: how far off its planes are in the mean, 1 for a perfect fit.
+        told: what keypoints say, where the pose goes by them too.
     """
 
     frame: GridFrame
@@ -37,6 +39,7 @@ class Tracked:
     overlap: float = 1.0
     is_by_keyframe: bool = True
     residual: float = 1.0
+    told: KeypointPose | None = None
 
     def moved(self, T_new_old: FloatArray) -> Tracked:
         """The same after its keyframe has moved by (4, 4), from the left, in the map."""
