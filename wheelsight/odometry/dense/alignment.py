@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -17,6 +17,7 @@ from wheelsight.odometry.dense import _shown_kernels as shown
 from wheelsight.odometry.dense import _step_kernels as steps
 from wheelsight.odometry.dense._turn_kernels import find_turn
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Level
+from wheelsight.odometry.dense.joint import Told
 from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.threads import Rows
@@ -43,6 +44,7 @@ class DenseAlignment:
         points: of the frame's finest level, with depth.
         residual: mean absolute plane residual in standard deviations of the sensor, 1 for a perfect fit.
         grey_sigma: spread of the grey residuals, in grey levels.
+        claimed: (6, 6) information of the left perturbation that residuals had at the end, as if they were independent.
     """
 
     T_reference_frame: FloatArray
@@ -52,14 +54,7 @@ class DenseAlignment:
     points: int
     residual: float
     grey_sigma: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Told:
-    """What others tell of the motion: where the frame is (4, 4), and information (6, 6) of its left perturbation."""
-
-    T_reference_frame: FloatArray
-    information: FloatArray
+    claimed: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,6 +129,7 @@ class Aligner:
         step: Step | None = None,
         held_m: tuple[float, float] = _FREE,
         told: Told | None = None,
+        factor: float = 1.0,
     ) -> DenseAlignment:
         """The motion of a frame against a reference, from a first guess (4, 4).
 
@@ -141,7 +137,8 @@ class Aligner:
         It is off by the first of `held_m`, turns as ways at 2 m; a base on wheels goes sideways, rises and tilts by the
         second since the frame before, whatever the guess says: one by grey values of a plain wall tilts by degrees.
         With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way. What
-        keypoints have `told` counts as their residuals would: near their own best motion these are as a paraboloid.
+        keypoints have `told` counts as their residuals would, near their own best motion: `factor` times as much, for
+        so many times less than they claim surfaces tell.
         """
         settings = self._settings
         rules = settings.huber, settings.color_weight, 0, settings.min_gradient, reference.own_noise
@@ -149,7 +146,9 @@ class Aligner:
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
         T_held, hold = self._hold(T, step, held_m)
         if told is not None:
-            T_held, hold = both(T_held, hold, told.T_reference_frame, self._settings.correlation * told.information)
+            T_held, hold = both(
+                T_held, hold, told.T_reference_frame, factor * self._settings.correlation * told.information
+            )
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = self._settings.color_error_left * self._color_sigma_px / (1 << number)
@@ -162,10 +161,7 @@ class Aligner:
                     break
                 if not np.abs(T).max() < _DIVERGED_M:
                     return self._answer(frame, reference, np.array(T_reference_frame), np.zeros(kernels.SUMS), how)
-        found = self._answer(frame, reference, T, total, how)
-        if told is None:
-            return found
-        return replace(found, information=found.information + self._settings.correlation * told.information)
+        return self._answer(frame, reference, T, total, how)
 
     def align_clearest(
         self,
@@ -175,13 +171,14 @@ class Aligner:
         step: Step | None = None,
         held_m: tuple[float, float] = _FREE,
         told: Told | None = None,
+        factor: float = 1.0,
     ) -> DenseAlignment:
         """The alignment from the first guess (4, 4), unless grey values fit clearly better from another one.
 
         Along a wall planes say nothing, and its few marks fit each other's places: what comes out is where one began.
         """
         limits = self._starts
-        best, *others = (self.align(frame, reference, start, step, held_m, told) for start in starts)
+        best, *others = (self.align(frame, reference, start, step, held_m, told, factor) for start in starts)
         for other in others:
             as_many = other.planes >= limits.as_many_planes * best.planes
             is_as_near = as_many and other.residual < limits.as_near_planes * best.residual
@@ -224,7 +221,8 @@ class Aligner:
         information = self._information(frame, reference, T, pairs, how)
         residual = float(how[steps.PLANE_SCALE] * mean_abs / steps.MEAN_ABS)
         T = se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
-        return DenseAlignment(T, information, pairs, planes, points, residual, float(how[steps.GREY_SIGMA]))
+        claimed = _symmetric(total[:21] + total[kernels.GREY_SUMS : kernels.GREY_SUMS + 21])
+        return DenseAlignment(T, information, pairs, planes, points, residual, float(how[steps.GREY_SIGMA]), claimed)
 
     def _information(
         self, frame: GridFrame, reference: Reference, T: FloatArray, pairs: int, how: FloatArray

@@ -143,8 +143,10 @@ class KeyframePolicy:
         straight = self._keypoints.straightened(features, tracked.twist)
         number = self._store.add(self._kept(tracked.frame, straight), tracked.T_map_camera)
         tracked = replace(tracked, keyframe=number)
+        is_new = self._keypoints.lacks(tracked.told)
         self._keypoints.remember(tracked, features)
-        self._keypoints.keep(number)
+        if is_new:
+            self._keypoints.keep(number)
         return tracked, replace(self._views.of_frame(tracked), features=straight)
 
     def _kept(self, grid: GridFrame, features: Features) -> Keyframe:

@@ -39,6 +39,11 @@ class KeypointPose:
         return self.inliers >= self.settings.likely_share * self.matches
 
     @property
+    def is_usable(self) -> bool:
+        """Whether it is estimated together with surfaces: most agree, or so many that they are no chance."""
+        return self.is_likely or self.inliers >= self.settings.clear_inliers
+
+    @property
     def is_clear(self) -> bool:
         """Whether keypoints are to be believed even where surfaces say otherwise."""
         return self.inliers >= max(self.settings.clear_inliers, self.settings.clear_share * self.matches)

@@ -113,7 +113,11 @@ class KeypointTracker:
 
     def lacks(self, told: KeypointPose | None) -> bool:
         """Whether a frame shows so few landmarks of the last keyframe that new ones are needed."""
-        if told is None or told.view is None or not self._has_landmarks:
+        if not self._has_landmarks:
+            return False
+        if not self._landmarks.keyframes:
+            return True
+        if told is None or told.view is None:
             return False
         known = np.count_nonzero(self._landmarks.keyframes[-1].landmark >= 0)
         return bool(np.count_nonzero(told.view.landmark >= 0) < self._features.keyframe_share * known)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._velocity import LONGEST_STEP_S
-from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment, Step, Told
+from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment, Step
 from wheelsight.odometry.dense.grid import GridFrame
+from wheelsight.odometry.dense.joint import Joint, SurfaceWeight, Told
 from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.observability import Judgement, Prior, judge
 from wheelsight.odometry.dense.prediction import Prediction
@@ -33,6 +35,7 @@ class Locator:
 
     def __init__(self, settings: DenseSettings, aligner: Aligner, views: Views, watch: Stopwatch) -> None:
         self._settings, self._aligner, self._views, self._watch = settings, aligner, views, watch
+        self.weight = SurfaceWeight(settings.joint)
 
     def locate(self, grid: GridFrame, ahead: Prediction, state: TrackingState) -> Tracked | MotionEstimate:
         """Align with the first view that fits, together with keypoints; or why none does.
@@ -74,7 +77,10 @@ class Locator:
                 starts = [self._aligner.start(grid, reference, [T_reference_map @ T for T in begun])]
             if ahead.T_map_other is not None:
                 starts.append(self._aligner.turn(grid, reference, T_reference_map @ ahead.T_map_other))
-            found = self._aligner.align_clearest(grid, reference, starts, step, held_m, told)
+            found = self._aligner.align_clearest(grid, reference, starts, step, held_m, told, self.weight.factor)
+        joint = None
+        if told is not None:
+            found, joint = self._met(found, told)
         first, *others = (T_reference_map @ T for T in ahead.T_map_camera)
         judged = judge(found, Prior(first, sigma_m, tuple(others)), self._settings)
         T_map_camera = se3.nearest(reference.T_map_reference @ judged.T_reference_frame)
@@ -82,7 +88,16 @@ class Locator:
         if reason is not None:
             return MotionEstimate.failed(reason, found.pairs, found.planes)
         twist = step.twist_to(judged.T_reference_frame) if step else grid.twist
-        return self._tracked(grid, view, found, judged, T_map_camera, twist)
+        turning = judged.T_reference_frame[:3, :3] @ twist[3:] - view.turning_rad_s
+        tracked = self._tracked(grid, view, found, judged, T_map_camera, twist)
+        return replace(tracked, joint=joint, turning_rad_s=turning)
+
+    def _met(self, found: DenseAlignment, told: Told) -> tuple[DenseAlignment, Joint]:
+        """An alignment, with keypoints by what their disagreement says of surfaces."""
+        correlation = self._settings.correlation
+        joint = self.weight.meet(found.T_reference_frame, found.claimed / correlation, told)
+        information = found.information / joint.factor + correlation * told.information
+        return replace(found, T_reference_frame=joint.T_reference_frame, information=information), joint
 
     def _tracked(
         self,
@@ -121,8 +136,8 @@ class Locator:
 
 
 def _told(pose: KeypointPose | None, T_map_reference: FloatArray) -> Told | None:
-    """What keypoints tell of the motion against a reference at (4, 4), where most of them agree."""
-    if pose is None or not pose.is_likely:
+    """What keypoints tell of the motion against a reference at (4, 4), where enough of them agree."""
+    if pose is None or not pose.is_usable:
         return None
     return Told(se3.invert(T_map_reference) @ pose.T_map_camera, pose.information_from(T_map_reference))
 

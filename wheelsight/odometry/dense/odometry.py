@@ -13,7 +13,9 @@ from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
+from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.alignment import Aligner
+from wheelsight.odometry.dense.depth_delay import DepthDelay
 from wheelsight.odometry.dense.grid import Gridder, GridFrame
 from wheelsight.odometry.dense.keyframe_policy import START_VARIANCE, KeyframePolicy
 from wheelsight.odometry.dense.keypoints import KeypointTracker
@@ -64,6 +66,7 @@ class DenseOdometry:
         self._follower = self.store.follow()
         rows = Rows(self._settings.threads)
         self._gridder = Gridder(calibration, self._settings, rows)
+        self._delay = DepthDelay(calibration.depth_late_s, self._settings.delay)
         self._maker = ReferenceMaker(calibration.depth_noise, self._settings, rows)
         aligner = Aligner(calibration, self._settings, rows, self._gridder, self._maker)
         has_landmarks = model is not None or self._settings.reference == "keyframes"
@@ -165,9 +168,9 @@ class DenseOdometry:
     ) -> Tracked | MotionEstimate:
         """Where a frame is, from what others tell or constant velocity expects, or why that is not known."""
         ahead, twist = predict(last, frame.stamp_s, prior)
-        with self.watch.stage("prepare"):
-            grid = self._gridder.on_grid(frame, twist)
         ahead = self._verifier.ask(features.result(), twist, ahead, self._state)
+        with self.watch.stage("prepare"):
+            grid = self._gridder.on_grid(frame, self._seen_twist(ahead, frame.stamp_s, twist))
         found: Tracked | MotionEstimate = MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
         if grid.depth_share >= self._settings.min_depth_share:
             found = self._locator.locate(grid, ahead, self._state)
@@ -178,6 +181,13 @@ class DenseOdometry:
             with self.watch.stage("keyframe"):
                 found = self._policy.update(frame, features.result(), found, ahead)
         return found
+
+    def _seen_twist(self, ahead: Prediction, stamp_s: float, twist: FloatArray) -> FloatArray:
+        """The camera's velocity (6,) by keypoints, where most of them agree; else that expected."""
+        seconds = ahead.seconds_to(stamp_s)
+        if ahead.told is None or not ahead.told.is_usable or not 0 < seconds <= LONGEST_STEP_S:
+            return twist
+        return twist_between(ahead.last.T_map_camera, ahead.told.T_map_camera, seconds)
 
     def _begin(
         self,
@@ -212,6 +222,10 @@ class DenseOdometry:
     def _accept(self, found: Tracked) -> DenseEstimate:
         self._last, self._state = found, self._state.tracked()
         self._verifier.faults.learn(found)
+        if found.joint is not None:
+            self._locator.weight.learn(found.joint)
+            self._delay.learn(found.joint.ahead[3:], found.turning_rad_s)
+            self._gridder.depth_late_s = self._delay.seconds
         T_keyframe_camera = se3.invert(self.store.pose(found.keyframe)) @ found.T_map_camera
         return DenseEstimate(
             found.frame.stamp_s,

@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from wheelsight.odometry.dense.settings_parts import (
+    DelaySettings,
     FaultSettings,
+    JointSettings,
     KeyframeSettings,
     StartSettings,
     VerificationSettings,
@@ -146,6 +148,8 @@ class DenseSettings(Settings):
     threads: PositiveInt = Field(default=2, le=64, description="that share a frame's rows")
     starts: StartSettings = StartSettings()
     faults: FaultSettings = FaultSettings()
+    delay: DelaySettings = DelaySettings()
+    joint: JointSettings = JointSettings()
     verification: VerificationSettings = VerificationSettings()
     keyframes: KeyframeSettings = KeyframeSettings()
     vignetting: VignettingSettings = VignettingSettings()

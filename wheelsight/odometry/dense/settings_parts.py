@@ -133,6 +133,52 @@ class VerificationSettings(Settings):
     )
 
 
+class JointSettings(Settings):
+    """How much surfaces count beside keypoints."""
+
+    first_factor: float = Field(
+        default=1.0,
+        ge=1,
+        le=1e6,
+        description="on the covariance that surfaces claim, before anything is seen of the camera",
+    )
+    learned: float = Field(
+        default=0.1, gt=0, le=1, description="of what a frame says of that factor, so within ten frames"
+    )
+    at_once: float = Field(
+        default=0.2,
+        ge=0,
+        le=1,
+        description="of what a frame says, which counts for that frame itself: a quick turn parts colour and depth "
+        "that are not of one instant, and is over before it is learned",
+    )
+    shown: PositiveFloat = Field(
+        default=1.0,
+        le=1e6,
+        description="times the information of keypoints that surfaces must claim along a direction to be judged by it",
+    )
+    most: PositiveFloat = Field(default=1e4, le=1e9, description="a larger factor says no more than that")
+
+
+class DelaySettings(Settings):
+    """How the time between colour and depth is learned, beyond what their stamps say."""
+
+    sigma_s: float = Field(
+        default=0.015, ge=0, le=1, description="how far off the calibration's delay may be; 0 learns nothing"
+    )
+    walk_s: NonNegativeFloat = Field(
+        default=0.0002, le=1, description="by which the delay may change from frame to frame"
+    )
+    turn_sigma_rad: PositiveFloat = Field(
+        default=0.02,
+        le=3,
+        description="by which keypoints and surfaces differ about a frame's turn for other reasons",
+    )
+    least_rad_s: PositiveFloat = Field(default=0.2, le=10, description="a slower turn tells no delay")
+    most_rad: PositiveFloat = Field(default=0.15, le=3, description="a larger difference is no delay")
+    most_s: PositiveFloat = Field(default=0.05, le=1, description="a longer delay is none: one frame and a half")
+
+
 class KeyframeSettings(Settings):
     """Where a keyframe is put, and how straight its rows must be."""
 
