@@ -18,14 +18,18 @@ class DepthDelay:
         seconds: as a calibration knows it.
         settings: how well that is known, and what a frame tells.
 
-    Attributes:
-        seconds: as it is known by now.
     """
 
     def __init__(self, seconds: float, settings: DelaySettings) -> None:
-        self.seconds = seconds
         self._settings = settings
+        self._expected_s = self._estimate_s = seconds
         self._variance = settings.sigma_s**2
+
+    @property
+    def seconds(self) -> float:
+        """As it is known by now; as the calibration says until frames clearly tell otherwise."""
+        is_clear = abs(self._estimate_s - self._expected_s) > self._settings.clear_sigmas * self._variance**0.5
+        return self._estimate_s if is_clear else self._expected_s
 
     def learn(self, ahead_rad: FloatArray, turning_rad_s: FloatArray) -> None:
         """Take one frame as an example.
@@ -39,7 +43,9 @@ class DepthDelay:
         if squared < limits.least_rad_s**2 or np.linalg.norm(ahead_rad) > limits.most_rad:
             return
         self._variance += limits.walk_s**2
-        measured, variance = -float(turning_rad_s @ ahead_rad) / squared, limits.turn_sigma_rad**2 / squared
+        # Frames are brought to colour's time by the delay in use, so what they show is what is missing to that.
+        measured = self.seconds - float(turning_rad_s @ ahead_rad) / squared - self._estimate_s
+        variance = limits.turn_sigma_rad**2 / squared
         gain = self._variance / (self._variance + variance)
-        self.seconds = float(np.clip(self.seconds + gain * measured, -limits.most_s, limits.most_s))
+        self._estimate_s = float(np.clip(self._estimate_s + gain * measured, -limits.most_s, limits.most_s))
         self._variance *= 1 - gain

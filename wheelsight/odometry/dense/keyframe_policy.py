@@ -62,7 +62,6 @@ class KeyframePolicy:
         """Put the first frame, whose speed is known by now, in its own place, straightened."""
         self._keypoints.forget()
         self._keypoints.remember(first, features)
-        self._keypoints.keep(first.keyframe)
         features = self._keypoints.straightened(features, first.twist)
         self._store.replace(first.keyframe, self._kept(first.frame, features))
         view = replace(self._views.of_frame(first), features=features)
@@ -76,10 +75,9 @@ class KeyframePolicy:
         """
         if self._settings.reference == "previous" and not self._views.has_model:
             return self._follow(frame, features, found)
-        is_new = self._keypoints.lacks(found.told)
-        if not (is_new or self._views.lack(found, is_helped=ahead.is_helped)):
+        if not self._views.lack(found, is_helped=ahead.is_helped):
             return self._remembered(self._straightened(frame, found, is_kept=False), features)
-        seen = None if is_new else self._seen_from_before(found, ahead)
+        seen = self._seen_from_before(found, ahead)
         if seen is not None:
             return self._remembered(replace(seen, told=found.told), features)
         straight = self._straightened(frame, self._by_two(found, ahead))
@@ -143,10 +141,7 @@ class KeyframePolicy:
         straight = self._keypoints.straightened(features, tracked.twist)
         number = self._store.add(self._kept(tracked.frame, straight), tracked.T_map_camera)
         tracked = replace(tracked, keyframe=number)
-        is_new = self._keypoints.lacks(tracked.told)
         self._keypoints.remember(tracked, features)
-        if is_new:
-            self._keypoints.keep(number)
         return tracked, replace(self._views.of_frame(tracked), features=straight)
 
     def _kept(self, grid: GridFrame, features: Features) -> Keyframe:

@@ -66,7 +66,10 @@ class KeypointPose:
         return MotionEstimate(T_reference_map @ self.T_map_camera, Ad @ self.covariance @ Ad.T, *counts)
 
     def information_from(self, T_map_reference: FloatArray) -> FloatArray:
-        """Information (6, 6) of the left perturbation of its motion against a reference at (4, 4)."""
+        """Information (6, 6) of the left perturbation of its motion against a reference at (4, 4).
+
+        Neighbouring keypoints err alike, as neighbouring pixels do.
+        """
         Ad = se3.adjoint(se3.invert(T_map_reference))
         covariance = self.covariance if self.motion_covariance is None else self.motion_covariance
-        return np.asarray(np.linalg.inv(Ad @ covariance @ Ad.T), float)
+        return np.asarray(np.linalg.inv(self.settings.correlation * Ad @ covariance @ Ad.T), float)

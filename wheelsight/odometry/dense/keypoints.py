@@ -13,7 +13,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeFeatures, KeyframeId
+from wheelsight.keyframes import KeyframeFeatures
 from wheelsight.odometry._lens import maps_without_lens
 from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.settings_parts import VerificationSettings
@@ -111,36 +111,25 @@ class KeypointTracker:
                     return self._pose(found)
         return None
 
-    def lacks(self, told: KeypointPose | None) -> bool:
-        """Whether a frame shows so few landmarks of the last keyframe that new ones are needed."""
-        if not self._has_landmarks:
-            return False
-        if not self._landmarks.keyframes:
-            return True
-        if told is None or told.view is None:
-            return False
-        known = np.count_nonzero(self._landmarks.keyframes[-1].landmark >= 0)
-        return bool(np.count_nonzero(told.view.landmark >= 0) < self._features.keyframe_share * known)
-
     def remember(self, tracked: Tracked, features: Features) -> None:
-        """Take a frame, whose pose is known by now, as the last one; landmarks that it shows are seen once more."""
+        """Take a frame, whose pose is known by now, as the last one; landmarks that it shows are seen once more.
+
+        Where it shows few of those known last, what it shows beside them becomes landmarks.
+        """
         told = tracked.told
         T_map_color = tracked.T_map_camera @ se3.invert(self._T_color_camera)
         if told is not None and told.view is not None:
             view = replace(told.view, T_map_color=T_map_color, covariance=tracked.covariance, keyframe=tracked.keyframe)
+        else:
+            straight, unknown = self.straightened(features, tracked.twist), np.full(len(features), -1)
+            view = View(straight, T_map_color, tracked.covariance, unknown, tracked.keyframe)
+        if self._has_landmarks:
             seen = np.flatnonzero(view.landmark >= 0)
             self._landmarks.see_again(view.landmark[seen], view.features, seen, T_map_color)
-        else:
-            unknown = np.full(len(features), -1)
-            straight = self.straightened(features, tracked.twist)
-            view = View(straight, T_map_color, tracked.covariance, unknown, tracked.keyframe)
+            known = self._landmarks.keyframes[-1].landmark if self._landmarks.keyframes else np.zeros(1, int)
+            if len(seen) < self._features.keyframe_share * np.count_nonzero(known >= 0):
+                view = self._landmarks.add_keyframe(view, tracked.keyframe)
         self._last = view
-
-    def keep(self, number: KeyframeId) -> None:
-        """The last frame has become a keyframe: its keypoints that show no landmark yet are new ones."""
-        assert self._last is not None
-        if self._has_landmarks:
-            self._last = self._landmarks.add_keyframe(self._last, number)
 
     def forget(self) -> None:
         """No landmark is known any more, nor a last frame."""

@@ -109,6 +109,11 @@ class VerificationSettings(Settings):
     agree_chi2: PositiveFloat = Field(
         default=16.8, le=1e6, description="how sure they may be then at most: chi² of 6, 99 %, by their own covariance"
     )
+    correlation: PositiveFloat = Field(
+        default=20.0,
+        le=1e6,
+        description="how many neighbouring keypoints err as one, as pixels do, where they are weighed against surfaces",
+    )
     clear_inliers: PositiveInt = Field(
         default=60, le=100_000, description="keypoints that must agree for them to count against surfaces"
     )
@@ -173,6 +178,9 @@ class DelaySettings(Settings):
         default=0.02,
         le=3,
         description="by which keypoints and surfaces differ about a frame's turn for other reasons",
+    )
+    clear_sigmas: PositiveFloat = Field(
+        default=3.0, le=100, description="standard deviations by which a delay must differ to be put in use"
     )
     least_rad_s: PositiveFloat = Field(default=0.2, le=10, description="a slower turn tells no delay")
     most_rad: PositiveFloat = Field(default=0.15, le=3, description="a larger difference is no delay")

@@ -42,10 +42,14 @@ class Verifier:
         """What is expected of a frame, with what its keypoints say: by the frame before, or by keyframes known."""
         with self._watch.stage("recognise"):
             told = self._keypoints.track(features, twist)
-            if told is None or (state.failures > 0 and not told.is_likely):
-                familiar = self._views.familiar(ahead.T_map_camera[0], state)
-                told = self._keypoints.recognise(features, familiar, twist) or told
-        return replace(ahead, told=told)
+            if told is not None and (state.failures == 0 or told.is_likely):
+                return replace(ahead, told=told)
+            familiar = self._views.familiar(ahead.T_map_camera[0], state)
+            seen_again = self._keypoints.recognise(features, familiar, twist)
+        if seen_again is None:
+            return replace(ahead, told=told)
+        is_elsewhere = not ahead.is_helped and not seen_again.agrees_with(ahead.T_map_camera[0])
+        return replace(ahead.at(seen_again.T_map_camera) if is_elsewhere else ahead, told=seen_again)
 
     def verify(
         self, grid: GridFrame, found: Tracked | MotionEstimate, ahead: Prediction, state: TrackingState
@@ -68,7 +72,10 @@ class Verifier:
         if self._stands_alone(found, ahead, state, seconds):
             return found
         unseen = self.faults.is_blind and not ahead.is_helped
-        reason = Reason.SURFACES_CONTRADICTED if told else Reason.DEGENERATE if unseen else Reason.NOT_RECOGNISED
+        if told is not None and self._may_count(told, ahead, seconds):
+            reason = Reason.SURFACES_CONTRADICTED
+        else:
+            reason = Reason.DEGENERATE if unseen else Reason.NOT_RECOGNISED
         return self._instead(grid, MotionEstimate.failed(reason), ahead)
 
     def _stands_alone(self, found: Tracked, ahead: Prediction, state: TrackingState, seconds: float) -> bool:
@@ -89,7 +96,7 @@ class Verifier:
         told, seconds = ahead.told, ahead.seconds_to(grid.stamp_s)
         if told is None or not self._may_count(told, ahead, seconds):
             return failure
-        if implausible(ahead.last, told.T_map_camera, seconds, self._all):
+        if not told.is_clear and implausible(ahead.last, told.T_map_camera, seconds, self._all):
             return failure
         if ahead.is_helped and not told.is_clear and not told.agrees_with(ahead.T_map_camera[0]):
             return failure
@@ -100,4 +107,6 @@ class Verifier:
         self.faults.unseen_s = 0.0
         nearest = self._views.nearest(told.T_map_camera)
         motion, T_map_camera = told.motion_from(nearest.reference.T_map_reference), se3.nearest(told.T_map_camera)
-        return Tracked(grid, T_map_camera, told.covariance, motion, nearest.keyframe, grid.twist, told=told)
+        known = (grid, T_map_camera, told.covariance, motion, nearest.keyframe, grid.twist)
+        is_near = nearest.distance_m(told.T_map_camera) < self._all.keyframe_way_m
+        return Tracked(*known, overlap=float(is_near), told=told)
