@@ -49,7 +49,7 @@ class Calibration:
         depth_noise: of the depth camera.
         rolling_shutter_s: time from the exposure of the images' first row to that of the last; 0 for a global shutter.
             A frame's stamp is the time of its middle row.
-        depth_late_s: how much later than colour depth is measured, beyond what stamps say; negative where it is earlier.
+        depth_late_s: how much later than colour depth is measured, beyond what stamps say; negative where earlier.
         color_sigma_px: how far off the colour camera's numbers may be, as a standard deviation in the image; 0 for a
             camera calibrated well enough for it not to matter, more for nominal values.
         T_base_camera: (4, 4), or None where the recording has no base. May stand without a camera, in a calibration

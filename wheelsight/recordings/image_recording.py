@@ -31,7 +31,7 @@ _FRAMES_TRIED = 8
 
 @dataclass(frozen=True, slots=True)
 class FramePaths:
-    """The two image files of a frame; its time is that of the colour image, in seconds, and depth's is so much later."""
+    """The two image files of a frame; its time is that of the colour image, in seconds, depth was so much later."""
 
     stamp_s: float
     color: Path

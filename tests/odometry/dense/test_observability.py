@@ -12,6 +12,7 @@ from wheelsight.estimates import Reason, Status
 from wheelsight.geometry import se3
 from wheelsight.odometry.dense import DenseEstimate, DenseSettings
 from wheelsight.odometry.dense.alignment import DenseAlignment
+from wheelsight.odometry.dense.keypoints import KeypointTracker
 from wheelsight.odometry.dense.observability import Prior, judge
 
 WALL = [Plane((0.0, 0.0, -1.0), -1.6)]
@@ -60,7 +61,9 @@ def test_paint_shows_what_the_wall_does_not() -> None:
     assert apart(MOTION, estimate.T_odom_body)[0] < 2e-3
 
 
-def test_paint_shows_nothing_to_depth_alone() -> None:
+def test_paint_shows_nothing_to_depth_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(KeypointTracker, "track", lambda *_: None)
+    monkeypatch.setattr(KeypointTracker, "recognise", lambda *_: None)
     estimate = tracked(PAINTED_WALL, MOTION, color_weight=0.0)
     assert len(estimate.motion.degenerate) == 3
 

@@ -1,10 +1,9 @@
 """SurfaceWeight: how much surfaces count beside keypoints, learned by how far both disagree.
 
-What an alignment of surfaces claims rests on the sensor's noise, which averages out over a hundred thousand pixels. What
-does not average out is far larger on real cameras: depth that is of another instant than colour, that is not quite
-registered, or bent. Keypoints show how large it is, for their own covariance is what was measured on real recordings:
-their motions differ from surfaces' by both covariances, of which one has an unknown factor. It is estimated as variance
-components are (Förstner 1979; Helmert).
+What an alignment of surfaces claims rests on the sensor's noise, which averages out over a hundred thousand pixels.
+What does not average out is far larger on real cameras: depth that is of another instant than colour, that is not quite
+registered, or bent. Keypoints show how large it is. Their motions differ from those of surfaces by both covariances, of
+which that of surfaces has an unknown factor: variance components tell it (Helmert; Förstner 1979).
 """
 
 from __future__ import annotations
