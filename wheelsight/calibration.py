@@ -49,6 +49,7 @@ class Calibration:
         depth_noise: of the depth camera.
         rolling_shutter_s: time from the exposure of the images' first row to that of the last; 0 for a global shutter.
             A frame's stamp is the time of its middle row.
+        depth_late_s: how much later than colour depth is measured, beyond what stamps say; negative where earlier.
         color_sigma_px: how far off the colour camera's numbers may be, as a standard deviation in the image; 0 for a
             camera calibrated well enough for it not to matter, more for nominal values.
         T_base_camera: (4, 4), or None where the recording has no base. May stand without a camera, in a calibration
@@ -64,6 +65,7 @@ class Calibration:
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
     rolling_shutter_s: float = 0.0
     color_sigma_px: float = 0.0
+    depth_late_s: float = 0.0
     T_base_camera: FloatArray | None = None
     wheels: Wheels | None = None
     gyro: Gyro = field(default_factory=Gyro)
@@ -199,7 +201,7 @@ class _MissingError(CalibrationError):
 
 _CAMERA_FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 _NOISE_FIELDS = ("constant_m", "quadratic_per_m", "near_m", "far_m")
-_NUMBERS = ("rolling_shutter_s", "color_sigma_px")
+_NUMBERS = ("rolling_shutter_s", "color_sigma_px", "depth_late_s")
 _CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", *_NUMBERS)
 _OTHER_PARTS = ("T_base_camera", "wheels", "gyro")
 _TOP_FIELDS = ("format", "source", *_CAMERA_PART, *_OTHER_PARTS, NOMINAL)

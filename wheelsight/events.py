@@ -16,12 +16,15 @@ class RgbdFrame:
         color: (H, W, 3) uint8, red green blue.
         depth_m: (H, W) float32, metres along the depth camera's z axis; 0 where nothing was measured.
         index: how many frames the source listed before this one, skipped ones included.
+        depth_late_s: how much later than the colour image the depth image was taken, as its own stamp says; negative
+            where it is the older one.
     """
 
     stamp_s: float
     color: ByteArray
     depth_m: Float32Array
     index: int = 0
+    depth_late_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

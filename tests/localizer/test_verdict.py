@@ -24,7 +24,7 @@ def base_at(way_m: float) -> FloatArray:
 def judged(way_m: float, turns: float, ratio: float | None = None, **settings: float) -> Verdict:
     """A drive, by a camera that tells `turns` times the turns; and the floor's height over that of the mount."""
     pieces = Pieces(WHEELS, T_BASE_CAMERA, AgreementSettings())
-    verdict = Verdict(BaseCheckSettings(**settings))  # type: ignore[arg-type]
+    verdict = Verdict(BaseCheckSettings(**settings))
     for at_m in np.arange(0, way_m, 0.02):
         mirrored = se3.from_plane(np.sin(at_m), turns * (1 - np.cos(at_m)), turns * at_m)
         if pieces.add(float(at_m), base_at(at_m), mirrored, lambda begin_s, end_s: None):

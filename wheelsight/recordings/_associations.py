@@ -44,7 +44,11 @@ def read_associations(path: Path, rate_hz: float | None) -> tuple[list[Pair], li
     color, warnings = find_files([first[1] for first, _ in told], path, "rgb")
     depth, more = find_files([second[1] for _, second in told], path, "depth")
     pairs = [
-        Pair(first[0] / rate, FramePaths(first[0] / rate, color_path, depth_path), abs(first[0] - second[0]) / rate)
+        Pair(
+            first[0] / rate,
+            FramePaths(first[0] / rate, color_path, depth_path, (second[0] - first[0]) / rate),
+            abs(first[0] - second[0]) / rate,
+        )
         for (first, second), color_path, depth_path in zip(told, color, depth, strict=True)
     ]
     growing, left_out = keep_growing(pairs, numbers, path)

@@ -31,11 +31,12 @@ _FRAMES_TRIED = 8
 
 @dataclass(frozen=True, slots=True)
 class FramePaths:
-    """The two image files of a frame; its time is that of the colour image, in seconds."""
+    """The two image files of a frame; its time is that of the colour image, in seconds, depth was so much later."""
 
     stamp_s: float
     color: Path
     depth: Path
+    depth_late_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +105,7 @@ class ImageRecording:
             raise RecordingError(problem, path=files.depth, fix="register depth to colour, or give T_color_depth")
         _check_size("colour", image_size(color), color_camera, files.color)
         _check_size("depth", image_size(depth_m), depth_camera, files.depth)
-        return RgbdFrame(files.stamp_s, color, depth_m, index)
+        return RgbdFrame(files.stamp_s, color, depth_m, index, files.depth_late_s)
 
     def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:
         try:
@@ -150,7 +151,11 @@ def pair_images(
         if unit is not None and unit.per_second is not None:
             fix = f"stamps look like {unit.name}: --rate-hz {unit.per_second:.0f}"
         raise RecordingError(f"{problem} apart", path=color_list, fix=fix)
-    frames = tuple(FramePaths(color[i].stamp_s, color[i].path, depth[j].path) for i, j in pairs.tolist())
+    late_s = depth_s[pairs[:, 1]] - color_s[pairs[:, 0]]
+    frames = tuple(
+        FramePaths(color[i].stamp_s, color[i].path, depth[j].path, late)
+        for (i, j), late in zip(pairs.tolist(), late_s.tolist(), strict=True)
+    )
     largest_s = float(np.abs(color_s[pairs[:, 0]] - depth_s[pairs[:, 1]]).max())
     return frames, AssociationReport(len(color), len(depth), len(frames), max_gap_s, largest_s)
 

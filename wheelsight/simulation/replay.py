@@ -6,13 +6,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from wheelsight.errors import ConfigError
+from wheelsight.extras import needed
 from wheelsight.geometry import se3, so3
 from wheelsight.simulation.cameras import camera_model
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.realism import Carriage
 from wheelsight.simulation.renderer import Renderer
 from wheelsight.simulation.settings import SimulationSettings
-from wheelsight.simulation.simulate import need_mujoco
 from wheelsight.simulation.simulated_recording import SimulatedRecording
 from wheelsight.simulation.world import World
 from wheelsight.simulation.worlds import build_world
@@ -37,7 +37,7 @@ def replay(
     Raises:
         ConfigError: an unknown world or camera, a way too short for a frame, or MuJoCo is missing.
     """
-    need_mujoco()
+    needed("mujoco")
     if len(T_world_camera) < 2:
         raise ConfigError(f"a way of {len(T_world_camera)} poses has no motion", fix="give a trajectory of a recording")
     world = build_world(settings.world, settings.seed) if world is None else world

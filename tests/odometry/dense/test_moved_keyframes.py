@@ -15,6 +15,7 @@ from wheelsight.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.odometry.dense import DenseOdometry, DenseSettings
 from wheelsight.odometry.dense.grid import Level
+from wheelsight.odometry.dense.keypoints import KeypointTracker
 from wheelsight.views import PredictedView
 
 TRUTH = wobbling_trajectory(24)
@@ -52,7 +53,11 @@ def test_where_all_keyframes_are_moved_alike_all_that_follows_is(
         np.testing.assert_allclose(answer.motion.T_reference_current, as_before.motion.T_reference_current, atol=1e-5)
 
 
-def test_where_one_keyframe_is_moved_what_hangs_on_it_comes_along_and_nothing_else(frames: list[RgbdFrame]) -> None:
+def test_where_one_keyframe_is_moved_what_hangs_on_it_comes_along_and_nothing_else(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Keypoints are left out: their landmarks hang on several keyframes, which a nudge of one sets at odds."""
+    monkeypatch.setattr(KeypointTracker, "track", lambda *_: None)
     still, subject = dense(**BUSY), dense(**BUSY)
     expected, before = run(still, frames), run(subject, frames[:12])
     newest = before[-1].keyframe

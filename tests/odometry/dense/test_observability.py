@@ -12,6 +12,7 @@ from wheelsight.estimates import Reason, Status
 from wheelsight.geometry import se3
 from wheelsight.odometry.dense import DenseEstimate, DenseSettings
 from wheelsight.odometry.dense.alignment import DenseAlignment
+from wheelsight.odometry.dense.keypoints import KeypointTracker
 from wheelsight.odometry.dense.observability import Prior, judge
 
 WALL = [Plane((0.0, 0.0, -1.0), -1.6)]
@@ -60,7 +61,9 @@ def test_paint_shows_what_the_wall_does_not() -> None:
     assert apart(MOTION, estimate.T_odom_body)[0] < 2e-3
 
 
-def test_paint_shows_nothing_to_depth_alone() -> None:
+def test_paint_shows_nothing_to_depth_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(KeypointTracker, "track", lambda *_: None)
+    monkeypatch.setattr(KeypointTracker, "recognise", lambda *_: None)
     estimate = tracked(PAINTED_WALL, MOTION, color_weight=0.0)
     assert len(estimate.motion.degenerate) == 3
 
@@ -75,7 +78,7 @@ def test_a_plain_corridor_hides_the_way_along_it() -> None:
 
 def test_judge_keeps_an_alignment_that_shows_all() -> None:
     T = se3.exp([0.1, 0.2, 0.3, 0.1, 0.2, 0.3])
-    found = DenseAlignment(T, 1e9 * np.eye(6), 1000, 900, 1000, 1.0, grey_sigma=8.0)
+    found = DenseAlignment(T, 1e9 * np.eye(6), 1000, 900, 1000, 1.0, grey_sigma=8.0, claimed=np.eye(6))
     judged = judge(found, Prior(np.eye(4), 0.01), DenseSettings())
     np.testing.assert_array_equal(judged.T_reference_frame, T)
     assert judged.reason is None
@@ -92,7 +95,9 @@ def test_judge_keeps_an_alignment_that_shows_all() -> None:
     ],
 )
 def test_judge_says_why_not(planes: int, residual: float, strength: float, reason: Reason) -> None:
-    found = DenseAlignment(np.eye(4), strength * np.eye(6), 1000, planes, 1000, residual, grey_sigma=8.0)
+    found = DenseAlignment(
+        np.eye(4), strength * np.eye(6), 1000, planes, 1000, residual, grey_sigma=8.0, claimed=np.eye(6)
+    )
     assert judge(found, Prior(np.eye(4), 0.01), DenseSettings()).reason is reason
 
 
@@ -100,7 +105,7 @@ def test_judge_says_why_not(planes: int, residual: float, strength: float, reaso
 def test_what_is_hidden_is_left_to_the_expectation_that_fits_what_is_seen(first_off_m: float, is_kept: bool) -> None:
     """Wheels that slip expect too far a way ahead, which is seen, and aside, which is not."""
     information = np.diag([0.0, 1e9, 1e9, 1e9, 1e9, 1e9])
-    found = DenseAlignment(np.eye(4), information, 1000, 900, 1000, 1.0, grey_sigma=8.0)
+    found = DenseAlignment(np.eye(4), information, 1000, 900, 1000, 1.0, grey_sigma=8.0, claimed=np.eye(6))
     first, other = se3.exp([0.3, 0, first_off_m, 0, 0, 0]), se3.exp([0.01, 0, 0.001, 0, 0, 0])
     judged = judge(found, Prior(first, 0.05, (other,)), DenseSettings())
     assert judged.T_reference_frame[0, 3] == pytest.approx(0.3 if is_kept else 0.01)

@@ -13,7 +13,7 @@ from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.dense import DenseOdometry, alignment
-from wheelsight.odometry.dense.keypoints import KeypointLocator
+from wheelsight.odometry.dense.keypoints import KeypointTracker
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_frame_body))
@@ -82,7 +82,8 @@ def test_a_leap_against_a_prior_is_believed_only_with_keypoints(
     for subject in (seen, blind):
         with_priors(subject, still, np.eye(4))
     assert seen.process(leapt, np.eye(4)).status is Status.TRACKING
-    monkeypatch.setattr(KeypointLocator, "locate", lambda *_: None)
+    monkeypatch.setattr(KeypointTracker, "track", lambda *_: None)
+    monkeypatch.setattr(KeypointTracker, "recognise", lambda *_: None)
     assert blind.process(leapt, np.eye(4)).reason is Reason.NOT_RECOGNISED
 
 

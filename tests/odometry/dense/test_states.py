@@ -16,7 +16,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import PinholeCamera, se3, so3
 from wheelsight.odometry.dense import DenseOdometry, DenseSettings
 from wheelsight.odometry.dense.grid import Level
-from wheelsight.odometry.dense.keypoints import KeypointLocator
+from wheelsight.odometry.dense.keypoints import KeypointTracker
 from wheelsight.views import PredictedView
 
 TRUTH = wobbling_trajectory(24)
@@ -179,7 +179,8 @@ class Faded:
 @pytest.mark.parametrize("is_painted", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_what_faded_in_a_map_is_seen_by_the_frame_before(is_painted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Marks of a wall that the map has lost still tell the way along it; where there are none, tracking ends."""
-    monkeypatch.setattr(KeypointLocator, "locate", lambda *_: None)
+    monkeypatch.setattr(KeypointTracker, "track", lambda *_: None)
+    monkeypatch.setattr(KeypointTracker, "recognise", lambda *_: None)
     poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(20 if is_painted else 40)]
     subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(threads=1), model=Faded())
     wall = [Plane((0, 0, 1), 1.5, is_painted)]
@@ -220,4 +221,4 @@ def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace() -> No
         answers = run(subject, [replace(frame, color=spot(frame.color)) for frame in frames[10:]])
         assert not answers[-1].shows_all
         lured_m.append(answers[-1].T_odom_body[0, 3] - poses[-1][0, 3])
-    assert abs(np.mean(lured_m)) < 0.003  # -0.0065 where it is not held
+    assert abs(np.mean(lured_m)) < 0.0045  # -0.0065 where it is not held

@@ -29,11 +29,13 @@ class Exposure(NamedTuple):
         grid: (4,) fx, fy, cx, cy of the ideal grid.
         twist: (6,) velocity (v, ω) of the depth camera in its own frame a second.
         shutter_s: time from the first row to the last; 0 for none.
+        depth_late_s: how much later than colour depth was measured.
     """
 
     grid: tuple[np.float32, ...]
     twist: tuple[np.float32, ...]
     shutter_s: np.float32
+    depth_late_s: np.float32 = np.float32(0)
 
 
 @kernel(error_model="numpy")
@@ -71,7 +73,7 @@ def halve_grey(grey: Any, begin: int, end: int, half: Any) -> None:
 
 @kernel(error_model="numpy")
 def straighten(depth_m: Any, grey: Any, source_px: Any, exposure: Exposure, jump: Any, rows: Any, out: Any) -> None:
-    """Rows of depth and grey (h, w) on the ideal grid, as if all rows were read at the middle row's time.
+    """Rows of depth and grey (h, w) on the ideal grid, as if all rows were read at the time of colour's middle row.
 
     Args:
         depth_m, grey: (h, w) as measured, of a lens with distortion and a rolling shutter.
@@ -81,7 +83,7 @@ def straighten(depth_m: Any, grey: Any, source_px: Any, exposure: Exposure, jump
         rows: first and last row to do.
         out: (2, h, w) depth, 0 where none is known, and grey; grey (0, 0) is left alone.
     """
-    grid, twist = exposure.grid, exposure.twist
+    grid, twist, behind = exposure.grid, exposure.twist, exposure.depth_late_s
     height, width = depth_m.shape
     has_grey = grey.shape[0] == height
     u, v, late = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
@@ -89,8 +91,10 @@ def straighten(depth_m: Any, grey: Any, source_px: Any, exposure: Exposure, jump
         y = (np.float32(r) - grid[3]) / grid[1]
         _find_source(y, source_px[r], depth_m, exposure, height, u, v, late)
         for c in range(width):
-            z, x = _depth_between(depth_m, u[c], v[c], jump), (np.float32(c) - grid[2]) / grid[0]
-            out[0, r, c] = z + late[c] * (twist[2] + (twist[3] * y - twist[4] * x) * z) if z > 0 else z
+            x = (np.float32(c) - grid[2]) / grid[0]
+            du, dv = _flow(x, y, _depth_near(depth_m, u[c], v[c]), twist)
+            z = _depth_between(depth_m, u[c] - behind * grid[0] * du, v[c] - behind * grid[1] * dv, jump)
+            out[0, r, c] = z + (late[c] + behind) * (twist[2] + (twist[3] * y - twist[4] * x) * z) if z > 0 else z
         if has_grey:
             for c in range(width):
                 out[1, r, c] = _between(grey, u[c], v[c])

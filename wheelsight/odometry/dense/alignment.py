@@ -17,6 +17,7 @@ from wheelsight.odometry.dense import _shown_kernels as shown
 from wheelsight.odometry.dense import _step_kernels as steps
 from wheelsight.odometry.dense._turn_kernels import find_turn
 from wheelsight.odometry.dense.grid import Gridder, GridFrame, Level
+from wheelsight.odometry.dense.joint import Told
 from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.threads import Rows
@@ -43,6 +44,7 @@ class DenseAlignment:
         points: of the frame's finest level, with depth.
         residual: mean absolute plane residual in standard deviations of the sensor, 1 for a perfect fit.
         grey_sigma: spread of the grey residuals, in grey levels.
+        claimed: (6, 6) information of the left perturbation that residuals had at the end, as if they were independent.
     """
 
     T_reference_frame: FloatArray
@@ -52,6 +54,7 @@ class DenseAlignment:
     points: int
     residual: float
     grey_sigma: float
+    claimed: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,19 +128,27 @@ class Aligner:
         T_reference_frame: FloatArray,
         step: Step | None = None,
         held_m: tuple[float, float] = _FREE,
+        told: Told | None = None,
+        factor: float = 1.0,
     ) -> DenseAlignment:
         """The motion of a frame against a reference, from a first guess (4, 4).
 
         The guess holds what hardly anything shows: else the noise of a plain wall would pull it along for decimetres.
         It is off by the first of `held_m`, turns as ways at 2 m; a base on wheels goes sideways, rises and tilts by the
         second since the frame before, whatever the guess says: one by grey values of a plain wall tilts by degrees.
-        With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way.
+        With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way. What
+        keypoints have `told` counts as their residuals would, near their own best motion: `factor` times as much, for
+        so many times less than they claim surfaces tell.
         """
         settings = self._settings
         rules = settings.huber, settings.color_weight, 0, settings.min_gradient, reference.own_noise
         how = np.array([0, 1, _GREY_SIGMA, 1, 0, *rules], float)
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
         T_held, hold = self._hold(T, step, held_m)
+        if told is not None:
+            T_held, hold = both(
+                T_held, hold, told.T_reference_frame, factor * self._settings.correlation * told.information
+            )
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = self._settings.color_error_left * self._color_sigma_px / (1 << number)
@@ -159,13 +170,15 @@ class Aligner:
         starts: Sequence[FloatArray],
         step: Step | None = None,
         held_m: tuple[float, float] = _FREE,
+        told: Told | None = None,
+        factor: float = 1.0,
     ) -> DenseAlignment:
         """The alignment from the first guess (4, 4), unless grey values fit clearly better from another one.
 
         Along a wall planes say nothing, and its few marks fit each other's places: what comes out is where one began.
         """
         limits = self._starts
-        best, *others = (self.align(frame, reference, start, step, held_m) for start in starts)
+        best, *others = (self.align(frame, reference, start, step, held_m, told, factor) for start in starts)
         for other in others:
             as_many = other.planes >= limits.as_many_planes * best.planes
             is_as_near = as_many and other.residual < limits.as_near_planes * best.residual
@@ -208,7 +221,8 @@ class Aligner:
         information = self._information(frame, reference, T, pairs, how)
         residual = float(how[steps.PLANE_SCALE] * mean_abs / steps.MEAN_ABS)
         T = se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
-        return DenseAlignment(T, information, pairs, planes, points, residual, float(how[steps.GREY_SIGMA]))
+        claimed = _symmetric(total[:21] + total[kernels.GREY_SUMS : kernels.GREY_SUMS + 21])
+        return DenseAlignment(T, information, pairs, planes, points, residual, float(how[steps.GREY_SIGMA]), claimed)
 
     def _information(
         self, frame: GridFrame, reference: Reference, T: FloatArray, pairs: int, how: FloatArray
@@ -262,6 +276,14 @@ class Aligner:
         images = kernels.Images(level.depth_m, level.grey, pixels, level.intrinsics.astype(np.float32))
         given = (images, T_rows, self._noise, how.astype(np.float32), stride)
         self._rows.share(len(sums), lambda begin, end: kernels.accumulate(*given, begin, end, sums))
+
+
+def both(
+    T_first: FloatArray, first: FloatArray, T_second: FloatArray, second: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where (4, 4) two pieces of information (6, 6) each, about left perturbations, meet, and their sum."""
+    off, total = se3.log(T_second @ se3.invert(T_first)), first + second
+    return se3.exp(np.linalg.solve(total, second @ off)) @ T_first, total
 
 
 def _symmetric(sums: FloatArray) -> FloatArray:

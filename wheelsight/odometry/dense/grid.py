@@ -74,6 +74,7 @@ class Gridder:
         height = self.shape[0]
         late_share = (np.arange(height) + 0.5) / height - 0.5
         self.late_s: FloatArray = late_share * calibration.rolling_shutter_s
+        self.depth_late_s = calibration.depth_late_s
         self._darker = self._lens_vignetting()
         self.even(0.0)
 
@@ -89,8 +90,9 @@ class Gridder:
         `dark_grey`, no grey is known.
         """
         depth_m, grey = self._small_depth(frame), self._small_grey(frame)
-        if not self._is_straight:
-            depth_m, grey = self._straightened(depth_m, grey, twist)
+        behind_s = frame.depth_late_s + self.depth_late_s
+        if not (self._is_straight and behind_s == 0):
+            depth_m, grey = self._straightened(depth_m, grey, twist, behind_s)
         if not self._calibration.is_registered:
             grey = self._looked_up(grey, depth_m, twist)
         levels = coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
@@ -146,13 +148,14 @@ class Gridder:
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8) if self.halvings else image
 
     def _straightened(
-        self, depth_m: Float32Array, grey: Float32Array, twist: FloatArray
+        self, depth_m: Float32Array, grey: Float32Array, twist: FloatArray, behind_s: float
     ) -> tuple[Float32Array, Float32Array]:
-        """Depth without lens and shutter, and grey too where it shares depth's grid."""
+        """Depth without lens and shutter, of colour's time, and grey too where it shares depth's grid."""
         registered = self._calibration.is_registered
         out = np.empty((1 + registered, *self.shape), np.float32)
         images = (depth_m, grey if registered else _NO_IMAGE)
-        given = (*images, self._source_px, self._exposure(twist), np.float32(self._settings.depth_jump))
+        exposure = self._exposure(twist, behind_s if twist.any() else 0.0)
+        given = (*images, self._source_px, exposure, np.float32(self._settings.depth_jump))
         self._rows.share(self.shape[0], lambda begin, end: kernels.straighten(*given, (begin, end), out))
         return out[0], out[1] if registered else grey
 
@@ -175,9 +178,9 @@ class Gridder:
         self._rows.share(len(out), lambda begin, end: sample(*given, (begin, end), out))
         return out
 
-    def _exposure(self, twist: FloatArray) -> kernels.Exposure:
+    def _exposure(self, twist: FloatArray, depth_late_s: float = 0.0) -> kernels.Exposure:
         shutter_s = np.float32(self._shutter_s(twist))
-        return kernels.Exposure(_numbers(self.intrinsics), _numbers(twist), shutter_s)
+        return kernels.Exposure(_numbers(self.intrinsics), _numbers(twist), shutter_s, np.float32(depth_late_s))
 
     def _is_dark(self, color: ByteArray) -> bool:
         """Whether a colour image (H, W, 3) shows nothing but noise: judged by some of its pixels."""

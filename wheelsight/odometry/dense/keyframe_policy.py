@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from wheelsight.estimates import MotionEstimate, Reason
+from wheelsight.estimates import MotionEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.odometry.dense.grid import Gridder, GridFrame
-from wheelsight.odometry.dense.keypoints import KeypointLocator
+from wheelsight.odometry.dense.keypoints import KeypointTracker
 from wheelsight.odometry.dense.locating import Locator
 from wheelsight.odometry.dense.prediction import Prediction
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -41,7 +41,7 @@ class KeyframePolicy:
         settings: DenseSettings,
         gridder: Gridder,
         locator: Locator,
-        keypoints: KeypointLocator,
+        keypoints: KeypointTracker,
         views: Views,
         store: KeyframeStore,
     ) -> None:
@@ -49,53 +49,56 @@ class KeyframePolicy:
         self._locator, self._keypoints, self._views = locator, keypoints, views
         self.vignetting = Vignetting(gridder, settings)
 
-    def begin(self, frame: RgbdFrame, grid: GridFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Tracked:
+    def begin(self, features: Features, grid: GridFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Tracked:
         """Keep a frame at a pose (4, 4) with its covariance (6, 6), from which all begins anew."""
         motion = MotionEstimate(np.eye(4), START_VARIANCE * np.eye(6))
         start = Tracked(grid, T_map_camera, covariance, motion, KeyframeId(-1))
-        start, view = self._stored(start, self._keypoints.look(frame))
+        start, view = self._stored(start, features)
         self._views.begin(view)
         return start
 
-    def begin_again(self, frame: RgbdFrame, first: Tracked) -> KnownView:
+    def begin_again(self, features: Features, first: Tracked) -> KnownView:
         """Put the first frame, whose speed is known by now, in its own place, straightened."""
-        features = self._keypoints.straightened(self._keypoints.look(frame), first.twist)
+        self._keypoints.forget()
+        self._keypoints.remember(first, features)
+        features = self._keypoints.straightened(features, first.twist)
         self._store.replace(first.keyframe, partial(self._kept, first.frame, features))
         view = replace(self._views.of_frame(first), features=features)
         self._views.keyframes[:] = [view]
         return view
 
-    def update(self, frame: RgbdFrame, found: Tracked, ahead: Prediction) -> Tracked | MotionEstimate:
-        """Keep a frame that shows much that the last keyframe did not; keypoints must not contradict it.
+    def update(self, frame: RgbdFrame, features: Features, found: Tracked, ahead: Prediction) -> Tracked:
+        """Remember a frame, and keep one that shows much that the last keyframe did not.
 
         Returns it with its rows straightened by the speed that was found.
         """
         if self._settings.reference == "previous" and not self._views.has_model:
-            return self._follow(frame, found)
+            return self._follow(frame, features, found)
         if not self._views.lack(found, is_helped=ahead.is_helped):
-            return self._straightened(frame, found, is_kept=False)
+            return self._remembered(self._straightened(frame, found, is_kept=False), features)
         seen = self._seen_from_before(found, ahead)
         if seen is not None:
-            return seen
+            return self._remembered(replace(seen, told=found.told), features)
         straight = self._straightened(frame, self._by_two(found, ahead))
-        features = self._keypoints.look(frame)
-        told = self._keypoints.locate(features, self._views.keyframes[-1:], found.twist)
-        if told is not None and not told.agrees_with(found.T_map_camera) and (told.is_clear or not ahead.is_helped):
-            return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED)
         self.vignetting.learn(straight.frame, straight.T_map_camera, self._views.keyframes[-1].reference)
         straight, view = self._stored(straight, features)
         self._views.keep(view)
         return straight
 
-    def _follow(self, frame: RgbdFrame, found: Tracked) -> Tracked:
+    def _remembered(self, tracked: Tracked, features: Features) -> Tracked:
+        self._keypoints.remember(tracked, features)
+        return tracked
+
+    def _follow(self, frame: RgbdFrame, features: Features, found: Tracked) -> Tracked:
         """The frame as the only view to align with; the store gets one wherever the last one there is far."""
-        straight, features = self._straightened(frame, found), self._keypoints.look(frame)
+        straight = self._straightened(frame, found)
         T_keyframe_camera = se3.invert(self._store.pose(found.keyframe)) @ straight.T_map_camera
         if float(se3.view_shift_m(T_keyframe_camera)) > self._settings.keyframe_way_m:
             straight, view = self._stored(straight, features)
         else:
             straightened = self._keypoints.straightened(features, straight.twist)
             view = replace(self._views.of_frame(straight), features=straightened)
+            self._keypoints.remember(straight, features)
         self._views.keyframes[:] = [view]
         return straight
 
@@ -134,10 +137,11 @@ class KeyframePolicy:
 
     def _stored(self, tracked: Tracked, features: Features) -> tuple[Tracked, KnownView]:
         """A frame as a keyframe of the store, and as a view to align with."""
-        features = self._keypoints.straightened(features, tracked.twist)
-        number = self._store.add(partial(self._kept, tracked.frame, features), tracked.T_map_camera)
+        straight = self._keypoints.straightened(features, tracked.twist)
+        number = self._store.add(partial(self._kept, tracked.frame, straight), tracked.T_map_camera)
         tracked = replace(tracked, keyframe=number)
-        return tracked, replace(self._views.of_frame(tracked), features=features)
+        self._keypoints.remember(tracked, features)
+        return tracked, replace(self._views.of_frame(tracked), features=straight)
 
     def _kept(self, grid: GridFrame, features: Features) -> Keyframe:
         finest = grid.levels[0]

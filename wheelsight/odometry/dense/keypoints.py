@@ -1,92 +1,70 @@
-"""KeypointLocator: where a frame is by its keypoints, to verify what surfaces say and to recognise keyframes."""
+"""KeypointTracker: where frames are by their keypoints, frame by frame and wherever a keyframe is seen again."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import MotionEstimate
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeFeatures
 from wheelsight.odometry._lens import maps_without_lens
+from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.settings_parts import VerificationSettings
+from wheelsight.odometry.dense.tracked import Tracked
 from wheelsight.odometry.dense.views import KnownView
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
-from wheelsight.odometry.features.landmarks import View
+from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
-from wheelsight.odometry.features.tracking import Fix, ViewTracker
+from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker
 from wheelsight.odometry.stopwatch import Stopwatch
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class KeypointPose:
-    """Where a frame is by its keypoints.
+class KeypointTracker:
+    """Finds frames by ORB keypoints: against the frame before, then against the landmarks of near keyframes (Zhang, 3).
 
-    Attributes:
-        T_map_camera: (4, 4).
-        covariance: (6, 6) of its left perturbation (v, ω), that of the keyframe included.
-        matches: keypoints that were matched; inliers: those that agree.
-        settings: when it counts.
+    It carries quick turns and shows far things, where surfaces alone are lost. Surfaces that are alike under a motion,
+    such as walls, floors and backs of people, fit just as well where the camera is not; keypoints of the wrong place
+    hardly ever agree on one motion.
+
+    Args:
+        calibration: of the cameras.
+        settings: when keypoints count.
+        has_landmarks: else frames are found by the frame before alone.
+        threads: with more than one, keypoints are looked for beside other work.
     """
 
-    T_map_camera: FloatArray
-    covariance: FloatArray
-    matches: int
-    inliers: int
-    settings: VerificationSettings = field(default_factory=VerificationSettings)
-
-    @property
-    def is_likely(self) -> bool:
-        """Whether it is a place that was seen before rather than one that looks alike in parts."""
-        return self.inliers >= self.settings.likely_share * self.matches
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether keypoints are to be believed even where surfaces say otherwise."""
-        return self.inliers >= max(self.settings.clear_inliers, self.settings.clear_share * self.matches)
-
-    def agrees_with(self, T_map_camera: FloatArray) -> bool:
-        """Whether a pose (4, 4) is as near as two ways to find one leave them."""
-        limits = self.settings
-        T = se3.invert(self.T_map_camera) @ T_map_camera
-        off_m, off_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
-        apart = max(off_m / limits.agree_m, off_rad / limits.agree_rad)
-        off = se3.log(self.T_map_camera @ se3.invert(T_map_camera))
-        is_within = apart < limits.vague and off @ np.linalg.solve(self.covariance, off) < limits.agree_chi2
-        return bool(apart < 1 or is_within)
-
-    def motion_from(self, T_map_reference: FloatArray) -> MotionEstimate:
-        """As a motion against a reference at (4, 4)."""
-        T_reference_map = se3.invert(T_map_reference)
-        Ad = se3.adjoint(T_reference_map)
-        counts = (None, self.matches, self.inliers)
-        return MotionEstimate(T_reference_map @ self.T_map_camera, Ad @ self.covariance @ Ad.T, *counts)
-
-
-class KeypointLocator:
-    """Geometric verification: where a frame is by its keypoints and those of a keyframe; no smooth surface misleads it.
-
-    Surfaces that are alike under a motion, such as walls, floors and backs of people, fit just as well where the camera
-    is not. Keypoints of the wrong place hardly ever agree on one motion (Zhang, section 3.3).
-    """
-
-    def __init__(self, calibration: Calibration, settings: VerificationSettings) -> None:
+    def __init__(
+        self, calibration: Calibration, settings: VerificationSettings, *, has_landmarks: bool = True, threads: int = 1
+    ) -> None:
         features = FeatureSettings()
         calibration, self._straight = _without_lens(calibration)
         self._T_color_camera = calibration.T_color_camera
-        self._settings = settings
+        self._settings, self._has_landmarks = settings, has_landmarks
         self._extractor = FeatureExtractor(calibration, features)
-        self._tracker = ViewTracker(calibration, features, Stopwatch())
+        self._by_view = ViewTracker(calibration, features, Stopwatch())
+        self._by_landmarks = MapTracker(calibration, features)
+        self._features = features
+        self._landmarks = LandmarkMap(features)
+        self._last: View | None = None
         self._asked = 0
+        self._pool = ThreadPoolExecutor(1, "wheelsight-keypoints") if threads > 1 else None
 
-    def look(self, frame: RgbdFrame) -> Features:
-        """The keypoints of a frame."""
+    def look(self, frame: RgbdFrame) -> Future[Features]:
+        """The keypoints of a frame, as soon as they are found."""
+        if self._pool is not None:
+            return self._pool.submit(self._look, frame)
+        found: Future[Features] = Future()
+        found.set_result(self._look(frame))
+        return found
+
+    def _look(self, frame: RgbdFrame) -> Features:
         if self._straight is not None:
             map_u, map_v = self._straight
             depth_m = cv2.remap(frame.depth_m, map_u, map_v, cv2.INTER_NEAREST)
@@ -95,7 +73,7 @@ class KeypointLocator:
 
     def straightened(self, features: Features, twist: FloatArray) -> Features:
         """As if all rows were read at once, of a camera whose velocity (6,) in its own frame is known."""
-        return self._tracker.straighten(features, se3.adjoint(self._T_color_camera) @ twist)
+        return self._by_view.straighten(features, self._in_color(twist))
 
     def kept(self, features: Features) -> KeyframeFeatures:
         """Straightened features as a keyframe has them: their points in the camera's frame."""
@@ -103,19 +81,76 @@ class KeypointLocator:
         points[~features.has_depth] = 0.0
         return KeyframeFeatures(features.px, points, features.descriptors)
 
-    def locate(self, features: Features, keyframes: Iterable[KnownView], twist: FloatArray) -> KeypointPose | None:
+    def track(self, features: Features, twist: FloatArray) -> KeypointPose | None:
+        """Where a frame is by the one before and the landmarks around; None where they tell nothing.
+
+        Args:
+            features: of the frame, rows not straightened.
+            twist: (6,) the camera's expected velocity in its own frame.
+        """
+        if self._last is None:
+            return None
+        self._asked += 1
+        found = self._by_view.track(features, self._last, self._in_color(twist), None, self._asked)
+        if not isinstance(found, Fix):
+            return None
+        if self._has_landmarks:
+            refined = self._by_landmarks.track(features, found, self._last, self._landmarks)
+            found = refined if isinstance(refined, Fix) else found
+        return self._pose(found)
+
+    def recognise(self, features: Features, keyframes: Iterable[KnownView], twist: FloatArray) -> KeypointPose | None:
         """Where a frame is by the first keyframe that it shows; None where it shows none."""
         self._asked += 1
-        velocity = se3.adjoint(self._T_color_camera) @ twist
         for keyframe in keyframes:
             view = self._view(keyframe)
             if view is not None:
-                found = self._tracker.track(features, view, velocity, None, self._asked)
+                found = self._by_view.track(features, view, self._in_color(twist), None, self._asked)
                 if isinstance(found, Fix):
-                    T_map_camera = np.asarray(found.view.T_map_color @ self._T_color_camera)
-                    counts = (found.motion.matches, found.motion.inliers)
-                    return KeypointPose(T_map_camera, found.view.covariance, *counts, self._settings)
+                    return self._pose(found)
         return None
+
+    def remember(self, tracked: Tracked, features: Features) -> None:
+        """Take a frame, whose pose is known by now, as the last one; landmarks that it shows are seen once more.
+
+        Where it shows few of those known last, what it shows beside them becomes landmarks.
+        """
+        told = tracked.told
+        T_map_color = tracked.T_map_camera @ se3.invert(self._T_color_camera)
+        if told is not None and told.view is not None:
+            view = replace(told.view, T_map_color=T_map_color, covariance=tracked.covariance, keyframe=tracked.keyframe)
+        else:
+            straight, unknown = self.straightened(features, tracked.twist), np.full(len(features), -1)
+            view = View(straight, T_map_color, tracked.covariance, unknown, tracked.keyframe)
+        if self._has_landmarks:
+            seen = np.flatnonzero(view.landmark >= 0)
+            self._landmarks.see_again(view.landmark[seen], view.features, seen, T_map_color)
+            known = self._landmarks.keyframes[-1].landmark if self._landmarks.keyframes else np.zeros(1, int)
+            if len(seen) < self._features.keyframe_share * np.count_nonzero(known >= 0):
+                view = self._landmarks.add_keyframe(view, tracked.keyframe)
+        self._last = view
+
+    def forget(self) -> None:
+        """No landmark is known any more, nor a last frame."""
+        self._landmarks, self._last = LandmarkMap(self._features), None
+
+    def move(self, T_new_old: FloatArray) -> None:
+        """Landmarks and the last frame go with their keyframes, which have moved in the map by (K, 4, 4)."""
+        self._landmarks.move(T_new_old)
+        self._last = None if self._last is None else self._last.moved(T_new_old)
+
+    def _in_color(self, twist: FloatArray) -> FloatArray:
+        return np.asarray(se3.adjoint(self._T_color_camera) @ twist)
+
+    def _pose(self, found: Fix) -> KeypointPose:
+        motion, view = found.motion, found.view
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        Ad = se3.adjoint(view.T_map_color @ se3.invert(motion.T_reference_current))
+        T_map_camera = np.asarray(view.T_map_color @ self._T_color_camera)
+        counts = (motion.matches, motion.inliers)
+        own = np.asarray(Ad @ motion.covariance @ Ad.T)
+        return KeypointPose(T_map_camera, view.covariance, *counts, self._settings, own, view)
 
     def _view(self, keyframe: KnownView) -> View | None:
         """A keyframe's features, with the colour camera's pose."""
@@ -123,7 +158,7 @@ class KeypointLocator:
         if features is None:
             return None
         T_map_color = keyframe.reference.T_map_reference @ se3.invert(self._T_color_camera)
-        return View(features, T_map_color, keyframe.covariance, np.full(len(features), -1))
+        return View(features, T_map_color, keyframe.covariance, np.full(len(features), -1), keyframe.keyframe)
 
 
 def _without_lens(calibration: Calibration) -> tuple[Calibration, Any]:

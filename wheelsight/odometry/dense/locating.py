@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment, Step
 from wheelsight.odometry.dense.grid import GridFrame
+from wheelsight.odometry.dense.joint import Joint, SurfaceWeight, Told
+from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.observability import Judgement, Prior, judge
 from wheelsight.odometry.dense.prediction import Prediction
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -32,9 +35,13 @@ class Locator:
 
     def __init__(self, settings: DenseSettings, aligner: Aligner, views: Views, watch: Stopwatch) -> None:
         self._settings, self._aligner, self._views, self._watch = settings, aligner, views, watch
+        self.weight = SurfaceWeight(settings.joint)
 
     def locate(self, grid: GridFrame, ahead: Prediction, state: TrackingState) -> Tracked | MotionEstimate:
-        """Align with the first view that fits, beginning at the best of the expected poses; or why none does."""
+        """Align with the first view that fits, together with keypoints; or why none does.
+
+        It begins where keypoints say, or at the best of the expected poses.
+        """
         failure: MotionEstimate | None = None
         for place, view in enumerate(self._references(ahead, state)):
             is_elsewhere = place > 0 and state.is_lost
@@ -63,10 +70,17 @@ class Locator:
         # One's own guess is held only where nothing tells more: what noise pulls off is to betray itself by a leap.
         held_m = sigma_m if ahead.is_helped or is_held else np.inf, self._settings.nonholonomic_share * sigma_m
         with self._watch.stage("align"):
-            starts = [self._aligner.start(grid, reference, [T_reference_map @ T for T in begun])]
+            told = _told(ahead.told, reference.T_map_reference)
+            if told is not None:
+                starts = [told.T_reference_frame]
+            else:
+                starts = [self._aligner.start(grid, reference, [T_reference_map @ T for T in begun])]
             if ahead.T_map_other is not None:
                 starts.append(self._aligner.turn(grid, reference, T_reference_map @ ahead.T_map_other))
-            found = self._aligner.align_clearest(grid, reference, starts, step, held_m)
+            found = self._aligner.align_clearest(grid, reference, starts, step, held_m, told, self.weight.factor)
+        joint = None
+        if told is not None:
+            found, joint = self._met(found, told)
         first, *others = (T_reference_map @ T for T in ahead.T_map_camera)
         judged = judge(found, Prior(first, sigma_m, tuple(others)), self._settings)
         T_map_camera = se3.nearest(reference.T_map_reference @ judged.T_reference_frame)
@@ -74,7 +88,16 @@ class Locator:
         if reason is not None:
             return MotionEstimate.failed(reason, found.pairs, found.planes)
         twist = step.twist_to(judged.T_reference_frame) if step else grid.twist
-        return self._tracked(grid, view, found, judged, T_map_camera, twist)
+        turning = judged.T_reference_frame[:3, :3] @ twist[3:] - view.turning_rad_s
+        tracked = self._tracked(grid, view, found, judged, T_map_camera, twist)
+        return replace(tracked, joint=joint, turning_rad_s=turning)
+
+    def _met(self, found: DenseAlignment, told: Told) -> tuple[DenseAlignment, Joint]:
+        """An alignment, with keypoints by what their disagreement says of surfaces."""
+        correlation = self._settings.correlation
+        joint = self.weight.meet(found.T_reference_frame, found.claimed / correlation, told)
+        information = found.information / joint.factor + correlation * told.information
+        return replace(found, T_reference_frame=joint.T_reference_frame, information=information), joint
 
     def _tracked(
         self,
@@ -110,6 +133,13 @@ class Locator:
             if isinstance(again, Tracked) and (is_held or again.motion.shows_all):
                 return again
         return found
+
+
+def _told(pose: KeypointPose | None, T_map_reference: FloatArray) -> Told | None:
+    """What keypoints tell of the motion against a reference at (4, 4), where enough of them agree."""
+    if pose is None or not pose.is_usable:
+        return None
+    return Told(se3.invert(T_map_reference) @ pose.T_map_camera, pose.information_from(T_map_reference))
 
 
 def fine_share(frame: GridFrame, T_reference_frame: FloatArray, least: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +13,12 @@ from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
+from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.alignment import Aligner
+from wheelsight.odometry.dense.depth_delay import DepthDelay
 from wheelsight.odometry.dense.grid import Gridder, GridFrame
 from wheelsight.odometry.dense.keyframe_policy import KeyframePolicy
-from wheelsight.odometry.dense.keypoints import KeypointLocator
+from wheelsight.odometry.dense.keypoints import KeypointTracker
 from wheelsight.odometry.dense.locating import Locator
 from wheelsight.odometry.dense.prediction import Prediction, PriorMotion, predict
 from wheelsight.odometry.dense.reference import ReferenceMaker
@@ -23,6 +26,7 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.dense.tracked import DenseEstimate, Tracked
 from wheelsight.odometry.dense.verification import Verifier
 from wheelsight.odometry.dense.views import Views
+from wheelsight.odometry.features.extraction import Features
 from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.threads import Rows
@@ -62,17 +66,25 @@ class DenseOdometry:
         self._follower = self.store.follow()
         rows = Rows(self._settings.threads)
         self._gridder = Gridder(calibration, self._settings, rows)
+        self._delay = DepthDelay(calibration.depth_late_s, self._settings.delay)
         self._maker = ReferenceMaker(calibration.depth_noise, self._settings, rows)
         aligner = Aligner(calibration, self._settings, rows, self._gridder, self._maker)
-        keypoints = KeypointLocator(calibration, self._settings.verification)
+        has_landmarks = model is not None or self._settings.reference == "keyframes"
+        keypoints = KeypointTracker(
+            calibration,
+            self._settings.verification,
+            has_landmarks=has_landmarks,
+            threads=self._settings.threads,
+        )
+        self._keypoints = keypoints
         self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
         self._locator = Locator(self._settings, aligner, self._views, self.watch)
-        self._verifier = Verifier(self._settings, self._locator, keypoints, self._views, self.watch)
+        self._verifier = Verifier(self._settings, keypoints, self._views, self.watch)
         parts = (self._gridder, self._locator, keypoints, self._views, self.store)
         self._policy = KeyframePolicy(self._settings, *parts)
         self._T_map_first = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
         self._state = TrackingState(self._settings.lost_after)
-        self._first: RgbdFrame | None = None
+        self._first: tuple[RgbdFrame, Features] | None = None
         self._last: Tracked | None = None
 
     @property
@@ -113,16 +125,15 @@ class DenseOdometry:
         if twist is not None:
             twist = array_of("twist", twist, (6,))
         self._start_frame()
-        last = self._last
+        last, features = self._last, self._keypoints.look(frame)
         if last is None:
-            self._first = frame
-            return self._begin(frame, self._T_map_first, START_VARIANCE * np.eye(6))
+            return self._begin(frame, features, self._T_map_first, START_VARIANCE * np.eye(6), is_first=True)
         prior = PriorMotion(T_previous_current_prior, T_previous_current_other, twist)
-        found = self._find(frame, last, prior)
+        found = self._find(frame, features, last, prior)
         is_blind = not isinstance(found, Tracked) and found.reason is Reason.TOO_LITTLE_DEPTH
         if not (isinstance(found, Tracked) or is_blind or T_previous_current_prior is None):
             # Wheels that spin expect what is not so, and lead astray.
-            found = self._find(frame, last, replace(prior, T_last_frame=None))
+            found = self._find(frame, features, last, replace(prior, T_last_frame=None))
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
 
     def miss(self, stamp_s: float) -> DenseEstimate:
@@ -134,8 +145,8 @@ class DenseOdometry:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
         self._start_frame()
-        self._first, self._verifier.faults.unseen_s = None, 0.0
-        return self._begin(frame, T_map_camera, covariance)
+        self._verifier.faults.unseen_s = 0.0
+        return self._begin(frame, self._keypoints.look(frame), T_map_camera, covariance)
 
     def refer_to(self, model: ReferenceModel | None) -> None:
         """Align frames from now on with what a model predicts that stands in this map, or with keyframes alone."""
@@ -148,46 +159,73 @@ class DenseOdometry:
         if T_new_old is None:
             return
         self._views.move(T_new_old)
+        self._keypoints.move(T_new_old)
         if self._last is not None:
             self._last = self._last.moved(T_new_old[self._last.keyframe])
 
-    def _find(self, frame: RgbdFrame, last: Tracked, prior: PriorMotion) -> Tracked | MotionEstimate:
+    def _find(
+        self, frame: RgbdFrame, features: Future[Features], last: Tracked, prior: PriorMotion
+    ) -> Tracked | MotionEstimate:
         """Where a frame is, from what others tell or constant velocity expects, or why that is not known."""
         ahead, twist = predict(last, frame.stamp_s, prior)
+        ahead = self._verifier.ask(features.result(), twist, ahead, self._state)
         with self.watch.stage("prepare"):
-            grid = self._gridder.on_grid(frame, twist)
-        if grid.depth_share < self._settings.min_depth_share:
-            return MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
-        found = self._locator.locate(grid, ahead, self._state)
-        if isinstance(found, Tracked) and self._first is not None:
-            found = self._begin_again(found, ahead)
-        found = self._verifier.verify(frame, grid, found, ahead, self._state)
+            grid = self._gridder.on_grid(frame, self._seen_twist(ahead, frame.stamp_s, twist))
+        found: Tracked | MotionEstimate = MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
+        if grid.depth_share >= self._settings.min_depth_share:
+            found = self._locator.locate(grid, ahead, self._state)
+            if isinstance(found, Tracked) and self._first is not None:
+                found, ahead = self._begin_again(found, features.result(), ahead)
+        found = self._verifier.verify(grid, found, ahead, self._state)
         if isinstance(found, Tracked):
             with self.watch.stage("keyframe"):
-                found = self._policy.update(frame, found, ahead)
+                found = self._policy.update(frame, features.result(), found, ahead)
         return found
 
-    def _begin(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> DenseEstimate:
+    def _seen_twist(self, ahead: Prediction, stamp_s: float, twist: FloatArray) -> FloatArray:
+        """The camera's velocity (6,) by keypoints, where most of them agree; else that expected."""
+        seconds = ahead.seconds_to(stamp_s)
+        if ahead.told is None or not ahead.told.is_usable or not 0 < seconds <= LONGEST_STEP_S:
+            return twist
+        return twist_between(ahead.last.T_map_camera, ahead.told.T_map_camera, seconds)
+
+    def _begin(
+        self,
+        frame: RgbdFrame,
+        features: Future[Features],
+        T_map_camera: FloatArray,
+        covariance: FloatArray,
+        *,
+        is_first: bool = False,
+    ) -> DenseEstimate:
         with self.watch.stage("prepare"):
             grid = self._gridder.on_grid(frame, np.zeros(6))
         if grid.depth_share < self._settings.min_depth_share:
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
         with self.watch.stage("keyframe"):
-            start = self._policy.begin(frame, grid, T_map_camera, covariance)
+            start = self._policy.begin(features.result(), grid, T_map_camera, covariance)
+        self._first = (frame, features.result()) if is_first else None
         return self._accept(start)
 
-    def _begin_again(self, found: Tracked, ahead: Prediction) -> Tracked | MotionEstimate:
+    def _begin_again(
+        self, found: Tracked, features: Features, ahead: Prediction
+    ) -> tuple[Tracked | MotionEstimate, Prediction]:
         """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
         first, self._first = self._first, None
         if first is None or self._last is None or not self._gridder.late_s.any():
-            return found
-        self._last = replace(self._last, frame=self._gridder.on_grid(first, found.twist), twist=found.twist)
-        view = self._policy.begin_again(first, self._last)
-        return self._locator.by_view(found.frame, view, replace(ahead, last=self._last), [found.T_map_camera])
+            return found, ahead
+        self._last = replace(self._last, frame=self._gridder.on_grid(first[0], found.twist), twist=found.twist)
+        view = self._policy.begin_again(first[1], self._last)
+        ahead = self._verifier.ask(features, found.twist, replace(ahead, last=self._last), self._state)
+        return self._locator.by_view(found.frame, view, ahead, [found.T_map_camera]), ahead
 
     def _accept(self, found: Tracked) -> DenseEstimate:
         self._last, self._state = found, self._state.tracked()
         self._verifier.faults.learn(found)
+        if found.joint is not None:
+            self._locator.weight.learn(found.joint)
+            self._delay.learn(found.joint.ahead[3:], found.turning_rad_s)
+            self._gridder.depth_late_s = self._delay.seconds
         T_keyframe_camera = se3.invert(self.store.pose(found.keyframe)) @ found.T_map_camera
         return DenseEstimate(
             found.frame.stamp_s,

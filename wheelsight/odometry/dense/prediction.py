@@ -8,6 +8,7 @@ import numpy as np
 
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
+from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.tracked import Tracked
 
 
@@ -35,12 +36,14 @@ class Prediction:
         T_map_camera: each (4, 4); the first counts unless another fits clearly better.
         T_map_other: (4, 4) where it may be instead, and is where grey values say so; or None.
         is_helped: whether it is another sensor that expects the first, rather than constant velocity.
+        told: what keypoints say, or None.
     """
 
     last: Tracked
     T_map_camera: tuple[FloatArray, ...]
     T_map_other: FloatArray | None = None
     is_helped: bool = False
+    told: KeypointPose | None = None
 
     def at(self, T_map_camera: FloatArray) -> Prediction:
         """The same, of a pose (4, 4) that is known better by now."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from wheelsight.odometry.dense.settings_parts import (
+    DelaySettings,
     FaultSettings,
+    JointSettings,
     KeyframeSettings,
     StartSettings,
     VerificationSettings,
@@ -148,6 +150,8 @@ class DenseSettings(Settings):
     threads: int = setting(2, "that share a frame's rows", "two cores, for which wheelsight is made", gt=0, le=64)
     starts: StartSettings = StartSettings()
     faults: FaultSettings = FaultSettings()
+    delay: DelaySettings = DelaySettings()
+    joint: JointSettings = JointSettings()
     verification: VerificationSettings = VerificationSettings()
     keyframes: KeyframeSettings = KeyframeSettings()
     vignetting: VignettingSettings = VignettingSettings()

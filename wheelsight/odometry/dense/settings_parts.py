@@ -8,6 +8,7 @@ _FROM_0024 = f"{ON_SIMULATOR}: docs/decisions/0024"
 _FROM_0025 = f"{ON_SIMULATOR}: docs/decisions/0025"
 _FROM_0032 = f"{ON_SIMULATOR}: docs/decisions/0032"
 _FROM_0034 = f"{ON_SIMULATOR}: docs/decisions/0034"
+_FROM_0048 = "two real recordings of one Kinect: docs/decisions/0048"
 
 
 class StartSettings(Settings):
@@ -116,6 +117,13 @@ class VerificationSettings(Settings):
         gt=0,
         le=1e6,
     )
+    correlation: float = setting(
+        20.0,
+        "how many neighbouring keypoints err as one, as pixels do, where they are weighed against surfaces",
+        _FROM_0048,
+        gt=0,
+        le=1e6,
+    )
     clear_inliers: int = setting(
         60, "keypoints that must agree for them to count against surfaces", CHOSEN, gt=0, le=100_000
     )
@@ -138,6 +146,53 @@ class VerificationSettings(Settings):
         ge=0,
         le=3600,
     )
+
+
+class JointSettings(Settings):
+    """How much surfaces count beside keypoints."""
+
+    first_factor: float = setting(
+        1.0,
+        "on the covariance that surfaces claim, before anything is seen of the camera",
+        CHOSEN,
+        ge=1,
+        le=1e6,
+    )
+    learned: float = setting(0.1, "of what a frame says of that factor, so within ten frames", CHOSEN, gt=0, le=1)
+    at_once: float = setting(
+        0.2,
+        "of what a frame says, which counts for that frame itself: a quick turn parts colour and depth that are not of "
+        "one instant, and is over before it is learned",
+        CHOSEN,
+        ge=0,
+        le=1,
+    )
+    shown: float = setting(
+        1.0,
+        "times the information of keypoints that surfaces must claim along a direction to be judged by it",
+        CHOSEN,
+        gt=0,
+        le=1e6,
+    )
+    most: float = setting(1e4, "a larger factor says no more than that", CHOSEN, gt=0, le=1e9)
+
+
+class DelaySettings(Settings):
+    """How the time between colour and depth is learned, beyond what their stamps say."""
+
+    sigma_s: float = setting(
+        0.015, "how far off the calibration's delay may be, a Kinect's; 0 learns nothing", _FROM_0048, ge=0, le=1
+    )
+    walk_s: float = setting(0.0002, "by which the delay may change from frame to frame", CHOSEN, ge=0, le=1)
+    turn_sigma_rad: float = setting(
+        0.02, "by which keypoints and surfaces differ about a frame's turn for other reasons", CHOSEN, gt=0, le=3
+    )
+    clear_sigmas: float = setting(
+        3.0, "standard deviations by which a delay must differ to be put in use", CHOSEN, gt=0, le=100
+    )
+    least_rad_s: float = setting(0.2, "a slower turn tells no delay", CHOSEN, gt=0, le=10)
+    most_rad: float = setting(0.15, "a larger difference is no delay", CHOSEN, gt=0, le=3)
+    most_s: float = setting(0.05, "a longer delay is none: one frame and a half", CHOSEN, gt=0, le=1)
 
 
 class KeyframeSettings(Settings):

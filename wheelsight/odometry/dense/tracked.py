@@ -10,6 +10,8 @@ from wheelsight.estimates import CameraEstimate, MotionEstimate
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.odometry.dense.grid import GridFrame
+from wheelsight.odometry.dense.joint import Joint
+from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,6 +28,9 @@ class Tracked:
         overlap: the share of the frame that its reference shows finely enough.
         is_by_keyframe: whether that reference is a keyframe.
         residual: how far off its planes are in the mean, 1 for a perfect fit.
+        told: what keypoints say, where the pose goes by them too.
+        joint: how surfaces and keypoints met, where they did.
+        turning_rad_s: (3,) how much faster the camera turned than at its reference, in that one's frame.
     """
 
     frame: GridFrame
@@ -37,6 +42,9 @@ class Tracked:
     overlap: float = 1.0
     is_by_keyframe: bool = True
     residual: float = 1.0
+    told: KeypointPose | None = None
+    joint: Joint | None = None
+    turning_rad_s: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def moved(self, T_new_old: FloatArray) -> Tracked:
         """The same after its keyframe has moved by (4, 4), from the left, in the map."""

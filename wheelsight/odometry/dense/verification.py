@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from wheelsight.estimates import MotionEstimate, Reason
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.dense.fault_detection import FaultDetector
 from wheelsight.odometry.dense.grid import GridFrame
-from wheelsight.odometry.dense.keypoints import KeypointLocator, KeypointPose
-from wheelsight.odometry.dense.locating import Locator
+from wheelsight.odometry.dense.keypoint_pose import KeypointPose
+from wheelsight.odometry.dense.keypoints import KeypointTracker
+from wheelsight.odometry.dense.locating import implausible
 from wheelsight.odometry.dense.prediction import Prediction
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.dense.tracked import Tracked
 from wheelsight.odometry.dense.views import Views
+from wheelsight.odometry.features.extraction import Features
 from wheelsight.odometry.state import TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 
 
 class Verifier:
-    """Judges poses found by surfaces.
+    """Asks keypoints where a frame is, and decides between them and surfaces where these say otherwise.
 
     Args:
         settings: which poses are suspected, and when keypoints count.
-        locator: finds a frame again from where keypoints say.
         keypoints: find a frame by its keypoints.
         views: the keyframes that it may show.
         watch: counts the time of "recognise".
@@ -31,81 +33,80 @@ class Verifier:
         faults: which poses are suspected.
     """
 
-    def __init__(
-        self, settings: DenseSettings, locator: Locator, keypoints: KeypointLocator, views: Views, watch: Stopwatch
-    ) -> None:
-        self._settings, self._watch = settings.verification, watch
-        self._locator, self._keypoints, self._views = locator, keypoints, views
+    def __init__(self, settings: DenseSettings, keypoints: KeypointTracker, views: Views, watch: Stopwatch) -> None:
+        self._all, self._settings, self._watch = settings, settings.verification, watch
+        self._keypoints, self._views = keypoints, views
         self.faults = FaultDetector(settings.faults, settings.max_unseen_s)
 
-    def verify(
-        self,
-        frame: RgbdFrame,
-        grid: GridFrame,
-        found: Tracked | MotionEstimate,
-        ahead: Prediction,
-        state: TrackingState,
-    ) -> Tracked | MotionEstimate:
-        """A pose by surfaces alone is kept while they show all motion and fit as usual, and without a leap.
-
-        Else, and after a failure or a gap, keypoints must say the same; where they know better, theirs is the pose. A
-        prior stands in for what surfaces do not show, and for keypoints after a failure, or a gap that it bridges. Off
-        the prior, they are asked too, for people who walk by may carry a pose along; but wheels may slip where no
-        keypoint tells anything.
-        """
-        seconds, is_alone = ahead.seconds_to(grid.stamp_s), not ahead.is_helped
-        if isinstance(found, Tracked):
-            if is_alone and state.failures == 0:
-                self.faults.count(seconds, shows_all=found.motion.shows_all)
-            if ahead.is_helped and found.motion.shows_all and self.faults.is_bridged(found, ahead, seconds):
-                return found
-            is_steady = ahead.is_helped or bool(ahead.last.twist.any())
-            is_suspect = self.faults.suspects(found, seconds, is_alone=is_alone, is_steady=is_steady)
-            if not is_suspect and ahead.is_helped and self.faults.is_off_prior(found):
-                return self._by_keypoints(frame, grid, found, ahead, state, is_needed=state.failures > 0)
-            if not is_suspect and (ahead.is_helped or state.failures == 0):
-                return found
-        return self._by_keypoints(frame, grid, found, ahead, state)
-
-    def _by_keypoints(
-        self,
-        frame: RgbdFrame,
-        grid: GridFrame,
-        found: Tracked | MotionEstimate,
-        ahead: Prediction,
-        state: TrackingState,
-        *,
-        is_needed: bool = True,
-    ) -> Tracked | MotionEstimate:
-        """A pose that keypoints agree with: as it was found, found again from where they say, or theirs.
-
-        Unless they are needed, it is kept as well where too few of them tell anything.
-        """
+    def ask(self, features: Features, twist: FloatArray, ahead: Prediction, state: TrackingState) -> Prediction:
+        """What is expected of a frame, with what its keypoints say: by the frame before, or by keyframes known."""
         with self._watch.stage("recognise"):
-            T_guess = (found if isinstance(found, Tracked) else ahead.last).T_map_camera
-            features, familiar = self._keypoints.look(frame), self._views.familiar(T_guess, state)
-            told = self._keypoints.locate(features, familiar, grid.twist)
-        if not is_needed and (told is None or not told.is_likely):
+            told = self._keypoints.track(features, twist)
+            if told is not None and (state.failures == 0 or told.is_likely):
+                return replace(ahead, told=told)
+            familiar = self._views.familiar(ahead.T_map_camera[0], state)
+            seen_again = self._keypoints.recognise(features, familiar, twist)
+        if seen_again is None:
+            return replace(ahead, told=told)
+        is_elsewhere = not ahead.is_helped and not seen_again.agrees_with(ahead.T_map_camera[0])
+        return replace(ahead.at(seen_again.T_map_camera) if is_elsewhere else ahead, told=seen_again)
+
+    def verify(
+        self, grid: GridFrame, found: Tracked | MotionEstimate, ahead: Prediction, state: TrackingState
+    ) -> Tracked | MotionEstimate:
+        """A pose that both agree with; theirs where they know better; that of surfaces where keypoints tell nothing.
+
+        By surfaces alone it is kept while they show all motion and fit as usual, and without a leap. A prior stands in
+        for what surfaces do not show, and for keypoints over a gap that it bridges.
+        """
+        told, seconds = ahead.told, ahead.seconds_to(grid.stamp_s)
+        if not isinstance(found, Tracked):
+            return self._instead(grid, found, ahead)
+        if not ahead.is_helped and state.failures == 0:
+            self.faults.count(seconds, shows_all=found.motion.shows_all)
+        if told is not None and told.agrees_with(found.T_map_camera) and self._may_count(told, ahead, seconds):
+            self.faults.unseen_s = 0.0  # keypoints show all motion
+            return replace(found, told=told)
+        if told is not None and told.is_clear:
+            return self._taken(grid, told)
+        if self._stands_alone(found, ahead, state, seconds):
             return found
-        is_anywhere = ahead.seconds_to(grid.stamp_s) > self._settings.anywhere_s and not ahead.is_helped
-        if told is None or (is_anywhere and not told.is_likely):
-            missing = Reason.DEGENERATE if self.faults.is_blind and not ahead.is_helped else Reason.NOT_RECOGNISED
-            return MotionEstimate.failed(missing) if isinstance(found, Tracked) else found
-        if not isinstance(found, Tracked) or not told.agrees_with(found.T_map_camera):
-            found = self._locator.locate(grid, ahead.at(told.T_map_camera), state)
-            if isinstance(found, Tracked) and not told.agrees_with(found.T_map_camera):
-                # The rolling shutter bends keypoints by the speed expected; surfaces have corrected it.
-                told = self._keypoints.locate(features, familiar, found.twist) or told
-        if not (isinstance(found, Tracked) and told.agrees_with(found.T_map_camera)):
-            if not told.is_clear:
-                return MotionEstimate.failed(Reason.SURFACES_CONTRADICTED, told.matches, told.inliers)
-            # Between two frames keypoints err by more than a camera's speed changes.
-            found = self._taken(grid, told)
-        self.faults.unseen_s = 0.0  # keypoints show all motion
-        return found
+        unseen = self.faults.is_blind and not ahead.is_helped
+        if told is not None and self._may_count(told, ahead, seconds):
+            reason = Reason.SURFACES_CONTRADICTED
+        else:
+            reason = Reason.DEGENERATE if unseen else Reason.NOT_RECOGNISED
+        return self._instead(grid, MotionEstimate.failed(reason), ahead)
+
+    def _stands_alone(self, found: Tracked, ahead: Prediction, state: TrackingState, seconds: float) -> bool:
+        """Whether a pose counts that only surfaces tell, and perhaps a prior."""
+        if ahead.is_helped and found.motion.shows_all and self.faults.is_bridged(found, ahead, seconds):
+            return True
+        is_steady = ahead.is_helped or bool(ahead.last.twist.any())
+        if self.faults.suspects(found, seconds, is_alone=not ahead.is_helped, is_steady=is_steady):
+            return False
+        return state.failures == 0 or (ahead.is_helped and not self.faults.is_off_prior(found))
+
+    def _may_count(self, told: KeypointPose, ahead: Prediction, seconds: float) -> bool:
+        """Whether keypoints tell the place: after a while, and alone, the camera may be anywhere that looks alike."""
+        return told.is_likely or ahead.is_helped or seconds <= self._settings.anywhere_s
+
+    def _instead(self, grid: GridFrame, failure: MotionEstimate, ahead: Prediction) -> Tracked | MotionEstimate:
+        """The pose by keypoints in place of one that surfaces do not tell, or why there is none."""
+        told, seconds = ahead.told, ahead.seconds_to(grid.stamp_s)
+        if told is None or not self._may_count(told, ahead, seconds):
+            return failure
+        if not told.is_clear and implausible(ahead.last, told.T_map_camera, seconds, self._all):
+            return failure
+        if ahead.is_helped and not told.is_clear and not told.agrees_with(ahead.T_map_camera[0]):
+            return failure
+        return self._taken(grid, told)
 
     def _taken(self, grid: GridFrame, told: KeypointPose) -> Tracked:
         """The pose by keypoints, as it lies off the nearest keyframe."""
+        self.faults.unseen_s = 0.0
         nearest = self._views.nearest(told.T_map_camera)
-        motion = told.motion_from(nearest.reference.T_map_reference)
-        return Tracked(grid, se3.nearest(told.T_map_camera), told.covariance, motion, nearest.keyframe, grid.twist)
+        motion, T_map_camera = told.motion_from(nearest.reference.T_map_reference), se3.nearest(told.T_map_camera)
+        known = (grid, T_map_camera, told.covariance, motion, nearest.keyframe, grid.twist)
+        is_near = nearest.distance_m(told.T_map_camera) < self._all.keyframe_way_m
+        return Tracked(*known, overlap=float(is_near), told=told)

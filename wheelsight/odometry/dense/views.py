@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,12 +31,14 @@ class KnownView:
         reference: what frames are aligned with.
         covariance: (6, 6) of the left perturbation (v, ω) of its pose.
         features: of the colour camera, rows straightened, where it is to be recognised by them; or None.
+        turning_rad_s: (3,) how fast the camera turned there, in its own frame; nothing for a map's view.
     """
 
     keyframe: KeyframeId
     reference: Reference
     covariance: FloatArray
     features: Features | None = None
+    turning_rad_s: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def with_motion(self, covariance: FloatArray) -> FloatArray:
         """The covariance (6, 6) of a pose that lies off this one by a motion with its covariance (6, 6)."""
@@ -110,7 +112,7 @@ class Views:
     def of_frame(self, tracked: Tracked) -> KnownView:
         """A tracked frame as a view."""
         reference = self._maker.of_frame(tracked.frame, tracked.T_map_camera)
-        return KnownView(tracked.keyframe, reference, tracked.covariance)
+        return KnownView(tracked.keyframe, reference, tracked.covariance, turning_rad_s=tracked.twist[3:])
 
     def nearest(self, T_map_camera: FloatArray) -> KnownView:
         """The keyframe whose view is nearest to one from there (4, 4)."""
