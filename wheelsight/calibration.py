@@ -303,7 +303,9 @@ def _check_middle(name: str, camera: PinholeCamera) -> None:
     where = f"the principal point ({camera.cx:g}, {camera.cy:g}) of {name}"
     size = f"{camera.width}×{camera.height}"
     if max(abs(x - 0.5), abs(y - 0.5)) > _OFF_MIDDLE > max(abs(across - 0.5), abs(down - 0.5)):
-        raise CalibrationError(f"{where} is that of a {camera.height}×{camera.width} image", fix="swap width and height")
+        raise CalibrationError(
+            f"{where} is that of a {camera.height}×{camera.width} image", fix="swap width and height"
+        )
     if abs(x - y) < _ALIKE and not _NEAR_MIDDLE[0] < (x + y) / 2 < _NEAR_MIDDLE[1]:
         scale = 0.5 / max((x + y) / 2, 1e-9)
         problem = f"{where} is far from the middle of a {size} image, as if it were of one of another resolution"

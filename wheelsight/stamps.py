@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.errors import ArgumentError
+from wheelsight.events import Event
+
 _FEWEST = 4
 # Seconds since 1970, from the year 2001 to 2128.
 _EPOCH_S = 1e9, 5e9
@@ -57,6 +60,33 @@ def unit_of(stamps: ArrayLike) -> StampUnit | None:
     if step < _LEAST_STEP:
         return None
     return UNITS[0] if step < 1e3 else UNITS[1] if step < 1e6 else UNITS[2]
+
+
+class StampCheck:
+    """Refuses stamps of sensors that count milli-, micro- or nanoseconds, each by its first stamps.
+
+    Seconds since 1970 in another unit are known at once, others by the steps between the first four. Whole numbers that
+    step by one to four may be seconds, and pass; so does all that comes later, where a leap is a clock's.
+    """
+
+    def __init__(self) -> None:
+        self._first: dict[str, list[float]] = {}
+
+    def check(self, event: Event) -> None:
+        """Look at one more event. Raises ArgumentError."""
+        name = type(event).__name__
+        stamps = self._first.setdefault(name, [])
+        if len(stamps) >= _FEWEST or not np.isfinite(event.stamp_s):
+            return
+        stamps.append(float(event.stamp_s))
+        unit = unit_of(stamps)
+        if len(stamps) == 1 and abs(stamps[0]) >= _EPOCH_S[1]:
+            unit = next((u for u in UNITS if u.per_second and stamps[0] / u.per_second < _EPOCH_S[1]), UNITS[-1])
+        if unit in UNITS:
+            assert unit.per_second is not None
+            stamps.pop()
+            fix = f"divide by {unit.per_second:.0e}".replace("e+0", "e")
+            raise ArgumentError(f"stamp_s of {name} is {event.stamp_s:.10g}: {unit.name}, not seconds", fix=fix)
 
 
 # A column of stamps by its name, alone or before what parts columns; its unit after "_", "/", "in" or in brackets.

@@ -25,6 +25,7 @@ from wheelsight.odometry.dense.verification import Verifier
 from wheelsight.odometry.dense.views import Views
 from wheelsight.odometry.state import TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
+from wheelsight.stamps import StampCheck
 from wheelsight.threads import Rows
 from wheelsight.views import ReferenceModel, Surface
 
@@ -71,7 +72,7 @@ class DenseOdometry:
         parts = (self._gridder, self._locator, keypoints, self._views, self.store)
         self._policy = KeyframePolicy(self._settings, *parts)
         self._T_map_first = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
-        self._state = TrackingState(self._settings.lost_after)
+        self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
         self._first: RgbdFrame | None = None
         self._last: Tracked | None = None
 
@@ -110,6 +111,7 @@ class DenseOdometry:
                 last frame is so long ago that the mean velocity since says little, and rows are exposed one by one.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior, other=T_previous_current_other)
+        self._stamps.check(frame)
         if twist is not None:
             twist = array_of("twist", twist, (6,))
         self._start_frame()

@@ -21,6 +21,7 @@ from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
 from wheelsight.odometry.state import TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
+from wheelsight.stamps import StampCheck
 
 # Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
 _START_VARIANCE = 1e-12
@@ -70,7 +71,7 @@ class FeatureOdometry:
         self._last: View | None = None
         self._first_raw: Features | None = None
         self._velocity: FloatArray = np.zeros(6)
-        self._state = TrackingState(self._settings.lost_after)
+        self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
         self._frames = 0
 
     @property
@@ -95,9 +96,11 @@ class FeatureOdometry:
                 frame is so long ago that the mean velocity until then says little, and rows are exposed one by one.
 
         Raises:
-            ArgumentError: images or a motion of another shape or type.
+            ArgumentError: images or a motion of another shape or type, depth that is not in metres, a stamp that is not
+                in seconds.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior)
+        self._stamps.check(frame)
         self._watch.restart()
         self._follow()
         self._frames += 1

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Gyro, Wheels
-from wheelsight.checks import check_event
+from wheelsight.checks import check_event, need_number
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Reason, Status, WheelEstimate
 from wheelsight.events import WheelSpeeds, WheelTicks
@@ -28,6 +28,7 @@ from wheelsight.odometry.wheels import _kernels as kernels
 from wheelsight.odometry.wheels import _state_kernels as at
 from wheelsight.odometry.wheels._gyro_kernels import likelier
 from wheelsight.odometry.wheels.drive import least_step
+from wheelsight.stamps import StampCheck
 from wheelsight.trajectory import Trajectory
 
 Integration = Literal["arc", "midpoint", "euler"]
@@ -59,6 +60,7 @@ class WheelOdometry:
         self._ticks_per_rad = wheels.ticks_per_turn / (2 * math.pi)
         self._T_odom_base, self._covariance = np.eye(4), np.zeros((6, 6))
         self._last: WheelTicks | WheelSpeeds | None = None
+        self._stamps = StampCheck()
         self._answered: tuple[float, FloatArray, FloatArray] | None = None
 
     @property
@@ -125,12 +127,14 @@ class WheelOdometry:
             pose as it was before and the covariance grown.
 
         Raises:
-            ArgumentError: no reading, or one whose numbers are none.
+            ArgumentError: no reading, numbers that are none, counts with a fraction, or stamps that are no seconds.
         """
         check_event(reading)
         if not isinstance(reading, WheelTicks | WheelSpeeds):
             raise ArgumentError(f"a {type(reading).__name__} is no reading of wheels", fix="WheelTicks or WheelSpeeds")
-        why = self._advance(reading, math.nan if yaw_rate_rad_s is None else yaw_rate_rad_s)
+        self._stamps.check(reading)
+        rate_rad_s = math.nan if yaw_rate_rad_s is None else need_number("yaw_rate_rad_s", yaw_rate_rad_s)
+        why = self._advance(reading, rate_rad_s)
         stamp_s, before = reading.stamp_s - self._wheels.delay_s, self._answered
         T, C = self._T_odom_base.copy(), self._covariance.copy()
         if why == kernels.BACKWARDS:
