@@ -35,7 +35,7 @@ _SLOWEST_SHUTTER_S = 0.2
 _MOST_APART_M = {"T_base_camera": 10.0, "T_color_depth": 1.0}
 # Lenses sit within a tenth of an image's sides off its middle. Half the size is 0.25 or 1, two thirds 0.33 or 0.75;
 # where both sides are off by the same share, no crop is likely.
-_OFF_MIDDLE, _NEAR_MIDDLE, _ALIKE = 0.1, (0.36, 0.68), 0.1
+_OFF_MIDDLE, _NEAR_MIDDLE, _ALIKE, _MOST_SCALE = 0.1, (0.36, 0.68), 0.1, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,9 +307,11 @@ def _check_middle(name: str, camera: PinholeCamera) -> None:
             f"{where} is that of a {camera.height}×{camera.width} image", fix="swap width and height"
         )
     if abs(x - y) < _ALIKE and not _NEAR_MIDDLE[0] < (x + y) / 2 < _NEAR_MIDDLE[1]:
-        scale = 0.5 / max((x + y) / 2, 1e-9)
-        problem = f"{where} is far from the middle of a {size} image, as if it were of one of another resolution"
-        raise CalibrationError(problem, fix=f"multiply fx, fy, cx, cy by about {scale:.2g}, or give their image's size")
+        problem, scale = f"{where} is far from the middle of a {size} image", 1 / max(x + y, 1e-9)
+        fix = f"of another resolution? multiply fx, fy, cx, cy by about {scale:.2g}, or give the size they are for"
+        raise CalibrationError(
+            problem, fix=fix if scale < _MOST_SCALE else "cx, cy are pixels from the top left corner"
+        )
 
 
 def _numbers(fields_of_part: dict[str, Any], part: str) -> dict[str, float]:

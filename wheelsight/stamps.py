@@ -65,8 +65,9 @@ def unit_of(stamps: ArrayLike) -> StampUnit | None:
 class StampCheck:
     """Refuses stamps of sensors that count milli-, micro- or nanoseconds, each by its first stamps.
 
-    Seconds since 1970 in another unit are known at once, others by the steps between the first four. Whole numbers that
-    step by one to four may be seconds, and pass; so does all that comes later, where a leap is a clock's.
+    No clock tells of 150 years in seconds: such a first stamp is refused at once. Others are known by the steps between
+    the first four. Whole numbers that step by one to four may be seconds, and pass; so does all that comes later, where
+    a leap is a clock's.
     """
 
     def __init__(self) -> None:
@@ -75,18 +76,19 @@ class StampCheck:
     def check(self, event: Event) -> None:
         """Look at one more event. Raises ArgumentError."""
         name = type(event).__name__
-        stamps = self._first.setdefault(name, [])
-        if len(stamps) >= _FEWEST or not np.isfinite(event.stamp_s):
+        first = self._first.setdefault(name, [])
+        if len(first) >= _FEWEST or not np.isfinite(event.stamp_s):
             return
-        stamps.append(float(event.stamp_s))
-        unit = unit_of(stamps)
-        if len(stamps) == 1 and abs(stamps[0]) >= _EPOCH_S[1]:
-            unit = next((u for u in UNITS if u.per_second and stamps[0] / u.per_second < _EPOCH_S[1]), UNITS[-1])
-        if unit in UNITS:
+        what = f"stamp_s of {name} is {event.stamp_s:.10g}"
+        if not first and abs(event.stamp_s) >= _EPOCH_S[1]:
+            fix = "divide milliseconds by 1e3, microseconds by 1e6, nanoseconds by 1e9"
+            raise ArgumentError(f"{what}: no seconds since any time", fix=fix)
+        unit = unit_of([*first, event.stamp_s])
+        if unit is not None and unit in UNITS:
             assert unit.per_second is not None
-            stamps.pop()
-            fix = f"divide by {unit.per_second:.0e}".replace("e+0", "e")
-            raise ArgumentError(f"stamp_s of {name} is {event.stamp_s:.10g}: {unit.name}, not seconds", fix=fix)
+            fix = f"divide by 1e{round(np.log10(unit.per_second))}"
+            raise ArgumentError(f"{what}: {unit.name}, not seconds", fix=fix)
+        first.append(float(event.stamp_s))
 
 
 # A column of stamps by its name, alone or before what parts columns; its unit after "_", "/", "in" or in brackets.
