@@ -369,6 +369,43 @@ def test_a_map_takes_no_surface_that_is_none(change: dict[str, Any], told: str) 
     assert len(surfel_map) > 0
 
 
+WRONG_BEGINNINGS: dict[str, tuple[Callable[[], object], str]] = {
+    "a path": (lambda: Localizer("robot.yaml"), r"calibration is a str, not a Calibration \(load_calibration\(PATH\)"),  # type: ignore[arg-type]
+    "no calibration": (lambda: Localizer(None), "calibration is None, not a Calibration"),  # type: ignore[arg-type]
+    "the odometry's name": (lambda: Localizer(CALIBRATION, "dense"), r"config is a str, not a Config \(load_config"),  # type: ignore[arg-type]
+    "a camera": (lambda: FeatureOdometry(CAMERA), r"calibration is a PinholeCamera.*registered_camera\(CAMERA\)"),  # type: ignore[arg-type]
+    "a matrix": (lambda: DenseOdometry(np.eye(3)), "calibration is a ndarray, not a Calibration"),  # type: ignore[arg-type]
+    "a whole robot": (lambda: WheelOdometry(CALIBRATION), r"wheels is a Calibration.*\(calibration.wheels\)"),  # type: ignore[arg-type]
+    "an unknown integration": (lambda: WheelOdometry(WHEELS, "rk4"), r"integration is 'rk4' \(one of euler, midpoint"),  # type: ignore[arg-type]
+    "a rotation alone": (
+        lambda: FeatureOdometry(CALIBRATION, None, np.eye(3)),
+        r"T_map_first is of shape \(3, 3",
+    ),
+    "a scaled pose": (
+        lambda: DenseOdometry(CALIBRATION, None, None, rotated(2 * R_MOUNT)),
+        "T_map_first.*scaled",
+    ),
+    "3 numbers": (
+        lambda: FeatureOdometry(CALIBRATION).process(FRAME, twist=np.zeros(3)),
+        r"twist is of shape \(3,",
+    ),
+    "no twist": (lambda: DenseOdometry(CALIBRATION).process(FRAME, twist=np.full(6, np.nan)), "twist has.*not finite"),
+}
+
+
+@pytest.mark.parametrize("mistake", WRONG_BEGINNINGS)
+def test_what_is_begun_with_is_looked_at(mistake: str) -> None:
+    make, told = WRONG_BEGINNINGS[mistake]
+    with pytest.raises(ArgumentError, match=told):
+        make()
+
+
+def test_a_recording_is_not_begun_of_no_calibration(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="calibration is a str"):
+        RecordingWriter(tmp_path / "new", "robot.yaml")  # type: ignore[arg-type]
+    assert not (tmp_path / "new").exists()
+
+
 def test_every_message_says_what_to_do() -> None:
     """In brackets, at the end of one line that a terminal shows whole."""
     for number, (change, _) in enumerate(WRONG_IMAGES.values()):

@@ -8,7 +8,7 @@ what to do about it.
 from __future__ import annotations
 
 import math
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from wheelsight.errors import ArgumentError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.geometry.arrays import is_number
+
+Kind = TypeVar("Kind")
 
 _NUMBERS = {
     RgbdFrame: ("stamp_s",),
@@ -128,6 +130,27 @@ def need_motion(name: str, T: Any) -> FloatArray:
     if wrong := se3.why_invalid(found, tolerance=_RIGID):
         raise ArgumentError(f"{name} is not a rigid motion: {wrong[0]}", fix=wrong[1])
     return found
+
+
+def need_twist(twist: Any) -> FloatArray:
+    """A velocity (6,), (v, ω), of finite numbers. Raises ArgumentError."""
+    found = array_of("twist", twist, (6,))
+    _check_finite("twist", found)
+    return found
+
+
+def need_kind(name: str, value: Any, kind: type[Kind], fix: str) -> Kind:
+    """A value of a type. Raises ArgumentError that says what to do."""
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{name} is {_told(value)}, not a {kind.__name__}", fix=fix)
+    return value
+
+
+def need_calibration(calibration: Any) -> Calibration:
+    """A robot's calibration. Raises ArgumentError for a path, a camera, or its K, that are handed in for one."""
+    return need_kind(
+        "calibration", calibration, Calibration, "load_calibration(PATH), or Calibration.registered_camera(CAMERA)"
+    )
 
 
 def need_number(name: str, value: Any) -> float:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.checks import check_event, check_images
+from wheelsight.checks import check_event, check_images, need_calibration, need_kind
 from wheelsight.clocks import SessionClock, Untimed
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
@@ -26,6 +26,8 @@ from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.places import PlaceMatch
 from wheelsight.stamps import StampCheck
+
+_CONFIG_FIX = 'load_config(PATH), or load_config(overrides={"odometry": "dense"})'
 
 
 class Localizer:
@@ -62,7 +64,8 @@ class Localizer:
     """
 
     def __init__(self, calibration: Calibration, config: Config | None = None, places: Places | None = None) -> None:
-        settings = config or Config()
+        calibration = need_calibration(calibration)
+        settings = Config() if config is None else need_kind("config", config, Config, _CONFIG_FIX)
         if len(settings.odometry) > 1 and settings.fusion.filter == "none":
             several = " and ".join(settings.odometry)
             raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")

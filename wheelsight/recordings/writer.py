@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelsight.calibration import Calibration, save_calibration
-from wheelsight.checks import check_event, check_images
+from wheelsight.checks import check_event, check_images, need_calibration
 from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
 from wheelsight.files import StrPath, make_output_folder, write_bytes
@@ -57,6 +57,7 @@ class RecordingWriter:
     """
 
     def __init__(self, folder: StrPath, calibration: Calibration | None, force: bool = False) -> None:
+        calibration = None if calibration is None else need_calibration(calibration)
         self.folder = make_output_folder(Path(folder), force)
         self.frames = self.readings = self.depths_too_far = 0
         self._calibration = calibration

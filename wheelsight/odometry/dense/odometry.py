@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.checks import array_of, check_frame
+from wheelsight.checks import check_frame, need_calibration, need_motion, need_twist
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
@@ -58,7 +58,7 @@ class DenseOdometry:
         T_map_first: FloatArray | None = None,
         store: KeyframeStore | None = None,
     ) -> None:
-        self._calibration, self._settings = calibration, settings or DenseSettings()
+        self._calibration, self._settings = need_calibration(calibration), settings or DenseSettings()
         self.store, self.watch = KeyframeStore() if store is None else store, Stopwatch()
         self._follower = self.store.follow()
         rows = Rows(self._settings.threads)
@@ -71,7 +71,7 @@ class DenseOdometry:
         self._verifier = Verifier(self._settings, self._locator, keypoints, self._views, self.watch)
         parts = (self._gridder, self._locator, keypoints, self._views, self.store)
         self._policy = KeyframePolicy(self._settings, *parts)
-        self._T_map_first = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
+        self._T_map_first = np.eye(4) if T_map_first is None else need_motion("T_map_first", T_map_first)
         self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
         self._first: RgbdFrame | None = None
         self._last: Tracked | None = None
@@ -113,7 +113,7 @@ class DenseOdometry:
         check_frame(frame, self._calibration, prior=T_previous_current_prior, other=T_previous_current_other)
         self._stamps.check(frame)
         if twist is not None:
-            twist = array_of("twist", twist, (6,))
+            twist = need_twist(twist)
         self._start_frame()
         last = self._last
         if last is None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.checks import array_of, check_frame
+from wheelsight.checks import check_frame, need_calibration, need_motion, need_twist
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
@@ -55,7 +55,7 @@ class FeatureOdometry:
         T_map_first: FloatArray | None = None,
         store: KeyframeStore | None = None,
     ) -> None:
-        self._calibration, self._settings = calibration, settings or FeatureSettings()
+        self._calibration, self._settings = need_calibration(calibration), settings or FeatureSettings()
         self.store = KeyframeStore() if store is None else store
         self._moves = self.store.follow()
         self._maker = KeyframeMaker(calibration)
@@ -66,7 +66,7 @@ class FeatureOdometry:
         self._map_tracker = MapTracker(calibration, self._settings)
         T = calibration.T_color_depth
         self._T_color_camera: FloatArray = np.eye(4) if T is None else np.array(T)
-        T_map_camera = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
+        T_map_camera = np.eye(4) if T_map_first is None else need_motion("T_map_first", T_map_first)
         self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
         self._last: View | None = None
         self._first_raw: Features | None = None
@@ -108,9 +108,9 @@ class FeatureOdometry:
             raw = self._extractor.extract(frame)
         if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
             return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
-        longest_s = self._settings.longest_step_s
+        twist, longest_s = None if twist is None else need_twist(twist), self._settings.longest_step_s
         if twist is not None and self._last is not None and raw.stamp_s - self._last.features.stamp_s > longest_s:
-            self._velocity = se3.adjoint(self._T_color_camera) @ array_of("twist", twist, (6,))
+            self._velocity = se3.adjoint(self._T_color_camera) @ twist
         if self._last is None:
             self._first_raw = raw
             return self._start(frame, raw, self._T_map_first)

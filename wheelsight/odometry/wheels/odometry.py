@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Gyro, Wheels
-from wheelsight.checks import check_event, need_number
+from wheelsight.checks import check_event, need_kind, need_number
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Reason, Status, WheelEstimate
 from wheelsight.events import WheelSpeeds, WheelTicks
@@ -54,7 +54,7 @@ class WheelOdometry:
     """
 
     def __init__(self, wheels: Wheels, integration: Integration = "arc", gyro: Gyro | None = None) -> None:
-        self._wheels = wheels
+        self._wheels = need_kind("wheels", wheels, Wheels, "calibration.wheels")
         self._parameters, self._states = _prepare(wheels, integration, gyro or Gyro())
         self._span = self._parameters[kernels.SPAN]
         self._ticks_per_rad = wheels.ticks_per_turn / (2 * math.pi)
@@ -279,6 +279,8 @@ def _count_variance(wheels: Wheels) -> float:
 
 def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     """Parameters and first states (2, STATE_SIZE) as the kernels take them."""
+    if integration not in _INTEGRATIONS:
+        raise ArgumentError(f"integration is {integration!r}", fix=f"one of {', '.join(_INTEGRATIONS)}")
     parameters, state = np.zeros(kernels.PARAMETERS_SIZE), np.zeros(at.STATE_SIZE)
     parameters[kernels.INTEGRATION] = _INTEGRATIONS[integration]
     parameters[kernels.TRACK] = wheels.track_width_m
