@@ -157,10 +157,10 @@ class Localizer:
         check_event(event)
         if isinstance(event, RgbdFrame) and RgbdFrame in self._way.hears:
             check_images(event, self._calibration, of_any_size=self._has_places)
-        self._stamps.check(event)
         self.note = ""
         if not isinstance(event, self._way.hears):
             return None
+        self._stamps.check(event)
         time_s = self._clock.time_of(event)
         if isinstance(time_s, Untimed):
             told = replace(event, stamp_s=event.stamp_s - self._clock.shift_s)
