@@ -13,6 +13,7 @@ from benchmarks import contenders, dense, machine, parts
 from benchmarks.dense import judge_dense
 from benchmarks.mapping import judge_whole
 from benchmarks.parts import Judged, Part, Scope
+from benchmarks.published import judge_published
 from benchmarks.run import Result, run
 from benchmarks.sequences import Sequence, default_data_folder, find_sequences
 from benchmarks.table import document, problems_of, results_sheets, targets_sheet
@@ -60,7 +61,7 @@ def _judge(results: Many[Result]) -> list[Target]:
     names = {result.contender.name for result in results}
     targets = judge(results)
     targets += judge_dense(results) if dense.SUBJECT.name in names else []
-    return targets + judge_whole(results)
+    return [*targets, *judge_whole(results), *judge_published(results)]
 
 
 def _measure_all(chosen: Many[contenders.Contender], sequences: Many[Sequence], limit: int | None) -> list[Result]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from wheelsight.events import Event
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.simulation import (
     ManualVelocities,
@@ -34,6 +35,7 @@ from wheelsight.simulation.camera_faults import (
 from wheelsight.simulation.drivers import Driver, follow_route
 from wheelsight.simulation.passersby import RADIUS_M, Passersby
 from wheelsight.simulation.realism import realism_of
+from wheelsight.simulation.scene_faults import DarkRoom, DirectSun, GlassWall, Mirror, Silence, StillView, WheelsStand
 
 _SIZE = (320, 240)
 _BEGIN_S, _END_S = 4.0, 7.0
@@ -68,7 +70,11 @@ class BadDrive:
 
 def _home() -> SimulatedRecording:
     """Through the living room of `flat`, round two corners."""
-    return _driven("flat", 1, lambda route: follow_route(route, is_loop=True, speed_m_s=0.5), 13.0)
+    return _driven("flat", 1, _along_the_route, 13.0)
+
+
+def _along_the_route(route: FloatArray) -> Driver:
+    return follow_route(route, is_loop=True, speed_m_s=0.5)
 
 
 def _spoilt(_: SimulatedRecording) -> tuple[Case, ...]:
@@ -85,12 +91,45 @@ def _spoilt(_: SimulatedRecording) -> tuple[Case, ...]:
         during("image stuck, 3 s", StuckImage),
         Case("20 % of frames lost", faults=(FramesDropped(),)),
         Case("5 frames a second", faults=(LowRate(),)),
+        Case("carried off while covered, 4 s", *_carried(4.0)),
+        during("glass wall in 40 % of the view, 3 s", GlassWall),
+        during("mirror in 40 % of the view, 3 s", Mirror),
+        during("direct sun, 3 s", DirectSun),
+        during("dark room, 3 s", DarkRoom),
+        during("view stands still while wheels turn, 3 s", StillView),
+        during("elevator: view stands still, wheels too, 3 s", _Elevator),
+        Case("USB silent, 5 s", _BEGIN_S, _BEGIN_S + 5.0, (Silence(begin_s=_BEGIN_S, end_s=_BEGIN_S + 5.0),)),
     )
+
+
+def _carried(lasting_s: float) -> tuple[float, float, tuple[CameraFault, ...]]:
+    """A camera covered by a hand, and wheels in the air, while the robot is carried along the drive."""
+    begin_s, end_s = _BEGIN_S, _BEGIN_S + lasting_s
+    return begin_s, end_s, (Covered(begin_s=begin_s, end_s=end_s), WheelsStand(begin_s=begin_s, end_s=end_s))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Elevator(StillView):
+    """Wheels and view stand still; then it opens at another place."""
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events, with both faults."""
+        return super().apply(WheelsStand(begin_s=self.begin_s, end_s=self.end_s).apply(events))
+
+
+def _other_camera(camera: str, size: tuple[int, int]) -> SimulatedRecording:
+    """The same way with images of another size; shorter, for memory's sake."""
+    return _driven("flat", 1, _along_the_route, 4.0, camera=camera, size=size)
+
+
+def _as_it_is(recording: SimulatedRecording) -> tuple[Case, ...]:
+    width, height = recording.settings.size or (0, 0)
+    return (Case(f"camera of {width}×{height}"),)
 
 
 def _crowd(seed: int) -> SimulatedRecording:
     """The same room with four people in it, seldom out of the way."""
-    return _driven("flat", seed, lambda route: follow_route(route, is_loop=True, speed_m_s=0.5), 13.0, people=4)
+    return _driven("flat", seed, _along_the_route, 13.0, people=4)
 
 
 def _crossed(recording: SimulatedRecording) -> tuple[Case, ...]:
@@ -131,11 +170,14 @@ def _turning(recording: SimulatedRecording) -> tuple[Case, ...]:
 
 # What people and quick turns do to a tracker is chance: three of each.
 _CROWDS, _SPINS = (10, 12, 15), (1, 2, 5)
+# A RealSense's images, and a Kinect v2's; a Kinect v1's are 640×480.
+_OTHER_CAMERAS = (("kinect-v1", (848, 480)), ("kinect-v2", (512, 424)))
 DRIVES = (
     BadDrive(_home, _spoilt),
     *(BadDrive(partial(_crowd, seed), _crossed) for seed in _CROWDS),
     BadDrive(_wall, _filled),
     *(BadDrive(partial(_spin, seed), _turning) for seed in _SPINS),
+    *(BadDrive(partial(_other_camera, *camera), _as_it_is) for camera in _OTHER_CAMERAS),
 )
 
 
@@ -148,17 +190,21 @@ class _Given(ManualVelocities):
 
 
 def _driven(
-    world_name: str, seed: int, driver: Callable[[FloatArray], Driver], duration_s: float, people: int = 0
+    world_name: str,
+    seed: int,
+    driver: Callable[[FloatArray], Driver],
+    duration_s: float,
+    people: int = 0,
+    camera: str = "kinect-v1",
+    size: tuple[int, int] = _SIZE,
 ) -> SimulatedRecording:
-    """What a Kinect v1 sees of a drive, 320×240 at 30 frames a second."""
+    """What a camera sees of a drive, a Kinect v1's 320×240 unless told otherwise, at 30 frames a second."""
     settings = SimulationSettings(
-        world_name, size=_SIZE, seed=seed, duration_s=duration_s, passersby=people, realism="real"
+        world_name, camera, size=size, seed=seed, duration_s=duration_s, passersby=people, realism="real"
     )
     world, realism = build_world(world_name, seed), realism_of(settings.realism)
     drive = simulate_drive(world, Robot(), driver(world.route), seed=seed, realism=realism, time_limit_s=duration_s)
-    return SimulatedRecording(
-        settings, world, drive, Renderer(world, drive, settings, camera_model("kinect-v1", _SIZE))
-    )
+    return SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera_model(camera, size)))
 
 
 def _hidden_share(recording: SimulatedRecording, people: Passersby, stamp_s: float) -> float:

@@ -27,7 +27,7 @@ from wheelsight.recordings import express_for
 from wheelsight.simulation.camera_faults import events_with
 from wheelsight.trajectory import Trajectory
 
-MAPPER = "surfels"
+MAPPER, JOINED = "surfels", "wheels, dense"
 WRONG_M, WRONG_RAD = 0.10, np.deg2rad(5.0)
 # The square of a distance in standard deviations that three dimensions exceed as rarely as one exceeds 3 σ.
 _THREE_SIGMA = float(chi2.ppf(chi2.cdf(9.0, 1), 3))
@@ -72,23 +72,32 @@ class BadInputFigures:
     within: float
 
 
-def trackers() -> dict[str, Callable[[Calibration], Callable[[RgbdFrame], Answer]]]:
-    """Each by its name: given a calibration, what answers frames, as a camera alone."""
+Track = Callable[[Event], "Answer | None"]
+"""What answers frames, and hears all other events."""
+
+
+def trackers() -> dict[str, Callable[[Calibration], Track]]:
+    """Each by its name: given a calibration, what answers frames, as a camera alone, or joined with wheels."""
     by_name: dict[str, dict[str, object]] = {
         "features": {"odometry": "features"},
         "dense": {"odometry": "dense"},
         MAPPER: {"odometry": "dense", "map": "surfels"},
+        JOINED: {"odometry": "wheels,dense"},
     }
     return {name: partial(_tracker, load_config(overrides=settings)) for name, settings in by_name.items()}
 
 
-def _tracker(config: Config, calibration: Calibration) -> Callable[[RgbdFrame], Answer]:
-    localizer = Localizer(replace(calibration, T_base_camera=None), config)
+def _tracker(config: Config, calibration: Calibration) -> Track:
+    T_base_camera = calibration.T_base_camera if len(config.odometry) > 1 else None
+    localizer = Localizer(replace(calibration, T_base_camera=T_base_camera), config)
 
-    def answer(frame: RgbdFrame) -> Answer:
+    def answer(event: Event) -> Answer | None:
         fused = _fused(localizer)
-        estimate = localizer.process(frame)
-        assert estimate is not None  # frames are answered
+        estimate = localizer.process(event)
+        if estimate is None or not isinstance(event, RgbdFrame):
+            return None
+        if T_base_camera is not None and estimate.T_odom_body is not None:
+            estimate = replace(estimate, T_odom_body=estimate.T_odom_body @ T_base_camera)
         return Answer(estimate, _fused(localizer) > fused)
 
     return answer
@@ -123,18 +132,17 @@ def _measure_drive(drive: BadDrive) -> Iterator[BadInputFigures]:
             yield measure_case(case, name, start(calibration), events, truth)
 
 
-def measure_case(
-    case: Case, tracker: str, track: Callable[[RgbdFrame], Answer], events: Sequence[Event], truth: Trajectory
-) -> BadInputFigures:
+def measure_case(case: Case, tracker: str, track: Track, events: Sequence[Event], truth: Trajectory) -> BadInputFigures:
     """One tracker over a drive's events as the case spoils them; truth is T_odom_camera."""
-    frames = (event for event in events_with(case.faults, events) if isinstance(event, RgbdFrame))
-    answers = [track(frame) for frame in frames]
+    told = map(track, events_with(case.faults, events))
+    answers = [answer for answer in told if answer is not None]
     posed = [answer for answer in answers if answer.estimate.T_odom_body is not None]
     stamps_s = np.array([answer.estimate.stamp_s for answer in posed])
     T = np.array([answer.estimate.T_odom_body for answer in posed]).reshape(-1, 4, 4)
     T_true = truth.at(stamps_s)
     covariances = np.array([answer.estimate.covariance for answer in posed]).reshape(-1, 6, 6)
-    wrong = _wrong(T, T_true, stamps_s, case.begin_s)
+    is_sure = np.array([_is_sure(answer.estimate) for answer in posed], bool)
+    wrong = _wrong(T, T_true, stamps_s, case.begin_s) & is_sure
     off_m = np.linalg.norm(_laid_upon(T, T_true, 0)[:, :3, 3] - T_true[:, :3, 3], axis=1)
     fused = np.array([answer.was_fused for answer in posed], bool)
     return BadInputFigures(
@@ -151,6 +159,11 @@ def measure_case(
         sum(answer.was_fused and answer.estimate.status is not Status.TRACKING for answer in answers),
         float(np.mean(_within(T, T_true, covariances))) if len(posed) else math.nan,
     )
+
+
+def _is_sure(estimate: Estimate) -> bool:
+    """Whether a pose is given as good: joined, there is one at most times, and what is wrong with it is told."""
+    return estimate.status is Status.TRACKING and not getattr(estimate, "doubtful", False)
 
 
 def _laid_upon(T: FloatArray, T_true: FloatArray, index: int) -> FloatArray:

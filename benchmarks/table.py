@@ -13,6 +13,7 @@ from benchmarks.contenders import Contender
 from benchmarks.firmware import FirmwareFigures
 from benchmarks.link import LinkFigures
 from benchmarks.measure import THREADS
+from benchmarks.published import Published, published_of
 from benchmarks.run import Result
 from benchmarks.startup import Startup
 from benchmarks.targets import CRC_RATE, Target
@@ -52,13 +53,16 @@ def targets_sheet(targets: Sequence[Target]) -> Sheet:
 
 
 def results_sheets(results: Sequence[Result]) -> list[Sheet]:
-    """One sheet a sequence, one row a contender."""
+    """One sheet a sequence, one row a contender, and one for each system that was published with it."""
     figures = ("ATE m", "RPE/s m", "RPE/s °", "poses %", "median ms", "p95 ms", "streamed ms", "peak MB", "same twice")
     return [
         Sheet(
             f"Side by side: {sequence}",
             ("contender", *figures),
-            tuple((result.contender.name, *_cells(result)) for result in results if result.sequence == sequence),
+            (
+                *((result.contender.name, *_cells(result)) for result in results if result.sequence == sequence),
+                *(_published_cells(published) for published in published_of(sequence)),
+            ),
         )
         for sequence in dict.fromkeys(result.sequence for result in results)
     ]
@@ -160,6 +164,10 @@ def _cells(result: Result) -> tuple[str, ...]:
         _figure(figures.peak_memory_mb, 0),
         {None: _NONE, 0: "yes"}.get(figures.differing_poses, f"{figures.differing_poses} differ"),
     )
+
+
+def _published_cells(published: Published) -> tuple[str, ...]:
+    return (f"{published.system} (published: {published.source})", _figure(published.ate_m, 4), *(_NONE,) * 8)
 
 
 def _limit(target: Target) -> str:

@@ -2,12 +2,14 @@
 
 Prints the statistics of a TUM sequence, beside the paper's where it is freiburg1_desk, and draws
 `ground_truth.png` and, with an estimate, `absolute_error.png`. The estimate comes from a file or, where the
-sequence is a recording with images, from wheelsight's feature odometry, which follows the paper's section 3.
+sequence is a recording with images, from wheelsight's feature odometry, which follows the paper's section 3; of the
+paper's sequence dense odometry and the map are tracked, too, and stand beside what others have published.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,8 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EXAMPLES = """examples:
-  python papers/zhang_hsr.py rgbd_dataset_freiburg1_desk
-      track the recording, print Table 2, draw both figures into ./zhang_hsr
+  python papers/zhang_hsr.py
+      track $WHEELSIGHT_DATA/rgbd/rgbd_dataset_freiburg1_desk in each way, print Table 2 and the errors beside published
+      ones, draw both figures into ./zhang_hsr
   python papers/zhang_hsr.py freiburg1_desk.txt
       Table 2 and the ground truth's figure of a ground-truth file
   python papers/zhang_hsr.py groundtruth.txt --estimate trajectory.txt --out figures
@@ -35,6 +38,15 @@ EXAMPLES = """examples:
 
 PAPER_SEQUENCE = "freiburg1_desk"
 PAPER_TABLE_2 = ("23.40 s", "23.35 s", "9.263 m", "", "0.413 m/s", "23.327 °/s", "2.42 × 1.34 × 0.66 m")
+
+# What others have published of the whole sequence, ATE RMSE in metres; all but ElasticFusion close loops.
+PUBLISHED = {"ORB-SLAM2": 0.016, "ElasticFusion": 0.020, "DVO-SLAM": 0.021, "RTAB-Map": 0.029}
+FEATURES = "features"  # which follow the paper's section 3
+OURS: dict[str, dict[str, object]] = {
+    FEATURES: {"odometry": "features"},
+    "dense": {"odometry": "dense"},
+    "dense with surfels": {"odometry": "dense", "map": "surfels"},
+}
 
 LEAP_S = 0.5
 LEAST_SHAPE = 0.8  # width over height of the two views together
@@ -58,12 +70,15 @@ def reproduce(sequence: Path, estimate_file: Path | None, out: Path, force: bool
     folder = make_output_folder(out, force)
     print(table_2(sequence_statistics(truth), name))
     save(ground_truth_figure(truth, name), folder / "ground_truth.png")
-    estimate = read_tum(estimate_file) if estimate_file else track(sequence, folder / "run", force)
-    if estimate is None:
+    estimates = {"estimate": read_tum(estimate_file)} if estimate_file else track(sequence, name, folder / "run", force)
+    if not estimates:
         return
-    found = evaluate(estimate, truth)
-    print(error_table(found))
-    save(absolute_error_figure(found.ate, name), folder / "absolute_error.png")
+    found = {way: evaluate(estimate, truth) for way, estimate in estimates.items()}
+    shown = next(iter(found.values()))
+    print(error_table(shown))
+    if PAPER_SEQUENCE in name:
+        print(published_table(found))
+    save(absolute_error_figure(shown.ate, name), folder / "absolute_error.png")
 
 
 def read_sequence(sequence: Path) -> tuple[Trajectory, str]:
@@ -75,17 +90,28 @@ def read_sequence(sequence: Path) -> tuple[Trajectory, str]:
     return read_tum(path), name.removesuffix("groundtruth").rstrip("-_") or name
 
 
-def track(sequence: Path, out: Path, force: bool) -> Trajectory | None:
-    """The estimate of wheelsight's feature odometry, or None where `sequence` has no images."""
+def track(sequence: Path, name: str, out: Path, force: bool) -> dict[str, Trajectory]:
+    """What feature odometry makes of it, and of the paper's sequence the others too; none without images."""
     if not (sequence / "rgb.txt").is_file():
-        return None
+        return {}
     from wheelsight import run
-    from wheelsight.config import Config
+    from wheelsight.config import load_config
     from wheelsight.recordings import open_recording
 
     recording = open_recording(sequence)
     print(f"\ntracking {recording.frame_count} frames of {recording.name} ...")
-    return run(recording, Config(), out, force=force).estimate
+    ways = OURS if PAPER_SEQUENCE in name else {FEATURES: OURS[FEATURES]}
+    folders = {way: out if way == FEATURES else out / way.replace(" ", "_") for way in ways}
+    records = {way: run(recording, load_config(overrides=of), folders[way], force=force) for way, of in ways.items()}
+    return {way: record.estimate for way, record in records.items() if record.estimate is not None}
+
+
+def published_table(found: dict[str, Evaluation]) -> str:
+    """The absolute errors beside those that others have published of the paper's sequence."""
+    lines = ["\nATE, RMSE, beside what others have published", f"  {'':32}{'RMSE':>10}{'poses':>8}"]
+    lines += [f"  {way:32}{of.ate.translation.rmse:8.4f} m{of.pairs:8d}" for way, of in found.items()]
+    lines += [f"  {f'{system}, published':32}{rmse_m:8.4f} m" for system, rmse_m in PUBLISHED.items()]
+    return "\n".join(lines)
 
 
 def table_2(s: SequenceStatistics, name: str) -> str:
@@ -213,11 +239,23 @@ def _room_around(positions_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     return middle - half, middle + half
 
 
+def _data_folder() -> Path:
+    """Where real recordings are kept: WHEELSIGHT_DATA, else ../shared/data beside the project."""
+    beside = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
+    return Path(os.environ.get("WHEELSIGHT_DATA") or beside)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("sequence", type=Path, help="folder of a TUM recording, or a ground-truth file")
+    parser.add_argument(
+        "sequence",
+        type=Path,
+        nargs="?",
+        default=_data_folder() / "rgbd" / f"rgbd_dataset_{PAPER_SEQUENCE}",
+        help="folder of a TUM recording, or a ground-truth file (the paper's, in $WHEELSIGHT_DATA)",
+    )
     parser.add_argument("--estimate", type=Path, help="trajectory in TUM text; else the recording is tracked")
     parser.add_argument("--out", type=Path, default=Path("zhang_hsr"), help="folder for the figures (%(default)s)")
     parser.add_argument("--force", action="store_true", help="write into a folder that holds something already")

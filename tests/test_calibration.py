@@ -24,14 +24,15 @@ T_BASE_CAMERA = se3.exp([0.3, 0.0, 1.1, -1.2, 1.2, -1.2])
 small = st.floats(-2, 2)
 
 
-def camera(width: int, height: int, focal: list[float], *others: Any) -> PinholeCamera:
-    return PinholeCamera(width, height, *(share * max(width, height) for share in focal), *others)
+def camera(width: int, height: int, focal: list[float], x: float, y: float, *others: Any) -> PinholeCamera:
+    middle = x * width - 0.5, y * height - 0.5
+    return PinholeCamera(width, height, *(share * max(width, height) for share in focal), *middle, *others)
 
 
 cameras = st.builds(
     camera,
     *(st.integers(1, 5000), st.integers(1, 5000), st.lists(st.floats(0.11, 990), min_size=2, max_size=2)),
-    *(st.floats(0, 1), st.floats(0, 1)),
+    *(st.floats(0.4, 0.6), st.floats(0.4, 0.6)),
     st.tuples(small, small, small, small, small),
 )
 motions = st.none() | st.tuples(*[st.floats(-0.5, 0.5)] * 3, *[small] * 3).map(se3.exp)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration_fields import Range, check_range, made, mapping, motion, number, whole
+from wheelsight.calibration_fields import Range, check_range, made, mapping, motion, need_numbers, number, whole
 from wheelsight.calibration_layers import NOMINAL, NOMINAL_PARTS, laid_over
 from wheelsight.calibration_parts import DepthNoise, Gyro, Wheels
 from wheelsight.errors import CalibrationError
@@ -32,6 +33,9 @@ FORMAT = "wheelsight-calibration-1"
 _SLOWEST_SHUTTER_S = 0.2
 # How far the camera may sit from the base, and the depth camera from the colour camera beside it.
 _MOST_APART_M = {"T_base_camera": 10.0, "T_color_depth": 1.0}
+# Lenses sit within a tenth of an image's sides off its middle. Half the size is 0.25 or 1, two thirds 0.33 or 0.75;
+# where both sides are off by the same share, no crop is likely.
+_OFF_MIDDLE, _NEAR_MIDDLE, _ALIKE, _MOST_SCALE = 0.1, (0.36, 0.68), 0.1, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +76,18 @@ class Calibration:
     source: str = "unknown"
 
     def __post_init__(self) -> None:
+        for name, kind in _KINDS.items():
+            value = getattr(self, name)
+            if not isinstance(value, kind):
+                raise CalibrationError(f"{name} is a {type(value).__name__}", fix=f"give it as {_kind_name(kind)}")
         self._check_presence()
-        for name in ("T_color_depth", "T_base_camera"):
-            if getattr(self, name) is None:
-                continue
-            T = np.array(getattr(self, name), float)
-            T.setflags(write=False)
-            object.__setattr__(self, name, T)
-            if T.shape != (4, 4) or not se3.is_valid(T, tolerance=1e-4):
-                raise CalibrationError(f"{name} is not a rigid motion: orthonormal rotation, last row 0 0 0 1")
-            check_range(f"the way of {name}", float(np.linalg.norm(T[:3, 3])), Range(0, _MOST_APART_M[name], "m"))
+        for name in ("color", "depth"):
+            if (camera := getattr(self, name)) is not None:
+                _check_middle(name, camera)
+        for name in _MOST_APART_M:
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _motion(name, getattr(self, name)))
+        need_numbers(self, _NUMBERS)
         if not 0 <= self.rolling_shutter_s <= _SLOWEST_SHUTTER_S:
             raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
         if self.color is not None and not 0 <= self.color_sigma_px < self.color.width:
@@ -202,6 +208,14 @@ class _MissingError(CalibrationError):
 _CAMERA_FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 _NOISE_FIELDS = ("constant_m", "quadratic_per_m", "near_m", "far_m")
 _NUMBERS = ("rolling_shutter_s", "color_sigma_px", "depth_late_s")
+_KINDS: dict[str, type | UnionType] = {
+    "color": PinholeCamera | None,
+    "depth": PinholeCamera | None,
+    "depth_noise": DepthNoise,
+    "wheels": Wheels | None,
+    "gyro": Gyro,
+    "source": str,
+}
 _CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", *_NUMBERS)
 _OTHER_PARTS = ("T_base_camera", "wheels", "gyro")
 _TOP_FIELDS = ("format", "source", *_CAMERA_PART, *_OTHER_PARTS, NOMINAL)
@@ -269,6 +283,42 @@ def _camera_part(known: dict[str, Any]) -> dict[str, Any]:
         "T_color_depth": motion(known.get("T_color_depth"), "T_color_depth"),
         **{name: number(known[name], name) for name in _NUMBERS if name in known},
     }
+
+
+def _kind_name(kind: type | UnionType) -> str:
+    return kind.__name__ if isinstance(kind, type) else str(kind).rpartition(".")[2]
+
+
+def _motion(name: str, value: Any) -> FloatArray:
+    """A mount (4, 4), read-only, if it is one; else CalibrationError."""
+    try:
+        T = np.array(value, float)
+    except (TypeError, ValueError) as error:
+        raise CalibrationError(f"{name} is a {type(value).__name__}, not (4, 4) of numbers") from error
+    if wrong := se3.why_invalid(T, tolerance=1e-4):
+        raise CalibrationError(f"{name} is not a rigid motion: {wrong[0]}", fix=wrong[1])
+    check_range(f"the way of {name}", float(np.linalg.norm(T[:3, 3])), Range(0, _MOST_APART_M[name], "m"))
+    T.setflags(write=False)
+    return T
+
+
+def _check_middle(name: str, camera: PinholeCamera) -> None:
+    """Raise CalibrationError for a principal point that is in the middle of an image of another size, or turned."""
+    cx, cy = camera.cx + 0.5, camera.cy + 0.5  # from the corner, not from the first pixel's middle
+    x, y = cx / camera.width, cy / camera.height
+    across, down = cx / camera.height, cy / camera.width
+    where = f"the principal point ({camera.cx:g}, {camera.cy:g}) of {name}"
+    size = f"{camera.width}×{camera.height}"
+    if max(abs(x - 0.5), abs(y - 0.5)) > _OFF_MIDDLE > max(abs(across - 0.5), abs(down - 0.5)):
+        raise CalibrationError(
+            f"{where} is that of a {camera.height}×{camera.width} image", fix="swap width and height"
+        )
+    if abs(x - y) < _ALIKE and not _NEAR_MIDDLE[0] < (x + y) / 2 < _NEAR_MIDDLE[1]:
+        problem, scale = f"{where} is far from the middle of a {size} image", 1 / max(x + y, 1e-9)
+        fix = f"of another resolution? multiply fx, fy, cx, cy by about {scale:.2g}, or give the size they are for"
+        raise CalibrationError(
+            problem, fix=fix if scale < _MOST_SCALE else "cx, cy are pixels from the top left corner"
+        )
 
 
 def _numbers(fields_of_part: dict[str, Any], part: str) -> dict[str, float]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry.arrays import is_number
 
 Part = TypeVar("Part")
 
@@ -36,6 +37,14 @@ def check_range(name: str, value: float, allowed: Range) -> None:
         fix = f"give {_WHOLE_UNITS[unit]}"
         fix += f": {value:g} m{unit} are {value / 1000:g}" if abs(value) > most else ""
     raise CalibrationError(f"{name} is {value:g}, not {least:g} to {most:g} {unit}".rstrip(), fix=fix)
+
+
+def need_numbers(part: object, names: tuple[str, ...]) -> None:
+    """Raise CalibrationError for a field of a part that is no number, as text is."""
+    for name in names:
+        value = getattr(part, name)
+        if not is_number(value):
+            raise CalibrationError(f"{name} of {type(part).__name__} is a {type(value).__name__}, not a number")
 
 
 _WHOLE_UNITS = {"m": "metres", "s": "seconds"}

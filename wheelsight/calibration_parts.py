@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wheelsight.calibration_fields import Range, check_range
+from wheelsight.calibration_fields import Range, check_range, need_numbers
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
 
@@ -55,6 +55,7 @@ class DepthNoise:
     far_m: float = 10.0
 
     def __post_init__(self) -> None:
+        need_numbers(self, tuple(_OF_DEPTH))
         numbers = (self.constant_m, self.quadratic_per_m, self.near_m, self.far_m)
         if not np.isfinite(numbers).all() or min(numbers) < 0 or self.constant_m + self.quadratic_per_m == 0:
             raise CalibrationError("depth noise takes finite numbers, not negative, and not both zero")
@@ -101,6 +102,7 @@ class Wheels:
     counter_modulus: int = 0
 
     def __post_init__(self) -> None:
+        need_numbers(self, (*_OF_WHEELS, *_COUNTER_FIELDS))
         for name in (*_OF_WHEELS, *_COUNTER_FIELDS):
             value = getattr(self, name)
             if not np.isfinite(value):
@@ -162,6 +164,7 @@ class Gyro:
     bias_walk_rad_s_per_sqrt_s: float = 2e-5
 
     def __post_init__(self) -> None:
+        need_numbers(self, tuple(_OF_GYRO))
         for name, allowed in _OF_GYRO.items():
             value = getattr(self, name)
             if not np.isfinite(value) or (value < 0 and name != "bias_rad_s"):

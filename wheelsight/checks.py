@@ -1,19 +1,24 @@
 """What is handed in by Python code, looked at before it reaches OpenCV or a kernel: types, shapes, numbers.
 
-A stamp or a count that is not finite is a fault of a sensor, hence a value: it is answered with a reason, and not here.
+A stamp or a count that is not finite is a fault of a sensor, hence a value of a `Localizer`: it is answered with a
+reason, and not here. What is no frame, no depth in metres, or no motion, is a mistake of whoever calls: it is told with
+what to do about it.
 """
 
 from __future__ import annotations
 
-from numbers import Real
-from typing import Any, get_args
+import math
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import ArgumentError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.geometry.arrays import is_number
+
+Kind = TypeVar("Kind")
 
 _NUMBERS = {
     RgbdFrame: ("stamp_s",),
@@ -23,10 +28,18 @@ _NUMBERS = {
     YawRate: ("stamp_s", "yaw_rate_rad_s"),
 }
 _RIGID = 1e-4
+# Half of what is measured lies nearer than this, in rooms and outdoors; in millimetres it would be a tenth of a metre.
+_FARTHEST_MEDIAN_M = 100.0
+# No depth camera measures so near; ten metres, divided by 1000 twice, are half of this.
+_NEAREST_M = 0.02
+_ZEROS = "0 where nothing was measured: np.nan_to_num(depth_m, nan=0, posinf=0, neginf=0)"
 
 
-def check_event(event: Any) -> None:
-    """Refuse what is no event, or one whose numbers are none. Raises ArgumentError."""
+def check_event(event: Any, *, finite: bool = False) -> None:
+    """Refuse what is no event, or one whose numbers are none; if `finite`, also those that are not.
+
+    Raises ArgumentError.
+    """
     names = _NUMBERS.get(type(event))
     if names is None:
         known = ", ".join(kind.__name__ for kind in get_args(Event))
@@ -35,6 +48,11 @@ def check_event(event: Any) -> None:
         value = getattr(event, name)
         if type(value) is not float:
             need_number(f"{name} of {type(event).__name__}", value)
+        if finite and not math.isfinite(value):
+            raise ArgumentError(f"{name} of {type(event).__name__} is {value}", fix="leave out what is not known")
+    if type(event) is WheelTicks:
+        for name in ("left", "right"):
+            _check_whole(name, getattr(event, name))
 
 
 def check_frame(frame: Any, calibration: Calibration, covariance: Any = None, **motions: Any) -> None:
@@ -42,12 +60,8 @@ def check_frame(frame: Any, calibration: Calibration, covariance: Any = None, **
 
     Raises ArgumentError saying what was expected and what came.
     """
-    if not isinstance(frame, RgbdFrame):
-        raise ArgumentError(f"{_told(frame)} is no frame", fix="give an RgbdFrame")
-    check_event(frame)
-    color, depth = calibration.cameras
-    _check_image("color", frame.color, (color.height, color.width, 3), np.dtype(np.uint8))
-    _check_image("depth_m", frame.depth_m, (depth.height, depth.width), np.dtype(np.float32))
+    check_images(frame, calibration)
+    check_event(frame, finite=True)
     for name, T in motions.items():
         if T is not None:
             need_motion(name, T)
@@ -55,18 +69,93 @@ def check_frame(frame: Any, calibration: Calibration, covariance: Any = None, **
         _check_finite("covariance", array_of("covariance", covariance, (6, 6)))
 
 
+def check_images(frame: Any, calibration: Calibration, *, of_any_size: bool = False) -> None:
+    """Refuse what is no frame, or images that are not of these cameras. Raises ArgumentError.
+
+    Args:
+        of_any_size: whether only the kind of images counts.
+    """
+    if not isinstance(frame, RgbdFrame):
+        raise ArgumentError(f"{_told(frame)} is no frame", fix="give an RgbdFrame")
+    color, depth = (None, None) if of_any_size else calibration.cameras
+    _check_shape("color", frame.color, color, 3)
+    if frame.color.dtype != np.uint8:
+        raise ArgumentError(f"color is of {frame.color.dtype}, not uint8", fix=_as_bytes(frame.color))
+    _check_shape("depth_m", frame.depth_m, depth)
+    if frame.depth_m.dtype != np.float32:
+        raise ArgumentError(f"depth_m is of {frame.depth_m.dtype}, not float32", fix=_in_metres(frame.depth_m))
+    if wrong := why_no_depth(frame.depth_m, calibration.depth_noise.far_m):
+        raise ArgumentError(f"depth_m {wrong[0]}", fix=wrong[1])
+
+
+def why_no_depth(depth_m: Float32Array, far_m: float) -> tuple[str, str] | None:
+    """Why an image (H, W) is not depth in metres, 0 where nothing was measured, and what to do about it; or None.
+
+    Args:
+        far_m: as far as the camera is trusted.
+    """
+    if not depth_m.size:
+        return None
+    least, most = float(depth_m.min()), float(depth_m.max())  # each NaN where one is in it
+    if not (math.isfinite(least) and math.isfinite(most)):
+        return "has numbers that are not finite", _ZEROS
+    if least < 0:
+        return f"is {least:g} m somewhere", "depth grows forwards from the camera, and is 0 where nothing was measured"
+    return why_not_metres(depth_m, far_m, most)
+
+
+def why_not_metres(depth_m: Float32Array, far_m: float, most: float | None = None) -> tuple[str, str] | None:
+    """Why depth (H, W), of which only what is above 0 counts, seems to be in other units, and what to do; or None.
+
+    Args:
+        far_m: as far as the camera is trusted.
+        most: the largest, where that is known.
+    """
+    most = float(np.fmax.reduce(depth_m, axis=None, initial=0.0)) if most is None else most
+    if 0 < most < _NEAREST_M:
+        return f"is {most:g} m at most, nearer than any depth camera measures", "divide raw depth once, not twice"
+    limit_m = max(_FARTHEST_MEDIAN_M, 2 * far_m)
+    if most > limit_m and (median_m := float(np.median(depth_m[depth_m > 0]))) > limit_m:
+        return (
+            f"is {median_m:g} in the median: these are no metres",
+            "divide raw depth by its units a metre: millimetres by 1000, TUM's files by 5000",
+        )
+    return None
+
+
 def need_motion(name: str, T: Any) -> FloatArray:
     """A rigid motion (4, 4). Raises ArgumentError."""
     found = array_of(name, T, (4, 4))
     _check_finite(name, found)
-    if not se3.is_valid(found, tolerance=_RIGID):
-        raise ArgumentError(f"{name} is not a rigid motion: orthonormal rotation, last row 0 0 0 1")
+    if wrong := se3.why_invalid(found, tolerance=_RIGID):
+        raise ArgumentError(f"{name} is not a rigid motion: {wrong[0]}", fix=wrong[1])
     return found
+
+
+def need_twist(twist: Any) -> FloatArray:
+    """A velocity (6,), (v, ω), of finite numbers. Raises ArgumentError."""
+    found = array_of("twist", twist, (6,))
+    _check_finite("twist", found)
+    return found
+
+
+def need_kind(name: str, value: Any, kind: type[Kind], fix: str) -> Kind:
+    """A value of a type. Raises ArgumentError that says what to do."""
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{name} is {_told(value)}, not a {kind.__name__}", fix=fix)
+    return value
+
+
+def need_calibration(calibration: Any) -> Calibration:
+    """A robot's calibration. Raises ArgumentError for a path, a camera, or its K, that are handed in for one."""
+    return need_kind(
+        "calibration", calibration, Calibration, "load_calibration(PATH), or Calibration.registered_camera(CAMERA)"
+    )
 
 
 def need_number(name: str, value: Any) -> float:
     """A number, finite or not. Raises ArgumentError."""
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if not is_number(value):
         raise ArgumentError(f"{name} is {_told(value)}, not a number")
     return float(value)
 
@@ -87,14 +176,75 @@ def _check_finite(name: str, found: FloatArray) -> None:
         raise ArgumentError(f"{name} has numbers that are not finite")
 
 
-def _check_image(name: str, image: Any, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+def _check_whole(name: str, count: Any) -> None:
+    """Refuse a count with a fraction: who gives one gives something else. One that is not finite is a sensor's."""
+    if type(count) is not int and math.isfinite(count) and count != int(count):
+        fix = "give the encoder's count since its start; of rad/s make WheelSpeeds"
+        raise ArgumentError(f"{name} of WheelTicks is {count:g}, not a whole number of counts", fix=fix)
+
+
+def _check_shape(name: str, image: Any, camera: PinholeCamera | None, channels: int | None = None) -> None:
+    """Refuse what is no array (H, W) or (H, W, channels), of the camera's size where that is given."""
+    last = () if channels is None else (channels,)
+    expected = "(H, W)" if channels is None else f"(H, W, {channels})"
+    if camera is not None:
+        expected = str((camera.height, camera.width, *last))
     if not isinstance(image, np.ndarray):
-        raise ArgumentError(f"{name} is {_told(image)}, not an array {shape} of {dtype}")
-    if image.shape != shape:
-        fix = "the calibration's images are of this size; H, W, and three colours"
-        raise ArgumentError(f"{name} is of shape {image.shape}, not {shape}", fix=fix if len(shape) == 3 else None)
-    if image.dtype != dtype:
-        raise ArgumentError(f"{name} is of {image.dtype}, not {dtype}", fix=f"{name}.astype(np.{dtype})")
+        raise ArgumentError(f"{name} is {_told(image)}, not an array {expected}", fix="np.asarray(image)")
+    size = image.shape[:2] if camera is None else (camera.height, camera.width)
+    if image.ndim < 2 or image.shape != (*size, *last):
+        fix = _for_color(image.shape, size) if last else _for_depth(image.shape, size)
+        fix = fix or _for_size(name, image.shape, size)
+        raise ArgumentError(f"{name} is of shape {image.shape}, not {expected}", fix=fix)
+
+
+def _for_color(shape: tuple[int, ...], size: tuple[int, ...]) -> str | None:
+    """What to do about a colour image of the right size in another layout."""
+    if shape in (size, (*size, 1)):
+        return "of a grey image, cv2.cvtColor(color, cv2.COLOR_GRAY2RGB)"
+    if shape == (*size, 4):
+        return "color[..., :3] leaves the fourth channel out; of BGRA, cv2.cvtColor(color, cv2.COLOR_BGRA2RGB)"
+    if len(shape) == 3 and shape[0] == 3:
+        return "color.transpose(1, 2, 0)"
+    return None
+
+
+def _for_depth(shape: tuple[int, ...], size: tuple[int, ...]) -> str | None:
+    """What to do about a depth image of the right size in another layout."""
+    if shape in ((*size, 1), (1, *size)):
+        return "depth_m.squeeze()"
+    if shape == (*size, 3):
+        return "give depth itself, not a picture of it"
+    return None
+
+
+def _for_size(name: str, shape: tuple[int, ...], size: tuple[int, ...]) -> str:
+    """What to do about an image of another size."""
+    if len(shape) not in (2, 3) or 0 in shape:
+        return "rows, columns" + (", and red, green, blue" if name == "color" else "")
+    if shape[:2] == size[::-1]:
+        return "rows come first: transpose the image, or swap width and height of the calibration's camera"
+    given, known = f"{shape[1]}×{shape[0]}", f"{size[1]}×{size[0]}"
+    fix = f"the calibration is of {known} images: give those, or a calibration of {given} ones"
+    if shape[0] * size[1] == shape[1] * size[0]:
+        fix += f", with fx, fy, cx, cy times {shape[1] / size[1]:g}"
+    return f"{fix}; depth of its own size has its own camera and T_color_depth" if name == "depth_m" else fix
+
+
+def _as_bytes(color: ByteArray) -> str:
+    """What to do about colours that are no bytes."""
+    if color.dtype == np.uint16:
+        return "of 16 bits, (color >> 8).astype(np.uint8)"
+    if color.dtype.kind == "f" and color.size and float(np.nanmax(color)) <= 1:
+        return "of 0 to 1, (255 * color).round().astype(np.uint8)"
+    return "of 0 to 255, color.astype(np.uint8)"
+
+
+def _in_metres(depth: Float32Array) -> str:
+    """What to do about depth that is no float32."""
+    if depth.dtype.kind in "ui":
+        return "divide raw depth by its units a metre: of millimetres, (depth / 1000).astype(np.float32)"
+    return "depth_m.astype(np.float32)"
 
 
 def _told(value: Any) -> str:

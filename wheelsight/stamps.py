@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.errors import ArgumentError
+from wheelsight.events import Event
+
 _FEWEST = 4
 # Seconds since 1970, from the year 2001 to 2128.
 _EPOCH_S = 1e9, 5e9
@@ -57,6 +60,35 @@ def unit_of(stamps: ArrayLike) -> StampUnit | None:
     if step < _LEAST_STEP:
         return None
     return UNITS[0] if step < 1e3 else UNITS[1] if step < 1e6 else UNITS[2]
+
+
+class StampCheck:
+    """Refuses stamps of sensors that count milli-, micro- or nanoseconds, each by its first stamps.
+
+    No clock tells of 150 years in seconds: such a first stamp is refused at once. Others are known by the steps between
+    the first four. Whole numbers that step by one to four may be seconds, and pass; so does all that comes later, where
+    a leap is a clock's.
+    """
+
+    def __init__(self) -> None:
+        self._first: dict[str, list[float]] = {}
+
+    def check(self, event: Event) -> None:
+        """Look at one more event. Raises ArgumentError."""
+        name = type(event).__name__
+        first = self._first.setdefault(name, [])
+        if len(first) >= _FEWEST or not np.isfinite(event.stamp_s):
+            return
+        what = f"stamp_s of {name} is {event.stamp_s:.10g}"
+        if not first and abs(event.stamp_s) >= _EPOCH_S[1]:
+            fix = "divide milliseconds by 1e3, microseconds by 1e6, nanoseconds by 1e9"
+            raise ArgumentError(f"{what}: no seconds since any time", fix=fix)
+        unit = unit_of([*first, event.stamp_s])
+        if unit is not None and unit in UNITS:
+            assert unit.per_second is not None
+            fix = f"divide by 1e{round(np.log10(unit.per_second))}"
+            raise ArgumentError(f"{what}: {unit.name}, not seconds", fix=fix)
+        first.append(float(event.stamp_s))
 
 
 # A column of stamps by its name, alone or before what parts columns; its unit after "_", "/", "in" or in brackets.

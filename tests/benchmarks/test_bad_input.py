@@ -17,6 +17,7 @@ from benchmarks.bad_input import (
 )
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import RgbdFrame, WheelTicks
+from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import se3, so3
 from wheelsight.simulation.camera_faults import CableOut
 from wheelsight.trajectory import Trajectory
@@ -51,6 +52,8 @@ class Tracker:
         self._T_off = se3.from_parts(so3.exp([0, 0, off_rad]), [0, off_m, 0])
 
     def __call__(self, frame):
+        if not isinstance(frame, RgbdFrame):
+            return None
         if self._silent_s[0] <= frame.stamp_s < self._silent_s[1]:
             return Answer(Estimate(frame.stamp_s, Status.LOST, reason=Reason.TOO_LITTLE_DEPTH), self._fuses)
         T = self._T_start_world @ self.truth.at(frame.stamp_s)[0]
@@ -82,6 +85,23 @@ def test_a_failure_unsaid_is_counted_as_long_as_it_lasts(truth, events):
         assert (figures.with_pose, figures.wrong, figures.back_s) == (FRAMES, 20, 0.0)
     for off in ({"off_m": 0.09}, {"off_rad": math.radians(4.9)}):
         assert measure_case(case, "dense", Tracker(truth, wrong_s=(3.0, 5.0), **off), events, truth).wrong == 0
+
+
+@pytest.mark.parametrize("told", [{"status": Status.COASTING}, {"doubtful": True}])
+def test_a_wrong_pose_that_is_told_as_such_is_not_unsaid(truth, events, told):
+    tracker, case = Tracker(truth, off_m=0.5, wrong_s=(3.0, 5.0)), Case("person", 2.0, 4.0)
+
+    def telling(event):
+        answer = tracker(event)
+        return None if answer is None else Answer(FusedEstimate(**(_fields(answer.estimate) | told)))
+
+    assert measure_case(case, "wheels, dense", tracker, events, truth).wrong == 20
+    assert measure_case(case, "wheels, dense", telling, events, truth).wrong == 0
+
+
+def _fields(estimate):
+    names = ("stamp_s", "status", "T_odom_body", "covariance")
+    return {name: getattr(estimate, name) for name in names}
 
 
 def test_what_went_wrong_before_the_fault_is_not_laid_to_it(truth, events):

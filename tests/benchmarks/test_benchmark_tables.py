@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,8 @@ from rich.console import Console
 
 from benchmarks import contenders, machine
 from benchmarks.__main__ import main
-from benchmarks.contenders import Contender, open3d_odometry, opencv_odometry, wheelsight_features
+from benchmarks.contenders import Contender, open3d_odometry, opencv_odometry, wheelsight_dense, wheelsight_features
+from benchmarks.published import judge_published
 from benchmarks.run import Figures, Result
 from benchmarks.sequences import Accuracy
 from benchmarks.startup import Startup
@@ -135,3 +137,30 @@ def test_a_part_alone_needs_no_recordings(tmp_path: Path) -> None:
     assert "## Start-up" in text
     assert "Contenders" not in text
     assert "The serial link" not in text
+
+
+def test_published_systems_stand_beside_ours_marked_as_such() -> None:
+    whole = [replace(found, sequence="rgbd_dataset_freiburg1_desk") for found in RESULTS]
+    (sheet,) = results_sheets(whole)
+    rows = {row[0]: row[1:] for row in sheet.rows}
+    assert {len(row) for row in sheet.rows} == {len(sheet.header)}
+    (name,) = (name for name in rows if name.startswith("ORB-SLAM2"))
+    assert "(published: " in name
+    assert rows[name] == ("0.0160", *("—",) * 8)
+    assert len(rows) == len(RESULTS) + 4
+    assert len(results_sheets(RESULTS)[0].rows) == len(RESULTS)
+
+
+def test_each_of_ours_is_held_against_what_is_published() -> None:
+    dense = result(wheelsight_dense.KEYFRAMES, 0.015, 9.0)
+    assert judge_published([*RESULTS, dense]) == []  # of a part of a recording nothing is published
+    whole = [replace(found, sequence="freiburg1_desk") for found in (*RESULTS, dense)]
+    assert {target.what.removeprefix("freiburg1_desk: "): target.verdict for target in judge_published(whole)} == {
+        "wheelsight features (keyframes), poses": "missed by 1 poses (10 %)",
+        "wheelsight features (keyframes), ATE": "missed by 0.0060 m (30 %)",
+        "wheelsight features (keyframes), median time, 0.2 of OpenCV's": "missed by 3.0 ms (30 %)",
+        "wheelsight dense (keyframes), poses": "missed by 1 poses (10 %)",
+        "wheelsight dense (keyframes), ATE": "met",
+        "wheelsight dense (keyframes), median time, 0.2 of OpenCV's": "met",
+        "ATE of the best of ours": "met",
+    }

@@ -63,3 +63,14 @@ def test_gives_table_2_of_zhang(data_folder: Path) -> None:
     assert round(np.degrees(s.mean_angular_speed_rad_per_s), 3) == 23.327
     assert np.round(s.extent_m, 2).tolist() == [2.42, 1.34, 0.66]
     assert s.windowed_length_m == pytest.approx(9.263, abs=0.004)
+
+
+@pytest.mark.data
+def test_zhangs_length_is_that_of_windows_that_overlap(data_folder: Path) -> None:
+    truth = read_tum(data_folder / "trajectories/tum_ground_truth/freiburg1_desk.txt")
+    stamps_s, positions_m = truth.stamps_s, truth.positions_m
+    end = np.array([int(np.abs(stamps_s - later_s).argmin()) for later_s in stamps_s + 1.0])
+    whole = stamps_s + 1.0 <= stamps_s[-1] + 1e-6
+    moved_m = np.linalg.norm(positions_m[end] - positions_m, axis=1)
+    length_m = moved_m[whole].sum() / np.mean((end - np.arange(len(end)))[whole])
+    assert round(float(length_m), 3) == 9.263

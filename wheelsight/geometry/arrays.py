@@ -1,6 +1,9 @@
-"""Array types that the whole package shares."""
+"""Array types that the whole package shares, and what counts as one number."""
 
 from __future__ import annotations
+
+from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,3 +15,8 @@ Int32Array = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
 UInt64Array = NDArray[np.uint64]
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is one real number, numpy's too, finite or not. Text and truth values are none."""
+    return isinstance(value, Real) and not isinstance(value, bool)

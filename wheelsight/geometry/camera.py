@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import CalibrationError
-from wheelsight.geometry.arrays import BoolArray, FloatArray
+from wheelsight.geometry.arrays import BoolArray, FloatArray, is_number
 
 # Leaves less than 1e-8 pixel at the corners of the most distorted TUM camera (freiburg1).
 _UNDISTORT_STEPS = 20
@@ -36,8 +36,9 @@ class PinholeCamera:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        self._check_types()
         object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
-        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.isfinite(numbers).all():
             raise CalibrationError(f"camera parameters must be finite numbers, not {numbers}")
         if self.width < 1 or self.height < 1 or self.fx <= 0 or self.fy <= 0:
@@ -48,7 +49,22 @@ class PinholeCamera:
         if len(self.distortion) != 5:
             raise CalibrationError("distortion takes five numbers: k1, k2, p1, p2, k3")
 
+    def _check_types(self) -> None:
+        for name in ("width", "height", "fx", "fy", "cx", "cy"):
+            if not is_number(getattr(self, name)):
+                fix = "give width, height, fx, fy, cx, cy in pixels"
+                raise CalibrationError(f"{name} of a camera is a {type(getattr(self, name)).__name__}", fix=fix)
+        try:
+            known = all(is_number(k) for k in self.distortion)
+        except TypeError:
+            known = False
+        if not known:
+            raise CalibrationError("distortion takes five numbers: k1, k2, p1, p2, k3")
+
     def _check_sizes(self) -> None:
+        for name, size in (("width", self.width), ("height", self.height)):
+            if size != int(size):
+                raise CalibrationError(f"{name} is {size:g}, not a whole number of pixels")
         if int(self.width) * int(self.height) > MOST_PIXELS:
             problem = f"width {self.width} × height {self.height} is larger than any depth camera's image"
             raise CalibrationError(problem, fix=f"at most {MOST_PIXELS / 1e6:.0f} million pixels")

@@ -17,6 +17,9 @@ from wheelsight.geometry.arrays import FloatArray
 
 # At this depth, usual indoors, a turn hides as much of a view as the way.
 _METRES_A_RADIAN = 1.5
+_BOTTOM = (0, 0, 0, 1)
+# So far off what was written with two decimals may be; more is another mistake.
+_ROUNDED = 0.03
 
 
 def from_parts(R: ArrayLike, t: ArrayLike) -> FloatArray:
@@ -122,5 +125,37 @@ def is_valid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
         return False
     R = T[..., :3, :3]
     orthonormal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
-    bottom = np.allclose(T[..., 3, :], [0, 0, 0, 1], atol=tolerance)
+    bottom = np.allclose(T[..., 3, :], _BOTTOM, atol=tolerance)
     return bool(orthonormal and bottom and (np.linalg.det(R) > 0).all())
+
+
+def why_invalid(T: ArrayLike, tolerance: float = 1e-6) -> tuple[str, str] | None:
+    """What makes one (4, 4) no rigid motion within `tolerance`, and what to do about it; None where it is one."""
+    T = np.asarray(T, float)
+    if T.shape == (4, 4) and is_valid(T, tolerance):
+        return None
+    if T.shape != (4, 4):
+        return f"it is of shape {T.shape}, not (4, 4)", "rotation and translation in three rows, then 0 0 0 1"
+    if not np.isfinite(T).all():
+        return "it has numbers that are not finite", "give only what is known"
+    if not np.allclose(T[3], _BOTTOM, atol=tolerance):
+        if np.allclose(T[:, 3], _BOTTOM, atol=tolerance):
+            return "its translation stands in the last row", "transpose it: the translation is the last column"
+        return f"its last row is {' '.join(f'{x:g}' for x in T[3])}, not 0 0 0 1", "give [[R, t], [0, 0, 0, 1]]"
+    return _why_no_rotation(T[:3, :3], tolerance)
+
+
+def _why_no_rotation(R: FloatArray, tolerance: float) -> tuple[str, str]:
+    product = R @ R.T
+    scale = float(np.sqrt(np.trace(product) / 3))
+    if np.allclose(product, np.eye(3), atol=tolerance):
+        return "its rotation mirrors, determinant -1", "turn one axis around: x, y, z of each frame are right-handed"
+    off = float(np.abs(product - np.eye(3)).max())
+    if off < _ROUNDED:
+        return (
+            f"its rotation is orthonormal within {off:.1g}, not {tolerance:g}",
+            "give more digits, or wheelsight.geometry.se3.nearest(T)",
+        )
+    if np.allclose(product, scale**2 * np.eye(3), atol=tolerance * scale**2):
+        return f"its rotation is scaled by {scale:g}", f"divide the three by three by {scale:g}"
+    return "its rotation is not orthonormal", "its columns are the axes of the second frame, in the first, of length 1"

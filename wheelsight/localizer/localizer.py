@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.checks import check_event, check_frame
+from wheelsight.checks import check_event, check_images, need_calibration, need_kind
 from wheelsight.clocks import SessionClock, Untimed
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
@@ -25,6 +25,9 @@ from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.places import PlaceMatch
+from wheelsight.stamps import StampCheck
+
+_CONFIG_FIX = 'load_config(PATH), or load_config(overrides={"odometry": "dense"})'
 
 
 class Localizer:
@@ -61,7 +64,8 @@ class Localizer:
     """
 
     def __init__(self, calibration: Calibration, config: Config | None = None, places: Places | None = None) -> None:
-        settings = config or Config()
+        calibration = need_calibration(calibration)
+        settings = Config() if config is None else need_kind("config", config, Config, _CONFIG_FIX)
         if len(settings.odometry) > 1 and settings.fusion.filter == "none":
             several = " and ".join(settings.odometry)
             raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
@@ -78,8 +82,8 @@ class Localizer:
         self.note = ""
         self._clock = SessionClock(settings.clocks)
         # A model of places, which was trained on images of one size, says itself what is wrong with others.
-        has_places = places is not None or settings.places.model is not None
-        self._calibration, self._checks_frames = calibration, not (isinstance(self._way, ByWheels) or has_places)
+        self._has_places = places is not None or settings.places.model is not None
+        self._calibration, self._stamps = calibration, StampCheck()
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry | WheelOdometry:
@@ -154,15 +158,17 @@ class Localizer:
         is stamped far from all others is refused, with a reason and a note.
 
         Raises:
-            ArgumentError: no event, or images of another shape or type than the calibration's.
+            ArgumentError: no event, stamps that are no seconds, images of another shape or type than the calibration's,
+                or depth that is not in metres.
             PlaceError: a frame of another size than the model of places was trained on.
         """
         check_event(event)
-        if isinstance(event, RgbdFrame) and self._checks_frames:
-            check_frame(event, self._calibration)
+        if isinstance(event, RgbdFrame) and RgbdFrame in self._way.hears:
+            check_images(event, self._calibration, of_any_size=self._has_places)
         self.note = ""
         if not isinstance(event, self._way.hears):
             return None
+        self._stamps.check(event)
         time_s = self._clock.time_of(event)
         if isinstance(time_s, Untimed):
             told = replace(event, stamp_s=event.stamp_s - self._clock.shift_s)

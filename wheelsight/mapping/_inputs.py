@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from wheelsight.checks import why_not_metres
 from wheelsight.errors import MapError
 from wheelsight.geometry import Float32Array, FloatArray, se3
 from wheelsight.views import Surface
 
 _NONE_LARGER_PX = 4096
+_KNOWN_POSES = "fuse, predict and move only where the pose is known"
+_UNITS = {
+    "depth_m": "divide raw depth by its units a metre: of millimetres, (depth / 1000).astype(np.float32)",
+    "normal": "unit vectors in the camera frame",
+    "grey": "0 to 255, -1 where unknown",
+    "color": "0 to 255, -1 where unknown",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,24 +63,43 @@ def rays_of(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Flo
     return x.astype(np.float32), y.astype(np.float32)
 
 
-def checked_frame(surface: Surface) -> Frame:
-    """The frame, if its images are of one shape; else MapError."""
-    depth_m, color = surface.depth_m, surface.color
+def checked_frame(surface: Surface, far_m: float) -> Frame:
+    """The frame, if its images are of one shape and its depth in metres; else MapError.
+
+    Pixels whose depth is no number add nothing.
+
+    Args:
+        far_m: as far as the camera is trusted.
+    """
+    given = {name: _array(name, getattr(surface, name)) for name in ("depth_m", "normal", "grey")}
+    depth_m = given["depth_m"]
     if depth_m.ndim != 2 or not 0 < max(depth_m.shape) <= _NONE_LARGER_PX:
         raise MapError(f"depth_m is of shape {depth_m.shape}, not (h, w)")
-    images = {"normal": surface.normal, "grey": surface.grey} | ({} if color is None else {"color": color})
-    for name, image in images.items():
-        expected = depth_m.shape if name == "grey" else (*depth_m.shape, 3)
+    color = np.empty((0, 0, 3), np.float32) if surface.color is None else _array("color", surface.color)
+    for name, image in (given if surface.color is None else given | {"color": color}).items():
+        expected = (*depth_m.shape, 3) if name in ("normal", "color") else depth_m.shape
         if image.shape != expected:
             raise MapError(f"{name} is of shape {image.shape}, not {expected} as depth_m asks")
-    color = np.empty((0, 0, 3), np.float32) if color is None else color
-    given = (depth_m, surface.normal, color, surface.grey)
-    return Frame(*(np.ascontiguousarray(image, np.float32) for image in given))
+    if wrong := why_not_metres(depth_m, far_m):
+        raise MapError(f"depth_m {wrong[0]}", fix=wrong[1])
+    return Frame(depth_m, given["normal"], color, given["grey"])
+
+
+def _array(name: str, image: Any) -> Float32Array:
+    if not isinstance(image, np.ndarray):
+        raise MapError(f"{name} is a {type(image).__name__}, not an array", fix="np.asarray(image, np.float32)")
+    if image.dtype.kind != "f":
+        raise MapError(f"{name} is of {image.dtype}, not float32", fix=_UNITS[name])
+    return np.ascontiguousarray(image, np.float32)
 
 
 def checked_pose(T_map_camera: FloatArray, intrinsics: FloatArray) -> Pose:
     """The pose, if it is one; else MapError."""
-    T, grid = checked_motion(T_map_camera, "T_map_camera"), np.ascontiguousarray(intrinsics, float)
+    T = checked_motion(T_map_camera, "T_map_camera")
+    try:
+        grid = np.ascontiguousarray(intrinsics, float)
+    except (TypeError, ValueError) as error:
+        raise MapError("intrinsics are not fx, fy, cx, cy") from error
     if grid.shape != (4,) or not np.isfinite(grid).all() or min(grid[:2]) <= 0:
         raise MapError("intrinsics are not fx, fy, cx, cy with positive focal lengths")
     return Pose(T, grid)
@@ -79,7 +107,10 @@ def checked_pose(T_map_camera: FloatArray, intrinsics: FloatArray) -> Pose:
 
 def checked_motion(T: FloatArray, name: str) -> FloatArray:
     """The rigid motion (4, 4), if it is one; else MapError."""
-    T = np.ascontiguousarray(T, float)
-    if T.shape != (4, 4) or not np.isfinite(T).all() or not se3.is_valid(T, tolerance=1e-4):
-        raise MapError(f"{name} is not a rigid motion", fix="fuse, predict and move only where the pose is known")
+    try:
+        T = np.ascontiguousarray(T, float)
+    except (TypeError, ValueError) as error:
+        raise MapError(f"{name} is a {type(T).__name__}, not (4, 4) of numbers", fix=_KNOWN_POSES) from error
+    if wrong := se3.why_invalid(T, tolerance=1e-4):
+        raise MapError(f"{name} is not a rigid motion: {wrong[0]}", fix=f"{wrong[1]}; {_KNOWN_POSES}")
     return T

@@ -156,17 +156,18 @@ class SurfelMap:
             keyframe: that new surfels hang on.
 
         Raises:
-            MapError: shapes that differ, a pose that is no rigid motion, a stamp before the last, or a keyframe that
-                the map does not know.
+            MapError: shapes that differ, depth that is not in metres, a pose that is no rigid motion, a stamp before
+                the last, or a keyframe that the map does not know.
         """
-        frame, pose = checked_frame(surface), checked_pose(T_map_camera, intrinsics)
+        noise = noise or DepthNoise()
+        frame, pose = checked_frame(surface, noise.far_m), checked_pose(T_map_camera, intrinsics)
         if not np.isfinite(stamp_s) or stamp_s < self.stamp_s:
             raise MapError(f"stamp_s is {stamp_s}, after {self.stamp_s}", fix="fuse frames in order of time")
         if keyframe is not None and not 0 <= keyframe < len(self.T_map_keyframe):
             raise MapError(f"there is no keyframe {keyframe}", fix="give the map the store that has it")
         self._follow()
         self.stamp_s, dropped = float(stamp_s), self._blocks.dropped
-        camera = self._camera(pose, frame.depth_m.shape, noise or DepthNoise())
+        camera = self._camera(pose, frame.depth_m.shape, noise)
         seen = self._seen(frame, camera, pose.grid, frames)
         matched, removed, merged, is_new = self._average(seen, camera, pose)
         added = self._add_new(seen, is_new, -1 if keyframe is None else keyframe)

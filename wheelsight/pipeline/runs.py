@@ -16,7 +16,7 @@ from wheelsight.pipeline.records import records_of
 from wheelsight.pipeline.run_record import FrameRecord, RunRecord
 from wheelsight.pipeline.track import UNITS, Track, begin_all, follow
 from wheelsight.recordings import Recording
-from wheelsight.recordings.clocks import refuse_if_apart
+from wheelsight.recordings.clocks import FRAMES, WHEELS, refuse_if_apart, refuse_other_units
 from wheelsight.sources import EventSource
 
 
@@ -67,7 +67,7 @@ def _begin(source: EventSource, config: Config) -> tuple[tuple[Track, ...], Plac
         ConfigError: the source has no images, or no wheel readings, that an odometry asked for needs.
         CalibrationError: the calibration lacks its cameras, or its wheels.
         AreaError, PlaceError: places cannot be read, or do not fit.
-        RecordingError: wheels and camera, which are to be joined, share no time.
+        RecordingError: stamps are no seconds, or wheels and camera, which are to be joined, share no time.
     """
     _check_sensors(source, config)
     places = places_of(source, config)
@@ -89,8 +89,11 @@ def _check_sensors(source: EventSource, config: Config) -> None:
 
 
 def _check_clocks(source: EventSource, config: Config) -> None:
-    """Refuse to join frames and wheels of one recording that share no time. Raises RecordingError."""
+    """Refuse stamps that are no seconds, and to join what shares no time. Raises RecordingError."""
     played = source.played if isinstance(source, RealTimeRecording) and source.wheels is None else source
     is_joined = bool({"joined", "rectified"} & set(config.tracks))
-    if is_joined and isinstance(played, Recording) and not isinstance(played, RealTimeRecording):
+    if not isinstance(played, Recording) or isinstance(played, RealTimeRecording):
+        return
+    if is_joined:
         refuse_if_apart(played)
+    refuse_other_units(played, {FRAMES if UNITS[odometry] == "frame" else WHEELS for odometry in config.odometry})

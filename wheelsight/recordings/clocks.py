@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -61,6 +61,18 @@ def refuse_if_apart(recording: Recording, least_s: float = 0.0) -> None:
     if units.get(WHEELS) != units.get(FRAMES):
         looks = " and ".join(f"the {name}' stamps like {_kind(name, unit)}" for name, unit in units.items())
         raise RecordingError(f"wheels and camera do not count one unit: {looks}", path=recording.path, fix=remedy)
+
+
+def refuse_other_units(recording: Recording, sensors: Collection[str]) -> None:
+    """Raise RecordingError where stamps of FRAMES or WHEELS, of those that are followed, plainly are no seconds.
+
+    Numbers of frames pass: a camera may give one a second.
+    """
+    stamps = listed_stamps(recording)
+    for name, unit in _units(stamps).items():
+        if name in sensors and unit is not NUMBERS:
+            shown = _unit_sentence(name, unit, stamps[name]).rpartition(":")[0]
+            raise RecordingError(shown, path=recording.path, fix=_remedy(name, unit))
 
 
 def _sensors(stamps: Mapping[str, FloatArray]) -> list[str]:

@@ -10,16 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelsight.calibration import Calibration, save_calibration
+from wheelsight.checks import check_event, check_images, need_calibration
 from wheelsight.errors import CalibrationError, OutputError, RecordingError
-from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
 from wheelsight.files import StrPath, make_output_folder, write_bytes
-from wheelsight.geometry import Float32Array, PinholeCamera
-from wheelsight.recordings._images import image_size
+from wheelsight.geometry import Float32Array
 from wheelsight.recordings.bodies import express_for
 from wheelsight.recordings.growing_text import GrowingText
 from wheelsight.recordings.native import GYRO_HEADER, WHEELS_HEADER
 from wheelsight.recordings.protocol import Recording
 from wheelsight.recordings.tum import DEPTH_FACTOR
+from wheelsight.stamps import StampCheck
 from wheelsight.trajectory import Trajectory, tum_header, tum_lines, write_tum
 
 _IMAGE_HEADERS = {
@@ -38,8 +39,8 @@ class RecordingWriter:
     """Writes events into a folder as they come; use it in a `with` block, and `open_recording` reads them again.
 
     Colour is kept exactly, depth to 0.1 mm: 5000 units a metre in 16 bits, as in the TUM benchmark, so that any
-    TUM tool reads it. That ends at 13.107 m; what lies beyond, or is no number, is written as not measured and
-    counted in `depths_too_far`. Images appear whole or not at all, and a list names an image only once it is
+    TUM tool reads it. That ends at 13.107 m; what lies beyond is written as not measured and counted in
+    `depths_too_far`. Images appear whole or not at all, and a list names an image only once it is
     there; a recording broken off at any point, even by a power cut, is a valid shorter one.
 
     Of a robot without cameras, by its calibration, it is a recording of the wheels alone; so it is where `calibration`
@@ -56,10 +57,12 @@ class RecordingWriter:
     """
 
     def __init__(self, folder: StrPath, calibration: Calibration | None, force: bool = False) -> None:
+        calibration = None if calibration is None else need_calibration(calibration)
         self.folder = make_output_folder(Path(folder), force)
         self.frames = self.readings = self.depths_too_far = 0
         self._calibration = calibration
         self._last_stamp_s: dict[str, float] = {}
+        self._stamps = StampCheck()
         for name in (*TRUTH_FILES.values(), _LABELS):
             (self.folder / name).unlink(missing_ok=True)
         has_cameras = calibration is not None and calibration.color is not None
@@ -76,21 +79,27 @@ class RecordingWriter:
         """Write one event; frames that were skipped when they were read leave no trace.
 
         Raises:
-            RecordingError: stamps that do not grow, or images of another size than the calibration's.
+            ArgumentError: no event, stamps that are no seconds, or numbers or images that cannot be read again as they
+                are: of another size or kind than the calibration's, or depth that is not in metres.
+            RecordingError: stamps that do not grow.
             OutputError: the disk is full or the folder has gone.
         """
+        check_event(event, finite=not isinstance(event, SkippedFrame))
+        if isinstance(event, SkippedFrame):
+            return
+        if isinstance(event, WheelSpeeds):
+            raise RecordingError("wheel speeds have no place here: wheels.csv holds ticks", path=self.folder)
         if isinstance(event, RgbdFrame):
-            self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
+            check_images(event, self._known_calibration())
+        self._stamps.check(event)
+        self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
+        if isinstance(event, RgbdFrame):
             self._add_frame(event)
         elif isinstance(event, WheelTicks):
-            self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
-            self._lists["wheels.csv"].append(f"{_seconds(event.stamp_s)},{event.left},{event.right}\n")
+            self._lists["wheels.csv"].append(f"{_seconds(event.stamp_s)},{int(event.left)},{int(event.right)}\n")
             self.readings += 1
-        elif isinstance(event, YawRate):
-            self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
+        else:
             self._lists["gyro.csv"].append(f"{_seconds(event.stamp_s)},{_seconds(event.yaw_rate_rad_s)}\n")
-        elif isinstance(event, WheelSpeeds):
-            raise RecordingError("wheel speeds have no place here: wheels.csv holds ticks", path=self.folder)
 
     def add_ground_truth(self, truth: Trajectory) -> None:
         """Write the true trajectory of the camera or the base; if the calibration joins the two, both.
@@ -159,9 +168,6 @@ class RecordingWriter:
         return self._calibration
 
     def _add_frame(self, frame: RgbdFrame) -> None:
-        color_camera, depth_camera = self._known_calibration().cameras
-        _check_size("colour", frame.color, color_camera)
-        _check_size("depth", frame.depth_m, depth_camera)
         seconds = _seconds(frame.stamp_s)
         names = {"rgb": f"rgb/{seconds}.png", "depth": f"depth/{seconds}.png"}
         _write_png(self.folder / names["rgb"], cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR))
@@ -172,9 +178,9 @@ class RecordingWriter:
 
     def _depth_units(self, depth_m: Float32Array) -> NDArray[np.uint16]:
         units = np.rint(np.asarray(depth_m, np.float64) * DEPTH_FACTOR)
-        fits = (units >= 0) & (units <= _DEEPEST_UNITS)
-        self.depths_too_far += int(np.count_nonzero(units > _DEEPEST_UNITS))
-        return np.where(fits, units, 0).astype(np.uint16)
+        is_too_far = units > _DEEPEST_UNITS
+        self.depths_too_far += int(np.count_nonzero(is_too_far))
+        return np.where(is_too_far, 0, units).astype(np.uint16)
 
     def _check_stamps(self, what: str, first_s: float, last_s: float) -> None:
         """Refuse stamps that do not come after those of the same kind, or are no numbers."""
@@ -203,12 +209,6 @@ def write_recording(folder: StrPath, recording: Recording, force: bool = False) 
 def _seconds(stamp_s: float) -> str:
     """A stamp with all its decimals, never in powers of ten, so that it reads back exactly."""
     return np.format_float_positional(stamp_s, min_digits=6)
-
-
-def _check_size(name: str, image: NDArray[np.generic], camera: PinholeCamera) -> None:
-    if image.shape[:2] != (camera.height, camera.width):
-        expected = f"{camera.width}×{camera.height}"
-        raise RecordingError(f"{name} image is {image_size(image)}, the calibration's {expected}")
 
 
 def _write_png(path: Path, image: NDArray[np.integer | np.floating]) -> None:

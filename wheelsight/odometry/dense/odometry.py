@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.checks import array_of, check_frame
+from wheelsight.checks import check_frame, need_calibration, need_motion, need_twist
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
@@ -29,6 +29,7 @@ from wheelsight.odometry.dense.views import Views
 from wheelsight.odometry.features.extraction import Features
 from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
+from wheelsight.stamps import StampCheck
 from wheelsight.threads import Rows
 from wheelsight.views import ReferenceModel, Surface
 
@@ -61,7 +62,7 @@ class DenseOdometry:
         T_map_first: FloatArray | None = None,
         store: KeyframeStore | None = None,
     ) -> None:
-        self._calibration, self._settings = calibration, settings or DenseSettings()
+        self._calibration, self._settings = need_calibration(calibration), settings or DenseSettings()
         self.store, self.watch = KeyframeStore() if store is None else store, Stopwatch()
         self._follower = self.store.follow()
         rows = Rows(self._settings.threads)
@@ -82,8 +83,8 @@ class DenseOdometry:
         self._verifier = Verifier(self._settings, keypoints, self._views, self.watch)
         parts = (self._gridder, self._locator, keypoints, self._views, self.store)
         self._policy = KeyframePolicy(self._settings, *parts)
-        self._T_map_first = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
-        self._state = TrackingState(self._settings.lost_after)
+        self._T_map_first = np.eye(4) if T_map_first is None else need_motion("T_map_first", T_map_first)
+        self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
         self._first: tuple[RgbdFrame, Features] | None = None
         self._last: Tracked | None = None
 
@@ -122,8 +123,9 @@ class DenseOdometry:
                 last frame is so long ago that the mean velocity since says little, and rows are exposed one by one.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior, other=T_previous_current_other)
+        self._stamps.check(frame)
         if twist is not None:
-            twist = array_of("twist", twist, (6,))
+            twist = need_twist(twist)
         self._start_frame()
         last, features = self._last, self._keypoints.look(frame)
         if last is None:

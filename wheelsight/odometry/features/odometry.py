@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.checks import array_of, check_frame
+from wheelsight.checks import check_frame, need_calibration, need_motion, need_twist
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
@@ -22,6 +22,7 @@ from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
 from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
+from wheelsight.stamps import StampCheck
 
 
 class FeatureOdometry:
@@ -52,7 +53,7 @@ class FeatureOdometry:
         T_map_first: FloatArray | None = None,
         store: KeyframeStore | None = None,
     ) -> None:
-        self._calibration, self._settings = calibration, settings or FeatureSettings()
+        self._calibration, self._settings = need_calibration(calibration), settings or FeatureSettings()
         self.store = KeyframeStore() if store is None else store
         self._moves = self.store.follow()
         self._maker = KeyframeMaker(calibration)
@@ -62,12 +63,12 @@ class FeatureOdometry:
         self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
         self._map_tracker = MapTracker(calibration, self._settings)
         self._T_color_camera = calibration.T_color_camera
-        T_map_camera = np.eye(4) if T_map_first is None else np.asarray(T_map_first, float)
+        T_map_camera = np.eye(4) if T_map_first is None else need_motion("T_map_first", T_map_first)
         self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
         self._last: View | None = None
         self._first_raw: Features | None = None
         self._velocity: FloatArray = np.zeros(6)
-        self._state = TrackingState(self._settings.lost_after)
+        self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
         self._frames = 0
 
     @property
@@ -92,9 +93,11 @@ class FeatureOdometry:
                 frame is so long ago that the mean velocity until then says little, and rows are exposed one by one.
 
         Raises:
-            ArgumentError: images or a motion of another shape or type.
+            ArgumentError: images or a motion of another shape or type, depth that is not in metres, a stamp that is not
+                in seconds.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior)
+        self._stamps.check(frame)
         self._watch.restart()
         self._follow()
         self._frames += 1
@@ -102,9 +105,9 @@ class FeatureOdometry:
             raw = self._extractor.extract(frame)
         if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
             return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
-        longest_s = self._settings.longest_step_s
+        twist, longest_s = None if twist is None else need_twist(twist), self._settings.longest_step_s
         if twist is not None and self._last is not None and raw.stamp_s - self._last.features.stamp_s > longest_s:
-            self._velocity = se3.adjoint(self._T_color_camera) @ array_of("twist", twist, (6,))
+            self._velocity = se3.adjoint(self._T_color_camera) @ twist
         if self._last is None:
             self._first_raw = raw
             return self._start(frame, raw, self._T_map_first)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Gyro, Wheels
 from wheelsight.calibration_parts import least_step
-from wheelsight.checks import check_event
+from wheelsight.checks import check_event, need_kind, need_number
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Reason, Status, WheelEstimate
 from wheelsight.events import WheelSpeeds, WheelTicks
@@ -28,6 +28,7 @@ from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.odometry.wheels import _kernels as kernels
 from wheelsight.odometry.wheels import _state_kernels as at
 from wheelsight.odometry.wheels._gyro_kernels import likelier
+from wheelsight.stamps import StampCheck
 from wheelsight.trajectory import Trajectory
 
 Integration = Literal["arc", "midpoint", "euler"]
@@ -53,12 +54,13 @@ class WheelOdometry:
     """
 
     def __init__(self, wheels: Wheels, integration: Integration = "arc", gyro: Gyro | None = None) -> None:
-        self._wheels = wheels
+        self._wheels = need_kind("wheels", wheels, Wheels, "calibration.wheels")
         self._parameters, self._states = _prepare(wheels, integration, gyro or Gyro())
         self._span = self._parameters[kernels.SPAN]
         self._ticks_per_rad = wheels.ticks_per_turn / (2 * math.pi)
         self._T_odom_base, self._covariance = np.eye(4), np.zeros((6, 6))
         self._last: WheelTicks | WheelSpeeds | None = None
+        self._stamps = StampCheck()
         self._answered: tuple[float, FloatArray, FloatArray] | None = None
 
     @property
@@ -125,12 +127,14 @@ class WheelOdometry:
             pose as it was before and the covariance grown.
 
         Raises:
-            ArgumentError: no reading, or one whose numbers are none.
+            ArgumentError: no reading, numbers that are none, counts with a fraction, or stamps that are no seconds.
         """
         check_event(reading)
         if not isinstance(reading, WheelTicks | WheelSpeeds):
             raise ArgumentError(f"a {type(reading).__name__} is no reading of wheels", fix="WheelTicks or WheelSpeeds")
-        why = self._advance(reading, math.nan if yaw_rate_rad_s is None else yaw_rate_rad_s)
+        self._stamps.check(reading)
+        rate_rad_s = math.nan if yaw_rate_rad_s is None else need_number("yaw_rate_rad_s", yaw_rate_rad_s)
+        why = self._advance(reading, rate_rad_s)
         stamp_s, before = reading.stamp_s - self._wheels.delay_s, self._answered
         T, C = self._T_odom_base.copy(), self._covariance.copy()
         if why == kernels.BACKWARDS:
@@ -275,6 +279,8 @@ def _count_variance(wheels: Wheels) -> float:
 
 def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
     """Parameters and first states (2, STATE_SIZE) as the kernels take them."""
+    if integration not in _INTEGRATIONS:
+        raise ArgumentError(f"integration is {integration!r}", fix=f"one of {', '.join(_INTEGRATIONS)}")
     parameters, state = np.zeros(kernels.PARAMETERS_SIZE), np.zeros(at.STATE_SIZE)
     parameters[kernels.INTEGRATION] = _INTEGRATIONS[integration]
     parameters[kernels.TRACK] = wheels.track_width_m
