@@ -1,0 +1,317 @@
+"""A tour through a building that a wheelchair can drive: from room to room, by shortest ways, and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from scipy.ndimage import gaussian_filter1d
+from shapely.ops import substring
+
+from wheelsight.errors import ConfigError
+from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.simulation._paths import laps_of, smooth_path
+from wheelsight.simulation.robot import Robot
+from wheelsight.simulation.worlds.floor_plan._doorways import Doorway
+from wheelsight.simulation.worlds.floor_plan._free_space import FreeSpace
+from wheelsight.simulation.worlds.floor_plan._ground import Ground
+
+SIDE_MARGIN_M = 0.11  # beside the chair: what the simulator asks for, and 1 cm
+USUAL_WAY_M = 100.0
+_SWEPT_MARGIN_M = 0.05  # a driver strays by centimetres
+_TAIL_M = 0.30  # of the chair, behind its axle
+_GOALS_APART_M = (2.0, 5.0)
+_MOST_GOALS = 14
+_SMOOTHED_M = (0.3, 0.15, 0.05)
+_OFF_LINE_M = 0.03
+_DEARER = 1.05  # smooth ways may cost so much more than the cheapest
+_ROOMY_STARTS = 3
+_SAME_M = 0.03
+_STREAM = 0x90
+_POSES_APART_M = 0.1
+_SHORTEST_M = 0.6
+_AHEAD_M = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """Waypoints (N, 2) in `map`, metres, and whether the last leads back to the first."""
+
+    waypoints: FloatArray
+    is_loop: bool
+
+    @property
+    def length_m(self) -> float:
+        """Of a lap, or of the way."""
+        closed = np.vstack([self.waypoints, self.waypoints[:1]]) if self.is_loop else self.waypoints
+        return float(np.hypot(*np.diff(closed, axis=0).T).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A robot from above: how far it reaches from the middle of its axle, metres."""
+
+    front_m: float
+    tail_m: float
+    half_width_m: float
+
+    @classmethod
+    def of(cls, robot: Robot) -> Body:
+        """The wheelchair's."""
+        return cls(robot.length_m - _TAIL_M, _TAIL_M, robot.width_m / 2)
+
+    @property
+    def turning_m(self) -> float:
+        """Radius of the circle that it needs to turn on the spot."""
+        return float(np.hypot(self.front_m, self.half_width_m)) + _SWEPT_MARGIN_M
+
+    def outlines(self, x_m: FloatArray, y_m: FloatArray, yaws_rad: FloatArray, margin_m: float) -> FloatArray:
+        """Corners (N, 4, 2) at poses (N,), with a margin all round."""
+        front, back, half = self.front_m + margin_m, -self.tail_m - margin_m, self.half_width_m + margin_m
+        corners = np.array([(front, half), (back, half), (back, -half), (front, -half)])
+        c, s = np.cos(yaws_rad)[:, None], np.sin(yaws_rad)[:, None]
+        x = x_m[:, None] + c * corners[:, 0] - s * corners[:, 1]
+        y = y_m[:, None] + s * corners[:, 0] + c * corners[:, 1]
+        return np.stack([x, y], axis=-1)
+
+
+def plan_route(
+    space: FreeSpace,
+    doorways: Sequence[Doorway],
+    robot: Robot,
+    seed: int,
+    way_m: float | None,
+    start: tuple[float, float, float] | None,
+) -> Route:
+    """A closed tour of about `way_m` from room to room, or one way where there is no place to turn.
+
+    Args:
+        space: the floor.
+        doorways: which are passed straight.
+        robot: that is to drive it.
+        seed: which rooms are visited.
+        way_m: how long it is at least, if the rooms allow; None for one lap of up to USUAL_WAY_M.
+        start: x, y in metres and yaw in radians in `map`; None for a roomy place.
+
+    Raises:
+        ConfigError: a start where the robot does not fit, or nowhere to go.
+    """
+    rng = np.random.default_rng([seed, _STREAM])
+    body = Body.of(robot)
+    ground = Ground.of(space, body.half_width_m + SIDE_MARGIN_M, None if start is None else start[:2])
+    first = _start_cell(ground, body, rng, start)
+    planner = _Planner(ground, body, tuple(doorways), first, start)
+    wanted_m = USUAL_WAY_M if way_m is None else way_m
+    route = planner.tour(rng, wanted_m) or planner.one_way(wanted_m)
+    if way_m is None or not route.is_loop:
+        return route
+    laps = max(math.ceil(way_m / route.length_m), 1)
+    return Route(np.tile(route.waypoints, (laps, 1)), is_loop=True)
+
+
+def _start_cell(
+    ground: Ground, body: Body, rng: np.random.Generator, start: tuple[float, float, float] | None
+) -> tuple[int, int]:
+    """The row and column of the start. Raises ConfigError where the robot does not fit there."""
+    if start is not None:
+        row, column = ground.space.cells_at(np.array(start[:2])).tolist()
+        around = body.outlines(*(np.array([value]) for value in start), _SWEPT_MARGIN_M)
+        if not ground.is_open[row, column] or not shapely.covers(ground.space.shape, shapely.polygons(around[0])):
+            where = f"x = {start[0]:g}, y = {start[1]:g} m"
+            raise ConfigError(
+                f"--start {where} is too near to a wall, or off the floor", fix="plan.png shows the floor"
+            )
+        return row, column
+    roomiest_m = float((ground.away_m * ground.is_open).max())
+    goals = _goals(ground, min(body.turning_m, roomiest_m))
+    row, column = goals[rng.integers(min(len(goals), _ROOMY_STARTS))].tolist()
+    return row, column
+
+
+def _goals(ground: Ground, room_m: float) -> IntArray:
+    """Cells (N, 2) that are `room_m` from walls, the roomiest first, some metres from each other."""
+    space = ground.space
+    cells = np.argwhere((ground.is_open > 0) & (ground.away_m >= room_m))
+    order = np.argsort(-ground.away_m[cells[:, 0], cells[:, 1]], kind="stable")
+    cells = cells[order]
+    apart = np.clip(np.sqrt(space.shape.area) / 4, *_GOALS_APART_M) / space.cell_m
+    goals: list[IntArray] = []
+    while len(cells):
+        goals.append(cells[0])
+        cells = cells[np.hypot(*(cells - cells[0]).T) >= apart]
+    return np.array(goals, int).reshape(-1, 2)
+
+
+class _Planner:
+    """Plans ways from one start."""
+
+    def __init__(
+        self,
+        ground: Ground,
+        body: Body,
+        doorways: Sequence[Doorway],
+        first: tuple[int, int],
+        start: tuple[float, float, float] | None,
+    ) -> None:
+        self._ground, self._body, self._doorways = ground, body, doorways
+        self._first, self._start = first, start
+
+    def tour(self, rng: np.random.Generator, wanted_m: float) -> Route | None:
+        """Closed through places near the start where the robot can turn; None where there are too few of them.
+
+        Places that it could not reach without touching a wall are left out.
+        """
+        if self._ground.away_m[self._first] < self._body.turning_m:
+            return None
+        ways = self._ground.ways(limit=wanted_m)
+        found = [ways.from_cell(self._first)]
+        goals = _goals(self._ground, self._body.turning_m)
+        reach = found[0][0][ways.index[goals[:, 0], goals[:, 1]]]
+        is_apart = np.hypot(*(goals - self._first).T) * self._ground.space.cell_m > _SHORTEST_M
+        goals = rng.permutation(goals[(reach < wanted_m / 2) & is_apart])[:_MOST_GOALS]
+        stops = [self._first, *[(int(row), int(column)) for row, column in goals]]
+        found += [ways.from_cell(stop) for stop in stops[1:]]
+        numbers = [int(ways.index[stop]) for stop in stops]
+        between = np.array([[costs[k] for k in numbers] for costs, _ in found])
+        kept = list(range(len(stops)))
+        while len(kept) > 1:
+            order = [kept[k] for k in _order(between[np.ix_(kept, kept)], wanted_m)]
+            legs = [self._waypoints(ways.way(found[a][1], stops[b])) for a, b in pairwise([*order, order[0]])]
+            route = Route(self._headed(np.concatenate([leg[:-1] for leg in legs])), is_loop=True)
+            touched = _touched(self._ground.space, self._body, route)
+            if not len(touched):
+                return route
+            kept.remove(_nearest_stop(legs, order, touched))
+        return None
+
+    def one_way(self, wanted_m: float) -> Route:
+        """To the farthest cell, from the start or, where that is free, from the cell farthest from it.
+
+        It ends where the robot would touch a wall. Raises ConfigError where that is at once.
+        """
+        ways = self._ground.ways(limit=np.inf)
+        costs, before = ways.from_cell(self._first)
+        end = ways.farthest(costs)
+        if self._start is None:
+            costs, before = ways.from_cell(end)
+            end = ways.farthest(costs)
+        waypoints = self._headed(self._waypoints(ways.way(before, end)))
+        line = shapely.segmentize(shapely.LineString(waypoints), _POSES_APART_M)
+        touched = _touched(self._ground.space, self._body, Route(waypoints, is_loop=False))
+        along_m = shapely.line_locate_point(line, shapely.points(touched))
+        end_m = min(wanted_m, line.length, float(along_m.min(initial=np.inf)) - _POSES_APART_M)
+        if end_m < _SHORTEST_M:
+            problem = "there is no way from the start on which the robot does not touch a wall"
+            raise ConfigError(problem, fix="begin elsewhere with --start x,y,yaw")
+        return Route(shapely.get_coordinates(substring(shapely.LineString(waypoints), 0.0, end_m)), is_loop=False)
+
+    def _headed(self, waypoints: FloatArray) -> FloatArray:
+        """The waypoints; where a start was asked for, first that place exactly, and a short leg in its direction."""
+        if self._start is None:
+            return waypoints
+        x_m, y_m, yaw_rad = self._start
+        ahead = (x_m + _AHEAD_M * math.cos(yaw_rad), y_m + _AHEAD_M * math.sin(yaw_rad))
+        return np.vstack([[(x_m, y_m), ahead], waypoints[1:]])
+
+    def _waypoints(self, cells: IntArray) -> FloatArray:
+        """(N, 2) in `map`: the way through cells (M, 2), straight through doorways and smooth elsewhere."""
+        line = self._ground.space.middle_of(cells)
+        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+        crossed = self._crossed(line)
+        pieces, begin_m, entry = [], 0.0, np.empty((0, 2))
+        for k, (at, doorway) in enumerate(crossed):
+            side = 1 if (line[at] - doorway.middle) @ doorway.onward > 0 else -1
+            room_before = (along_m[at] - (along_m[crossed[k - 1][0]] if k else 0.0)) / (2 if k else 1)
+            after = along_m[crossed[k + 1][0]] if k + 1 < len(crossed) else along_m[-1]
+            room_after = (after - along_m[at]) / (2 if k + 1 < len(crossed) else 1)
+            before_m = min(self._ground.lane_m(doorway, side), room_before)
+            after_m = min(self._ground.lane_m(doorway, -side), room_after)
+            ends = doorway.middle + np.array([side * before_m, -side * after_m])[:, None] * doorway.onward
+            inner = line[(along_m > begin_m) & (along_m < along_m[at] - before_m)]
+            pieces.append(self._smooth(np.concatenate([entry, inner, ends[:1]])))
+            begin_m, entry = along_m[at] + after_m, ends[1:]
+        pieces.append(self._smooth(np.concatenate([entry, line[along_m > begin_m]] if crossed else [line])))
+        return _apart(np.concatenate(pieces))
+
+    def _crossed(self, line: FloatArray) -> list[tuple[int, Doorway]]:
+        """The doorways that a line (N, 2) goes through, with the number of the point before each."""
+        string = shapely.LineString(line) if len(line) > 1 else shapely.Point(line[0])
+        found = []
+        for doorway in self._doorways:
+            if shapely.intersects(string, shapely.LineString([doorway.left, doorway.right])):
+                ahead = (line - doorway.middle) @ doorway.onward
+                near = np.hypot(*(line - doorway.middle).T)
+                changes = np.flatnonzero((np.diff(np.sign(ahead)) != 0) & (near[1:] < doorway.width_m))
+                found += [(int(change), doorway) for change in changes[:1]]
+        return sorted(found, key=lambda crossing: crossing[0])
+
+    def _smooth(self, line: FloatArray) -> FloatArray:
+        """A way (N, 2) made smooth, as far as it stays on open ground, and thinned; its ends stay where they are."""
+        if len(line) < 3:
+            return line
+        cell_m = self._ground.space.cell_m
+        for smoothed_m in _SMOOTHED_M:
+            sigma = smoothed_m / cell_m
+            n = min(len(line) - 1, int(4 * sigma))
+            # Reflected about its ends, so that they stay.
+            longer = np.concatenate([2 * line[0] - line[n:0:-1], line, 2 * line[-1] - line[-2 : -n - 2 : -1]])
+            eased = gaussian_filter1d(longer, sigma, axis=0)[n : n + len(line)]
+            eased[0], eased[-1] = line[0], line[-1]
+            thinned = shapely.get_coordinates(shapely.simplify(shapely.LineString(eased), _OFF_LINE_M))
+            if self._ground.price(thinned) <= _DEARER * self._ground.price(line):
+                return np.asarray(thinned)
+        return np.asarray(shapely.get_coordinates(shapely.simplify(shapely.LineString(line), 1e-6)))
+
+
+def _apart(waypoints: FloatArray) -> FloatArray:
+    """Without waypoints that hardly differ from the one before; the last stays."""
+    kept = [0]
+    for k in range(1, len(waypoints)):
+        if np.hypot(*(waypoints[k] - waypoints[kept[-1]])) > _SAME_M:
+            kept.append(k)
+    if len(kept) > 1:
+        kept[-1] = len(waypoints) - 1
+    return np.asarray(waypoints[kept])
+
+
+def _order(between: FloatArray, wanted_m: float) -> list[int]:
+    """The stops of a closed tour in their order: each is put in where it makes the tour least longer."""
+    order = [0]
+    length_m = 0.0
+    for k in range(1, len(between)):
+        after = [*order[1:], order[0]]
+        longer = [between[a, k] + between[k, b] - between[a, b] for a, b in zip(order, after, strict=True)]
+        best = int(np.argmin(longer))
+        if len(order) == 1 or length_m + longer[best] <= wanted_m:
+            length_m += longer[best]
+            order.insert(best + 1, k)
+    return order
+
+
+def _nearest_stop(legs: Sequence[FloatArray], order: Sequence[int], touched: FloatArray) -> int:
+    """The stop, not the first, on the way to or from which the robot touches a wall."""
+    apart = [shapely.distance(shapely.LineString(leg), shapely.Point(touched[0])) for leg in legs]
+    leg = int(np.argmin(apart))
+    ends = [order[leg], order[(leg + 1) % len(order)]]
+    from_begin, from_end = (np.hypot(*(legs[leg][k] - touched[0])) for k in (0, -1))
+    nearer = ends[0] if from_begin < from_end else ends[1]
+    return nearer if nearer != order[0] else next(end for end in ends if end != order[0])
+
+
+def _touched(space: FreeSpace, body: Body, route: Route) -> FloatArray:
+    """(N, 2) where the robot would touch a wall on the route, driven either way round."""
+    touched = [np.empty((0, 2))]
+    shapely.prepare(space.shape)
+    for waypoints in (route.waypoints, route.waypoints[::-1]):
+        for path in smooth_path(laps_of(waypoints, route.is_loop, 1, None)):
+            along_m = np.arange(0, path.length_m, _POSES_APART_M)
+            x_m, y_m = (np.interp(along_m, path.along_m, column) for column in path.xy_m.T)
+            yaws_rad = np.interp(along_m, path.along_m, path.yaws_rad)
+            outlines = shapely.polygons(body.outlines(x_m, y_m, yaws_rad, _SWEPT_MARGIN_M))
+            is_clear = shapely.covers(space.shape, outlines)
+            touched.append(np.stack([x_m, y_m], axis=-1)[~is_clear])
+    return np.concatenate(touched)
