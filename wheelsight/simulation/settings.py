@@ -12,6 +12,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
 from wheelsight.simulation.drivers import MAX_SPEED_M_S
 from wheelsight.simulation.robot import Robot, WheelFaults
+from wheelsight.simulation.worlds.floor_plan.settings import FloorPlan
 
 _LARGEST_PX = 4096
 _SMALLEST_PX = 16
@@ -22,7 +23,8 @@ class SimulationSettings:
     """A world, a robot, a way through the world, and a camera; equal settings make equal recordings, byte for byte.
 
     Attributes:
-        world: one of `world_names()`.
+        world: one of `world_names()`; not looked at where there is a plan.
+        plan: a floor plan that a world is made of, in place of a built-in one.
         camera: one of `camera_names()`.
         size: (width, height) of the images in pixels, or None for the camera's own.
         rate_hz: images a second, or None for the camera's own.
@@ -45,6 +47,7 @@ class SimulationSettings:
     """
 
     world: str = "floor4"
+    plan: FloorPlan | None = None
     camera: str = "kinect-v1"
     size: tuple[int, int] | None = (320, 240)
     rate_hz: float | None = None

@@ -29,7 +29,9 @@ from wheelsight.simulation.physics import simulate_drive
 from wheelsight.simulation.renderer import Renderer
 from wheelsight.simulation.settings import SimulationSettings
 from wheelsight.simulation.simulated_recording import SimulatedRecording
+from wheelsight.simulation.world import World
 from wheelsight.simulation.worlds import build_world
+from wheelsight.simulation.worlds.floor_plan import build_floor_plan
 from wheelsight.trajectory import Trajectory
 
 _LONGEST_DRIVE_S = 4 * 3600.0
@@ -58,7 +60,7 @@ def simulate(
     refused = None if refused is None else Path(refused)
     need_mujoco()
     camera = camera_model(settings.camera, settings.size)
-    world = build_world(settings.world, settings.seed)
+    world = world_of(settings)
     driver = driver_of(settings, world)
     refuse_walls(settings, world, driver, refused)
     covers = [Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s]
@@ -77,6 +79,13 @@ def simulate(
     _refuse_never(settings, drive.duration_s)
     recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
     return with_camera_faults(recording, *covers) if covers else recording
+
+
+def world_of(settings: SimulationSettings) -> World:
+    """The world that the settings name, or that of their floor plan. Raises InputError where it cannot be built."""
+    if settings.plan is not None:
+        return build_floor_plan(settings.plan, settings.seed, settings.robot)
+    return build_world(settings.world, settings.seed)
 
 
 def need_mujoco() -> None:

@@ -1,4 +1,4 @@
-"""Rooms and doorways of a floor plan: free space falls apart where it is narrow (watershed of the distance to walls)."""
+"""Rooms and doorways of a floor plan: free space falls apart where it is narrow, by a watershed of the way to walls."""
 
 from __future__ import annotations
 

@@ -19,9 +19,9 @@ _SPECK_M2 = 0.02
 # Unknown places all round which the floor is free are shadows; a chair's is about that large.
 _SHADOW_M2 = 0.5
 # Slits narrower than twice this are rays of a scanner that passed between things, or behind glass.
-_SLIT_M = 0.15
+_SLIT_M = 0.2
 # Walls in scans stray by about a cell; what is straight within this is drawn straight.
-_STRAIGHT_M, _STRAIGHT_CELLS = 0.06, 1.3
+_STRAIGHT_M, _STRAIGHT_CELLS = 0.08, 2.0
 _SMALLEST_ROOM_M2 = 0.5
 
 

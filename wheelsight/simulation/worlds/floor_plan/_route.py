@@ -14,7 +14,7 @@ from shapely.ops import substring
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray, IntArray
-from wheelsight.simulation._paths import laps_of, smooth_path
+from wheelsight.simulation._paths import Path2d, laps_of, smooth_path
 from wheelsight.simulation.robot import Robot
 from wheelsight.simulation.worlds.floor_plan._doorways import Doorway
 from wheelsight.simulation.worlds.floor_plan._free_space import FreeSpace
@@ -29,7 +29,7 @@ _MOST_GOALS = 14
 _SMOOTHED_M = (0.3, 0.15, 0.05)
 _OFF_LINE_M = 0.03
 _DEARER = 1.05  # smooth ways may cost so much more than the cheapest
-_ROOMY_STARTS = 3
+_ROOMY_STARTS, _MOST_STARTS = 3, 8
 _SAME_M = 0.03
 _STREAM = 0x90
 _POSES_APART_M = 0.1
@@ -47,8 +47,12 @@ class Route:
     @property
     def length_m(self) -> float:
         """Of a lap, or of the way."""
-        closed = np.vstack([self.waypoints, self.waypoints[:1]]) if self.is_loop else self.waypoints
-        return float(np.hypot(*np.diff(closed, axis=0).T).sum())
+        return float(self.line.length)
+
+    @property
+    def line(self) -> shapely.LineString:
+        """Of a lap, or of the way."""
+        return shapely.LineString(np.vstack([self.waypoints, self.waypoints[:1]]) if self.is_loop else self.waypoints)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,20 +107,21 @@ def plan_route(
     rng = np.random.default_rng([seed, _STREAM])
     body = Body.of(robot)
     ground = Ground.of(space, body.half_width_m + SIDE_MARGIN_M, None if start is None else start[:2])
-    first = _start_cell(ground, body, rng, start)
-    planner = _Planner(ground, body, tuple(doorways), first, start)
     wanted_m = USUAL_WAY_M if way_m is None else way_m
-    route = planner.tour(rng, wanted_m) or planner.one_way(wanted_m)
+    planners = [_Planner(ground, body, tuple(doorways), first, start) for first in _starts(ground, body, rng, start)]
+    tours = (planner.tour(rng, wanted_m) for planner in planners)
+    # A room whose door is too narrow to turn into is no place to begin; another is.
+    route = next((tour for tour in tours if tour is not None), None) or planners[0].one_way(wanted_m)
     if way_m is None or not route.is_loop:
         return route
     laps = max(math.ceil(way_m / route.length_m), 1)
     return Route(np.tile(route.waypoints, (laps, 1)), is_loop=True)
 
 
-def _start_cell(
+def _starts(
     ground: Ground, body: Body, rng: np.random.Generator, start: tuple[float, float, float] | None
-) -> tuple[int, int]:
-    """The row and column of the start. Raises ConfigError where the robot does not fit there."""
+) -> list[tuple[int, int]]:
+    """Rows and columns where the robot may begin, the best first. Raises ConfigError where it does not fit there."""
     if start is not None:
         row, column = ground.space.cells_at(np.array(start[:2])).tolist()
         around = body.outlines(*(np.array([value]) for value in start), _SWEPT_MARGIN_M)
@@ -125,11 +130,11 @@ def _start_cell(
             raise ConfigError(
                 f"--start {where} is too near to a wall, or off the floor", fix="plan.png shows the floor"
             )
-        return row, column
+        return [(row, column)]
     roomiest_m = float((ground.away_m * ground.is_open).max())
     goals = _goals(ground, min(body.turning_m, roomiest_m))
-    row, column = goals[rng.integers(min(len(goals), _ROOMY_STARTS))].tolist()
-    return row, column
+    best = rng.permutation(goals[:_ROOMY_STARTS])
+    return [(int(row), int(column)) for row, column in [*best, *goals[_ROOMY_STARTS:_MOST_STARTS]]]
 
 
 def _goals(ground: Ground, room_m: float) -> IntArray:
@@ -191,7 +196,7 @@ class _Planner:
     def one_way(self, wanted_m: float) -> Route:
         """To the farthest cell, from the start or, where that is free, from the cell farthest from it.
 
-        It ends where the robot would touch a wall. Raises ConfigError where that is at once.
+        It is the longest part on which the robot touches no wall. Raises ConfigError where there is none.
         """
         ways = self._ground.ways(limit=np.inf)
         costs, before = ways.from_cell(self._first)
@@ -200,14 +205,17 @@ class _Planner:
             costs, before = ways.from_cell(end)
             end = ways.farthest(costs)
         waypoints = self._headed(self._waypoints(ways.way(before, end)))
-        line = shapely.segmentize(shapely.LineString(waypoints), _POSES_APART_M)
+        line = shapely.LineString(waypoints)
         touched = _touched(self._ground.space, self._body, Route(waypoints, is_loop=False))
-        along_m = shapely.line_locate_point(line, shapely.points(touched))
-        end_m = min(wanted_m, line.length, float(along_m.min(initial=np.inf)) - _POSES_APART_M)
-        if end_m < _SHORTEST_M:
+        along_m = np.sort(shapely.line_locate_point(line, shapely.points(touched)))
+        begins = np.array([0.0, *(along_m + _POSES_APART_M)])
+        ends = np.array([*(along_m - _POSES_APART_M), line.length])
+        best = 0 if self._start is not None else int(np.argmax(ends - begins))
+        begin_m, end_m = float(begins[best]), float(min(ends[best], begins[best] + wanted_m))
+        if end_m - begin_m < _SHORTEST_M:
             problem = "there is no way from the start on which the robot does not touch a wall"
             raise ConfigError(problem, fix="begin elsewhere with --start x,y,yaw")
-        return Route(shapely.get_coordinates(substring(shapely.LineString(waypoints), 0.0, end_m)), is_loop=False)
+        return Route(shapely.get_coordinates(substring(line, begin_m, end_m)), is_loop=False)
 
     def _headed(self, waypoints: FloatArray) -> FloatArray:
         """The waypoints; where a start was asked for, first that place exactly, and a short leg in its direction."""
@@ -302,16 +310,35 @@ def _nearest_stop(legs: Sequence[FloatArray], order: Sequence[int], touched: Flo
     return nearer if nearer != order[0] else next(end for end in ends if end != order[0])
 
 
+def swept_by(body: Body, route: Route, margin_m: float) -> shapely.Geometry:
+    """Everything the robot passes over on a route, either way round, with a margin and circles where it turns."""
+    parts = [route.line.buffer(body.half_width_m + SIDE_MARGIN_M + 0.03)]
+    for path in _paths(route):
+        poses = _poses(path)
+        parts += list(shapely.polygons(body.outlines(*poses, margin_m)))
+        parts += [shapely.Point(end).buffer(body.turning_m + margin_m) for end in (path.xy_m[0], path.xy_m[-1])]
+    return shapely.union_all(parts)
+
+
 def _touched(space: FreeSpace, body: Body, route: Route) -> FloatArray:
     """(N, 2) where the robot would touch a wall on the route, driven either way round."""
     touched = [np.empty((0, 2))]
     shapely.prepare(space.shape)
-    for waypoints in (route.waypoints, route.waypoints[::-1]):
-        for path in smooth_path(laps_of(waypoints, route.is_loop, 1, None)):
-            along_m = np.arange(0, path.length_m, _POSES_APART_M)
-            x_m, y_m = (np.interp(along_m, path.along_m, column) for column in path.xy_m.T)
-            yaws_rad = np.interp(along_m, path.along_m, path.yaws_rad)
-            outlines = shapely.polygons(body.outlines(x_m, y_m, yaws_rad, _SWEPT_MARGIN_M))
-            is_clear = shapely.covers(space.shape, outlines)
-            touched.append(np.stack([x_m, y_m], axis=-1)[~is_clear])
+    for path in _paths(route):
+        x_m, y_m, yaws_rad = _poses(path)
+        is_clear = shapely.covers(space.shape, shapely.polygons(body.outlines(x_m, y_m, yaws_rad, _SWEPT_MARGIN_M)))
+        touched.append(np.stack([x_m, y_m], axis=-1)[~is_clear])
     return np.concatenate(touched)
+
+
+def _paths(route: Route) -> list[Path2d]:
+    """What a driver makes of the waypoints, either way round."""
+    both = (route.waypoints, route.waypoints[::-1])
+    return [path for waypoints in both for path in smooth_path(laps_of(waypoints, route.is_loop, 1, None))]
+
+
+def _poses(path: Path2d) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """x, y and yaw (N,) along a path."""
+    along_m = np.arange(0, path.length_m, _POSES_APART_M)
+    x_m, y_m = (np.interp(along_m, path.along_m, column) for column in path.xy_m.T)
+    return x_m, y_m, np.interp(along_m, path.along_m, path.yaws_rad)

@@ -1,0 +1,69 @@
+"""A world of a floor plan: its walls, doors, furniture, areas, and a route that the wheelchair can drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from wheelsight.ros_map import read_ros_map
+from wheelsight.simulation.robot import Robot
+from wheelsight.simulation.world import World
+from wheelsight.simulation.worlds._building import Building
+from wheelsight.simulation.worlds.floor_plan import _doors as doors
+from wheelsight.simulation.worlds.floor_plan._areas import read_room_areas
+from wheelsight.simulation.worlds.floor_plan._doorways import find_rooms
+from wheelsight.simulation.worlds.floor_plan._dressing import Dresser, table_count
+from wheelsight.simulation.worlds.floor_plan._free_space import free_space_of
+from wheelsight.simulation.worlds.floor_plan._route import SIDE_MARGIN_M, Body, plan_route, swept_by
+from wheelsight.simulation.worlds.floor_plan._shell import Looks, build_shell
+from wheelsight.simulation.worlds.floor_plan.settings import FloorPlan
+
+# Between the robot's way and furniture: it is checked with SIDE_MARGIN_M beside the chair.
+_FURNITURE_MARGIN_M = 0.15
+_BESIDE_DOOR_M = 0.25
+_FURNISHED_M = 15.0  # from the route; a depth camera sees 10
+
+
+def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot) -> World:
+    """The world of a floor plan.
+
+    Walls stand where free floor ends, be it at occupied cells or at unknown ones, and reach to the ceiling. Far from
+    the route there is no furniture.
+
+    Args:
+        plan: which one.
+        seed: of the route, and of materials, doors and furniture.
+        robot: that is to drive there.
+
+    Raises:
+        MapError, AreaError: a file that cannot be read or does not fit.
+        ConfigError: a plan in which the robot fits nowhere, or a start where it does not fit.
+    """
+    read = read_ros_map(plan.path, plan.resolution_m)
+    areas = [] if plan.areas is None else read_room_areas(Path(plan.areas), read)
+    space = free_space_of(read, robot.width_m + 2 * SIDE_MARGIN_M)
+    rooms = find_rooms(space)
+    route = plan_route(space, rooms.doorways, robot, seed, plan.way_m, plan.start)
+    swept = swept_by(Body.of(robot), route, _FURNITURE_MARGIN_M)
+    building = Building(plan.name, seed)
+    looks = Looks(np.random.default_rng([seed, 0x100]))
+    faces = build_shell(building, space, rooms, looks)
+    material = str(building.rng.choice(doors.MATERIALS))
+    gaps, leaves = [], []
+    for number, doorway in enumerate(rooms.doorways):
+        gap = shapely.LineString([doorway.left, doorway.right])
+        door = doors.choose_door(doorway, swept, space.shape, building.rng)
+        doors.build_door(building, str(number), door, looks.usual, material)
+        gaps.append(gap.buffer(doorway.thickness_m / 2 + _BESIDE_DOOR_M, cap_style="square"))
+        leaves.append(door.footprint.buffer(0.05))
+    kept_free = shapely.union_all([swept, *leaves, *[shapely.Point(d.middle).buffer(1.0) for d in rooms.doorways]])
+    floor = shapely.intersection(space.shape, route.line.buffer(_FURNISHED_M))
+    dresser = Dresser(building, floor, kept_free, shapely.union_all(gaps))
+    for face in faces:
+        dresser.face(face)
+    dresser.tables(dresser.table_places(table_count(floor.area)))
+    lap = "a lap" if route.is_loop else "a way"
+    description = f"{space.shape.area:.0f} m² of {Path(plan.path).name}, {lap} of {route.length_m:.0f} m"
+    return building.world(description, areas, route.waypoints, is_loop=route.is_loop)
