@@ -24,7 +24,6 @@ class SimulationSettings:
 
     Attributes:
         world: one of `world_names()`; not looked at where there is a plan.
-        plan: a floor plan that a world is made of, in place of a built-in one.
         camera: one of `camera_names()`.
         size: (width, height) of the images in pixels, or None for the camera's own.
         rate_hz: images a second, or None for the camera's own.
@@ -41,13 +40,13 @@ class SimulationSettings:
         robot: as it truly is; its owner believes in `Robot()`.
         faults: of the wheels.
         covered_s: (from, to) times in which something lies on the camera.
+        plan: a floor plan that a world is made of, in place of a built-in one.
 
     Raises:
         ConfigError: a value out of its range; names the option of `wheelsight simulate` that sets it.
     """
 
     world: str = "floor4"
-    plan: FloorPlan | None = None
     camera: str = "kinect-v1"
     size: tuple[int, int] | None = (320, 240)
     rate_hz: float | None = None
@@ -64,6 +63,7 @@ class SimulationSettings:
     robot: Robot = field(default_factory=Robot)
     faults: WheelFaults = field(default_factory=WheelFaults)
     covered_s: tuple[tuple[float, float], ...] = ()
+    plan: FloorPlan | None = None
 
     def __post_init__(self) -> None:
         _check_whole("--laps", self.laps, 1, 1000)
@@ -81,7 +81,7 @@ class SimulationSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain nested values under the same names, in lists and numbers that YAML keeps exactly."""
-        plain = _plain(asdict(self))
+        plain = _plain(asdict(self) | ({} if self.plan is None else {"world": self.plan.name}))
         assert isinstance(plain, dict)
         return plain
 

@@ -84,7 +84,8 @@ def simulate(
 def world_of(settings: SimulationSettings) -> World:
     """The world that the settings name, or that of their floor plan. Raises InputError where it cannot be built."""
     if settings.plan is not None:
-        return build_floor_plan(settings.plan, settings.seed, settings.robot)
+        least_m = 0.0 if settings.duration_s is None else settings.duration_s * settings.speed_m_s
+        return build_floor_plan(settings.plan, settings.seed, settings.robot, least_m)
     return build_world(settings.world, settings.seed)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, Int32Array
@@ -14,15 +15,16 @@ from wheelsight.ros_map import FREE, UNKNOWN, RosMap
 
 CELL_M = 0.05  # plans are worked on in cells of about this size, whatever theirs is
 _MOST_CELLS = 60_000_000
+_COARSE = 1.5
 # What is smaller is noise of a scanner, or a foot of a chair: 8 cells of 5 cm, as thick as a leg of a table.
 _SPECK_M2 = 0.02
 # Unknown places all round which the floor is free are shadows; a chair's is about that large.
 _SHADOW_M2 = 0.5
 # Slits narrower than twice this are rays of a scanner that passed between things, or behind glass.
 _SLIT_M = 0.2
-# Walls in scans stray by about a cell; what is straight within this is drawn straight.
-_STRAIGHT_M, _STRAIGHT_CELLS = 0.08, 2.0
-_SMALLEST_ROOM_M2 = 0.5
+# What is straight within this is drawn straight: a cell of 5 cm, that jambs of doors keep their shape; and two cells of
+# coarser plans, whose scans stray by so much.
+_STRAIGHT_M, _STRAIGHT_CELLS = 0.06, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +48,9 @@ class FreeSpace:
 
     def distance_m(self) -> Float32Array:
         """(R, C) from a cell's middle to the nearest that is not free."""
-        padded = cv2.copyMakeBorder(self.grid, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-        distance: Float32Array = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-        return np.maximum(distance - 0.5, 0) * np.float32(self.cell_m)
+        return _distance_m(self.grid, self.cell_m)
 
-    def middle_of(self, cells: FloatArray | Int32Array) -> FloatArray:
+    def middle_of(self, cells: ArrayLike) -> FloatArray:
         """(..., 2) in `map` of the middles of cells (..., 2) of row and column."""
         return self.plan.to_map(np.asarray(cells)[..., ::-1] + 0.5)
 
@@ -65,7 +65,8 @@ def free_space_of(plan: RosMap, width_m: float) -> FreeSpace:
 
     Unknown cells are closed. Raises ConfigError where it fits nowhere.
     """
-    straight_m = max(_STRAIGHT_M, _STRAIGHT_CELLS * plan.resolution_m)
+    is_coarse = plan.resolution_m > _COARSE * CELL_M
+    straight_m = _STRAIGHT_CELLS * plan.resolution_m if is_coarse else _STRAIGHT_M
     plan = _resampled(plan)
     grid = _largest_part(_cleaned(plan), plan.resolution_m, width_m)
     shape = _straightened(_polygon(grid), straight_m / plan.resolution_m)
@@ -86,7 +87,7 @@ def _resampled(plan: RosMap) -> RosMap:
     x_m, y_m = plan.to_map(low[::-1]).tolist()
     origin = x_m, y_m, plan.origin[2]
     ratio = plan.resolution_m / CELL_M
-    if 0.6 < ratio < 1.4:
+    if 1 / _COARSE < ratio < _COARSE:
         return RosMap(cut, plan.resolution_m, origin)
     if ratio > 1:
         times = round(ratio)
@@ -118,17 +119,23 @@ def _cleaned(plan: RosMap) -> ByteArray:
 
 def _largest_part(grid: ByteArray, cell_m: float, width_m: float) -> ByteArray:
     """The connected part of `grid` in which what is `width_m` wide can move about most."""
-    padded = cv2.copyMakeBorder(grid, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    away_m = (cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] - 0.5) * cell_m
+    away_m = _distance_m(grid, cell_m)
     _, places, facts, _ = cv2.connectedComponentsWithStats((away_m >= width_m / 2).astype(np.uint8), connectivity=8)
     if len(facts) < 2:
-        widest_m = 2 * max(float(away_m.max()), 0.0)
+        widest_m = 2 * float(away_m.max())
         problem = f"the widest free place of the plan is {widest_m:.2f} m across, and the robot needs {width_m:.2f} m"
         raise ConfigError(problem, fix=f"it misses {width_m - widest_m:.2f} m; is the resolution right?")
     best = 1 + int(np.argmax(facts[1:, cv2.CC_STAT_AREA]))
     row, column = np.argwhere(places == best)[0]
     _, parts = cv2.connectedComponents(grid, connectivity=4)
-    return (parts == parts[row, column]).astype(np.uint8)
+    return np.asarray(parts == parts[row, column], np.uint8)
+
+
+def _distance_m(grid: ByteArray, cell_m: float) -> Float32Array:
+    """(R, C) from a free cell's middle to the nearest side of a cell that is not free; none is beyond the border."""
+    padded = cv2.copyMakeBorder(grid, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    distance = np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)[1:-1, 1:-1]
+    return np.asarray(np.maximum(distance - 0.5, 0) * cell_m, np.float32)
 
 
 def _polygon(grid: ByteArray) -> shapely.Polygon:

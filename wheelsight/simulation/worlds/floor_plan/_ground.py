@@ -70,12 +70,13 @@ class Ground:
     def ways(self, limit: float) -> Ways:
         """What finds shortest ways of up to that cost."""
         rows, columns = np.nonzero(self.is_open)
+        height, width = self.is_open.shape
         index = np.full(self.is_open.shape, -1, np.int64)
         index[rows, columns] = np.arange(len(rows))
         ends, weights = [], []
         for down, right in _STEPS:
             r, c = rows + down, columns + right
-            fits = (r < index.shape[0]) & (c >= 0) & (c < index.shape[1])
+            fits = (r < height) & (c >= 0) & (c < width)
             a, r, c = np.flatnonzero(fits), r[fits], c[fits]
             b = index[r, c]
             a, b = a[b >= 0], b[b >= 0]

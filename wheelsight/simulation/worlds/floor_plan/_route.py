@@ -49,10 +49,30 @@ class Route:
         """Of a lap, or of the way."""
         return float(self.line.length)
 
+    def around(self, radius_m: float) -> shapely.Geometry:
+        """All that is within a radius of the route; leg by leg, since buffers of ways to and fro have gaps."""
+        ends = shapely.get_coordinates(self.line)
+        return shapely.union_all(shapely.buffer(shapely.linestrings(np.stack([ends[:-1], ends[1:]], axis=1)), radius_m))
+
     @property
     def line(self) -> shapely.LineString:
         """Of a lap, or of the way."""
         return shapely.LineString(np.vstack([self.waypoints, self.waypoints[:1]]) if self.is_loop else self.waypoints)
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What a user asks of a route.
+
+    Attributes:
+        way_m: how long a tour is about, driven again where rooms do not suffice; None for up to USUAL_WAY_M.
+        least_m: how long all of it is at least.
+        start: x, y in metres and yaw in radians in `map`; None for a roomy place.
+    """
+
+    way_m: float | None = None
+    least_m: float = 0.0
+    start: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,33 +108,32 @@ def plan_route(
     doorways: Sequence[Doorway],
     robot: Robot,
     seed: int,
-    way_m: float | None,
-    start: tuple[float, float, float] | None,
+    wishes: Wishes,
 ) -> Route:
-    """A closed tour of about `way_m` from room to room, or one way where there is no place to turn.
+    """A closed tour from room to room, or one way where there is no place to turn.
 
     Args:
         space: the floor.
         doorways: which are passed straight.
         robot: that is to drive it.
         seed: which rooms are visited.
-        way_m: how long it is at least, if the rooms allow; None for one lap of up to USUAL_WAY_M.
-        start: x, y in metres and yaw in radians in `map`; None for a roomy place.
+        wishes: of the user.
 
     Raises:
         ConfigError: a start where the robot does not fit, or nowhere to go.
     """
-    rng = np.random.default_rng([seed, _STREAM])
+    rng, start = np.random.default_rng([seed, _STREAM]), wishes.start
     body = Body.of(robot)
     ground = Ground.of(space, body.half_width_m + SIDE_MARGIN_M, None if start is None else start[:2])
-    wanted_m = USUAL_WAY_M if way_m is None else way_m
+    wanted_m = USUAL_WAY_M if wishes.way_m is None else wishes.way_m
     planners = [_Planner(ground, body, tuple(doorways), first, start) for first in _starts(ground, body, rng, start)]
     tours = (planner.tour(rng, wanted_m) for planner in planners)
     # A room whose door is too narrow to turn into is no place to begin; another is.
     route = next((tour for tour in tours if tour is not None), None) or planners[0].one_way(wanted_m)
-    if way_m is None or not route.is_loop:
+    if not route.is_loop:
         return route
-    laps = max(math.ceil(way_m / route.length_m), 1)
+    # A tour of 90 m is near enough to 100; what is much shorter is driven again.
+    laps = max(math.ceil(wishes.least_m / route.length_m), round((wishes.way_m or 0.0) / route.length_m), 1)
     return Route(np.tile(route.waypoints, (laps, 1)), is_loop=True)
 
 
@@ -124,7 +143,8 @@ def _starts(
     """Rows and columns where the robot may begin, the best first. Raises ConfigError where it does not fit there."""
     if start is not None:
         row, column = ground.space.cells_at(np.array(start[:2])).tolist()
-        around = body.outlines(*(np.array([value]) for value in start), _SWEPT_MARGIN_M)
+        x_m, y_m, yaw_rad = np.array(start)[:, None]
+        around = body.outlines(x_m, y_m, yaw_rad, _SWEPT_MARGIN_M)
         if not ground.is_open[row, column] or not shapely.covers(ground.space.shape, shapely.polygons(around[0])):
             where = f"x = {start[0]:g}, y = {start[1]:g} m"
             raise ConfigError(
@@ -312,7 +332,7 @@ def _nearest_stop(legs: Sequence[FloatArray], order: Sequence[int], touched: Flo
 
 def swept_by(body: Body, route: Route, margin_m: float) -> shapely.Geometry:
     """Everything the robot passes over on a route, either way round, with a margin and circles where it turns."""
-    parts = [route.line.buffer(body.half_width_m + SIDE_MARGIN_M + 0.03)]
+    parts = [route.around(body.half_width_m + SIDE_MARGIN_M + 0.03)]
     for path in _paths(route):
         poses = _poses(path)
         parts += list(shapely.polygons(body.outlines(*poses, margin_m)))

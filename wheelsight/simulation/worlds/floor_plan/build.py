@@ -16,7 +16,7 @@ from wheelsight.simulation.worlds.floor_plan._areas import read_room_areas
 from wheelsight.simulation.worlds.floor_plan._doorways import find_rooms
 from wheelsight.simulation.worlds.floor_plan._dressing import Dresser, table_count
 from wheelsight.simulation.worlds.floor_plan._free_space import free_space_of
-from wheelsight.simulation.worlds.floor_plan._route import SIDE_MARGIN_M, Body, plan_route, swept_by
+from wheelsight.simulation.worlds.floor_plan._route import SIDE_MARGIN_M, Body, Wishes, plan_route, swept_by
 from wheelsight.simulation.worlds.floor_plan._shell import Looks, build_shell
 from wheelsight.simulation.worlds.floor_plan.settings import FloorPlan
 
@@ -26,7 +26,7 @@ _BESIDE_DOOR_M = 0.25
 _FURNISHED_M = 15.0  # from the route; a depth camera sees 10
 
 
-def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot) -> World:
+def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 0.0) -> World:
     """The world of a floor plan.
 
     Walls stand where free floor ends, be it at occupied cells or at unknown ones, and reach to the ceiling. Far from
@@ -36,6 +36,7 @@ def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot) -> World:
         plan: which one.
         seed: of the route, and of materials, doors and furniture.
         robot: that is to drive there.
+        least_m: how far the route leads at least: a tour that is shorter is driven again.
 
     Raises:
         MapError, AreaError: a file that cannot be read or does not fit.
@@ -45,7 +46,7 @@ def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot) -> World:
     areas = [] if plan.areas is None else read_room_areas(Path(plan.areas), read)
     space = free_space_of(read, robot.width_m + 2 * SIDE_MARGIN_M)
     rooms = find_rooms(space)
-    route = plan_route(space, rooms.doorways, robot, seed, plan.way_m, plan.start)
+    route = plan_route(space, rooms.doorways, robot, seed, Wishes(plan.way_m, least_m, plan.start))
     swept = swept_by(Body.of(robot), route, _FURNITURE_MARGIN_M)
     building = Building(plan.name, seed)
     looks = Looks(np.random.default_rng([seed, 0x100]))
@@ -59,7 +60,7 @@ def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot) -> World:
         gaps.append(gap.buffer(doorway.thickness_m / 2 + _BESIDE_DOOR_M, cap_style="square"))
         leaves.append(door.footprint.buffer(0.05))
     kept_free = shapely.union_all([swept, *leaves, *[shapely.Point(d.middle).buffer(1.0) for d in rooms.doorways]])
-    floor = shapely.intersection(space.shape, route.line.buffer(_FURNISHED_M))
+    floor = shapely.intersection(space.shape, route.around(_FURNISHED_M))
     dresser = Dresser(building, floor, kept_free, shapely.union_all(gaps))
     for face in faces:
         dresser.face(face)
