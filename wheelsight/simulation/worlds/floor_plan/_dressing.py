@@ -22,8 +22,8 @@ from wheelsight.simulation.worlds._furniture import (
 )
 from wheelsight.simulation.worlds._surfaces import POSTERS
 
-_CORNER_M, _GAP_M = (0.12, 0.5), (0.15, 1.3)
-_SHORTEST_M = 0.7
+_CORNER_M, _GAP_M = (0.06, 0.5), (0.15, 1.3)
+_SHORTEST_M = 0.45
 _INTO_WALL_M = 0.05  # furniture may touch walls, which are not quite straight
 _APART_M = 0.05
 _STANDS = 0.45  # share of places at walls where something stands
@@ -32,7 +32,7 @@ _TABLES_M2 = 14.0  # of floor for each table in the middle of a room
 _MOST_TABLES = 30
 _TABLE_ROOM_M = 1.15
 _FABRICS = ("fabric_blue", "fabric_red", "fabric_dark", "fabric_beige")
-_SHEET_M = ((0.59, 0.84), (0.84, 1.19), (0.84, 0.59), (1.19, 0.84))
+_SHEETS_M = ((0.30, 0.42), (0.42, 0.30), (0.42, 0.59), (0.59, 0.84), (0.84, 1.19), (0.84, 0.59), (1.19, 0.84))
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +131,8 @@ class Dresser:
         if face.length_m < _SHORTEST_M or not self._is_furnished(face):
             return
         is_corridor = self._width_m(face) < _CORRIDOR_M
-        at_m = rng.uniform(*_CORNER_M)
-        while at_m < face.length_m - _SHORTEST_M:
+        at_m = rng.uniform(_CORNER_M[0], min(_CORNER_M[1], face.length_m / 4))
+        while at_m < face.length_m - _SHORTEST_M / 2:
             used_m = self._stand(face, at_m, is_corridor) if rng.random() < _STANDS else 0.0
             used_m = used_m or self._hang(face, at_m, is_corridor)
             at_m += used_m + rng.uniform(*_GAP_M)
@@ -190,9 +190,10 @@ class Dresser:
     def _hang(self, face: Face, at_m: float, is_corridor: bool) -> float:
         """A poster, a board, or now and then the leaf of a door that is closed; how much of the wall it takes."""
         rng, building = self._building.rng, self._building
-        draw = rng.random()
+        draw, room_m = rng.random(), face.length_m - 0.05 - at_m
         if draw < 0.6:
-            width_m, height_m = _SHEET_M[rng.integers(len(_SHEET_M))]
+            sheets = [sheet for sheet in _SHEETS_M if sheet[0] <= room_m] or _SHEETS_M[:1]
+            width_m, height_m = sheets[rng.integers(len(sheets))]
             bottom_m, material = rng.uniform(1.42, 1.62) - height_m / 2, POSTERS[rng.integers(len(POSTERS))]
         elif draw < 0.85 or not is_corridor:
             material = ("notice_cork", "notice_felt", "white_board")[rng.integers(3)]
@@ -200,7 +201,7 @@ class Dresser:
         else:
             material = ("door_oak", "door_white", "door_blue")[rng.integers(3)]
             width_m, height_m, bottom_m = 0.95, 2.08, 0.0
-        if at_m + width_m > face.length_m - 0.05:
+        if width_m > room_m:
             return 0.2
         middle = at_m + width_m / 2
         spot = face.spot(middle)

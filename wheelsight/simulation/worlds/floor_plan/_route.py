@@ -20,7 +20,8 @@ from wheelsight.simulation.worlds.floor_plan._doorways import Doorway
 from wheelsight.simulation.worlds.floor_plan._free_space import FreeSpace
 from wheelsight.simulation.worlds.floor_plan._ground import Ground
 
-SIDE_MARGIN_M = 0.11  # beside the chair: what the simulator asks for, and 1 cm
+_ASKED_MARGIN_M = 0.107  # beside the chair: what `refuse_walls` asks for, and what walls may come through each other
+SIDE_MARGIN_M = 0.11  # planned with
 USUAL_WAY_M = 100.0
 _SWEPT_MARGIN_M = 0.05  # a driver strays by centimetres
 _TAIL_M = 0.30  # of the chair, behind its axle
@@ -148,7 +149,8 @@ def _starts(
         if not ground.is_open[row, column] or not shapely.covers(ground.space.shape, shapely.polygons(around[0])):
             where = f"x = {start[0]:g}, y = {start[1]:g} m"
             raise ConfigError(
-                f"--start {where} is too near to a wall, or off the floor", fix="plan.png shows the floor"
+                f"--start {where} is too near to a wall, or off the floor",
+                fix="the plan.png of a drive without it shows the floor",
             )
         return [(row, column)]
     roomiest_m = float((ground.away_m * ground.is_open).max())
@@ -341,9 +343,12 @@ def swept_by(body: Body, route: Route, margin_m: float) -> shapely.Geometry:
 
 
 def _touched(space: FreeSpace, body: Body, route: Route) -> FloatArray:
-    """(N, 2) where the robot would touch a wall on the route, driven either way round."""
-    touched = [np.empty((0, 2))]
-    shapely.prepare(space.shape)
+    """(N, 2) where the robot would touch a wall on the route, or come too near, driven either way round."""
+    along = shapely.get_coordinates(shapely.segmentize(route.line, _POSES_APART_M / 2))
+    boundary = space.shape.boundary
+    shapely.prepare([boundary, space.shape])
+    is_near = shapely.dwithin(boundary, shapely.points(along), body.half_width_m + _ASKED_MARGIN_M)
+    touched = [along[is_near]]
     for path in _paths(route):
         x_m, y_m, yaws_rad = _poses(path)
         is_clear = shapely.covers(space.shape, shapely.polygons(body.outlines(x_m, y_m, yaws_rad, _SWEPT_MARGIN_M)))

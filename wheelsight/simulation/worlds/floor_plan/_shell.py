@@ -13,13 +13,16 @@ from wheelsight.simulation.worlds.floor_plan._free_space import FreeSpace
 
 # Nobody sees how thick a wall is but at its ends, which are faces of their own; what is thin leaves no room for two
 # sides of one wall to come through each other.
-SHELL_M = 0.03
+SHELL_M = 0.006
 _MARGIN_M = 0.4
 _INSIDE_M = 0.12
 _WALLS = ("plaster_white", "plaster_cream", "plaster_grey", "plaster_sage", "panelling", "brick_tiles", "wall_tiles")
 _WALL_SHARES = (0.36, 0.22, 0.16, 0.14, 0.04, 0.04, 0.04)
 _GROUNDS = ("tiles_grey", "tiles_light", "tiles_dark", "carpet_grey", "parquet")
 _FLOORS = ("tiles_light", "carpet_blue", "carpet_brown", "carpet_grey", "parquet", "carpet_red")
+# Scanners see cupboards and machines as they see walls.
+_FRONT_M, _FRONT_SHARE = (0.3, 1.3), 0.4
+_FRONTS = ("wood_light", "wood_dark", "locker", "panelling", "books", "door_white", "machine", "brick_tiles", "steel")
 _RECTANGLE = 0.9  # share of the rectangle around a room that is room
 _OFF_WALLS_M, _SMALLEST_M2 = 0.5, 1.0
 _PILLAR_M2, _PIECE_M2, _PIECE_SHARE = 0.3, 3.0, 0.8
@@ -34,6 +37,11 @@ class Looks:
         self._rng = rng
         self._walls: dict[int, str] = {}
         self.usual = str(rng.choice(_WALLS[:4]))
+
+    def front(self, room: int, width_m: float) -> str:
+        """The material of a face of that width: narrow ones are, some of them, fronts of what stands before a wall."""
+        is_front = _FRONT_M[0] <= width_m <= _FRONT_M[1] and self._rng.random() < _FRONT_SHARE
+        return str(self._rng.choice(_FRONTS)) if is_front else self.wall(room)
 
     def wall(self, room: int) -> str:
         """The material of a room's walls; most rooms of a building are alike."""
@@ -68,7 +76,7 @@ def _walls(
     lengths = np.maximum(np.hypot(*ahead.T), 1e-9)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1) / lengths[:, None]
     inside = rooms.room_at(space, (corners + after) / 2 + _INSIDE_M * left).tolist()
-    edges = [(f"{name}_{k}", looks.wall(room), ()) for k, room in enumerate(inside)]
+    edges = [(f"{name}_{k}", looks.front(room, float(lengths[k])), ()) for k, room in enumerate(inside)]
     building.walls([(float(x), float(y)) for x, y in corners], edges, thickness_m=SHELL_M)
     return [edge[0] for edge in edges]
 
