@@ -16,6 +16,7 @@ from wheelsight.ros_map import FREE, RosMap, read_plan_image
 
 _SMALLEST_M2 = 1.0
 _NARROWEST_M = 0.7
+_MOST_COLOURS = 500
 _LEAST_FREE = 0.7  # of a room; walls and the world outside have colours, too
 _STRAIGHT_M = 0.1
 _CUT_M = 0.004  # polygons of areas have no holes: a cut leads into each
@@ -26,14 +27,14 @@ def read_room_areas(path: Path, plan: RosMap) -> list[Area]:
     """An area for each region of one colour in the image that is free floor in `plan`, numbered from the lower left.
 
     Raises:
-        AreaError: the image is of another size than the plan's, or shows no room.
+        AreaError: the image is of another size than the plan's, shows no room, or is no drawing of rooms.
         MapError: it cannot be read.
     """
     image = read_plan_image(path)
     if image.shape[:2] != plan.occupancy.shape:
         sizes = [f"{size[1]}×{size[0]}" for size in (image.shape, plan.occupancy.shape)]
         raise AreaError(f"is {sizes[0]} pixels, and the plan {sizes[1]}", path=path, fix="draw rooms into the plan")
-    labels = _regions(np.ascontiguousarray(image[::-1]))
+    labels = _regions(np.ascontiguousarray(image[::-1]), _SMALLEST_M2 / plan.resolution_m**2, path)
     sizes_m2 = np.bincount(labels.ravel()) * plan.resolution_m**2
     free = np.bincount(labels.ravel(), weights=(plan.occupancy == FREE).ravel()) * plan.resolution_m**2
     rooms = np.flatnonzero((sizes_m2 >= _SMALLEST_M2) & (free >= _LEAST_FREE * sizes_m2))
@@ -52,14 +53,18 @@ def read_room_areas(path: Path, plan: RosMap) -> list[Area]:
     return areas
 
 
-def _regions(image: ByteArray) -> Int32Array:
-    """(H, W) numbers of the connected regions of one colour."""
+def _regions(image: ByteArray, least_px: float, path: Path) -> Int32Array:
+    """(H, W) numbers of the connected regions of one colour, 0 for colours that have too few pixels for a room."""
     flat = image if image.ndim == 3 else image[..., None]
     colours = (flat.astype(np.int64) << (8 * np.arange(flat.shape[2]))).sum(axis=2)
     labels = np.zeros(colours.shape, np.int32)
-    # Colours of a few pixels are those of softened edges.
     values, counts = np.unique(colours, return_counts=True)
-    for value in values[counts >= 16]:
+    values = values[counts >= least_px]
+    if len(values) > _MOST_COLOURS:
+        raise AreaError(
+            f"has {len(values)} colours that are large enough for rooms", path=path, fix="one colour a room"
+        )
+    for value in values:
         _, found = cv2.connectedComponents((colours == value).astype(np.uint8), connectivity=4)
         labels = np.where(found > 0, found + labels.max(), labels).astype(np.int32)
     return labels

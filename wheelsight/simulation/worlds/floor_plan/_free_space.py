@@ -14,6 +14,7 @@ from wheelsight.geometry import ByteArray, Float32Array, FloatArray, Int32Array
 from wheelsight.ros_map import FREE, UNKNOWN, RosMap
 
 CELL_M = 0.05  # plans are worked on in cells of about this size, whatever theirs is
+_TOUCHED = 0.49  # of a cell: what OpenCV draws beyond a polygon
 _MOST_CELLS = 60_000_000
 _COARSE = 1.5
 # What is smaller is noise of a scanner, or a foot of a chair: 8 cells of 5 cm, as thick as a leg of a table.
@@ -153,18 +154,29 @@ def _straightened(shape: shapely.Polygon, tolerance: float) -> shapely.Polygon:
     return shapely.remove_repeated_points(simple)
 
 
-def drawn(shape: shapely.Geometry, plan: RosMap, size: tuple[int, ...]) -> ByteArray:
-    """(R, C) uint8, 1 for cells whose middles lie within polygons in `map`, as near as an eighth of a cell."""
-    fraction = 3
+def drawn(shape: shapely.Geometry, plan: RosMap, size: tuple[int, ...], *, is_generous: bool = False) -> ByteArray:
+    """(R, C) uint8, 1 for cells whose middles lie within polygons in `map`, as near as an eighth of a cell.
+
+    With `is_generous` those are drawn, too, that a polygon only touches: necks narrower than a cell stay whole.
+    """
     grid = np.zeros(size, np.uint8)
     for polygon in shapely.get_parts(shape):
         # Holes are drawn on a sheet of their own: another polygon may lie in one.
         sheet = np.zeros(size, np.uint8)
         for k, ring in enumerate((polygon.exterior, *polygon.interiors)):
-            corners = plan.to_cells(shapely.get_coordinates(ring)) - 0.5
-            cv2.fillPoly(sheet, [np.round(corners * 2**fraction).astype(np.int32)], int(k == 0), shift=fraction)
+            whole = shapely.Polygon(ring)
+            shrunk = whole if is_generous else whole.buffer(-_TOUCHED * plan.resolution_m, join_style="mitre")
+            _fill(sheet, whole if shrunk.is_empty else shrunk, plan, int(k == 0))
         grid |= sheet
     return grid
+
+
+def _fill(sheet: ByteArray, polygon: shapely.Geometry, plan: RosMap, value: int) -> None:
+    """Set the cells of polygons without holes, with those that an edge touches: half a cell more all round."""
+    fraction = 3
+    for part in shapely.get_parts(polygon):
+        corners = plan.to_cells(shapely.get_coordinates(part.exterior)) - 0.5
+        cv2.fillPoly(sheet, [np.round(corners * 2**fraction).astype(np.int32)], value, shift=fraction)
 
 
 def _disc(reach: int) -> ByteArray:

@@ -41,7 +41,7 @@ class Ground:
     @classmethod
     def of(cls, space: FreeSpace, half_width_m: float, start: tuple[float, float] | None = None) -> Ground:
         """The part that is `half_width_m` from every wall and joined to a place, else the largest; may be empty."""
-        is_open = drawn(space.shape.buffer(-half_width_m), space.plan, space.grid.shape)
+        is_open = drawn(space.shape.buffer(-half_width_m), space.plan, space.grid.shape, is_generous=True)
         away_m = space.distance_m()
         cost = 1 + _WALL_COST * np.maximum(1 - away_m / _COMFORTABLE_M, 0)
         _, labels, facts, _ = cv2.connectedComponentsWithStats(is_open, connectivity=8)

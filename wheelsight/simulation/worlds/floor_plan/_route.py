@@ -208,7 +208,7 @@ class _Planner:
         while len(kept) > 1:
             order = [kept[k] for k in _order(between[np.ix_(kept, kept)], wanted_m)]
             legs = [self._waypoints(ways.way(found[a][1], stops[b])) for a, b in pairwise([*order, order[0]])]
-            route = Route(self._headed(np.concatenate([leg[:-1] for leg in legs])), is_loop=True)
+            route = Route(self._headed(_lap(legs)), is_loop=True)
             touched = _touched(self._ground.space, self._body, route)
             if not len(touched):
                 return route
@@ -295,6 +295,12 @@ class _Planner:
             if self._ground.price(thinned) <= _DEARER * self._ground.price(line):
                 return np.asarray(thinned)
         return np.asarray(shapely.get_coordinates(shapely.simplify(shapely.LineString(line), 1e-6)))
+
+
+def _lap(legs: Sequence[FloatArray]) -> FloatArray:
+    """Waypoints (N, 2), three or more, of legs in succession, the last of which leads back to the first."""
+    lap = np.concatenate([leg[:-1] for leg in legs])
+    return lap if len(lap) > 2 else np.insert(lap, 1, lap.mean(axis=0), axis=0)
 
 
 def _apart(waypoints: FloatArray) -> FloatArray:
