@@ -64,6 +64,16 @@ def test_specks_of_a_scanner_are_no_walls(tmp_path: Path, house: Path, rng: np.r
     assert np.mean(np.abs(noisy - clean) < 0.12) > 0.97
 
 
+def test_jagged_walls_are_drawn_straight(tmp_path: Path, rng: np.random.Generator) -> None:
+    image = two_rooms()
+    beside = (cv2.dilate((image == 0).astype(np.uint8), np.ones((3, 3))) > 0) & (image == 254)
+    image[beside & (rng.random(image.shape) < 0.25)] = 0
+    world = built(write_plan(tmp_path, image))
+    walls = [thing.polygon.length / 2 for thing in footprints(world) if thing.name.startswith("wall_")]
+    assert np.median(walls) > 0.5
+    np.testing.assert_allclose(hits(world, (3.0, 6.0), np.radians([0, 90, 180])), [3.0, 2.0, 2.8], atol=0.12)
+
+
 def test_nothing_but_walls_and_doors_closes_the_floor(house: Path) -> None:
     """All around every waypoint a level ray ends within the house."""
     world = built(house)

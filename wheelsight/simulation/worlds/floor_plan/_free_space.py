@@ -26,6 +26,9 @@ _SLIT_M = 0.2
 # What is straight within this is drawn straight: a cell of 5 cm, that jambs of doors keep their shape; and two cells of
 # coarser plans, whose scans stray by so much.
 _STRAIGHT_M, _STRAIGHT_CELLS = 0.06, 2.0
+# Outlines a quarter of which are sides shorter than this are jagged (a fifth at most in drawn plans, a third or more in
+# raw scans, of the eight buildings tried): these are drawn straight within twice as much, and doors' jambs with them.
+_SHORT_M, _JAGGED_SHARE = 0.4, 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +73,10 @@ def free_space_of(plan: RosMap, width_m: float) -> FreeSpace:
     straight_m = _STRAIGHT_CELLS * plan.resolution_m if is_coarse else _STRAIGHT_M
     plan = _resampled(plan)
     grid = _largest_part(_cleaned(plan), plan.resolution_m, width_m)
-    shape = _straightened(_polygon(grid), straight_m / plan.resolution_m)
+    outline = _polygon(grid)
+    shape = _straightened(outline, straight_m / plan.resolution_m)
+    if not is_coarse and _short_share(shape, _SHORT_M / plan.resolution_m) > _JAGGED_SHARE:
+        shape = _straightened(outline, 2 * straight_m / plan.resolution_m)
     shape = shapely.transform(shape, plan.to_map)
     return FreeSpace(drawn(shape, plan, grid.shape), plan, shape)
 
@@ -152,6 +158,13 @@ def _straightened(shape: shapely.Polygon, tolerance: float) -> shapely.Polygon:
     if simple.geom_type != "Polygon":  # cells that touched at a corner have come apart
         simple = max(simple.geoms, key=lambda part: float(part.area))
     return shapely.remove_repeated_points(simple)
+
+
+def _short_share(shape: shapely.Polygon, short: float) -> float:
+    """How much of a polygon's outline are sides that are shorter than `short`."""
+    rings = [shapely.get_coordinates(ring) for ring in (shape.exterior, *shape.interiors)]
+    lengths = np.concatenate([np.hypot(*np.diff(ring, axis=0).T) for ring in rings])
+    return float(lengths[lengths < short].sum() / lengths.sum())
 
 
 def drawn(shape: shapely.Geometry, plan: RosMap, size: tuple[int, ...], *, is_generous: bool = False) -> ByteArray:
