@@ -50,7 +50,8 @@ def test_raw_values_are_taken_as_they_are(tmp_path: Path) -> None:
 def test_cells_lie_where_origin_and_yaw_put_them(tmp_path: Path, yaw_rad: float) -> None:
     plan = read_ros_map(written(tmp_path, YAML.replace("[1, 2, 0]", f"[1, 2, {yaw_rad}]")))
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    np.testing.assert_allclose(plan.to_map([[0, 0], [4, 2]]), [[1, 2], [1 + 0.4 * c - 0.2 * s, 2 + 0.4 * s + 0.2 * c]])
+    corners = np.array([[1, 2], [1 + 0.4 * c - 0.2 * s, 2 + 0.4 * s + 0.2 * c]])
+    np.testing.assert_allclose(plan.to_map([[0, 0], [4, 2]]), corners)
     cells = np.array([[0.5, 1.5], [3, 0]])
     np.testing.assert_allclose(plan.to_cells(plan.to_map(cells)), cells, atol=1e-9)
 

@@ -13,16 +13,17 @@ from wheelsight.simulation.world import World
 from wheelsight.simulation.worlds._building import Building
 from wheelsight.simulation.worlds.floor_plan import _doors as doors
 from wheelsight.simulation.worlds.floor_plan._areas import read_room_areas
-from wheelsight.simulation.worlds.floor_plan._doorways import find_rooms
+from wheelsight.simulation.worlds.floor_plan._doorways import Rooms, find_rooms
 from wheelsight.simulation.worlds.floor_plan._dressing import Dresser, table_count
-from wheelsight.simulation.worlds.floor_plan._free_space import free_space_of
-from wheelsight.simulation.worlds.floor_plan._route import SIDE_MARGIN_M, Body, Wishes, plan_route, swept_by
+from wheelsight.simulation.worlds.floor_plan._free_space import FreeSpace, free_space_of
+from wheelsight.simulation.worlds.floor_plan._route import SIDE_MARGIN_M, Body, Route, Wishes, plan_route, swept_by
 from wheelsight.simulation.worlds.floor_plan._shell import Looks, build_shell
 from wheelsight.simulation.worlds.floor_plan.settings import FloorPlan
 
 # Between the robot's way and furniture: it is checked with SIDE_MARGIN_M beside the chair.
 _FURNITURE_MARGIN_M = 0.15
-_BESIDE_DOOR_M = 0.25
+_BESIDE_DOOR_M, _BEFORE_DOOR_M, _OFF_LEAF_M = 0.25, 1.0, 0.05
+_STREAM = 0x100
 _FURNISHED_M = 15.0  # from the route; a depth camera sees 10
 
 
@@ -47,24 +48,28 @@ def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 
     space = free_space_of(read, robot.width_m + 2 * SIDE_MARGIN_M)
     rooms = find_rooms(space)
     route = plan_route(space, rooms.doorways, robot, seed, Wishes(plan.way_m, least_m, plan.start))
-    swept = swept_by(Body.of(robot), route, _FURNITURE_MARGIN_M)
     building = Building(plan.name, seed)
-    looks = Looks(np.random.default_rng([seed, 0x100]))
-    faces = build_shell(building, space, rooms, looks)
-    material = str(building.rng.choice(doors.MATERIALS))
-    gaps, leaves = [], []
-    for number, doorway in enumerate(rooms.doorways):
-        gap = shapely.LineString([doorway.left, doorway.right])
-        door = doors.choose_door(doorway, swept, space.shape, building.rng)
-        doors.build_door(building, str(number), door, looks.usual, material)
-        gaps.append(gap.buffer(doorway.thickness_m / 2 + _BESIDE_DOOR_M, cap_style="square"))
-        leaves.append(door.footprint.buffer(0.05))
-    kept_free = shapely.union_all([swept, *leaves, *[shapely.Point(d.middle).buffer(1.0) for d in rooms.doorways]])
-    floor = shapely.intersection(space.shape, route.around(_FURNISHED_M))
-    dresser = Dresser(building, floor, kept_free, shapely.union_all(gaps))
-    for face in faces:
-        dresser.face(face)
-    dresser.tables(dresser.table_places(table_count(floor.area)))
+    _furnish(building, space, rooms, route, robot, seed)
     lap = "a lap" if route.is_loop else "a way"
     description = f"{space.shape.area:.0f} m² of {Path(plan.path).name}, {lap} of {route.length_m:.0f} m"
     return building.world(description, areas, route.waypoints, is_loop=route.is_loop)
+
+
+def _furnish(building: Building, space: FreeSpace, rooms: Rooms, route: Route, robot: Robot, seed: int) -> None:
+    """Walls, doors and furniture, out of the robot's way."""
+    swept = swept_by(Body.of(robot), route, _FURNITURE_MARGIN_M)
+    looks = Looks(np.random.default_rng([seed, _STREAM]))
+    faces = build_shell(building, space, rooms, looks)
+    material = str(building.rng.choice(doors.MATERIALS))
+    gaps, kept_free = [], [swept]
+    for number, doorway in enumerate(rooms.doorways):
+        door = doors.choose_door(doorway, swept, space.shape, building.rng)
+        doors.build_door(building, str(number), door, looks.usual, material)
+        gap = shapely.LineString([doorway.left, doorway.right])
+        gaps.append(gap.buffer(doorway.thickness_m / 2 + _BESIDE_DOOR_M, cap_style="square"))
+        kept_free += [door.footprint.buffer(_OFF_LEAF_M), shapely.Point(doorway.middle).buffer(_BEFORE_DOOR_M)]
+    floor = shapely.intersection(space.shape, route.around(_FURNISHED_M))
+    dresser = Dresser(building, floor, shapely.union_all(kept_free), shapely.union_all(gaps))
+    for face in faces:
+        dresser.face(face)
+    dresser.tables(dresser.table_places(table_count(floor.area)))
