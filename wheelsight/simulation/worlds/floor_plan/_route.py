@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -31,6 +31,7 @@ _SMOOTHED_M = (0.3, 0.15, 0.05)
 _OFF_LINE_M = 0.03
 _DEARER = 1.05  # smooth ways may cost so much more than the cheapest
 _ROOMY_STARTS, _MOST_STARTS = 3, 8
+_LONG_ENOUGH = 0.5  # of what is wanted; else other starts are tried, too
 _SAME_M = 0.03
 _STREAM = 0x90
 _POSES_APART_M = 0.1
@@ -40,10 +41,16 @@ _AHEAD_M = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Waypoints (N, 2) in `map`, metres, and whether the last leads back to the first."""
+    """Waypoints (N, 2) of a lap in `map`, metres; whether the last leads back to the first; how often it is driven."""
 
     waypoints: FloatArray
     is_loop: bool
+    laps: int = 1
+
+    @property
+    def all_waypoints(self) -> FloatArray:
+        """Of all laps, one after the other."""
+        return np.tile(self.waypoints, (self.laps, 1))
 
     @property
     def length_m(self) -> float:
@@ -128,14 +135,20 @@ def plan_route(
     ground = Ground.of(space, body.half_width_m + SIDE_MARGIN_M, None if start is None else start[:2])
     wanted_m = USUAL_WAY_M if wishes.way_m is None else wishes.way_m
     planners = [_Planner(ground, body, tuple(doorways), first, start) for first in _starts(ground, body, rng, start)]
-    tours = (planner.tour(rng, wanted_m) for planner in planners)
-    # A room whose door is too narrow to turn into is no place to begin; another is.
-    route = next((tour for tour in tours if tour is not None), None) or planners[0].one_way(wanted_m)
+    route: Route | None = None
+    for planner in planners:
+        # A room whose door is too narrow to turn into is no place to begin; another is.
+        tour = planner.tour(rng, wanted_m)
+        if tour is not None and (route is None or tour.length_m > route.length_m):
+            route = tour
+        if route is not None and route.length_m >= _LONG_ENOUGH * wanted_m:
+            break
+    route = route or planners[0].one_way(wanted_m)
     if not route.is_loop:
         return route
     # A tour of 90 m is near enough to 100; what is much shorter is driven again.
     laps = max(math.ceil(wishes.least_m / route.length_m), round((wishes.way_m or 0.0) / route.length_m), 1)
-    return Route(np.tile(route.waypoints, (laps, 1)), is_loop=True)
+    return replace(route, laps=laps)
 
 
 def _starts(

@@ -24,7 +24,7 @@ from wheelsight.simulation.worlds.floor_plan.settings import FloorPlan
 _FURNITURE_MARGIN_M = 0.15
 _BESIDE_DOOR_M, _BEFORE_DOOR_M, _OFF_LEAF_M = 0.25, 1.0, 0.05
 _STREAM = 0x100
-_FURNISHED_M = 15.0  # from the route; a depth camera sees 10
+_FURNISHED_M = 10.0  # from the route: a depth camera sees no farther
 
 
 def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 0.0) -> World:
@@ -52,7 +52,7 @@ def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 
     _furnish(building, space, rooms, route, robot, seed)
     lap = "a lap" if route.is_loop else "a way"
     description = f"{space.shape.area:.0f} m² of {Path(plan.path).name}, {lap} of {route.length_m:.0f} m"
-    return building.world(description, areas, route.waypoints, is_loop=route.is_loop)
+    return building.world(description, areas, route.all_waypoints, is_loop=route.is_loop)
 
 
 def _furnish(building: Building, space: FreeSpace, rooms: Rooms, route: Route, robot: Robot, seed: int) -> None:
