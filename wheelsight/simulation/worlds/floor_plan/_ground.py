@@ -17,8 +17,9 @@ from wheelsight.simulation.worlds.floor_plan._free_space import FreeSpace, drawn
 
 # A metre beside a wall costs as much as five in the open: drivers keep to the middle of corridors.
 _WALL_COST, _COMFORTABLE_M = 4.0, 0.9
-# A wheelchair's footplates are 0.8 m ahead of its axle, and in the doorway before that has turned: it turns before.
-_LANE_M = 1.25
+# A wheelchair's footplates are 0.8 m ahead of its axle, and in the doorway before that has turned. It turns before,
+# and has as much again to come straight.
+_LANE_M = 1.6
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 

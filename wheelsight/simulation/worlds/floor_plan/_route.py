@@ -313,6 +313,9 @@ class _Planner:
 def _lap(legs: Sequence[FloatArray]) -> FloatArray:
     """Waypoints (N, 2), three or more, of legs in succession, the last of which leads back to the first."""
     lap = np.concatenate([leg[:-1] for leg in legs])
+    # Where a doorway's lane ends at a stop, leaving it begins where coming to it ended.
+    while len(lap) > 2 and len(same := np.flatnonzero(np.hypot(*(np.roll(lap, -1, axis=0) - lap).T) <= _SAME_M)):
+        lap = np.delete(lap, same[-1], axis=0)
     return lap if len(lap) > 2 else np.insert(lap, 1, lap.mean(axis=0), axis=0)
 
 
@@ -372,6 +375,10 @@ def _touched(space: FreeSpace, body: Body, route: Route) -> FloatArray:
         x_m, y_m, yaws_rad = _poses(path)
         is_clear = shapely.covers(space.shape, shapely.polygons(body.outlines(x_m, y_m, yaws_rad, _SWEPT_MARGIN_M)))
         touched.append(np.stack([x_m, y_m], axis=-1)[~is_clear])
+        # Where one path ends and another begins, the robot turns on the spot; a way's own ends are not told apart.
+        ends = path.xy_m[[0, -1]] if route.is_loop else np.empty((0, 2))
+        is_tight = shapely.dwithin(boundary, shapely.points(ends), body.turning_m - _SWEPT_MARGIN_M)
+        touched.append(ends[is_tight])
     return np.concatenate(touched)
 
 
