@@ -30,6 +30,7 @@ from wheelsight.places import (
 )
 from wheelsight.recordings import OpenOptions, open_recording
 from wheelsight.recordings.inspection import inspect_recording
+from wheelsight.ros_map import read_ros_map
 from wheelsight.simulation import read_manual_velocities
 from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
@@ -73,6 +74,9 @@ trans_matrix:
          {_MATRIX}
 """
 _FRAMES = 4
+_ROS_MAP = (
+    b"image: a.pgm\nresolution: 0.05\norigin: [-1.5, 2, 0.5]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +162,7 @@ def _single_files() -> list[Target]:
         Target("drive", {"a.csv": _table("stamp_s,v_m_s,yaw_rate_rad_s", 3, 0.1)}, _reads("a.csv", _drive)),
         Target("ticks", {"wheels.csv": _table("stamp_s,left,right", 3)}, _reads("wheels.csv", _ticks)),
         Target("model", {"places.skops": _model()}, _reads("places.skops", PlaceModel.load)),
+        Target("ros map", {"a.yaml": _ROS_MAP, "a.pgm": _plan()}, _reads("a.yaml", read_ros_map)),
         Target("map", {"a.surfels": _map()}, _reads("a.surfels", load_map)),
     ]
 
@@ -252,6 +257,10 @@ def _model() -> bytes:
     features = (rng.random((len(labels), describer.size)) + labels[:, None]).astype(np.float32)
     settings = ForestSettings(trees=2, folds=2, gap_frames=0, block_frames=2)
     return _saved(lambda path: train_places(features, labels, ("hall", "lift"), describer, settings).save(path))
+
+
+def _plan() -> bytes:
+    return cv2.imencode(".pgm", np.where(np.mgrid[:8, :9][0] % 3, 254, 0).astype(np.uint8))[1].tobytes()
 
 
 def _map() -> bytes:

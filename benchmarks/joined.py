@@ -49,7 +49,7 @@ from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
 from wheelsight.events import Event
 from wheelsight.files import write_text
-from wheelsight.simulation import SimulatedRecording
+from wheelsight.simulation import FloorPlan, SimulatedRecording
 from wheelsight.simulation.camera_faults import events_with
 
 SEEDS = 10
@@ -64,6 +64,7 @@ def measure_joined(
     images: Path | None = None,
     on_figures: Callable[[JoinedFigures], None] | None = None,
     keep: Path | None = None,
+    plan: FloorPlan | None = None,
 ) -> list[JoinedFigures]:
     """Every case on the drives of all seeds; takes hours, and 250 MB for the images of a drive that cases share.
 
@@ -74,14 +75,16 @@ def measure_joined(
         images: a folder that keeps images for another time, or None.
         on_figures: is told each result as it comes.
         keep: a folder that keeps results; what it has is not measured again.
+        plan: a building to drive in, in place of `floor4` and `flat`.
     """
-    kept = KeptFigures(keep, {"duration_s": duration_s, "odometry": odometry})
+    building = {} if plan is None else {"plan": plan.name}
+    kept = KeptFigures(keep, {"duration_s": duration_s, "odometry": odometry, **building})
     figures = [found for seed in seeds for case in cases if (found := kept.of(case, seed)) is not None]
     known = {(found.case, found.seed) for found in figures}
     for seed in seeds:
         wanted = sorted((case for case in cases if (case, seed) not in known), key=lambda case: case.way.value)
         for way, group in groupby(wanted, key=lambda case: case.way):
-            for found in _measure_drive(drive_of(way, seed, duration_s), list(group), seed, odometry, images):
+            for found in _measure_drive(drive_of(way, seed, duration_s, plan), list(group), seed, odometry, images):
                 figures.append(found)
                 kept.keep(found)
                 if on_figures is not None:
@@ -214,6 +217,8 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--odometry", choices=("dense", "features"), default="dense")
     parser.add_argument("--images", type=Path, metavar="DIR", help="keeps rendered images, 0.5 MB each, for next time")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps results; those kept are not measured again")
+    parser.add_argument("--plan", type=Path, metavar="MAP.YAML|IMAGE", help="drive in this building instead")
+    parser.add_argument("--resolution", type=float, metavar="M", help="metres a pixel of a plan that is an image")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw one drive with faults instead")
     parser.add_argument("--hour", type=float, nargs="?", const=60.0, metavar="MINUTES", help="drive so long instead")
     parser.add_argument("--out", type=Path, help="Markdown file for the tables")
@@ -235,7 +240,8 @@ def main() -> None:
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     given = (cases, seeds, arguments.duration, arguments.odometry, arguments.images)
     tell = partial(print, file=sys.stderr, flush=True)
-    figures = measure_joined(*given, lambda found: tell(told(found)), arguments.keep)
+    plan = None if arguments.plan is None else FloorPlan(arguments.plan, arguments.resolution)
+    figures = measure_joined(*given, lambda found: tell(told(found)), arguments.keep, plan)
     sheets = joined_sheet(figures), targets_sheet(judge_joined(figures))
     console = Console(width=None if sys.stdout.isatty() else 180)
     for sheet in sheets:
@@ -251,6 +257,8 @@ def _command(arguments: argparse.Namespace) -> str:
     words += [f"--first {arguments.first}"] if arguments.first != 1 else []
     words += [f'--cases "{arguments.cases}"'] if arguments.cases else []
     words += [f"--duration {arguments.duration:g}"] if arguments.duration != DURATION_S else []
+    words += [f"--plan {arguments.plan.name}"] if arguments.plan is not None else []
+    words += [f"--resolution {arguments.resolution:g}"] if arguments.resolution is not None else []
     words += [f"--odometry {arguments.odometry}"] if arguments.odometry != "dense" else []
     return " ".join([*words, f"--out {arguments.out.name}"])
 

@@ -11,6 +11,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.geometry import FloatArray
 from wheelsight.simulation import (
+    FloorPlan,
     Patch,
     Renderer,
     Robot,
@@ -168,10 +169,11 @@ def robot_of(seed: int) -> Robot:
     )
 
 
-def drive_of(way: Way, seed: int, duration_s: float = DURATION_S) -> SimulatedRecording:
+def drive_of(way: Way, seed: int, duration_s: float = DURATION_S, plan: FloorPlan | None = None) -> SimulatedRecording:
     """The drive of a seed: odd ones through `floor4`, even ones through `flat`; every second pair backwards.
 
     The long one is through `floor4`, as are the slow one on which a wheel is lifted and the one with ice in a bend.
+    With a plan, all but the one through the blank corridor are through its building.
     """
     world = "floor4" if seed % 2 else "flat"
     settings = SimulationSettings(
@@ -184,9 +186,9 @@ def drive_of(way: Way, seed: int, duration_s: float = DURATION_S) -> SimulatedRe
         robot=robot_of(seed),
         realism="real",
     )
-    settings = replace(settings, is_reverse=(seed - 1) // 2 % 2 == 1)
+    settings = replace(settings, is_reverse=(seed - 1) // 2 % 2 == 1, plan=plan)
     if way is Way.BLANK:
-        settings = replace(settings, world="blank", laps=1, duration_s=None, is_reverse=False)
+        settings = replace(settings, plan=None, world="blank", laps=1, duration_s=None, is_reverse=False)
     if way is Way.LONG:
         settings = replace(settings, world="floor4", duration_s=_seconds_for(LONG_M, replace(settings, world="floor4")))
     if way is Way.LIFTED:

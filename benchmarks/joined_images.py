@@ -21,7 +21,7 @@ def kept_events(recording: SimulatedRecording, folder: Path) -> Iterator[Event]:
     Nothing tells that the simulator has changed since: then the folder is to be deleted.
     """
     name = sha256(repr(recording.settings).encode()).hexdigest()[:12]
-    images = folder / f"{recording.settings.world}-{recording.settings.seed}-{name}"
+    images = folder / f"{recording.name}-{name}"
     if not images.is_dir():
         _render(recording, images)
     color = np.load(images / "color.npy", mmap_mode="r")

@@ -29,6 +29,7 @@ LAYERS = (
     "stamps",
     "trajectory",
     "areas",
+    "ros_map",
     "keyframes",
     "estimates",
     "clocks",

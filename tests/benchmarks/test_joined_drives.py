@@ -34,6 +34,19 @@ def test_images_kept_are_those_rendered(recording, tmp_path):
     assert len(list(tmp_path.iterdir())) == 1
 
 
+def test_drives_of_a_plan_are_in_its_building_but_for_the_blank_corridor(tmp_path):
+    pytest.importorskip("mujoco")
+    from floor_plans import two_rooms, write_plan
+
+    from wheelsight.simulation import FloorPlan
+
+    plan = FloorPlan(write_plan(tmp_path, two_rooms()))
+    forward, backward = (drive_of(Way.CLEAN, seed, 2.0, plan) for seed in (1, 3))
+    assert forward.world.name == backward.world.name == "house"
+    assert (forward.settings.is_reverse, backward.settings.is_reverse) == (False, True)
+    assert drive_of(Way.BLANK, 1, 2.0, plan).world.name == "blank"
+
+
 @pytest.mark.slow
 def test_a_corridor_counts_as_blind_only_where_nothing_but_paint_is_in_reach():
     pytest.importorskip("mujoco")

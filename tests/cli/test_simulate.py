@@ -10,10 +10,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import pytest
 import yaml
+from floor_plans import rooms_in_colours, two_rooms, write_plan
 from typer.testing import Result
 
+from wheelsight.areas import load_areas
 from wheelsight.calibration import load_calibration
 from wheelsight.cli._simulation_inputs import size_of
 from wheelsight.events import SkippedFrame
@@ -85,6 +88,22 @@ def test_options_reach_the_settings(wheelsight: Command, tmp_path: Path) -> None
     assert skipped == {0.2: "depth image measured nothing: no pixel is valid"}
 
 
+def test_a_floor_plan_becomes_a_recording_with_areas(wheelsight: Command, tmp_path: Path) -> None:
+    plan = write_plan(tmp_path, two_rooms())
+    cv2.imwrite(str(tmp_path / "rooms.png"), rooms_in_colours())
+    options = ("--areas", tmp_path / "rooms.png", "--start", "3,5.5,90", "--way", 20)
+    result = wheelsight("simulate", "--plan", plan, *options, *SMALL, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    out = tmp_path / "out"
+    told = yaml.safe_load((out / "truth" / "settings.yaml").read_text())["settings"]
+    assert (told["world"], told["plan"]["path"], told["plan"]["way_m"]) == ("house", "house.yaml", 20)
+    assert len(load_areas(out / "areas.yaml")) == 3
+    truth = open_recording(out).ground_truth
+    assert truth is not None
+    assert truth.positions_m[0, :2] == pytest.approx((3.0, 5.5), abs=0.01)
+    assert (out / "plan.png").is_file()
+
+
 def test_the_list_tells_all_worlds_and_cameras(wheelsight: Command) -> None:
     result = wheelsight("simulate", "--list")
     assert result.exit_code == 0
@@ -108,6 +127,7 @@ def test_sizes_keep_the_shape_of_the_cameras_images(camera: str, size: str, expe
 def test_help_shows_examples(wheelsight: Command) -> None:
     text = wheelsight("simulate", "--help").stdout
     assert "wheelsight simulate floor4 --out floor" in text
+    assert "wheelsight simulate --plan office.yaml --duration 60 --out office" in text
     assert "--passers-by" in text
 
 
@@ -129,6 +149,13 @@ def test_help_shows_examples(wheelsight: Command) -> None:
         (("square", "--left-radius", -0.1), "left_radius_m is -0.1, no wheelchair's ("),
         (("square", "--track", 20), "track_width_m is 20.0, no wheelchair's ("),
         (("square", "--drive", "absent.csv"), "absent.csv: is missing ("),
+        (("square", "--plan", "a.yaml"), "both the world square and a plan are given (leave one of them out)"),
+        (("square", "--way", 30), "--way means nothing without a plan (--plan map.yaml)"),
+        (("square", "--areas", "a.png"), "--areas means nothing without a plan (--plan map.yaml)"),
+        (("--plan", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),
+        (("--plan", "absent.png"), "absent.png: is an image without a scale (give --resolution in metres, or its"),
+        (("--plan", "a.yaml", "--start", "1,2"), "--start is '1,2' (X,Y,YAW_DEG in metres and degrees, such as"),
+        (("--plan", "a.yaml", "--way", -3), "--way is -3 m (over 0, up to 20000 m)"),
     ],
 )
 def test_what_cannot_be_is_refused(

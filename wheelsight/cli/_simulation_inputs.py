@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wheelsight.errors import ConfigError
 
 if TYPE_CHECKING:
-    from wheelsight.simulation import SimulationSettings
+    from wheelsight.simulation import FloorPlan, SimulationSettings
 
 _TIMES_FORM = "FROM:TO in seconds, such as 12:15.5"
+_START_FORM = "X,Y,YAW_DEG in metres and degrees, such as 4,2.5,90"
 _PATCH_FORM = "X,Y,R in metres, such as 4,2.5,0.6"
 
 
@@ -35,6 +37,33 @@ def settings_from(
     image_px = size_of(size, given["camera"])
     true_robot = Robot(**{name: value for name, value in robot.items() if value is not None})
     return SimulationSettings(**given, size=image_px, robot=true_robot, faults=faults, covered_s=covered_s)
+
+
+def plan_of(
+    world: str | None,
+    path: Path | None,
+    *,
+    resolution: float | None,
+    areas: Path | None,
+    start: str | None,
+    way: float | None,
+) -> FloorPlan | None:
+    """The floor plan that the options tell, if any. Raises ConfigError for options that mean nothing together."""
+    from wheelsight.simulation import FloorPlan
+
+    if path is None:
+        given = {"--resolution": resolution, "--areas": areas, "--start": start, "--way": way}
+        for option, value in given.items():
+            if value is not None:
+                raise ConfigError(f"{option} means nothing without a plan", fix="--plan map.yaml")
+        return None
+    if world is not None:
+        raise ConfigError(f"both the world {world} and a plan are given", fix="leave one of them out")
+    pose = None
+    if start is not None:
+        x_m, y_m, yaw_deg = _numbers("--start", start, ",", 3, _START_FORM)
+        pose = x_m, y_m, math.radians(yaw_deg)
+    return FloorPlan(path, resolution, areas, pose, way)
 
 
 def size_of(text: str, camera: str) -> tuple[int, int] | None:

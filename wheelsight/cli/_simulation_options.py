@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-_ROBOT, _FAULTS = "The true robot", "Faults"
+_ROBOT, _FAULTS, _PLAN = "The true robot", "Faults", "A building of your own"
 
 
 def _times(what: str) -> Any:
@@ -22,6 +22,48 @@ Out = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Folder of the recording; made if need be.", show_default=False)
 ]
 ShowList = Annotated[bool, typer.Option("--list", help="Show all worlds and cameras, and exit.")]
+Plan = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="MAP.YAML|IMAGE",
+        help="Floor plan to drive through in place of WORLD: ROS map_server's, or a bare image with --resolution.",
+        show_default=False,
+        rich_help_panel=_PLAN,
+    ),
+]
+Resolution = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Metres a pixel of a bare image.", show_default=False, rich_help_panel=_PLAN),
+]
+AreasImage = Annotated[
+    Path | None,
+    typer.Option(
+        "--areas",
+        metavar="IMAGE",
+        help="The plan's rooms, one colour each or parted by lines; they become areas.yaml.",
+        show_default=False,
+        rich_help_panel=_PLAN,
+    ),
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,YAW_DEG",
+        help="Where in the plan the base begins.",
+        show_default="a roomy place, by --seed",
+        rich_help_panel=_PLAN,
+    ),
+]
+WayLength = Annotated[
+    float | None,
+    typer.Option(
+        "--way",
+        metavar="METRES",
+        help="How long the tour is, about.",
+        show_default="up to 100, or as --duration takes",
+        rich_help_panel=_PLAN,
+    ),
+]
 Laps = Annotated[int, typer.Option(help="How often the world's route is driven.")]
 Camera = Annotated[str, typer.Option(metavar="NAME", help="Which camera to carry; see --list.")]
 Size = Annotated[

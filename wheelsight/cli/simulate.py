@@ -9,7 +9,7 @@ import typer
 
 from wheelsight.cli import _simulation_options as options
 from wheelsight.cli._console import INTERRUPTED
-from wheelsight.cli._simulation_inputs import settings_from
+from wheelsight.cli._simulation_inputs import plan_of, settings_from
 from wheelsight.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 def simulate(
     world: options.World = None,
     out: options.Out = None,
+    plan: options.Plan = None,
+    resolution: options.Resolution = None,
+    areas: options.AreasImage = None,
+    start: options.Start = None,
+    way: options.WayLength = None,
     laps: options.Laps = 1,
     camera: options.Camera = "kinect-v1",
     size: options.Size = "half",
@@ -64,16 +69,22 @@ def simulate(
 
     wheelsight simulate flat --lift 12:15 --cover 20:25 --out mishaps
 
+    wheelsight simulate --plan office.yaml --duration 60 --out office
+
+    wheelsight simulate --plan flat.png --resolution 0.05 --areas rooms.png --way 40 --start 3,2.5,90 --out flat
+
     wheelsight simulate --list
     """
     if show_list:
         _print_list()
         return
-    if world is None or out is None:
-        missing = "a WORLD" if world is None else "--out DIR"
+    building = plan_of(world, plan, resolution=resolution, areas=areas, start=start, way=way)
+    if (world is None and building is None) or out is None:
+        missing = "--out DIR" if out is None and (world or building) else "a WORLD"
         raise ConfigError(f"{missing} is missing", fix="wheelsight simulate floor4 --out DIR, or --list")
     settings = settings_from(
-        {"world": world, "camera": camera, "laps": laps, "seed": seed, "speed_m_s": speed, "duration_s": duration}
+        ({"world": world} if building is None else {"plan": building})
+        | {"camera": camera, "laps": laps, "seed": seed, "speed_m_s": speed, "duration_s": duration}
         | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn}
         | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip}
         | {"realism": realism},

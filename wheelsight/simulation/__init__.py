@@ -18,10 +18,12 @@ from wheelsight.simulation.simulated_recording import SimulatedRecording
 from wheelsight.simulation.view import Geoms, View
 from wheelsight.simulation.world import Surface, World
 from wheelsight.simulation.worlds import build_world, world_names
+from wheelsight.simulation.worlds.floor_plan import FloorPlan
 
 __all__ = [
     "CameraModel",
     "Drive",
+    "FloorPlan",
     "Geoms",
     "ManualVelocities",
     "Patch",

@@ -37,8 +37,9 @@ def driver_of(settings: SimulationSettings, world: World) -> Driver:
     route = route_of(settings, world)
     if settings.stops_to_turn:
         laps = np.concatenate([np.tile(route, (settings.laps, 1)), route[: int(world.is_loop)]])
+        is_umbmark = settings.plan is None and world.name == _UMBMARK_WORLD
         # UMBmark is driven by the wheels alone: steering by sight would hide their errors. Elsewhere walls are near.
-        return StopAndTurn(laps, settings.speed_m_s, is_blind=world.name == _UMBMARK_WORLD)
+        return StopAndTurn(laps, settings.speed_m_s, is_blind=is_umbmark)
     return follow_route(route, is_loop=world.is_loop, laps=settings.laps, speed_m_s=settings.speed_m_s)
 
 

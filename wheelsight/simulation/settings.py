@@ -13,6 +13,7 @@ from wheelsight.files import StrPath
 from wheelsight.simulation.drivers import MAX_SPEED_M_S
 from wheelsight.simulation.realism import RealismName, realism_of
 from wheelsight.simulation.robot import Robot, WheelFaults
+from wheelsight.simulation.worlds.floor_plan.settings import FloorPlan
 
 _LARGEST_PX = 4096
 _SMALLEST_PX = 16
@@ -23,7 +24,7 @@ class SimulationSettings:
     """A world, a robot, a way through the world, and a camera; equal settings make equal recordings, byte for byte.
 
     Attributes:
-        world: one of `world_names()`.
+        world: one of `world_names()`; not looked at where there is a plan.
         camera: one of `camera_names()`.
         size: (width, height) of the images in pixels, or None for the camera's own.
         rate_hz: images a second, or None for the camera's own.
@@ -42,6 +43,7 @@ class SimulationSettings:
         robot: as it truly is; its owner believes in `Robot()`.
         faults: of the wheels.
         covered_s: (from, to) times in which something lies on the camera.
+        plan: a floor plan that a world is made of, in place of a built-in one.
 
     Raises:
         ConfigError: a value out of its range; names the option of `wheelsight simulate` that sets it.
@@ -65,6 +67,7 @@ class SimulationSettings:
     faults: WheelFaults = field(default_factory=WheelFaults)
     covered_s: tuple[tuple[float, float], ...] = ()
     realism: RealismName = "ideal"
+    plan: FloorPlan | None = None
 
     def __post_init__(self) -> None:
         realism_of(self.realism)
@@ -83,7 +86,7 @@ class SimulationSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain nested values under the same names, in lists and numbers that YAML keeps exactly."""
-        plain = _plain(asdict(self))
+        plain = _plain(asdict(self) | ({} if self.plan is None else {"world": self.plan.name}))
         assert isinstance(plain, dict)
         return plain
 

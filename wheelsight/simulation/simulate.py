@@ -33,6 +33,7 @@ from wheelsight.simulation.settings import SimulationSettings
 from wheelsight.simulation.simulated_recording import SimulatedRecording
 from wheelsight.simulation.world import World
 from wheelsight.simulation.worlds import build_world
+from wheelsight.simulation.worlds.floor_plan import build_floor_plan
 
 _LONGEST_DRIVE_S = 4 * 3600.0
 _FORMAT = "wheelsight-simulation-1"
@@ -60,7 +61,7 @@ def simulate(
     refused = None if refused is None else Path(refused)
     needed("mujoco")
     camera = camera_model(settings.camera, settings.size)
-    world = build_world(settings.world, settings.seed)
+    world = world_of(settings)
     driver = driver_of(settings, world)
     refuse_walls(settings, world, driver, refused)
     covers = [Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s]
@@ -89,6 +90,14 @@ def _driven(
         time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
         on_progress=None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s),
     )
+
+
+def world_of(settings: SimulationSettings) -> World:
+    """The world that the settings name, or that of their floor plan. Raises InputError where it cannot be built."""
+    if settings.plan is not None:
+        least_m = 0.0 if settings.duration_s is None else settings.duration_s * settings.speed_m_s
+        return build_floor_plan(settings.plan, settings.seed, settings.robot, least_m)
+    return build_world(settings.world, settings.seed)
 
 
 def _refuse_never(settings: SimulationSettings, end_s: float) -> None:

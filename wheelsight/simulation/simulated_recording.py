@@ -41,7 +41,7 @@ class SimulatedRecording:
     @property
     def name(self) -> str:
         """World and seed."""
-        return f"{self.settings.world}-{self.settings.seed}"
+        return f"{self.world.name}-{self.settings.seed}"
 
     @property
     def path(self) -> Path:

@@ -25,6 +25,7 @@ WALL_THICKNESS_M = 0.2
 _PANE_M = 0.03
 _COVERING_M = 0.003  # over the floor, so that no renderer takes one for the other
 _FLUSH_M = 0.001  # how far a wall ends short of a corner, so that no two faces lie in one plane
+_SQUARE_RAD = 0.05
 _POSTER_SIZES_M = ((0.59, 0.84), (0.84, 1.19), (0.84, 0.59), (1.19, 0.84))
 
 
@@ -352,10 +353,12 @@ def _growth(
 ) -> float:
     """How far walls reach beyond a corner: through each other's bodies where it is hollow, just short where it juts."""
     (ax, ay), (bx, by), (cx, cy) = before, corner, after
-    turn = (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
-    if turn == 0:
-        return 0.0
-    return thickness_m if turn > 0 else -_FLUSH_M
+    sine = (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
+    turn = math.atan2(sine, (bx - ax) * (cx - bx) + (by - ay) * (cy - by))
+    if turn >= 0:
+        return thickness_m * min(math.tan(turn / 2), 1.0)
+    # Ends of walls that meet at another angle lie in no plane of the other wall, and a gap would be seen through.
+    return -_FLUSH_M if abs(turn + math.pi / 2) < _SQUARE_RAD else 0.0
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -1,0 +1,213 @@
+"""Floor plans and occupancy maps in the format of ROS map_server and Nav2: an image, and a YAML file about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wheelsight.errors import MapError
+from wheelsight.files import StrPath
+from wheelsight.geometry import MOST_PIXELS, ByteArray, FloatArray, se2
+from wheelsight.inputs import Kind, line_of, picture_size, read_bytes, read_yaml, scan_count
+
+OCCUPIED, FREE, UNKNOWN = 100, 0, -1
+# What map_server's documentation and `map_saver` write; they hold where a YAML file tells no others.
+OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
+
+_MODES = ("trinary", "scale", "raw")
+_YAML_SUFFIXES = (".yaml", ".yml")
+_PICTURE = Kind("a map's image", most_mb=128, missing="the map's image is missing", fix="put it where image: says")
+_LARGEST_CELL_M = 10.0
+_LARGEST_SPAN_M = 10_000.0
+_OPAQUE = 255
+
+
+@dataclass(frozen=True, eq=False)
+class RosMap:
+    """What is free and what is occupied of a floor.
+
+    Attributes:
+        occupancy: (H, W) int8 as `nav_msgs/OccupancyGrid` has it: 0 free to 100 occupied, -1 unknown; row 0 is the
+            least y, as no image has it.
+        resolution_m: side of a cell.
+        origin: x and y in metres and yaw in radians of the corner of cell (0, 0) in the frame `map`.
+    """
+
+    occupancy: NDArray[np.int8]
+    resolution_m: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def to_map(self, cells: ArrayLike) -> FloatArray:
+        """Points (..., 2) in `map`, metres, of (column, row) (..., 2) in cells; whole numbers are corners of cells."""
+        R_map_grid, t = self._T_map_grid[:2, :2], self._T_map_grid[:2, 2]
+        return np.asarray(self.resolution_m * np.asarray(cells, float) @ R_map_grid.T + t)
+
+    def to_cells(self, xy_map: ArrayLike) -> FloatArray:
+        """(column, row) (..., 2) in cells of points (..., 2) in `map`; the inverse of `to_map`."""
+        R_map_grid, t = self._T_map_grid[:2, :2], self._T_map_grid[:2, 2]
+        return np.asarray((np.asarray(xy_map, float) - t) @ R_map_grid / self.resolution_m)
+
+    @property
+    def _T_map_grid(self) -> FloatArray:
+        return se2.from_parts(*self.origin)
+
+
+def read_ros_map(path: StrPath, resolution_m: float | None = None) -> RosMap:
+    """Read a map_server map by its YAML file, or a bare image by its resolution.
+
+    A cell's occupancy is 1 - the mean of its colours (the mean itself with `negate`). In mode `trinary` it is occupied
+    over `occupied_thresh`, free below `free_thresh`, unknown between; `scale` has shares between the two; `raw` takes
+    pixel values 0 to 100 as they are, others as unknown.
+
+    Args:
+        path: of the YAML file, or of a PNG or PGM image, which is read as `trinary`, its lower left corner at (0, 0).
+        resolution_m: side of a cell of a bare image; a YAML file tells its own.
+
+    Raises:
+        MapError: naming file, line and fix: a file that is missing or damaged, a field that is wrong, an image of 16
+            bits, with transparency, or of more pixels than a map has.
+    """
+    path = Path(path)
+    if path.suffix.lower() in _YAML_SUFFIXES:
+        if resolution_m is not None:
+            raise MapError("tells its resolution itself", path=path, fix="leave out --resolution")
+        about = _Description.of(read_yaml(path, MapError), path)
+    elif resolution_m is None:
+        raise MapError("is an image without a scale", path=path, fix="give --resolution in metres, or its map.yaml")
+    else:
+        if not 0 < resolution_m <= _LARGEST_CELL_M:
+            fix = f"metres a cell: over 0, up to {_LARGEST_CELL_M:g}"
+            raise MapError(f"--resolution is {resolution_m:g}", path=path, fix=fix)
+        about = _Description(path, resolution_m)
+    image = read_plan_image(about.image)
+    if max(image.shape[:2]) * about.resolution_m > _LARGEST_SPAN_M:
+        raise MapError(f"is over {_LARGEST_SPAN_M / 1000:g} km long", path=path, fix="resolution is metres a cell")
+    return RosMap(_occupancy(image, about), about.resolution_m, about.origin)
+
+
+def read_plan_image(path: Path) -> ByteArray:
+    """An image (H, W, 3) uint8, or (H, W) where it is grey; row 0 is its upper one. Raises MapError."""
+    data = read_bytes(path, _PICTURE, MapError)
+    size = picture_size(data)
+    if size is None:
+        raise MapError("is no image, or a damaged one", path=path, fix="a PNG or PGM image")
+    if size[0] * size[1] * scan_count(data) > MOST_PIXELS:
+        problem = f"says it is {size[0]}×{size[1]} pixels"
+        raise MapError(problem, path=path, fix=f"at most {MOST_PIXELS / 1e6:.0f} million; use larger cells")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise MapError("is no image, or a damaged one", path=path, fix="a PNG or PGM image")
+    if image.dtype != np.uint8:
+        problem = f"has {8 * image.dtype.itemsize} bits a pixel and colour"
+        raise MapError(problem, path=path, fix="save it with 8 bits; is it a depth image?")
+    if image.ndim == 3 and image.shape[2] == 4:
+        if (image[..., 3] != _OPAQUE).any():
+            raise MapError("is transparent in places", path=path, fix="save it without alpha channel, on white or grey")
+        image = image[..., :3]
+    return np.ascontiguousarray(image, np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class _Description:
+    """What the YAML file of a map tells."""
+
+    image: Path
+    resolution_m: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mode: str = "trinary"
+    negate: bool = False
+    occupied: float = OCCUPIED_THRESHOLD
+    free: float = FREE_THRESHOLD
+
+    @classmethod
+    def of(cls, document: Any, path: Path) -> _Description:
+        """Raises MapError naming the line of a field that is wrong."""
+        if not isinstance(document, dict):
+            raise MapError("holds no names and values", path=path, fix="image, resolution, origin")
+        fields = _Fields(document, path)
+        image = document.get("image")
+        if not isinstance(image, str) or not image.strip():
+            raise fields.error("image", "the name of the image's file")
+        mode = document.get("mode", _MODES[0])
+        if mode not in _MODES:
+            raise fields.error("mode", f"one of {', '.join(_MODES)}")
+        negate = document.get("negate", 0)
+        if negate not in (0, 1):
+            raise fields.error("negate", "0 or 1")
+        resolution_m = fields.number("resolution")
+        if not 0 < resolution_m <= _LARGEST_CELL_M:
+            raise fields.error("resolution", f"metres a cell: over 0, up to {_LARGEST_CELL_M:g}")
+        occupied = fields.number("occupied_thresh", OCCUPIED_THRESHOLD)
+        free = fields.number("free_thresh", FREE_THRESHOLD)
+        for name, threshold in (("occupied_thresh", occupied), ("free_thresh", free)):
+            if not 0 <= threshold <= 1:
+                raise fields.error(name, "a share from 0 to 1")
+        if free > occupied:
+            raise fields.error("free_thresh", f"at most occupied_thresh, {occupied:g}")
+        return cls(path.parent / image, resolution_m, fields.origin(), mode, bool(negate), occupied, free)
+
+
+@dataclass(frozen=True, slots=True)
+class _Fields:
+    """Names and values of a YAML file, and where they stand in it."""
+
+    values: dict[Any, Any]
+    path: Path
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """A field's number; `default` where the field is missing, if there is one."""
+        value = self.values.get(name, default)
+        number = _number(value)
+        if number is None:
+            raise self.error(name, "a number")
+        return number
+
+    def origin(self) -> tuple[float, float, float]:
+        """Where the lower left corner lies."""
+        value = self.values.get("origin")
+        numbers = [_number(part) for part in value] if isinstance(value, list) else []
+        x_m, y_m, yaw_rad = numbers if len(numbers) == 3 else (None, None, None)
+        if x_m is None or y_m is None or yaw_rad is None:
+            raise self.error("origin", "[x, y, yaw] of the lower left corner, metres and radians")
+        return x_m, y_m, yaw_rad
+
+    def error(self, name: str, fix: str) -> MapError:
+        """That a field is wrong, or missing."""
+        if name not in self.values:
+            return MapError(f"field {name} is missing", path=self.path, fix=fix)
+        line = line_of(self.path, (name,), MapError)
+        return MapError(f"{name} is {self.values[name]!r}", path=self.path, line=line, fix=fix)
+
+
+def _number(value: Any) -> float | None:
+    """A finite number, from text too (YAML 1.1 reads 1e-3, without a dot, as text); None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        number = float(value)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _occupancy(image: ByteArray, about: _Description) -> NDArray[np.int8]:
+    """(H, W) of an image, turned over so that row 0 is the lowest."""
+    shade = (image if image.ndim == 2 else image.mean(axis=2))[::-1] / 255.0
+    if about.mode == "raw":
+        percent = np.round(255 * shade)
+        return np.where(percent <= OCCUPIED, percent, UNKNOWN).astype(np.int8)
+    occupied = shade if about.negate else 1 - shade
+    between = np.full(shade.shape, float(UNKNOWN))
+    if about.mode == "scale" and about.occupied > about.free:
+        between = np.round((occupied - about.free) / (about.occupied - about.free) * OCCUPIED)
+    found = np.where(occupied > about.occupied, OCCUPIED, np.where(occupied < about.free, FREE, between))
+    return found.astype(np.int8)
