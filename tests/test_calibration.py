@@ -47,7 +47,7 @@ noises = st.builds(DepthNoise, st.floats(0, 1), st.floats(1e-6, 1), st.floats(0,
 
 def assert_same(first: Calibration, second: Calibration) -> None:
     assert (first.color, first.depth) == (second.color, second.depth)
-    for name in ("depth_noise", "rolling_shutter_s", "color_sigma_px", "wheels", "gyro", "source"):
+    for name in ("depth_noise", "rolling_shutter_s", "color_sigma_px", "depth_late_s", "wheels", "gyro", "source"):
         assert getattr(first, name) == getattr(second, name)
     for name in ("T_color_depth", "T_base_camera"):
         np.testing.assert_equal(getattr(first, name), getattr(second, name))

@@ -30,6 +30,7 @@ __all__ = [
 ]
 
 FORMAT = "wheelsight-calibration-1"
+_LATEST_S = 0.2
 _SLOWEST_SHUTTER_S = 0.2
 # How far the camera may sit from the base, and the depth camera from the colour camera beside it.
 _MOST_APART_M = {"T_base_camera": 10.0, "T_color_depth": 1.0}
@@ -53,7 +54,6 @@ class Calibration:
         depth_noise: of the depth camera.
         rolling_shutter_s: time from the exposure of the images' first row to that of the last; 0 for a global shutter.
             A frame's stamp is the time of its middle row.
-        depth_late_s: how much later than colour depth is measured, beyond what stamps say; negative where earlier.
         color_sigma_px: how far off the colour camera's numbers may be, as a standard deviation in the image; 0 for a
             camera calibrated well enough for it not to matter, more for nominal values.
         T_base_camera: (4, 4), or None where the recording has no base. May stand without a camera, in a calibration
@@ -61,6 +61,7 @@ class Calibration:
         wheels: or None where no wheel is read.
         gyro: what a yaw rate is worth, where there is one.
         source: where the numbers come from, for reports.
+        depth_late_s: how much later than colour depth is measured, beyond what stamps say; negative where earlier.
     """
 
     color: PinholeCamera | None = None
@@ -69,11 +70,11 @@ class Calibration:
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
     rolling_shutter_s: float = 0.0
     color_sigma_px: float = 0.0
-    depth_late_s: float = 0.0
     T_base_camera: FloatArray | None = None
     wheels: Wheels | None = None
     gyro: Gyro = field(default_factory=Gyro)
     source: str = "unknown"
+    depth_late_s: float = 0.0
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -88,6 +89,7 @@ class Calibration:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _motion(name, getattr(self, name)))
         need_numbers(self, _NUMBERS)
+        check_range("depth_late_s", self.depth_late_s, Range(-_LATEST_S, _LATEST_S, "s"))
         if not 0 <= self.rolling_shutter_s <= _SLOWEST_SHUTTER_S:
             raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
         if self.color is not None and not 0 <= self.color_sigma_px < self.color.width:

@@ -91,7 +91,7 @@ def read_ros_map(path: StrPath, resolution_m: float | None = None) -> RosMap:
     return RosMap(_occupancy(image, about), about.resolution_m, about.origin)
 
 
-def read_plan_image(path: Path) -> ByteArray:
+def read_plan_image(path: StrPath) -> ByteArray:
     """An image (H, W, 3) uint8, or (H, W) where it is grey; row 0 is its upper one. Raises MapError."""
     data = read_bytes(path, _PICTURE, MapError)
     size = picture_size(data)

@@ -146,6 +146,5 @@ def _print_list() -> None:
     from wheelsight.simulation import build_world, camera_model, camera_names, world_names
 
     stdout = console()
-    stdout.print(facts_table("Worlds", ((name, build_world(name).description) for name in world_names())))
-    stdout.print()
+    stdout.print(facts_table("Worlds", ((name, build_world(name).description) for name in world_names())), "")
     stdout.print(facts_table("Cameras", ((name, camera_model(name).description) for name in camera_names())))

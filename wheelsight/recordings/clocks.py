@@ -66,8 +66,10 @@ def refuse_if_apart(recording: Recording, least_s: float = 0.0) -> None:
 def refuse_other_units(recording: Recording, sensors: Collection[str]) -> None:
     """Raise RecordingError where stamps of FRAMES or WHEELS, of those that are followed, plainly are no seconds.
 
-    Numbers of frames pass: a camera may give one a second.
+    Numbers of frames pass: a camera may give one a second. What lists no stamps is judged event by event, as it comes.
     """
+    if not isinstance(recording, ListsFrames):
+        return
     stamps = listed_stamps(recording)
     for name, unit in _units(stamps).items():
         if name in sensors and unit is not NUMBERS:

@@ -168,12 +168,12 @@ class RecordingWriter:
         return self._calibration
 
     def _add_frame(self, frame: RgbdFrame) -> None:
-        seconds = _seconds(frame.stamp_s)
-        names = {"rgb": f"rgb/{seconds}.png", "depth": f"depth/{seconds}.png"}
+        seconds = {"rgb": _seconds(frame.stamp_s), "depth": _seconds(frame.stamp_s + frame.depth_late_s)}
+        names = {name: f"{name}/{stamp}.png" for name, stamp in seconds.items()}
         _write_png(self.folder / names["rgb"], cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR))
         _write_png(self.folder / names["depth"], self._depth_units(frame.depth_m))
         for name, file in names.items():
-            self._lists[f"{name}.txt"].append(f"{seconds} {file}\n")
+            self._lists[f"{name}.txt"].append(f"{seconds[name]} {file}\n")
         self.frames += 1
 
     def _depth_units(self, depth_m: Float32Array) -> NDArray[np.uint16]:

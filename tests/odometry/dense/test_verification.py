@@ -65,7 +65,8 @@ def test_keypoints_agree_with_what_they_cannot_tell_from_their_own() -> None:
         ([0.01, 0, 0, 0, 0, 0], True, True),
         ([0.1, 0, 0, 0, 0.02, 0], True, False),
         ([0, 0.1, 0, 0, 0, 0], False, False),
-        ([0.17, 0, 0, 0, 0, 0], False, False),
+        ([0.17, 0, 0, 0, 0, 0], True, False),
+        ([0.3, 0, 0, 0, 0, 0], False, False),
     ):
         assert vague.agrees_with(se3.exp(way)) == is_like_vague
         assert clear.agrees_with(se3.exp(way)) == is_like_clear

@@ -45,6 +45,7 @@ class DenseAlignment:
         residual: mean absolute plane residual in standard deviations of the sensor, 1 for a perfect fit.
         grey_sigma: spread of the grey residuals, in grey levels.
         claimed: (6, 6) information of the left perturbation that residuals had at the end, as if they were independent.
+        hinted: (6, 6) what keypoints would add to that if each erred by itself: which directions are shown goes by it.
     """
 
     T_reference_frame: FloatArray
@@ -55,6 +56,7 @@ class DenseAlignment:
     residual: float
     grey_sigma: float
     claimed: FloatArray
+    hinted: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,12 +100,15 @@ class Aligner:
 
     def start(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
         """Where to begin, of some guesses (4, 4): the first, turned; another where planes clearly lie better there."""
-        starts = [self.turn(frame, reference, guess) for guess in guesses]
-        if len(starts) == 1:
-            return starts[0]
-        misfits = self._misfits(frame, reference, starts)
+        return self.nearest(frame, reference, [self.turn(frame, reference, guess) for guess in guesses])
+
+    def nearest(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
+        """The first of some guesses (4, 4), or another where planes clearly lie better there."""
+        if len(guesses) == 1:
+            return guesses[0]
+        misfits = self._misfits(frame, reference, guesses)
         best = int(np.argmin(misfits))
-        return starts[best] if self._starts.clearly_nearer * misfits[best] < misfits[0] else starts[0]
+        return guesses[best] if self._starts.clearly_nearer * misfits[best] < misfits[0] else guesses[0]
 
     def _misfits(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
         """How far (N,) points lie from planes in the mean, in standard deviations, if frames are where guesses say.
@@ -144,11 +149,7 @@ class Aligner:
         rules = settings.huber, settings.color_weight, 0, settings.min_gradient, reference.own_noise
         how = np.array([0, 1, _GREY_SIGMA, 1, 0, *rules], float)
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
-        T_held, hold = self._hold(T, step, held_m)
-        if told is not None:
-            T_held, hold = both(
-                T_held, hold, told.T_reference_frame, factor * self._settings.correlation * told.information
-            )
+        T_held, hold = self._held(T, step, held_m, told, factor)
         for number in reversed(range(settings.levels)):
             how[steps.GATE] = settings.gate * (1 + 0.5 * number)
             how[steps.COLOR_SIGMA] = self._settings.color_error_left * self._color_sigma_px / (1 << number)
@@ -162,6 +163,15 @@ class Aligner:
                 if not np.abs(T).max() < _DIVERGED_M:
                     return self._answer(frame, reference, np.array(T_reference_frame), np.zeros(kernels.SUMS), how)
         return self._answer(frame, reference, T, total, how)
+
+    def _held(
+        self, T: FloatArray, step: Step | None, held_m: tuple[float, float], told: Told | None, factor: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where a guess (4, 4) is held, and how firmly: by what is expected, and by what keypoints have told."""
+        T_held, hold = self._hold(T, step, held_m)
+        if told is None:
+            return T_held, hold
+        return both(T_held, hold, told.T_reference_frame, factor * self._settings.correlation * told.information)
 
     def align_clearest(
         self,

@@ -54,7 +54,7 @@ class SurfaceWeight:
 
     def learn(self, joint: Joint) -> None:
         """Take a frame whose pose was accepted as an example."""
-        self.factor += self._settings.learned * (joint.seen_factor - self.factor)
+        self.factor *= (joint.seen_factor / self.factor) ** self._settings.learned
 
     def meet(self, T_reference_frame: FloatArray, surfaces: FloatArray, told: Told) -> Joint:
         """A motion (4, 4) found by both with the factor known before, once more with what their disagreement says.
@@ -72,7 +72,7 @@ class SurfaceWeight:
         off = directions.T @ root.T @ se3.log(told.T_reference_frame @ se3.invert(T_reference_frame))
         apart = off * (1 + self.factor / claimed)
         seen = self._seen(apart, claimed)
-        factor = max(self.factor, self._settings.at_once * seen)
+        factor = max(self.factor, self.factor * (seen / self.factor) ** self._settings.at_once)
         share = claimed / factor / (1 + claimed / factor)
         back = np.linalg.solve(root.T, directions @ (share * apart))
         ahead = np.linalg.solve(root.T, directions @ apart)

@@ -21,6 +21,7 @@ class KeypointPose:
         covariance: (6, 6) of its left perturbation (v, ω), that of the keyframe included.
         matches: keypoints that were matched; inliers: those that agree.
         settings: when it counts.
+            Neighbouring keypoints err alike, as neighbouring pixels do: `correlation` of them count as one.
         motion_covariance: (6, 6) of the same perturbation, that of the keyframe left out.
         view: the frame's keypoints, rows straightened, and the landmarks that they show.
     """
@@ -53,10 +54,9 @@ class KeypointPose:
         limits = self.settings
         T = se3.invert(self.T_map_camera) @ T_map_camera
         off_m, off_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
-        apart = max(off_m / limits.agree_m, off_rad / limits.agree_rad)
         off = se3.log(self.T_map_camera @ se3.invert(T_map_camera))
-        is_within = apart < limits.vague and off @ np.linalg.solve(self.covariance, off) < limits.agree_chi2
-        return bool(apart < 1 or is_within)
+        is_within = off @ np.linalg.solve(self.covariance, off) < limits.agree_chi2
+        return bool(max(off_m / limits.agree_m, off_rad / limits.agree_rad) < 1 or is_within)
 
     def motion_from(self, T_map_reference: FloatArray) -> MotionEstimate:
         """As a motion against a reference at (4, 4)."""
@@ -66,10 +66,7 @@ class KeypointPose:
         return MotionEstimate(T_reference_map @ self.T_map_camera, Ad @ self.covariance @ Ad.T, *counts)
 
     def information_from(self, T_map_reference: FloatArray) -> FloatArray:
-        """Information (6, 6) of the left perturbation of its motion against a reference at (4, 4).
-
-        Neighbouring keypoints err alike, as neighbouring pixels do.
-        """
+        """Information (6, 6) of the left perturbation of its motion against a reference at (4, 4)."""
         Ad = se3.adjoint(se3.invert(T_map_reference))
         covariance = self.covariance if self.motion_covariance is None else self.motion_covariance
-        return np.asarray(np.linalg.inv(self.settings.correlation * Ad @ covariance @ Ad.T), float)
+        return np.asarray(np.linalg.inv(Ad @ covariance @ Ad.T), float)

@@ -150,7 +150,9 @@ class KeypointTracker:
         T_map_camera = np.asarray(view.T_map_color @ self._T_color_camera)
         counts = (motion.matches, motion.inliers)
         own = np.asarray(Ad @ motion.covariance @ Ad.T)
-        return KeypointPose(T_map_camera, view.covariance, *counts, self._settings, own, view)
+        alike = self._settings.correlation
+        covariance = view.covariance + (alike - 1) * own
+        return KeypointPose(T_map_camera, covariance, *counts, self._settings, alike * own, view)
 
     def _view(self, keyframe: KnownView) -> View | None:
         """A keyframe's features, with the colour camera's pose."""

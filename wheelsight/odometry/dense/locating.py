@@ -71,10 +71,11 @@ class Locator:
         held_m = sigma_m if ahead.is_helped or is_held else np.inf, self._settings.nonholonomic_share * sigma_m
         with self._watch.stage("align"):
             told = _told(ahead.told, reference.T_map_reference)
+            expected = [T_reference_map @ T for T in begun]
             if told is not None:
-                starts = [told.T_reference_frame]
+                starts = [self._aligner.nearest(grid, reference, [told.T_reference_frame, *expected])]
             else:
-                starts = [self._aligner.start(grid, reference, [T_reference_map @ T for T in begun])]
+                starts = [self._aligner.start(grid, reference, expected)]
             if ahead.T_map_other is not None:
                 starts.append(self._aligner.turn(grid, reference, T_reference_map @ ahead.T_map_other))
             found = self._aligner.align_clearest(grid, reference, starts, step, held_m, told, self.weight.factor)
@@ -97,7 +98,8 @@ class Locator:
         correlation = self._settings.correlation
         joint = self.weight.meet(found.T_reference_frame, found.claimed / correlation, told)
         information = found.information / joint.factor + correlation * told.information
-        return replace(found, T_reference_frame=joint.T_reference_frame, information=information), joint
+        hinted = (self._settings.verification.correlation - 1) * correlation * told.information
+        return replace(found, T_reference_frame=joint.T_reference_frame, information=information, hinted=hinted), joint
 
     def _tracked(
         self,

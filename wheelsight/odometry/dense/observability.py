@@ -49,10 +49,12 @@ def judge(found: DenseAlignment, prior: Prior, settings: DenseSettings) -> Judge
 
     Eigenvectors of the information tell them (Zhang, Kaess & Singh, ICRA 2016: solution remapping).
     """
-    information = found.information / np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE) / settings.correlation
-    strength, directions = np.linalg.eigh(information)
-    strength = np.maximum(strength, 0.0)
+    scale = np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE) * settings.correlation
+    information = found.information / scale
+    shown = information if found.hinted is None else information + found.hinted / scale
+    strength, directions = np.linalg.eigh(shown)
     weak = strength < settings.degenerate_sigma_m**-2
+    strength = np.maximum((directions * (information @ directions)).sum(axis=0), 0.0)
     variances = np.where(weak, prior.sigma_m**2, 1 / np.maximum(strength, 1e-12))
     covariance = (directions * variances) @ directions.T / np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
     T = found.T_reference_frame

@@ -102,14 +102,6 @@ class VerificationSettings(Settings):
         0.04, "metres between both poses that still are the same: keypoints err by 1 to 2 cm", CHOSEN, gt=0, le=10
     )
     agree_rad: float = setting(0.035, "radians likewise, 2 degrees", CHOSEN, gt=0, le=3.2)
-    vague: float = setting(
-        4.0,
-        "so many times as far apart too, where keypoints are no surer: far ones hardly tell a turn from a way "
-        "aside, 0.1 m and 0.9 degrees at 7 m",
-        _FROM_0024,
-        ge=1,
-        le=100,
-    )
     agree_chi2: float = setting(
         16.8,
         "how sure they may be then at most: chi² of 6, 99 %, by their own covariance",
@@ -158,11 +150,13 @@ class JointSettings(Settings):
         ge=1,
         le=1e6,
     )
-    learned: float = setting(0.1, "of what a frame says of that factor, so within ten frames", CHOSEN, gt=0, le=1)
+    learned: float = setting(
+        0.1, "of what a frame says of that factor's logarithm, so within ten frames", CHOSEN, gt=0, le=1
+    )
     at_once: float = setting(
-        0.2,
-        "of what a frame says, which counts for that frame itself: a quick turn parts colour and depth that are not of "
-        "one instant, and is over before it is learned",
+        0.5,
+        "what a frame says counts for that frame itself, to this power: a quick turn parts colour and depth that are "
+        "not of one instant, and is over before it is learned",
         CHOSEN,
         ge=0,
         le=1,
@@ -188,7 +182,7 @@ class DelaySettings(Settings):
         0.02, "by which keypoints and surfaces differ about a frame's turn for other reasons", CHOSEN, gt=0, le=3
     )
     clear_sigmas: float = setting(
-        3.0, "standard deviations by which a delay must differ to be put in use", CHOSEN, gt=0, le=100
+        1.0, "standard deviations by which a delay must differ to be put in use", CHOSEN, gt=0, le=100
     )
     least_rad_s: float = setting(0.2, "a slower turn tells no delay", CHOSEN, gt=0, le=10)
     most_rad: float = setting(0.15, "a larger difference is no delay", CHOSEN, gt=0, le=3)
