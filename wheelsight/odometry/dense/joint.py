@@ -57,7 +57,7 @@ class SurfaceWeight:
         self.factor *= (joint.seen_factor / self.factor) ** self._settings.learned
 
     def meet(self, T_reference_frame: FloatArray, surfaces: FloatArray, told: Told) -> Joint:
-        """A motion (4, 4) found by both with the factor known before, once more with what their disagreement says.
+        """A motion (4, 4) found by both with the factor known before, or with its own where that is too small.
 
         Args:
             T_reference_frame: where keypoints and surfaces meet, the latter by the factor learned.
@@ -72,7 +72,8 @@ class SurfaceWeight:
         off = directions.T @ root.T @ se3.log(told.T_reference_frame @ se3.invert(T_reference_frame))
         apart = off * (1 + self.factor / claimed)
         seen = self._seen(apart, claimed)
-        factor = max(self.factor, self.factor * (seen / self.factor) ** self._settings.at_once)
+        is_odd = (apart**2 / (1 + self.factor / claimed)).sum() > self._settings.odd_chi2
+        factor = max(self.factor, seen) if is_odd else self.factor
         share = claimed / factor / (1 + claimed / factor)
         back = np.linalg.solve(root.T, directions @ (share * apart))
         ahead = np.linalg.solve(root.T, directions @ apart)

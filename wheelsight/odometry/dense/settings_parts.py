@@ -153,13 +153,13 @@ class JointSettings(Settings):
     learned: float = setting(
         0.1, "of what a frame says of that factor's logarithm, so within ten frames", CHOSEN, gt=0, le=1
     )
-    at_once: float = setting(
-        0.5,
-        "what a frame says counts for that frame itself, to this power: a quick turn parts colour and depth that are "
-        "not of one instant, and is over before it is learned",
-        CHOSEN,
-        ge=0,
-        le=1,
+    odd_chi2: float = setting(
+        22.5,
+        "beyond which keypoints and surfaces of a frame differ by more than is known by then, so that the frame's own "
+        "factor counts: chi² of 6, 99.9 %; a quick turn parts colour and depth that are not of one instant",
+        "reckoned: χ² of 6",
+        gt=0,
+        le=1e6,
     )
     shown: float = setting(
         1.0,
