@@ -13,11 +13,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from area_drive import write_area_drive
 from drives import simulate as drive_legs
 from drives import square_legs, write_recording
+from floor_plans import rooms_in_colours, two_rooms, write_plan
 from places.made_recording import write_drive
 
 from wheelsight.calibration import Calibration, Wheels, save_calibration
@@ -42,7 +44,8 @@ NOT_RUN = {
     "for seed in 1 2 3": "six squares, simulated; drawn ones stand for them",
 }
 # Options put to the end of commands, where the last one wins, so that they take seconds.
-SHORTER = {"wheelsight simulate floor4 --out": "--duration 6 --rate 4 --size 160x120"}
+_BRIEF = "--duration 6 --rate 4 --size 160x120"
+SHORTER = {"wheelsight simulate floor4 --out": _BRIEF, "wheelsight simulate --plan": _BRIEF}
 LANGUAGES = ("console", "sh")
 WHEELS = Wheels(0.17, 0.17, 0.58, 3200)
 # Straight ways and turns both ways, on the spot too: (seconds, m/s, rad/s).
@@ -123,6 +126,10 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
     (tmp_path / "errors.csv").write_text("\n".join(["direction,x_m,y_m", *rows]) + "\n")
     for name in ("my_drive", "other_drive"):
         shutil.copy(recordings / "rooms" / "labels.csv", tmp_path / f"{name}-labels.csv")
+    for name in ("map.yaml", "office.yaml"):
+        write_plan(tmp_path, two_rooms()).rename(tmp_path / name)
+    for name, image in (("flat.png", two_rooms()), ("rooms.png", rooms_in_colours())):
+        cv2.imwrite(str(tmp_path / name), image[:-44])  # without the corridor, which is below
     for place in ("bin", ".venv/bin"):
         (tmp_path / place).mkdir(parents=True)
         (tmp_path / place / "wheelsight").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m wheelsight "$@"\n')
