@@ -193,7 +193,7 @@ def test_a_pose_that_neither_wheels_nor_keypoints_expect_is_not_taken(
     tell(monkeypatch, told_at(by_wheels))
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ by_wheels)
     assert answer.status is Status.TRACKING
-    np.testing.assert_allclose(answer.T_odom_body, by_wheels, atol=1e-9)
+    assert apart(by_wheels, answer.T_odom_body)[0] < 0.02  # surfaces are 0.06 off, keypoints know it to 0.01
 
 
 @pytest.mark.parametrize("is_off", [True, False])

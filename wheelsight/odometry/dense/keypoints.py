@@ -43,7 +43,7 @@ class KeypointTracker:
     def __init__(
         self, calibration: Calibration, settings: VerificationSettings, *, has_landmarks: bool = True, threads: int = 1
     ) -> None:
-        features = FeatureSettings()
+        features = FeatureSettings(keypoints=settings.keypoints, candidates=2 * settings.keypoints)
         calibration, self._straight = _without_lens(calibration)
         self._T_color_camera = calibration.T_color_camera
         self._settings, self._has_landmarks = settings, has_landmarks
