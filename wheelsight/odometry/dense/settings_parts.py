@@ -100,8 +100,8 @@ class VerificationSettings(Settings):
 
     keypoints: int = setting(
         1000,
-        "of a frame, as feature odometry takes them; with 500 a frame is done 3 ms sooner and as accurate, but turns of "
-        "18 degrees from frame to frame are lost",
+        "of a frame, as feature odometry takes them; with 500 a frame is done 3 ms sooner and as accurate, but turns "
+        "of 18 degrees from frame to frame are lost",
         _FROM_0048,
         ge=50,
         le=20_000,
