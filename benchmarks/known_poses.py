@@ -12,10 +12,10 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer.map_builder import Thinning
 from wheelsight.mapping import SurfelMap
-from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.dense.grid import Gridder
 from wheelsight.odometry.dense.reference import ReferenceMaker
+from wheelsight.odometry.velocity import twist_between
 from wheelsight.simulation import SimulatedRecording
 from wheelsight.threads import Rows
 from wheelsight.views import PredictedView, Surface

@@ -20,7 +20,6 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, IntArray, se3
-from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
 from wheelsight.odometry.features.alignment import PointPairs, find_motion, refine_motion
 from wheelsight.odometry.features.extraction import (
@@ -30,6 +29,7 @@ from wheelsight.odometry.features.extraction import (
     straighten,
 )
 from wheelsight.odometry.features.matching import match_all
+from wheelsight.odometry.velocity import twist_between
 from wheelsight.recordings import Recording, open_recording
 
 SHUTTERS_S = (0.0, 0.005, 0.010, 0.015, 0.018, 0.021, 0.024, 0.027, 0.030, 0.035)

@@ -10,9 +10,9 @@ from synthetic import CAMERA, render_room
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3, so3
-from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
 from wheelsight.odometry.features.extraction import Features, straighten
+from wheelsight.odometry.velocity import twist_between
 from wheelsight.trajectory import Trajectory
 
 SHUTTER_S = 0.03

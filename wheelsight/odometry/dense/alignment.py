@@ -11,7 +11,6 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import DEGENERATE_SCALE
 from wheelsight.geometry import Float32Array, FloatArray, se3, so3
-from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.dense import _alignment_kernels as kernels
 from wheelsight.odometry.dense import _shown_kernels as shown
 from wheelsight.odometry.dense import _step_kernels as steps
@@ -20,6 +19,7 @@ from wheelsight.odometry.dense.grid import Gridder, GridFrame, Level
 from wheelsight.odometry.dense.joint import Told
 from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.odometry.velocity import twist_between
 from wheelsight.threads import Rows
 
 # Of a twist (v, ω) in the base's frame, what wheels do not roll: sideways, up, roll and pitch.

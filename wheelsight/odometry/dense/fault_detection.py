@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense.prediction import Prediction
 from wheelsight.odometry.dense.settings_parts import FaultSettings
 from wheelsight.odometry.dense.tracked import Tracked
+from wheelsight.odometry.velocity import LONGEST_STEP_S
 
 # The mean residual of a perfect fit, in standard deviations of the sensor.
 _PERFECT = 1.0

@@ -9,7 +9,6 @@ import numpy as np
 
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.odometry._velocity import LONGEST_STEP_S
 from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment, Step
 from wheelsight.odometry.dense.grid import GridFrame
 from wheelsight.odometry.dense.joint import Joint, SurfaceWeight, Told
@@ -21,6 +20,7 @@ from wheelsight.odometry.dense.tracked import Tracked
 from wheelsight.odometry.dense.views import KnownView, Views
 from wheelsight.odometry.state import TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
+from wheelsight.odometry.velocity import LONGEST_STEP_S
 
 
 class Locator:

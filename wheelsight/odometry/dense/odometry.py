@@ -13,7 +13,6 @@ from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
-from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.alignment import Aligner
 from wheelsight.odometry.dense.depth_delay import DepthDelay
 from wheelsight.odometry.dense.grid import Gridder, GridFrame
@@ -29,6 +28,7 @@ from wheelsight.odometry.dense.views import Views
 from wheelsight.odometry.features.extraction import Features
 from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
+from wheelsight.odometry.velocity import LONGEST_STEP_S, twist_between
 from wheelsight.stamps import StampCheck
 from wheelsight.threads import Rows
 from wheelsight.views import ReferenceModel, Surface

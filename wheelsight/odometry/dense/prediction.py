@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.odometry._velocity import LONGEST_STEP_S, twist_between
 from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.tracked import Tracked
+from wheelsight.odometry.velocity import LONGEST_STEP_S, twist_between
 
 
 @dataclass(frozen=True, slots=True, eq=False)

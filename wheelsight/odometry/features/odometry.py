@@ -13,7 +13,6 @@ from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
-from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.features.estimate import FeatureEstimate, MatchedPixels
 from wheelsight.odometry.features.extraction import FeatureExtractor, Features
 from wheelsight.odometry.features.keyframes import KeyframeMaker
@@ -22,6 +21,7 @@ from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
 from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
+from wheelsight.odometry.velocity import twist_between
 from wheelsight.stamps import StampCheck
 
 

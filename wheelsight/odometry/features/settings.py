@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from wheelsight.odometry._velocity import LONGEST_STEP_S
+from wheelsight.odometry.velocity import LONGEST_STEP_S
 from wheelsight.settings import CHOSEN, ON_SIMULATOR, Settings, setting
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry._velocity import twist_between
 from wheelsight.odometry.features import _kernels
 from wheelsight.odometry.features.alignment import Alignment, PointPairs, find_motion, refine_motion
 from wheelsight.odometry.features.estimate import MatchedPixels
@@ -18,6 +17,7 @@ from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.matching import Matches, match_all, match_near
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.stopwatch import Stopwatch
+from wheelsight.odometry.velocity import twist_between
 
 
 @dataclass(frozen=True, slots=True, eq=False)
