@@ -88,8 +88,8 @@ def checked_frame(surface: Surface, far_m: float) -> Frame:
 def _array(name: str, image: Any) -> Float32Array:
     if not isinstance(image, np.ndarray):
         raise MapError(f"{name} is a {type(image).__name__}, not an array", fix="np.asarray(image, np.float32)")
-    is_brightness = name in ("grey", "color") and image.dtype == np.uint8
-    if image.dtype.kind != "f" and not is_brightness:
+    is_bytes = name == "color" and image.dtype == np.uint8
+    if image.dtype.kind != "f" and not is_bytes:
         raise MapError(f"{name} is of {image.dtype}, not float32", fix=_UNITS[name])
     return np.ascontiguousarray(image, np.float32)
 
