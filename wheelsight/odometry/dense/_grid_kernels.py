@@ -90,14 +90,16 @@ def straighten(depth_m: Any, grey: Any, source_px: Any, exposure: Exposure, jump
     for r in range(rows[0], rows[1]):
         y = (np.float32(r) - grid[3]) / grid[1]
         _find_source(y, source_px[r], depth_m, exposure, height, u, v, late)
-        for c in range(width):
-            x = (np.float32(c) - grid[2]) / grid[0]
-            du, dv = _flow(x, y, _depth_near(depth_m, u[c], v[c]), twist)
-            z = _depth_between(depth_m, u[c] - behind * grid[0] * du, v[c] - behind * grid[1] * dv, jump)
-            out[0, r, c] = z + (late[c] + behind) * (twist[2] + (twist[3] * y - twist[4] * x) * z) if z > 0 else z
         if has_grey:
             for c in range(width):
                 out[1, r, c] = _between(grey, u[c], v[c])
+        if behind != 0:
+            for c in range(width):
+                du, dv = _flow((np.float32(c) - grid[2]) / grid[0], y, _depth_near(depth_m, u[c], v[c]), twist)
+                u[c], v[c], late[c] = u[c] - behind * grid[0] * du, v[c] - behind * grid[1] * dv, late[c] + behind
+        for c in range(width):
+            z, x = _depth_between(depth_m, u[c], v[c], jump), (np.float32(c) - grid[2]) / grid[0]
+            out[0, r, c] = z + late[c] * (twist[2] + (twist[3] * y - twist[4] * x) * z) if z > 0 else z
 
 
 @kernel(error_model="numpy")

@@ -17,7 +17,6 @@ class DepthDelay:
     Args:
         seconds: as a calibration knows it.
         settings: how well that is known, and what a frame tells.
-
     """
 
     def __init__(self, seconds: float, settings: DelaySettings) -> None:
