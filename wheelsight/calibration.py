@@ -62,6 +62,8 @@ class Calibration:
         gyro: what a yaw rate is worth, where there is one.
         source: where the numbers come from, for reports.
         depth_late_s: how much later than colour depth is measured, beyond what stamps say; negative where earlier.
+        frame_sigma_m, frame_sigma_rad: how far off a frame's place and turn are by what all its pixels share and noise
+            does not tell: bent depth, registration, the shutter's timing. See docs/decisions/0049.
     """
 
     color: PinholeCamera | None = None
@@ -75,6 +77,8 @@ class Calibration:
     gyro: Gyro = field(default_factory=Gyro)
     source: str = "unknown"
     depth_late_s: float = 0.0
+    frame_sigma_m: float = 0.0025
+    frame_sigma_rad: float = 0.002
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -90,6 +94,8 @@ class Calibration:
                 object.__setattr__(self, name, _motion(name, getattr(self, name)))
         need_numbers(self, _NUMBERS)
         check_range("depth_late_s", self.depth_late_s, Range(-_LATEST_S, _LATEST_S, "s"))
+        for name, most, unit in (("frame_sigma_m", 1.0, "m"), ("frame_sigma_rad", 1.0, "rad")):
+            check_range(name, getattr(self, name), Range(0, most, unit))
         if not 0 <= self.rolling_shutter_s <= _SLOWEST_SHUTTER_S:
             raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
         if self.color is not None and not 0 <= self.color_sigma_px < self.color.width:
@@ -209,7 +215,7 @@ class _MissingError(CalibrationError):
 
 _CAMERA_FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 _NOISE_FIELDS = ("constant_m", "quadratic_per_m", "near_m", "far_m")
-_NUMBERS = ("rolling_shutter_s", "color_sigma_px", "depth_late_s")
+_NUMBERS = ("rolling_shutter_s", "color_sigma_px", "depth_late_s", "frame_sigma_m", "frame_sigma_rad")
 _KINDS: dict[str, type | UnionType] = {
     "color": PinholeCamera | None,
     "depth": PinholeCamera | None,

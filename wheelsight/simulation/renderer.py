@@ -96,11 +96,14 @@ class Renderer:
 
     def _calibration(self, lens: PinholeCamera) -> Calibration:
         camera = self._camera
+        # Without errors of a unit of its own, a camera's pixels share none.
+        shared = {"frame_sigma_m": 0.0, "frame_sigma_rad": 0.0} if self.unit.realism is None else {}
         return Calibration.registered_camera(
             lens,
             depth_noise=camera.depth_noise,
             rolling_shutter_s=camera.rolling_shutter_s,
             source=camera.name,
+            **shared,
         )
 
     def stamp_s(self, index: int) -> float:

@@ -82,9 +82,13 @@ class Bench:
         return self.aligner.align(self.grid(second), self.reference(first), np.eye(4) if guess is None else guess)
 
 
+# Of pixels that share no error.
+EXACT = Calibration.registered_camera(SMALL, frame_sigma_m=0.0, frame_sigma_rad=0.0)
+
+
 def bench(calibration: Calibration | None = None, **settings: object) -> Bench:
     """For the small camera unless another calibration is given."""
-    calibration = calibration or Calibration.registered_camera(SMALL)
+    calibration = calibration or EXACT
     chosen = DenseSettings(**{"threads": 1, **settings})
     rows = Rows(chosen.threads)
     gridder = Gridder(calibration, chosen, rows)
@@ -95,7 +99,7 @@ def bench(calibration: Calibration | None = None, **settings: object) -> Bench:
 def dense(calibration: Calibration | None = None, **settings: object) -> DenseOdometry:
     """Dense odometry of the small camera unless another calibration is given."""
     chosen = DenseSettings(**{"threads": 1, **settings})
-    return DenseOdometry(calibration or Calibration.registered_camera(SMALL), chosen)
+    return DenseOdometry(calibration or EXACT, chosen)
 
 
 def rolled(rows: list[RgbdFrame], stamp_s: float) -> RgbdFrame:

@@ -21,7 +21,7 @@ T_LONG = T_SHORT @ se3.exp([1e-3, -2e-3, 2e-3, 4e-4, -6e-4, 3e-4])
 
 
 def met(T_short: FloatArray, short: MotionEstimate, T_long: FloatArray, long: MotionEstimate) -> FloatArray:
-    return joined(T_short, short, T_long, long, SETTINGS)
+    return joined(T_short, short, T_long, long, SETTINGS, np.zeros((6, 6)))
 
 
 def told(T_reference_current: FloatArray, covariance: FloatArray) -> MotionEstimate:

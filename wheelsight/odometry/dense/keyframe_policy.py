@@ -124,7 +124,7 @@ class KeyframePolicy:
         if not isinstance(seen, Tracked):
             return found
         poses = (found.T_map_camera, found.motion, seen.T_map_camera, seen.motion)
-        return replace(found, T_map_camera=joined(*poses, self._settings.keyframes))
+        return replace(found, T_map_camera=joined(*poses, self._settings.keyframes, self._locator.of_frame))
 
     def _straightened(self, frame: RgbdFrame, found: Tracked, *, is_kept: bool = True) -> Tracked:
         """The same frame, its rows straightened by the speed that was found rather than the one expected."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from wheelsight.calibration import Calibration
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment, Step
@@ -18,6 +19,7 @@ from wheelsight.odometry.dense.prediction import Prediction
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.dense.tracked import Tracked
 from wheelsight.odometry.dense.views import KnownView, Views
+from wheelsight.odometry.frame_error import frame_covariance, with_frame_error
 from wheelsight.odometry.state import TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.odometry.velocity import LONGEST_STEP_S
@@ -27,14 +29,22 @@ class Locator:
     """Aligns a frame with what is known.
 
     Args:
+        calibration: of the cameras: how far off all of a frame may be.
         settings: how far off a prediction may be, and how fast a camera goes.
         aligner: aligns a frame with one view.
         views: what is known.
         watch: counts the time of "align".
+
+    Attributes:
+        of_frame: covariance (6, 6) in the camera's frame of what is off about all of a frame.
+        weight: how much surfaces count beside keypoints.
     """
 
-    def __init__(self, settings: DenseSettings, aligner: Aligner, views: Views, watch: Stopwatch) -> None:
+    def __init__(
+        self, calibration: Calibration, settings: DenseSettings, aligner: Aligner, views: Views, watch: Stopwatch
+    ) -> None:
         self._settings, self._aligner, self._views, self._watch = settings, aligner, views, watch
+        self.of_frame = frame_covariance(calibration)
         self.weight = SurfaceWeight(settings.joint)
 
     def locate(self, grid: GridFrame, ahead: Prediction, state: TrackingState) -> Tracked | MotionEstimate:
@@ -111,10 +121,11 @@ class Locator:
         twist: FloatArray,
     ) -> Tracked:
         counts = (None, found.pairs, found.planes, judged.degenerate)
-        motion = MotionEstimate(judged.T_reference_frame, judged.covariance, *counts)
+        spread = with_frame_error(judged.covariance, judged.T_reference_frame, self.of_frame)
+        motion = MotionEstimate(judged.T_reference_frame, spread, *counts)
         fine = fine_share(grid, judged.T_reference_frame, self._settings.keyframes.fineness)
         fit = (found.planes / max(found.points, 1) * fine, view in self._views.keyframes, found.residual)
-        covariance = view.with_motion(judged.covariance)
+        covariance = view.with_motion(spread)
         return Tracked(grid, T_map_camera, covariance, motion, view.keyframe, twist, *fit)
 
     def _references(self, ahead: Prediction, state: TrackingState) -> Iterator[KnownView]:

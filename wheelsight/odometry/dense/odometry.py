@@ -79,7 +79,7 @@ class DenseOdometry:
         )
         self._keypoints = keypoints
         self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
-        self._locator = Locator(self._settings, aligner, self._views, self.watch)
+        self._locator = Locator(calibration, self._settings, aligner, self._views, self.watch)
         self._verifier = Verifier(self._settings, keypoints, self._views, self.watch)
         parts = (self._gridder, self._locator, keypoints, self._views, self.store)
         self._policy = KeyframePolicy(self._settings, *parts)

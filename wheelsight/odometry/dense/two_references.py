@@ -16,15 +16,17 @@ def joined(
     T_map_long: FloatArray,
     long: MotionEstimate,
     settings: KeyframeSettings,
+    shared: FloatArray,
 ) -> FloatArray:
     """T_map_camera (4, 4) by the motions against the last keyframe and the one before, each as sure as it says.
 
     Where they contradict each other, or one does not show all directions, it is the short one's. That one's covariance
-    counts several times, since where its keyframe is against the other's was found by a motion like it.
+    counts several times, since where its keyframe is against the other's was found by a motion like it. What both have
+    wrong of the frame is `shared` (6, 6), a right perturbation: it speaks for neither.
     """
     if not (short.shows_all and long.shows_all):
         return T_map_short
-    C_short, C_long = settings.short_motions * _at_its_end(short), _at_its_end(long)
+    C_short, C_long = settings.short_motions * (_at_its_end(short) - shared), _at_its_end(long) - shared
     off = se3.log(se3.invert(T_map_short) @ T_map_long)
     innovation = np.linalg.solve(C_short + C_long, off)
     if not off @ innovation < settings.joined_chi2:

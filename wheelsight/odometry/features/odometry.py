@@ -19,6 +19,7 @@ from wheelsight.odometry.features.keyframes import KeyframeMaker
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker, velocity_of
+from wheelsight.odometry.frame_error import frame_covariance, with_frame_error
 from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.odometry.velocity import twist_between
@@ -63,6 +64,7 @@ class FeatureOdometry:
         self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
         self._map_tracker = MapTracker(calibration, self._settings)
         self._T_color_camera = calibration.T_color_camera
+        self._of_frame = frame_covariance(calibration)
         T_map_camera = np.eye(4) if T_map_first is None else need_motion("T_map_first", T_map_first)
         self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
         self._last: View | None = None
@@ -215,12 +217,22 @@ class FeatureOdometry:
         return not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s)
 
     def _succeed(self, frame: RgbdFrame, fix: Fix) -> FeatureEstimate:
+        fix = self._with_frame_error(fix)
         with self._watch.stage("map"):
             view = self._update(frame, fix)
         longest_s = self._settings.longest_step_s
         self._velocity = velocity_of(self._last, view, longest_s) if self._last else np.zeros(6)
         self._last, self._state = view, self._state.tracked()
         return self._answer(view, self._in_camera(fix.motion), fix.matched)
+
+    def _with_frame_error(self, fix: Fix) -> Fix:
+        """A fix with what is off about the whole frame, beside the noise of its keypoints."""
+        motion, view = fix.motion, fix.view
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        spread = with_frame_error(motion.covariance, motion.T_reference_current, self._of_frame)
+        in_map = with_frame_error(view.covariance, view.T_map_color, self._of_frame)
+        return replace(fix, motion=replace(motion, covariance=spread), view=replace(view, covariance=in_map))
 
     def _update(self, frame: RgbdFrame, fix: Fix) -> View:
         """Remember what was seen; keep the view as a keyframe when too little of the last one is in sight."""
