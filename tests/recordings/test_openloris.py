@@ -76,14 +76,7 @@ def test_reads_calibration_frames_and_truth_of_the_base(folder):
     recording = open_recording(folder)
     assert (recording.format, recording.body, recording.frame_count) == ("openloris", "base", 5)
     camera = not_none(recording.calibration.color)
-    assert (
-        camera.width,
-        camera.height,
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-    ) == (64, 48, 52, 53, 31.5, 23.5)
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (64, 48, 52, 53, 31.5, 23.5)
     np.testing.assert_allclose(not_none(recording.calibration.T_base_camera), T_BASE_CAMERA, atol=1e-12)
     assert not_none(recording.ground_truth).body == "base"
     np.testing.assert_allclose(not_none(recording.ground_truth).positions_m, [[1, 2, 0], [2, 2, 0]])

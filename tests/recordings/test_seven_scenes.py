@@ -61,12 +61,8 @@ def test_says_what_a_user_must_know(folder):
 def test_intrinsics_beside_the_frames_replace_those_of_depth(folder):
     (folder / "camera-intrinsics.txt").write_text("570.0 0 319.0\n0 571.0 239.0\n0 0 1\n")
     calibration = open_recording(folder).calibration
-    assert (
-        not_none(calibration.depth).fx,
-        not_none(calibration.depth).fy,
-        not_none(calibration.depth).cx,
-        not_none(calibration.depth).cy,
-    ) == (
+    depth = not_none(calibration.depth)
+    assert (depth.fx, depth.fy, depth.cx, depth.cy) == (
         570,
         571,
         319,

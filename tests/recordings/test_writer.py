@@ -103,11 +103,8 @@ def test_a_camera_without_a_robot(tmp_path, calibration, events):
     frames = [event for event in events if isinstance(event, RgbdFrame)]
     write(tmp_path / "new", calibration, frames, TRUTH)
     recording = open_recording(tmp_path / "new")
-    assert (recording.format, recording.body, not_none(recording.ground_truth).body) == (
-        "wheelsight",
-        "camera",
-        "camera",
-    )
+    assert (recording.format, recording.body) == ("wheelsight", "camera")
+    assert not_none(recording.ground_truth).body == "camera"
     check_alike(list(recording.events()), frames)
     with pytest.raises(CalibrationError, match="T_base_camera"):
         write(tmp_path / "other", calibration, [], Trajectory(np.array([0.0]), np.eye(4)[None], body="base"))
@@ -154,7 +151,7 @@ def test_a_killed_process_leaves_a_valid_shorter_recording(tmp_path):
         from pathlib import Path
         import numpy as np
         from wheelsight.calibration import Calibration
-        from wheelsight.events import Event, RgbdFrame, WheelTicks
+        from wheelsight.events import RgbdFrame, WheelTicks
         from wheelsight.geometry import PinholeCamera
         from wheelsight.recordings import RecordingWriter
         camera = PinholeCamera(64, 48, 50, 50, 32, 24)

@@ -97,7 +97,7 @@ def test_an_hour_of_frames_is_thinned_to_means() -> None:
     _, record = area_runs()
     looks = not_none(record.rectification).looks
     many = tuple(replace(looks[i % len(looks)], stamp_s=looks[0].stamp_s + i / 30) for i in range(5000))
-    found = not_none(replace(not_none(record.rectification), looks=many, true_areas=None, errors=None))
+    found = replace(not_none(record.rectification), looks=many, true_areas=None, errors=None)
     heat = area_time_figure(replace(record, rectification=found)).data[0]
     assert heat.z.shape[1] == 1200
     assert np.nansum(heat.customdata, axis=0).max() == pytest.approx(1, abs=0.01)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from odometry.views import FRAME_S, odometry, room_frames, run
 from pydantic import ValidationError
