@@ -19,8 +19,8 @@ from wheelsight.trajectory import Trajectory, write_tum
 
 CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 161.3, 118.4)
 
-_ROOM = ((-3.0, -2.5, 0.0), (3.0, 2.5, 2.8))
-_BOXES = (
+ROOM = ((-3.0, -2.5, 0.0), (3.0, 2.5, 2.8))
+BOXES = (
     ((1.2, -1.4, 0.0), (1.8, -0.7, 0.9)),
     ((1.6, 0.3, 0.0), (2.2, 1.1, 1.3)),
     ((0.6, -0.2, 0.0), (0.9, 0.2, 0.5)),
@@ -125,8 +125,8 @@ def _cast(origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, IntArray]:
     """Where rays (N, 3) first meet a surface: the factor (N,) along the ray, and the surface's number (N,)."""
     with np.errstate(divide="ignore"):
         inverse = 1.0 / rays
-    best, face = _slabs(origin, inverse, *_ROOM)[1]
-    for number, (low, high) in enumerate(_BOXES, start=1):
+    best, face = _slabs(origin, inverse, *ROOM)[1]
+    for number, (low, high) in enumerate(BOXES, start=1):
         (enter, enter_face), (leave, _) = _slabs(origin, inverse, low, high)
         hit = (enter > 1e-6) & (enter < leave) & (enter < best)
         best, face = np.where(hit, enter, best), np.where(hit, enter_face + 6 * number, face)

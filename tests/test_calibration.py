@@ -11,6 +11,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from narrowing import not_none
 
 from wheelsight.calibration import Calibration, DepthNoise, Gyro, Wheels, load_calibration, save_calibration
 from wheelsight.errors import CalibrationError, OutputError
@@ -25,8 +26,8 @@ small = st.floats(-2, 2)
 
 
 def camera(width: int, height: int, focal: list[float], x: float, y: float, *others: Any) -> PinholeCamera:
-    middle = x * width - 0.5, y * height - 0.5
-    return PinholeCamera(width, height, *(share * max(width, height) for share in focal), *middle, *others)
+    fx, fy = (share * max(width, height) for share in focal)
+    return PinholeCamera(width, height, fx, fy, x * width - 0.5, y * height - 0.5, *others)
 
 
 cameras = st.builds(
@@ -97,7 +98,8 @@ def test_yaml_keeps_everything_to_the_last_bit(
 
 
 def test_numpy_numbers_are_written_as_numbers(tmp_path: Path) -> None:
-    camera = PinholeCamera(np.int64(640), np.int32(480), *np.array([500.0, 501.0, 320.0, 240.0]), np.zeros(5))
+    numbers: list[Any] = [np.int64(640), np.int32(480), *np.array([500.0, 501.0, 320.0, 240.0]), np.zeros(5)]
+    camera = PinholeCamera(*numbers)
     save_calibration(Calibration.registered_camera(camera), tmp_path / "c.yaml")
     assert load_calibration(tmp_path / "c.yaml").color == camera
 
@@ -289,7 +291,7 @@ def test_a_calibration_cannot_be_changed_from_outside() -> None:
     T[0, 3] = 99.0
     np.testing.assert_array_equal(calibration.T_base_camera, T_BASE_CAMERA)
     with pytest.raises(ValueError, match="read-only"):
-        calibration.T_base_camera[0, 3] = 99.0
+        not_none(calibration.T_base_camera)[0, 3] = 99.0
 
 
 def test_a_stack_of_motions_is_not_one() -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
+from narrowing import not_none
 
 from wheelsight.calibration import Wheels
 from wheelsight.estimates import Reason
@@ -23,7 +25,7 @@ def drive(count: int, left: int, right: int) -> list[WheelTicks]:
     return [WheelTicks(100 + 0.02 * n, left * n, right * n) for n in range(count)]
 
 
-def told(ticks: list[WheelTicks]) -> list[dict[str, object]]:
+def told(ticks: list[WheelTicks]) -> list[dict[str, Any]]:
     telemetry = Telemetry(WHEELS)
     return [json.loads(telemetry.line(reading)) for reading in ticks]
 
@@ -64,8 +66,8 @@ def test_the_covariance_is_that_of_x_y_and_yaw(rng: np.random.Generator) -> None
     odometry = WheelOdometry(WHEELS)
     for reading in drive(200, 50, 70):
         estimate = odometry.process(reading)
-    T = estimate.T_odom_body
-    samples = rng.multivariate_normal(np.zeros(6), 1e-4 * estimate.covariance, 20_000, method="svd")
+    T = not_none(estimate.T_odom_body)
+    samples = rng.multivariate_normal(np.zeros(6), 1e-4 * not_none(estimate.covariance), 20_000, method="svd")
     moved = np.array([se3.exp(sample) @ T for sample in samples])
     yaws = np.arctan2(moved[:, 1, 0], moved[:, 0, 0]) - np.arctan2(T[1, 0], T[0, 0])
     sampled = np.cov(np.column_stack([moved[:, 0, 3], moved[:, 1, 3], yaws]).T) / 1e-4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +18,11 @@ POSE = "0 0 0 0 0 0 1"
 EYE = "1 0 0 0 0 1 0 0 0 0 1 0"
 
 
-def random_trajectory(n: int = 20, seed: int = 0, extent_m: float = 5.0, **others: object) -> Trajectory:
+def random_trajectory(n: int = 20, seed: int = 0, extent_m: float = 5.0, **others: Any) -> Trajectory:
     rng = np.random.default_rng(seed)
     xi = np.hstack([extent_m * rng.standard_normal((n, 3)), rng.standard_normal((n, 3))])
     stamps_s = 1.3e9 + np.cumsum(rng.uniform(0.01, 0.1, n))
-    return Trajectory(stamps_s, se3.exp(xi), **others)  # type: ignore[arg-type]
+    return Trajectory(stamps_s, se3.exp(xi), **others)
 
 
 def tum_file(folder: Path, *lines: str, ending: str = "\n") -> Path:
@@ -56,9 +57,9 @@ class TestValues:
             ([0.0], 2 * np.eye(4)[None], "rigid"),
         ],
     )
-    def test_refuses_what_is_no_trajectory(self, stamps_s: object, T: np.ndarray, says: str) -> None:
+    def test_refuses_what_is_no_trajectory(self, stamps_s: Any, T: np.ndarray, says: str) -> None:
         with pytest.raises(TrajectoryError, match=says):
-            Trajectory(stamps_s, T)  # type: ignore[arg-type]
+            Trajectory(stamps_s, T)
 
     def test_refuses_covariances_of_another_shape(self) -> None:
         with pytest.raises(TrajectoryError, match=r"\(1, 6, 6\)"):
@@ -72,7 +73,7 @@ class TestValues:
 
     def test_length_is_the_sum_of_straight_steps(self) -> None:
         T = se3.from_parts(np.eye(3), [[0, 0, 0], [3, 4, 0], [3, 4, 2]])
-        trajectory = Trajectory([10.0, 11.0, 13.0], T)
+        trajectory = Trajectory(np.array([10.0, 11.0, 13.0]), T)
         np.testing.assert_allclose(trajectory.distances_m, [0, 5, 7])
         assert (trajectory.length_m, trajectory.duration_s) == (7.0, 3.0)
 
@@ -93,7 +94,7 @@ class TestParts:
             part = trajectory.select(which)
             np.testing.assert_array_equal(part.stamps_s, trajectory.stamps_s[3:9:2])
             np.testing.assert_array_equal(part.T_frame_body, trajectory.T_frame_body[3:9:2])
-            np.testing.assert_array_equal(part.covariances, covariances[3:9:2])  # type: ignore[arg-type]
+            np.testing.assert_array_equal(part.covariances, covariances[3:9:2])
             assert (part.body, part.frame) == ("base", "odom")
         assert len(trajectory.select([])) == 0
         with pytest.raises(TrajectoryError, match="growing"):
@@ -110,7 +111,7 @@ class TestParts:
         np.testing.assert_allclose(trajectory.at(wanted), se3.exp(wanted[:, None] * xi), atol=1e-12)
 
     def test_at_says_nan_outside_and_in_gaps(self) -> None:
-        trajectory = Trajectory([0.0, 1.0, 3.0], np.tile(np.eye(4), (3, 1, 1)))
+        trajectory = Trajectory(np.array([0.0, 1.0, 3.0]), np.tile(np.eye(4), (3, 1, 1)))
         known = ~np.isnan(trajectory.at([-0.1, 0.0, 0.5, 1.0, 2.0, 3.0, 3.1], max_gap_s=1.5)[:, 0, 0])
         assert known.tolist() == [False, True, True, True, False, True, False]
 
@@ -126,7 +127,7 @@ class TestMoved:
         root = 0.01 * rng.standard_normal((6, 6))
         T_mean, T_new_frame = se3.exp(rng.standard_normal(6)), se3.exp([1.5, -0.7, 0.4, 0.3, -0.8, 0.5])
         samples = se3.exp(rng.standard_normal((100_000, 6)) @ root.T) @ T_mean
-        moved = Trajectory([0.0], T_mean[None], (root @ root.T)[None]).moved(T_new_frame)
+        moved = Trajectory(np.array([0.0]), T_mean[None], (root @ root.T)[None]).moved(T_new_frame)
         deltas = se3.log(T_new_frame @ samples @ se3.invert(moved.T_frame_body[0]))
         assert moved.covariances is not None
         sampled, expected = np.cov(deltas.T), moved.covariances[0]
@@ -146,7 +147,7 @@ class TestTum:
         assert (again.body, again.frame) == (body, "odom")
 
     def test_stamps_closer_than_a_microsecond_stay_apart(self, tmp_path: Path) -> None:
-        trajectory = Trajectory([0.0, 1e-7, 1.0], np.tile(np.eye(4), (3, 1, 1)))
+        trajectory = Trajectory(np.array([0.0, 1e-7, 1.0]), np.tile(np.eye(4), (3, 1, 1)))
         write_tum(trajectory, tmp_path / "fast.txt")
         np.testing.assert_array_equal(read_tum(tmp_path / "fast.txt").stamps_s, trajectory.stamps_s)
 

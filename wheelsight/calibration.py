@@ -92,19 +92,22 @@ class Calibration:
         for name in _MOST_APART_M:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _motion(name, getattr(self, name)))
-        need_numbers(self, _NUMBERS)
-        check_range("depth_late_s", self.depth_late_s, Range(-_LATEST_S, _LATEST_S, "s"))
-        for name, most, unit in (("frame_sigma_m", 1.0, "m"), ("frame_sigma_rad", 1.0, "rad")):
-            check_range(name, getattr(self, name), Range(0, most, unit))
-        if not 0 <= self.rolling_shutter_s <= _SLOWEST_SHUTTER_S:
-            raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
-        if self.color is not None and not 0 <= self.color_sigma_px < self.color.width:
-            raise CalibrationError(f"color_sigma_px is {self.color_sigma_px}, not 0 to an image's width")
+        self._check_numbers()
         if self.T_color_depth is None and self.color != self.depth:
             raise CalibrationError(
                 "colour and depth cameras differ, but no T_color_depth says how they are joined",
                 fix="give T_color_depth, or register depth to colour",
             )
+
+    def _check_numbers(self) -> None:
+        need_numbers(self, _NUMBERS)
+        check_range("depth_late_s", self.depth_late_s, Range(-_LATEST_S, _LATEST_S, "s"))
+        check_range("frame_sigma_m", self.frame_sigma_m, Range(0, 1, "m"))
+        check_range("frame_sigma_rad", self.frame_sigma_rad, Range(0, 1, "rad"))
+        if not 0 <= self.rolling_shutter_s <= _SLOWEST_SHUTTER_S:
+            raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
+        if self.color is not None and not 0 <= self.color_sigma_px < self.color.width:
+            raise CalibrationError(f"color_sigma_px is {self.color_sigma_px}, not 0 to an image's width")
 
     def _check_presence(self) -> None:
         if (self.color is None) != (self.depth is None):

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wheelsight.calibration_fields import Range, check_range, need_numbers
 from wheelsight.errors import CalibrationError
@@ -64,7 +65,7 @@ class DepthNoise:
         if self.near_m >= self.far_m:
             raise CalibrationError(f"depth range {self.near_m} to {self.far_m} m is empty")
 
-    def sigma_m(self, depth_m: FloatArray) -> FloatArray:
+    def sigma_m(self, depth_m: ArrayLike) -> FloatArray:
         """Standard deviations (...) in metres of depths (...) in metres."""
         return self.constant_m + self.quadratic_per_m * np.asarray(depth_m, float) ** 2
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from narrowing import not_none
 
 from benchmarks import joined as benchmark
 from benchmarks.joined import joined_sheet, judge_joined, measure_joined
@@ -29,7 +33,7 @@ WHEELS_TRUE = Wheels(0.2, 0.2, 0.5, 2 * math.pi * 0.2 * 1000)  # a tick a millim
 VARIANCE = 0.02**2
 
 
-def drive(slip_s=(9.9, 9.9), runs_on_m_s=0.0):
+def drive(slip_s: tuple[float, float] = (9.9, 9.9), runs_on_m_s: float = 0.0) -> Drive:
     """Straight on at 0.5 m/s, turned somehow; while it slips the left wheel runs that much faster."""
     positions_m = np.stack([1 + 0.5 * STAMPS_S, np.full_like(STAMPS_S, 2.0), np.zeros_like(STAMPS_S)], axis=1)
     T = se3.from_parts(np.broadcast_to(np.eye(3), (len(STAMPS_S), 3, 3)), positions_m)
@@ -43,18 +47,25 @@ def drive(slip_s=(9.9, 9.9), runs_on_m_s=0.0):
     return Drive(Trajectory(STAMPS_S, T, body="base"), tuple(ticks))
 
 
-def answers_to(drive, *, off_m=0.0, status=lambda t: Status.TRACKING, slip=lambda t: False, known=lambda t: True):
+def answers_to(
+    drive: Drive,
+    *,
+    off_m: float = 0.0,
+    status: Callable[[float], Status] = lambda t: Status.TRACKING,
+    slip: Callable[[float], bool] = lambda t: False,
+    known: Callable[[float], bool] = lambda t: True,
+) -> Answers:
     """What somebody says who knows the truth, laid into a world of his own, and is off by so much to the left."""
     T_odom_true = se3.from_parts(so3.exp([0.1, -0.2, 0.3]), [5.0, 1.0, 0.2])
-    said = []
+    said: list[Estimate] = []
     for index, (stamp_s, T) in enumerate(drive.truth):
         T_told = T_odom_true @ T @ se3.from_parts(np.eye(3), [0, off_m * (index > 0), 0])
-        pose = (T_told, VARIANCE * np.eye(6)) if known(stamp_s) else (None, None)
-        said.append(FusedEstimate(stamp_s, status(stamp_s), *pose, slip=slip(stamp_s)))
+        told = FusedEstimate(stamp_s, status(stamp_s), slip=slip(stamp_s))
+        said.append(replace(told, T_odom_body=T_told, covariance=VARIANCE * np.eye(6)) if known(stamp_s) else told)
     return Answers(said)
 
 
-def figures(case, drive, lasts_s=(0.0, math.inf), **joined):
+def figures(case: Case, drive: Drive, lasts_s: tuple[float, float] = (0.0, math.inf), **joined: Any) -> JoinedFigures:
     told = {WHEELS: answers_to(drive, off_m=0.2), CAMERA: answers_to(drive, off_m=0.1)}
     told |= {PAPER: answers_to(drive, off_m=0.15), JOINED: answers_to(drive, **joined)}
     return figures_of(case, 1, told, drive, WHEELS_TRUE, lasts_s)
@@ -63,7 +74,7 @@ def figures(case, drive, lasts_s=(0.0, math.inf), **joined):
 ORDINARY = Case("ordinary", Way.CLEAN)
 
 
-def test_what_is_right_is_right_wherever_its_world_begins():
+def test_what_is_right_is_right_wherever_its_world_begins() -> None:
     found = figures(ORDINARY, drive())
     assert found.accuracy[JOINED].rmse_m < 1e-9
     assert found.accuracy[JOINED].end_share < 1e-9
@@ -71,7 +82,7 @@ def test_what_is_right_is_right_wherever_its_world_begins():
     assert found.back_s is None
 
 
-def test_errors_are_those_after_the_first_pose():
+def test_errors_are_those_after_the_first_pose() -> None:
     found = figures(ORDINARY, drive(), off_m=0.05)
     assert found.accuracy[JOINED].rmse_m == pytest.approx(0.05, rel=1e-2)
     assert found.accuracy[JOINED].end_share == pytest.approx(0.05 / 5.0)
@@ -81,7 +92,7 @@ def test_errors_are_those_after_the_first_pose():
     assert figures(ORDINARY, drive(), off_m=0.5).within[1] == 1
 
 
-def test_a_heading_that_is_lost_is_an_error():
+def test_a_heading_that_is_lost_is_an_error() -> None:
     straight = drive()
     T_turned = [
         T
@@ -93,17 +104,17 @@ def test_a_heading_that_is_lost_is_an_error():
     assert accuracy_of(told, straight.truth).end_share == pytest.approx(2 * math.sin(0.05), rel=1e-3)
 
 
-def test_a_camera_that_is_lost_for_good_is_no_better_sensor():
+def test_a_camera_that_is_lost_for_good_is_no_better_sensor() -> None:
     seen = figures(ORDINARY, drive())
     assert seen.better_m == pytest.approx(0.1, rel=1e-2)
     lost = replace(seen, accuracy={**seen.accuracy, CAMERA: Accuracy(0.1, 0.0, 0.89)})
     assert lost.better_m == pytest.approx(0.2, rel=1e-2)
 
 
-def test_a_blackout_asks_for_coasting_and_for_being_back():
+def test_a_blackout_asks_for_coasting_and_for_being_back() -> None:
     case = Case("camera covered", Way.CLEAN, Expected.COASTING, 2.0)
 
-    def status(t):
+    def status(t: float) -> Status:
         return Status.COASTING if 4.3 <= t < 6.5 else Status.TRACKING
 
     found = figures(case, drive(), (4.0, 6.0), status=status)
@@ -114,7 +125,7 @@ def test_a_blackout_asks_for_coasting_and_for_being_back():
     assert late.back_s == math.inf
 
 
-def test_slips_are_found_and_must_be_told():
+def test_slips_are_found_and_must_be_told() -> None:
     slipping = drive((3.0, 5.0), 0.2)
     (span,) = slip_spans_s(slipping, WHEELS_TRUE)
     assert span == pytest.approx((3.0, 5.0), abs=1e-6)
@@ -128,21 +139,21 @@ def test_slips_are_found_and_must_be_told():
     assert figures(ORDINARY, drive(), slip=lambda t: t >= 5).false_slip == pytest.approx(0.5, abs=0.01)
 
 
-def test_people_in_the_way_are_no_slip():
+def test_people_in_the_way_are_no_slip() -> None:
     case = Case("people", Way.PEOPLE, Expected.POSED)
     asked, right = figures(case, drive(), status=lambda t: Status.COASTING if t > 5 else Status.TRACKING).right
     assert asked == right == len(STAMPS_S)
     assert figures(case, drive(), slip=lambda t: t < 1).right == (asked, asked - 50)
 
 
-def test_a_base_that_slides_sideways_slips():
+def test_a_base_that_slides_sideways_slips() -> None:
     straight = drive()
     T = straight.truth.T_frame_body.copy()
     T[:, :3, 3] += 0.06 * STAMPS_S[:, None] * T[:, :3, 1]
     assert slip_spans_s(replace(straight, truth=Trajectory(STAMPS_S, T, body="base")), WHEELS_TRUE)
 
 
-def test_robots_differ_as_told():
+def test_robots_differ_as_told() -> None:
     for seed in range(1, 11):
         robot, nominal = robot_of(seed), Robot()
         size = (robot.left_radius_m + robot.right_radius_m) / 2 / nominal.left_radius_m - 1
@@ -153,7 +164,7 @@ def test_robots_differ_as_told():
     assert robot_of(3) == robot_of(3) != robot_of(4)
 
 
-def test_a_row_a_case_and_its_targets():
+def test_a_row_a_case_and_its_targets() -> None:
     found = [figures(ORDINARY, drive(), off_m=off_m) for off_m in (0.02, 0.04)]
     sheet = joined_sheet(found)
     assert [len(row) for row in sheet.rows] == [len(sheet.header)]
@@ -165,7 +176,7 @@ def test_a_row_a_case_and_its_targets():
     assert len({case.name for case in CASES}) == len(CASES)
 
 
-def test_a_case_that_was_measured_on_fewer_drives_says_so():
+def test_a_case_that_was_measured_on_fewer_drives_says_so() -> None:
     found = [replace(figures(ORDINARY, drive()), seed=seed) for seed in (1, 2)]
     fewer = replace(figures(Case("long", Way.LONG), drive()), seed=1)
     known = next(case for case in CASES if case.way is Way.LONG)
@@ -175,7 +186,7 @@ def test_a_case_that_was_measured_on_fewer_drives_says_so():
 
 
 @pytest.mark.slow
-def test_all_four_answer_and_the_paper_goes_by_the_camera_told():
+def test_all_four_answer_and_the_paper_goes_by_the_camera_told() -> None:
     pytest.importorskip("mujoco")
     from benchmarks.joined import measure_joined
 
@@ -186,13 +197,13 @@ def test_all_four_answer_and_the_paper_goes_by_the_camera_told():
     assert all(accuracy.rmse_m < 0.1 for accuracy in found.accuracy.values())
 
 
-def test_figures_that_are_kept_are_those_that_were_measured(tmp_path):
+def test_figures_that_are_kept_are_those_that_were_measured(tmp_path: Path) -> None:
     kept = KeptFigures(tmp_path / "kept", {"duration_s": 45.0})
     case = next(case for case in CASES if case.name == "camera covered, 5 s")
     found = figures(case, drive(), (4.0, 6.0))
     assert kept.of(case, 1) is None
     kept.keep(found)
-    again = kept.of(case, 1)
+    again = not_none(kept.of(case, 1))
     assert again == found
     assert again.case is case
     assert kept.of(case, 2) is None
@@ -200,10 +211,10 @@ def test_figures_that_are_kept_are_those_that_were_measured(tmp_path):
         KeptFigures(tmp_path / "kept", {"duration_s": 30.0}).of(case, 1)
 
 
-def test_what_is_kept_is_not_measured_again(tmp_path, monkeypatch):
-    measured = []
+def test_what_is_kept_is_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    measured: list[tuple[str, int]] = []
 
-    def measure(recording, cases, seed, *_):
+    def measure(recording: object, cases: Sequence[Case], seed: int, *_: object) -> Iterator[JoinedFigures]:
         for case in cases:
             measured.append((case.name, seed))
             yield replace(figures(case, drive()), seed=seed)
@@ -218,7 +229,9 @@ def test_what_is_kept_is_not_measured_again(tmp_path, monkeypatch):
     assert sorted(measured) == sorted((case.name, seed) for case in cases for seed in (1, 2, 3))
 
 
-def test_the_file_names_the_command_that_repeats_it(tmp_path, monkeypatch, capsys):
+def test_the_file_names_the_command_that_repeats_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(benchmark, "measure_joined", lambda *_: [figures(CASES[0], drive())])
     words = ["x", "--seeds", "1", "--cases", "ordinary", "--keep", str(tmp_path), "--out", str(tmp_path / "joined.md")]
     monkeypatch.setattr("sys.argv", words)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from narrowing import as_frame
 
 from benchmarks.joined_cases import CASES, Way, drive_of
 from benchmarks.joined_hour import Quarter, hour_sheet, judge_hour, memory_mb, quarters_of
 from benchmarks.joined_images import kept_events
 from wheelsight.events import RgbdFrame
+from wheelsight.geometry import FloatArray
+from wheelsight.simulation import SimulatedRecording
 
 
 @pytest.fixture(scope="module")
-def recording():
+def recording() -> SimulatedRecording:
     pytest.importorskip("mujoco")
     from wheelsight.simulation import SimulationSettings, simulate
 
@@ -20,7 +25,7 @@ def recording():
 
 
 @pytest.mark.slow
-def test_images_kept_are_those_rendered(recording, tmp_path):
+def test_images_kept_are_those_rendered(recording: SimulatedRecording, tmp_path: Path) -> None:
     rendered = list(recording.events())
     for _ in range(2):
         kept = list(kept_events(recording, tmp_path))
@@ -28,13 +33,14 @@ def test_images_kept_are_those_rendered(recording, tmp_path):
         for event, other in zip(kept, rendered, strict=True):
             assert event.stamp_s == other.stamp_s
             if isinstance(event, RgbdFrame):
-                assert event.index == other.index
-                np.testing.assert_array_equal(event.color, other.color)
-                np.testing.assert_array_equal(event.depth_m, other.depth_m)
+                frame = as_frame(other)
+                assert event.index == frame.index
+                np.testing.assert_array_equal(event.color, frame.color)
+                np.testing.assert_array_equal(event.depth_m, frame.depth_m)
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_drives_of_a_plan_are_in_its_building_but_for_the_blank_corridor(tmp_path):
+def test_drives_of_a_plan_are_in_its_building_but_for_the_blank_corridor(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     from floor_plans import two_rooms, write_plan
 
@@ -48,7 +54,7 @@ def test_drives_of_a_plan_are_in_its_building_but_for_the_blank_corridor(tmp_pat
 
 
 @pytest.mark.slow
-def test_a_corridor_counts_as_blind_only_where_nothing_but_paint_is_in_reach():
+def test_a_corridor_counts_as_blind_only_where_nothing_but_paint_is_in_reach() -> None:
     pytest.importorskip("mujoco")
     from wheelsight.simulation.worlds.blank import BLANK_M
 
@@ -65,24 +71,24 @@ def test_a_corridor_counts_as_blind_only_where_nothing_but_paint_is_in_reach():
     assert 0 < seen[0] < seen[1]
 
 
-def _seen_x_m(recording, index):
+def _seen_x_m(recording: SimulatedRecording, index: int) -> FloatArray:
     """How far along the corridor the points lie that a frame has depth of."""
     frame, calibration = recording.renderer.frame(int(index)), recording.true_calibration
     rows, columns = np.nonzero(frame.depth_m)
     points = calibration.cameras[1].back_project(np.column_stack([columns, rows]), frame.depth_m[rows, columns])
     T_odom_camera = recording.ground_truth.at([frame.stamp_s])[0] @ calibration.T_base_camera
-    return points @ T_odom_camera[0, :3] + T_odom_camera[0, 3]
+    return np.asarray(points @ T_odom_camera[0, :3] + T_odom_camera[0, 3])
 
 
 @pytest.mark.slow
-def test_every_quarter_is_measured(recording):
+def test_every_quarter_is_measured(recording: SimulatedRecording) -> None:
     quarters = quarters_of(recording, "features")
     assert len(quarters) == 4
     assert all(q.frame_ms > q.reading_ms > 0 for q in quarters)
     assert 10 < memory_mb() < 1e5
 
 
-def test_growth_counts_from_the_second_quarter_on():
+def test_growth_counts_from_the_second_quarter_on() -> None:
     quarters = [Quarter(5.0, 0.1, 300.0, 1.0), Quarter(10.0, 0.2, 400.0, 1.0)]
     quarters += [Quarter(30.0, 0.2, 400.0, 1.0), Quarter(10.5, 0.3, 500.0, 0.5)]
     assert [target.is_met for target in judge_hour(quarters, 60)] == [True, False, False]

@@ -18,7 +18,7 @@ from wheelsight.trajectory import Trajectory
 CAMERA = PinholeCamera(160, 120, 146, 146, 79.5, 59.5)
 
 
-def test_a_way_is_laid_upright_at_its_height():
+def test_a_way_is_laid_upright_at_its_height() -> None:
     stamps_s = np.arange(5.0)
     level = looking(z=0.3, pitch=0.4) @ se3.exp(stamps_s[:, None] * [0.1, 0, 0.2, 0, 0.1, 0])
     tilt = se3.from_parts(so3.exp([0.5, -0.8, 0.3]), np.array([3.0, 2.0, 1.0]))
@@ -29,7 +29,7 @@ def test_a_way_is_laid_upright_at_its_height():
     np.testing.assert_allclose(np.diff(way.positions_m[:, 2]), np.diff(level[:, 2, 3]), atol=1e-9)
 
 
-def test_a_way_is_laid_where_depths_are_likest():
+def test_a_way_is_laid_where_depths_are_likest() -> None:
     world, stamps_s = desk_world(1), np.arange(4.0)
     there = (
         se3.from_plane(0.3, -0.6, 0.0) @ looking(z=1.5, pitch=0.7) @ se3.exp(stamps_s[:, None] * [0.05, 0, 0, 0, 0, 0])
@@ -42,14 +42,14 @@ def test_a_way_is_laid_where_depths_are_likest():
     assert np.hypot(*found.way.positions_m[:, :2].mean(axis=0)) < 2.5
 
 
-def test_the_desk_is_another_with_another_seed():
+def test_the_desk_is_another_with_another_seed() -> None:
     assert desk_world(1).mjcf == desk_world(1).mjcf != desk_world(2).mjcf
 
 
 @pytest.mark.parametrize(("noise_per_m", "grey"), [(0.0, 0), (0.003, 5)])
-def test_residuals_are_what_was_put_in(rng, noise_per_m, grey):
+def test_residuals_are_what_was_put_in(rng: np.random.Generator, noise_per_m: float, grey: int) -> None:
     scene = Scene(room(wall(3.0, 0.4)), threads=1)
-    stamps_s = np.arange(11) * 0.1
+    stamps_s = np.arange(11.0) * 0.1
     way = looking() @ se3.exp(stamps_s[:, None] * [0.1, 0, 0.2, 0, 0.05, 0])
     frames = []
     for k, T in enumerate(way):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -127,7 +128,8 @@ def test_a_blackout_of_two_seconds_is_lost_and_found_again(wheelsight: Command, 
     T = there_and_back.T_frame_body.copy()
     T[70:] = T[9::-1]  # what is seen after the blackout was seen before it
     stamps_s = there_and_back.stamps_s
-    make_tum_recording(tmp_path / "room", trajectory=Trajectory(stamps_s, T), **{kind: away})
+    how: dict[str, Any] = {kind: away}
+    make_tum_recording(tmp_path / "room", trajectory=Trajectory(stamps_s, T), **how)
     result = wheelsight("run", tmp_path / "room", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert re.search(r"^lost +once, for 1\.\d+ s in all", result.stdout, re.MULTILINE)

@@ -14,6 +14,7 @@ import cv2
 import pytest
 import yaml
 from floor_plans import rooms_in_colours, two_rooms, write_plan
+from narrowing import of_type
 from typer.testing import Result
 
 from wheelsight.areas import load_areas
@@ -21,6 +22,7 @@ from wheelsight.calibration import load_calibration
 from wheelsight.cli._simulation_inputs import size_of
 from wheelsight.events import SkippedFrame
 from wheelsight.recordings import open_recording
+from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.simulation import camera_names, world_names
 
 Command = Callable[..., Result]
@@ -50,7 +52,7 @@ def test_a_drive_is_real_unless_told_otherwise(wheelsight: Command, tmp_path: Pa
         assert result.exit_code == 0, result.output
         told = yaml.safe_load((tmp_path / name / "truth" / "settings.yaml").read_text())["settings"]
         assert told["realism"] == name
-    real, ideal = (open_recording(tmp_path / name) for name in ("real", "ideal"))
+    real, ideal = (of_type(ImageRecording, open_recording(tmp_path / name)) for name in ("real", "ideal"))
     true = load_calibration(tmp_path / "real" / "truth" / "calibration.yaml")
     assert true.color != real.calibration.color
     assert ideal.calibration.color == load_calibration(tmp_path / "ideal" / "truth" / "calibration.yaml").color
@@ -81,7 +83,7 @@ def test_options_reach_the_settings(wheelsight: Command, tmp_path: Path) -> None
         "patches": [{"x_m": -1.0, "y_m": 2.0, "radius_m": 0.5, "friction": 0.05}],
         "lifted_s": [[0.1, 0.15]],
     }
-    recording = open_recording(tmp_path / "out")
+    recording = of_type(ImageRecording, open_recording(tmp_path / "out"))
     assert not [tick for tick in recording.wheels if 0.1 < tick.stamp_s < 0.2]
     assert told["covered_s"] == [[0.15, 0.25]]
     skipped = {event.stamp_s: event.reason for event in recording.events() if isinstance(event, SkippedFrame)}

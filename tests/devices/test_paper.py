@@ -32,6 +32,16 @@ def framed(decoder: LineDecoder, count: int, start_s: float, first: int = 0) -> 
     return got
 
 
+def pulses_of(got: Got) -> list[list[int]]:
+    """Pulses of the left and the right wheel, of answers which are all pulses."""
+    assert all(isinstance(told, Pulses) for told in got)
+    return [[told.left, told.right] for told in got if isinstance(told, Pulses)]
+
+
+def format_of(decoder: LineDecoder) -> Format | None:
+    return decoder.format
+
+
 @pytest.fixture
 def counts(rng: np.random.Generator) -> np.ndarray:
     return rng.integers(-100, 101, (200, 2))
@@ -70,35 +80,35 @@ def test_pairs_that_waited_are_taken_in_twos() -> None:
 def test_the_papers_format_is_recognised_in_half_a_second_and_no_pulse_is_lost(counts: np.ndarray) -> None:
     decoder = LineDecoder()
     assert paired(decoder, counts[:25], 0.0) == []
-    assert decoder.format is None
+    assert format_of(decoder) is None
     got = paired(decoder, counts[25:], 25 * PERIOD_S)
-    assert decoder.format is Format.PAPER
-    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
-    np.testing.assert_allclose([pulses.arrival_s for pulses in got], PERIOD_S * np.arange(200))
+    assert format_of(decoder) is Format.PAPER
+    assert pulses_of(got) == counts.tolist()
+    np.testing.assert_allclose([told.arrival_s for told in got if isinstance(told, Pulses)], PERIOD_S * np.arange(200))
     assert (decoder.statistics.frames, decoder.statistics.malformed) == (200, 0)
 
 
 def test_wheels_at_rest_are_recognised_too() -> None:
     decoder = LineDecoder()
     assert len(paired(decoder, np.zeros((60, 2), int), 0.0)) == 60
-    assert decoder.format is Format.PAPER
+    assert format_of(decoder) is Format.PAPER
 
 
 def test_one_frame_is_enough_for_framed() -> None:
     decoder = LineDecoder()
     got = framed(decoder, 1, 0.0)
     assert got == [Counts(0, 0, 0, 0)]
-    assert decoder.format is Format.FRAMED
+    assert format_of(decoder) is Format.FRAMED
 
 
 def test_a_change_of_format_is_followed_both_ways(counts: np.ndarray) -> None:
     decoder = LineDecoder()
     framed(decoder, 100, 0.0)
     got = paired(decoder, counts, 100 * PERIOD_S)
-    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
-    assert decoder.format is Format.PAPER
+    assert pulses_of(got) == counts.tolist()
+    assert format_of(decoder) is Format.PAPER
     assert len(framed(decoder, 50, 300 * PERIOD_S, first=100)) >= 49
-    assert decoder.format is Format.FRAMED
+    assert format_of(decoder) is Format.FRAMED
     assert decoder.statistics.crc_errors == 0
 
 
@@ -123,13 +133,14 @@ def test_halves_of_a_pair_that_come_apart_are_joined() -> None:
 
 
 def test_a_host_held_up_within_a_pair_still_takes_it_for_one(counts: np.ndarray) -> None:
-    decoder, got = LineDecoder(), []
+    decoder = LineDecoder()
+    got: Got = []
     for n, (left, right) in enumerate(counts.tolist()):
         first, second = pair(left, right)
         got += decoder.feed(bytes([first]), PERIOD_S * n)
         got += decoder.feed(bytes([second]), PERIOD_S * n + 0.009, lay_waiting=True)
     got += decoder.feed(b"", PERIOD_S * len(counts))
-    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
+    assert pulses_of(got) == counts.tolist()
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -145,28 +156,30 @@ def test_a_busy_host_neither_loses_nor_doubles_a_pulse(seed: int) -> None:
         formats.add(decoder.format)
     got += decoder.feed(b"", 1e3)
     assert formats == {Format.PAPER}
-    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
+    assert pulses_of(got) == counts.tolist()
 
 
 def test_a_slow_controller_is_recognised_later(counts: np.ndarray) -> None:
     """As a simulated one on a busy machine, at a seventh of its speed."""
-    decoder, got = LineDecoder(), []
+    decoder = LineDecoder()
+    got: Got = []
     for n, row in enumerate(counts[:40].tolist()):
         got += decoder.feed(pair(*row), 0.15 * n)
     got += decoder.feed(b"", 100.0)
-    assert decoder.format is Format.PAPER
-    assert [[pulses.left, pulses.right] for pulses in got] == counts[:40].tolist()
+    assert format_of(decoder) is Format.PAPER
+    assert pulses_of(got) == counts[:40].tolist()
 
 
 def test_a_controller_held_up_for_seconds_is_still_known(counts: np.ndarray) -> None:
     """As a simulated one on a busy machine, which sends fewer pairs than the wall's clock asks for."""
-    decoder, got = LineDecoder(), []
+    decoder = LineDecoder()
+    got: Got = []
     start_s = 0.0
     for part in np.split(counts, 5):
         got += paired(decoder, part, start_s)
         start_s += 5.0
-    assert decoder.format is Format.PAPER
-    assert [[pulses.left, pulses.right] for pulses in got] == counts.tolist()
+    assert format_of(decoder) is Format.PAPER
+    assert pulses_of(got) == counts.tolist()
 
 
 def test_noise_after_pairs_is_not_taken_for_pulses_for_long(counts: np.ndarray, rng: np.random.Generator) -> None:
@@ -175,7 +188,7 @@ def test_noise_after_pairs_is_not_taken_for_pulses_for_long(counts: np.ndarray, 
     got: Got = []
     for n in range(400):
         got += decoder.feed(rng.bytes(18), 200 * PERIOD_S + PERIOD_S * n)
-    assert decoder.format is None
+    assert format_of(decoder) is None
     assert len(got) < 100
 
 
@@ -186,14 +199,14 @@ def test_frames_after_pairs_are_not_misread_as_pulses(counts: np.ndarray, size: 
     decoder = LineDecoder()
     got = paired(decoder, counts, 0.0)
     decoder.expect_frames(is_told)
-    messages = [Counts(0, 4_000_000, 7833, -3916), Ack(1, 0x85, 9, 0), Counts(2, 4_020_000, 7900, -3900)]
-    change = pair(0, 99) + b"\0" + b"".join(map(encode_message, messages))
+    messages: list[Message] = [Counts(0, 4_000_000, 7833, -3916), Ack(1, 0x85, 9, 0), Counts(2, 4_020_000, 7900, -3900)]
+    change = pair(0, 99) + b"\0" + b"".join(encode_message(message) for message in messages)
     start_s = PERIOD_S * len(counts)
     for at in range(0, len(change), size):
         got += decoder.feed(change[at : at + size], start_s + 1e-4 * at)
     assert got[-3:] == messages
-    assert [[pulses.left, pulses.right] for pulses in got[:-3]] == [*counts.tolist(), [0, 99]]
-    assert decoder.format is Format.FRAMED
+    assert pulses_of(got[:-3]) == [*counts.tolist(), [0, 99]]
+    assert format_of(decoder) is Format.FRAMED
     assert decoder.feed(b"", start_s + 1) == ()
 
 
@@ -215,7 +228,7 @@ def test_pairs_behind_a_frame_in_one_read_are_not_lost(counts: np.ndarray) -> No
     first = b"".join(pair(*row) for row in counts[:3].tolist())
     got = [*decoder.feed(encode_message(Ack(100, 0x85, 9, 0)) + first, start_s)]
     got += paired(decoder, counts[3:], start_s + 3 * PERIOD_S)
-    assert [[pulses.left, pulses.right] for pulses in got[1:]] == counts.tolist()
+    assert pulses_of(got[1:]) == counts.tolist()
 
 
 @pytest.mark.parametrize("piece", [1, 3, 7, 18])
@@ -224,7 +237,7 @@ def test_random_bytes_are_neither(piece: int, rng: np.random.Generator) -> None:
     got: Got = []
     for n in range(300):
         got += decoder.feed(rng.bytes(piece), PERIOD_S * n)
-    assert decoder.format is None
+    assert format_of(decoder) is None
     assert got == []
 
 
@@ -235,7 +248,7 @@ def test_framed_counts_at_a_wrong_baud_rate_are_neither(factor: int, is_slower: 
     for n in range(300):
         frame = encode_message(Counts(n & 0xFF, 20_000 * n + n % 7, 3 * n, -5 * n))
         decoder.feed(misread(frame, factor, is_slower), PERIOD_S * n)
-    assert decoder.format is None
+    assert format_of(decoder) is None
 
 
 def misread(data: bytes, factor: int, is_slower: bool) -> bytes:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from narrowing import not_none
 from scipy import stats
 
 from wheelsight.errors import EvaluationError
@@ -25,7 +26,7 @@ def growing(n: int = 400, seed: int = 0) -> tuple[Trajectory, Trajectory]:
     sigmas = np.array([0.002, 0.001, 0, 0, 0, 0.0005])
     true, errors = driving(n), np.cumsum(sigmas * rng.standard_normal((n, 6)), axis=0)
     errors -= errors[0]
-    covariances = np.arange(n)[:, None, None] * np.diag(sigmas**2)
+    covariances = np.arange(float(n))[:, None, None] * np.diag(sigmas**2)
     T = se3.invert(se3.exp(errors)) @ true.T_frame_body
     return Trajectory(true.stamps_s, T, covariances, body="base"), true.moved(T_TRUTH_START)
 
@@ -67,7 +68,7 @@ def test_the_share_of_time_is_that_of_chi_squared() -> None:
 
 def test_one_that_states_too_little_is_found_out() -> None:
     estimate, truth = growing()
-    boasting = Trajectory(estimate.stamps_s, estimate.T_frame_body, estimate.covariances / 1e4, body="base")
+    boasting = Trajectory(estimate.stamps_s, estimate.T_frame_body, not_none(estimate.covariances) / 1e4, body="base")
     assert consistency(boasting, truth, truth_sigma_m=1e-6).share < 0.5
 
 

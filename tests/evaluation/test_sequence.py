@@ -35,7 +35,7 @@ def test_windows_see_through_shaking(rng: np.random.Generator) -> None:
 
 def test_a_short_trajectory_is_one_window() -> None:
     for n in (2, 5):
-        stamps_s = 1.3e9 + np.arange(n) * 0.033
+        stamps_s = 1.3e9 + np.arange(float(n)) * 0.033
         s = sequence_statistics(Trajectory(stamps_s, se3.from_parts(np.eye(3), np.arange(n)[:, None] * [0.1, 0, 0])))
         assert s.window_s == s.duration_s
         assert s.length_m == pytest.approx(0.1 * (n - 1))
@@ -45,7 +45,7 @@ def test_a_short_trajectory_is_one_window() -> None:
 
 def test_poses_farther_apart_than_the_window_still_have_a_speed() -> None:
     T = se3.from_parts(np.eye(3), np.arange(4)[:, None] * [10.0, 0, 0])
-    assert sequence_statistics(Trajectory(np.arange(4) * 5.0, T)).mean_speed_m_per_s == pytest.approx(2.0)
+    assert sequence_statistics(Trajectory(np.arange(4.0) * 5.0, T)).mean_speed_m_per_s == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("n", [0, 1])

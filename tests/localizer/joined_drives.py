@@ -239,7 +239,7 @@ def pushed(made: Drive, at_s: float, left_m: float) -> Drive:
     return replace(made, readings=replace(made.readings, truth=moved))
 
 
-def yaw_rates(made: Drive, bias_rad_s: float = 0.0) -> list[Event]:
+def yaw_rates(made: Drive, bias_rad_s: float = 0.0) -> list[YawRate]:
     """What a gyroscope tells at each reading but the first, a little before it."""
     T, stamps_s = made.truth.T_frame_body, made.truth.stamps_s
     turned = se3.invert(T[:-1]) @ T[1:]

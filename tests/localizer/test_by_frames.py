@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from narrowing import not_none
 from room_drive import T_BASE_CAMERA, make_room_drive
 
 from wheelsight.config import load_config
@@ -25,5 +26,5 @@ def test_the_base_hangs_on_the_camera_s_keyframe_and_no_answer_holds_its_frame(t
     for answer in answers:
         assert isinstance(answer, DenseEstimate)
         assert (answer.body, answer.keyframe, answer.frame) == ("base", 0, None)
-        T_map_keyframe = answer.T_odom_body @ se3.invert(answer.T_keyframe_body)
+        T_map_keyframe = not_none(answer.T_odom_body) @ se3.invert(not_none(answer.T_keyframe_body))
         np.testing.assert_allclose(T_map_keyframe, first.T_odom_body @ T_BASE_CAMERA, atol=1e-9)

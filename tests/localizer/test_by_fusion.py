@@ -23,6 +23,7 @@ from localizer.joined_drives import (
     spinning,
     spread_m,
 )
+from narrowing import not_none
 
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, WheelTicks
@@ -90,7 +91,7 @@ def test_there_is_no_pose_before_wheels_begin_the_clock(monkeypatch: pytest.Monk
     assert (waiting.status, waiting.body, waiting.T_odom_body) == (Status.INITIALIZING, "base", None)
     (_, told), *_ = answers_to(subject, [begin])
     assert (told.status, told.stamp_s) == (Status.COASTING, begin.stamp_s)
-    np.testing.assert_allclose(told.T_odom_body, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(not_none(told.T_odom_body), np.eye(4), atol=1e-12)
     assert not kept.fused
     assert of_frames(answers_to(subject, rest))[-1].status is Status.TRACKING
 
@@ -120,7 +121,7 @@ def test_answers_say_where_the_base_is_in_the_map_and_by_which_keyframe(monkeypa
         if answer.keyframe is not None:
             assert answer.keyframe == 7
             np.testing.assert_allclose(
-                Remembering.T_map_keyframe @ answer.T_keyframe_body, answer.T_map_body, atol=1e-12
+                Remembering.T_map_keyframe @ not_none(answer.T_keyframe_body), not_none(answer.T_map_body), atol=1e-12
             )
     assert answer is not None
     assert answer.keyframe == 7
@@ -419,7 +420,8 @@ def test_settings_of_joining_reach_it(monkeypatch: pytest.MonkeyPatch) -> None:
     first = []
     for restart_after in (2, 5):
         eye = made.eye()
-        subject, _ = joined(monkeypatch, eye, **{"fusion.joining.restart_after": restart_after})
+        after: dict[str, Any] = {"fusion.joining.restart_after": restart_after}
+        subject, _ = joined(monkeypatch, eye, **after)
         answers_to(subject, made.events())
         first.append(stamps_s.index(min(eye.restarts)))
     assert first[1] - first[0] == 3

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from localizer.joined_drives import CALIBRATION, T_BASE_CAMERA, WHEELS, Drive, Eye, Sight, drive, off_m
+from narrowing import as_frame, not_none
 from stand_ins import frame
 
 from wheelsight.calibration import Calibration
@@ -66,13 +67,14 @@ def test_it_is_eq_2_over_both_alone(paper: Callable[..., Localizer]) -> None:
         if isinstance(event, WheelTicks):
             rolled = wheels.process(event)
             continue
-        T = camera.process(event).T_odom_body @ se3.invert(CALIBRATION.T_base_camera)
-        T_odom_base = rolled.T_odom_body  # a millisecond later the wheels have gone on by less than one
+        T = not_none(camera.process(as_frame(event)).T_odom_body) @ se3.invert(not_none(CALIBRATION.T_base_camera))
+        # A millisecond later the wheels have gone on by less than one.
+        T_odom_base = not_none(not_none(rolled).T_odom_body)
         T_begin_odom = T @ se3.invert(T_odom_base) if T_begin_odom is None else T_begin_odom
         expected.append(by_hand.update(event.stamp_s, se3.nearest(T_begin_odom @ T_odom_base), se3.nearest(T)))
     for answer, wanted in zip(joined, expected, strict=True):
-        np.testing.assert_allclose(answer.T_odom_body, wanted.T_odom_body, atol=2e-3)
-        np.testing.assert_allclose(answer.covariance, wanted.covariance, rtol=0.05, atol=1e-6)
+        np.testing.assert_allclose(not_none(answer.T_odom_body), not_none(wanted.T_odom_body), atol=2e-3)
+        np.testing.assert_allclose(not_none(answer.covariance), not_none(wanted.covariance), rtol=0.05, atol=1e-6)
 
 
 def test_both_begin_where_the_first_frame_is_tracked(paper: Callable[..., Localizer]) -> None:
@@ -85,15 +87,15 @@ def test_both_begin_where_the_first_frame_is_tracked(paper: Callable[..., Locali
     assert all((a.T_odom_body, a.status) == (None, Status.INITIALIZING) for a in before)
     assert {answer.reason for answer in before} == {Reason.TOO_FEW_KEYPOINTS}
     first, *rest = answers[50:]
-    np.testing.assert_allclose(first.T_odom_body, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(not_none(first.T_odom_body), np.eye(4), atol=1e-9)
     T_first_truth = se3.invert(made.truth.at([first.stamp_s])[0]) @ made.truth.at([answers[-1].stamp_s])[0]
     assert {answer.status for answer in rest} == {Status.TRACKING}
-    np.testing.assert_allclose(answers[-1].T_odom_body, T_first_truth, atol=0.03)
+    np.testing.assert_allclose(not_none(answers[-1].T_odom_body), T_first_truth, atol=0.03)
 
 
 def test_before_any_reading_there_is_no_pose(paper: Callable[..., Localizer]) -> None:
     made = drive()
-    frames = [event for event in made.events() if isinstance(event, RgbdFrame)]
+    frames: list[Event] = [event for event in made.events() if isinstance(event, RgbdFrame)]
     answers = [answer for _, answer in answered(paper(made.eye()), frames[:5])]
     assert all((a.T_odom_body, a.covariance, a.status) == (None, None, Status.INITIALIZING) for a in answers)
 
@@ -104,7 +106,7 @@ def test_without_the_camera_it_coasts_by_the_wheels(paper: Callable[..., Localiz
     dark = [answer for answer in answers if 2.0 < seconds_of(made, answer) < 3.5]
     assert {(answer.status, answer.reason) for answer in dark} == {(Status.COASTING, Reason.TOO_FEW_KEYPOINTS)}
     assert max(off_m(answer, made.truth) for answer in dark) < 0.03
-    way_m = np.linalg.norm(dark[-1].T_odom_body[:3, 3] - dark[0].T_odom_body[:3, 3])
+    way_m = np.linalg.norm(not_none(dark[-1].T_odom_body)[:3, 3] - not_none(dark[0].T_odom_body)[:3, 3])
     assert way_m > 0.6
     after = [answer for answer in answers if seconds_of(made, answer) > 3.5]
     assert {answer.status for answer in after} == {Status.TRACKING}
@@ -137,7 +139,7 @@ def test_wheels_that_fall_silent_are_carried_no_farther_than_a_gap_may_be(paper:
     events = [e for e in made.events() if isinstance(e, RgbdFrame) or e.stamp_s < made.begin_s + 3.0]
     answers = [answer for _, answer in answered(paper(made.eye()), events)]
     silent = [answer for answer in answers if seconds_of(made, answer) > 3.0]
-    x_m = np.array([answer.T_odom_body[0, 3] for answer in silent])
+    x_m = np.array([not_none(answer.T_odom_body)[0, 3] for answer in silent])
     at_end = made.truth.at([made.begin_s + 3.0])[0][0, 3]
     assert x_m.max() < at_end + 0.8 * WHEELS.max_gap_s + 0.03
     assert x_m.max() > at_end + 0.8 * WHEELS.max_gap_s - 0.03
@@ -153,7 +155,7 @@ def test_frames_out_of_order_are_refused_and_move_nothing(paper: Callable[..., L
     assert late is not None
     assert late.reason is not None
     assert "does not come after" in subject.note
-    np.testing.assert_allclose(late.T_odom_body, before.T_odom_body, atol=0.02)
+    np.testing.assert_allclose(not_none(late.T_odom_body), not_none(before.T_odom_body), atol=0.02)
     *_, (_, after) = answered(subject, made.events()[91:])
     assert after.status is Status.TRACKING
     assert off_m(after, made.truth) < 0.02

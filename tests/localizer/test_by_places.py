@@ -2,10 +2,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from area_drive import AREAS, BELIEVED_WHEELS, T_WORLD_START, area_drive, area_recording, by_areas, calibration
+from narrowing import not_none
 from places.made import trained
 from stand_ins import CAMERA
 
@@ -43,7 +45,7 @@ def test_it_tells_of_the_base_in_the_world_of_the_areas() -> None:
     assert (subject.body, subject.frame) == ("base", "map")
     first = subject.process(area_drive().events[0])
     assert first is not None
-    np.testing.assert_allclose(first.T_odom_body, T_WORLD_START, atol=1e-12)
+    np.testing.assert_allclose(not_none(first.T_odom_body), T_WORLD_START, atol=1e-12)
 
 
 @pytest.mark.parametrize("rectify", ["probabilistic", "paper"])
@@ -54,7 +56,7 @@ def test_without_a_frame_it_is_the_wheels_from_the_start(rectify: str) -> None:
             estimate, alone = subject.process(event), wheels.process(event)
             assert estimate is not None
             assert alone.T_odom_body is not None
-            np.testing.assert_allclose(estimate.T_odom_body, T_WORLD_START @ alone.T_odom_body, atol=1e-9)
+            np.testing.assert_allclose(not_none(estimate.T_odom_body), T_WORLD_START @ alone.T_odom_body, atol=1e-9)
 
 
 def test_between_frames_the_covariance_grows() -> None:
@@ -79,7 +81,7 @@ def test_areas_bring_wheels_nearer_to_the_truth(rectify: str, left: float) -> No
         assert estimate is not None
         assert estimate.status is Status.TRACKING
         if isinstance(event, WheelTicks):
-            T_odom_base = alone.process(event).T_odom_body
+            T_odom_base = not_none(alone.process(event).T_odom_body)
             true_xy = drive.truth.at([event.stamp_s])[0, :2, 3]
             assert estimate.T_odom_body is not None
             errors.append(np.hypot(*(estimate.T_odom_body[:2, 3] - true_xy)))
@@ -89,7 +91,7 @@ def test_areas_bring_wheels_nearer_to_the_truth(rectify: str, left: float) -> No
 
 
 def test_the_papers_way_is_eq_5_with_the_weights_given() -> None:
-    given = {"rectify": "paper", "weights": "0.2,0.5,0.3", "odometry_term": "absolute"}
+    given: dict[str, Any] = {"rectify": "paper", "weights": "0.2,0.5,0.3", "odometry_term": "absolute"}
     subject, wheels = localizer(**given), WheelOdometry(BELIEVED_WHEELS)
     weights = settings(**given).places.weights
     assert weights is not None
@@ -103,7 +105,7 @@ def test_the_papers_way_is_eq_5_with_the_weights_given() -> None:
             T_before = T_odom_base
             expected = eq5.estimate(event.stamp_s)
             assert estimate is not None
-            np.testing.assert_allclose(estimate.T_odom_body, expected.T_odom_body, atol=1e-12)
+            np.testing.assert_allclose(not_none(estimate.T_odom_body), not_none(expected.T_odom_body), atol=1e-12)
         elif isinstance(event, RgbdFrame):
             eq5.update(event.stamp_s, trained().predict(event).area_index)
 
@@ -156,7 +158,7 @@ def test_a_frame_that_measures_nothing_moves_nothing_and_says_why(rectify: str, 
         return
     assert (estimate.status, estimate.reason) == (Status.TRACKING, None)
     if rectify == "probabilistic":  # eq. 5 weighs the last coordinate at every frame
-        np.testing.assert_allclose(estimate.T_odom_body, before.T_odom_body, atol=1e-9)
+        np.testing.assert_allclose(not_none(estimate.T_odom_body), not_none(before.T_odom_body), atol=1e-9)
 
 
 def test_a_frame_long_after_the_last_reading_has_no_pose() -> None:
@@ -177,7 +179,7 @@ def test_before_the_start_is_known_there_is_no_pose() -> None:
     assert {estimate.status for estimate in early if estimate is not None} == {Status.INITIALIZING}
     first = subject.process(next(event for event in events[30:] if isinstance(event, WheelTicks)))
     assert first is not None
-    np.testing.assert_allclose(first.T_odom_body, T_WORLD_START, atol=1e-12)
+    np.testing.assert_allclose(not_none(first.T_odom_body), T_WORLD_START, atol=1e-12)
 
 
 def test_a_refused_reading_is_refused_here_too() -> None:
@@ -186,7 +188,7 @@ def test_a_refused_reading_is_refused_here_too() -> None:
     estimate = subject.process(WheelTicks(before.stamp_s + 0.02, 10**7, 10**7))
     assert estimate is not None
     assert (estimate.status, estimate.reason) == (Status.FAILING, Reason.IMPLAUSIBLE_MOTION)
-    np.testing.assert_allclose(estimate.T_odom_body, before.T_odom_body, atol=1e-9)
+    np.testing.assert_allclose(not_none(estimate.T_odom_body), not_none(before.T_odom_body), atol=1e-9)
 
 
 def test_a_frame_of_another_size_is_refused_by_its_number() -> None:
@@ -203,7 +205,7 @@ def test_areas_and_start_may_all_stand_in_the_settings(tmp_path: Path) -> None:
     config = by_areas(tmp_path, areas=str(tmp_path / "areas.yaml"), start="0.5,0,0")
     first = Localizer(calibration(), config).process(area_drive().events[0])
     assert first is not None
-    np.testing.assert_allclose(first.T_odom_body, T_WORLD_START, atol=1e-12)
+    np.testing.assert_allclose(not_none(first.T_odom_body), T_WORLD_START, atol=1e-12)
 
 
 def test_what_is_missing_is_named(tmp_path: Path) -> None:

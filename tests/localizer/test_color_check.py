@@ -10,7 +10,7 @@ from wheelsight.calibration import Calibration, Wheels
 from wheelsight.estimates import Status, WheelEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.fusion import ErrorStateFilter
-from wheelsight.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._color_check import ColorCheck
 from wheelsight.odometry.extrinsics import Culprit
@@ -51,7 +51,7 @@ class Panorama:
         depth_m += self._rng.normal(0, 0.01, depth_m.shape).astype(np.float32)
         return RgbdFrame(stamp_s, np.repeat(grey[..., None], 3, axis=2), depth_m, index)
 
-    def _cut(self, image: FloatArray, heading: float, how: int) -> FloatArray:
+    def _cut(self, image: np.ndarray, heading: float, how: int) -> Float32Array:
         move = np.array([[1.0, 0, -(_BEGIN_PX - _PX_PER_RAD * heading)], [0, 1, 0]])
         return np.asarray(cv2.warpAffine(image, move, (80, 60), flags=how), np.float32)
 

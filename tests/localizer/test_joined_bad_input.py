@@ -12,6 +12,7 @@ from localizer.joined_drives import (
     T_BASE_CAMERA,
     WHEELS,
     Drive,
+    Eye,
     answers_to,
     drive,
     joined,
@@ -19,6 +20,7 @@ from localizer.joined_drives import (
     off_m,
     spread_m,
 )
+from narrowing import not_none
 from stand_ins import CAMERA, frame
 
 from wheelsight.calibration import Calibration
@@ -26,8 +28,9 @@ from wheelsight.config import load_config
 from wheelsight.errors import CalibrationError
 from wheelsight.estimates import Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, YawRate
-from wheelsight.geometry import se3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer import Localizer
+from wheelsight.trajectory import Trajectory
 
 SHORT = ((2.0, 0.6, 0.2),)
 FUSIONS = pytest.mark.parametrize("fusion", ["default", "ligocki"])
@@ -71,14 +74,24 @@ def with_clock(made: Drive, ahead_s: float, *, frames_first: bool) -> list[Event
     return [e for i, e in enumerate(events) if i > 5 or isinstance(e, RgbdFrame) == frames_first]
 
 
+class EyeOfAnotherClock(Eye):
+    """Told stamps that are ahead of the truth's by so much."""
+
+    def __init__(self, truth: Trajectory, ahead_s: float) -> None:
+        super().__init__(truth)
+        self._ahead_s = ahead_s
+
+    def T_odom_camera(self, stamp_s: float) -> FloatArray:
+        return super().T_odom_camera(stamp_s - self._ahead_s)
+
+
 @pytest.mark.parametrize("kind", ["dense", "features"])
 @pytest.mark.parametrize("ahead_s", [1e9, -1e9])
 def test_a_camera_whose_clock_is_in_another_epoch_is_never_called_tracking(
     monkeypatch: pytest.MonkeyPatch, kind: str, ahead_s: float
 ) -> None:
     made = drive(SHORT)
-    eye = made.eye()
-    eye.T_odom_camera = lambda stamp_s, honest=eye.T_odom_camera: honest(stamp_s - ahead_s)  # type: ignore[method-assign]
+    eye = EyeOfAnotherClock(made.truth, ahead_s)
     subject, kept = joined(monkeypatch, eye, kind)
     answers = answers_to(subject, with_clock(made, ahead_s, frames_first=False))[1:]
     assert not any(answer.status is Status.TRACKING for _, answer in answers)
@@ -94,8 +107,7 @@ def test_a_camera_whose_clock_is_in_another_epoch_is_never_called_tracking(
 
 def test_of_two_clocks_that_of_the_sensor_heard_first_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     made, ahead_s = drive(SHORT), -1e9
-    eye = made.eye()
-    eye.T_odom_camera = lambda stamp_s, honest=eye.T_odom_camera: honest(stamp_s - ahead_s)  # type: ignore[method-assign]
+    eye = EyeOfAnotherClock(made.truth, ahead_s)
     subject, _ = joined(monkeypatch, eye)
     answers = answers_to(subject, with_clock(made, ahead_s, frames_first=True))
     readings = [answer for event, answer in answers if not isinstance(event, RgbdFrame)]
@@ -105,7 +117,7 @@ def test_of_two_clocks_that_of_the_sensor_heard_first_counts(monkeypatch: pytest
     assert {answer.status for answer in seen[1:]} == {Status.TRACKING}
     first_s = seen[0].stamp_s - ahead_s
     T = se3.invert(made.truth.at([first_s])[0]) @ made.truth.at([min(seen[-1].stamp_s - ahead_s, first_s + 10)])[0]
-    np.testing.assert_allclose(seen[-1].T_odom_body, T, atol=0.05)
+    np.testing.assert_allclose(not_none(seen[-1].T_odom_body), T, atol=0.05)
 
 
 @pytest.mark.parametrize("stamp_s", [np.nan, np.inf, -np.inf])
@@ -151,8 +163,7 @@ def test_a_skipped_frame_is_answered_by_the_wheels_with_what_was_wrong(monkeypat
     subject, kept = joined(monkeypatch, made.eye())
     for event in made.events():
         is_cut = isinstance(event, RgbdFrame) and event.stamp_s > made.begin_s + 1.0
-        answer = subject.process(SkippedFrame(event.stamp_s, "depth image is cut off") if is_cut else event)
-        assert answer is not None
+        answer = not_none(subject.process(SkippedFrame(event.stamp_s, "depth image is cut off") if is_cut else event))
         assert subject.note == ("depth image is cut off" if is_cut else "")
         if is_cut:
             assert answer.reason is Reason.FRAME_UNUSABLE

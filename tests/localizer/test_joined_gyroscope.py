@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 from localizer.joined_drives import CALIBRATION, WHEELS, Sight, answers_to, drive, joined, yaw_rates
+from narrowing import not_none
 
 from wheelsight.calibration import Gyro
+from wheelsight.config import load_config
 from wheelsight.estimates import Reason
-from wheelsight.events import WheelTicks, YawRate
+from wheelsight.events import Event, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter
 from wheelsight.geometry import se3, so3
 from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.odometry.wheels import WheelOdometry
 
+JOINED = {"odometry": "wheels,dense"}
 SHORT = ((2.0, 0.6, 0.2),)
 
 
@@ -30,14 +34,15 @@ def test_the_gyroscope_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(SHORT)
     monkeypatch.setattr("wheelsight.localizer.by_wheels.ByWheels.trusts_gyro", True)
     readings = [event for event in made.events() if isinstance(event, WheelTicks)]
-    events = sorted([*readings, *yaw_rates(made, 0.01)], key=lambda event: event.stamp_s)
+    told: list[Event] = [*readings, *yaw_rates(made, 0.01)]
+    events = sorted(told, key=lambda event: event.stamp_s)
     answers = answers_to(joined(monkeypatch, made.eye())[0], events)
     assert len(answers) == len(readings)
     wheels, by_hand = WheelOdometry(WHEELS), ErrorStateFilter(CALIBRATION.T_base_camera)
     for event in events:
         if isinstance(event, WheelTicks):
             expected = by_hand.predict_to(wheels.process(event))
-        else:
+        elif isinstance(event, YawRate):
             by_hand.update_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
     np.testing.assert_array_equal(answers[-1][1].T_odom_body, expected.T_odom_body)
     np.testing.assert_array_equal(answers[-1][1].covariance, expected.covariance)
@@ -48,10 +53,11 @@ def test_a_gyroscope_that_is_not_wanted_changes_nothing(monkeypatch: pytest.Monk
     monkeypatch.setattr("wheelsight.localizer.by_wheels.ByWheels.trusts_gyro", True)
     both = sorted([*made.events(), *yaw_rates(made, 0.5)], key=lambda event: event.stamp_s)
     without = answers_to(joined(monkeypatch, made.eye())[0], made.events())
-    unwanted = answers_to(joined(monkeypatch, made.eye(), **{"wheels.gyro": False})[0], both)
+    off: dict[str, Any] = {"wheels.gyro": False}
+    unwanted = answers_to(joined(monkeypatch, made.eye(), **off)[0], both)
     wanted = answers_to(joined(monkeypatch, made.eye())[0], both)
     np.testing.assert_array_equal(without[-1][1].covariance, unwanted[-1][1].covariance)
-    assert not np.array_equal(without[-1][1].covariance, wanted[-1][1].covariance)
+    assert not np.array_equal(not_none(without[-1][1].covariance), not_none(wanted[-1][1].covariance))
 
 
 def test_a_gyroscope_carries_the_turn_through_a_blackout(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,17 +65,15 @@ def test_a_gyroscope_carries_the_turn_through_a_blackout(monkeypatch: pytest.Mon
     made = drive(((5.0, 0.5, 0.4), (9.0, 0.6, -0.3)), partial(dark_after, 6.5))
     both = sorted([*made.events(), *yaw_rates(made, 0.02)], key=lambda event: event.stamp_s)
     yaw_sigma = [
-        np.sqrt(answers_to(joined(monkeypatch, made.eye())[0], events)[-1][1].covariance[5, 5])
+        np.sqrt(not_none(answers_to(joined(monkeypatch, made.eye())[0], events)[-1][1].covariance)[5, 5])
         for events in (made.events(), both)
     ]
     assert yaw_sigma[1] < 0.5 * yaw_sigma[0]
 
 
-def test_the_filter_knows_what_the_calibration_says_of_the_gyroscope(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_filter_knows_what_the_calibration_says_of_the_gyroscope() -> None:
     gyro = Gyro(0.002, bias_rad_s=-0.1, bias_sigma_rad_s=0.003, bias_walk_rad_s_per_sqrt_s=1e-4)
-    subject, _ = joined(monkeypatch, drive().eye(), calibration=replace(CALIBRATION, gyro=gyro))
-    assert isinstance(subject._way, ByFusion)
-    assert subject._way.filter.gyro == gyro
+    assert ByFusion(replace(CALIBRATION, gyro=gyro), load_config(overrides=JOINED)).filter.gyro == gyro
 
 
 @pytest.mark.parametrize("is_stated", [True, False])
@@ -77,14 +81,16 @@ def test_straight_on_a_bias_does_not_turn_the_base(monkeypatch: pytest.MonkeyPat
     """Ten seconds in the dark, after a turn by which the gyroscope has shown that it is one."""
     made = drive(((6.0, 0.5, 0.5), (11.0, 0.6, 0.0)), partial(dark_after, 6.5))
     gyro = Gyro(bias_rad_s=0.1, bias_sigma_rad_s=1e-3) if is_stated else Gyro(bias_sigma_rad_s=0.1)
-    subject, _ = joined(monkeypatch, made.eye(), calibration=replace(CALIBRATION, gyro=gyro))
+    calibration = replace(CALIBRATION, gyro=gyro)
     events = sorted([*made.events(), *yaw_rates(made, 0.1)], key=lambda event: event.stamp_s)
-    answers = [answer for _, answer in answers_to(subject, events)]
-    assert isinstance(subject._way, ByFusion)
-    assert subject._way._base._was_trusted
+    answers, without = (
+        [answer for _, answer in answers_to(joined(monkeypatch, made.eye(), calibration=calibration)[0], given)]
+        for given in (events, made.events())
+    )
+    assert not np.array_equal(not_none(answers[-1].covariance), not_none(without[-1].covariance)), "it was left out"
     begin = next(answer for answer in answers if answer.stamp_s > made.begin_s + 6.6)
     assert begin.T_odom_body is not None
-    turned = se3.invert(begin.T_odom_body) @ answers[-1].T_odom_body
+    turned = se3.invert(begin.T_odom_body) @ not_none(answers[-1].T_odom_body)
     truth = se3.invert(made.truth.at([begin.stamp_s])[0]) @ made.truth.at([answers[-1].stamp_s])[0]
     assert so3.angle((se3.invert(truth) @ turned)[:3, :3]) < np.radians(0.3)
 
@@ -112,10 +118,8 @@ def test_a_gyroscope_that_contradicts_the_wheels_changes_nothing(
     assert said in warning
 
 
-def test_settings_of_the_filter_reach_it_and_the_one_that_goes_without_the_camera(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    subject, _ = joined(monkeypatch, drive().eye(), **{"fusion.error_state.clock_sigma_s": 0.003})
-    assert isinstance(subject._way, ByFusion)
-    assert subject._way.filter.settings.clock_sigma_s == 0.003
-    assert subject._way.filter.begun_at(np.eye(4), np.eye(6)).settings.clock_sigma_s == 0.003
+def test_settings_of_the_filter_reach_it_and_the_one_that_goes_without_the_camera() -> None:
+    config = load_config(overrides={**JOINED, "fusion.error_state.clock_sigma_s": 0.003})
+    subject = ByFusion(CALIBRATION, config)
+    assert subject.filter.settings.clock_sigma_s == 0.003
+    assert subject.filter.begun_at(np.eye(4), np.eye(6)).settings.clock_sigma_s == 0.003

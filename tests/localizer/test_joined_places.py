@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from area_drive import AREAS, T_WORLD_START, area_drive, calibration
 from localizer.joined_drives import Eye, MapOfFrames, Sight
+from narrowing import not_none
 from places.made import trained
 
 from wheelsight.config import load_config
@@ -75,7 +76,7 @@ def errors_m(answers: Answers, T_odom_begin: FloatArray | None = None) -> FloatA
     T_odom_begin = np.eye(4) if T_odom_begin is None else T_odom_begin
     truth = area_drive().truth
     stamps_s = np.minimum([event.stamp_s for event, _ in answers], truth.stamps_s[-1])
-    T = np.array([T_odom_begin @ answer.T_odom_body for _, answer in answers])
+    T = np.array([T_odom_begin @ not_none(answer.T_odom_body) for _, answer in answers])
     return np.asarray(np.linalg.norm((T - truth.at(stamps_s))[:, :2, 3], axis=1))
 
 
@@ -129,8 +130,8 @@ def test_it_tells_what_the_model_said_and_how_long_it_took(made: Callable[..., L
     answer = subject.process(frame)
     assert isinstance(answer, FusedEstimate)
     assert (answer.matches, answer.inliers) == (200, 160)
-    assert subject.last_place is not None
-    np.testing.assert_array_equal(subject.last_place.probabilities, trained().predict(frame).probabilities)
+    place = not_none(subject.last_place)
+    np.testing.assert_array_equal(place.probabilities, trained().predict(frame).probabilities)
     assert set(subject.stage_seconds) == {"align", "name the area", "measure by the area"}
     subject.process(SkippedFrame(frame.stamp_s + 0.1, "depth/1.png is cut off"))
     assert subject.last_place is None
@@ -152,7 +153,7 @@ def test_it_starts_where_places_say(made: Callable[..., Localizer]) -> None:
     first = next(event for event in events if isinstance(event, WheelTicks) and event.stamp_s >= begin_s)
     answer = subject.process(first)
     assert answer is not None
-    np.testing.assert_allclose(answer.T_odom_body, T_WORLD_START, atol=1e-9)
+    np.testing.assert_allclose(not_none(answer.T_odom_body), T_WORLD_START, atol=1e-9)
     assert answer.covariance is not None
     J = np.array([[1.0, 0, 0, 0, 0, -T_WORLD_START[1, 3]], [0, 1.0, 0, 0, 0, T_WORLD_START[0, 3]]])
     np.testing.assert_allclose(J @ answer.covariance @ J.T, 0.05**2 * np.eye(2), atol=1e-4)
@@ -174,7 +175,7 @@ def test_a_frame_without_depth_is_no_place(made: Callable[..., Localizer]) -> No
     whole = area_drive().frames[0]
     answer = subject.process(replace(whole, stamp_s=before.stamp_s, depth_m=np.zeros_like(whole.depth_m)))
     assert answer is not None
-    np.testing.assert_allclose(answer.T_odom_body, before.T_odom_body, atol=1e-9)
+    np.testing.assert_allclose(not_none(answer.T_odom_body), not_none(before.T_odom_body), atol=1e-9)
 
 
 def test_the_map_comes_along_with_the_pose(made: Callable[..., Localizer]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import synthetic
+from narrowing import not_none
 from stand_ins import CAMERA
 
 from wheelsight.calibration import Calibration, Wheels
@@ -58,12 +59,12 @@ def test_a_moved_keyframe_takes_along_all_that_hangs_on_it(frames: list[RgbdFram
     for estimate, T_before in zip(before, where, strict=True):
         assert T_before is not None
         T = NUDGE @ T_before if estimate.keyframe == moved else T_before
-        np.testing.assert_allclose(estimate.remembered_in(store), T, atol=1e-9)
+        np.testing.assert_allclose(not_none(estimate.remembered_in(store)), T, atol=1e-9)
     after = answers(subject, frames[12:])
     assert all(estimate.status is Status.TRACKING for estimate in after)
     # What is in view hangs on several keyframes, so the next pose lies between where they were and where one is now.
-    assert off_m(after[0].T_odom_body, expected[12].T_odom_body) < 0.1
-    assert off_m(after[0].T_odom_body, NUDGE @ expected[12].T_odom_body) < 0.1
+    assert off_m(after[0].T_odom_body, not_none(expected[12].T_odom_body)) < 0.1
+    assert off_m(after[0].T_odom_body, NUDGE @ not_none(expected[12].T_odom_body)) < 0.1
 
 
 @pytest.mark.parametrize("odometry", ["dense", "features"])
@@ -75,7 +76,7 @@ def test_where_all_keyframes_are_moved_the_way_goes_on_from_there(frames: list[R
     store.move(list(store), FAR @ store.T_map_keyframe)
     for estimate, as_before in zip(answers(subject, frames[12:]), expected[12:], strict=True):
         assert estimate.status is Status.TRACKING
-        assert off_m(estimate.T_odom_body, FAR @ as_before.T_odom_body) < 2e-3
+        assert off_m(estimate.T_odom_body, FAR @ not_none(as_before.T_odom_body)) < 2e-3
 
 
 def test_surfels_of_a_moved_keyframe_move_and_no_others(frames: list[RgbdFrame]) -> None:

@@ -9,7 +9,7 @@ import synthetic
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.localizer import Localizer
 
 FRAMES = 100
@@ -22,7 +22,7 @@ def frames() -> list[RgbdFrame]:
     return [RgbdFrame(s, *synthetic.render_room(T, depth_noise=True), k) for k, (s, T) in enumerate(truth)]
 
 
-def positions_m(frames: list[RgbdFrame], threads: int) -> tuple[FloatArray, FloatArray]:
+def positions_m(frames: list[RgbdFrame], threads: int) -> tuple[FloatArray, Float32Array]:
     """Of the camera at each frame (n, 3), and of all surfels in the end (m, 3)."""
     settings = {"odometry": "dense", "map": "surfels", "dense.threads": threads, "surfels.threads": threads}
     localizer = Localizer(CALIBRATION, load_config(overrides=settings))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from narrowing import not_none
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 from synthetic import make_tum_recording
@@ -86,7 +87,7 @@ def test_beside_wheels_an_image_listed_twice_is_no_look(drive: Recording) -> Non
     for stamp_s, answer in once.items():
         assert both[stamp_s].status is answer.status
         assert answer.T_odom_body is not None
-        np.testing.assert_allclose(both[stamp_s].T_odom_body, answer.T_odom_body, atol=1e-3)
+        np.testing.assert_allclose(not_none(both[stamp_s].T_odom_body), answer.T_odom_body, atol=1e-3)
 
 
 def test_by_the_papers_filter_an_image_listed_twice_changes_nothing(drive: Recording) -> None:
@@ -143,7 +144,7 @@ IMAGE, DEPTH = np.zeros((240, 320, 3), np.uint8), np.zeros((240, 320), np.float3
         (RgbdFrame(0.0, None, DEPTH), "color is None, not an array"),  # type: ignore[arg-type]
         (RgbdFrame(0.0, IMAGE[..., 0], DEPTH), r"color is of shape \(240, 320\), not \(240, 320, 3\)"),
         (RgbdFrame(0.0, IMAGE / 255, DEPTH), "color is of float64, not uint8"),  # type: ignore[arg-type]
-        (RgbdFrame(0.0, IMAGE, DEPTH.astype(np.uint16)), "depth_m is of uint16, not float32"),  # type: ignore[arg-type]
+        (RgbdFrame(0.0, IMAGE, DEPTH.astype(np.uint16)), "depth_m is of uint16, not float32"),
         (RgbdFrame(0.0, IMAGE[:120], DEPTH), r"color is of shape \(120, 320, 3\), not \(240, 320, 3\)"),
         (RgbdFrame(0.0, IMAGE, DEPTH[:, :160]), r"depth_m is of shape \(240, 160\), not \(240, 320\)"),
         (WheelTicks(0.0, None, 1), "left of WheelTicks is None"),  # type: ignore[arg-type]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from wheelsight.calibration import DepthNoise
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.geometry import Float32Array, FloatArray, se3, so3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import FusedFrame, SurfelMap, SurfelSettings
 from wheelsight.views import Surface
@@ -31,9 +32,9 @@ class Wall:
     def normal(self) -> FloatArray:
         return np.array([self.slope, 0.0, -1.0]) / np.hypot(self.slope, 1.0)
 
-    def distance(self, points: FloatArray) -> FloatArray:
+    def distance(self, points: FloatArray | Float32Array) -> FloatArray:
         """Signed distances (...) of points (..., 3)."""
-        return (points - [0.0, 0.0, self.depth_m]) @ self.normal
+        return np.asarray((points - [0.0, 0.0, self.depth_m]) @ self.normal)
 
 
 def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> FloatArray:
@@ -96,5 +97,5 @@ def look_at(
     return [fuse(surfel_map, see(walls, T, rng), T, start_s + k * FRAME_S) for k, T in enumerate(poses)]
 
 
-def made_map(**settings: object) -> SurfelMap:
+def made_map(**settings: Any) -> SurfelMap:
     return SurfelMap(SurfelSettings(**settings))

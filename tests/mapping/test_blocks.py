@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from mapping.scenes import GRID, NOISE, SHAPE, Wall, fuse, look_at, made_map, po
 from odometry.plain_kernels import plain
 
 from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.mapping import Surfels, blocks, surfels
+from wheelsight.mapping import Surfels, _block_kernels, _fusion_kernels, _match_kernels, _view_kernels, blocks, surfels
 from wheelsight.mapping._block_kernels import PAGE, SurfelArrays
 from wheelsight.mapping.blocks import Blocks
 
@@ -128,7 +128,7 @@ def test_positions_far_out_and_negative_find_their_blocks():
     assert cells == {(2000, -2000, 10), (-1, -1, -1), (-20000, 20000, 0), (0, 1, 0)}
 
 
-def uncompiled(module: object) -> SimpleNamespace:
+def uncompiled(module: ModuleType) -> SimpleNamespace:
     return SimpleNamespace(**(vars(module) | vars(plain(module))))
 
 
@@ -141,14 +141,14 @@ def test_compiled_loops_do_as_plain_python_does(monkeypatch, rng):
         surfel_map = made_map(stable_confidence=3.0, unstable_s=0.15, threads=1)
         for k, view in enumerate(views):
             surfel_map.fuse(view, grid, pose(0.02 * k), k / 30, NOISE)
-        view = surfel_map.render(pose(0.1), grid, shape)
-        return surfel_map.surfels(), [view.depth_m, view.normal, view.grey, view.color]
+        drawn = surfel_map.render(pose(0.1), grid, shape)
+        return surfel_map.surfels(), [drawn.depth_m, drawn.normal, drawn.grey, drawn.color]
 
     compiled, compiled_view = made()
-    monkeypatch.setattr(surfels, "fusion", uncompiled(surfels.fusion))
-    monkeypatch.setattr(surfels, "match", uncompiled(surfels.match))
-    monkeypatch.setattr(surfels, "view", uncompiled(surfels.view))
-    monkeypatch.setattr(blocks, "kernels", uncompiled(blocks.kernels))
+    monkeypatch.setattr(surfels, "fusion", uncompiled(_fusion_kernels))
+    monkeypatch.setattr(surfels, "match", uncompiled(_match_kernels))
+    monkeypatch.setattr(surfels, "view", uncompiled(_view_kernels))
+    monkeypatch.setattr(blocks, "kernels", uncompiled(_block_kernels))
     with np.errstate(all="ignore"):
         in_python, view_in_python = made()
     for name in Surfels.__slots__:
@@ -161,7 +161,7 @@ def test_surfels_may_stray_from_their_block_only_as_far_as_it_is_looked_for():
     surfel_map = made_map(block_m=0.1)
     for k in range(60):
         look_at(surfel_map, [Wall(2.02 + 0.003 * k)], [pose()], start_s=0.05 * k)
-    made = surfel_map._blocks
+    made = surfel_map.blocks
     slots = made.slots()
     cells = made.cell_xyz[made.page_cell[slots // PAGE]]
     low = cells * 0.1

@@ -20,8 +20,9 @@ def sheet(z: float, color: list[float], x: tuple[float, float], y: tuple[float, 
     """A level rectangle, a surfel each 2 cm."""
     u, v = np.meshgrid(np.arange(*x, 0.02), np.arange(*y, 0.02))
     position = np.stack([u.ravel(), v.ravel(), np.full(u.size, z)], axis=-1).astype(np.float32)
-    n, flat = len(position), np.ones(u.size, np.float32)
-    colors, normals = np.tile(np.float32(color), (n, 1)), np.tile(np.float32(normal), (n, 1))
+    n: int = len(position)
+    flat = np.ones(n, np.float32)
+    colors, normals = np.tile(np.array(color, np.float32), (n, 1)), np.tile(np.array(normal, np.float32), (n, 1))
     seen = (np.zeros(n), np.zeros(n), np.full(n, -1, np.int32))
     return Surfels(position, normals, 0.02 * flat, colors, 90 * flat, 9 * flat, 1e-6 * flat, *seen)
 
@@ -107,7 +108,7 @@ def test_the_path_is_on_the_page_and_strays_do_not_make_it_larger():
 
 def test_large_maps_are_drawn_coarser():
     large = sheet(0.0, GREEN, (0.0, 0.5), (0.0, 0.5), UP)
-    far = replace(large, position=large.position + np.float32([80, 0, 0]))
+    far = replace(large, position=large.position + np.array([80, 0, 0], np.float32))
     plan = made(joined(large, far))
     assert max(plan.image.shape) < 1200
     assert plan.m_per_px > 0.05

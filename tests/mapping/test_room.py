@@ -40,11 +40,12 @@ def test_the_model_of_a_room_is_where_its_surfaces_are():
         exact_m = synthetic.render_room(T)[1]
         color, depth_m = synthetic.render_room(T, depth_noise=True)
         grey = (color @ [0.299, 0.587, 0.114]).astype(np.float32)
-        surfel_map.fuse(Surface(depth_m, normals_of(exact_m), grey, color), GRID, T, stamp_s, DepthNoise())
+        image = Surface(depth_m, normals_of(exact_m), grey, color.astype(np.float32))
+        surfel_map.fuse(image, GRID, T, stamp_s, DepthNoise())
         points = (CAMERA.rays() * exact_m[..., None]).reshape(-1, 3)[::97]
         seen.append(points @ T[:3, :3].T + T[:3, 3])
     surfels = surfel_map.surfels("stable")
-    boxes = [synthetic._ROOM, *synthetic._BOXES]
+    boxes = [synthetic.ROOM, *synthetic.BOXES]
     error_m = np.min([distance_to_box(surfels.position.astype(float), *box) for box in boxes], axis=0)
     assert error_m.mean() < 0.004
     assert np.percentile(error_m, 95) < 0.012

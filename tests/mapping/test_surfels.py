@@ -241,7 +241,7 @@ def test_duplicates_become_one_when_seen_again():
     surfel_map = made_map()
     look_at(surfel_map, [Wall(2.0)], [pose()] * 12)
     once = surfel_map.surfels()
-    beside = replace(once, position=once.position + np.float32([0.001, 0.001, 0.002]))
+    beside = replace(once, position=once.position + np.array([0.001, 0.001, 0.002], np.float32))
     surfel_map.add(beside, surfel_map.stamp_s)
     assert len(surfel_map) == 2 * len(once.grey)
     fused = look_at(surfel_map, [Wall(2.0)], [pose()] * 3, start_s=1.0)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from narrowing import not_none
 from synthetic import CAMERA, render_room
 
 from wheelsight.calibration import Calibration
@@ -14,6 +16,7 @@ from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
 from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
 
 FRAME_S = 1 / 30
+E_co = TypeVar("E_co", bound=Estimate, covariant=True)
 
 
 def room_frame(
@@ -35,17 +38,23 @@ def covered_frame(stamp_s: float, camera: PinholeCamera = CAMERA) -> RgbdFrame:
     return RgbdFrame(stamp_s, np.zeros((*size, 3), np.uint8), np.zeros(size, np.float32))
 
 
-def room_frames(trajectory: Iterable[tuple[float, FloatArray]], **how: object) -> list[RgbdFrame]:
+def room_frames(trajectory: Iterable[tuple[float, FloatArray]], **how: Any) -> list[RgbdFrame]:
     """The room seen along a trajectory."""
     return [room_frame(T_map_camera, stamp_s, **how) for stamp_s, T_map_camera in trajectory]
 
 
-def odometry(calibration: Calibration | None = None, **settings: object) -> FeatureOdometry:
+def odometry(calibration: Calibration | None = None, **settings: Any) -> FeatureOdometry:
     """Feature odometry of the room's camera unless another is given."""
     return FeatureOdometry(calibration or Calibration.registered_camera(CAMERA), FeatureSettings(**settings))
 
 
-def run(subject: FeatureOdometry, frames: Iterable[RgbdFrame]) -> list[Estimate]:
+class VisualOdometry(Protocol[E_co]):
+    """What answers to the frames of a camera."""
+
+    def process(self, frame: RgbdFrame, /) -> E_co: ...
+
+
+def run(subject: VisualOdometry[E_co], frames: Iterable[RgbdFrame]) -> list[E_co]:
     """What it answers, frame by frame."""
     return [subject.process(frame) for frame in frames]
 
@@ -64,5 +73,5 @@ def error_of(estimate: Estimate, T_map_camera: FloatArray) -> tuple[float, float
 
 def nees(estimate: Estimate, T_map_camera: FloatArray) -> float:
     """Normalised estimation error squared of a pose: chi-square with six degrees of freedom where it is honest."""
-    error = se3.log(T_map_camera @ se3.invert(estimate.T_odom_body))
-    return float(error @ np.linalg.solve(estimate.covariance, error))
+    error = se3.log(T_map_camera @ se3.invert(not_none(estimate.T_odom_body)))
+    return float(error @ np.linalg.solve(not_none(estimate.covariance), error))

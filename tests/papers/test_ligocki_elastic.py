@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import cv2
 import numpy as np
@@ -38,7 +39,7 @@ def parts(project_folder: Path) -> Iterator[dict[str, ModuleType]]:
 
 def plane(
     corner: FloatArray, along: FloatArray, across: FloatArray, normal: FloatArray, color: tuple[float, ...]
-) -> list:
+) -> list[FloatArray]:
     """Position, normal and colour of surfels every 2 cm."""
     a, b = np.meshgrid(np.arange(0, 1, 0.02 / np.linalg.norm(along)), np.arange(0, 1, 0.02 / np.linalg.norm(across)))
     position = corner + a.reshape(-1, 1) * along + b.reshape(-1, 1) * across
@@ -60,7 +61,7 @@ def room() -> SurfelMap:
     )
     position, normal, color = (np.concatenate(parts).astype(np.float32) for parts in zip(*sides, strict=True))
     n = len(position)
-    same = {
+    same: dict[str, Any] = {
         name: np.full(n, value, np.float32)
         for name, value in (("radius_m", 0.02), ("confidence", 50), ("variance_m2", 1e-6))
     }

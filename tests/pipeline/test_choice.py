@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from room_drive import make_room_drive
@@ -41,7 +42,7 @@ def test_settings_of_features_ask_for_these(drive: ImageRecording) -> None:
     ("lacks", "why"),
     [({"T_base_camera": None}, "has no T_base_camera (wheelsight calibrate base"), ({"wheels": None}, "has no wheels")],
 )
-def test_what_is_not_used_is_said(drive: ImageRecording, lacks: dict[str, None], why: str) -> None:
+def test_what_is_not_used_is_said(drive: ImageRecording, lacks: dict[str, Any], why: str) -> None:
     calibration = replace(drive.calibration, **lacks)
     choice = default_odometry(replace(drive, calibration=calibration), load_config())
     assert choice.odometry == ("features",)

@@ -4,12 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from narrowing import of_type
 from pipeline.made import OF_ONE, metrics_in, names_in, status_in
 from room_drive import make_room_drive
 
 from wheelsight.config import load_config
 from wheelsight.pipeline import RunRecord, best_alone_of, facts_of
 from wheelsight.recordings import open_recording
+from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.report import summarise
 from wheelsight.runs import run_each
 from wheelsight.trajectory import read_tum
@@ -56,7 +58,7 @@ def test_its_trajectory_has_poses_at_frames_and_at_readings(ran: tuple[Path, tup
 def test_frames_that_readings_overtook_have_poses_too(tmp_path: Path, delay_s: float) -> None:
     """Calibrated wheels may be said to lead: their readings' stamps are then later than those of frames told after."""
     make_room_drive(tmp_path / "room", frames=4)
-    recording = open_recording(tmp_path / "room")
+    recording = of_type(ImageRecording, open_recording(tmp_path / "room"))
     assert recording.calibration.wheels is not None
     early = replace(recording.calibration.wheels, delay_s=delay_s)
     recording = replace(recording, calibration=replace(recording.calibration, wheels=early))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,8 @@ def test_looking_elsewhere_is_another_area():
 
 def test_limits_can_be_missed():
     assert all(target.is_met for target in places.judge_places([TIMES]))
-    for change in ({"predict_ms": 1.1}, {"plain_ms": 1.9}, {"training_s": 5.1}):
+    changes: list[dict[str, Any]] = [{"predict_ms": 1.1}, {"plain_ms": 1.9}, {"training_s": 5.1}]
+    for change in changes:
         verdicts = [target.is_met for target in places.judge_places([replace(TIMES, **change)])]
         assert verdicts.count(False) == 1
 

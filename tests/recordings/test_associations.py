@@ -7,9 +7,11 @@ import shutil
 from pathlib import Path
 
 import pytest
+from narrowing import of_type
 
 from wheelsight.errors import RecordingError
 from wheelsight.recordings import open_recording
+from wheelsight.recordings.image_recording import ImageRecording
 
 
 def columns(folder: Path) -> tuple[list[str], list[str]]:
@@ -24,9 +26,9 @@ def write(folder: Path, first: list[str], second: list[str], head: str = "") -> 
 
 
 def frames(folder: Path) -> list[tuple[float, str, str]]:
-    recording = open_recording(folder)
+    recording = of_type(ImageRecording, open_recording(folder))
     assert sum(type(event).__name__ == "RgbdFrame" for event in recording.events()) == 6
-    return [(frame.stamp_s, frame.color.name, frame.depth.name) for frame in recording.frames]  # type: ignore[union-attr]
+    return [(frame.stamp_s, frame.color.name, frame.depth.name) for frame in recording.frames]
 
 
 @pytest.fixture

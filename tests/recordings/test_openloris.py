@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from narrowing import as_frame, not_none
 from synthetic import make_tum_recording
 
 from wheelsight.errors import CalibrationError, RecordingError
@@ -74,17 +75,17 @@ def folder(tmp_path, small_camera):
 def test_reads_calibration_frames_and_truth_of_the_base(folder):
     recording = open_recording(folder)
     assert (recording.format, recording.body, recording.frame_count) == ("openloris", "base", 5)
-    camera = recording.calibration.color
+    camera = not_none(recording.calibration.color)
     assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (64, 48, 52, 53, 31.5, 23.5)
-    np.testing.assert_allclose(recording.calibration.T_base_camera, T_BASE_CAMERA, atol=1e-12)
-    assert recording.ground_truth.body == "base"
-    np.testing.assert_allclose(recording.ground_truth.positions_m, [[1, 2, 0], [2, 2, 0]])
+    np.testing.assert_allclose(not_none(recording.calibration.T_base_camera), T_BASE_CAMERA, atol=1e-12)
+    assert not_none(recording.ground_truth).body == "base"
+    np.testing.assert_allclose(not_none(recording.ground_truth).positions_m, [[1, 2, 0], [2, 2, 0]])
     assert all(isinstance(event, RgbdFrame) for event in recording.events())
 
 
 def test_depth_is_in_millimetres(folder):
     frame = next(open_recording(folder).events())
-    assert 5 * 1.0 < np.median(frame.depth_m) < 5 * 6.0
+    assert 5 * 1.0 < np.median(as_frame(frame).depth_m) < 5 * 6.0
 
 
 def test_odometry_of_the_robot_is_said_to_be_no_ticks(folder):
@@ -108,7 +109,7 @@ def test_the_chain_of_frames_inverts_where_it_must(folder):
         "parent_frame: d400_color_optical_frame\n      child_frame: laser",
     ).replace("0., 0., 1., 3.e-01, -1., 0., 0., 0., 0., -1., 0., 0.4, 0., 0., 0., 1.", numbers)
     (folder / "trans_matrix.yaml").write_text(turned)
-    np.testing.assert_allclose(open_recording(folder).calibration.T_base_camera, T_BASE_CAMERA, atol=1e-12)
+    np.testing.assert_allclose(not_none(open_recording(folder).calibration.T_base_camera), T_BASE_CAMERA, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -146,7 +147,7 @@ def test_a_long_chain_of_frames_in_any_order_is_followed(folder):
     names = ["base_link", *(f"f{i}" for i in range(2000)), "d400_color_optical_frame"]
     links = [link.format(parent, child) for parent, child in pairwise(names)]
     (folder / "trans_matrix.yaml").write_text("trans_matrix:\n" + "".join(reversed(links)))
-    T_base_camera = open_recording(folder).calibration.T_base_camera
+    T_base_camera = not_none(open_recording(folder).calibration.T_base_camera)
     np.testing.assert_allclose(T_base_camera[:3, 3], [2.001, 0, 0], atol=1e-9)
 
 

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
+from narrowing import not_none
 
 from wheelsight.calibration import load_calibration
 from wheelsight.errors import CalibrationError, RecordingError
@@ -36,13 +38,13 @@ def test_names_are_sorted():
 @pytest.mark.parametrize("name", camera_names())
 def test_each_shipped_camera_is_a_calibration_that_says_its_source(name):
     calibration = load_camera(name)
-    assert (calibration.color.width, calibration.color.height) == (640, 480)
+    assert (not_none(calibration.color).width, not_none(calibration.color).height) == (640, 480)
     assert calibration.source != "unknown"
     assert calibration.is_registered == name.startswith("freiburg")
 
 
 def test_freiburg1_is_what_the_benchmark_publishes():
-    camera = load_camera("freiburg1").color
+    camera = not_none(load_camera("freiburg1").color)
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (517.3, 516.5, 318.6, 255.3)
     assert camera.distortion == (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
 
@@ -100,7 +102,7 @@ def test_of_very_many_folders_only_some_are_searched(tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "_MOST_SEARCHED", 20)
     for number in range(30):
         (tmp_path / f"{number}" / "below").mkdir(parents=True)
-    looked_at = []
+    looked_at: list[Path] = []
     monkeypatch.setattr(registry, "_reader_of", looked_at.append)
     assert find_recordings(tmp_path) == []
     assert len(looked_at) == 20

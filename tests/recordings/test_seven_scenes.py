@@ -3,6 +3,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from narrowing import not_none
 from synthetic import render_room, wobbling_trajectory
 
 from wheelsight.errors import CalibrationError, RecordingError, TrajectoryError
@@ -44,7 +45,7 @@ def test_reads_what_was_rendered(folder, rendered):
 
 
 def test_rotations_are_made_orthonormal(folder):
-    truth = open_recording(folder).ground_truth
+    truth = not_none(open_recording(folder).ground_truth)
     assert truth.body == "camera"
     np.testing.assert_allclose(truth.T_frame_body, TRUTH.T_frame_body, atol=1e-3)
 
@@ -60,13 +61,14 @@ def test_says_what_a_user_must_know(folder):
 def test_intrinsics_beside_the_frames_replace_those_of_depth(folder):
     (folder / "camera-intrinsics.txt").write_text("570.0 0 319.0\n0 571.0 239.0\n0 0 1\n")
     calibration = open_recording(folder).calibration
-    assert (calibration.depth.fx, calibration.depth.fy, calibration.depth.cx, calibration.depth.cy) == (
+    depth = not_none(calibration.depth)
+    assert (depth.fx, depth.fy, depth.cx, depth.cy) == (
         570,
         571,
         319,
         239,
     )
-    assert calibration.color.fx == 525
+    assert not_none(calibration.color).fx == 525
 
 
 @pytest.mark.parametrize(
@@ -94,7 +96,7 @@ def test_a_folder_without_depth_says_so(folder):
 def test_poses_where_tracking_was_lost_are_left_out(folder):
     (folder / "frame-000001.pose.txt").write_text("nan nan nan nan\n" * 4)
     recording = open_recording(folder)
-    assert len(recording.ground_truth) == 2
+    assert len(not_none(recording.ground_truth)) == 2
     assert "1 of 3 true poses are not finite and were left out." in recording.warnings
 
 

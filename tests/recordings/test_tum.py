@@ -4,6 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
+from narrowing import as_frame, not_none
 from synthetic import make_tum_recording, render_room, wobbling_trajectory
 
 from wheelsight.errors import CalibrationError, ConfigError, RecordingError
@@ -21,14 +22,14 @@ def test_reads_what_was_rendered(tum_folder, small_camera):
     assert recording.calibration.color == small_camera
     assert recording.association.pairs == 6
     assert recording.association.largest_gap_s == pytest.approx(0.002)
-    np.testing.assert_allclose(recording.ground_truth.T_frame_body, truth.T_frame_body, atol=1e-8)
+    np.testing.assert_allclose(not_none(recording.ground_truth).T_frame_body, truth.T_frame_body, atol=1e-8)
     events = list(recording.events())
     for index, (event, (stamp_s, T_frame_camera)) in enumerate(zip(events, truth, strict=True)):
         color, depth_m = render_room(T_frame_camera, small_camera)
         assert isinstance(event, RgbdFrame)
         assert event.index == index
         assert event.stamp_s == pytest.approx(stamp_s, abs=1e-6)
-        assert (event.color.dtype, event.depth_m.dtype) == (np.uint8, np.float32)
+        assert (event.color.dtype, event.depth_m.dtype) == (np.dtype(np.uint8), np.dtype(np.float32))
         np.testing.assert_array_equal(event.color, color)
         np.testing.assert_allclose(event.depth_m, depth_m, atol=0.6 / 5000)
 
@@ -37,9 +38,9 @@ def test_events_start_again_and_share_no_memory(tum_folder):
     recording = open_recording(tum_folder)
     first, again = list(recording.events()), list(recording.events())
     for a, b in zip(first, again, strict=True):
-        np.testing.assert_array_equal(a.depth_m, b.depth_m)
-        assert not np.shares_memory(a.depth_m, b.depth_m)
-    assert not np.shares_memory(first[0].color, first[1].color)
+        np.testing.assert_array_equal(as_frame(a).depth_m, as_frame(b).depth_m)
+        assert not np.shares_memory(as_frame(a).depth_m, as_frame(b).depth_m)
+    assert not np.shares_memory(as_frame(first[0]).color, as_frame(first[1]).color)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +54,7 @@ def test_events_start_again_and_share_no_memory(tum_folder):
 )
 def test_the_folder_name_tells_the_camera(tmp_path, name, camera):
     folder = tmp_path / name
-    make_tum_recording(folder, frames=1, camera=load_camera(camera).color)
+    make_tum_recording(folder, frames=1, camera=not_none(load_camera(camera).color))
     (folder / "calibration.yaml").unlink()
     assert open_recording(folder).calibration.source == load_camera(camera).source
 
@@ -86,8 +87,8 @@ def test_ready_associations_are_used_as_they_are(tum_folder, depth_first):
     assert recording.association.largest_gap_s == pytest.approx(1 / 30 + 0.002, abs=1e-5)
     assert recording.association.dropped_color == 4
     assert "associations.txt" in recording.warnings[0]
-    _, second_depth = render_room(wobbling_trajectory(6).T_frame_body[1], recording.calibration.color)
-    np.testing.assert_allclose(next(recording.events()).depth_m, second_depth, atol=1e-3)
+    _, second_depth = render_room(wobbling_trajectory(6).T_frame_body[1], not_none(recording.calibration.color))
+    np.testing.assert_allclose(as_frame(next(recording.events())).depth_m, second_depth, atol=1e-3)
 
 
 def test_a_broken_associations_file_is_named(tum_folder):
@@ -112,17 +113,17 @@ def test_no_pairs_tells_the_nearest_gap(tum_folder):
 
 def test_the_depth_factor_can_be_given(tum_folder):
     usual, half = (next(open_recording(tum_folder, OpenOptions(depth_factor=f)).events()) for f in (5000, 10000))
-    np.testing.assert_allclose(half.depth_m, usual.depth_m / 2, rtol=1e-6)
+    np.testing.assert_allclose(as_frame(half).depth_m, as_frame(usual).depth_m / 2, rtol=1e-6)
 
 
 def test_truth_is_told_for_the_base_where_there_is_one(tum_folder):
     text = (tum_folder / "calibration.yaml").read_text()
-    plain = open_recording(tum_folder).ground_truth
+    plain = not_none(open_recording(tum_folder).ground_truth)
     mounted = "T_base_camera: [[0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.1], [0, 0, 0, 1]]\n"
     (tum_folder / "calibration.yaml").write_text(text + mounted)
     recording = open_recording(tum_folder)
-    assert recording.body == recording.ground_truth.body == "base"
-    back = recording.ground_truth.T_frame_body @ recording.calibration.T_base_camera
+    assert recording.body == not_none(recording.ground_truth).body == "base"
+    back = not_none(recording.ground_truth).T_frame_body @ not_none(recording.calibration.T_base_camera)
     np.testing.assert_allclose(back, plain.T_frame_body, atol=1e-9)
 
 

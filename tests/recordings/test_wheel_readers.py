@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from narrowing import not_none
 
 from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.errors import CalibrationError, InputError, RecordingError
@@ -91,7 +92,7 @@ def test_speeds_of_a_robot_come_as_those_of_its_wheels(tmp_path: Path) -> None:
     truth = recording.ground_truth
     assert truth is not None
     np.testing.assert_array_equal(truth.stamps_s, [0.0, 0.2])
-    np.testing.assert_allclose(truth.positions_m, [[1, 2, 0], [1.1, 2, 0]])
+    np.testing.assert_allclose(truth.positions_m, [[1.0, 2, 0], [1.1, 2, 0]])
 
 
 def test_a_robot_whose_wheels_are_calibrated_drives_by_them(tmp_path: Path) -> None:
@@ -111,7 +112,7 @@ def test_measurement_lines(tmp_path: Path) -> None:
     assert (recording.format, recording.wheel_count) == ("measurement_lines", 2)
     truth = recording.ground_truth
     assert truth is not None
-    np.testing.assert_allclose(truth.positions_m, [[1, 2, 0], [1.1, 2, 0]])
+    np.testing.assert_allclose(truth.positions_m, [[1.0, 2, 0], [1.1, 2, 0]])
     np.testing.assert_allclose(np.arctan2(truth.T_frame_body[:, 1, 0], truth.T_frame_body[:, 0, 0]), [0.5, 0.6])
     assert recording.warnings == ("Speeds across, up to 0.01 m/s, are left out: wheels cannot tell of them.",)
 
@@ -190,7 +191,7 @@ def test_wheels_alone_are_written_and_read_again(skid: Path, tmp_path: Path) -> 
     assert list(copy.events()) == list(first.events())
     assert copy.calibration.wheels == first.calibration.wheels
     assert isinstance(copy.ground_truth, Trajectory)
-    np.testing.assert_allclose(copy.ground_truth.T_frame_body, first.ground_truth.T_frame_body)
+    np.testing.assert_allclose(copy.ground_truth.T_frame_body, not_none(first.ground_truth).T_frame_body)
 
 
 def test_a_file_of_wheels_alone_takes_the_calibration_that_is_given(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from area_drive import AREAS, area_drive
@@ -32,7 +33,11 @@ def area_runs(way: str = "probabilistic", with_truth: bool = True) -> tuple[RunR
         apart = [np.hypot(*(p.positions_m - truth.positions_m)[:, :2].T) for p in (wheels, path)]
         found = replace(found, true_areas=true_areas, errors=MapErrors(stamps_s, *apart))
     frames = tuple(FrameRecord(i, float(s), Status.TRACKING, None, 0, 0, 0.001) for i, s in enumerate(stamps_s))
-    common = {"frames": frames, "ground_truth": truth if with_truth else None, "recording": "three areas"}
+    common: dict[str, Any] = {
+        "frames": frames,
+        "ground_truth": truth if with_truth else None,
+        "recording": "three areas",
+    }
     records = [
         replace(wheel_run(len(stamps_s)), odometry="wheels", estimate=wheels, **common),
         replace(

@@ -29,7 +29,7 @@ def joined_run(with_truth: bool = True, boldness: float = 1.0, **others: Any) ->
     errors = np.cumsum(_SIGMAS * np.random.default_rng(5).standard_normal((len(stamps_s), 6)), axis=0)
     T_start = truth.T_frame_body[0]
     T = se3.invert(se3.exp(errors - errors[0])) @ se3.invert(T_start) @ truth.T_frame_body
-    covariances = np.arange(len(stamps_s))[:, None, None] * np.diag((_SIGMAS / boldness) ** 2)
+    covariances = np.arange(float(len(stamps_s)))[:, None, None] * np.diag((_SIGMAS / boldness) ** 2)
     estimate = Trajectory(stamps_s, T, covariances, body="base")
     frames_s = START_S + np.arange(FRAMES) / RATE_HZ
     evaluation = evaluate(estimate, truth, frame_stamps_s=frames_s) if with_truth else None

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from html_page import Page
+from narrowing import not_none
 from run_example import empty_run, example_picture, example_run, wheel_run
 
 from wheelsight.estimates import Status
@@ -50,10 +51,10 @@ def test_paths_are_laid_upon_the_truth_as_their_evaluation_lays_them() -> None:
     paths = overlay_of(records)
     assert (paths.by, paths.left_out, list(paths.paths_m)) == ("truth", {}, ["wheels", "features"])
     for record in records:
-        aligned = record.evaluation.ate.aligned.positions_m
+        aligned = not_none(record.evaluation).ate.aligned.positions_m
         np.testing.assert_array_equal(known(paths.paths_m[record.odometry]), aligned)
     assert np.isnan(paths.paths_m["features"]).any()
-    np.testing.assert_array_equal(known(paths.truth_m)[0], records[0].ground_truth.positions_m[0])
+    np.testing.assert_array_equal(known(not_none(paths.truth_m))[0], not_none(records[0].ground_truth).positions_m[0])
 
 
 def test_without_truth_paths_begin_in_one_point_and_direction() -> None:
@@ -114,8 +115,8 @@ def test_errors_of_each_share_one_time_axis() -> None:
     start_s = min(wheels.frames[0].stamp_s, features.frames[0].stamp_s)
     for record in (wheels, features):
         drawn = trace(figure, record.odometry)
-        assert drawn.x[0] == pytest.approx(record.evaluation.ate.stamps_s[0] - start_s)
-        assert np.nanmax(drawn.y) == record.evaluation.ate.errors_m.max()
+        assert drawn.x[0] == pytest.approx(not_none(record.evaluation).ate.stamps_s[0] - start_s)
+        assert np.nanmax(drawn.y) == not_none(record.evaluation).ate.errors_m.max()
     assert [annotation.text for annotation in figure.layout.annotations] == [
         "ATE, m",
         "RPE a second, translation, m",
@@ -139,9 +140,9 @@ def test_the_table_has_a_row_each() -> None:
     head, rows = comparison_rows([wheels, replace(features, evaluation=None)])
     assert [row[0] for row in rows] == ["wheels", "features"]
     assert {len(row) for row in rows} == {len(head)}
-    way_m = wheels.ground_truth.between(*wheels.estimate.stamps_s[[0, -1]]).length_m
+    way_m = not_none(wheels.ground_truth).between(*wheels.estimate.stamps_s[[0, -1]]).length_m
     of_the_way = float(rows[0][head.index("of the way")].removesuffix(" %"))
-    assert of_the_way == pytest.approx(100 * wheels.evaluation.ate.translation.rmse / way_m, abs=0.05)
+    assert of_the_way == pytest.approx(100 * not_none(wheels.evaluation).ate.translation.rmse / way_m, abs=0.05)
     assert rows[1][head.index("ATE, RMSE")] == "–"
 
 
@@ -155,7 +156,7 @@ def test_the_table_has_a_row_each() -> None:
 )
 def test_who_is_silent_half_the_time_does_not_win(shares: tuple[float, float], phrase: str) -> None:
     records = [
-        replace(record, evaluation=replace(record.evaluation, truth_time_covered=share))
+        replace(record, evaluation=replace(not_none(record.evaluation), truth_time_covered=share))
         for record, share in zip(both_runs(), shares, strict=True)
     ]
     assert re.search(phrase, Page(render_comparison(records)).text)

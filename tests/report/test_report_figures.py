@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from narrowing import not_none
 from run_example import START_S, empty_run, example_run, wheel_run
 
 from wheelsight.errors import EvaluationError
@@ -34,7 +36,7 @@ def test_the_aligned_path_lies_on_the_truth(view: str) -> None:
     estimate = _trace(figure, "estimate")
     drawn = np.stack([estimate.x, estimate.y], axis=-1)
     known = drawn[~np.isnan(drawn).any(axis=1)]
-    np.testing.assert_array_equal(known, run.evaluation.ate.aligned.positions_m[:, VIEWS[view]])
+    np.testing.assert_array_equal(known, not_none(run.evaluation).ate.aligned.positions_m[:, VIEWS[view]])
     assert np.isnan(drawn).any(axis=1).sum() == 3  # skipped, lost, failing once
     truth = _trace(figure, "ground truth")
     assert np.linalg.norm(known[0] - (truth.x[0], truth.y[0])) < 0.1
@@ -87,14 +89,14 @@ def test_without_an_evaluation_no_truth_is_drawn() -> None:
 
 def test_the_truth_is_drawn_only_while_the_run_lasted() -> None:
     run = example_run(500)
-    inside = run.ground_truth.between(run.frames[0].stamp_s, run.frames[-1].stamp_s)
+    inside = not_none(run.ground_truth).between(run.frames[0].stamp_s, run.frames[-1].stamp_s)
     np.testing.assert_array_equal(_trace(trajectory_figure(run), "ground truth").x, inside.positions_m[:, 0])
 
 
 def test_holes_of_the_truth_are_gaps() -> None:
     run = example_run(500)
-    t = run.ground_truth.stamps_s - START_S
-    holed = replace(run, ground_truth=run.ground_truth.select((t < 4) | (t > 7)))
+    t = not_none(run.ground_truth).stamps_s - START_S
+    holed = replace(run, ground_truth=not_none(run.ground_truth).select((t < 4) | (t > 7)))
     assert np.isnan(_trace(trajectory_figure(holed), "ground truth").x).sum() == 1
 
 
@@ -110,9 +112,9 @@ def test_errors_are_those_of_the_evaluation() -> None:
     run = example_run(500)
     figure = error_figure(run)
     expected = {
-        "ATE": run.evaluation.ate.errors_m,
-        "RPE a frame, translation": run.evaluation.rpe_per_frame.errors_m,
-        "RPE a frame, rotation": np.degrees(run.evaluation.rpe_per_frame.errors_rad),
+        "ATE": not_none(run.evaluation).ate.errors_m,
+        "RPE a frame, translation": not_none(not_none(run.evaluation).rpe_per_frame).errors_m,
+        "RPE a frame, rotation": np.degrees(not_none(not_none(run.evaluation).rpe_per_frame).errors_rad),
     }
     for name, errors in expected.items():
         drawn = np.array(_trace(figure, name).y)
@@ -123,7 +125,7 @@ def test_errors_are_those_of_the_evaluation() -> None:
 
 def test_errors_without_steps_of_a_frame() -> None:
     run = example_run(100)
-    figure = error_figure(replace(run, evaluation=replace(run.evaluation, rpe_per_frame=None)))
+    figure = error_figure(replace(run, evaluation=replace(not_none(run.evaluation), rpe_per_frame=None)))
     assert [trace.name for trace in figure.data] == ["ATE"]
 
 
@@ -146,7 +148,7 @@ def test_status_lanes_hold_each_frame_once() -> None:
 
 def test_unusable_frames_while_lost_are_in_the_lane_of_the_lost() -> None:
     run = example_run(500)
-    unusable = {"reason": Reason.FRAME_UNUSABLE, "note": "depth image measured nothing"}
+    unusable: dict[str, Any] = {"reason": Reason.FRAME_UNUSABLE, "note": "depth image measured nothing"}
     covered = tuple(replace(f, **unusable) if f.status == "lost" else f for f in run.frames)
     before, after = (_trace(status_figure(replace(run, frames=frames)), "lost").x for frames in (run.frames, covered))
     assert before == after
@@ -198,7 +200,7 @@ def test_long_runs_stay_light() -> None:
     figures = [error_figure(run), matches_figure(run), time_figure(run), *(trajectory_figure(run, v) for v in VIEWS)]
     for figure in figures:
         assert max(len(trace.x) for trace in figure.data) < 5000
-    peak = np.nanmax(run.evaluation.ate.errors_m)
+    peak = np.nanmax(not_none(run.evaluation).ate.errors_m)
     assert np.nanmax(_trace(figures[0], "ATE").y) == peak
 
 
@@ -220,7 +222,7 @@ def test_uncertainty_is_that_of_the_body_not_of_the_origin() -> None:
     at_body = np.diag([0.01, 0.01, 0.0, 0.0, 0.0, 0.04])
     lever = se3.from_parts(np.eye(3), T[:3, 3])
     covariance = se3.adjoint(lever) @ at_body @ se3.adjoint(lever).T
-    estimate = Trajectory([0.0], T[None], covariance[None], body="base", frame="odom")
+    estimate = Trajectory(np.array([0.0]), T[None], covariance[None], body="base", frame="odom")
     position_m, yaw_deg = standard_deviations(estimate)
     np.testing.assert_allclose(position_m, [0.1], rtol=1e-9)
     np.testing.assert_allclose(yaw_deg, np.degrees([0.2]), rtol=1e-9)

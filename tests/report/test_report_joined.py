@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from html_page import Page
 from joined_example import joined_run, joined_runs
+from narrowing import not_none
 from run_example import empty_run, example_map
 
 from wheelsight.estimates import Status
@@ -46,23 +47,23 @@ def test_poses_at_readings_are_told_from_those_at_frames() -> None:
 
 def test_errors_are_those_from_the_true_start() -> None:
     run = joined_run()
-    found = facts_of(run).consistency
-    true = run.ground_truth.moved(se3.invert(run.ground_truth.T_frame_body[0]))
+    found = not_none(facts_of(run).consistency)
+    true = not_none(run.ground_truth).moved(se3.invert(not_none(run.ground_truth).T_frame_body[0]))
     off_m = run.estimate.positions_m - true.positions_m
     np.testing.assert_allclose(np.linalg.norm(found.errors_m, axis=1), np.linalg.norm(off_m[:, :2], axis=1), atol=1e-9)
     assert found.share > 0.95
-    assert facts_of(joined_run(boldness=20)).consistency.share < 0.7
+    assert not_none(facts_of(joined_run(boldness=20)).consistency).share < 0.7
     assert facts_of(joined_run(with_truth=False)).consistency is None
 
 
 def test_the_better_sensor_is_one_that_followed_throughout() -> None:
     wheels, dense, joined = joined_runs()
-    rmse_m = {r.odometry: r.evaluation.ate.translation.rmse for r in (wheels, dense, joined)}
-    found = best_alone_of([wheels, dense, joined])
+    rmse_m = {r.odometry: not_none(r.evaluation).ate.translation.rmse for r in (wheels, dense, joined)}
+    found = not_none(best_alone_of([wheels, dense, joined]))
     best = min(("wheels", "dense"), key=rmse_m.__getitem__)
     assert (found.odometry, found.ratio) == (best, rmse_m["joined"] / rmse_m[best])
-    silent = [replace(r, evaluation=replace(r.evaluation, truth_time_covered=0.4)) for r in (wheels, dense)]
-    assert best_alone_of([wheels, silent[1], joined]).odometry == "wheels"
+    silent = [replace(r, evaluation=replace(not_none(r.evaluation), truth_time_covered=0.4)) for r in (wheels, dense)]
+    assert not_none(best_alone_of([wheels, silent[1], joined])).odometry == "wheels"
     assert best_alone_of([*silent, joined]) is None
     assert best_alone_of([replace(wheels, odometry="rectified"), joined]) is None
     assert best_alone_of([wheels, dense]) is None
@@ -87,10 +88,10 @@ def test_ellipses_stand_at_round_ways() -> None:
     n = 1001
     poses = se3.from_plane(0.03 * np.arange(n), np.zeros(n), np.zeros(n))
     covariances = np.tile(1e-4 * np.eye(6), (n, 1, 1))
-    outlines = ellipses_m(Trajectory(np.arange(n), poses, covariances, body="base"))
+    outlines = ellipses_m(Trajectory(np.arange(float(n)), poses, covariances, body="base"))
     middles = np.array([part[:-1].mean(axis=0) for part in outlines.reshape(-1, 50, 2)])
     np.testing.assert_allclose(middles[:, 0], [*np.arange(2.0, 30, 2), 30], atol=0.05)
-    still = Trajectory(np.arange(5), np.tile(np.eye(4), (5, 1, 1)), covariances[:5], body="base")
+    still = Trajectory(np.arange(5.0), np.tile(np.eye(4), (5, 1, 1)), covariances[:5], body="base")
     assert len(ellipses_m(still)) == 50
     assert len(ellipses_m(still.select(slice(0, 0)))) == 0
 
@@ -99,11 +100,11 @@ def test_with_joined_sensors_all_paths_begin_at_the_true_start() -> None:
     records = joined_runs()
     paths = overlay_of(records)
     assert (paths.by, set(paths.paths_m)) == ("true start", {"wheels", "dense", "joined"})
-    np.testing.assert_allclose(paths.paths_m["joined"][0], paths.truth_m[0], atol=1e-9)
-    np.testing.assert_allclose(paths.paths_m["wheels"][0], paths.truth_m[0], atol=1e-9)
-    found = consistency(records[2].estimate, records[2].ground_truth)
+    np.testing.assert_allclose(paths.paths_m["joined"][0], not_none(paths.truth_m)[0], atol=1e-9)
+    np.testing.assert_allclose(paths.paths_m["wheels"][0], not_none(paths.truth_m)[0], atol=1e-9)
+    found = consistency(records[2].estimate, not_none(records[2].ground_truth))
     expected = records[2].estimate.moved(found.T_truth_estimate)
-    np.testing.assert_allclose(paths.trajectories["joined"].covariances, expected.covariances)
+    np.testing.assert_allclose(not_none(paths.trajectories["joined"].covariances), not_none(expected.covariances))
 
 
 def test_joined_sensors_stand_out_and_the_legend_turns_ellipses_on() -> None:
@@ -119,7 +120,7 @@ def test_joined_sensors_stand_out_and_the_legend_turns_ellipses_on() -> None:
 
 def test_errors_and_bands_share_the_time_axis() -> None:
     run = joined_run(boldness=4)
-    found = facts_of(run).consistency
+    found = not_none(facts_of(run).consistency)
     figure = trust_figure(run, found)
     errors = [t for t in figure.data if t.name == "error"]
     for axis, drawn in enumerate(errors):
@@ -138,7 +139,7 @@ def test_errors_and_bands_share_the_time_axis() -> None:
 
 def test_the_band_is_three_sigma_along_each_direction() -> None:
     run = joined_run()
-    found = facts_of(run).consistency
+    found = not_none(facts_of(run).consistency)
     bands = [t for t in trust_figure(run, found).data if t.name == "±3σ as stated"]
     for axis, band in enumerate(bands):
         sigmas_m = np.sqrt(found.covariances_m2[:, axis, axis])
@@ -164,7 +165,7 @@ def test_the_joined_verdict_comes_first_and_says_what_it_is_worth() -> None:
     text = Page(render_comparison(records)).text
     joined = judge(records[2], summarise(records[2]), facts_of(records[2]), best_alone_of(records))
     assert text.index(joined.phrase) < text.index("Joined: 160 of 160 frames") < text.index("Wheels: 798 of 800")
-    found, best_alone = facts_of(records[2]).consistency, best_alone_of(records)
+    found, best_alone = not_none(facts_of(records[2]).consistency), not_none(best_alone_of(records))
     assert joined.phrase.endswith(f"{words.number(best_alone.ratio, 2)} times the error of {best_alone.odometry} alone")
     told = " ".join(joined.sentences)
     assert "it coasted on the wheels once, for 1.60 s in all (10 % of the time)" in told
@@ -178,7 +179,7 @@ def test_the_joined_verdict_comes_first_and_says_what_it_is_worth() -> None:
 )
 def test_a_bold_or_worse_answer_does_not_sound_good(boldness: float, ratio: float, tone: str) -> None:
     run = joined_run(boldness=boldness)
-    best_alone = replace(best_alone_of(joined_runs()), ratio=ratio)
+    best_alone = replace(not_none(best_alone_of(joined_runs())), ratio=ratio)
     verdict = judge(run, summarise(run), facts_of(run), best_alone)
     assert verdict.tone == tone
     assert ("which is better" in verdict.phrase) == (ratio > 1)

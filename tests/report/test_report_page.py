@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from html_page import Page
+from narrowing import not_none
 from run_example import empty_run, example_picture, example_run, wheel_run
 
 from wheelsight import __version__
 from wheelsight.errors import OutputError
+from wheelsight.evaluation import AbsoluteError, RelativeError
 from wheelsight.pipeline import RunRecord
 from wheelsight.report import write_report
 
@@ -56,8 +58,8 @@ def test_the_frame_is_that_of_the_trajectory(tmp_path: Path) -> None:
 def test_tiles_hold_the_records_numbers(seed: int, tmp_path: Path) -> None:
     run = example_run(400, seed)
     page = _page(run, tmp_path)
-    rmse_m = run.evaluation.ate.translation.rmse
-    second = run.evaluation.rpe_per_second
+    rmse_m = not_none(run.evaluation).ate.translation.rmse
+    second = not_none(not_none(run.evaluation).rpe_per_second)
     ms = 1e3 * np.median([f.seconds for f in run.frames if not f.is_skipped])
     posed = len(run.estimate)
     assert _metres(page.tiles["ATE, RMSE"][0]) == pytest.approx(rmse_m, rel=5e-3)
@@ -74,12 +76,13 @@ def test_tiles_hold_the_records_numbers(seed: int, tmp_path: Path) -> None:
 def test_the_table_holds_the_evaluations_numbers(tmp_path: Path) -> None:
     run = example_run(400)
     page = _page(run, tmp_path)
-    kinds = {
-        "ATE": run.evaluation.ate,
-        "RPE a frame": run.evaluation.rpe_per_frame,
-        "RPE a metre": run.evaluation.rpe_per_metre,
+    kinds: dict[str, AbsoluteError | RelativeError | None] = {
+        "ATE": not_none(run.evaluation).ate,
+        "RPE a frame": not_none(run.evaluation).rpe_per_frame,
+        "RPE a metre": not_none(run.evaluation).rpe_per_metre,
     }
     for name, error in kinds.items():
+        assert error is not None
         for part, s in (("translation", error.translation), ("rotation", error.rotation.in_degrees())):
             unit, *numbers, count = page.rows[f"{name}, {part}"]
             assert unit == ("m" if part == "translation" else "°")
@@ -89,7 +92,7 @@ def test_the_table_holds_the_evaluations_numbers(tmp_path: Path) -> None:
 
 def test_steps_that_do_not_exist_are_said_so(tmp_path: Path) -> None:
     run = example_run(100)
-    page = _page(replace(run, evaluation=replace(run.evaluation, rpe_per_metre=None)), tmp_path)
+    page = _page(replace(run, evaluation=replace(not_none(run.evaluation), rpe_per_metre=None)), tmp_path)
     assert "RPE a metre, RMSE" not in page.tiles
     assert "no step that long" in page.rows["RPE a metre"]
 
@@ -98,7 +101,7 @@ def test_figures_hold_the_records_numbers(tmp_path: Path) -> None:
     run = example_run(300)
     plot = _page(run, tmp_path).plots["plot-errors"]
     drawn = plot.numbers(plot.spec["data"][0], "y")
-    np.testing.assert_array_equal(drawn[~np.isnan(drawn)], run.evaluation.ate.errors_m)
+    np.testing.assert_array_equal(drawn[~np.isnan(drawn)], not_none(run.evaluation).ate.errors_m)
 
 
 def test_it_holds_all_it_needs(tmp_path: Path) -> None:

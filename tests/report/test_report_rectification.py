@@ -11,6 +11,7 @@ from area_drive import AREAS
 from area_example import area_runs
 from browser import open_page
 from html_page import Page
+from narrowing import not_none
 from run_example import example_run
 
 from wheelsight.areas import Area, AreaMap
@@ -34,18 +35,18 @@ def test_the_map_shows_areas_names_and_paths_where_they_are() -> None:
     assert [a.text for a in figure.layout.annotations] == [f"<b>{area.name}</b>" for area in AREAS]
     for name, path in (
         ("ground truth", record.ground_truth),
-        ("wheels", record.rectification.wheels),
+        ("wheels", not_none(record.rectification).wheels),
         ("rectified", record.estimate),
     ):
         (line,) = traces(figure, name)
-        np.testing.assert_allclose(np.stack([line.x, line.y], axis=-1), path.positions_m[:, :2])
+        np.testing.assert_allclose(np.stack([line.x, line.y], axis=-1), not_none(path).positions_m[:, :2])
     assert figure.layout.yaxis.scaleanchor == "x"
 
 
 def test_names_of_areas_cannot_bring_html_in() -> None:
     _, record = area_runs()
     odd = AreaMap(tuple(Area(f"<b>{a.name}", a.polygon, a.x_m, a.y_m) for a in AREAS))
-    record = replace(record, rectification=replace(record.rectification, areas=odd))
+    record = replace(record, rectification=replace(not_none(record.rectification), areas=odd))
     assert "<b><b>" not in str(area_map_figure(record).layout.annotations)
     assert area_time_figure(record).layout.yaxis.ticktext[0].startswith("&lt;b&gt;")
 
@@ -54,8 +55,8 @@ def test_rows_of_areas_hold_the_probabilities_and_gaps() -> None:
     _, record = area_runs()
     figure = area_time_figure(record)
     by_itself, believed = [trace for trace in figure.data if trace.type == "heatmap"]
-    np.testing.assert_array_equal(by_itself.customdata, record.rectification.forest.T)
-    np.testing.assert_array_equal(believed.customdata, record.rectification.belief.T)
+    np.testing.assert_array_equal(by_itself.customdata, not_none(record.rectification).forest.T)
+    np.testing.assert_array_equal(believed.customdata, not_none(not_none(record.rectification).belief).T)
     assert np.isnan(by_itself.z[:, 10:13]).all()
     rows = np.floor(np.nan_to_num(by_itself.z, nan=0.0))
     assert ((rows == np.arange(len(AREAS))[:, None]) | np.isnan(by_itself.z)).all()
@@ -74,9 +75,11 @@ def test_colours_of_rows_go_from_nothing_to_the_areas_own() -> None:
 
 def test_the_true_area_runs_through_its_row() -> None:
     _, record = area_runs()
-    truth = record.rectification.true_areas
+    truth = not_none(not_none(record.rectification).true_areas)
     for line in traces(area_time_figure(record), "true area"):
-        index = np.round((np.asarray(line.x) + record.frames[0].stamp_s - record.rectification.stamps_s[0]) / 0.2)
+        index = np.round(
+            (np.asarray(line.x) + record.frames[0].stamp_s - not_none(record.rectification).stamps_s[0]) / 0.2
+        )
         drawn = np.full(len(truth), np.nan)
         for at, value in zip(index.astype(int), line.y, strict=True):  # held until the next point
             drawn[at:] = value
@@ -92,9 +95,9 @@ def test_the_papers_way_shows_one_panel() -> None:
 
 def test_an_hour_of_frames_is_thinned_to_means() -> None:
     _, record = area_runs()
-    looks = record.rectification.looks
+    looks = not_none(record.rectification).looks
     many = tuple(replace(looks[i % len(looks)], stamp_s=looks[0].stamp_s + i / 30) for i in range(5000))
-    found = replace(record.rectification, looks=many, true_areas=None, errors=None)
+    found = replace(not_none(record.rectification), looks=many, true_areas=None, errors=None)
     heat = area_time_figure(replace(record, rectification=found)).data[0]
     assert heat.z.shape[1] == 1200
     assert np.nansum(heat.customdata, axis=0).max() == pytest.approx(1, abs=0.01)
@@ -104,29 +107,29 @@ def test_an_hour_of_frames_is_thinned_to_means() -> None:
 
 def test_errors_are_those_of_the_record() -> None:
     _, record = area_runs()
-    found = record.rectification
+    found = not_none(record.rectification)
     figure = map_error_figure(record)
-    np.testing.assert_array_equal(traces(figure, "rectified")[0].y, found.errors.rectified_m)
-    assert found.errors.rectified.mean == pytest.approx(0.5)
+    np.testing.assert_array_equal(traces(figure, "rectified")[0].y, not_none(found.errors).rectified_m)
+    assert not_none(found.errors).rectified.mean == pytest.approx(0.5)
     rows = error_rows(found)
     assert [row[0] for row in rows] == ["wheels", "rectified"]
     assert rows[1][1] == rows[1][4] == "50.0 cm"
-    assert error_rows(area_runs(with_truth=False)[1].rectification) == []
+    assert error_rows(not_none(area_runs(with_truth=False)[1].rectification)) == []
 
 
 def test_accuracy_counts_frames_that_say_something_and_have_a_true_area() -> None:
-    found = area_runs()[1].rectification
+    found = not_none(area_runs()[1].rectification)
     judged = int(found.is_judged.sum())
-    assert judged == np.count_nonzero(found.true_areas >= 0) - 3
+    assert judged == np.count_nonzero(not_none(found.true_areas) >= 0) - 3
     assert found.accuracy(found.forest) == pytest.approx(1 - 1 / judged)
-    assert np.isnan(area_runs(with_truth=False)[1].rectification.accuracy(found.forest))
+    assert np.isnan(not_none(area_runs(with_truth=False)[1].rectification).accuracy(found.forest))
 
 
 def test_the_page_tells_what_areas_did() -> None:
     page = Page(render_comparison(area_runs()))
     assert {"plot-area-map", "plot-area-time", "plot-map-error", "plot-overlay"} <= set(page.plots)
-    found = area_runs()[1].rectification
-    assert f"Areas bring the wheels from {found.errors.wheels.mean:.2f} m to 50.0 cm off (mean)" in page.text
+    found = not_none(area_runs()[1].rectification)
+    assert f"Areas bring the wheels from {not_none(found.errors).wheels.mean:.2f} m to 50.0 cm off (mean)" in page.text
     assert page.tiles["In the map, mean error"][0] == "50.0 cm"
     assert "3 frames told nothing of the area: the frame has no depth (3)." in page.text
     assert "The model was not trusted in" in page.text
@@ -136,8 +139,12 @@ def test_the_page_tells_what_areas_did() -> None:
 
 def test_areas_that_do_harm_are_not_praised() -> None:
     wheels, record = area_runs()
-    found = record.rectification
-    swapped = replace(found.errors, wheels_m=found.errors.rectified_m, rectified_m=found.errors.wheels_m)
+    found = not_none(record.rectification)
+    swapped = replace(
+        not_none(found.errors),
+        wheels_m=not_none(found.errors).rectified_m,
+        rectified_m=not_none(found.errors).wheels_m,
+    )
     page = Page(render_comparison([wheels, replace(record, rectification=replace(found, errors=swapped))]))
     assert "Areas do the wheels no good" in page.text
 

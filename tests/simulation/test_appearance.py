@@ -41,7 +41,7 @@ def keypoints(geoms: Geoms, view: View, surfaces: Mapping[str, Surface] = SURFAC
     sensor = ColorSensor()
     radiance = Painter(geoms, surfaces, seed).paint(view)
     image = sensor.expose(radiance, view, sensor.meter(radiance), np.random.default_rng(seed))
-    return len(cv2.ORB_create(2000).detect(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None))
+    return len(cv2.ORB.create(2000).detect(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None))
 
 
 def plain_kernels() -> SimpleNamespace:
@@ -86,7 +86,9 @@ def test_compiled_outlines_are_plain_outlines(plainly: SimpleNamespace, monkeypa
     view, aside = (see(geoms, heading(0, 0, 1, yaw), size, 20) for yaw in (0.0, 0.05))
     pixels = np.stack(np.meshgrid(np.arange(18), np.arange(24), indexing="ij"), -1).reshape(-1, 2).astype(np.int32)
     samples = View(
-        *(image.reshape(-1, 1, *image.shape[2:]) for image in (aside.depth_m, aside.geom, aside.normal_world)),
+        aside.depth_m.reshape(-1, 1),
+        aside.geom.reshape(-1, 1),
+        aside.normal_world.reshape(-1, 1, 3),
         aside.T_world_camera[pixels[:, 0]],
         aside.rays.reshape(-1, 1, 3),
     )
@@ -147,7 +149,7 @@ def test_neighbours_of_one_material_continue_each_other() -> None:
     halves = boxes(("east", "floor", (1, 0, -0.5), (1, 2, 0.5)), ("west", "floor", (-1, 0, -0.5), (1, 2, 0.5)))
     T = heading(-1.5, 0, 1.5, 0, 0.9)
     pictures = [albedo_painter(geoms).paint(see(geoms, T, (64, 48), 60)) for geoms in (whole, halves)]
-    np.testing.assert_allclose(*pictures, atol=1e-5)
+    np.testing.assert_allclose(pictures[0], pictures[1], atol=1e-5)
 
 
 def test_what_glows_shines_and_lights_its_surroundings() -> None:
@@ -200,11 +202,11 @@ def test_what_no_ray_hit_is_black() -> None:
     [
         (replace(SURFACES["wall"], rgb=(1.2, 0, 0)), "between 0 and 1"),
         (replace(SURFACES["wall"], scale_m=0.0), "scale"),
-        (replace(SURFACES["wall"], kind="marble"), "unknown kind"),
+        (replace(SURFACES["wall"], kind="marble"), "unknown kind"),  # type: ignore[arg-type]  # there is no such kind
         (replace(SURFACES["wall"], glow=-1.0), "glows"),
     ],
 )
-def test_impossible_surfaces_are_refused(surface: object, message: str) -> None:
+def test_impossible_surfaces_are_refused(surface: Surface, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Painter(facing("wall"), {"wall": surface}, 1)
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.errors import ConfigError
-from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks, YawRate
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
 from wheelsight.simulation.camera_faults import (
     CableOut,
     Covered,
@@ -34,7 +34,7 @@ IMAGE_FAULTS = (Covered, DepthHoles, ExposureSteps, LightsOff, StuckImage)
 def events():
     """Three seconds of frames that all differ, wheels at 50 Hz, a gyroscope, and one frame that could not be read."""
     rng = np.random.default_rng(3)
-    frames = [
+    frames: list[RgbdFrame | SkippedFrame] = [
         RgbdFrame(
             round(i / RATE_HZ, 6),
             rng.integers(0, 256, (48, 64, 3), np.uint8),
@@ -178,8 +178,9 @@ def test_a_low_rate_is_that_rate(events, rate_hz):
 
 @given(late_s=st.floats(-0.5, 0.5), begin_s=st.floats(0, 2))
 def test_a_late_clock_shifts_the_stamps_of_that_time_alone(late_s, begin_s):
-    stream = [RgbdFrame(i / 30, np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.float32), i) for i in range(60)]
-    stream = sorted([*stream, *(WheelTicks(i / 50, i, i) for i in range(100))], key=lambda event: event.stamp_s)
+    frames = [RgbdFrame(i / 30, np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.float32), i) for i in range(60)]
+    ticks = [WheelTicks(i / 50, i, i) for i in range(100)]
+    stream: list[Event] = sorted([*frames, *ticks], key=lambda event: event.stamp_s)
     shifted = list(LateClock(late_s=late_s, begin_s=begin_s).apply(stream))
     assert [e.stamp_s for e in shifted] == sorted(e.stamp_s for e in shifted)
     for frame in frames_of(shifted):

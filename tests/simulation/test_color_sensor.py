@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,13 +32,13 @@ def grey(levels: object, size: tuple[int, int] = (48, 64)) -> Float32Array:
     return np.ascontiguousarray(np.broadcast_to(np.asarray(levels, np.float32)[..., None], (*size, 3)))
 
 
-def linear(image: ByteArray) -> FloatArray:
+def linear(image: np.ndarray) -> FloatArray:
     """sRGB undone (IEC 61966-2-1)."""
     x = np.asarray(image, float) / 255
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
-def shot(sensor: ColorSensor, radiance: Float32Array, seed: int = 0, **how: object) -> ByteArray:
+def shot(sensor: ColorSensor, radiance: Float32Array, seed: int = 0, **how: Any) -> ByteArray:
     view = how.pop("view", None) or wall_view((radiance.shape[1], radiance.shape[0]))
     return sensor.expose(radiance, view, sensor.meter(radiance), np.random.default_rng(seed), **how)
 
@@ -169,13 +170,14 @@ def test_compiled_kernels_are_plain_kernels(rng: np.random.Generator) -> None:
     image = rng.uniform(0, 1, (7, 9, 3)).astype(np.float32)
     normals, curve = rng.normal(size=64).astype(np.float32), np.arange(256, dtype=np.uint8)
     outs = [np.empty((7, 9, 3), np.uint8) for _ in range(2)]
-    for kernels, flow, out in zip((_blur_kernels, plainly), flows, outs, strict=True):
+    ways: tuple[Any, Any] = (_blur_kernels, plainly)
+    for kernels, flow, out in zip(ways, flows, outs, strict=True):
         kernels.flow(view.depth_m, view.rays, twist, flow)
         smeared = kernels.smear(image, flow)
         exposed = _blur_kernels.Exposed(900.0, 1000.0, 5.0, 1e-3)
         kernels.develop(smeared, np.ones((7, 9), np.float32), exposed, normals, curve, 3, out)
-    np.testing.assert_allclose(*flows, rtol=1e-6)
-    np.testing.assert_array_equal(*outs)
+    np.testing.assert_allclose(flows[0], flows[1], rtol=1e-6)
+    np.testing.assert_array_equal(outs[0], outs[1])
 
 
 def test_motion_blur_without_motion_is_refused() -> None:
@@ -187,6 +189,6 @@ def test_motion_blur_without_motion_is_refused() -> None:
     "wrong",
     [{"full_well": 0.0}, {"read_noise": -1.0}, {"inertia": 1.0}, {"vignetting": 1.5}, {"longest_s": float("nan")}],
 )
-def test_impossible_sensors_are_refused(wrong: dict[str, float]) -> None:
+def test_impossible_sensors_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ConfigError):
         ColorSensor(**wrong)

@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from narrowing import as_frame
 
 from wheelsight.events import RgbdFrame, WheelTicks
 from wheelsight.recordings import Recording
@@ -48,8 +49,8 @@ def test_its_frames_are_those_of_the_recording_spoilt(recording):
     for spoilt, event in zip(faulty.events(), recording.events(), strict=True):
         if isinstance(event, RgbdFrame):
             covered = 0.5 <= event.stamp_s < 1.0
-            np.testing.assert_array_equal(spoilt.depth_m, 0 if covered else event.depth_m)
-            assert covered == (spoilt.color.max() < 15)
+            np.testing.assert_array_equal(as_frame(spoilt).depth_m, 0 if covered else event.depth_m)
+            assert covered == (as_frame(spoilt).color.max() < 15)
 
 
 def test_without_images_there_are_readings_alone(recording):

@@ -50,12 +50,14 @@ def painted(world: World, camera: PinholeCamera, T: FloatArray) -> tuple[Float32
     return painter.paint(view, outlines=outlines), painter.paint(view), at_outline
 
 
-def rms(errors: FloatArray) -> float:
+def rms(errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-SHEETS = [(tilt, WALL + panel(tilt), at_most) for tilt, at_most in ((1, 0.04), (5, 0.04), (-30, 0.08), (70, 0.07))]
-THINGS = [
+SHEETS: list[tuple[object, str, float]] = [
+    (tilt, WALL + panel(tilt), at_most) for tilt, at_most in ((1, 0.04), (5, 0.04), (-30, 0.08), (70, 0.07))
+]
+THINGS: list[tuple[object, str, float]] = [
     ("before nothing", panel(7), 0.045),
     ("faces of a box", '<geom name="box" type="box" pos="3 0 1" size="1 1 9" euler="2 3 40"/>', 0.04),
     ("round", WALL + '<geom name="ball" type="sphere" pos="4 0.5 1.1" size="0.8"/>', 0.055),
@@ -130,10 +132,11 @@ def test_frames_have_smooth_outlines_and_the_depth_they_had(monkeypatch: pytest.
         SimulationSettings(world="square", size=(160, 120), rate_hz=10.0, seed=3),
     )
     stamps_s = np.arange(0, 1, 0.005)
-    arc = se3.from_plane(*world.route[0], 0.3) @ se3.exp(stamps_s[:, None] * [0.5, 0, 0, 0, 0, 0.4])
+    x, y = world.route[0]
+    arc = se3.from_plane(x, y, 0.3) @ se3.exp(stamps_s[:, None] * [0.5, 0, 0, 0, 0, 0.4])
     drive = Drive(Trajectory(stamps_s, arc, body="base"), ())
 
-    def frame() -> tuple[FloatArray, FloatArray]:
+    def frame() -> tuple[FloatArray, Float32Array]:
         made = Renderer(world, drive, settings, camera_model(settings.camera, settings.size)).frame(4)
         return made.color.astype(float), made.depth_m
 
@@ -168,14 +171,16 @@ def test_rays_at_outlines_miss_nothing(rng: np.random.Generator, twist: ArrayLik
     scene = Scene(cluttered(rng))
     T_rows = looking() @ se3.exp(np.linspace(-0.5, 0.5, 60)[:, None] * np.asarray(twist, float))
     outlines = scene.outlines(scene.cast(CAMERA, T_rows))
-    samples, geom, hits, depths_m = outlines.samples, np.zeros(1, np.int32), [], []
+    samples, geom = outlines.samples, np.zeros(1, np.int32)
+    hits: list[int] = []
+    depths: list[float] = []
     np.testing.assert_array_equal(samples.T_world_camera, T_rows[outlines.pixels[:, 0]])
     for row, sample in np.ndindex(samples.geom.shape):
         T = samples.T_world_camera[row]
         ray, origin = T[:3, :3] @ samples.rays[row, sample], np.ascontiguousarray(T[:3, 3])
-        depths_m.append(max(mujoco.mj_ray(scene.model, scene.data, origin, ray, None, True, -1, geom), 0))
+        depths.append(max(mujoco.mj_ray(scene.model, scene.data, origin, ray, None, True, -1, geom), 0))
         hits.append(geom[0])
-    same, depths_m = samples.geom.ravel() == hits, np.array(depths_m)
+    same, depths_m = samples.geom.ravel() == hits, np.array(depths)
     # Rays of one tile start where its middle row does: what is seen edge on may be hit from there and not from its own.
     assert same.mean() >= (0.99 if np.any(twist) else 1.0)
     error = abs(samples.depth_m.ravel() - depths_m)[same] / np.maximum(depths_m[same], 1)

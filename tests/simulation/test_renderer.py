@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from narrowing import not_none
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import se3
@@ -22,7 +23,8 @@ COVERING_M = 0.003  # what covers the ground where a floor is more than one colo
 def drive(duration_s: float = 1.0, v_m_s: float = 0.5, yaw_rate_rad_s: float = 0.4) -> Drive:
     """An arc from the route's start, at 200 Hz."""
     stamps_s = np.arange(0, duration_s + 1e-9, 0.005)
-    start = se3.from_plane(*WORLD.route[0], 0.3)
+    x, y = WORLD.route[0]
+    start = se3.from_plane(x, y, 0.3)
     arc = se3.exp(stamps_s[:, None] * [v_m_s, 0, 0, 0, 0, yaw_rate_rad_s])
     return Drive(Trajectory(stamps_s, start @ arc, body="base"), ())
 
@@ -89,7 +91,7 @@ def test_a_robot_stands_before_it_starts():
 def test_the_floor_is_seen_where_it_is():
     settings = replace(SETTINGS, camera="ideal")
     frames = renderer(settings)
-    rays = frames.calibration.color.rays()[-8:]
+    rays = not_none(frames.calibration.color).rays()[-8:]
     for index in (0, 5, 10):
         p_camera = rays * frames.frame(index).depth_m[-8:, :, None]
         p_world = se3.apply(frames.row_poses(frames.stamp_s(index))[0], p_camera.reshape(-1, 3))

@@ -146,7 +146,8 @@ def test_no_geom_is_missed_among_hundreds(rng: np.random.Generator) -> None:
     scene = Scene(room(cluttered(rng)))
     camera = PinholeCamera(48, 36, 40, 40, 23.5, 17.5)
     for _ in range(6):
-        T = looking(*rng.uniform((-6, -6, 0.5), (6, 3, 2)), rng.uniform(-3, 3), rng.uniform(-1.5, 1.5))
+        x, y, z = rng.uniform((-6, -6, 0.5), (6, 3, 2))
+        T = looking(x, y, z, rng.uniform(-3, 3), rng.uniform(-1.5, 1.5))
         view = scene.cast(camera, T)
         rays, origin, geom = camera.rays() @ T[:3, :3].T, np.ascontiguousarray(T[:3, 3]), np.zeros(1, np.int32)
         for row, column in np.ndindex(36, 48):

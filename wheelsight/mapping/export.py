@@ -23,7 +23,7 @@ from wheelsight.mapping.values import FRAME, Surfels
 _MarchingCubes = Callable[..., tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]]
 
 _REACH_VOXELS = 3
-_CHUNK_VOXELS = 128
+CHUNK_VOXELS = 128
 _GREY = 128
 _PLY_TYPES = {"<f4": "float", "u1": "uchar", "<i4": "int"}
 _POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("nx", "<f4"), ("ny", "<f4"), ("nz", "<f4")]
@@ -123,12 +123,12 @@ def mesh_of(
 def _chunks(surfels: Surfels, voxel_m: float) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
     """Number, how many in all, lowest voxel (3,) of each chunk that holds surfels, and which surfels matter there."""
     voxel = np.floor(surfels.position / voxel_m).astype(np.int64)
-    low, high = (voxel - _REACH_VOXELS) // _CHUNK_VOXELS, (voxel + _REACH_VOXELS + 1) // _CHUNK_VOXELS
+    low, high = (voxel - _REACH_VOXELS) // CHUNK_VOXELS, (voxel + _REACH_VOXELS + 1) // CHUNK_VOXELS
     chunks = np.unique(np.concatenate([low, high]), axis=0)
     for number, chunk in enumerate(chunks, start=1):
         inside = np.flatnonzero(((low <= chunk) & (chunk <= high)).all(axis=1))
         if len(inside):
-            yield number, len(chunks), chunk * _CHUNK_VOXELS, inside
+            yield number, len(chunks), chunk * CHUNK_VOXELS, inside
 
 
 def _triangles(
@@ -140,7 +140,7 @@ def _triangles(
     """
     from wheelsight.mapping import _mesh_kernels as kernels
 
-    size = (_CHUNK_VOXELS + 1,) * 3
+    size = (CHUNK_VOXELS + 1,) * 3
     distance, weight, origin = np.zeros(size), np.zeros(size), first * voxel_m
     chosen = (surfels.position[inside], surfels.normal[inside], surfels.confidence[inside])
     kernels.add_distances(*chosen, origin, voxel_m, _REACH_VOXELS, distance, weight)

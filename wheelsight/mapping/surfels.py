@@ -41,6 +41,7 @@ class SurfelMap:
         settings: of the map.
         stamp_s: of the last frame.
         frames: how many were fused.
+        blocks: where surfels are kept; they are the map's to change.
     """
 
     def __init__(self, settings: SurfelSettings | None = None, store: KeyframeStore | None = None) -> None:
@@ -48,23 +49,23 @@ class SurfelMap:
         self._store, self._follower = store, None if store is None else store.follow()
         self._T_map_keyframe = np.zeros((0, 4, 4))
         self.stamp_s, self.frames = -np.inf, 0
-        self._blocks = Blocks(self.settings.block_m, self.settings.max_surfels)
+        self.blocks = Blocks(self.settings.block_m, self.settings.max_surfels)
         self._rows = Rows(self.settings.threads)
         self._scratch: dict[str, np.ndarray] = {}
         self._weight_of: tuple[float, ...] = ()
 
     def __len__(self) -> int:
-        return self._blocks.alive
+        return self.blocks.alive
 
     @property
     def dropped(self) -> int:
         """How many surfels were given up so far for want of room."""
-        return self._blocks.dropped
+        return self.blocks.dropped
 
     @property
     def memory_bytes(self) -> int:
         """Of all arrays."""
-        return self._blocks.memory_bytes + sum(array.nbytes for array in self._scratch.values())
+        return self.blocks.memory_bytes + sum(array.nbytes for array in self._scratch.values())
 
     @property
     def T_map_keyframe(self) -> FloatArray:
@@ -73,16 +74,16 @@ class SurfelMap:
 
     def status(self) -> MapStatus:
         """How the map stands; goes over all surfels."""
-        slots = self._blocks.slots()
-        stable = self._blocks.geometry[slots, CONFIDENCE] >= self.settings.stable_confidence
-        active = self._blocks.seen_s[slots, 1] >= self._active_since_s
+        slots = self.blocks.slots()
+        stable = self.blocks.geometry[slots, CONFIDENCE] >= self.settings.stable_confidence
+        active = self.blocks.seen_s[slots, 1] >= self._active_since_s
         counts = (len(slots), int(np.count_nonzero(stable)), int(np.count_nonzero(active)))
         return MapStatus(*counts, self.dropped, self.memory_bytes)
 
     def surfels(self, which: Literal["all", "stable"] = "all") -> Surfels:
         """Copies of all surfels, or of the stable ones, block by block."""
         self._follow()
-        blocks, slots = self._blocks, self._blocks.slots()
+        blocks, slots = self.blocks, self.blocks.slots()
         if which == "stable":
             slots = slots[blocks.geometry[slots, CONFIDENCE] >= self.settings.stable_confidence]
         geometry, look, seen_s = blocks.geometry[slots], blocks.look[slots], blocks.seen_s[slots]
@@ -108,11 +109,11 @@ class SurfelMap:
         look = np.hstack([surfels.color, surfels.grey[:, None]]).astype(np.float32)
         seen_s = np.stack([surfels.first_s, surfels.last_s], axis=-1)
         new = SurfelArrays(geometry, look, seen_s, surfels.variance_m2, surfels.keyframe)
-        return self._blocks.append(new, self.stamp_s, self._rules)
+        return self.blocks.append(new, self.stamp_s, self._rules)
 
     def restore(self, dropped: int, T_map_keyframe: FloatArray) -> None:
         """Count so many surfels as given up before, and know the keyframes (K, 4, 4): for a map read from a file."""
-        self._blocks.dropped, self._T_map_keyframe = dropped, T_map_keyframe
+        self.blocks.dropped, self._T_map_keyframe = dropped, T_map_keyframe
 
     def move(self, T_new_old: FloatArray) -> None:
         """Move the whole map by a rigid motion (4, 4) from the left, and all keyframes of its store.
@@ -126,13 +127,13 @@ class SurfelMap:
         else:
             self._store.move(list(self._store), T @ self._store.T_map_keyframe)
             self._follower.moves()  # moved below, with those that hang on none
-        self._blocks.move(T[None], self.stamp_s, self._rules)
+        self.blocks.move(T[None], self.stamp_s, self._rules)
 
     def _follow(self) -> None:
         """Move surfels as their keyframes have moved since this was called last."""
         moves = None if self._follower is None else self._follower.moves()
         if moves is not None:
-            self._blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules)
+            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules)
 
     def fuse(
         self,
@@ -166,14 +167,14 @@ class SurfelMap:
         if keyframe is not None and not 0 <= keyframe < len(self.T_map_keyframe):
             raise MapError(f"there is no keyframe {keyframe}", fix="give the map the store that has it")
         self._follow()
-        self.stamp_s, dropped = float(stamp_s), self._blocks.dropped
+        self.stamp_s, dropped = float(stamp_s), self.blocks.dropped
         camera = self._camera(pose, frame.depth_m.shape, noise)
         seen = self._seen(frame, camera, pose.grid, frames)
         matched, removed, merged, is_new = self._average(seen, camera, pose)
         added = self._add_new(seen, is_new, -1 if keyframe is None else keyframe)
         self.frames += 1
-        removed += self._blocks.sweep(self.stamp_s, self._rules)
-        return FusedFrame(matched, added, removed, merged, self._blocks.dropped - dropped)
+        removed += self.blocks.sweep(self.stamp_s, self._rules)
+        return FusedFrame(matched, added, removed, merged, self.blocks.dropped - dropped)
 
     def predict(self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
         """What the active part of the map looks like: stable surfels, and unstable ones where there is no stable one.
@@ -251,7 +252,7 @@ class SurfelMap:
 
     def _average(self, seen: match.Seen, camera: match.Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
         """Match, average and merge; how many were matched, removed and merged, and which pixels (h, w) are new."""
-        blocks, share, rules = self._blocks, self._rows.share, self._rules_for(camera.noise)
+        blocks, share, rules = self.blocks, self._rows.share, self._rules_for(camera.noise)
         height, width = seen.depth_m.shape
         pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._laid_m(camera.noise) + 1, -np.inf)
         found, surfels = self._candidates(seen, camera, pages, rules), blocks.surfels
@@ -270,7 +271,7 @@ class SurfelMap:
 
     def _merge(self, shape: tuple[int, int], rules: match.Rules, found: match.Candidates) -> int:
         """Merge into the chosen surfels the candidates that are their like; how many."""
-        merged, surfels = np.zeros(shape[0], np.int64), self._blocks.surfels
+        merged, surfels = np.zeros(shape[0], np.int64), self.blocks.surfels
         self._rows.share(shape[0], lambda a, b: fusion.merge(a, b, shape[1], found, surfels, rules, merged))
         return int(merged.sum())
 
@@ -278,7 +279,7 @@ class SurfelMap:
         self, seen: match.Seen, camera: match.Camera, pages: Int32Array, rules: match.Rules
     ) -> match.Candidates:
         """The surfels that fit; who is chosen is not known yet."""
-        blocks, entries = self._blocks, (len(pages) * PAGE,)
+        blocks, entries = self.blocks, (len(pages) * PAGE,)
         found = match.Candidates(
             self._room("slots", entries, np.int32),
             self._room("pixel", entries, np.int32),
@@ -295,14 +296,14 @@ class SurfelMap:
         images = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2))
         new = SurfelArrays(*images, np.empty(n, np.float32), np.full(n, keyframe, np.int32))
         fusion.make_new(is_new.reshape(-1), seen, new)
-        return self._blocks.append(new, self.stamp_s, self._rules)
+        return self.blocks.append(new, self.stamp_s, self._rules)
 
     def _show(
         self, pose: Pose, shape: tuple[int, int], limits: tuple[float, float, float], since_s: float, with_color: bool
     ) -> tuple[Float32Array, ...]:
         """Depth, normal, grey, and colour if asked for; limits: how far, least confidence, largest variance."""
         far_m, least, vague_m2 = limits
-        blocks, (height, width), share = self._blocks, shape, self._rows.share
+        blocks, (height, width), share = self.blocks, shape, self._rows.share
         pages = blocks.pages_in_view(pose.T, pose.grid, shape, far_m, since_s)
         entries = len(pages) * PAGE
         disks = view.Disks(

@@ -1,4 +1,4 @@
-"""What a frame's pose is off by beyond the noise of its pixels, which averages out, as no pixel errs by itself there."""
+"""What a frame's pose is off by beyond the noise of its pixels: what all of them share does not average out."""
 
 from __future__ import annotations
 

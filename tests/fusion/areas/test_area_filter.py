@@ -52,11 +52,11 @@ def brute_force(steps, evidences):
         final[way[-1]] += p
     belief = np.array([final[s] for s in states]).reshape(2, 4, 3)
     idle = 0.0
-    for way in product(range(3), repeat=len(steps) + 1):
+    for names in product(range(3), repeat=len(steps) + 1):
         p = 1 / 3
-        for one, other, way_m, weight in zip(way, way[1:], steps, weights, strict=False):
+        for before, after, way_m, weight in zip(names, names[1:], steps, weights, strict=False):
             kept = np.exp(-way_m / 3)
-            p *= (kept * (one == other) + (1 - kept) / 3) * weight[other]
+            p *= (kept * (before == after) + (1 - kept) / 3) * weight[after]
         idle += p
     return belief / belief.sum(), 1 / (1 + idle / belief.sum())
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from fusion.areas.loops import loop
@@ -110,10 +112,11 @@ def test_kernels_are_their_plain_python(rng):
     slow = plain(kernels)
     mean, axes = np.array([3.0, 1.0]), np.array([[0.8, 0.1], [0.0, 0.4]])
     shares = rng.dirichlet(np.ones(3), (30, 40))
-    parts = [k.parts_in_areas(mean, axes, 15, 17, shares, np.zeros(2), 0.1) for k in (kernels, slow)]
-    np.testing.assert_allclose(*parts, atol=1e-12)
+    compiled, plainly = (k.parts_in_areas(mean, axes, 15, 17, shares, np.zeros(2), 0.1) for k in (kernels, slow))
+    np.testing.assert_allclose(compiled, plainly, atol=1e-12)
     states = [(np.arange(6) / 10, np.eye(6)) for _ in range(2)]
-    for k, state in zip((kernels, slow), states, strict=True):
+    ways: tuple[Any, Any] = (kernels, slow)
+    for k, state in zip(ways, states, strict=True):
         k.step(*state, np.array([0.3, 0.01, 0.1]), np.eye(3) / 100, np.full(3, 1e-4))
     for one, other in zip(*states, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)

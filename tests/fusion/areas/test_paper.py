@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 from fusion.areas.loops import answers, drive_round, error_m, looks, loop
+from narrowing import not_none
 
 from wheelsight.errors import AreaError, ConfigError
 from wheelsight.fusion import (
@@ -19,7 +22,7 @@ from wheelsight.fusion import (
 from wheelsight.geometry import se3
 
 WEIGHTS = Weights(AxisWeights(0.5, 0.3, 0.2), AxisWeights(0.4, 0.6))
-TERMS = ["absolute", "increment"]
+TERMS: list[Literal["absolute", "increment"]] = ["absolute", "increment"]
 FORWARD = se3.from_plane(1.0, 0.0, 0.0)
 
 
@@ -38,10 +41,10 @@ def test_one_frame_is_eq_5_of_absolute_odometry():
     rectifier = PaperRectifier(loop(), se3.from_plane(3.0, 1.0, 0.0), WEIGHTS, "absolute")
     rectifier.update(0.0, None)
     rectifier.predict(FORWARD)
-    first = rectifier.update(1.0, 1).T_odom_body  # southeast: x is 13, y is 1
+    first = not_none(rectifier.update(1.0, 1).T_odom_body)  # southeast: x is 13, y is 1
     assert first[0, 3] == pytest.approx(0.5 * 3 + 0.3 * 4 + 0.2 * 13)
     rectifier.predict(FORWARD)
-    second = rectifier.update(2.0, None).T_odom_body
+    second = not_none(rectifier.update(2.0, None).T_odom_body)
     assert second[0, 3] == pytest.approx(0.4 * first[0, 3] + 0.6 * 5)
 
 
@@ -49,10 +52,10 @@ def test_one_frame_is_eq_5_of_the_last_place_and_the_way_since():
     rectifier = PaperRectifier(loop(), se3.from_plane(3.0, 1.0, 0.0), WEIGHTS, "increment")
     rectifier.update(0.0, None)
     rectifier.predict(FORWARD)
-    first = rectifier.update(1.0, 1).T_odom_body
+    first = not_none(rectifier.update(1.0, 1).T_odom_body)
     assert first[0, 3] == pytest.approx(0.5 * 3 + 0.3 * (3 + 1) + 0.2 * 13)
     rectifier.predict(FORWARD)
-    second = rectifier.update(2.0, None).T_odom_body
+    second = not_none(rectifier.update(2.0, None).T_odom_body)
     assert second[0, 3] == pytest.approx(0.4 * first[0, 3] + 0.6 * (first[0, 3] + 1))
 
 
@@ -66,9 +69,9 @@ def test_an_axis_of_which_the_area_tells_nothing_is_left_to_odometry(term):
             rectifier.predict(FORWARD)
             estimate = rectifier.update(float(stamp_s), 0)  # south tells y only
         found.append(estimate.T_odom_body)
-    assert found[0][0, 3] == pytest.approx(found[1][0, 3])
-    assert found[0][1, 3] != pytest.approx(found[1][1, 3])
-    np.testing.assert_array_equal(found[0][:3, :3], found[1][:3, :3])
+    assert not_none(found[0])[0, 3] == pytest.approx(not_none(found[1])[0, 3])
+    assert not_none(found[0])[1, 3] != pytest.approx(not_none(found[1])[1, 3])
+    np.testing.assert_array_equal(not_none(found[0])[:3, :3], not_none(found[1])[:3, :3])
 
 
 def test_standing_in_an_area_the_distance_to_its_middle_shrinks_by_a_power():
@@ -76,16 +79,16 @@ def test_standing_in_an_area_the_distance_to_its_middle_shrinks_by_a_power():
     rectifier.update(0.0, None)
     for stamp_s in range(1, 6):
         estimate = rectifier.update(float(stamp_s), 1)
-    np.testing.assert_allclose(estimate.T_odom_body[:2, 3] - (13, 1), np.array([-13, -1]) * 0.8**5)
+    np.testing.assert_allclose(not_none(estimate.T_odom_body)[:2, 3] - (13, 1), np.array([-13, -1]) * 0.8**5)
 
 
 def test_between_frames_the_wheels_go_on_from_the_rectified_place():
     rectifier = PaperRectifier(loop(), se3.from_plane(3.0, 1.0, 0.0), WEIGHTS, "absolute")
     rectifier.update(0.0, None)
     rectifier.predict(FORWARD)
-    at_frame = rectifier.update(1.0, 1).T_odom_body
+    at_frame = not_none(rectifier.update(1.0, 1).T_odom_body)
     rectifier.predict(FORWARD)
-    np.testing.assert_allclose(rectifier.estimate(1.1).T_odom_body, at_frame @ FORWARD)
+    np.testing.assert_allclose(not_none(rectifier.estimate(1.1).T_odom_body), at_frame @ FORWARD)
 
 
 def test_wheels_alone_are_kept_by_weights_of_odometry_alone(rng):
@@ -106,7 +109,7 @@ def test_a_whole_drive_is_what_its_frames_are(rng, term):
     for t, index in enumerate(named):
         if t:
             rectifier.predict(drive.steps[t - 1])
-        found.append(rectifier.update(float(t), None if index < 0 else int(index)).T_odom_body[:2, 3])
+        found.append(not_none(rectifier.update(float(t), None if index < 0 else int(index)).T_odom_body)[:2, 3])
     whole = rectify_drive(drive.wheels[:, :2], coordinates_of(loop())[named], WEIGHTS, term)
     np.testing.assert_allclose(found, whole, atol=1e-9)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fusion.areas.loops import PERIOD_S, answers, drive_round, error_m, looks, loop, rectify
+from narrowing import not_none
 
 from wheelsight.areas import AreaMap
 from wheelsight.errors import ConfigError
@@ -12,7 +13,7 @@ from wheelsight.estimates import Reason
 from wheelsight.fusion import AreaRectifierSettings, ErrorStateFilter, PlaceMeter
 from wheelsight.fusion.areas._floor import FloorShares
 from wheelsight.fusion.areas.place_meter import equivalent
-from wheelsight.geometry import se3
+from wheelsight.geometry import FloatArray, se3
 
 SOUTH, WEST = 0, 6
 
@@ -24,9 +25,9 @@ def updated(mean, covariance, told):
     return mean + gain @ (value - mean), covariance - gain @ covariance
 
 
-def in_map(xy, sigma_m, yaw=0.0):
+def in_map(xy, sigma_m, yaw=0.0) -> tuple[FloatArray, FloatArray]:
     """T_odom_base there, and the covariance of its left perturbation with `sigma_m` in x and y and a sure heading."""
-    T = se3.from_plane(*xy, yaw)
+    T = se3.from_plane(xy[0], xy[1], yaw)
     Ad = se3.adjoint(T)
     return T, Ad @ np.diag([sigma_m**2, sigma_m**2, 0, 0, 0, 0]) @ Ad.T
 
@@ -39,7 +40,7 @@ def test_of_a_gaussian_likelihood_the_measurement_is_found_again(rng):
     for _ in range(20):
         root = rng.standard_normal((2, 2))
         value, spread = rng.standard_normal(2), root @ root.T + 0.05 * np.eye(2)
-        found = equivalent(*updated(np.zeros(2), np.eye(2), (value, spread)))
+        found = not_none(equivalent(*updated(np.zeros(2), np.eye(2), (value, spread))))
         np.testing.assert_allclose(found[0], value, atol=1e-9)
         np.testing.assert_allclose(found[1], spread, atol=1e-9)
 
@@ -121,9 +122,9 @@ def test_the_same_frame_seen_twice_from_one_spot_says_nothing_new():
     assert first is not None
     xy, covariance = updated(here[0][:2, 3], 0.64 * np.eye(2), first)
     for _ in range(20):
-        T, C = se3.from_plane(*xy, 0.0), np.zeros((6, 6))
+        T, C = se3.from_plane(xy[0], xy[1], 0.0), np.zeros((6, 6))
         C[:2, :2] = covariance
-        J = se3.adjoint(se3.from_plane(*xy, 0.0))
+        J = se3.adjoint(se3.from_plane(xy[0], xy[1], 0.0))
         told = meter.measure(T, J @ C @ J.T, saying(SOUTH))
         if told is not None:
             xy, covariance = updated(xy, covariance, told)
@@ -141,11 +142,11 @@ def followed(drive, told):
     for t in range(len(drive.truth)):
         if t:
             answer = fusion.predict(t * PERIOD_S, drive.steps[t - 1], drive.covariance, (t - 1) * PERIOD_S)
-        place = meter.measure(answer.T_odom_body, answer.covariance, told[t])
+        place = meter.measure(not_none(answer.T_odom_body), not_none(answer.covariance), told[t])
         if place is not None:
             answer = fusion.update_position(t * PERIOD_S, *place)
             refused += answer.reason is Reason.OUTLIER
-        T = answer.T_odom_body
+        T = not_none(answer.T_odom_body)
         poses.append((T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])))
     return np.array(poses), refused
 

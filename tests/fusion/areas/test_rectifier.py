@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fusion.areas.loops import PERIOD_S, PLANE, answers, drive_round, error_m, looks, loop, rectify
+from narrowing import not_none
 from pydantic import ValidationError
 
 from wheelsight.areas import AreaMap
@@ -130,7 +131,7 @@ def test_shares_of_training_are_taken_off_the_answers():
         seen = answers(np.array([stamp_s // 20]), 8)[0]
         one = skewed.update(float(stamp_s), shares * seen / (shares @ seen))
         other = even.update(float(stamp_s), seen)
-    np.testing.assert_allclose(one.T_odom_body, other.T_odom_body, atol=1e-9)
+    np.testing.assert_allclose(not_none(one.T_odom_body), not_none(other.T_odom_body), atol=1e-9)
 
 
 def test_estimates_of_wheel_odometry_are_taken_as_they_come():
@@ -141,13 +142,13 @@ def test_estimates_of_wheel_odometry_are_taken_as_they_come():
         wheels = odometry.process(WheelTicks(0.1 * t, 60 * t, 70 * t))
         by_estimate.predict_to(wheels)
         if before is not None:
-            Ad = se3.adjoint(se3.invert(before.T_odom_body))
-            Q = Ad @ (wheels.covariance - before.covariance) @ Ad.T
-            by_step.predict(se3.invert(before.T_odom_body) @ wheels.T_odom_body, Q)
+            Ad = se3.adjoint(se3.invert(not_none(before.T_odom_body)))
+            Q = Ad @ (not_none(wheels.covariance) - not_none(before.covariance)) @ Ad.T
+            by_step.predict(se3.invert(not_none(before.T_odom_body)) @ not_none(wheels.T_odom_body), Q)
         before = wheels
     one, other = (rectifier.update(4.0, None) for rectifier in (by_estimate, by_step))
-    np.testing.assert_allclose(one.T_odom_body, START @ wheels.T_odom_body, atol=1e-9)
-    np.testing.assert_allclose(one.covariance, other.covariance, atol=1e-12)
+    np.testing.assert_allclose(not_none(one.T_odom_body), START @ not_none(wheels.T_odom_body), atol=1e-9)
+    np.testing.assert_allclose(not_none(one.covariance), not_none(other.covariance), atol=1e-12)
     assert (one.status, one.body, one.stamp_s) == (Status.TRACKING, "base", 4.0)
 
 
@@ -170,9 +171,11 @@ def test_covariance_of_the_wheels_is_that_of_drives_with_such_wheels(rng):
         true_step = se2.from_parts((1 + scale) * 0.1 * c, (1 + scale) * 0.1 * s, 0.02 + extra)
         T = T @ se2.exp(rng.normal(size=(n, 3)) * np.sqrt([1e-5, 1e-6, 1e-5])) @ true_step
     delta = se2.log(T @ se2.invert(se2.from_parts(*_plane(estimate.T_odom_body))))
-    sigmas = np.sqrt(np.diag(estimate.covariance[PLANE]))
+    sigmas = np.sqrt(np.diag(not_none(estimate.covariance)[PLANE]))
     np.testing.assert_allclose(
-        np.cov(delta.T) / np.outer(sigmas, sigmas), estimate.covariance[PLANE] / np.outer(sigmas, sigmas), atol=0.06
+        np.cov(delta.T) / np.outer(sigmas, sigmas),
+        not_none(estimate.covariance)[PLANE] / np.outer(sigmas, sigmas),
+        atol=0.06,
     )
 
 
@@ -188,7 +191,7 @@ def test_answers_that_are_none_are_refused(probabilities):
     rectifier = AreaRectifier(loop(), START)
     with pytest.raises(ConfigError, match="probabilities"):
         rectifier.update(0.0, probabilities)
-    np.testing.assert_allclose(rectifier.update(0.0, None).T_odom_body, START)
+    np.testing.assert_allclose(not_none(rectifier.update(0.0, None).T_odom_body), START)
 
 
 def test_what_cannot_be_rectified_is_refused():
@@ -213,7 +216,7 @@ def test_stamps_and_probabilities_are_answered(rng):
     rectifier = AreaRectifier(loop(), se3.from_plane(*drive.truth[0]))
     estimate = rectifier.update(7 * PERIOD_S, answers(np.array([0]), 8)[0])
     assert estimate.stamp_s == 7 * PERIOD_S
-    assert estimate.area_probabilities.shape == (8,)
-    assert estimate.area_probabilities.argmax() == 0
+    assert not_none(estimate.area_probabilities).shape == (8,)
+    assert not_none(estimate.area_probabilities).argmax() == 0
     assert 0 < estimate.trust < 1
     assert 0 < estimate.support <= 1

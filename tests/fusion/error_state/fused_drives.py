@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
@@ -110,7 +111,7 @@ def looked(rng: np.random.Generator, Z: FloatArray, covariance: FloatArray = CAM
     return MotionEstimate(T, covariance, matches=200, inliers=160)
 
 
-def shifted(motion: MotionEstimate, twist: FloatArray, seconds: float) -> MotionEstimate:
+def shifted(motion: MotionEstimate, twist: ArrayLike, seconds: float) -> MotionEstimate:
     """A measurement that is wrong by a velocity (vx, vy, ωz) of the base."""
     assert motion.T_reference_current is not None
     xi = np.zeros(6)

@@ -52,7 +52,7 @@ def learned(steps: list[Step], settings: ErrorStateSettings = SETTINGS) -> tuple
     """The lag as a filter has it after a drive, and its standard deviation; seconds."""
     fusion = ErrorStateFilter(T_BASE_CAMERA, settings=settings)
     run(steps, fusion=fusion)
-    belief = fusion._history.newest.detection.primary
+    belief = fusion.state.detection.primary
     place = len(belief.covariance) - REST_SIZE + LAG
     return float(belief.rest[LAG]), float(np.sqrt(belief.covariance[place, place]))
 

@@ -104,7 +104,7 @@ def test_a_look_against_another_pose_makes_no_chain(rng: np.random.Generator) ->
     fusion.predict(0.2, se3.from_plane(0.1, 0, 0), 1e-4 * np.eye(6), 0.1)
     fusion.update_relative(0.2, looked(rng, se3.from_plane(0.1, 0, 0)), "other")
     fusion.clone(0.2, "anchor", SURE)
-    belief = fusion._history.newest.detection.primary
+    belief = fusion.state.detection.primary
     at = belief.reference("anchor")
     np.testing.assert_allclose(belief.T[at], belief.T[0], atol=1e-3)
     between = belief.covariance[:6, :6] - belief.covariance[6 * at : 6 * at + 6, 6 * at : 6 * at + 6]

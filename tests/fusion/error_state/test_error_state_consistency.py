@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, blind, error_of, run, simulate
+from narrowing import not_none
 from scipy.stats import chi2
 
 from wheelsight.calibration import Gyro
@@ -55,7 +56,7 @@ def test_nees_and_nis_are_chi_squared(kind):
         steps = simulate(drive, rng, PLAIN)
         answers = run(steps, PLAIN)
         off = error_of(answers[-1], steps[-1].T_truth)
-        nees.append(off @ np.linalg.solve(answers[-1].covariance, off))
+        nees.append(off @ np.linalg.solve(not_none(answers[-1].covariance), off))
         nis += [a.nis[0] for a in answers if a.nis is not None]
     degrees = 5 if kind == "corridor" else 6
     assert within(np.mean(nees), 6, RUNS)
@@ -78,7 +79,7 @@ def test_nis_of_gyroscope_and_places_are_chi_squared():
             of_gyro += [answer.nis[0]] if answer.nis else []
             if i % 10 == 9:
                 place = step.T_truth[:2, 3] + rng.normal(size=2) * 0.05
-                of_places.append(fusion.update_position(step.end_s, place, 0.05**2 * np.eye(2)).nis[0])
+                of_places.append(not_none(fusion.update_position(step.end_s, place, 0.05**2 * np.eye(2)).nis)[0])
     assert within(np.mean(of_gyro), 1, len(of_gyro))
     assert within(np.mean(of_places), 2, len(of_places))
 

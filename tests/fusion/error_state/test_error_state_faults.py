@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from fusion.error_state.fused_drives import (
     simulate,
     within_three_sigma,
 )
+from narrowing import not_none
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.fusion import ErrorStateFilter
@@ -172,12 +174,12 @@ def test_doubt_covers_both_sides():
         fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
         fusion.update_relative(step.end_s, shifted(step.measurement, (0.5, 0, 0), FRAME_S), "frame")
         answer = fusion.clone(step.end_s, "frame")
-    detection = fusion._history.newest.detection
+    detection = fusion.state.detection
     assert answer.doubtful
     assert detection.fault is Fault.UNDECIDED
     assert within_three_sigma(answer, detection.primary.T[0])
-    assert within_three_sigma(answer, detection.alternative.T[0])
-    shift = detection.alternative.T[0][:2, 3] - detection.primary.T[0][:2, 3]
+    assert within_three_sigma(answer, not_none(detection.alternative).T[0])
+    shift = not_none(detection.alternative).T[0][:2, 3] - detection.primary.T[0][:2, 3]
     assert np.linalg.norm(shift) > 0.1
 
 
@@ -199,10 +201,11 @@ def test_frames_that_are_wrong_now_and_then_do_not_make_all_before_them_uncertai
         return shifted(motion, np.array([0.0, 0.0, 0.6]), FRAME_S) if is_wrong else motion
 
     sigmas = []
-    for fault in ({}, {"camera_fault": wrong}):
+    faults: list[dict[str, Any]] = [{}, {"camera_fault": wrong}]
+    for fault in faults:
         drive = Drive(seconds=42.0, step_s=FRAME_S, **fault)
         answers = run(simulate(drive, np.random.default_rng(3), FLAT))
         assert any(answer.doubtful for answer in answers) == bool(fault)
-        sigmas.append(np.sqrt(answers[-1].covariance[5, 5]))
+        sigmas.append(np.sqrt(not_none(answers[-1].covariance)[5, 5]))
     right, told_wrong = sigmas
     assert told_wrong < 1.4 * right

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from narrowing import not_none
 
 from wheelsight.calibration import Gyro
 from wheelsight.estimates import MotionEstimate, Reason
@@ -76,8 +79,8 @@ def test_wheels_that_spin_are_found_out_and_do_not_turn_the_base(gyro_hz: int) -
     """By a radian in a second."""
     known = Gyro(bias_sigma_rad_s=1e-3)
     for seed in range(3):
-        spin = {"speed_m_s": 0.5, "spin": (3.0, 4.0, 1.0), "sees": False, "gyro": known}
-        _, answers = ridden(gyro_hz, seed, seconds=6.0, **spin)  # type: ignore[arg-type]
+        spin: dict[str, Any] = {"speed_m_s": 0.5, "spin": (3.0, 4.0, 1.0), "sees": False, "gyro": known}
+        _, answers = ridden(gyro_hz, seed, seconds=6.0, **spin)
         told = [answer.stamp_s for answer in answers if answer.slip]
         assert 3.0 < told[0] < 3.1
         assert sum(3.0 < stamp_s < 4.3 for stamp_s in told) > 50
@@ -90,7 +93,7 @@ def test_the_wheels_are_as_well_known_at_any_rate_of_its_readings(gyro_hz: int) 
     sigmas = []
     for hz in (50, gyro_hz):
         fusion, answers = ridden(hz, 1, speed_m_s=0.5, sees=False)
-        belief = fusion._history.newest.detection.primary
+        belief = fusion.state.detection.primary
         assert answers[-1].covariance is not None
         sigmas.append([np.sqrt(answers[-1].covariance[5, 5]), *np.sqrt(np.diag(belief.covariance)[[-1, -13]])])
     np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.15)
@@ -109,7 +112,7 @@ def test_a_bias_that_was_stated_does_not_turn_the_base(bias_rad_s: float) -> Non
 def test_a_bias_that_is_kept_stays() -> None:
     kept = Gyro(bias_rad_s=0.1, bias_sigma_rad_s=0.0, bias_walk_rad_s_per_sqrt_s=0.0)
     fusion, answers = ridden(100, 1, speed_m_s=0.5, bias_rad_s=0.1, gyro=kept, sees=False)
-    assert fusion._history.newest.detection.primary.gyro_bias_rad_s == 0.0
+    assert fusion.state.detection.primary.gyro_bias_rad_s == 0.0
     assert abs(yaw_of(answers[-1])) < np.radians(0.5)
 
 
@@ -118,7 +121,7 @@ def test_a_bias_found_elsewhere_counts_once() -> None:
     fusion = ErrorStateFilter(gyro=Gyro(bias_rad_s=0.1, bias_sigma_rad_s=0.02))
     fusion.predict(0.1, np.eye(4), 1e-6 * np.eye(6), 0.0)
     assert fusion.update_gyro_bias(0.1, 0.13, 0.01).reason is None
-    belief = fusion._history.newest.detection.primary
+    belief = fusion.state.detection.primary
     assert belief.gyro_bias_rad_s == pytest.approx(0.03, rel=1e-3)
     assert np.sqrt(belief.covariance[-1, -1]) == pytest.approx(0.01, rel=1e-3)
 
@@ -145,5 +148,5 @@ def test_readings_that_come_before_the_wheels_tell_of_their_time_end_alike() -> 
                 fusion.predict(end_s, se3.exp([0.01, 0, 0, 0, 0, 0.004]), Q, begin_s)
     T, expected = late.estimate.T_odom_body, in_order.estimate.T_odom_body
     assert T is not None
-    np.testing.assert_allclose(T, expected, atol=1e-12)
-    np.testing.assert_allclose(late.estimate.covariance, in_order.estimate.covariance, atol=1e-12)
+    np.testing.assert_allclose(T, not_none(expected), atol=1e-12)
+    np.testing.assert_allclose(not_none(late.estimate.covariance), not_none(in_order.estimate.covariance), atol=1e-12)

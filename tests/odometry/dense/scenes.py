@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -34,16 +35,16 @@ def render(
     """Colour (H, W, 3) uint8 and depth (H, W) of the nearest planes before a camera at (4, 4), exactly."""
     rays = camera.rays().reshape(-1, 3)
     rays_world, origin = rays @ T_map_camera[:3, :3].T, T_map_camera[:3, 3]
-    depth_m, grey = np.full(len(rays), np.inf), np.full(len(rays), 128.0)
+    z_m, grey = np.full(len(rays), np.inf), np.full(len(rays), 128.0)
     for plane in planes:
         normal = np.array(plane.normal)
         with np.errstate(divide="ignore"):
             z = (plane.distance_m - origin @ normal) / (rays_world @ normal)
-        is_nearer = (z > 0.1) & (z < depth_m)
-        depth_m = np.where(is_nearer, z, depth_m)
+        is_nearer = (z > 0.1) & (z < z_m)
+        z_m = np.where(is_nearer, z, z_m)
         points = origin + rays_world * np.where(is_nearer, z, 1.0)[:, None]
         grey = np.where(is_nearer, _waves(points) if plane.is_painted else 128.0, grey)
-    depth_m = np.where(depth_m < 9.0, depth_m, 0.0).reshape(camera.height, camera.width).astype(np.float32)
+    depth_m = np.where(z_m < 9.0, z_m, 0.0).reshape(camera.height, camera.width).astype(np.float32)
     color = np.repeat(np.rint(grey).astype(np.uint8).reshape(*depth_m.shape, 1), 3, axis=2)
     return color, depth_m
 
@@ -86,7 +87,7 @@ class Bench:
 EXACT = Calibration.registered_camera(SMALL, frame_sigma_m=0.0, frame_sigma_rad=0.0)
 
 
-def bench(calibration: Calibration | None = None, **settings: object) -> Bench:
+def bench(calibration: Calibration | None = None, **settings: Any) -> Bench:
     """For the small camera unless another calibration is given."""
     calibration = calibration or EXACT
     chosen = DenseSettings(**{"threads": 1, **settings})
@@ -96,7 +97,7 @@ def bench(calibration: Calibration | None = None, **settings: object) -> Bench:
     return Bench(gridder, maker, Aligner(calibration, chosen, rows, gridder, maker))
 
 
-def dense(calibration: Calibration | None = None, **settings: object) -> DenseOdometry:
+def dense(calibration: Calibration | None = None, **settings: Any) -> DenseOdometry:
     """Dense odometry of the small camera unless another calibration is given."""
     chosen = DenseSettings(**{"threads": 1, **settings})
     return DenseOdometry(calibration or EXACT, chosen)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from narrowing import not_none
 from odometry.dense.scenes import SMALL, Bench, Plane, apart, bench, dense, frame_of, render, rolled
 from odometry.views import room_frame, run
 from synthetic import CAMERA, render_room, wobbling_trajectory
@@ -29,7 +31,7 @@ MOTIONS = {
 }
 
 
-def room_pair(motion: list[float], **how: object) -> tuple[np.ndarray, RgbdFrame, RgbdFrame]:
+def room_pair(motion: list[float], **how: Any) -> tuple[np.ndarray, RgbdFrame, RgbdFrame]:
     """T_first_second and both frames."""
     T = se3.exp(motion)
     return T, room_frame(T_WORLD_FIRST, 0.0, **how), room_frame(T_WORLD_FIRST @ T, 0.03, **how)
@@ -152,7 +154,7 @@ def test_on_wheels_a_guess_is_not_followed_where_wheels_do_not_roll() -> None:
 
 def test_a_base_that_turns_carries_a_camera_beside_it_along() -> None:
     """What wheels roll is held as the guess has it: here a turn, which takes the camera sideways and ahead."""
-    T_base_camera = ON_WHEELS.T_base_camera.copy()
+    T_base_camera = not_none(ON_WHEELS.T_base_camera).copy()
     T_base_camera[:2, 3] = 0.4, 0.3
     T_guess = se3.invert(T_base_camera) @ se3.exp([0.03, 0, 0, 0, 0, 0.08]) @ T_base_camera
     wall, parts = [Plane((0, 0, 1), 1.0)], bench(replace(ON_WHEELS, T_base_camera=T_base_camera), min_gradient=0.5)
@@ -236,10 +238,10 @@ def test_exposure_is_taken_out() -> None:
 def test_lens_is_taken_out(rng: np.random.Generator) -> None:
     lens = replace(CAMERA, distortion=(0.1, -0.2, 0.002, -0.001, 0.05))
     T = se3.exp(MOTIONS["all"])
-    frames = [RgbdFrame(0.03 * k, *render_room(T_WORLD_FIRST @ (T if k else np.eye(4)), lens)) for k in range(2)]
-    straight = bench(Calibration.registered_camera(lens)).align(*frames)
+    first, second = (RgbdFrame(0.03 * k, *render_room(T_WORLD_FIRST @ (T if k else np.eye(4)), lens)) for k in range(2))
+    straight = bench(Calibration.registered_camera(lens)).align(first, second)
     assert apart(T, straight.T_reference_frame)[0] < 2e-3
-    crooked = bench(Calibration.registered_camera(CAMERA)).align(*frames)
+    crooked = bench(Calibration.registered_camera(CAMERA)).align(first, second)
     assert apart(T, crooked.T_reference_frame)[0] > 2 * apart(T, straight.T_reference_frame)[0]
 
 
@@ -313,6 +315,7 @@ def test_a_way_through_the_room(reference: str) -> None:
     frames = [room_frame(T, stamp_s, depth_noise=True) for stamp_s, T in TRUTH]
     answers = run(dense(reference=reference), frames)
     worst = max(
-        apart(se3.invert(T_WORLD_FIRST) @ T, a.T_odom_body)[0] for (_, T), a in zip(TRUTH, answers, strict=True)
+        apart(se3.invert(T_WORLD_FIRST) @ T, not_none(a.T_odom_body))[0]
+        for (_, T), a in zip(TRUTH, answers, strict=True)
     )
     assert worst < 5e-3

@@ -35,7 +35,7 @@ def test_on_the_way_to_a_wall_keyframes_are_made_though_all_stays_in_sight() -> 
     for k in range(60):
         T = ahead(0.05 * k)
         answer = subject.process(frame_of(WALL, T, k / 15, noise_seed=k))
-        made += [k] if len(subject._views.keyframes) > len(made) else []
+        made += [k] if len(subject.store) > len(made) else []
         assert answer.status is Status.TRACKING
         assert answer.T_odom_body is not None
         assert apart(T, answer.T_odom_body)[0] < 0.02

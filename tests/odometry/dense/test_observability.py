@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from narrowing import not_none
 from odometry.dense.scenes import Plane, apart, bench, dense, frame_of
 
 from wheelsight.estimates import Reason, Status
@@ -23,7 +25,7 @@ MOTION = se3.exp([0.02, -0.015, 0.03, 0.005, -0.008, 0.01])
 WRONG = se3.exp([0.01, 0.008, 0.0, 0.0, 0.0, 0.012])
 
 
-def tracked(planes: list[Plane], T_prior: np.ndarray | None, **settings: object) -> DenseEstimate:
+def tracked(planes: list[Plane], T_prior: np.ndarray | None, **settings: Any) -> DenseEstimate:
     """The estimate at the second of two noisy frames, MOTION apart."""
     odometry = dense(**settings)
     odometry.process(frame_of(planes, np.eye(4), 0.0, noise_seed=1))
@@ -37,43 +39,43 @@ def span(directions: np.ndarray, axes: list[int]) -> float:
 
 def test_one_plain_wall_shows_three_directions() -> None:
     estimate = tracked(WALL, MOTION @ WRONG)
-    degenerate = estimate.motion.degenerate
+    degenerate = not_none(estimate.motion.degenerate)
     assert estimate.status is Status.TRACKING
     assert len(degenerate) == 3
     assert span(degenerate, [0, 1, 5]) > 0.95  # sideways, up and down, and roll about the wall's normal
-    error = se3.log(estimate.T_odom_body @ se3.invert(MOTION @ WRONG))
+    error = se3.log(not_none(estimate.T_odom_body) @ se3.invert(MOTION @ WRONG))
     assert np.abs(error[[0, 1, 5]]).max() < 2e-3  # the prior stands
-    exact = se3.log(estimate.T_odom_body @ se3.invert(MOTION))
+    exact = se3.log(not_none(estimate.T_odom_body) @ se3.invert(MOTION))
     assert np.abs(exact[[2, 3, 4]]).max() < 2e-3  # what is seen is found
 
 
 def test_unseen_directions_have_the_priors_variance() -> None:
     settings = DenseSettings()
     estimate = tracked(WALL, MOTION)
-    sigma = np.sqrt(np.diag(estimate.motion.covariance))
+    sigma = np.sqrt(np.diag(not_none(estimate.motion.covariance)))
     assert sigma[[0, 1]] == pytest.approx(settings.prior_sigma_m_s / 30, rel=0.1)
     assert sigma[2] < 0.1 * sigma[0]
 
 
 def test_paint_shows_what_the_wall_does_not() -> None:
     estimate = tracked(PAINTED_WALL, MOTION @ WRONG)
-    assert len(estimate.motion.degenerate) == 0
-    assert apart(MOTION, estimate.T_odom_body)[0] < 2e-3
+    assert len(not_none(estimate.motion.degenerate)) == 0
+    assert apart(MOTION, not_none(estimate.T_odom_body))[0] < 2e-3
 
 
 def test_paint_shows_nothing_to_depth_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(KeypointTracker, "track", lambda *_: None)
     monkeypatch.setattr(KeypointTracker, "recognise", lambda *_: None)
     estimate = tracked(PAINTED_WALL, MOTION, color_weight=0.0)
-    assert len(estimate.motion.degenerate) == 3
+    assert len(not_none(estimate.motion.degenerate)) == 3
 
 
 def test_a_plain_corridor_hides_the_way_along_it() -> None:
     estimate = tracked(CORRIDOR, MOTION)
-    degenerate = estimate.motion.degenerate
+    degenerate = not_none(estimate.motion.degenerate)
     assert len(degenerate) == 1
     assert abs(degenerate[0, 2]) > 0.95
-    assert apart(MOTION, estimate.T_odom_body)[0] < 5e-3
+    assert apart(MOTION, not_none(estimate.T_odom_body))[0] < 5e-3
 
 
 def test_judge_keeps_an_alignment_that_shows_all() -> None:
@@ -126,8 +128,8 @@ def test_what_only_the_reference_shows_tells_nothing() -> None:
     odometry = dense(reference="previous")
     odometry.process(frame_of(painted, np.eye(4), 0.0, noise_seed=0))
     estimate = odometry.process(frame_of(painted, np.eye(4), 1 / 30, noise_seed=1), np.eye(4))
-    assert len(estimate.motion.degenerate) == 0
+    assert len(not_none(estimate.motion.degenerate)) == 0
     estimate = odometry.process(frame_of(CORRIDOR, np.eye(4), 2 / 30, noise_seed=2), np.eye(4))
-    degenerate = estimate.motion.degenerate
+    degenerate = not_none(estimate.motion.degenerate)
     assert len(degenerate) == 1
     assert abs(degenerate[0, 2]) > 0.95

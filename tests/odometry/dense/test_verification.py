@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from odometry.dense.scenes import SMALL, Plane, apart, dense, frame_of
+from narrowing import not_none
+from odometry.dense.scenes import SMALL, Plane, apart, bench, dense, frame_of
 from odometry.views import covered_frame, from_start, room_frame, run
 from synthetic import CAMERA, wobbling_trajectory
 
@@ -14,9 +15,12 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeId
 from wheelsight.odometry.dense import DenseSettings
+from wheelsight.odometry.dense.fault_detection import FaultDetector
 from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.keypoints import KeypointTracker
+from wheelsight.odometry.dense.views import KnownView
 from wheelsight.simulation import Robot
 
 TRUTH = wobbling_trajectory(24)
@@ -46,9 +50,9 @@ def tell(monkeypatch: pytest.MonkeyPatch, told: KeypointPose | None) -> None:
 
 
 def test_keypoints_tell_where_a_frame_is_and_nothing_of_another_place(frames: list[RgbdFrame]) -> None:
-    subject = dense()
-    run(subject, frames[:1])
-    keypoints, keyframes = keypoint_tracker(), subject._views.keyframes
+    keypoints = keypoint_tracker()
+    features = keypoints.straightened(keypoints.look(frames[0]).result(), np.zeros(6))
+    keyframes = [KnownView(KeyframeId(0), bench().reference(frames[0]), 1e-12 * np.eye(6), features)]
     told = keypoints.recognise(keypoints.look(frames[6]).result(), keyframes, np.zeros(6))
     assert told is not None
     assert apart(IN_WORLD[6], told.T_map_camera)[0] < 0.02
@@ -98,14 +102,18 @@ def test_what_was_unseen_for_too_long_is_forgotten_where_keypoints_tell_the_plac
     """A view that tells no motion for long ends tracking, but not for good: what comes after is a known place again."""
     subject = dense(max_unseen_s=0.1)
     run(subject, frames[:4])
-    monkeypatch.setattr(subject._verifier.faults, "unseen_s", 0.2)
+
+    def unseen(faults: FaultDetector, seconds: float, *, shows_all: bool) -> None:
+        faults.unseen_s = 0.2
+
     with monkeypatch.context() as blind:
         tell(blind, None)
+        blind.setattr(FaultDetector, "count", unseen)
         assert subject.process(frames[4]).reason is Reason.DEGENERATE
     again = run(subject, frames[5:8])
     assert [a.status for a in again] == [Status.TRACKING] * 3
     assert again[-1].shows_all
-    assert max(apart(IN_WORLD[5 + k], a.T_odom_body)[0] for k, a in enumerate(again)) < 5e-3
+    assert max(apart(IN_WORLD[5 + k], not_none(a.T_odom_body))[0] for k, a in enumerate(again)) < 5e-3
 
 
 def test_after_a_gap_like_surfaces_are_no_place() -> None:
@@ -120,7 +128,7 @@ def test_after_a_gap_a_place_is_recognised_by_its_keypoints(frames: list[RgbdFra
     later = [room_frame(TRUTH.T_frame_body[k], frames[k].stamp_s + 2.0, depth_noise=True) for k in range(8, 12)]
     answers = run(dense(), [*frames[:10], *later])
     assert [a.status for a in answers[-4:]] == [Status.TRACKING] * 4
-    assert max(apart(IN_WORLD[k], answers[k + 2].T_odom_body)[0] for k in range(8, 12)) < 5e-3
+    assert max(apart(IN_WORLD[k], not_none(answers[k + 2].T_odom_body))[0] for k in range(8, 12)) < 5e-3
 
 
 @pytest.mark.parametrize("is_helped", [True, False])
@@ -132,7 +140,7 @@ def test_few_keypoints_that_agree_do_not_outweigh_surfaces(
     tell(monkeypatch, told_at(se3.from_parts(np.eye(3), [0.2, 0, 0]) @ IN_WORLD[7], 36))
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ IN_WORLD[7] if is_helped else None)
     assert answer.status is Status.TRACKING
-    assert apart(IN_WORLD[7], answer.T_odom_body)[0] < 5e-3
+    assert apart(IN_WORLD[7], not_none(answer.T_odom_body))[0] < 5e-3
 
 
 @pytest.mark.parametrize("off_m", [0.2, 1.0])
@@ -146,8 +154,8 @@ def test_keypoints_that_clearly_contradict_surfaces_are_the_pose(
     tell(monkeypatch, told)
     answer = subject.process(frames[7])
     assert answer.status is Status.TRACKING
-    np.testing.assert_allclose(answer.T_odom_body, told.T_map_camera, atol=1e-9)
-    np.testing.assert_allclose(answer.covariance, told.covariance)
+    np.testing.assert_allclose(not_none(answer.T_odom_body), told.T_map_camera, atol=1e-9)
+    np.testing.assert_allclose(not_none(answer.covariance), told.covariance)
 
 
 def test_what_keypoints_track_is_tracked_where_surfaces_show_nothing(frames: list[RgbdFrame]) -> None:
@@ -160,7 +168,7 @@ def test_what_keypoints_track_is_tracked_where_surfaces_show_nothing(frames: lis
     run(subject, frames[:3])
     answers = run(subject, [replace(f, depth_m=f.depth_m.astype(np.float32)) for f in blind[3:9]])
     assert [a.status for a in answers] == [Status.TRACKING] * 6
-    assert max(apart(IN_WORLD[3 + k], a.T_odom_body)[0] for k, a in enumerate(answers)) < 0.02
+    assert max(apart(IN_WORLD[3 + k], not_none(a.T_odom_body))[0] for k, a in enumerate(answers)) < 0.02
 
 
 SLIP = se3.exp([0.02, 0, 0, 0, 0, 0])  # in a thirtieth of a second
@@ -180,7 +188,7 @@ def test_a_pose_that_wheels_do_not_expect_stays_where_keypoints_do_not_contradic
     tell(monkeypatch, told)
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ IN_WORLD[7] @ SLIP)
     assert answer.status is Status.TRACKING
-    assert apart(IN_WORLD[7], answer.T_odom_body)[0] < 5e-3
+    assert apart(IN_WORLD[7], not_none(answer.T_odom_body))[0] < 5e-3
 
 
 def test_a_pose_that_neither_wheels_nor_keypoints_expect_is_not_taken(
@@ -193,7 +201,7 @@ def test_a_pose_that_neither_wheels_nor_keypoints_expect_is_not_taken(
     tell(monkeypatch, told_at(by_wheels))
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ by_wheels)
     assert answer.status is Status.TRACKING
-    assert apart(by_wheels, answer.T_odom_body)[0] < 0.02  # surfaces are 0.06 off, keypoints know it to 0.01
+    assert apart(by_wheels, not_none(answer.T_odom_body))[0] < 0.02  # surfaces are 0.06 off, keypoints know it to 0.01
 
 
 @pytest.mark.parametrize("is_off", [True, False])

@@ -57,6 +57,14 @@ def test_the_nearest_is_found_and_asked_after_a_failure(views: Views) -> None:
     assert places(list(views.around(at(1.2), after(1)))) == [3, 1]
 
 
+def test_each_goes_with_the_keyframe_it_hangs_on(views: Views) -> None:
+    views.move(np.stack([np.eye(4), at(10.0), np.eye(4), np.eye(4)]))
+    assert places(views.keyframes) == [0, 11, 2, 3]
+    Ad = se3.adjoint(at(10.0))
+    np.testing.assert_allclose(views.keyframes[1].covariance, Ad @ Ad.T, atol=1e-12)
+    np.testing.assert_array_equal(views.keyframes[2].covariance, 2 * np.eye(6))
+
+
 def test_once_lost_every_keyframe_has_its_turn(views: Views) -> None:
     asked = {places(list(views.around(at(1.2), after(failures))))[-1] for failures in range(3, 7)}
     assert asked == {0, 1, 2, 3}
@@ -75,7 +83,7 @@ def test_keyframes_used_long_ago_take_little_room_and_come_back_alike() -> None:
     for one in keyframes:
         subject.keep(one)
     list(subject.around(np.eye(4), after(0)))
-    held = [one.reference._made is not None for one in keyframes]
+    held = [one.reference.is_at_hand for one in keyframes]
     assert held == [False] * 3 + [True] * 6
     for one, (pixels, normal) in zip(keyframes, before, strict=True):
         np.testing.assert_array_equal(one.reference.levels[0].pixels, pixels)

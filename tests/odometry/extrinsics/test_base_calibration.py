@@ -35,7 +35,8 @@ def test_mount_and_delay_are_found(rng: np.random.Generator, name: str) -> None:
     roughly = T_base_camera if name == "upside down" else None
     found = base_from(seen, nominal(roughly))
     expected = mount_values(T_base_camera) | {"delay": -0.04}
-    limits = dict.fromkeys(("roll", "pitch", "yaw"), np.radians(0.5)) | dict.fromkeys(("x", "y", "height"), 0.01)
+    angle = np.radians(0.5)
+    limits: dict[str, float] = {"roll": angle, "pitch": angle, "yaw": angle, "x": 0.01, "y": 0.01, "height": 0.01}
     for quantity, limit in (limits | {"delay": 0.005}).items():
         off = found.values[quantity] - expected[quantity]
         off = (off + np.pi) % (2 * np.pi) - np.pi if quantity in ("roll", "pitch", "yaw") else off

@@ -14,8 +14,9 @@ from wheelsight.simulation.camera_faults import LateClock
 from wheelsight.simulation.faulty_recording import with_camera_faults
 from wheelsight.simulation.simulated_recording import SimulatedRecording
 
-LIMITS = dict.fromkeys(("roll", "pitch", "yaw"), np.radians(0.5)) | dict.fromkeys(("x", "y", "height"), 0.01)
-CASES: dict[str, tuple[dict[str, Any], dict[str, float], float]] = {
+ANGLE = np.radians(0.5)
+LIMITS: dict[str, float] = {"roll": ANGLE, "pitch": ANGLE, "yaw": ANGLE, "x": 0.01, "y": 0.01, "height": 0.01}
+CASES: dict[str, tuple[dict[str, Any], dict[str, Any], float]] = {
     "flat": (
         {"world": "flat", "seed": 2, "rate_hz": 15},
         {

@@ -101,7 +101,8 @@ def test_a_mirrored_image_has_mirrored_keypoints_on_every_level(camera, axis):
     """OpenCV's pyramid places them by powers of 1.2 from the first pixel's corner, which is neither half a level's
     pixel right nor, since a level has a whole number of pixels, right at the far edge: up to 2.5 px and 1.4 px."""
     view = room_frame(T_WORLD_CAMERA, 0.0, camera)
-    mirrored = RgbdFrame(0.0, *(np.ascontiguousarray(np.flip(image, 1 - axis)) for image in (view.color, view.depth_m)))
+    color, depth_m = np.flip(view.color, 1 - axis), np.flip(view.depth_m, 1 - axis)
+    mirrored = RgbdFrame(0.0, np.ascontiguousarray(color), np.ascontiguousarray(depth_m))
     calibration = Calibration.registered_camera(camera)
     here, there = (extract(f, calibration, keypoints=5000, candidates=5000) for f in (view, mirrored))
     px = there.px.copy()

@@ -163,12 +163,12 @@ def test_a_long_drive_stays_within_its_memory():
     subject = odometry(kept_keyframes=4, local_keyframes=2, keyframe_share=0.9, keypoints=300)
     for frame in room_frames(truth):
         assert subject.process(frame).status is Status.TRACKING
-        landmarks = subject._map
+        landmarks = subject.landmarks
         assert len(landmarks.keyframes) <= 4
         n = len(landmarks.numbers)
         assert n <= 4 * 300
-        sizes = {len(x) for x in (landmarks.points, landmarks.descriptors, landmarks.sightings, landmarks._weight)}
+        sizes = {len(x) for x in (landmarks.points, landmarks.descriptors, landmarks.sightings, landmarks.made_by)}
         assert sizes == {n}
         assert (np.diff(landmarks.numbers) > 0).all()
-    assert landmarks._forgotten > 10
-    assert landmarks._next_number > 2 * len(landmarks.numbers)
+    assert len(subject.store) - len(landmarks.keyframes) > 10
+    assert landmarks.numbers[-1] > 2 * len(landmarks.numbers)

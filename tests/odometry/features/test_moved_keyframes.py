@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from narrowing import not_none
 from odometry.views import error_of, from_start, odometry, room_frames, run
 from synthetic import CAMERA, wobbling_trajectory
 
@@ -45,12 +46,12 @@ def test_keyframes_are_kept_with_what_was_seen(frames: list[RgbdFrame]) -> None:
         keyframe = store[number]
         frame, answer = by_stamp[keyframe.stamp_s]
         assert answer.keyframe == number
-        np.testing.assert_allclose(store.pose(number), answer.T_odom_body, atol=1e-12)
+        np.testing.assert_allclose(store.pose(number), not_none(answer.T_odom_body), atol=1e-12)
         np.testing.assert_allclose(keyframe.depth_m, frame.depth_m, atol=1.01e-4)
         np.testing.assert_array_equal(keyframe.intrinsics, [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
-        has_depth = keyframe.features.points[:, 2] > 0
-        px, _ = CAMERA.project(keyframe.features.points[has_depth])
-        np.testing.assert_allclose(px, keyframe.features.px[has_depth], atol=1e-9)
+        has_depth = not_none(keyframe.features).points[:, 2] > 0
+        px, _ = CAMERA.project(not_none(keyframe.features).points[has_depth])
+        np.testing.assert_allclose(px, not_none(keyframe.features).px[has_depth], atol=1e-9)
 
 
 @pytest.mark.parametrize("reference", MODES)
@@ -58,8 +59,10 @@ def test_each_pose_is_told_relative_to_a_keyframe(frames: list[RgbdFrame], refer
     subject = odometry(reference=reference)
     for frame in frames:
         answer = subject.process(frame)
-        T_map_keyframe = subject.store.pose(answer.keyframe)
-        np.testing.assert_allclose(T_map_keyframe @ answer.T_keyframe_body, answer.T_odom_body, atol=1e-12)
+        T_map_keyframe = subject.store.pose(not_none(answer.keyframe))
+        np.testing.assert_allclose(
+            T_map_keyframe @ not_none(answer.T_keyframe_body), not_none(answer.T_odom_body), atol=1e-12
+        )
     failed = subject.miss(1e3)
     assert (failed.keyframe, failed.T_keyframe_body) == (None, None)
 
@@ -72,11 +75,14 @@ def test_when_all_keyframes_move_all_moves_along(frames: list[RgbdFrame], refere
     move_all(subject.store, T_FAR)
     for answer, expected in zip(rest(subject, frames), rest(untouched, frames), strict=True):
         assert answer.status is Status.TRACKING
-        apart = se3.log(se3.invert(T_FAR @ expected.T_odom_body) @ answer.T_odom_body)
+        apart = se3.log(se3.invert(T_FAR @ not_none(expected.T_odom_body)) @ not_none(answer.T_odom_body))
         np.testing.assert_allclose(apart, 0, atol=1e-6)
         Ad = se3.adjoint(T_FAR)
         np.testing.assert_allclose(
-            answer.covariance, Ad @ expected.covariance @ Ad.T, rtol=1e-4, atol=1e-6 * np.abs(answer.covariance).max()
+            not_none(answer.covariance),
+            Ad @ not_none(expected.covariance) @ Ad.T,
+            rtol=1e-4,
+            atol=1e-6 * np.abs(not_none(answer.covariance)).max(),
         )
         assert (answer.keyframe, answer.matches, answer.inliers) == (
             expected.keyframe,
@@ -99,7 +105,8 @@ def test_tracking_goes_on_after_one_keyframe_moved_a_little(frames: list[RgbdFra
     subject, untouched = odometry(), odometry()
     last = [one.process(frame) for frame in frames[:MIDDLE] for one in (subject, untouched)][-1]
     T_LITTLE = se3.exp([0.01, -0.005, 0.0, 0.0, 0.004, 0.0])
-    subject.store.move([last.keyframe], T_LITTLE @ subject.store.pose(last.keyframe))
+    keyframe = not_none(last.keyframe)
+    subject.store.move([keyframe], T_LITTLE @ subject.store.pose(keyframe))
     for k, answer in enumerate(rest(subject, frames), MIDDLE):
         assert answer.status is Status.TRACKING
         assert error_of(answer, TRUE[k])[0] < 0.05
@@ -138,7 +145,7 @@ def test_images_of_two_lenses_are_kept_on_the_depth_cameras_grid(frames: list[Rg
     shade[::7, ::5] = rng.integers(0, 255, shade[::7, ::5].shape)  # corners to be found
     subject = odometry(Calibration(color=color, depth=CAMERA, T_color_depth=T_color_depth))
     answer = subject.process(RgbdFrame(0.0, np.repeat(shade[..., None], 3, axis=2), depth_m))
-    grey = subject.store[answer.keyframe].grey
+    grey = subject.store[not_none(answer.keyframe)].grey
     shift_px = CAMERA.fx * 0.04 / 2.0
     u = np.arange(20, 280)
     row = 51 + 7 - (51 % 7) + 1  # without corners
@@ -154,7 +161,7 @@ def test_a_lens_is_taken_out_of_what_is_kept() -> None:
     # Depth that tells in which direction a pixel looks.
     x = camera.normalise(np.stack([u, v], axis=-1))[..., 0]
     answer = subject.process(RgbdFrame(0.0, color, (2 + 0.5 * x).astype(np.float32)))
-    keyframe = subject.store[answer.keyframe]
+    keyframe = subject.store[not_none(answer.keyframe)]
     depth_m = keyframe.depth_m[20:-20, 20:-20]
     expected = (2 + 0.5 * (u - camera.cx) / camera.fx)[20:-20, 20:-20]
     np.testing.assert_allclose(depth_m, expected, atol=0.5 * 0.75 / camera.fx + 2e-4)

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
+from narrowing import not_none
 from odometry.views import error_of, from_start, odometry, room_frames
 from synthetic import wobbling_trajectory
 
@@ -42,7 +47,7 @@ def test_a_right_prior_gives_the_same_within_noise(frames, reference):
     given = run_with_prior(frames, reference=reference)
     assert worst(given) < max(0.02, 1.5 * worst(without))
     for one, other in zip(given, without, strict=True):
-        apart = se3.invert(one.T_odom_body) @ other.T_odom_body
+        apart = se3.invert(one.T_odom_body) @ not_none(other.T_odom_body)
         assert np.linalg.norm(apart[:3, 3]) < 0.03
 
 
@@ -64,11 +69,14 @@ def test_a_wrong_prior_costs_no_frame_and_no_accuracy(frames, reference, wrong):
 
 
 def test_a_prior_bounds_the_search(frames, monkeypatch):
-    called = []
+    called: list[str] = []
+
+    def spy(search: Callable[..., Any], *given: object) -> Any:
+        called.append(search.__name__)
+        return search(*given)
+
     for search in (match_all, match_near):
-        name = search.__name__
-        spy = lambda *given, name=name, search=search: called.append(name) or search(*given)  # noqa: E731
-        monkeypatch.setattr(f"wheelsight.odometry.features.tracking.{name}", spy)
+        monkeypatch.setattr(f"wheelsight.odometry.features.tracking.{search.__name__}", partial(spy, search))
     subject = odometry(reference="previous")
     subject.process(frames[0])
     subject.process(frames[1], STEPS[0])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from narrowing import not_none
 from odometry.views import error_of, from_start
 from synthetic import render_room, wobbling_trajectory
 
@@ -65,9 +66,9 @@ def test_the_motion_is_the_depth_camera_s(frames):
     subject = FeatureOdometry(calibration(), FeatureSettings(reference="previous"))
     answer = [subject.process(frame) for frame in frames[:2]][-1]
     step = se3.invert(TRUTH.T_frame_body[0]) @ TRUTH.T_frame_body[1]
-    error = se3.log(step @ se3.invert(answer.motion.T_reference_current))
+    error = se3.log(step @ se3.invert(not_none(answer.motion.T_reference_current)))
     assert np.linalg.norm(error[:3]) < 0.01
-    assert error @ np.linalg.solve(answer.motion.covariance, error) < 30
+    assert error @ np.linalg.solve(not_none(answer.motion.covariance), error) < 30
 
 
 def test_calling_the_sensor_registered_spoils_it(frames):
@@ -96,6 +97,6 @@ def test_the_base_s_poses_through_the_localizer(frames):
     answers = [subject.process(frame) for frame in frames]
     T_map_base = TRUTH.T_frame_body @ se3.invert(T_BASE_CAMERA)
     found = errors(answers, from_start(T_map_base))
-    assert {answer.body for answer in answers} == {"base"}
+    assert {not_none(answer).body for answer in answers} == {"base"}
     assert found[:, 0].max() < 0.03
     assert found[:, 1].max() < 0.006

@@ -81,9 +81,10 @@ def test_wheels_of_known_unequal_size_are_corrected_too() -> None:
 
 def test_standard_deviations_are_those_of_repeated_trials(rng: np.random.Generator) -> None:
     ends = errors_of(corrected(NOMINAL, 1.003, 1.01))
-    results = [
-        umbmark(NOMINAL, *(end + 0.03 * rng.standard_normal((5, 2)) for end in ends), SIDE_M) for _ in range(200)
-    ]
+    results = []
+    for _ in range(200):
+        clockwise_m, counter_clockwise_m = (end + 0.03 * rng.standard_normal((5, 2)) for end in ends)
+        results.append(umbmark(NOMINAL, clockwise_m, counter_clockwise_m, SIDE_M))
     for name in ("diameter_ratio", "track_factor"):
         scatter = np.std([getattr(result, name) for result in results])
         stated = np.sqrt(np.mean([getattr(result, f"{name}_sigma") ** 2 for result in results]))

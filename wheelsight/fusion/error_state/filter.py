@@ -89,6 +89,11 @@ class ErrorStateFilter:
         # The last state that was asked what to expect, and as it is by then: what is expected mostly comes.
         self._moved: tuple[FusionState, FusionState] | None = None
 
+    @property
+    def state(self) -> FusionState:
+        """All that it believes at the newest event; the next one makes another."""
+        return self._history.newest
+
     def begun_at(self, T_odom_base: ArrayLike, covariance: ArrayLike) -> ErrorStateFilter:
         """Another one of the same sensors, that knows nothing yet but where it begins. Raises ConfigError."""
         return ErrorStateFilter(self._mount.T_base_camera, T_odom_base, covariance, self.settings, self.gyro)

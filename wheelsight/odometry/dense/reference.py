@@ -84,6 +84,11 @@ class Reference:
         self._made: Scales | None = None
 
     @property
+    def is_at_hand(self) -> bool:
+        """Whether its scales are made and not forgotten."""
+        return self._made is not None
+
+    @property
     def scales(self) -> Scales:
         """At all scales."""
         if self._made is None:

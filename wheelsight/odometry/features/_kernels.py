@@ -260,7 +260,7 @@ def refine(R: FloatArray, t: FloatArray, pairs: Pairs, gate: float, steps: int) 
         for p in range(6):
             H[p, p] += 1e-9 * H[p, p] + 1e-12
         step = -np.linalg.solve(H, g)
-        dR = _rotation(step[3:])
+        dR = rotation(step[3:])
         R, t = dR @ R, dR @ t + step[:3]
         if np.abs(step).max() < 1e-7:
             break
@@ -270,7 +270,7 @@ def refine(R: FloatArray, t: FloatArray, pairs: Pairs, gate: float, steps: int) 
 
 
 @kernel
-def _rotation(omega: FloatArray) -> Any:
+def rotation(omega: FloatArray) -> Any:
     """Rotation matrix of a rotation vector (Rodrigues)."""
     angle = np.sqrt((omega**2).sum())
     W = np.array([[0.0, -omega[2], omega[1]], [omega[2], 0.0, -omega[0]], [-omega[1], omega[0], 0.0]])

@@ -44,6 +44,7 @@ class FeatureOdometry:
 
     Attributes:
         store: of the keyframes.
+        landmarks: what is known of the place; they are changed as frames come.
         stage_seconds: time the last frame spent in "extract", "match", "align" and "map".
     """
 
@@ -59,7 +60,7 @@ class FeatureOdometry:
         self._moves = self.store.follow()
         self._maker = KeyframeMaker(calibration)
         self._extractor = FeatureExtractor(calibration, self._settings)
-        self._map = LandmarkMap(self._settings)
+        self.landmarks = LandmarkMap(self._settings)
         self._watch = Stopwatch()
         self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
         self._map_tracker = MapTracker(calibration, self._settings)
@@ -139,7 +140,7 @@ class FeatureOdometry:
         """Go with the keyframes that were moved since the last frame."""
         T_new_old = self._moves.moves()
         if T_new_old is not None:
-            self._map.move(T_new_old)
+            self.landmarks.move(T_new_old)
             self._last = None if self._last is None else self._last.moved(T_new_old)
 
     def _start(
@@ -153,8 +154,8 @@ class FeatureOdometry:
 
     def _begin(self, features: Features, T_map_color: FloatArray, covariance: FloatArray, number: KeyframeId) -> View:
         """A new map with its first keyframe."""
-        self._map = LandmarkMap(self._settings)
-        return self._map.add_keyframe(View(features, T_map_color, covariance, np.full(len(features), -1)), number)
+        self.landmarks = LandmarkMap(self._settings)
+        return self.landmarks.add_keyframe(View(features, T_map_color, covariance, np.full(len(features), -1)), number)
 
     def _keep(self, frame: RgbdFrame, features: Features, T_map_color: FloatArray) -> KeyframeId:
         """The frame as a keyframe of the store."""
@@ -169,12 +170,12 @@ class FeatureOdometry:
         if straight is first_raw:
             return fix
         assert self._last.keyframe is not None
-        bent = self._map, self._last
+        bent = self.landmarks, self._last
         self._last = self._begin(straight, self._last.T_map_color, self._last.covariance, self._last.keyframe)
         better = self._locate(raw, self._last, None)
         if isinstance(better, Fix):
             return better
-        self._map, self._last = bent  # a fix belongs to the map whose landmarks it names
+        self.landmarks, self._last = bent  # a fix belongs to the map whose landmarks it names
         return fix
 
     def _locate(self, raw: Features, last: View, prior: FloatArray | None) -> Fix | MotionEstimate:
@@ -192,7 +193,7 @@ class FeatureOdometry:
             return failure
         if self._settings.reference == "keyframes":
             with self._watch.stage("map"):
-                refined = self._map_tracker.track(raw, found, last, self._map)
+                refined = self._map_tracker.track(raw, found, last, self.landmarks)
             # A quick turn may leave the map behind at once; the view alone then carries on, and becomes a keyframe.
             found = refined if isinstance(refined, Fix) else found
         if not self._is_plausible(last, found):
@@ -201,7 +202,7 @@ class FeatureOdometry:
 
     def _references(self, last: View) -> list[View]:
         """The view tracked last; while frames fail, also the newest keyframe; once lost, some older ones in turn."""
-        keyframes = self._map.keyframes
+        keyframes = self.landmarks.keyframes
         references = [last]
         if self._state.failures > 0:
             references.append(keyframes[-1])
@@ -237,13 +238,13 @@ class FeatureOdometry:
     def _update(self, frame: RgbdFrame, fix: Fix) -> View:
         """Remember what was seen; keep the view as a keyframe when too little of the last one is in sight."""
         if self._settings.reference == "previous":
-            self._map.keyframes[:] = [fix.view]
+            self.landmarks.keyframes[:] = [fix.view]
             return fix.view
         seen = np.flatnonzero(fix.view.landmark >= 0)
-        self._map.see_again(fix.view.landmark[seen], fix.view.features, seen, fix.view.T_map_color)
-        known = np.count_nonzero(self._map.keyframes[-1].landmark >= 0)
+        self.landmarks.see_again(fix.view.landmark[seen], fix.view.features, seen, fix.view.T_map_color)
+        known = np.count_nonzero(self.landmarks.keyframes[-1].landmark >= 0)
         if len(seen) < self._settings.keyframe_share * known:
-            return self._map.add_keyframe(fix.view, self._keep(frame, fix.view.features, fix.view.T_map_color))
+            return self.landmarks.add_keyframe(fix.view, self._keep(frame, fix.view.features, fix.view.T_map_color))
         return fix.view
 
     def _fail(self, stamp_s: float, failure: MotionEstimate) -> FeatureEstimate:
