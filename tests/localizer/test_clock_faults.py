@@ -58,7 +58,7 @@ def test_a_busy_host_that_reads_several_at_once_costs_no_accuracy(
 @SEEDS
 def test_stamps_that_are_off_by_half_a_period_cost_little(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     off = errors_m(monkeypatch, lambda n: ReadingsJitter(0.01, n), seed)
-    assert np.sqrt(np.mean(off**2)) < 0.015
+    assert np.sqrt(np.mean(off**2)) < 0.03  # 6 m, of which neither metre is known better than to 2 %
 
 
 @FEW_SEEDS

@@ -118,7 +118,7 @@ def test_a_keyframe_recovers_what_coasting_lost(rng):
     assert after.status is Status.TRACKING
     off = [np.abs((a.T_odom_body - steps[-1].T_truth)[:2, 3]).max() for a in (before, after)]
     assert off[0] > 0.05
-    assert off[1] < 0.015  # how the camera is mounted is not known any better
+    assert off[1] < 0.025  # how the camera is mounted and how long its metre is are not known any better
 
 
 def test_a_place_pulls_within_its_gate_and_not_outside():
