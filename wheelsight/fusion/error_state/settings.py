@@ -77,12 +77,12 @@ class ErrorStateSettings(Settings):
         le=1,
     )
     camera_scale_walk: float = setting(
-        0.0005, "of the ratio of its ways, per √m: it fades along 200 m", ON_SIMULATOR, ge=0, le=1
+        0.002, "of the ratio of its ways, per √m: it fades along 200 m", ON_SIMULATOR, ge=0, le=1
     )
     camera_drift_walk_rad_per_m: float = setting(
-        0.0001, "rad/m of its drift, per √m: it fades along 18 m", ON_SIMULATOR, ge=0, le=1
+        0.001, "rad/m of its drift, per √m: it fades along 18 m", ON_SIMULATOR, ge=0, le=1
     )
-    camera_turn_walk: float = setting(0.0001, "of the ratio of its turns, per √m", ON_SIMULATOR, ge=0, le=1)
+    camera_turn_walk: float = setting(0.00025, "of the ratio of its turns, per √m", ON_SIMULATOR, ge=0, le=1)
     mount_sigma_m: float = setting(
         0.005, "m that the camera sits ahead and aside of where it is said to be, by a ruler", CHOSEN, ge=0, le=10
     )
