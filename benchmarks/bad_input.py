@@ -246,7 +246,7 @@ def main() -> None:
     """Measure all cases; print the table and the verdicts."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.bad_input", description=__doc__)
     parser.add_argument("--markdown", action="store_true", help="print the table as Markdown, to keep")
-    parser.add_argument("--cases", nargs="+", default=(), metavar="NAME", help="only cases whose names hold one of these")
+    parser.add_argument("--cases", nargs="+", default=(), metavar="NAME", help="only cases with one of these names")
     parser.add_argument("--realism", choices=realism_names(), default="real", help="of the simulator")
     arguments = parser.parse_args()
     figures = measure_bad_input(
