@@ -8,7 +8,7 @@ import pytest
 from wheelsight.estimates import Reason, Status
 from wheelsight.fusion import FusedEstimate, JoiningSettings
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer._unsure_start import UnsureStart
+from wheelsight.localizer._carried import UnsureStart
 
 T_ODOM_BASE = se3.from_plane(5.0, -2.0, 1.0)
 

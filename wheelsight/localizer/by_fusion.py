@@ -15,10 +15,9 @@ from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._base_sensors import BaseSensors
 from wheelsight.localizer._camera import mount_of
 from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far
-from wheelsight.localizer._carried import Carried
+from wheelsight.localizer._carried import Carried, UnsureStart
 from wheelsight.localizer._fused_camera import FusedCamera
 from wheelsight.localizer._place_sense import PlaceSense
-from wheelsight.localizer._unsure_start import UnsureStart
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
