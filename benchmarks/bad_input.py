@@ -151,7 +151,7 @@ def measure_case(case: Case, tracker: str, track: Track, events: Sequence[Event]
     posed = [answer for answer in answers if answer.estimate.T_odom_body is not None]
     # With jitter, a frame's stamp may lie beyond the drive's last instant, of which nothing is known.
     is_known = np.isfinite(truth.at([answer.estimate.stamp_s for answer in posed])).all(axis=(1, 2))
-    posed = [answer for answer, known in zip(posed, is_known, strict=True) if known]
+    posed = [posed[index] for index in np.flatnonzero(is_known)]
     stamps_s = np.array([answer.estimate.stamp_s for answer in posed])
     T = np.array([answer.estimate.T_odom_body for answer in posed]).reshape(-1, 4, 4)
     T_true = truth.at(stamps_s)
