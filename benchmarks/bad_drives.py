@@ -34,7 +34,7 @@ from wheelsight.simulation.camera_faults import (
 )
 from wheelsight.simulation.drivers import Driver, follow_route
 from wheelsight.simulation.passersby import RADIUS_M, Passersby
-from wheelsight.simulation.realism import realism_of
+from wheelsight.simulation.realism import RealismName, realism_of
 from wheelsight.simulation.scene_faults import DarkRoom, DirectSun, GlassWall, Mirror, Silence, StillView, WheelsStand
 
 _SIZE = (320, 240)
@@ -64,13 +64,13 @@ class Case:
 class BadDrive:
     """A drive and what is made of it: makes its recording, then its cases, which the recording may decide on."""
 
-    record: Callable[[], SimulatedRecording]
+    record: Callable[[RealismName], SimulatedRecording]
     cases: Callable[[SimulatedRecording], tuple[Case, ...]]
 
 
-def _home() -> SimulatedRecording:
+def _home(realism: RealismName) -> SimulatedRecording:
     """Through the living room of `flat`, round two corners."""
-    return _driven("flat", 1, _along_the_route, 13.0)
+    return _driven(realism, "flat", 1, _along_the_route, 13.0)
 
 
 def _along_the_route(route: FloatArray) -> Driver:
@@ -117,9 +117,9 @@ class _Elevator(StillView):
         return super().apply(WheelsStand(begin_s=self.begin_s, end_s=self.end_s).apply(events))
 
 
-def _other_camera(camera: str, size: tuple[int, int]) -> SimulatedRecording:
+def _other_camera(camera: str, size: tuple[int, int], realism: RealismName) -> SimulatedRecording:
     """The same way with images of another size; shorter, for memory's sake."""
-    return _driven("flat", 1, _along_the_route, 4.0, camera=camera, size=size)
+    return _driven(realism, "flat", 1, _along_the_route, 4.0, camera=camera, size=size)
 
 
 def _as_it_is(recording: SimulatedRecording) -> tuple[Case, ...]:
@@ -127,9 +127,9 @@ def _as_it_is(recording: SimulatedRecording) -> tuple[Case, ...]:
     return (Case(f"camera of {width}×{height}"),)
 
 
-def _crowd(seed: int) -> SimulatedRecording:
+def _crowd(seed: int, realism: RealismName) -> SimulatedRecording:
     """The same room with four people in it, seldom out of the way."""
-    return _driven("flat", seed, _along_the_route, 13.0, people=4)
+    return _driven(realism, "flat", seed, _along_the_route, 13.0, people=4)
 
 
 def _crossed(recording: SimulatedRecording) -> tuple[Case, ...]:
@@ -142,13 +142,13 @@ def _crossed(recording: SimulatedRecording) -> tuple[Case, ...]:
     return (Case(name, float(in_the_way_s[0]), float(in_the_way_s[-1])),)
 
 
-def _wall() -> SimulatedRecording:
+def _wall(realism: RealismName) -> SimulatedRecording:
     """In the corridor of `blank`: towards its dressed end, a turn to the plain wall, up to it and away, and back."""
     stamps_s = (0, 1, 3, 4, 6.6, 7.0, 8.5, 10, 10.4, 13, 14)
     v_m_s = (0, 0.5, 0, 0, 0, 0.1, -0.1, 0, 0, 0.5, 0)
     yaw_rates = (0, 0, 0, 0.6, 0, 0, 0, 0, -0.6, 0, 0)
     start = se3.from_plane(12.0, 1.2, math.pi)
-    return _driven("blank", 1, lambda _: _Given(start, stamps_s, v_m_s, yaw_rates), 14.0)
+    return _driven(realism, "blank", 1, lambda _: _Given(start, stamps_s, v_m_s, yaw_rates), 14.0)
 
 
 def _filled(_: SimulatedRecording) -> tuple[Case, ...]:
@@ -156,11 +156,11 @@ def _filled(_: SimulatedRecording) -> tuple[Case, ...]:
     return (Case("plain wall fills the view", 5.4, 11.8),)
 
 
-def _spin(seed: int) -> SimulatedRecording:
+def _spin(seed: int, realism: RealismName) -> SimulatedRecording:
     """On the spot in `flat`: a quarter to and fro, then half a turn each way, at 90°/s."""
     rate = _RIGHT_ANGLE_S
     stamps_s, yaw_rates = (0, 1, 2, 3, 4, 5, 7, 8, 10, 11), (0, rate, 0, -rate, 0, rate, 0, -rate, 0, 0)
-    return _driven("flat", seed, lambda _: ManualVelocities(stamps_s, np.zeros(10), yaw_rates), 11.0)
+    return _driven(realism, "flat", seed, lambda _: ManualVelocities(stamps_s, np.zeros(10), yaw_rates), 11.0)
 
 
 def _turning(recording: SimulatedRecording) -> tuple[Case, ...]:
@@ -190,6 +190,7 @@ class _Given(ManualVelocities):
 
 
 def _driven(
+    realism: RealismName,
     world_name: str,
     seed: int,
     driver: Callable[[FloatArray], Driver],
@@ -200,10 +201,10 @@ def _driven(
 ) -> SimulatedRecording:
     """What a camera sees of a drive, a Kinect v1's 320×240 unless told otherwise, at 30 frames a second."""
     settings = SimulationSettings(
-        world_name, camera, size=size, seed=seed, duration_s=duration_s, passersby=people, realism="real"
+        world_name, camera, size=size, seed=seed, duration_s=duration_s, passersby=people, realism=realism
     )
-    world, realism = build_world(world_name, seed), realism_of(settings.realism)
-    drive = simulate_drive(world, Robot(), driver(world.route), seed=seed, realism=realism, time_limit_s=duration_s)
+    world, robot, as_real = build_world(world_name, seed), Robot(), realism_of(realism)
+    drive = simulate_drive(world, robot, driver(world.route), seed=seed, realism=as_real, time_limit_s=duration_s)
     return SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera_model(camera, size)))
 
 

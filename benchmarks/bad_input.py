@@ -25,6 +25,7 @@ from wheelsight.geometry import BoolArray, FloatArray, se3, so3
 from wheelsight.localizer import Localizer
 from wheelsight.recordings import express_for
 from wheelsight.simulation.camera_faults import events_with
+from wheelsight.simulation.realism import RealismName, realism_names
 from wheelsight.trajectory import Trajectory
 
 MAPPER, JOINED = "surfels", "wheels, dense"
@@ -108,26 +109,37 @@ def _fused(localizer: Localizer) -> int:
 
 
 def measure_bad_input(
-    drives: Sequence[BadDrive] = DRIVES, on_figures: Callable[[BadInputFigures], None] | None = None
+    drives: Sequence[BadDrive] = DRIVES,
+    on_figures: Callable[[BadInputFigures], None] | None = None,
+    *,
+    realism: RealismName = "real",
+    names: Sequence[str] = (),
 ) -> list[BadInputFigures]:
     """Every tracker in every case; each drive is rendered once and held in memory, about 250 MB.
 
     Takes some minutes; `on_figures` is told each result as it comes.
+
+    Args:
+        realism: of the simulator.
+        names: only cases whose names hold one of these; of none, all.
     """
     figures = []
     for drive in drives:
-        for found in _measure_drive(drive):
+        for found in _measure_drive(drive, realism, names):
             figures.append(found)
             if on_figures is not None:
                 on_figures(found)
     return figures
 
 
-def _measure_drive(drive: BadDrive) -> Iterator[BadInputFigures]:
-    recording = drive.record()
+def _measure_drive(drive: BadDrive, realism: RealismName, names: Sequence[str]) -> Iterator[BadInputFigures]:
+    recording = drive.record(realism)
+    cases = [case for case in drive.cases(recording) if not names or any(name in case.name for name in names)]
+    if not cases:
+        return  # rendering takes half a minute
     events, calibration = list(recording.events()), recording.calibration
     truth = express_for("camera", recording.ground_truth, recording.true_calibration)
-    for case in drive.cases(recording):
+    for case in cases:
         for name, start in trackers().items():
             yield measure_case(case, name, start(calibration), events, truth)
 
@@ -137,6 +149,9 @@ def measure_case(case: Case, tracker: str, track: Track, events: Sequence[Event]
     told = map(track, events_with(case.faults, events))
     answers = [answer for answer in told if answer is not None]
     posed = [answer for answer in answers if answer.estimate.T_odom_body is not None]
+    # With jitter, a frame's stamp may lie beyond the drive's last instant, of which nothing is known.
+    is_known = np.isfinite(truth.at([answer.estimate.stamp_s for answer in posed])).all(axis=(1, 2))
+    posed = [posed[index] for index in np.flatnonzero(is_known)]
     stamps_s = np.array([answer.estimate.stamp_s for answer in posed])
     T = np.array([answer.estimate.T_odom_body for answer in posed]).reshape(-1, 4, 4)
     T_true = truth.at(stamps_s)
@@ -234,8 +249,14 @@ def main() -> None:
     """Measure all cases; print the table and the verdicts."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.bad_input", description=__doc__)
     parser.add_argument("--markdown", action="store_true", help="print the table as Markdown, to keep")
+    parser.add_argument("--cases", nargs="+", default=(), metavar="NAME", help="only cases with one of these names")
+    parser.add_argument("--realism", choices=realism_names(), default="real", help="of the simulator")
     arguments = parser.parse_args()
-    figures = measure_bad_input(on_figures=lambda f: print(f"{f.case}: {f.tracker}", file=sys.stderr))
+    figures = measure_bad_input(
+        on_figures=lambda f: print(f"{f.case}: {f.tracker}", file=sys.stderr),
+        realism=arguments.realism,
+        names=arguments.cases,
+    )
     sheet = bad_input_sheet(figures)
     if arguments.markdown:
         print(sheet.to_markdown())

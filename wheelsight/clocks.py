@@ -279,7 +279,8 @@ class SessionClock:
         if len(self._leaps) < self.settings.most_warnings:
             clocks = f"clock{'s' if len(names) > 1 else ''} of the {' and the '.join(names)}"
             going_on = "what came after is taken to go on without a break"
-            self._leaps.append(f"The {clocks} leapt by {_seconds(by_s)}: {going_on}.")
+            silent = ", or nothing was heard for so long" if by_s > 0 and len(names) == len(self._sensors) else ""
+            self._leaps.append(f"The {clocks} leapt by {_seconds(by_s)}{silent}: {going_on}.")
 
     def _going_on_s(self, sensor: _Sensor) -> float:
         """The session time of the stamp that is held last, as the others tell when it came."""

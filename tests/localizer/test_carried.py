@@ -29,7 +29,7 @@ def test_wheels_that_stood_and_another_view_say_so_and_a_known_view_takes_it_bac
     assert answer.covariance is not None
     sigmas = np.sqrt(np.diag(answer.covariance))
     np.testing.assert_allclose(sigmas[[0, 1, 5]], [2.8, 2.8, np.pi / np.sqrt(3)], rtol=1e-3)
-    subject.known()
+    subject.known(10.0)
     assert not subject.is_so
 
 
@@ -54,3 +54,49 @@ def test_a_heading_that_is_known_again_ends_it(sigma_rad: float, is_so: bool) ->
     subject.scatter(np.eye(4), np.eye(6))
     subject.answered(FusedEstimate(12.0, Status.TRACKING, np.eye(4), sigma_rad**2 * np.eye(6), body="base"))
     assert subject.is_so == is_so
+
+
+def stood(seconds: float, way_m: float = 0.0) -> Carried:
+    """Wheels that stood, but for such a way halfway, until the last known view at 10 s."""
+    subject = Carried(JoiningSettings())
+    subject.roll(10.0 - seconds, np.eye(4))
+    subject.roll(10.0 - seconds / 2, se3.from_plane(way_m, 0.0, 0.0))
+    subject.known(10.0)
+    return subject
+
+
+@pytest.mark.parametrize(("seconds", "way_m", "is_so"), [(3.0, 0.01, True), (3.0, 0.05, False), (1.5, 0.0, False)])
+def test_another_view_at_once_is_an_elevators_where_the_wheels_stood_before(
+    seconds: float, way_m: float, is_so: bool
+) -> None:
+    subject = stood(seconds, way_m)
+    subject.unknown(0.03, AHEAD, np.eye(4))
+    assert subject.is_so == is_so
+
+
+def test_an_elevator_may_have_gone_to_another_floor_and_the_dark_has_not() -> None:
+    subject = stood(3.0)
+    subject.unknown(0.03, AHEAD, np.eye(4))
+    of_elevator, of_dark = subject.answered(ANSWER), carried().answered(ANSWER)
+    assert of_elevator.covariance is not None
+    assert of_dark.covariance is not None
+    np.testing.assert_allclose(np.sqrt(np.diag(of_elevator.covariance))[:3], [0.7 * 3.03, 0.7 * 3.03, 3.0], rtol=1e-3)
+    assert np.sqrt(of_dark.covariance[2, 2]) < 0.01
+
+
+def test_who_hides_the_view_of_a_robot_that_stands_on_may_go_away() -> None:
+    subject = stood(3.0)
+    subject.unknown(0.03, AHEAD, np.eye(4))
+    assert subject.waits(AHEAD)
+    assert not subject.waits(se3.exp([0.0, 0.0, 0.4, 0.0, 0.0, 0.0]))
+    assert not subject.waits(None)
+    subject.known(11.0)
+    assert not subject.waits(AHEAD)
+    assert subject.answered(ANSWER) is ANSWER
+
+
+def test_a_camera_that_began_again_waits_for_nothing() -> None:
+    subject = stood(3.0)
+    subject.unknown(0.03, AHEAD, np.eye(4))
+    subject.scatter(np.eye(4), np.eye(6))
+    assert not subject.waits(AHEAD)

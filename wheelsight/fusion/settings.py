@@ -60,8 +60,33 @@ class JoiningSettings(Settings):
         gt=0,
         le=100,
     )
+    stands_m: float = setting(
+        0.02,
+        "a base that by the wheels stays so near, a turn by 1 rad as 1.5 m, stands; a count of coarse encoders is less",
+        CHOSEN,
+        gt=0,
+        le=10,
+    )
+    stands_s: float = setting(
+        2.0,
+        "wheels that have stood for longer may have stood in an elevator; its doors alone take as long to close",
+        CHOSEN,
+        gt=0,
+        le=3600,
+    )
     carried_m_s: float = setting(
         0.7, "σ of the speed at which people carry a robot in the dark: up to a walk", CHOSEN, gt=0, le=100
+    )
+    floor_m: float = setting(
+        3.0, "σ of the height after another view of wheels that stood: from floor to floor", CHOSEN, ge=0, le=1000
+    )
+    unsure_m: float = setting(
+        0.25,
+        "where wheels know to no better σ how far the robot went since the camera was last believed, nobody knows the"
+        " place at which the camera begins again: by as much a robot misses a door",
+        CHOSEN,
+        gt=0,
+        le=100,
     )
     known_turn_rad: float = setting(
         0.5, "σ of a heading that areas have told again after that: a third of a right angle", CHOSEN, gt=0, le=3.2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from wheelsight.calibration import Calibration
@@ -29,6 +30,7 @@ class BaseSensors:
         self._times = ReadingTimes(calibration.wheels, settings.reading_times)
         self._uses_gyro, self._hears_gyro, self._was_trusted = settings.gyro, False, False
         self.deaf = ""
+        self._last_s = -math.inf
 
     @property
     def hears(self) -> tuple[type[Event], ...]:
@@ -47,10 +49,18 @@ class BaseSensors:
 
     def process(self, reading: WheelTicks | WheelSpeeds) -> tuple[WheelEstimate | None, str]:
         """What the wheels tell by themselves, stamped by when they did it, and a note of the gyroscope."""
+        self._last_s = reading.stamp_s
         if isinstance(reading, WheelTicks):  # speeds have no ways of their own to tell the time by
             reading = replace(reading, stamp_s=self._times.time_of(reading))
         wheels, note = self._wheels.process(reading)
         return wheels, self._with_gyro.process(reading)[1] if self._hears_gyro else note
+
+    def refuse(self, reading: WheelTicks | WheelSpeeds) -> None:
+        """Take a reading whose stamp is far from all others: its clock leapt, or so long nothing was heard."""
+        paused_s = reading.stamp_s - self._last_s
+        if 0 < paused_s < math.inf:
+            self._wheels.pause(paused_s)
+            self._with_gyro.pause(paused_s)
 
     def hear(self, rate: YawRate) -> bool:
         """Take a yaw rate; whether it counts: the gyroscope is wanted, and has agreed with the wheels."""

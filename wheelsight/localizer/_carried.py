@@ -1,4 +1,4 @@
-"""Carried: whether somebody carried the robot while its camera saw nothing, and what is known of its pose then."""
+"""Where nobody knows the place: Carried, while the wheels stood, and UnsureStart, where wheels did not know it well."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.fusion import FusedEstimate, JoiningSettings
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 
 # People turn a robot any way, as a standard deviation.
@@ -18,7 +18,11 @@ _ASTRAY = 2 / 3
 
 
 class Carried:
-    """Wheels that stood in the dark, and another view after it, contradict each other: somebody carried the robot.
+    """Another view than before, though the wheels stood all the while, contradicts them: something carried the robot.
+
+    Somebody did while the camera was dark; or an elevator, whose cabin looks the same as long as its doors are closed.
+    Whoever steps before a robot that stands hides what was known, too: where the wheels stand on, that may end, and
+    the camera waits for it.
 
     Attributes:
         is_so: whether what the last frames showed says so, or nobody knows yet where the robot was put.
@@ -26,7 +30,9 @@ class Carried:
 
     def __init__(self, settings: JoiningSettings) -> None:
         self._settings = settings
-        self._dark_s = 0.0
+        self._away_s = self._up_m = 0.0
+        self._stands: tuple[float, FloatArray] | None = None  # since when the wheels stand, and where
+        self._stood_s = 0.0  # for how long they had stood at the last known view
         self._from: FloatArray | None = None  # x, y where the wheels had it
         self._is_scattered = False
 
@@ -35,22 +41,41 @@ class Carried:
         """See the class."""
         return self._from is not None
 
+    def roll(self, stamp_s: float, T_odom_base: FloatArray) -> None:
+        """Take where the wheels alone have the base (4, 4) at a reading."""
+        if self._stands is not None and stamp_s >= self._stands[0]:
+            T_stand_base = motions.times(motions.inverse(self._stands[1]), T_odom_base)
+            if motions.view_shift_m(T_stand_base) <= self._settings.stands_m:
+                return
+        self._stands = stamp_s, T_odom_base
+
+    def begin(self) -> None:
+        """The camera begins again: no cabin of an elevator that it has known for long."""
+        self._stands, self._stood_s = None, 0.0
+
     def unknown(self, dark_s: float, T_last_now: FloatArray | None, T_odom_base: FloatArray) -> None:
-        """Take a frame that shows nothing known, the first one after so long a dark.
+        """Take the first frame that shows nothing known.
 
         Args:
             dark_s: since the last frame that was believed.
             T_last_now: (4, 4) how the camera moved since then by the wheels, or None where that is forgotten.
             T_odom_base: (4, 4) where the wheels have the base.
         """
-        if self.is_so or T_last_now is None or motions.view_shift_m(T_last_now) > self._settings.same_view_m:
+        of, stood_s = self._settings, self._stood_s if self._stood_s > self._settings.stands_s else 0.0
+        if not (dark_s > of.dark_s or stood_s) or self.is_so or not self._shows_the_same(T_last_now):
             return
-        self._dark_s, self._from = dark_s, T_odom_base[:2, 3].copy()
+        self._away_s, self._up_m = dark_s + stood_s, of.floor_m if stood_s else 0.0
+        self._from = T_odom_base[:2, 3].copy()
 
-    def known(self) -> None:
+    def known(self, stamp_s: float) -> None:
         """The frame shows what was known before: nobody has carried anything."""
+        self._stood_s = 0.0 if self._stands is None else stamp_s - self._stands[0]
         if not self._is_scattered:
             self._from = None
+
+    def waits(self, T_last_now: FloatArray | None) -> bool:
+        """Whether what hides the known view may go away: the wheels (4, 4) have not moved the camera from it yet."""
+        return self.is_so and not self._is_scattered and self._shows_the_same(T_last_now)
 
     def scatter(self, T_odom_base: FloatArray, covariance: FloatArray) -> FloatArray:
         """The covariance (6, 6) of a pose from which the camera starts again, by all that may have happened."""
@@ -73,7 +98,50 @@ class Carried:
         return replace(answer, status=Status.COASTING, covariance=C, doubtful=True, reason=reason)
 
     def _spread(self, T_odom_base: FloatArray) -> FloatArray:
-        """Of a base (6, 6) that was carried on and put down turned any way, in the plane."""
-        carried_m = self._settings.carried_m_s * self._dark_s
+        """Of a base (6, 6) that was carried on and put down turned any way, perhaps on another floor."""
+        carried_m = self._settings.carried_m_s * self._away_s
         Ad = motions.adjoint(T_odom_base)
-        return np.asarray(Ad @ np.diag(np.square([carried_m, carried_m, 0, 0, 0, _TURNED_RAD])) @ Ad.T)
+        return np.asarray(Ad @ np.diag(np.square([carried_m, carried_m, self._up_m, 0, 0, _TURNED_RAD])) @ Ad.T)
+
+    def _shows_the_same(self, T_last_now: FloatArray | None) -> bool:
+        return T_last_now is not None and motions.view_shift_m(T_last_now) <= self._settings.same_view_m
+
+
+class UnsureStart:
+    """A camera that begins again where wheels have it knows that place no better than they, however well it tracks.
+
+    After a silence of all sensors, or a long way in the dark, that may be half a metre. Its measurements are of
+    motions, so that tells nobody where the robot is; places and known views do.
+    """
+
+    def __init__(self, settings: JoiningSettings) -> None:
+        self._settings = settings
+        self._known: FusedEstimate | None = None
+        self._enough_m2: float | None = None  # below so much variance the place is known again
+
+    def known(self, answer: FusedEstimate) -> None:
+        """Take the answer to a frame that was believed."""
+        self._known = answer
+
+    def begin(self, spread_m: float | None) -> None:
+        """The camera begins again, `spread_m` (σ, in the plane) from the last frame that was believed."""
+        if spread_m is None or spread_m <= self._settings.unsure_m or self._enough_m2 is not None:
+            return
+        before_m2 = 0.0 if self._known is None else _variance_m2(self._known)
+        self._enough_m2 = before_m2 + self._settings.unsure_m**2
+
+    def answered(self, answer: FusedEstimate) -> FusedEstimate:
+        """The answer, doubtful until it is known again where the robot is."""
+        if self._enough_m2 is None or answer.T_odom_body is None:
+            return answer
+        if _variance_m2(answer) < self._enough_m2:
+            self._enough_m2 = None
+            return answer
+        reason = answer.reason or Reason.NOT_RECOGNISED
+        return replace(answer, status=Status.COASTING, doubtful=True, reason=reason)
+
+
+def _variance_m2(answer: FusedEstimate) -> float:
+    assert answer.T_odom_body is not None
+    assert answer.covariance is not None
+    return float(np.trace(se3.position_covariance(answer.T_odom_body, answer.covariance)[:2, :2]))

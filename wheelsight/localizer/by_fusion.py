@@ -15,7 +15,7 @@ from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._base_sensors import BaseSensors
 from wheelsight.localizer._camera import mount_of
 from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far
-from wheelsight.localizer._carried import Carried
+from wheelsight.localizer._carried import Carried, UnsureStart
 from wheelsight.localizer._fused_camera import FusedCamera
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
@@ -49,7 +49,7 @@ class ByFusion:
         self.filter = ErrorStateFilter(*begin)
         checks = (of.base_check, of.color_check, settings.extrinsics)
         self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)
-        self._carried = Carried(self._settings)
+        self._carried, self._unsure = Carried(self._settings), UnsureStart(self._settings)
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry:
@@ -106,6 +106,7 @@ class ByFusion:
             return None, ""
         if isinstance(event, WheelTicks | WheelSpeeds) and why.reason is Reason.CLOCKS_APART:
             self._base.deaf = f"the wheels are not heard: {why.note}"
+            self._base.refuse(event)
         known, reason = self._map.framed(self.filter.estimate), why.reason
         if reason is Reason.CLOCKS_APART and known.status is Status.TRACKING:
             # Until it is settled whose clock leapt, the base moves on unseen.
@@ -130,6 +131,8 @@ class ByFusion:
         if wheels is None:
             return None, note
         self._check.hear(wheels)
+        if wheels.T_odom_body is not None:
+            self._carried.roll(wheels.stamp_s, wheels.T_odom_body)
         if self._goes_on_without(Culprit.CAMERA):
             return self.filter.estimate, note
         if self._check.is_without_wheels:
@@ -187,10 +190,11 @@ class ByFusion:
             frame.stamp_s, motion, here.covariance, is_far=is_far(motion, self._settings.anchor_way_m)
         )
         answer, self._camera.unknown = update.answer, 0
-        self._carried.known()
+        self._carried.known(frame.stamp_s)
         if update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING:
             self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
             self._map.refer(seen)
+            self._unsure.known(answer)
             if self.mapper is not None and isinstance(seen, DenseEstimate):
                 self.mapper.fuse_tracked(frame, seen)
         if update.is_reference:
@@ -212,23 +216,27 @@ class ByFusion:
         """The wheels' pose; if it `restarts`, or after some frames that show nothing known, the camera starts there."""
         nothing = MotionEstimate.failed(seen.reason or Reason.INVALID, seen.matches, seen.inliers)
         answer = self.filter.miss_frame(frame.stamp_s, nothing)
-        if self._camera.miss(seen):
-            self._suspect(frame.stamp_s, answer)
-        if (restarts or self._camera.is_lost) and answer.covariance is not None:
-            T_odom_base = self.filter.when_imaged(frame.stamp_s)
-            if self._carried.is_so:
-                spread = self._carried.scatter(T_odom_base, answer.covariance)
-                self._go_on_by(self.filter.begun_at(T_odom_base, spread))
-            again = self._camera.restart(frame, self._map.camera_at(T_odom_base), answer.covariance)
-            if again.T_odom_body is not None:
-                return self._begun(frame, again, seen.reason)
-        return answer
+        expected = self.filter.expect_frame(frame.stamp_s)
+        if self._camera.miss(seen) and self._camera.unknown == 1 and answer.T_odom_body is not None:
+            # Wheels that stood while the view became another do not know whether they were carried.
+            self._carried.unknown(frame.stamp_s - self._map.seen_s, expected, answer.T_odom_body)
+        is_lost = self._camera.is_lost and not self._carried.waits(expected)
+        return self._again(frame, seen, answer) if (restarts or is_lost) and answer.covariance is not None else answer
 
-    def _suspect(self, stamp_s: float, wheels: FusedEstimate) -> None:
-        """An unknown view right after the dark: wheels that stood meanwhile do not know whether they were carried."""
-        dark_s, expected = stamp_s - self._map.seen_s, self.filter.expect_frame(stamp_s)
-        if self._camera.unknown == 1 and dark_s > self._settings.dark_s and wheels.T_odom_body is not None:
-            self._carried.unknown(dark_s, expected, wheels.T_odom_body)
+    def _again(self, frame: RgbdFrame, seen: CameraEstimate, wheels: FusedEstimate) -> FusedEstimate:
+        """The answer at a frame that shows nothing known, at which the camera starts where the wheels have it."""
+        assert wheels.covariance is not None
+        T_odom_base = self.filter.when_imaged(frame.stamp_s)
+        spread_m = self.filter.spread_since_frame_m(frame.stamp_s)
+        if self._carried.is_so:
+            spread = self._carried.scatter(T_odom_base, wheels.covariance)
+            self._go_on_by(self.filter.begun_at(T_odom_base, spread))
+        again = self._camera.restart(frame, self._map.camera_at(T_odom_base), wheels.covariance)
+        if again.T_odom_body is None:
+            return wheels
+        self._unsure.begin(spread_m)
+        self._carried.begin()
+        return self._begun(frame, again, seen.reason)
 
     def _repeated(self) -> Estimate:
         """What is known, at an image that has come before: no measurement, and no failure of the camera."""
@@ -256,7 +264,7 @@ class ByFusion:
 
     def _checked(self, answer: FusedEstimate) -> FusedEstimate:
         """What the filter answers, by what it cannot know."""
-        return self._carried.answered(self._check.answered(answer))
+        return self._carried.answered(self._unsure.answered(self._check.answered(answer)))
 
     def _goes_on_without(self, sensor: Culprit) -> bool:
         """Whether a sensor was just found to be wrong all along: what goes on without it takes over."""

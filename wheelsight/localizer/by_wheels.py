@@ -53,6 +53,13 @@ class ByWheels:
         """What is wrong with the gyroscope, as a sentence."""
         return self._check.warnings
 
+    def pause(self, seconds: float) -> None:
+        """Before the next reading, so long may have passed, whatever stamps say."""
+        kept = None if self._next is None else self._next[1]
+        for odometry in (self._alone, self._joined, kept):
+            if odometry is not None:
+                odometry.pause(seconds)
+
     def process(self, event: Event) -> tuple[WheelEstimate | None, str]:
         """The estimate at a reading, None at any other event, and a note."""
         if isinstance(event, YawRate) and self._uses_gyro and not self._check.problem:

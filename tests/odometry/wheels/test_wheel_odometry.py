@@ -383,3 +383,19 @@ def test_numbers_that_are_not_finite_tell_no_step() -> None:
     odometry = WheelOdometry(WHEELCHAIR)
     answers = [odometry.process(WheelSpeeds(0.1 * i, math.nan if i == 2 else 1.0, 1.0)) for i in range(5)]
     assert [answer.step is None for answer in answers] == [True, False, False, True, True]
+
+
+@pytest.mark.parametrize("paused_s", [0.0, 0.4, 5.0])
+def test_a_way_too_long_for_its_stamps_is_believed_after_a_pause_that_was_long_enough(paused_s: float) -> None:
+    subject = WheelOdometry(WHEELCHAIR)
+    ticks = int(3.0 / WHEELCHAIR.left_m_per_tick)  # in 0.4 s, by stamps
+    subject.process(WheelTicks(0.0, 0, 0))
+    subject.pause(paused_s)
+    answer = subject.process(WheelTicks(0.4, ticks, ticks))
+    if paused_s < 0.6:  # at 5 m/s
+        assert answer.reason is Reason.IMPLAUSIBLE_MOTION
+    else:
+        assert answer.reason is None
+        assert subject.pose[0] == pytest.approx(3.0, abs=1e-3)
+    # That was of one reading.
+    assert subject.process(WheelTicks(0.8, 2 * ticks, 2 * ticks)).reason is Reason.IMPLAUSIBLE_MOTION

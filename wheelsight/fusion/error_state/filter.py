@@ -212,6 +212,16 @@ class ErrorStateFilter:
         expected = self.expect(stamp_s, FRAME)
         return None if expected is None else expected[0]
 
+    def spread_since_frame_m(self, stamp_s: float) -> float | None:
+        """σ of how far the base has gone in the plane since the last frame, metres; None where none is remembered."""
+        expected = self.expect(stamp_s, FRAME)
+        if expected is None:
+            return None
+        T_camera_base = se3.invert(self._mount.T_base_camera)
+        T = self._mount.T_base_camera @ expected[0] @ T_camera_base
+        Ad = se3.adjoint(self._mount.T_base_camera)
+        return float(np.sqrt(np.trace(se3.position_covariance(T, Ad @ expected[1] @ Ad.T)[:2, :2])))
+
     def when_imaged(self, stamp_s: float) -> FloatArray:
         """T_odom_base (4, 4) when the image of a stamp was taken: it may have come late, by its stamp and beside it."""
         self.clone(stamp_s, _IMAGED)

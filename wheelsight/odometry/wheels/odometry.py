@@ -62,6 +62,7 @@ class WheelOdometry:
         self._last: WheelTicks | WheelSpeeds | None = None
         self._stamps = StampCheck()
         self._answered: tuple[float, FloatArray, FloatArray] | None = None
+        self._paused_s = 0.0
 
     @property
     def _state(self) -> FloatArray:
@@ -115,6 +116,13 @@ class WheelOdometry:
         """How far off that may be, as a standard deviation."""
         return math.sqrt(self._state[at.BIAS_VARIANCE])
 
+    def pause(self, seconds: float) -> None:
+        """Before the next reading, so long may have passed, whatever stamps say: as while a host slept, or a bus hung.
+
+        Counts tell the way all the same; one that is too long for its stamps is then believed.
+        """
+        self._paused_s = seconds
+
     def process(self, reading: WheelTicks | WheelSpeeds, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
         """The pose at a reading, and the step there from the one before.
 
@@ -154,10 +162,22 @@ class WheelOdometry:
         counts = isinstance(reading, WheelTicks)
         self._parameters[kernels.SPAN] = self._span if counts else 0.0
         self._parameters[kernels.COUNT_VARIANCE] = _count_variance(self._wheels) if counts else 0.0
+        why = self._update(ticks, dt_s, rate_rad_s, self._paused_s if counts else 0.0)
+        if why != kernels.BACKWARDS:
+            self._last, self._paused_s = reading, 0.0
+        return why
+
+    def _update(self, ticks: tuple[float, float], dt_s: float, rate_rad_s: float, paused_s: float) -> int:
+        """Why a step is refused, or OK; of a reading after a pause, by the longer of both times where it needs that."""
+        before = self.copy() if paused_s > dt_s > 0 else None
         filled = (self._T_odom_base, self._covariance)
         why: int = kernels.update(self._states, self._parameters, *ticks, dt_s, rate_rad_s, *filled)
-        if why != kernels.BACKWARDS:
-            self._last = reading
+        if before is None or why != kernels.IMPLAUSIBLE:
+            return why
+        self._states, self._T_odom_base, self._covariance = before._states, before._T_odom_base, before._covariance
+        parameters, filled = self._parameters.copy(), (self._T_odom_base, self._covariance)
+        parameters[kernels.SPEED_LIMIT] *= paused_s / dt_s
+        why = kernels.update(self._states, parameters, *ticks, dt_s, rate_rad_s, *filled)
         return why
 
 

@@ -1,0 +1,53 @@
+"""UnsureStart: what is said of a camera that began again where wheels hardly knew."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wheelsight.estimates import Reason, Status
+from wheelsight.fusion import FusedEstimate, JoiningSettings
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.localizer._carried import UnsureStart
+
+T_ODOM_BASE = se3.from_plane(5.0, -2.0, 1.0)
+
+
+def answer(sigma_m: float) -> FusedEstimate:
+    """At a place that is known so well, each way."""
+    return FusedEstimate(10.0, Status.TRACKING, T_ODOM_BASE, _about(T_ODOM_BASE, sigma_m), body="base")
+
+
+def _about(T: FloatArray, sigma_m: float) -> FloatArray:
+    """Of a position alone, the heading being known."""
+    return np.diag([sigma_m**2 / 2, sigma_m**2 / 2, 1e-6, 1e-12, 1e-12, 1e-12])
+
+
+def begun(spread_m: float | None) -> UnsureStart:
+    subject = UnsureStart(JoiningSettings())
+    subject.known(answer(0.1))
+    subject.begin(spread_m)
+    return subject
+
+
+def test_it_is_doubtful_until_the_place_is_known_about_as_well_as_before() -> None:
+    subject = begun(0.5)
+    told = subject.answered(answer(0.5))
+    assert (told.status, told.doubtful, told.reason) == (Status.COASTING, True, Reason.NOT_RECOGNISED)
+    np.testing.assert_array_equal(told.covariance, answer(0.5).covariance)
+    assert subject.answered(answer(0.28)).doubtful  # 0.1 m before and 0.25 m more are 0.269 m
+    assert not subject.answered(answer(0.26)).doubtful
+    assert not subject.answered(answer(0.5)).doubtful
+
+
+@pytest.mark.parametrize("spread_m", [0.2, None])
+def test_where_wheels_knew_it_nothing_is_said(spread_m: float | None) -> None:
+    wide = answer(0.5)
+    assert begun(spread_m).answered(wide) is wide
+
+
+def test_a_camera_that_begins_once_more_is_no_surer_for_it() -> None:
+    subject = begun(0.5)
+    subject.known(answer(0.5))
+    subject.begin(0.5)
+    assert subject.answered(answer(0.5)).doubtful
