@@ -168,7 +168,9 @@ def test_no_failure_may_go_unsaid_nor_reach_the_map(truth: Trajectory, events: l
     assert [row[8] for row in sheet.rows] == ["—", "3"]
 
 
-def test_a_frame_beyond_the_truths_end_counts_as_no_pose_that_is_right_or_wrong(truth, events):
+def test_a_frame_beyond_the_truths_end_counts_as_no_pose_that_is_right_or_wrong(
+    truth: Trajectory, events: list[Event]
+) -> None:
     short = replace(truth, stamps_s=truth.stamps_s[:-2], T_frame_body=truth.T_frame_body[:-2])
     figures = measure_case(Case("clean"), "dense", Tracker(truth, off_m=0.5, wrong_s=(5.7, 9.0)), events, short)
     assert (figures.frames, figures.with_pose, figures.wrong) == (FRAMES, FRAMES - 2, 1)

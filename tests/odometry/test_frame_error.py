@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from narrowing import not_none
-from odometry.views import CAMERA, room_frames
+from odometry.views import room_frames
 from scipy.spatial.transform import Rotation
-from synthetic import wobbling_trajectory
+from synthetic import CAMERA, wobbling_trajectory
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError
