@@ -16,6 +16,8 @@ from wheelsight.odometry.dense.joint import Joint, SurfaceWeight, Told
 from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.observability import Judgement, Prior, judge
 from wheelsight.odometry.dense.prediction import Prediction
+from wheelsight.odometry.dense.reference import Reference
+from wheelsight.odometry.dense.regions import moving_regions, without
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.dense.tracked import Tracked
 from wheelsight.odometry.dense.views import KnownView, Views
@@ -44,7 +46,7 @@ class Locator:
         self, calibration: Calibration, settings: DenseSettings, aligner: Aligner, views: Views, watch: Stopwatch
     ) -> None:
         self._settings, self._aligner, self._views, self._watch = settings, aligner, views, watch
-        self.of_frame = frame_covariance(calibration)
+        self.of_frame, self._noise = frame_covariance(calibration), calibration.depth_noise
         self.weight = SurfaceWeight(settings.joint)
 
     def locate(self, grid: GridFrame, ahead: Prediction, state: TrackingState) -> Tracked | MotionEstimate:
@@ -79,6 +81,7 @@ class Locator:
         sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
         # One's own guess is held only where nothing tells more: what noise pulls off is to betray itself by a leap.
         held_m = sigma_m if ahead.is_helped or is_held else np.inf, self._settings.nonholonomic_share * sigma_m
+        grid_used = grid
         with self._watch.stage("align"):
             told = _told(ahead.told, reference.T_map_reference)
             expected = [T_reference_map @ T for T in begun]
@@ -86,9 +89,11 @@ class Locator:
                 starts = [self._aligner.nearest(grid, reference, [told.T_reference_frame, *expected])]
             else:
                 starts = [self._aligner.start(grid, reference, expected)]
+            if told is not None:
+                grid_used = self._still(grid, reference, starts[0])
             if ahead.T_map_other is not None:
                 starts.append(self._aligner.turn(grid, reference, T_reference_map @ ahead.T_map_other))
-            found = self._aligner.align_clearest(grid, reference, starts, step, held_m, told, self.weight.factor)
+            found = self._aligner.align_clearest(grid_used, reference, starts, step, held_m, told, self.weight.factor)
         joint = None
         if told is not None:
             found, joint = self._met(found, told)
@@ -102,6 +107,15 @@ class Locator:
         turning = judged.T_reference_frame[:3, :3] @ twist[3:] - view.turning_rad_s
         tracked = self._tracked(grid, view, found, judged, T_map_camera, twist)
         return replace(tracked, joint=joint, turning_rad_s=turning)
+
+    def _still(self, grid: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> GridFrame:
+        """A frame, located by keypoints at (4, 4), without the regions that move by themselves."""
+        limits, coarsest = self._settings.regions, self._settings.levels - 1
+        if not limits.columns:
+            return grid
+        levels = grid.levels[coarsest], reference.levels[coarsest]
+        moving = moving_regions(*levels, T_reference_frame, self._noise, limits)
+        return without(grid, moving) if moving.any() else grid
 
     def _met(self, found: DenseAlignment, told: Told) -> tuple[DenseAlignment, Joint]:
         """An alignment, with keypoints by what their disagreement says of surfaces."""

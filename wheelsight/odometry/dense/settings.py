@@ -9,6 +9,7 @@ from wheelsight.odometry.dense.settings_parts import (
     FaultSettings,
     JointSettings,
     KeyframeSettings,
+    RegionSettings,
     StartSettings,
     VerificationSettings,
     VignettingSettings,
@@ -152,6 +153,7 @@ class DenseSettings(Settings):
     faults: FaultSettings = FaultSettings()
     delay: DelaySettings = DelaySettings()
     joint: JointSettings = JointSettings()
+    regions: RegionSettings = RegionSettings()
     verification: VerificationSettings = VerificationSettings()
     keyframes: KeyframeSettings = KeyframeSettings()
     vignetting: VignettingSettings = VignettingSettings()

@@ -179,6 +179,30 @@ class JointSettings(Settings):
     most: float = setting(1e4, "a larger factor says no more than that", CHOSEN, gt=0, le=1e9)
 
 
+class RegionSettings(Settings):
+    """Which regions of a view move by themselves and are left out."""
+
+    columns: int = setting(8, "regions across the view; 0 asks for none", CHOSEN, ge=0, le=64)
+    rows: int = setting(6, "and down", CHOSEN, ge=1, le=64)
+    odd_factor: float = setting(
+        2.5,
+        "times as far from known surfaces as the median region, from which one moves by itself",
+        CHOSEN,
+        ge=1,
+        le=100,
+    )
+    odd_sigmas: float = setting(3.0, "and at least so many standard deviations of depth", CHOSEN, gt=0, le=100)
+    most_sigmas: float = setting(8.0, "more of one point counts as no more than that", CHOSEN, gt=0, le=100)
+    gate: float = setting(
+        0.03, "metres a metre of depth beyond which a point is on another surface", CHOSEN, ge=0, le=1
+    )
+    most_share: float = setting(
+        0.4, "of the regions; where more would be left out, it is the pose that is wrong", CHOSEN, gt=0, le=1
+    )
+    min_points: int = setting(20, "of a region at the coarsest level for it to have a say", CHOSEN, gt=0, le=10_000)
+    min_regions: int = setting(12, "that must have a say for any to be left out", CHOSEN, gt=0, le=4096)
+
+
 class DelaySettings(Settings):
     """How the time between colour and depth is learned, beyond what their stamps say."""
 

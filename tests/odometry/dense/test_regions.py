@@ -1,0 +1,91 @@
+"""Regions that move by themselves are found and left out; a wrong pose moves all of them, and none is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from odometry.dense.scenes import SMALL, Bench, apart, bench
+from odometry.views import room_frame
+
+from wheelsight.calibration import DepthNoise
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.odometry.dense.regions import moving_regions, without
+from wheelsight.odometry.dense.settings_parts import RegionSettings
+
+SETTINGS, NOISE = RegionSettings(), DepthNoise()
+MOTION = se3.exp([0.02, -0.01, 0.03, 0.004, 0.01, -0.006])
+# Columns of the image that a person hides: two of eight regions' width.
+HIDDEN = slice(80, 160)
+
+
+@pytest.fixture(scope="module")
+def parts() -> Bench:
+    return bench()
+
+
+def with_person(frame: RgbdFrame, depth_m: float, seed: int) -> RgbdFrame:
+    """A frame before which somebody stands, upright at one depth, in a striped shirt that moves along."""
+    depth, color = frame.depth_m.copy(), frame.color.copy()
+    depth[:, HIDDEN] = np.float32(depth_m)
+    stripes = np.random.default_rng(seed).integers(0, 255, (SMALL.height // 8, 10), np.uint8)
+    color[:, HIDDEN] = np.kron(stripes, np.ones((8, 8), np.uint8))[..., None]
+    return replace(frame, depth_m=depth, color=color)
+
+
+def seen(T: FloatArray, stamp_s: float, person_m: float | None = None) -> RgbdFrame:
+    frame = room_frame(T, stamp_s, SMALL, depth_noise=True)
+    return frame if person_m is None else with_person(frame, person_m, seed=3)
+
+
+def moving(parts: Bench, first: RgbdFrame, second: RgbdFrame, T: FloatArray) -> BoolArray:
+    coarsest = 2
+    reference, frame = parts.reference(first), parts.grid(second)
+    return moving_regions(frame.levels[coarsest], reference.levels[coarsest], T, NOISE, SETTINGS)
+
+
+def test_who_comes_nearer_moves_and_the_room_does_not(parts: Bench) -> None:
+    moves = moving(parts, seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.85), MOTION)
+    assert moves[:, 2:4].mean() > 0.9
+    assert not moves[:, [0, 1, 5, 6, 7]].any()
+
+
+def test_a_room_that_stands_still_has_no_moving_region(parts: Bench) -> None:
+    assert not moving(parts, seen(np.eye(4), 0.0), seen(MOTION, 0.1), MOTION).any()
+
+
+def test_at_a_wrong_pose_all_would_move_so_none_does(parts: Bench) -> None:
+    wrong = se3.exp([0.0, 0.0, 0.3, 0.0, 0.0, 0.0]) @ MOTION
+    assert not moving(parts, seen(np.eye(4), 0.0), seen(MOTION, 0.1), wrong).any()
+
+
+def test_alignment_goes_by_the_room_once_the_person_is_left_out(parts: Bench) -> None:
+    first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.92)
+    reference, frame = parts.reference(first), parts.grid(second)
+    regions = moving(parts, first, second, MOTION)
+    assert regions.any()
+    with_all = parts.aligner.align(frame, reference, MOTION).T_reference_frame
+    without_them = parts.aligner.align(without(frame, regions), reference, MOTION).T_reference_frame
+    assert apart(without_them, MOTION)[0] < 0.5 * apart(with_all, MOTION)[0]
+    assert apart(without_them, MOTION)[0] < 0.004
+
+
+def test_left_out_regions_have_no_depth_at_any_level_and_others_keep_theirs(parts: Bench) -> None:
+    frame = parts.grid(seen(np.eye(4), 0.0))
+    regions = np.zeros((SETTINGS.rows, SETTINGS.columns), bool)
+    regions[1, 2] = True
+    for before, after in zip(frame.levels, without(frame, regions).levels, strict=True):
+        h, w = before.depth_m.shape
+        inside = (slice(h // 6 + 1, 2 * h // 6 - 1), slice(2 * w // 8 + 1, 3 * w // 8 - 1))
+        assert not after.depth_m[inside].any()
+        changed = before.depth_m != after.depth_m
+        assert changed.mean() < 1.6 / regions.size
+
+
+def test_few_regions_with_depth_say_nothing(parts: Bench) -> None:
+    first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.8)
+    second.depth_m[:, 160:] = 0
+    second.depth_m[120:] = 0
+    assert not moving(parts, first, second, MOTION).any()
