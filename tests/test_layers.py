@@ -44,6 +44,7 @@ LAYERS = (
     "odometry",
     "places",
     "fusion",
+    "slam",
     "navigation",
     "config",
     "localizer",
