@@ -18,7 +18,7 @@ SOLVERS = [OwnPoseGraph, GtsamPoseGraph]
 
 def noisy(seed, loops=12, wrong=0):
     rng = np.random.default_rng(seed)
-    T = drive(rng)
+    T = drive()
     steps = odometry(rng, T)
     edges = [*steps, *true_loops(rng, T, loops), *false_loops(rng, T, wrong)]
     return T, edges, dead_reckoned(T[0], steps)
@@ -43,7 +43,7 @@ def test_two_measurements_of_one_pose_are_weighed_by_their_variances(solver):
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_covariance_of_a_chain_is_that_of_composed_steps(solver):
     rng = np.random.default_rng(1)
-    T = drive(rng, laps=1)
+    T = drive(laps=1)
     steps = odometry(rng, T)
     graph = filled(solver(), steps, dead_reckoned(T[0], steps))
     graph.optimise()
