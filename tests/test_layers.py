@@ -29,6 +29,7 @@ LAYERS = (
     "stamps",
     "trajectory",
     "areas",
+    "matches",
     "ros_map",
     "keyframes",
     "estimates",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wheelsight.settings import CHOSEN, Settings, setting
+from wheelsight.settings import ASKED, CHOSEN, Settings, setting
 
 _FROM_0050 = "docs/decisions/0050: synthetic graphs, found on the simulator alone"
 
@@ -42,8 +42,13 @@ class MatchSettings(Settings):
 
 
 class LoopSettings(Settings):
-    """Which loops are kept."""
+    """Where loops come from, and which are kept."""
 
+    source: str = setting(
+        "none",
+        "none; matches: those of the recording, and of a loops.csv in its folder; or a file like that",
+        ASKED,
+    )
     gate_probability: float = setting(
         0.999, "share of true loops that pass the chi-square gate, where all covariances are honest", CHOSEN, gt=0, lt=1
     )
