@@ -39,6 +39,7 @@ from wheelsight.settings import (
     conflict,
     setting,
 )
+from wheelsight.slam.settings import LoopSettings
 
 OdometryName = Literal["features", "dense", "wheels"]
 TrackName = Literal["features", "dense", "wheels", "rectified", "joined"]
@@ -222,6 +223,7 @@ class Config(Settings):
     clocks: ClockSettings = ClockSettings()
     localizer: LocalizerSettings = LocalizerSettings()
     places: PlaceSettings = PlaceSettings()
+    loops: LoopSettings = LoopSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
     realtime: RealTimeSettings = RealTimeSettings()

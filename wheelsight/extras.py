@@ -9,6 +9,7 @@ from wheelsight.errors import ConfigError
 
 # By the name that is imported: the library's, and all that its extra brings, by names that install from anywhere.
 _EXTRAS = {
+    "gtsam": ("GTSAM", "gtsam"),
     "mujoco": ("MuJoCo", "mujoco matplotlib"),
     "plotly": ("plotly", "plotly"),
     "skimage": ("scikit-image", "scikit-image"),

@@ -57,6 +57,7 @@ _SETTINGS = {
     "--odometry": "odometry",
     "--fusion": "fusion.filter",
     "--map": "map",
+    "--loops": "loops.source",
     "--reference": "features.reference",
     "--integration": "wheels.integration",
     "--gyro": "wheels.gyro",

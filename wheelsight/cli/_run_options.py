@@ -25,6 +25,15 @@ Map = Annotated[
         show_default="keyframes alone",
     ),
 ]
+Loops = Annotated[
+    str | None,
+    typer.Option(
+        metavar="matches|FILE",
+        help="Correct the way by places that were recognised: the recording's own matches and loops.csv, or a file "
+        "like that.",
+        show_default="none",
+    ),
+]
 Fusion = Annotated[
     str | None,
     typer.Option(

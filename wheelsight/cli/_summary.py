@@ -31,8 +31,10 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
             stdout.print(facts_table("what joining came to", _joined_facts(records)))
     else:
         stdout.print(facts_table(f"{first.recording}: T_{first.estimate.frame}_{first.estimate.body}", _facts(first)))
-    if len(records) == 1 and first.evaluation is not None:
-        stdout.print(evaluation_table(first.evaluation))
+        if first.evaluation is not None:
+            stdout.print(evaluation_table(first.evaluation))
+    for shown in _corrections(records):
+        stdout.print(shown)
     if first.realtime is not None:
         stdout.print(first.realtime.sentence, markup=False)
     for warning in dict.fromkeys(w for record in records for w in record.warnings):
@@ -41,6 +43,17 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
         stdout.print(line)
     if why_no_page() is None:
         stdout.print(f"report: {out / 'report.html'}")
+
+
+def _corrections(records: Sequence[RunRecord]) -> Iterator[Table | str]:
+    """What loops made of each trajectory."""
+    from wheelsight.cli.evaluate import evaluation_table
+
+    for record in records:
+        if record.correction is not None:
+            yield f"{record.odometry}: {record.correction.sentence}"
+            if record.correction.evaluation is not None:
+                yield evaluation_table(record.correction.evaluation)
 
 
 def _maps(records: Sequence[RunRecord], out: Path) -> Iterator[str]:

@@ -37,6 +37,7 @@ def run(
     odometry: options.Odometry = None,
     fusion: options.Fusion = None,
     map_: options.Map = None,
+    loops: options.Loops = None,
     camera: Camera = None,
     calibration: CalibrationFile = None,
     config: options.SettingsFile = None,
@@ -66,6 +67,7 @@ def run(
     DIR gets trajectory.txt (TUM), status.csv, metrics.json, the resolved config.yaml and report.html.
     With several odometries each has a folder of its name, and report.html and metrics.json join them; so have, with
     --places, the wheels alone and the wheels that areas have rectified.
+    With --loops also trajectory_corrected.txt, the way as known at its end, and loops_judged.csv.
     With --map surfels also map.surfels, of which wheelsight export makes points or a mesh.
 
     Ctrl-C stops early and keeps what was found until then.
@@ -86,6 +88,8 @@ def run(
 
     wheelsight run my_recording --odometry wheels --places floor.places --out results
 
+    wheelsight run my_recording --odometry wheels --loops matches --out results
+
     wheelsight run my_recording --odometry wheels,dense --realtime --out results
     """
     of_recording = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
@@ -93,7 +97,7 @@ def run(
     of_wheels = {"--integration": integration, "--gyro": gyro}
     of_places = {"--places": places, "--areas": areas, "--rectify": rectify, "--start": start}
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}
-    of_all = {"--odometry": odometry, "--fusion": fusion, "--map": map_}
+    of_all = {"--odometry": odometry, "--fusion": fusion, "--map": map_, "--loops": loops}
     given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     is_named = odometry is not None or names_odometry(config)
     settings = settings_from(given if is_named else {**given, "--odometry": ANY}, config)

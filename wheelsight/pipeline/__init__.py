@@ -2,6 +2,7 @@
 
 from wheelsight.pipeline.choice import Choice, default_odometry
 from wheelsight.pipeline.joined import FLAGS, BestAlone, JoinedFacts, best_alone_of, facts_of, joined_of
+from wheelsight.pipeline.loops import CORRECTED_FILE, CorrectionRecord
 from wheelsight.pipeline.map_record import MapPicture, MapRecord
 from wheelsight.pipeline.maps import MAP_FILE
 from wheelsight.pipeline.outputs import PAGE_FILE
@@ -12,11 +13,13 @@ from wheelsight.pipeline.run_record import FrameRecord, MatchPicture, RunRecord
 from wheelsight.pipeline.runs import run_each
 
 __all__ = [
+    "CORRECTED_FILE",
     "FLAGS",
     "MAP_FILE",
     "PAGE_FILE",
     "BestAlone",
     "Choice",
+    "CorrectionRecord",
     "FrameRecord",
     "JoinedFacts",
     "Look",

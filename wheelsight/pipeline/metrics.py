@@ -76,6 +76,7 @@ def _of_odometry(record: RunRecord, passage: Passage, source: EventSource) -> di
         "evaluation_problem": record.evaluation_problem,
         **({} if record.map is None else {"map": _map(record.map)}),
         **({} if record.rectification is None else {"rectification": _rectification(record.rectification)}),
+        **({} if record.correction is None else {"loops": record.correction.to_dict()}),
         **({"joined": _joined(facts_of(record))} if record.is_joined else {}),
     }
 

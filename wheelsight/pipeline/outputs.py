@@ -14,6 +14,7 @@ import numpy as np
 from wheelsight.config import Config, TrackName, save_config
 from wheelsight.files import make_output_folder, output_error, write_text
 from wheelsight.mapping import save_map
+from wheelsight.pipeline.loops import CORRECTED_FILE, JUDGED_FILE, judged_csv
 from wheelsight.pipeline.maps import MAP_FILE
 from wheelsight.pipeline.metrics import joint_metrics, metrics_of
 from wheelsight.pipeline.places import looks_csv
@@ -23,7 +24,7 @@ from wheelsight.sources import EventSource
 from wheelsight.trajectory import write_tum
 
 PAGE_FILE = "report.html"
-_OF_ONE = ("trajectory.txt", "status.csv", "metrics.json", "areas.csv", MAP_FILE)
+_OF_ONE = ("trajectory.txt", "status.csv", "metrics.json", "areas.csv", CORRECTED_FILE, JUDGED_FILE, MAP_FILE)
 
 
 Draw = Callable[[Sequence[RunRecord], Path], None]
@@ -74,8 +75,19 @@ def _write_one(record: RunRecord, passage: Passage, source: EventSource, folder:
     write_text(folder / "status.csv", _status_csv(record))
     if record.rectification is not None:
         write_text(folder / "areas.csv", looks_csv(record.rectification))
+    _write_correction(record, folder)
     _write_map(record, passage, folder / MAP_FILE)
     _write_json(metrics_of(record, passage, source), folder / "metrics.json")
+
+
+def _write_correction(record: RunRecord, folder: Path) -> None:
+    """The way as known at its end, and what became of each match; what an earlier run left in their place goes."""
+    if record.correction is None:
+        _forget(folder / CORRECTED_FILE)
+        _forget(folder / JUDGED_FILE)
+    else:
+        write_tum(record.correction.found.corrected, folder / CORRECTED_FILE)
+        write_text(folder / JUDGED_FILE, judged_csv(record.correction))
 
 
 def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:

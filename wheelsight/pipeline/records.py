@@ -10,6 +10,7 @@ import numpy as np
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate
+from wheelsight.pipeline.loops import MatchesOfRun, correction_of
 from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.maps import map_record_of
 from wheelsight.pipeline.origin import format_of
@@ -23,10 +24,17 @@ from wheelsight.trajectory import Trajectory
 
 
 def records_of(
-    passage: Passage, source: EventSource, config: Config, places: PlacesOfRun | None
+    passage: Passage,
+    source: EventSource,
+    config: Config,
+    places: PlacesOfRun | None,
+    matches: MatchesOfRun | None = None,
 ) -> tuple[RunRecord, ...]:
     """The record of each track of a pass that is over."""
     records = {track.odometry: _record_of(track, passage, source, config) for track in passage.tracks}
+    if matches is not None:
+        for track in passage.tracks:
+            records[track.odometry] = _with_correction(records[track.odometry], track, config, matches)
     if places is not None:
         records["rectified"] = _with_rectification(records["rectified"], records["wheels"], passage, config, places)
     return tuple(records.values())
@@ -41,6 +49,16 @@ def _with_rectification(
     found = rectification_of(places, way, looks, wheels.estimate, record.estimate, record.ground_truth)
     warnings = (places.start, *record.warnings) if places.is_start_true else record.warnings
     return replace(record, rectification=found, warnings=warnings)
+
+
+def _with_correction(record: RunRecord, track: Track, config: Config, matches: MatchesOfRun) -> RunRecord:
+    def judge(corrected: Trajectory) -> Evaluation | None:
+        truth = record.ground_truth
+        return None if truth is None else _compare(corrected, truth, config, track)[0]
+
+    is_wheels = record.odometry == "wheels"
+    correction, warnings = correction_of(matches, record.estimate, is_wheels, judge)
+    return replace(record, correction=correction, warnings=(*record.warnings, *warnings))
 
 
 def _record_of(track: Track, passage: Passage, source: EventSource, config: Config) -> RunRecord:

@@ -12,6 +12,7 @@ import numpy as np
 from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import Evaluation
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray
+from wheelsight.pipeline.loops import CorrectionRecord
 from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.realtime_record import RealTimeRecord
 from wheelsight.pipeline.rectification_record import RectificationRecord
@@ -113,6 +114,7 @@ class RunRecord:
             are of frames alone, while the trajectory has a pose at each wheel reading too.
         rectification: what areas did to the wheels, or None.
         map: what was built on the way, or None.
+        correction: what matches from outside made of the trajectory, or None.
         realtime: how it went, if the recording was played in real time, or None.
     """
 
@@ -135,6 +137,7 @@ class RunRecord:
     rectification: RectificationRecord | None = None
     map: MapRecord | None = None
     realtime: RealTimeRecord | None = None
+    correction: CorrectionRecord | None = None
 
     @property
     def posed(self) -> int:

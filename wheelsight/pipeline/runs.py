@@ -8,6 +8,7 @@ from pathlib import Path
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
+from wheelsight.pipeline.loops import MatchesOfRun, matches_of_run
 from wheelsight.pipeline.origin import frame_count_of, wheel_count_of, where
 from wheelsight.pipeline.outputs import Draw, write_results
 from wheelsight.pipeline.places import PlacesOfRun, places_of
@@ -47,33 +48,33 @@ def run_each(
     Raises:
         InputError: what cannot end well, before anything is written; or the source cannot be read on.
     """
-    tracks, places = _begin(source, config)
+    tracks, places, matches = _begin(source, config)
     folder = make_output_folder(Path(out), force)
     on_ready()
     passage = follow(tracks, source, config, on_event, None if places is None else places.places, duration_s)
     if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in tracks):
         raise passage.interruption
-    records = records_of(passage, source, config, places)
+    records = records_of(passage, source, config, places, matches)
     write_results(records, passage, source, config, folder, draw)
     if passage.interruption is not None:
         raise passage.interruption
     return records
 
 
-def _begin(source: EventSource, config: Config) -> tuple[tuple[Track, ...], PlacesOfRun | None]:
-    """Every track at its start, and places if they are asked for.
+def _begin(source: EventSource, config: Config) -> tuple[tuple[Track, ...], PlacesOfRun | None, MatchesOfRun | None]:
+    """Every track at its start, and places and matches if they are asked for.
 
     Raises:
-        ConfigError: the source has no images, or no wheel readings, that an odometry asked for needs.
+        ConfigError: the source has no images, wheel readings or matches that are asked for.
         CalibrationError: the calibration lacks its cameras, or its wheels.
         AreaError, PlaceError: places cannot be read, or do not fit.
         RecordingError: stamps are no seconds, or wheels and camera, which are to be joined, share no time.
     """
     _check_sensors(source, config)
-    places = places_of(source, config)
+    places, matches = places_of(source, config), matches_of_run(source, config)
     tracks = begin_all(source, config, None if places is None else places.places)
     _check_clocks(source, config)
-    return tracks, places
+    return tracks, places, matches
 
 
 def _check_sensors(source: EventSource, config: Config) -> None:

@@ -2,13 +2,23 @@
 
 from wheelsight.recordings._cameras import camera_names, load_camera
 from wheelsight.recordings.bodies import express_for
-from wheelsight.recordings.protocol import AssociationReport, ListedFrame, ListsFrames, OpenOptions, Recording
+from wheelsight.recordings.matches_file import MATCHES_FILE, matches_of, read_matches
+from wheelsight.recordings.protocol import (
+    AssociationReport,
+    GivesMatches,
+    ListedFrame,
+    ListsFrames,
+    OpenOptions,
+    Recording,
+)
 from wheelsight.recordings.registry import find_recordings, open_recording, reader_names
 from wheelsight.recordings.writer import TRUTH_FILES, RecordingWriter, write_recording
 
 __all__ = [
+    "MATCHES_FILE",
     "TRUTH_FILES",
     "AssociationReport",
+    "GivesMatches",
     "ListedFrame",
     "ListsFrames",
     "OpenOptions",
@@ -18,7 +28,9 @@ __all__ = [
     "express_for",
     "find_recordings",
     "load_camera",
+    "matches_of",
     "open_recording",
+    "read_matches",
     "reader_names",
     "write_recording",
 ]

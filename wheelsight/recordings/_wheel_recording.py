@@ -10,6 +10,7 @@ from pathlib import Path
 from wheelsight.calibration import Calibration, Wheels, load_calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.events import Event, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings.protocol import AssociationReport
 from wheelsight.trajectory import Trajectory
 
@@ -22,6 +23,8 @@ class WheelRecording:
 
     wheels: readings of the wheels in order of time, all ticks or all speeds.
     yaw_rates: readings of a gyroscope in order of time.
+    matches: where somebody took two places for one.
+    speed_variances: what the recording states of its odometry's errors, or None.
     """
 
     name: str
@@ -32,6 +35,8 @@ class WheelRecording:
     yaw_rates: tuple[YawRate, ...] = ()
     ground_truth: Trajectory | None = None
     warnings: tuple[str, ...] = ()
+    matches: tuple[Match, ...] = ()
+    speed_variances: SpeedVariances | None = None
 
     @property
     def body(self) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from wheelsight.errors import RecordingError
 from wheelsight.events import WheelSpeeds
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._wheel_recording import WheelRecording, need_wheels, shipped_robot, speeds_of_wheels
 from wheelsight.recordings.protocol import OpenOptions
@@ -34,8 +35,8 @@ class _Measurement:
 class MeasurementLineReader:
     """Speeds of lines odom2 (stamp, vx, vy, turn rate, variances), each until the next; true poses of point2 and angle.
 
-    Of the speeds, that across is left out: wheels cannot tell of it. Lines `loop`, views recognised again, are checked
-    and left to place recognition. The robot's wheels are not told of: `robots/velocities.yaml` stands for them.
+    Of the speeds, that across is left out: wheels cannot tell of it. Lines `loop` (stamp, stamp of the same place
+    before, score) are matches. The robot's wheels are not told of: `robots/velocities.yaml` stands for them.
     """
 
     name = "measurement_lines"
@@ -47,7 +48,9 @@ class MeasurementLineReader:
 
     def open(self, folder: Path, options: OpenOptions) -> WheelRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
-        speeds, warnings = _read_speeds(_only(folder, _INPUT))
+        path = _only(folder, _INPUT)
+        kinds = _read(path)
+        speeds, warnings = _speeds(kinds["odom2"], path)
         truth, more = _read_truth(_only(folder, _TRUTH))
         return WheelRecording(
             name=folder.resolve().name,
@@ -57,6 +60,8 @@ class MeasurementLineReader:
             wheels=tuple(speeds),
             ground_truth=truth,
             warnings=(*warnings, *more),
+            matches=tuple(Match(m.values[0], m.stamp_s, score=m.values[1]) for m in kinds["loop"]),
+            speed_variances=_variances(kinds["odom2"], path),
         )
 
 
@@ -67,8 +72,7 @@ def _only(folder: Path, pattern: str) -> Path:
     return found[0]
 
 
-def _read_speeds(path: Path) -> tuple[list[WheelSpeeds], list[str]]:
-    odometry = _read(path)["odom2"]
+def _speeds(odometry: list[_Measurement], path: Path) -> tuple[list[WheelSpeeds], list[str]]:
     if not odometry:
         raise RecordingError("holds no line odom2", path=path, fix="odom2 stamp vx vy turn-rate and three variances")
     nominal = need_wheels(shipped_robot("velocities"))
@@ -78,6 +82,15 @@ def _read_speeds(path: Path) -> tuple[list[WheelSpeeds], list[str]]:
     if across_m_s > 0:
         warnings.append(f"Speeds across, up to {across_m_s:.2g} m/s, are left out: wheels cannot tell of them.")
     return growing, warnings
+
+
+def _variances(odometry: list[_Measurement], path: Path) -> SpeedVariances:
+    """What the lines state of their own errors. Raises RecordingError for variances below 0."""
+    for m in odometry:
+        if min(m.values[3:]) < 0:
+            raise RecordingError("a variance is negative", path=path, line=m.line, fix="three variances from 0 up")
+    stated = sorted(odometry, key=lambda m: m.stamp_s)
+    return SpeedVariances(np.array([m.stamp_s for m in stated]), np.array([m.values[3:] for m in stated]))
 
 
 def _read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:

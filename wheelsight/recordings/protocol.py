@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 from wheelsight.errors import ConfigError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.files import StrPath
+from wheelsight.matches import Match, SpeedVariances
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
@@ -97,6 +98,19 @@ class ListsFrames(Protocol):
 
     def listed(self) -> Iterator[Event | ListedFrame]:
         """What `events()` yields, in the same order, with frames that are still to be decoded."""
+
+
+@runtime_checkable
+class GivesMatches(Protocol):
+    """A recording that tells where somebody took two places for one, and what its odometry says of its own errors."""
+
+    @property
+    def matches(self) -> Sequence[Match]:
+        """In any order; maybe none."""
+
+    @property
+    def speed_variances(self) -> SpeedVariances | None:
+        """As stated, or None."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,6 +97,11 @@ def read_columns(path: Path, numbers: Sequence[str] = (), counts: Sequence[str] 
     return Columns(stamps_s, values, lines), warnings
 
 
+def column_names(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
+    """All columns that the first line of a table names; `columns` must be among them. Raises RecordingError."""
+    return _header(read_list(path), path, columns).names
+
+
 def read_table(path: Path, columns: Sequence[str]) -> tuple[list[Row], list[str]]:
     """The rows of a table whose first line names its columns, of which `columns` are read; and warnings.
 

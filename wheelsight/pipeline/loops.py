@@ -1,0 +1,127 @@
+"""Loops of a run: matches from outside, read before it begins and judged once it is over."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wheelsight.config import Config
+from wheelsight.errors import ArgumentError, ConfigError
+from wheelsight.evaluation import Evaluation
+from wheelsight.matches import Match, SpeedVariances
+from wheelsight.recordings import MATCHES_FILE, GivesMatches, Recording, matches_of, read_matches
+from wheelsight.slam.correction import Correction, correct
+from wheelsight.slam.settings import LoopSettings
+from wheelsight.sources import EventSource
+from wheelsight.trajectory import Trajectory
+
+CORRECTED_FILE, JUDGED_FILE = "trajectory_corrected.txt", "loops_judged.csv"
+_SOURCE_NONE, _SOURCE_MATCHES = "none", "matches"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchesOfRun:
+    """What a run has to judge.
+
+    Attributes:
+        matches: as read.
+        stated: what the recording states of its wheel odometry's errors, or None.
+        warnings: of the files.
+        settings: see `LoopSettings`.
+    """
+
+    matches: tuple[Match, ...]
+    stated: SpeedVariances | None
+    warnings: tuple[str, ...]
+    settings: LoopSettings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectionRecord:
+    """What matches made of one track.
+
+    Attributes:
+        found: the corrected trajectory, and how matches were judged.
+        stamps_s: (K,) of the keyframes that loops join.
+        matches: how many there were.
+        seconds: that it took.
+        evaluation: of the corrected trajectory, or None without truth.
+    """
+
+    found: Correction
+    stamps_s: Any
+    matches: int
+    seconds: float
+    evaluation: Evaluation | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """For metrics.json."""
+        loops = self.found.loops
+        return {
+            "matches": self.matches,
+            "kept": len(loops.kept),
+            "refused": len(loops.refused),
+            "not_judged": dict(self.found.unused),
+            "reviews": loops.reviews,
+            "overturned": loops.overturned,
+            "keyframes": len(self.found.rows),
+            "seconds": self.seconds,
+            "evaluation": None if self.evaluation is None else self.evaluation.to_dict(),
+        }
+
+    @property
+    def sentence(self) -> str:
+        """What became of the matches."""
+        loops = self.found.loops
+        unused = "".join(f", {count:,} not judged ({why})" for why, count in self.found.unused.items())
+        return f"{self.matches:,} matches: {len(loops.kept):,} kept, {len(loops.refused):,} refused{unused}"
+
+
+def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
+    """The matches that a run is to judge, or None. Raises ConfigError where there are none, RecordingError."""
+    asked = config.loops.source
+    if asked == _SOURCE_NONE:
+        return None
+    stated = source.speed_variances if isinstance(source, GivesMatches) else None
+    if asked != _SOURCE_MATCHES:
+        matches, warnings = read_matches(Path(asked))
+    elif isinstance(source, Recording):
+        matches, warnings = matches_of(source)
+    else:
+        raise ConfigError("a live source has no matches", fix="--loops FILE, or none")
+    if not matches:
+        raise ConfigError("the recording has no matches", fix=f"write {MATCHES_FILE} into its folder, or no --loops")
+    return MatchesOfRun(tuple(matches), stated, tuple(warnings), config.loops)
+
+
+def correction_of(
+    given: MatchesOfRun, lived: Trajectory, is_wheels: bool, judge: Callable[[Trajectory], Evaluation | None]
+) -> tuple[CorrectionRecord | None, tuple[str, ...]]:
+    """What matches make of a track's trajectory, or None; and warnings."""
+    started = time.perf_counter()
+    try:
+        found = correct(lived, given.matches, given.settings, stated=given.stated if is_wheels else None)
+    except ArgumentError as error:
+        return None, (*given.warnings, f"Loops were not closed: {error}.")
+    seconds = time.perf_counter() - started
+    record = CorrectionRecord(found, lived.stamps_s[found.rows], len(given.matches), seconds, judge(found.corrected))
+    return record, given.warnings
+
+
+def judged_csv(record: CorrectionRecord) -> str:
+    """A row for each match that was judged."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["stamp_a_s", "stamp_b_s", "kept", "chi2", "limit", "cluster"])
+    for one in record.found.loops.judged:
+        ends = (record.stamps_s[one.loop.first], record.stamps_s[one.loop.second])
+        stamps = (np.format_float_positional(stamp_s, min_digits=6) for stamp_s in ends)
+        rows.writerow([*stamps, int(one.is_kept), f"{one.chi2:.3f}", f"{one.limit:.3f}", one.cluster])
+    return text.getvalue()

@@ -1,0 +1,172 @@
+"""A drive that is over, corrected by matches from outside: from a trajectory to the trajectory as known at its end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from wheelsight.errors import ArgumentError
+from wheelsight.geometry import FloatArray, IntArray, se3
+from wheelsight.geometry import motion_kernels as motions
+from wheelsight.keyframes import KeyframeId
+from wheelsight.matches import Match, SpeedVariances
+from wheelsight.slam.graph import PoseGraph, Prior, RelativePose
+from wheelsight.slam.loops import LoopCloser, LoopReport
+from wheelsight.slam.pose_graph import new_pose_graph
+from wheelsight.slam.settings import LoopSettings, MatchSettings
+from wheelsight.trajectory import Trajectory
+
+# The first keyframe holds the map where it began; so little, in metres and radians, is as good as exact.
+_ANCHOR_SIGMA = 1e-4
+# A heading that is said to be no better known than this is not known: the root of its variance, radians.
+_ANY_HEADING_RAD = 10.0
+
+
+class Unused(StrEnum):
+    """Why a match was not even judged."""
+
+    LOW_SCORE = "its score is low"
+    NO_POSE = "there is no pose near one of its stamps"
+    ONE_PLACE = "both stamps are of one keyframe"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """What matches made of a trajectory.
+
+    Attributes:
+        corrected: the trajectory as known at the end, in the map; without covariances.
+        rows: (K,) of which poses of the trajectory keyframes are.
+        T_map_keyframe: (K, 4, 4) where they are.
+        loops: how matches were judged.
+        unused: how many matches were not judged, by reason.
+    """
+
+    corrected: Trajectory
+    rows: IntArray
+    T_map_keyframe: FloatArray
+    loops: LoopReport
+    unused: dict[str, int]
+
+
+def correct(
+    lived: Trajectory,
+    matches: Sequence[Match],
+    settings: LoopSettings | None = None,
+    *,
+    stated: SpeedVariances | None = None,
+    graph: PoseGraph | None = None,
+) -> Correction:
+    """The trajectory by all that is known at its end.
+
+    Keyframes are where matches are, and one each `keyframe_way_m`; poses between two keyframes follow both.
+
+    Args:
+        lived: as known on the way, with covariances that grow along it.
+        matches: what to judge.
+        settings: see `LoopSettings`.
+        stated: what the recording states of its odometry's errors, in place of the covariances.
+        graph: an empty one to use; None for GTSAM's, or where that is missing our own.
+
+    Raises:
+        ArgumentError: the trajectory has no poses, or neither it nor the recording states errors.
+    """
+    settings = settings or LoopSettings()
+    if not len(lived):
+        raise ArgumentError("the trajectory has no poses", fix="give one that has")
+    C = lived.covariances if stated is None else _covariances_by(stated, lived)
+    if C is None:
+        raise ArgumentError("the trajectory states no covariances", fix="odometry that states its errors, as wheels do")
+    placed, unused = _placed(matches, lived, settings.matches)
+    rows = _keyframe_rows(lived, [row for _, ends in placed for row in ends], settings.matches.keyframe_way_m)
+    loops = []
+    for match, ends in placed:
+        first, second = np.searchsorted(rows, ends).tolist()
+        if first != second:
+            loops.append(_loop(match, KeyframeId(first), KeyframeId(second), settings.matches))
+    unused[Unused.ONE_PLACE] += len(placed) - len(loops)
+    graph = graph if graph is not None else new_pose_graph(settings.cauchy_scale)
+    _lay(graph, lived.T_frame_body[rows], C[rows], settings.matches)
+    report = LoopCloser(graph, settings).offer_all(loops) if loops else LoopReport(())
+    counts = {str(reason): count for reason, count in unused.items() if count}
+    return Correction(_carried(lived, rows, graph.poses), rows, graph.poses, report, counts)
+
+
+def _covariances_by(stated: SpeedVariances, lived: Trajectory) -> FloatArray:
+    """Covariances (N, 6, 6) that grow by what speeds err, each step by itself."""
+    at = (np.searchsorted(stated.stamps_s, lived.stamps_s[:-1] + 1e-9, side="right") - 1).clip(min=0)
+    Q = np.zeros((len(lived) - 1, 6, 6))
+    for axis, variance in zip((0, 1, 5), stated.variances[at].T, strict=True):
+        Q[:, axis, axis] = variance * np.diff(lived.stamps_s) ** 2
+    Ad = se3.adjoint(lived.T_frame_body[:-1])
+    return np.concatenate([np.zeros((1, 6, 6)), np.cumsum(Ad @ Q @ np.swapaxes(Ad, 1, 2), axis=0)])
+
+
+def _placed(
+    matches: Sequence[Match], lived: Trajectory, settings: MatchSettings
+) -> tuple[list[tuple[Match, tuple[int, int]]], Counter[Unused]]:
+    """Matches with the poses (rows) that they are of, and how many have none."""
+    unused: Counter[Unused] = Counter()
+    placed = []
+    for match in matches:
+        rows = [_nearest(lived.stamps_s, stamp_s) for stamp_s in (match.stamp_a_s, match.stamp_b_s)]
+        gaps_s = np.abs(lived.stamps_s[rows] - [match.stamp_a_s, match.stamp_b_s])
+        if match.score is not None and match.score < settings.least_score:
+            unused[Unused.LOW_SCORE] += 1
+        elif (gaps_s > settings.most_gap_s).any():
+            unused[Unused.NO_POSE] += 1
+        else:
+            placed.append((match, (rows[0], rows[1])))
+    return placed, unused
+
+
+def _nearest(stamps_s: FloatArray, stamp_s: float) -> int:
+    after = int(np.searchsorted(stamps_s, stamp_s).clip(1, max(len(stamps_s) - 1, 1)))
+    before = after - 1
+    is_after = after < len(stamps_s) and stamps_s[after] - stamp_s < stamp_s - stamps_s[before]
+    return after if is_after else before
+
+
+def _keyframe_rows(lived: Trajectory, wanted: Sequence[int], way_m: float) -> IntArray:
+    """Rows (K,) of keyframes: where they are wanted, at both ends, and where so much way has been gone."""
+    _, first_each = np.unique(np.floor(lived.distances_m / way_m), return_index=True)
+    return np.unique(np.concatenate([first_each, np.asarray(wanted, np.int64), [0, len(lived) - 1]])).astype(np.int64)
+
+
+def _loop(match: Match, first: KeyframeId, second: KeyframeId, settings: MatchSettings) -> RelativePose:
+    if match.T_a_b is None:
+        sigmas = [settings.place_sigma_m] * 3 + [_ANY_HEADING_RAD] * 3
+        return RelativePose(first, second, np.eye(4), np.diag(np.square(sigmas)), is_loop=True)
+    C = match.covariance
+    if C is None:
+        C = np.diag(np.square([settings.pose_sigma_m] * 3 + [settings.pose_sigma_rad] * 3))
+    return RelativePose(first, second, match.T_a_b, C, is_loop=True)
+
+
+def _lay(graph: PoseGraph, T: FloatArray, C: FloatArray, settings: MatchSettings) -> None:
+    """Keyframes (K, 4, 4), where the first one is held, and the ways between, as covariances (K, 6, 6) grow."""
+    for pose in T:
+        graph.add(pose)
+    graph.add_prior(Prior(KeyframeId(0), T[0], _ANCHOR_SIGMA**2 * np.eye(6)))
+    least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
+    steps = []
+    for k in range(len(T) - 1):
+        T_step, _ = motions.between(T[k], C[k], T[k + 1], C[k + 1])
+        _, grown = motions.step_between(T[k], C[k], T[k + 1], C[k + 1])
+        steps.append(RelativePose(KeyframeId(k), KeyframeId(k + 1), T_step, grown + least))
+    graph.add_edges(steps)
+
+
+def _carried(lived: Trajectory, rows: IntArray, T_map_keyframe: FloatArray) -> Trajectory:
+    """All poses: each as the keyframes before and after it have it, in shares of the time between."""
+    before = (np.searchsorted(rows, np.arange(len(lived)), side="right") - 1).clip(max=max(len(rows) - 2, 0))
+    after = np.minimum(before + 1, len(rows) - 1)
+    T_map_odom = T_map_keyframe @ se3.invert(lived.T_frame_body[rows])
+    T_before, T_after = (T_map_odom[of] @ lived.T_frame_body for of in (before, after))
+    begin_s, end_s = lived.stamps_s[rows[before]], lived.stamps_s[rows[after]]
+    share = (lived.stamps_s - begin_s) / np.where(end_s > begin_s, end_s - begin_s, 1.0)
+    return Trajectory(lived.stamps_s, se3.interpolate(T_before, T_after, share), None, lived.body, "map")

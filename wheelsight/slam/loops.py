@@ -1,0 +1,196 @@
+"""LoopCloser: which loops a pose graph keeps.
+
+A loop passes a chi-square gate by the joint marginal of its keyframes, and is then held by a Cauchy kernel. What was
+refused is reviewed from time to time: all loops under the kernel, and each refused cluster that agrees with itself, are
+hypotheses beside the present one; that wins by which all measurements are explained best, a cluster never by what it
+says itself. An honest odometry makes the gate right; where it states too little of its errors, the review finds out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
+from wheelsight.slam.clusters import clusters_of
+from wheelsight.slam.errors_of_edges import arrays_of, cauchy_loss, edge_errors, inverse_left_jacobian
+from wheelsight.slam.graph import PoseGraph, RelativePose
+from wheelsight.slam.settings import LoopSettings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedLoop:
+    """A loop, and what became of it.
+
+    Attributes:
+        loop: as offered.
+        is_kept: whether the graph goes by it.
+        chi2: its squared error over what loop and poses leave open, when it was judged last.
+        limit: the largest chi2 that is kept.
+        cluster: the number of the cluster of loops that it agrees with, as of the last review; -1 before one.
+    """
+
+    loop: RelativePose
+    is_kept: bool
+    chi2: float
+    limit: float
+    cluster: int = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopReport:
+    """All loops, and how they were judged.
+
+    Attributes:
+        judged: in the order in which they were offered.
+        reviews: how often all were judged anew.
+        overturned: how often another hypothesis won.
+    """
+
+    judged: tuple[JudgedLoop, ...]
+    reviews: int = 0
+    overturned: int = 0
+
+    @property
+    def kept(self) -> tuple[RelativePose, ...]:
+        """Loops that the graph goes by."""
+        return tuple(one.loop for one in self.judged if one.is_kept)
+
+    @property
+    def refused(self) -> tuple[RelativePose, ...]:
+        """Loops that contradict the rest."""
+        return tuple(one.loop for one in self.judged if not one.is_kept)
+
+
+class LoopCloser:
+    """Judges loops, and has the graph go by those that are kept.
+
+    Args:
+        graph: with a prior; the caller adds keyframes and odometry, and calls `update` if no loop is offered.
+        settings: see `LoopSettings`.
+    """
+
+    def __init__(self, graph: PoseGraph, settings: LoopSettings | None = None) -> None:
+        self.graph, self.settings = graph, settings or LoopSettings()
+        self._loops: list[RelativePose] = []
+        self._kept: list[bool] = []
+        self._chi2: list[float] = []
+        self._clusters: IntArray = np.empty(0, np.int64)
+        self._refused_since = self._reviews = self._overturned = 0
+
+    def offer(self, loops: Sequence[RelativePose]) -> tuple[JudgedLoop, ...]:
+        """Judge loops of keyframes that the graph holds; poses are those with the kept ones then."""
+        before, limits = len(self._loops), self._limits(loops)
+        chi2 = [chi_squared(self.graph, loop) for loop in loops]
+        kept = [found <= limit for found, limit in zip(chi2, limits, strict=True)]
+        self.graph.add_edges([loop for loop, is_kept in zip(loops, kept, strict=True) if is_kept])
+        self._take(loops, kept, chi2)
+        self.graph.update()
+        self._refused_since += kept.count(False)
+        if self._refused_since >= self.settings.review_after:
+            self.review()
+        return self.report().judged[before:]
+
+    def offer_all(self, loops: Sequence[RelativePose]) -> LoopReport:
+        """Judge loops of a drive that is over, all together: none has to fit what was known before the others."""
+        self._take(loops, [False] * len(loops), [np.inf] * len(loops))
+        self.review()
+        return self.report()
+
+    def review(self) -> bool:
+        """Try other hypotheses; whether one has won."""
+        self._refused_since, self._reviews = 0, self._reviews + 1
+        T_now, kept_now = self.graph.poses, np.array(self._kept, bool)
+        self._clusters = clusters_of(
+            self._loops, T_now, self.settings.cluster_keyframes, self.settings.gate_probability
+        )
+        best, gain = (T_now, kept_now), self.settings.least_gain
+        for own, tried in self._hypotheses(kept_now):
+            self._keep(tried)
+            self.graph.optimise(T_now)
+            T = self.graph.poses
+            found = self._cost(T_now, own) - self._cost(T, own)
+            if found > gain:
+                best, gain = (T, tried), found
+        has_won = best[0] is not T_now
+        self._keep(best[1])
+        self.graph.optimise(best[0])
+        if has_won:
+            self._overturned += 1
+            self._settle()
+        return has_won
+
+    def report(self) -> LoopReport:
+        """What became of all loops so far."""
+        clusters = np.full(len(self._loops), -1)
+        clusters[: len(self._clusters)] = self._clusters
+        rows = zip(self._loops, self._kept, self._chi2, self._limits(self._loops), clusters.tolist(), strict=True)
+        return LoopReport(tuple(JudgedLoop(*row) for row in rows), self._reviews, self._overturned)
+
+    def _take(self, loops: Sequence[RelativePose], kept: list[bool], chi2: list[float]) -> None:
+        self._loops.extend(loops)
+        self._kept.extend(kept)
+        self._chi2.extend(chi2)
+
+    def _limits(self, loops: Sequence[RelativePose]) -> list[float]:
+        freedom = [loop.freedom for loop in loops]
+        return np.asarray(chi2_distribution.ppf(self.settings.gate_probability, freedom), float).tolist()
+
+    def _hypotheses(self, kept: BoolArray) -> Iterator[tuple[int, BoolArray]]:
+        """Loops (L,) that each goes by, and the cluster that must not speak for it, or -1."""
+        yield -1, np.ones(len(kept), bool)
+        if kept.all():
+            return
+        numbers, counts = np.unique(self._clusters[~kept], return_counts=True)
+        largest = np.argsort(-counts, kind="stable")[: self.settings.most_appeals]
+        for number in numbers[largest[counts[largest] >= self.settings.least_members]]:
+            yield int(number), kept | (self._clusters == number)
+
+    def _keep(self, kept: BoolArray) -> None:
+        """Have the graph go by these loops (L,)."""
+        gone = [loop for loop, was, now in zip(self._loops, self._kept, kept, strict=True) if was and not now]
+        new = [loop for loop, was, now in zip(self._loops, self._kept, kept, strict=True) if now and not was]
+        if gone:
+            self.graph.remove_edges(gone)
+        if new:
+            self.graph.add_edges(new)
+        self._kept = kept.tolist()
+
+    def _settle(self) -> None:
+        """Judge each loop by the graph's poses, and solve anew, until none changes sides."""
+        limits = np.array(self._limits(self._loops))
+        for _ in range(self.settings.most_rounds):
+            self._chi2 = [chi_squared(self.graph, loop) for loop in self._loops]
+            kept = np.array(self._chi2) <= limits
+            if (kept == np.array(self._kept)).all():
+                return
+            self._keep(kept)
+            self.graph.optimise()
+
+    def _cost(self, T: FloatArray, own: int) -> float:
+        """What poses leave unexplained of odometry and of all loops, kept or not, those of cluster `own` left out."""
+        edges, loops = arrays_of([e for e in self.graph.edges if not e.is_loop]), arrays_of(self._loops)
+        chi2, of_loops = (
+            ((of.whitening @ edge_errors(T, of)[..., None])[..., 0] ** 2).sum(axis=-1) for of in (edges, loops)
+        )
+        loss = cauchy_loss(of_loops, self.settings.cauchy_scale)
+        counts = np.bincount(self._clusters)
+        means = np.bincount(self._clusters, loss) / counts
+        votes = np.minimum(counts, self.settings.cluster_votes)
+        if own >= 0:
+            votes[own] = 0
+        return float(chi2.sum() / 2 + votes @ means)
+
+
+def chi_squared(graph: PoseGraph, loop: RelativePose) -> float:
+    """A loop's squared error at the graph's poses over what these and its own covariance leave open."""
+    ends = graph.poses[[loop.first, loop.second]]
+    T_first_second = se3.invert(ends[0]) @ ends[1]
+    r = se3.log(T_first_second @ se3.invert(loop.T_first_second))
+    A = inverse_left_jacobian(r) @ se3.adjoint(se3.invert(ends[0]))
+    J = np.concatenate([-A, A], axis=1)
+    S = loop.covariance + J @ graph.joint(loop.first, loop.second) @ J.T
+    return float(r @ np.linalg.solve(S, r))

@@ -1,0 +1,165 @@
+"""OwnPoseGraph: a pose graph solved by Levenberg–Marquardt with scipy's sparse factors alone.
+
+It stands in where GTSAM has no wheel, and is what GTSAM's answers are tested against.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
+
+from wheelsight.geometry import FloatArray, IntArray, se3
+from wheelsight.keyframes import KeyframeId
+from wheelsight.slam.errors_of_edges import (
+    EdgeArrays,
+    arrays_of,
+    arrays_of_priors,
+    cauchy_loss,
+    edge_errors,
+    edge_jacobians,
+    inverse_left_jacobian,
+)
+from wheelsight.slam.graph import GraphContents
+
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-5, 1e-12, 1e10
+_MOST_STEPS, _STEPS_OF_UPDATE = 100, 3
+# A step that gains less than this share of the cost is the last.
+_LEAST_GAIN = 1e-7
+_SIDE = np.arange(6)
+
+
+class _Problem(NamedTuple):
+    edges: EdgeArrays
+    priors: tuple[IntArray, FloatArray, FloatArray]
+    cauchy_scale: float
+
+
+class _Linear(NamedTuple):
+    information: sparse.csc_array
+    gradient: FloatArray
+
+
+class OwnPoseGraph(GraphContents):
+    """A `PoseGraph` of numpy and scipy."""
+
+    def __init__(self, cauchy_scale: float = 1.0) -> None:
+        super().__init__(cauchy_scale)
+        self._factor: SuperLU | None = None
+        self._problem: _Problem | None = None
+
+    def update(self) -> None:
+        """Some steps from where the poses are."""
+        self._descend(_STEPS_OF_UPDATE)
+
+    def optimise(self, T_start: FloatArray | None = None) -> float:
+        """See `PoseGraph`."""
+        if T_start is not None:
+            self._T = np.array(T_start, float).reshape(len(self), 4, 4)
+        return self._descend(_MOST_STEPS)
+
+    def marginal(self, keyframe: KeyframeId) -> FloatArray:
+        """See `PoseGraph`."""
+        return self._covariance([keyframe])
+
+    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray:
+        """See `PoseGraph`."""
+        return self._covariance([first, second])
+
+    def _covariance(self, keyframes: Sequence[KeyframeId]) -> FloatArray:
+        if self._factor is None:
+            self._factor = _factor(_linearised(self._T, self._as_arrays()).information)
+        rows = (6 * np.asarray(keyframes, np.int64)[:, None] + _SIDE).ravel()
+        unit = np.zeros((6 * len(self), len(rows)))
+        unit[rows, np.arange(len(rows))] = 1.0
+        C = self._factor.solve(unit)[rows]
+        return np.asarray((C + C.T) / 2)
+
+    def _descend(self, most_steps: int) -> float:
+        """Levenberg–Marquardt; answers with the cost that is left."""
+        problem, damping = self._as_arrays(), _FIRST_DAMPING
+        cost = _cost(self._T, problem)
+        for _ in range(most_steps):
+            linear, gain = _linearised(self._T, problem), 0.0
+            while damping < _MOST_DAMPING:
+                T_tried = _stepped(self._T, linear, damping)
+                cost_tried = _cost(T_tried, problem)
+                if cost_tried <= cost:
+                    gain, damping = cost - cost_tried, max(damping / 10, _LEAST_DAMPING)
+                    self._T, cost = T_tried, cost_tried
+                    break
+                damping *= 10
+            if gain <= _LEAST_GAIN * cost:
+                break
+        self._factor = None
+        return cost
+
+    def _as_arrays(self) -> _Problem:
+        self._need_prior()
+        if self._problem is None:
+            self._problem = _Problem(arrays_of(self._edges), arrays_of_priors(self._priors), self.cauchy_scale)
+        return self._problem
+
+    def _changed(self) -> None:
+        self._factor = self._problem = None
+
+
+def _factor(information: sparse.csc_array) -> SuperLU:
+    # What is symmetric and positive definite needs no pivots, and fills up least so.
+    return splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+
+def _stepped(T: FloatArray, linear: _Linear, damping: float) -> FloatArray:
+    H = linear.information
+    damped = (H + sparse.diags_array(damping * H.diagonal())).tocsc()
+    return se3.exp(-_factor(damped).solve(linear.gradient).reshape(-1, 6)) @ T
+
+
+def _cost(T: FloatArray, problem: _Problem) -> float:
+    edges, (at, T_inverse, W) = problem.edges, problem.priors
+    chi2 = _squares(edge_errors(T, edges), edges.whitening)
+    loss = np.where(edges.is_loop, cauchy_loss(chi2, problem.cauchy_scale), chi2 / 2)
+    return float(loss.sum() + _squares(se3.log(T[at] @ T_inverse), W).sum() / 2)
+
+
+def _squares(errors: FloatArray, whitening: FloatArray) -> FloatArray:
+    return np.asarray(((whitening @ errors[..., None])[..., 0] ** 2).sum(axis=-1))
+
+
+def _linearised(T: FloatArray, problem: _Problem) -> _Linear:
+    """Normal equations; each loop has the weight that Cauchy's kernel leaves it."""
+    edges, (at, T_inverse, W_prior), n = problem.edges, problem.priors, len(T)
+    r = edge_errors(T, edges)
+    chi2 = _squares(r, edges.whitening)
+    weight = np.where(edges.is_loop, 1 / (1 + chi2 / problem.cauchy_scale**2), 1.0)
+    J = edges.whitening @ edge_jacobians(T, edges, r)
+    B = weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J)
+    g = weight[:, None] * np.einsum("eij,ei->ej", J, (edges.whitening @ r[..., None])[..., 0])
+    r_prior = se3.log(T[at] @ T_inverse)
+    J_prior = W_prior @ inverse_left_jacobian(r_prior)
+    blocks, gradient = np.zeros((n, 6, 6)), np.zeros((n, 6))
+    for keyframes, block in ((edges.first, B), (edges.second, B), (at, np.swapaxes(J_prior, 1, 2) @ J_prior)):
+        np.add.at(blocks, keyframes, block)
+    np.add.at(gradient, edges.first, -g)
+    np.add.at(gradient, edges.second, g)
+    np.add.at(gradient, at, np.einsum("pij,pi->pj", J_prior, (W_prior @ r_prior[..., None])[..., 0]))
+    every = np.arange(n)
+    return _Linear(
+        _sparse(
+            np.concatenate([every, edges.first, edges.second]),
+            np.concatenate([every, edges.second, edges.first]),
+            np.concatenate([blocks, -B, -B]),
+            n,
+        ),
+        gradient.ravel(),
+    )
+
+
+def _sparse(rows: IntArray, columns: IntArray, blocks: FloatArray, n: int) -> sparse.csc_array:
+    """A matrix (6N, 6N) of blocks (K, 6, 6); those in one place are summed up."""
+    i = np.broadcast_to((6 * rows[:, None] + _SIDE)[:, :, None], blocks.shape)
+    j = np.broadcast_to((6 * columns[:, None] + _SIDE)[:, None, :], blocks.shape)
+    return sparse.coo_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(6 * n, 6 * n)).tocsc()

@@ -1,0 +1,133 @@
+"""GtsamPoseGraph: a pose graph solved by GTSAM, by iSAM2 while driving and by Levenberg–Marquardt as a whole.
+
+The only file that knows GTSAM (4.3 or newer). GTSAM's tangents are (ω, v) and its perturbations multiply from the
+right; here they are turned into ours and back, exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from wheelsight.extras import needed, why_missing
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeId
+from wheelsight.slam.graph import GraphContents, PoseGraph, RelativePose
+from wheelsight.slam.own_solver import OwnPoseGraph
+
+_SWAPPED = np.array([3, 4, 5, 0, 1, 2])
+# A pose that has moved by less, in metres and radians, keeps its linear form: GTSAM's own default is 0.1.
+_RELINEARISE = 0.01
+_MOST_STEPS, _STEPS_OF_UPDATE = 100, 2
+_LEAST_GAIN = 1e-7
+
+
+def new_pose_graph(cauchy_scale: float = 1.0) -> PoseGraph:
+    """GTSAM's where it is installed, else our own."""
+    return OwnPoseGraph(cauchy_scale) if why_missing("gtsam") else GtsamPoseGraph(cauchy_scale)
+
+
+class GtsamPoseGraph(GraphContents):
+    """A `PoseGraph` of GTSAM. Raises ConfigError where that is not installed."""
+
+    def __init__(self, cauchy_scale: float = 1.0) -> None:
+        super().__init__(cauchy_scale)
+        self._gtsam = needed("gtsam")
+        self._isam: Any = None
+        self._held = (0, 0, 0)  # keyframes, edges and priors that iSAM2 has
+        self._marginals: Any = None
+
+    def update(self) -> None:
+        """What is new goes into iSAM2; after edges were taken out, or poses found as a whole, it begins anew."""
+        self._need_prior()
+        if self._isam is None:
+            parameters = self._gtsam.ISAM2Params()
+            parameters.setRelinearizeThreshold(_RELINEARISE)
+            parameters.relinearizeSkip = 1
+            self._isam, self._held = self._gtsam.ISAM2(parameters), (0, 0, 0)
+        keyframes, edges, priors = self._held
+        self._isam.update(self._factors(edges, priors), self._values(keyframes))
+        self._held = (len(self), len(self._edges), len(self._priors))
+        for _ in range(_STEPS_OF_UPDATE):
+            self._isam.update()
+        self._T = self._poses_of(self._isam.calculateEstimate())
+        self._marginals = None
+
+    def optimise(self, T_start: FloatArray | None = None) -> float:
+        """See `PoseGraph`."""
+        self._need_prior()
+        if T_start is not None:
+            self._T = np.array(T_start, float).reshape(len(self), 4, 4)
+        graph = self._factors(0, 0)
+        parameters = self._gtsam.LevenbergMarquardtParams()
+        parameters.setMaxIterations(_MOST_STEPS)
+        parameters.setRelativeErrorTol(_LEAST_GAIN)
+        found = self._gtsam.LevenbergMarquardtOptimizer(graph, self._values(0), parameters).optimize()
+        self._T, self._isam, self._marginals = self._poses_of(found), None, None
+        return float(graph.error(found))
+
+    def marginal(self, keyframe: KeyframeId) -> FloatArray:
+        """See `PoseGraph`."""
+        Ad = se3.adjoint(self._T[keyframe])
+        C = np.asarray(self._source().marginalCovariance(int(keyframe)))[np.ix_(_SWAPPED, _SWAPPED)]
+        return np.asarray(Ad @ C @ Ad.T)
+
+    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray:
+        """See `PoseGraph`."""
+        keys = [int(first), int(second)]
+        found = self._source().jointMarginalCovariance(keys)
+        C = np.zeros((12, 12))
+        for a in (0, 1):
+            for b in (0, 1):
+                block = np.asarray(found.at(keys[a], keys[b]))[np.ix_(_SWAPPED, _SWAPPED)]
+                left, right = se3.adjoint(self._T[keys[a]]), se3.adjoint(self._T[keys[b]])
+                C[6 * a : 6 * a + 6, 6 * b : 6 * b + 6] = left @ block @ right.T
+        return C
+
+    def _source(self) -> Any:
+        """What tells covariances: iSAM2 where it holds all, else the graph linearised where the poses are."""
+        if self._isam is not None and self._held == (len(self), len(self._edges), len(self._priors)):
+            return self._isam
+        if self._marginals is None:
+            self._need_prior()
+            self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
+        return self._marginals
+
+    def _factors(self, from_edge: int, from_prior: int) -> Any:
+        gtsam, graph = self._gtsam, self._gtsam.NonlinearFactorGraph()
+        for prior in self._priors[from_prior:]:
+            noise = self._noise(prior.T_map_keyframe, prior.covariance)
+            graph.add(gtsam.PriorFactorPose3(int(prior.keyframe), gtsam.Pose3(prior.T_map_keyframe), noise))
+        for edge in self._edges[from_edge:]:
+            noise = self._noise(edge.T_first_second, edge.covariance)
+            if edge.is_loop:
+                kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.cauchy_scale)
+                noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+            measured = gtsam.Pose3(edge.T_first_second)
+            graph.add(gtsam.BetweenFactorPose3(int(edge.first), int(edge.second), measured, noise))
+        return graph
+
+    def _noise(self, T: FloatArray, covariance: FloatArray) -> Any:
+        """Of the right perturbation (ω, v) that amounts to a left one (v, ω): it is seen from the far end."""
+        Ad = se3.adjoint(se3.invert(T))
+        C = Ad @ covariance @ Ad.T
+        return self._gtsam.noiseModel.Gaussian.Covariance(((C + C.T) / 2)[np.ix_(_SWAPPED, _SWAPPED)])
+
+    def _values(self, from_keyframe: int) -> Any:
+        values = self._gtsam.Values()
+        for keyframe in range(from_keyframe, len(self)):
+            values.insert(keyframe, self._gtsam.Pose3(self._T[keyframe]))
+        return values
+
+    def _poses_of(self, values: Any) -> FloatArray:
+        return np.array([values.atPose3(keyframe).matrix() for keyframe in range(len(self))])
+
+    def remove_edges(self, edges: Sequence[RelativePose]) -> None:
+        """See `PoseGraph`."""
+        super().remove_edges(edges)
+        self._isam = None
+
+    def _changed(self) -> None:
+        self._marginals = None

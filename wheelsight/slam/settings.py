@@ -1,0 +1,83 @@
+"""LoopSettings: which loops a pose graph takes in, with the reasons for the defaults."""
+
+from __future__ import annotations
+
+from wheelsight.settings import ASKED, CHOSEN, Settings, setting
+
+_FROM_0050 = "docs/decisions/0050: synthetic graphs, found on the simulator alone"
+
+
+class MatchSettings(Settings):
+    """What a match from outside is worth where its file does not say; see `wheelsight.matches`."""
+
+    least_score: float = setting(
+        0.5, "matches with a score below are not looked at: they are more probably wrong than right", CHOSEN, ge=0, le=1
+    )
+    place_sigma_m: float = setting(
+        1.0,
+        "standard deviation of each coordinate between two views of one place, metres; of the heading nothing is said,"
+        " since some cameras see all around",
+        "reckoned: what place recognition takes for one place spans some metres",
+        gt=0,
+        le=100,
+    )
+    pose_sigma_m: float = setting(
+        0.1, "standard deviation of a relative pose whose file states none, metres a coordinate", CHOSEN, gt=0, le=100
+    )
+    pose_sigma_rad: float = setting(0.05, "likewise, radians an axis", CHOSEN, gt=0, le=3)
+    most_gap_s: float = setting(
+        0.2, "a match is of the pose nearest in time, at most so far off, seconds", CHOSEN, ge=0, le=3600
+    )
+    keyframe_way_m: float = setting(
+        1.0, "way after which there is a keyframe where no match asks for one, metres", CHOSEN, gt=0, le=1000
+    )
+    plane_sigma_m: float = setting(
+        1e-3,
+        "added to the error of each step, metres a coordinate: odometry in a plane states none out of it",
+        "reckoned: floors are level to some millimetres a metre",
+        gt=0,
+        le=1,
+    )
+    plane_sigma_rad: float = setting(1e-3, "likewise, radians an axis", "reckoned, likewise", gt=0, le=1)
+
+
+class LoopSettings(Settings):
+    """Where loops come from, and which are kept."""
+
+    source: str = setting(
+        "none",
+        "none; matches: those of the recording, and of a loops.csv in its folder; or a file like that",
+        ASKED,
+    )
+    gate_probability: float = setting(
+        0.999, "share of true loops that pass the chi-square gate, where all covariances are honest", CHOSEN, gt=0, lt=1
+    )
+    cauchy_scale: float = setting(
+        1.0, "standard deviations from which on Cauchy's kernel lets go of a loop", _FROM_0050, gt=0, le=100
+    )
+    review_after: int = setting(
+        10, "loops refused since the last review of all of them after which there is another", CHOSEN, ge=1, le=100_000
+    )
+    cluster_keyframes: int = setting(
+        5, "loops so many keyframes apart at either end, or fewer, may be of one stretch", CHOSEN, ge=0, le=1000
+    )
+    cluster_votes: float = setting(
+        3.0,
+        "a cluster of loops that agree counts as so many at most: what took one view for another does so again beside",
+        _FROM_0050,
+        gt=0,
+        le=1000,
+    )
+    least_members: int = setting(3, "a refused cluster of fewer is no hypothesis by itself", CHOSEN, ge=1, le=1000)
+    most_appeals: int = setting(
+        4, "refused clusters, the largest first, that are tried in one review", "reckoned: its time", ge=0, le=1000
+    )
+    least_gain: float = setting(
+        5.0,
+        "log-likelihood by which other poses must explain all measurements better to be taken: 150 to 1",
+        CHOSEN,
+        ge=0,
+        le=1000,
+    )
+    most_rounds: int = setting(5, "rounds of judging and solving until none changes sides", CHOSEN, ge=1, le=100)
+    matches: MatchSettings = MatchSettings()
