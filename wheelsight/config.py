@@ -34,6 +34,7 @@ from wheelsight.settings import (
     CHOSEN,
     LocalizerSettings,
     RealTimeSettings,
+    RecognitionSettings,
     Settings,
     bounds,
     conflict,
@@ -222,6 +223,7 @@ class Config(Settings):
     clocks: ClockSettings = ClockSettings()
     localizer: LocalizerSettings = LocalizerSettings()
     places: PlaceSettings = PlaceSettings()
+    recognition: RecognitionSettings = RecognitionSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
     realtime: RealTimeSettings = RealTimeSettings()
