@@ -12,6 +12,8 @@ from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.settings import FernSettings
 
 _SHIFTS = np.arange(0, 64, 4, dtype=np.uint64)
+# Of an image far larger than the tiny one, pixels so many times as fine are enough for its means.
+_FINER = 2
 _BITS = np.array([1, 2, 4, 8], np.uint64)
 
 
@@ -62,8 +64,10 @@ class Ferns:
 
     def _tiny(self, image: Float32Array) -> Float32Array:
         """Means (h, w) of what is known of an image; 0 where nothing is."""
-        known = (image > 0).astype(np.float32)
-        both = np.dstack([np.where(image > 0, image, np.float32(0)), known])
+        stride = max(1, image.shape[1] // (_FINER * self.size_px[0]))
+        some = image[::stride, ::stride]
+        is_known = some > 0
+        both = np.dstack([np.where(is_known, some, np.float32(0)), is_known.astype(np.float32)])
         both = cv2.resize(both, self.size_px, interpolation=cv2.INTER_AREA)
         total, share = cv2.split(cv2.GaussianBlur(both, (0, 0), self.blur_px))
         return np.where(share > 0.2, total / np.maximum(share, 0.2), np.float32(0))

@@ -33,7 +33,7 @@ def intrusion(
     """Of both views' points against what the other one saw, if the second lies at (4, 4) off the first."""
     there = _one_way(second, first, T_first_second, noise, settings)
     back = _one_way(first, second, se3.invert(T_first_second), noise, settings)
-    return Intrusion(there.intruding + back.intruding, there.compared + back.compared)
+    return Intrusion(*(sum(both) for both in zip(there, back, strict=True)))
 
 
 def _one_way(

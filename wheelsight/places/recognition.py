@@ -15,11 +15,11 @@ from pydantic import ValidationError
 
 from wheelsight.errors import ArgumentError, MapError
 from wheelsight.files import StrPath, write_bytes
-from wheelsight.geometry import Float32Array, IntArray
+from wheelsight.geometry import Float32Array
 from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.inputs import Kind, read_bytes
 from wheelsight.keyframes import Keyframe, KeyframeId
-from wheelsight.places import _fern_kernels
+from wheelsight.places import _likeness_kernels
 from wheelsight.places.ferns import Ferns
 from wheelsight.places.views import NO_FEATURES, SeenView
 from wheelsight.places.vocabulary import Vocabulary
@@ -83,7 +83,7 @@ class Recognizer:
             return []
         code, descriptors = self._described(view)
         likeness = np.empty(rows, np.float32)
-        _fern_kernels.likeness(self._codes, code, likeness)
+        _likeness_kernels.likeness(self._codes, code, likeness)
         votes = self._words.vote(descriptors, rows)
         out = [self._rows[number] for number in forbidden if number in self._rows]
         likeness[out], votes[out] = -1, -1
@@ -151,15 +151,8 @@ class Recognizer:
         scores: dict[int, float] = {}
         rank = self._settings.fused_rank
         for told in (likeness, votes):
-            order = _best(told, self._settings.ranked)
-            for place, row in enumerate(order[told[order] > 0].tolist()):
+            order = np.empty(self._settings.ranked, np.int64)
+            found = _likeness_kernels.best(told, order)
+            for place, row in enumerate(order[:found].tolist()):
                 scores[row] = scores.get(row, 0.0) + 0.5 * (rank + 1) / (rank + 1 + place)
         return sorted(scores.items(), key=lambda item: (-item[1], item[0]))
-
-
-def _best(told: Float32Array, wanted: int) -> IntArray:
-    """Indices of the `wanted` largest, the largest first; of equal ones the earlier first."""
-    if wanted >= len(told):
-        return np.argsort(-told, kind="stable")
-    chosen = np.sort(np.argpartition(-told, wanted)[:wanted])
-    return chosen[np.argsort(-told[chosen], kind="stable")]

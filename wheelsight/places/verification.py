@@ -70,6 +70,11 @@ class VerifiedPlace:
     inliers: int
     intruding: float
 
+    @property
+    def shows_all(self) -> bool:
+        """Whether no direction is left unknown."""
+        return not len(self.degenerate)
+
 
 @dataclass(frozen=True, slots=True)
 class RefusedPlace:
@@ -112,6 +117,8 @@ class PlaceVerifier:
             min_inliers=self._settings.min_inliers, ransac_iterations=self._settings.iterations
         )
         self._noise, self._of_frame = calibration.depth_noise, frame_covariance(calibration)
+        sigmas = [self._settings.registration_sigma_m] * 3 + [self._settings.registration_sigma_rad] * 3
+        self._of_registration = np.diag(np.square(sigmas))
         self._sigma_xy = float(np.hypot(self._settings.keypoint_px, calibration.color_sigma_px))
         self._sigma_xy *= np.sqrt(2) / calibration.cameras[0].fx
         self._maker = ReferenceMaker(self._noise, dense, self._views.rows)
@@ -131,17 +138,19 @@ class PlaceVerifier:
         judged = self._by_surfaces(view, other, found, len(matched))
         if judged.reason is not None:
             return self._refused(candidate, _REFUSALS[judged.reason], *counts)
+        if len(judged.degenerate) > self._settings.most_unseen:
+            return self._refused(candidate, Refusal.DEGENERATE, *counts)
         T_keyframe_camera = se3.nearest(judged.T_reference_frame)
         if self._is_led_away(se3.invert(found.T_current_reference), T_keyframe_camera):
             return self._refused(candidate, Refusal.CONTRADICTED, *counts)
         level = self._dense.levels - 1
         seen = (other.grid.levels[level], view.grid.levels[level])
-        intruding = intrusion(*seen, T_keyframe_camera, self._noise, self._settings).share
-        if intruding > self._settings.max_intruding:
+        space = intrusion(*seen, T_keyframe_camera, self._noise, self._settings)
+        if space.share > self._settings.max_intruding:
             return self._refused(candidate, Refusal.INTRUDES, *counts)
         shared = with_frame_error(np.zeros((6, 6)), T_keyframe_camera, self._of_frame)
-        covariance = judged.covariance + self._of_frame + shared
-        return VerifiedPlace(candidate, T_keyframe_camera, covariance, shared, judged.degenerate, *counts, intruding)
+        covariance = judged.covariance + self._of_frame + self._of_registration + shared
+        return VerifiedPlace(candidate, T_keyframe_camera, covariance, shared, judged.degenerate, *counts, space.share)
 
     def _refused(self, candidate: KeyframeId, reason: Refusal, matches: int, inliers: int = 0) -> RefusedPlace:
         self.refusals[reason] += 1
@@ -189,10 +198,11 @@ class PlaceVerifier:
         weight = SurfaceWeight(self._dense.joint)
         joint = weight.meet(aligned.T_reference_frame, aligned.claimed / correlation, told)
         surfaces = aligned.information / joint.factor
-        if not is_clear:
-            return replace(aligned, T_reference_frame=joint.T_reference_frame, information=surfaces)
-        hinted = (self._settings.correlation - 1) * correlation * told.information
-        information = surfaces + correlation * told.information
+        # What surfaces show, they show however far they are off.
+        hinted, information = aligned.information - surfaces, surfaces
+        if is_clear:
+            hinted = hinted + (self._settings.correlation - 1) * correlation * told.information
+            information = information + correlation * told.information
         return replace(aligned, T_reference_frame=joint.T_reference_frame, information=information, hinted=hinted)
 
     def _is_led_away(self, T_by_keypoints: FloatArray, T_keyframe_camera: FloatArray) -> bool:

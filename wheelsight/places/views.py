@@ -1,4 +1,4 @@
-"""SeenView: a frame or a keyframe as places are recognised and verified by: a pyramid of depth and grey, and keypoints."""
+"""SeenView: a frame or a keyframe as places are recognised by it: depth and grey at all scales, and keypoints."""
 
 from __future__ import annotations
 

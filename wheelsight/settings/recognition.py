@@ -5,6 +5,7 @@ from __future__ import annotations
 from wheelsight.settings.base import CHOSEN, Settings, setting
 
 _FERNS = "Glocker et al. 2015"
+_FROM_0050 = "two real recordings of Kinects: docs/decisions/0050"
 
 
 class FernSettings(Settings):
@@ -41,12 +42,12 @@ class FernSettings(Settings):
 class WordSettings(Settings):
     """Words of descriptors: a tree that grows with the keyframes."""
 
-    descriptors: int = setting(400, "of a keyframe that become words; each takes 36 bytes", CHOSEN, ge=1, le=20_000)
+    descriptors: int = setting(300, "of a keyframe that become words; each takes 36 bytes", CHOSEN, ge=1, le=20_000)
     branching: int = setting(8, "nodes into which a full one is split", CHOSEN, ge=2, le=64)
     split_at: int = setting(64, "descriptors of a word at which it is split", CHOSEN, ge=4, le=10_000)
     steps: int = setting(3, "rounds in which the centres of such nodes are bettered", CHOSEN, ge=1, le=100)
     depth: int = setting(8, "levels of the tree at most", CHOSEN, ge=1, le=16)
-    most_nodes: int = setting(100_000, "of the tree; then no word is split any more", CHOSEN, ge=16, le=10_000_000)
+    most_nodes: int = setting(32_000, "of the tree; then no word is split any more", CHOSEN, ge=16, le=10_000_000)
 
 
 class PlaceVerificationSettings(Settings):
@@ -57,8 +58,7 @@ class PlaceVerificationSettings(Settings):
     )
     keypoint_px: float = setting(
         1.0,
-        "standard deviation of a keypoint's pixel, at most scales: as `features.sigma_px` and `sigma_growth` have it on "
-        "the fourth",
+        "standard deviation of a keypoint's pixel at a middle scale, by `features.sigma_px` and `sigma_growth`",
         "reckoned from `features`",
         gt=0,
         le=10,
@@ -71,7 +71,11 @@ class PlaceVerificationSettings(Settings):
         le=1_000_000,
     )
     min_inliers: int = setting(
-        12, "keypoints that must agree on a motion for surfaces to be asked", CHOSEN, ge=4, le=20_000
+        8,
+        "keypoints that must agree on a motion for surfaces to be asked: at wrong places 6 and 7 often agree",
+        _FROM_0050,
+        ge=4,
+        le=20_000,
     )
     clear_inliers: int = setting(
         40,
@@ -100,7 +104,12 @@ class PlaceVerificationSettings(Settings):
     )
     agree_rad: float = setting(0.12, "radians likewise, 7 degrees", CHOSEN, gt=0, le=3.2)
     min_overlap: float = setting(
-        0.2, "share of the view's points that must find a surface of the keyframe", CHOSEN, gt=0, lt=1
+        0.15,
+        "share of the view's points that must find a surface of the keyframe; of less, an edge of a table fits many "
+        "places",
+        _FROM_0050,
+        gt=0,
+        lt=1,
     )
     max_residual: float = setting(
         5.0, "mean residual of surfaces, in standard deviations of the sensor", "as in `dense`", gt=0, le=1000
@@ -126,8 +135,25 @@ class PlaceVerificationSettings(Settings):
         ge=0,
         le=1,
     )
+    registration_sigma_m: float = setting(
+        0.012,
+        "standard deviation of a place by surfaces seen from apart, beyond noise and what a frame's pixels share, metres",
+        "freiburg1_desk against motion capture: docs/decisions/0050",
+        ge=0,
+        le=10,
+    )
+    registration_sigma_rad: float = setting(
+        0.012, "likewise, radians", "freiburg1_desk against motion capture: docs/decisions/0050", ge=0, le=3.2
+    )
     unseen_sigma_m: float = setting(
         10.0, "standard deviation along directions that are not known, turns as ways at 2 m", CHOSEN, gt=0, le=1e6
+    )
+    most_unseen: int = setting(
+        2,
+        "directions of six that may be unknown: a corridor leaves one; a single plane leaves three, and is no place",
+        "reckoned",
+        ge=0,
+        le=5,
     )
     agree_chi2: float = setting(
         22.5,
@@ -142,7 +168,20 @@ class RecognitionSettings(Settings):
     """How places are recognised; see docs/recognition.md."""
 
     seed: int = setting(0, "of ferns and of RANSAC", CHOSEN, ge=0, lt=2**32)
-    candidates: int = setting(8, "keyframes that are verified at most, for one view", CHOSEN, ge=1, le=1000)
+    candidates: int = setting(
+        24,
+        "keyframes that are verified at most, for one view: one that shows another place costs 1 to 2 ms",
+        _FROM_0050,
+        ge=1,
+        le=1000,
+    )
+    apart_m: float = setting(
+        0.05,
+        "metres between two keyframes that count as two, a turn by a radian as 1.5 m: one image twice confirms nothing",
+        CHOSEN,
+        ge=0,
+        le=10,
+    )
     fused_rank: float = setting(
         60.0,
         "added to ranks before the two orders, by ferns and by words, are joined by the sum of 1 / rank",
