@@ -8,11 +8,12 @@ import numpy as np
 
 from wheelsight.compiled import kernel
 from wheelsight.geometry.arrays import Float32Array, Int32Array, IntArray, UInt64Array
-from wheelsight.geometry.hamming_kernels import hamming
+from wheelsight.geometry.hamming_kernels import count_bits
 
 BLOCK = 16
 NODES, BLOCKS, FREE, POSTINGS = range(4)
 _BITS = 64
+_FAR = 1000
 
 
 class Rules(NamedTuple):
@@ -29,8 +30,8 @@ class Tree(NamedTuple):
     """A tree of M nodes, and K blocks of postings, some of them in use: `sizes` (4,) tells how many.
 
     `sizes` are the nodes and blocks in use, the first free block among these or -1, and all postings. A node has a
-    centre (4,); `first` child and how many `children`, or it is a word. A word has `count` postings in blocks linked
-    from `head` to `tail` by `following`, `used` of the tail's; at `limit` it is split. A posting is the row of a
+    centre (4,); `first` child and how many `children`, or it is a word. A word has so many `postings` in blocks
+    linked from `head` to `tail` by `following`, `used` of the tail's; at `limit` it is split. A posting is the row of a
     keyframe and the descriptor (4,).
     """
 
@@ -39,7 +40,7 @@ class Tree(NamedTuple):
     first: Int32Array
     children: Int32Array
     level: Int32Array
-    count: Int32Array
+    postings: Int32Array
     limit: Int32Array
     head: Int32Array
     tail: Int32Array
@@ -50,13 +51,13 @@ class Tree(NamedTuple):
 
 
 @kernel
-def word_of(tree: Tree, descriptor: UInt64Array) -> Any:
-    """The word that a descriptor (4,) is: from the root on, the child with the nearest centre."""
+def word_of(tree: Tree, descriptors: UInt64Array, i: int) -> Any:
+    """The word that a descriptor, row i of (N, 4), is: from the root on, the child with the nearest centre."""
     node = 0
     while tree.children[node] > 0:
-        best, nearest = 0, 1000
+        best, nearest = 0, _FAR
         for child in range(tree.first[node], tree.first[node] + tree.children[node]):
-            distance = hamming(tree.centre[child], descriptor)
+            distance = _apart(tree.centre, child, descriptors, i)
             if distance < nearest:
                 best, nearest = child, distance
         node = best
@@ -64,48 +65,58 @@ def word_of(tree: Tree, descriptor: UInt64Array) -> Any:
 
 
 @kernel
+def _apart(first: UInt64Array, i: int, second: UInt64Array, j: int) -> Any:
+    """Bits in which row i of (N, 4) differs from row j of (M, 4); rows taken out of arrays take twice as long."""
+    bits = count_bits(first[i, 0] ^ second[j, 0]) + count_bits(first[i, 1] ^ second[j, 1])
+    return np.int64(bits + count_bits(first[i, 2] ^ second[j, 2]) + count_bits(first[i, 3] ^ second[j, 3]))
+
+
+@kernel
 def insert(tree: Tree, descriptors: UInt64Array, row: int, rules: Rules) -> None:
     """Note that a keyframe shows (N, 4); words that become full are split."""
     for i in range(len(descriptors)):
-        word = word_of(tree, descriptors[i])
+        word = word_of(tree, descriptors, i)
         _append(tree, word, row, descriptors[i])
         tree.sizes[POSTINGS] += 1
-        is_full = tree.count[word] >= tree.limit[word]
+        is_full = tree.postings[word] >= tree.limit[word]
         if is_full and tree.level[word] < rules.depth and tree.sizes[NODES] + rules.branching <= rules.most_nodes:
             _split(tree, word, rules)
 
 
 @kernel
-def vote(tree: Tree, descriptors: UInt64Array, out: Float32Array) -> None:
+def vote(tree: Tree, descriptors: UInt64Array, most_postings: int, out: Float32Array) -> None:
     """Share (R,) of a view's words (N, 4) that each keyframe has too, rare words counting by their idf.
 
-    A word that a view shows several times counts as often as both show it.
+    A word that a view shows several times counts as often as both show it. Rare words come first: once so many postings
+    have been looked at, the common ones that are left count for nobody.
     """
     out[:] = 0.0
     n, words = len(descriptors), np.empty(len(descriptors), np.int64)
     for i in range(n):
-        words[i] = word_of(tree, descriptors[i])
+        words[i] = word_of(tree, descriptors, i)
     words.sort()
-    all_postings, most, i = float(tree.sizes[POSTINGS]), 0.0, 0
-    while i < n:
+    words = words[np.argsort(tree.postings[words], kind="mergesort")]
+    all_postings, most, i, looked_at = float(tree.sizes[POSTINGS]), np.float32(0), 0, 0
+    while i < n and looked_at < most_postings:
         word, shown = words[i], 0
         while i < n and words[i] == word:
             i += 1
             shown += 1
-        idf = np.float32(np.log((1.0 + all_postings) / (1.0 + tree.count[word])))
-        most += shown * idf
+        idf = np.float32(np.log((1.0 + all_postings) / (1.0 + tree.postings[word])))
+        most += np.float32(shown) * idf
+        looked_at += tree.postings[word]
         _count(tree, word, shown, idf, out)
     if most > 0:
-        out /= np.float32(most)
+        out /= most
 
 
 @kernel
-def _count(tree: Tree, word: int, shown: int, idf: float, out: Float32Array) -> None:
+def _count(tree: Tree, word: int, shown: int, idf: np.float32, out: Float32Array) -> None:
     """Add a word's idf to each keyframe that has it, as often as it has it but not more often than it is `shown`.
 
     A keyframe's postings follow each other.
     """
-    last, times, block, left = -1, 0, tree.head[word], tree.count[word]
+    last, times, block, left = -1, 0, tree.head[word], tree.postings[word]
     while left > 0:
         for slot in range(min(left, BLOCK)):
             row = tree.row[block, slot]
@@ -136,13 +147,13 @@ def _append(tree: Tree, word: int, row: int, descriptor: UInt64Array) -> None:
     tree.row[block, slot] = row
     tree.descriptor[block, slot] = descriptor
     tree.used[word] += 1
-    tree.count[word] += 1
+    tree.postings[word] += 1
 
 
 @kernel
 def _split(tree: Tree, word: int, rules: Rules) -> None:
     """Share a word's postings among new words about centres found among its descriptors; alike ones stay together."""
-    n = int(tree.count[word])
+    n = int(tree.postings[word])
     rows, descriptors = np.empty(n, np.int32), np.empty((n, 4), np.uint64)
     block = tree.head[word]
     for i in range(n):
@@ -178,7 +189,7 @@ def _split(tree: Tree, word: int, rules: Rules) -> None:
 def _begin(tree: Tree, node: int, centre: UInt64Array, level: int, limit: int) -> None:
     tree.centre[node] = centre
     tree.first[node], tree.children[node], tree.level[node] = -1, 0, level
-    tree.count[node], tree.limit[node] = 0, limit
+    tree.postings[node], tree.limit[node] = 0, limit
     tree.head[node], tree.tail[node], tree.used[node] = -1, -1, 0
 
 
@@ -186,7 +197,7 @@ def _begin(tree: Tree, node: int, centre: UInt64Array, level: int, limit: int) -
 def _free(tree: Tree, word: int) -> None:
     tree.following[tree.tail[word]] = tree.sizes[FREE]
     tree.sizes[FREE] = tree.head[word]
-    tree.count[word], tree.head[word], tree.tail[word], tree.used[word] = 0, -1, -1, 0
+    tree.postings[word], tree.head[word], tree.tail[word], tree.used[word] = 0, -1, -1, 0
 
 
 @kernel
@@ -197,14 +208,14 @@ def _spread_centres(descriptors: UInt64Array, wanted: int) -> Any:
     centres[0] = descriptors[0]
     nearest = np.empty(n, np.int64)
     for i in range(n):
-        nearest[i] = hamming(descriptors[i], centres[0])
+        nearest[i] = _apart(descriptors, i, centres, 0)
     while found < wanted:
         farthest = int(np.argmax(nearest))
         if nearest[farthest] == 0:
             break
         centres[found] = descriptors[farthest]
         for i in range(n):
-            nearest[i] = min(nearest[i], hamming(descriptors[i], centres[found]))
+            nearest[i] = min(nearest[i], _apart(descriptors, i, centres, found))
         found += 1
     return centres[:found].copy()
 
@@ -212,9 +223,9 @@ def _spread_centres(descriptors: UInt64Array, wanted: int) -> Any:
 @kernel
 def _assign(descriptors: UInt64Array, centres: UInt64Array, chosen: IntArray) -> None:
     for i in range(len(descriptors)):
-        nearest = 1000
+        nearest = _FAR
         for c in range(len(centres)):
-            distance = hamming(descriptors[i], centres[c])
+            distance = _apart(descriptors, i, centres, c)
             if distance < nearest:
                 chosen[i], nearest = c, distance
 

@@ -60,7 +60,8 @@ class Ferns:
         is_brighter = bright[self.pixel, None] > self.grey
         is_farther = near[self.pixel, None] > self.depth_m
         four = np.concatenate([is_brighter, is_farther], axis=1) @ _BITS
-        return np.bitwise_or.reduce(four.reshape(-1, len(_SHIFTS)).astype(np.uint64) << _SHIFTS, axis=1)
+        shifted = four.reshape(-1, len(_SHIFTS)).astype(np.uint64) << _SHIFTS
+        return np.asarray(np.bitwise_or.reduce(shifted, axis=1), np.uint64)
 
     def _tiny(self, image: Float32Array) -> Float32Array:
         """Means (h, w) of what is known of an image; 0 where nothing is."""

@@ -23,7 +23,7 @@ def distance_chi2(
         T_first_second: (4, 4) of the second keyframe in the first one's frame, as the map has them.
         covariance: (6, 6) of its left perturbation.
     """
-    _, off, spread = _apart(first, second, T_first_second, covariance)
+    off, spread = _apart(first, second, T_first_second, covariance)
     return float(off @ np.linalg.solve(spread[0] + spread[1], off))
 
 
@@ -38,28 +38,33 @@ def joined(
 
     What the view itself is off by is in both, and stays. A direction is unknown where neither knows it.
     """
-    _, off, (own, others) = _apart(first, second, T_first_second, covariance)
+    off, (own, others) = _apart(first, second, T_first_second, covariance)
     total = own + others
     if off @ np.linalg.solve(total, off) > settings.agree_chi2:
         return None
     T = se3.exp(own @ np.linalg.solve(total, off)) @ first.T_keyframe_camera
     spread = own - own @ np.linalg.solve(total, own)
     together = 0.5 * (spread + spread.T) + first.shared
-    unknown = _unknown(together, settings.unseen_sigma_m)
-    counts = {"matches": first.matches + second.matches, "inliers": first.inliers + second.inliers}
-    intruding = max(first.intruding, second.intruding)
-    return replace(first, T_keyframe_camera=T, covariance=together, degenerate=unknown, intruding=intruding, **counts)
+    return replace(
+        first,
+        T_keyframe_camera=T,
+        covariance=together,
+        degenerate=_unknown(together, settings.unseen_sigma_m),
+        matches=first.matches + second.matches,
+        inliers=first.inliers + second.inliers,
+        intruding=max(first.intruding, second.intruding),
+    )
 
 
 def _apart(
     first: VerifiedPlace, second: VerifiedPlace, T_first_second: FloatArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
-    """The second pose (4, 4) by the first keyframe, its distance (6,), and what both err by themselves, (6, 6) each."""
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """How far (6,) the second pose is off the first, and what both err by themselves, (6, 6) each."""
     T_second = T_first_second @ second.T_keyframe_camera
     Ad = se3.adjoint(T_first_second)
     others = covariance + Ad @ (second.covariance - second.shared) @ Ad.T
     off = se3.log(T_second @ se3.invert(first.T_keyframe_camera))
-    return T_second, off, (first.covariance - first.shared, others)
+    return off, (first.covariance - first.shared, others)
 
 
 def _unknown(covariance: FloatArray, unseen_sigma_m: float) -> FloatArray:

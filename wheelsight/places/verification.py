@@ -185,7 +185,8 @@ class PlaceVerifier:
         """
         T_keyframe_camera = se3.invert(found.T_current_reference)
         Ad = se3.adjoint(T_keyframe_camera)
-        told = Told(T_keyframe_camera, np.linalg.inv(self._settings.correlation * Ad @ found.covariance @ Ad.T))
+        information = np.linalg.inv(self._settings.correlation * Ad @ found.covariance @ Ad.T)
+        told = Told(T_keyframe_camera, np.asarray(information, float))
         reference = self._maker.of_frame(other.grid, np.eye(4))
         aligned = self._aligner.align(view.grid, reference, T_keyframe_camera, told=told)
         is_clear = found.inliers >= min(self._settings.clear_inliers, self._settings.clear_share * matches)

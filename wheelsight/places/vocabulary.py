@@ -19,7 +19,7 @@ from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.places import _word_kernels as kernels
 from wheelsight.settings import WordSettings
 
-_OF_NODES = ("centre", "first", "children", "level", "count", "limit", "head", "tail", "used")
+_OF_NODES = ("centre", "first", "children", "level", "postings", "limit", "head", "tail", "used")
 _OF_BLOCKS = ("following", "row", "descriptor")
 _FIRST_ROOM = 256
 
@@ -57,7 +57,7 @@ class Vocabulary:
         """Share (rows,) of the words of (N, 4), weighted by their idf, that each keyframe has too."""
         votes = np.empty(rows, np.float32)
         chosen = descriptors[_evenly(len(descriptors), self._settings.descriptors)]
-        kernels.vote(self._tree, np.ascontiguousarray(chosen), votes)
+        kernels.vote(self._tree, np.ascontiguousarray(chosen), self._settings.most_postings, votes)
         return votes
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -84,11 +84,11 @@ def _empty(room: int) -> kernels.Tree:
     numbers = [np.full(room, -1, np.int32) for _ in range(3)]
     counts = [np.zeros(room, np.int32) for _ in range(5)]
     first, head, tail = numbers
-    children, level, count, limit, used = counts
-    postings = np.zeros((room, kernels.BLOCK), np.int32), np.zeros((room, kernels.BLOCK, 4), np.uint64)
+    children, level, words, limit, used = counts
+    blocks = np.zeros((room, kernels.BLOCK), np.int32), np.zeros((room, kernels.BLOCK, 4), np.uint64)
     following, sizes = np.full(room, -1, np.int32), np.array([0, 0, -1, 0])
     centre = np.zeros((room, 4), np.uint64)
-    return kernels.Tree(sizes, centre, first, children, level, count, limit, head, tail, used, following, *postings)
+    return kernels.Tree(sizes, centre, first, children, level, words, limit, head, tail, used, following, *blocks)
 
 
 def _grown(tree: kernels.Tree, nodes: int, blocks: int) -> kernels.Tree:
@@ -122,7 +122,7 @@ def _checked(tree: kernels.Tree, rows: int) -> kernels.Tree:
         and all(_is_within(array, -1, blocks) for array in (tree.head, tree.tail, tree.following, tree.sizes[2:3]))
         and _is_within(tree.row, 0, max(rows, 1))
         and _is_within(tree.used, 0, kernels.BLOCK + 1)
-        and _is_within(tree.count, 0, blocks * kernels.BLOCK + 1)
+        and _is_within(tree.postings, 0, blocks * kernels.BLOCK + 1)
     )
     if not within:
         raise MapError("its words contradict themselves", fix="build the map anew")

@@ -47,6 +47,14 @@ class WordSettings(Settings):
     split_at: int = setting(64, "descriptors of a word at which it is split", CHOSEN, ge=4, le=10_000)
     steps: int = setting(3, "rounds in which the centres of such nodes are bettered", CHOSEN, ge=1, le=100)
     depth: int = setting(8, "levels of the tree at most", CHOSEN, ge=1, le=16)
+    most_postings: int = setting(
+        20_000,
+        "keyframes that are counted for the words of one view, those of rare words first: it bounds the time, by a third "
+        "of a ms",
+        "measured by python -m benchmarks.relocalization",
+        ge=1,
+        le=100_000_000,
+    )
     most_nodes: int = setting(32_000, "of the tree; then no word is split any more", CHOSEN, ge=16, le=10_000_000)
 
 
@@ -137,7 +145,7 @@ class PlaceVerificationSettings(Settings):
     )
     registration_sigma_m: float = setting(
         0.012,
-        "standard deviation of a place by surfaces seen from apart, beyond noise and what a frame's pixels share, metres",
+        "standard deviation of a place by surfaces seen from apart, metres, beyond what single frames are off by",
         "freiburg1_desk against motion capture: docs/decisions/0050",
         ge=0,
         le=10,
