@@ -34,6 +34,7 @@ from wheelsight.settings import (
     CHOSEN,
     LocalizerSettings,
     RealTimeSettings,
+    RecognitionSettings,
     Settings,
     bounds,
     conflict,
@@ -224,6 +225,7 @@ class Config(Settings):
     localizer: LocalizerSettings = LocalizerSettings()
     places: PlaceSettings = PlaceSettings()
     loops: LoopSettings = LoopSettings()
+    recognition: RecognitionSettings = RecognitionSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
     realtime: RealTimeSettings = RealTimeSettings()

@@ -1,6 +1,7 @@
 """Settings of parts that stand below `Config`: each with its unit, its bounds, and why it is what it is.
 
-What an odometry, a map or a filter goes by stands beside it; here is what a localizer and a run in real time go by.
+What an odometry, a map or a filter goes by stands beside it; here is what a localizer and a run in real time go by,
+and by what places are recognised.
 """
 
 from wheelsight.settings.base import ASKED, CHOSEN, ON_SIMULATOR, Settings, bounds, conflict, setting
@@ -11,6 +12,7 @@ from wheelsight.settings.localizer import (
     LocalizerSettings,
 )
 from wheelsight.settings.real_time import RealTimeSettings
+from wheelsight.settings.recognition import FernSettings, PlaceVerificationSettings, RecognitionSettings, WordSettings
 
 __all__ = [
     "ASKED",
@@ -18,10 +20,14 @@ __all__ = [
     "ON_SIMULATOR",
     "BaseCheckSettings",
     "ColorCheckSettings",
+    "FernSettings",
     "FrameGateSettings",
     "LocalizerSettings",
+    "PlaceVerificationSettings",
     "RealTimeSettings",
+    "RecognitionSettings",
     "Settings",
+    "WordSettings",
     "bounds",
     "conflict",
     "setting",

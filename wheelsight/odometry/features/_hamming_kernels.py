@@ -5,33 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 
 from wheelsight.compiled import kernel
 from wheelsight.geometry.arrays import FloatArray, IntArray, UInt64Array
+from wheelsight.geometry.hamming_kernels import hamming
 
 _FAR = 1000
-
-
-@intrinsic
-def _ctpop(typing_context: Any, word: Any) -> Any:
-    """The processor's own bit count, which numba has no name for."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.ctpop(arguments[0])
-
-    return types.uint64(types.uint64), generate
-
-
-_count_bits: Any = _ctpop
-
-
-@kernel
-def hamming(a: UInt64Array, b: UInt64Array) -> Any:
-    """Number of bits in which two descriptors (4,) differ."""
-    bits = _count_bits(a[0] ^ b[0]) + _count_bits(a[1] ^ b[1]) + _count_bits(a[2] ^ b[2]) + _count_bits(a[3] ^ b[3])
-    return np.int64(bits)
 
 
 @kernel
