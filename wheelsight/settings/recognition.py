@@ -5,7 +5,7 @@ from __future__ import annotations
 from wheelsight.settings.base import CHOSEN, Settings, setting
 
 _FERNS = "Glocker et al. 2015"
-_FROM_0050 = "two real recordings of Kinects: docs/decisions/0050"
+_FROM_0052 = "two real recordings of Kinects: docs/decisions/0052"
 
 
 class FernSettings(Settings):
@@ -48,10 +48,9 @@ class WordSettings(Settings):
     steps: int = setting(3, "rounds in which the centres of such nodes are bettered", CHOSEN, ge=1, le=100)
     depth: int = setting(8, "levels of the tree at most", CHOSEN, ge=1, le=16)
     most_postings: int = setting(
-        20_000,
-        "keyframes that are counted for the words of one view, those of rare words first: it bounds the time, by a third "
-        "of a ms",
-        "measured by python -m benchmarks.relocalization",
+        10_000,
+        "keyframes that are counted for the words of one view, those of rare words first: it bounds the time",
+        "measured by python -m benchmarks.relocalization: 0.2 ms",
         ge=1,
         le=100_000_000,
     )
@@ -81,7 +80,7 @@ class PlaceVerificationSettings(Settings):
     min_inliers: int = setting(
         8,
         "keypoints that must agree on a motion for surfaces to be asked: at wrong places 6 and 7 often agree",
-        _FROM_0050,
+        _FROM_0052,
         ge=4,
         le=20_000,
     )
@@ -115,7 +114,7 @@ class PlaceVerificationSettings(Settings):
         0.15,
         "share of the view's points that must find a surface of the keyframe; of less, an edge of a table fits many "
         "places",
-        _FROM_0050,
+        _FROM_0052,
         gt=0,
         lt=1,
     )
@@ -146,12 +145,12 @@ class PlaceVerificationSettings(Settings):
     registration_sigma_m: float = setting(
         0.012,
         "standard deviation of a place by surfaces seen from apart, metres, beyond what single frames are off by",
-        "freiburg1_desk against motion capture: docs/decisions/0050",
+        "freiburg1_desk against motion capture: docs/decisions/0052",
         ge=0,
         le=10,
     )
     registration_sigma_rad: float = setting(
-        0.012, "likewise, radians", "freiburg1_desk against motion capture: docs/decisions/0050", ge=0, le=3.2
+        0.012, "likewise, radians", "freiburg1_desk against motion capture: docs/decisions/0052", ge=0, le=3.2
     )
     unseen_sigma_m: float = setting(
         10.0, "standard deviation along directions that are not known, turns as ways at 2 m", CHOSEN, gt=0, le=1e6
@@ -179,7 +178,7 @@ class RecognitionSettings(Settings):
     candidates: int = setting(
         24,
         "keyframes that are verified at most, for one view: one that shows another place costs 1 to 2 ms",
-        _FROM_0050,
+        _FROM_0052,
         ge=1,
         le=1000,
     )

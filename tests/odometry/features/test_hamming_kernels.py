@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from odometry.plain_kernels import plain
 
+from wheelsight.geometry.hamming_kernels import hamming
 from wheelsight.odometry.features import _hamming_kernels as compiled
 from wheelsight.odometry.features.matching import match_all, match_near
 from wheelsight.odometry.features.settings import FeatureSettings
@@ -35,14 +36,14 @@ def distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def test_hamming_counts_the_bits_that_differ(rng):
     a, b = descriptors(rng, 50), descriptors(rng, 50)
     expected = np.diag(distances(a, b))
-    assert [compiled.hamming(p, q) for p, q in zip(a, b, strict=True)] == expected.tolist()
+    assert [hamming(p, q) for p, q in zip(a, b, strict=True)] == expected.tolist()
     assert [in_python.hamming(p, q) for p, q in zip(a, b, strict=True)] == expected.tolist()
 
 
 def test_hamming_of_all_bits_and_of_none():
     nothing, everything = np.zeros(4, np.uint64), np.full(4, 2**64 - 1, np.uint64)
-    assert compiled.hamming(nothing, everything) == 256
-    assert compiled.hamming(everything, everything) == 0
+    assert hamming(nothing, everything) == 256
+    assert hamming(everything, everything) == 0
 
 
 def test_nearest_both_ways_in_plain_python(rng):

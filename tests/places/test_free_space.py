@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wheelsight.calibration import DepthNoise
+from wheelsight.geometry import se3
+from wheelsight.odometry.dense.grid import Level
+from wheelsight.places.free_space import intrusion
+from wheelsight.settings import PlaceVerificationSettings
+
+NOISE, SETTINGS = DepthNoise(0.001, 0.001425, 0.3, 10.0), PlaceVerificationSettings()
+SHAPE, INTRINSICS = (60, 80), np.array([65.0, 65.0, 39.5, 29.5])
+
+
+def level(depth_m: np.ndarray) -> Level:
+    return Level(INTRINSICS, depth_m.astype(np.float32), np.full(SHAPE, 128, np.float32))
+
+
+def wall(distance_m: float) -> np.ndarray:
+    return np.full(SHAPE, float(distance_m))
+
+
+def test_the_same_view_does_not_intrude():
+    found = intrusion(level(wall(3)), level(wall(3)), np.eye(4), NOISE, SETTINGS)
+    assert found.intruding == 0
+    assert found.compared == 2 * SHAPE[0] * SHAPE[1]
+
+
+def test_a_cabinet_where_a_wall_was_seen_intrudes_by_its_share():
+    with_cabinet = wall(3)
+    with_cabinet[:, 20:50] = 1.5
+    found = intrusion(level(wall(3)), level(with_cabinet), np.eye(4), NOISE, SETTINGS)
+    # From the other side it hides what is behind it, which tells nothing.
+    assert found.share == pytest.approx(30 / (80 + 50), abs=0.02)
+
+
+def test_what_hides_something_else_does_not_intrude_when_both_saw_it():
+    scene = wall(3)
+    scene[:, 20:50] = 1.5
+    T = se3.exp([0.2, 0, 0, 0, 0, 0])
+    moved = wall(3)
+    left, right = (65.0 * (((20 - 39.5) / 65 * 1.5 - 0.2) / 1.5) + 39.5, 65.0 * ((50 - 39.5) / 65 - 0.2 / 1.5) + 39.5)
+    moved[:, max(0, round(left)) : round(right)] = 1.5
+    assert intrusion(level(scene), level(moved), T, NOISE, SETTINGS).share < 0.03
+
+
+def test_a_pose_inside_the_wall_intrudes():
+    T = se3.exp([0.0, 0, 0.8, 0, 0, 0])
+    assert intrusion(level(wall(3)), level(wall(3)), T, NOISE, SETTINGS).share > 0.4
+
+
+def test_unknown_depth_tells_nothing():
+    found = intrusion(level(wall(0)), level(wall(1)), np.eye(4), NOISE, SETTINGS)
+    assert found == (0, 0)
+    assert found.share == 0
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-0.3, 0.3), st.integers(0, 1000))
+def test_it_does_not_matter_which_view_is_first(x, yaw, seed):
+    rng = np.random.default_rng(seed)
+    first, second = (level(rng.uniform(1, 4, SHAPE)) for _ in range(2))
+    T = se3.exp([x, 0, 0, 0, yaw, 0])
+    assert intrusion(first, second, T, NOISE, SETTINGS) == intrusion(second, first, se3.invert(T), NOISE, SETTINGS)

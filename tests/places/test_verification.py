@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from odometry.dense.scenes import Plane, render
+from places.seen_room import EXACT, frame_at, kept, maker, seen, standing
+from synthetic import CAMERA
+
+from wheelsight.events import RgbdFrame
+from wheelsight.geometry import se3, so3
+from wheelsight.keyframes import KeyframeFeatures, KeyframeId
+from wheelsight.places.verification import PlaceVerifier, Refusal, RefusedPlace, VerifiedPlace
+from wheelsight.places.views import SeenView
+
+ID = KeyframeId(4)
+HOME = standing(-1.2, 0.0, 0.0)
+
+
+@pytest.fixture
+def verifier() -> PlaceVerifier:
+    return PlaceVerifier(EXACT, views=maker())
+
+
+def off(T_true: np.ndarray, T: np.ndarray) -> tuple[float, float]:
+    D = se3.invert(T_true) @ T
+    return float(np.linalg.norm(D[:3, 3])), float(so3.angle(D[:3, :3]))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "yaw"), [(-1.2, 0.0, 0.0), (-1.0, 0.3, -0.15), (-1.5, -0.25, 0.2), (-0.9, 0.1, 0.1)]
+)
+def test_a_place_seen_again_is_found(verifier, x, y, yaw):
+    T = standing(x, y, yaw)
+    T_true = se3.invert(HOME) @ T
+    answer = verifier.verify(seen(T), ID, kept(seen(HOME)))
+    assert isinstance(answer, VerifiedPlace)
+    off_m, off_rad = off(T_true, answer.T_keyframe_camera)
+    assert off_m < 0.01
+    assert off_rad < 0.005
+    assert answer.keyframe == ID
+    assert answer.shows_all
+    assert answer.intruding < 0.02
+    error = se3.log(answer.T_keyframe_camera @ se3.invert(T_true))
+    assert error @ np.linalg.solve(answer.covariance, error) < 22.5
+    assert not verifier.refusals
+
+
+def test_the_covariance_has_what_both_frames_and_the_way_between_them_are_off_by(verifier):
+    view, keyframe = seen(standing(-1.0, 0.3, -0.15)), kept(seen(HOME))
+    loose = PlaceVerifier(replace(EXACT, frame_sigma_m=0.05, frame_sigma_rad=0.03), views=maker())
+    sure, unsure = (who.verify(view, ID, keyframe) for who in (verifier, loose))
+    assert isinstance(sure, VerifiedPlace)
+    assert isinstance(unsure, VerifiedPlace)
+    assert np.linalg.eigvalsh(sure.covariance).min() >= 0.012**2 * 0.999
+    of_frame = np.diag([0.05**2] * 3 + [0.03**2] * 3)
+    Ad = se3.adjoint(unsure.T_keyframe_camera)
+    assert unsure.shared == pytest.approx(Ad @ of_frame @ Ad.T)
+    assert unsure.covariance - sure.covariance == pytest.approx(of_frame + unsure.shared, abs=1e-9)
+
+
+def test_the_same_room_with_other_textures_is_another_place(verifier):
+    answer = verifier.verify(seen(standing(-1.0, 0.1, 0.0), seed=5), ID, kept(seen(HOME)))
+    assert isinstance(answer, RefusedPlace)
+    assert answer.reason is Refusal.TOO_FEW_INLIERS
+    assert verifier.refusals == {answer.reason: 1}
+
+
+def test_a_bare_view_is_not_recognised(verifier):
+    answer = verifier.verify(seen(HOME, blank=True), ID, kept(seen(HOME)))
+    assert isinstance(answer, RefusedPlace)
+    assert answer.reason is Refusal.TOO_FEW_MATCHES
+    nothing = replace(kept(seen(HOME)), features=None)
+    assert verifier.verify(seen(HOME), ID, nothing) == RefusedPlace(ID, Refusal.TOO_FEW_MATCHES)
+
+
+def test_where_the_keyframe_saw_through_no_cabinet_may_stand(verifier):
+    frame = frame_at(standing(-1.0, 0.1, 0.0))
+    color, depth_m = frame.color.copy(), frame.depth_m.copy()
+    color[:, 180:], depth_m[:, 180:] = 90, np.minimum(depth_m[:, 180:], 0.9)
+    answer = verifier.verify(maker().of_frame(replace(frame, color=color, depth_m=depth_m)), ID, kept(seen(HOME)))
+    assert isinstance(answer, RefusedPlace)
+    assert answer.reason is Refusal.INTRUDES
+    assert answer.inliers > 12
+
+
+def test_surfaces_that_stand_elsewhere_than_keypoints_are_refused(verifier):
+    keyframe = kept(seen(HOME))
+    assert keyframe.features is not None
+    shift = np.where(keyframe.features.points[:, 2:] > 0, [0.6, 0.0, 0.0], 0.0)
+    moved = replace(keyframe, features=replace(keyframe.features, points=keyframe.features.points + shift))
+    answer = verifier.verify(seen(HOME), ID, moved)
+    assert isinstance(answer, RefusedPlace)
+
+
+def corridor(T_map_camera: np.ndarray, rng: np.random.Generator) -> SeenView:
+    """A bare corridor along z, with `right` keypoints that belong together among many that do not."""
+    planes = [
+        Plane((1.0, 0.0, 0.0), 1.0),
+        Plane((-1.0, 0.0, 0.0), 1.0),
+        Plane((0.0, 1.0, 0.0), 1.2),
+        Plane((0.0, -1.0, 0.0), 1.2),
+    ]
+    color, depth_m = render(planes, T_map_camera, CAMERA)
+    noise = 1 + 1.425e-3 * depth_m * rng.standard_normal(depth_m.shape)
+    view = maker().of_frame(RgbdFrame(0.0, color, (depth_m * noise).astype(np.float32)))
+    own, right, wrong = np.random.default_rng(3), 20, 100
+    sides = own.choice([-1.0, 1.0], right)
+    p_map = np.column_stack([sides, own.uniform(-0.8, 0.8, right), own.uniform(1.5, 3.5, right)])
+    points = se3.apply(se3.invert(T_map_camera), p_map)
+    points = np.concatenate([points, rng.uniform((-1, -1, 1), (1, 1, 4), (wrong, 3))])
+    descriptors = own.integers(0, 2**64, (right + wrong, 4), np.uint64)
+    return SeenView(view.grid, KeyframeFeatures(np.zeros((len(points), 2)), points, descriptors))
+
+
+def test_a_corridor_closes_sideways_and_in_heading_but_not_along(verifier, rng):
+    T = se3.exp([0.1, 0.0, 0.2, 0.0, 0.05, 0.0])
+    answer = verifier.verify(corridor(T, rng), ID, corridor(np.eye(4), rng))
+    assert isinstance(answer, VerifiedPlace)
+    assert np.abs(answer.degenerate) == pytest.approx(np.eye(6)[2:3], abs=0.05)
+    sigma = np.sqrt(np.diag(answer.covariance))
+    assert sigma[2] > 5
+    assert sigma[0] < 0.05
+    assert sigma[4] < 0.05
+    error = se3.log(answer.T_keyframe_camera @ se3.invert(T))
+    assert abs(error[0]) < 0.02
+    assert abs(error[4]) < 0.02
+
+
+def test_a_single_wall_is_no_place(verifier, rng):
+    wall = [Plane((0.0, 0.0, 1.0), 2.0)]
+    color, depth_m = render(wall, np.eye(4), CAMERA)
+    view = maker().of_frame(RgbdFrame(0.0, color, depth_m))
+    points = np.concatenate([rng.uniform((-0.8, -0.6, 2), (0.8, 0.6, 2), (20, 3)), rng.uniform(1, 3, (100, 3))])
+    descriptors = rng.integers(0, 2**64, (120, 4), np.uint64)
+    first, second = (
+        SeenView(view.grid, KeyframeFeatures(np.zeros((120, 2)), shown, descriptors))
+        for shown in (points, np.concatenate([points[:20], rng.uniform(1, 3, (100, 3))]))
+    )
+    answer = verifier.verify(first, ID, second)
+    assert isinstance(answer, RefusedPlace)
+    assert answer.reason is Refusal.DEGENERATE
