@@ -63,7 +63,8 @@ class LoopSettings(Settings):
     )
     cluster_votes: float = setting(
         3.0,
-        "a cluster of loops that agree counts as so many at most: what took one view for another does so again beside",
+        "loops that agree count as so many at most in each stretch of `cluster_keyframes`: what takes one view for"
+        " another does so again beside",
         _FROM_0050,
         gt=0,
         le=1000,
