@@ -28,7 +28,8 @@ def test_relative_poses_with_their_errors(tmp_path: Path) -> None:
     ((match,), _) = read_matches(written(tmp_path, POSES))
     assert match.T_a_b is not None
     assert match.covariance is not None
-    np.testing.assert_allclose(match.T_a_b, [[-1, 0, 0, 0.1], [0, -1, 0, 0.2], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-12)
+    expected = np.array([[-1.0, 0, 0, 0.1], [0, -1, 0, 0.2], [0, 0, 1, 0], [0, 0, 0, 1]])
+    np.testing.assert_allclose(match.T_a_b, expected, atol=1e-12)
     np.testing.assert_allclose(np.diag(match.covariance), np.square([0.05, 0.05, 0.05, 0.02, 0.02, 0.02]))
     assert match.score == 0.8
 
