@@ -33,10 +33,8 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
         stdout.print(facts_table(f"{first.recording}: T_{first.estimate.frame}_{first.estimate.body}", _facts(first)))
         if first.evaluation is not None:
             stdout.print(evaluation_table(first.evaluation))
-    for shown in _corrections(records):
-        stdout.print(shown)
-    if first.realtime is not None:
-        stdout.print(first.realtime.sentence, markup=False)
+    for shown in (*_corrections(records), *([] if first.realtime is None else [first.realtime.sentence])):
+        stdout.print(shown, markup=False)
     for warning in dict.fromkeys(w for record in records for w in record.warnings):
         print_warning(warning)
     for line in _maps(records, out):

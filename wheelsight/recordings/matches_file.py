@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight.errors import RecordingError
+from wheelsight.files import StrPath
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.inputs import is_there
 from wheelsight.matches import Match
@@ -22,7 +23,7 @@ _SCORE = "score"
 _UNIT_TOLERANCE = 0.01
 
 
-def read_matches(path: Path) -> tuple[list[Match], list[str]]:
+def read_matches(path: StrPath) -> tuple[list[Match], list[str]]:
     """Matches of a table, one a line, and warnings.
 
     Columns, named in the first line, in any order: stamp_a_s and stamp_b_s; if there are any, all of x_m, y_m, z_m, qx,
@@ -31,6 +32,7 @@ def read_matches(path: Path) -> tuple[list[Match], list[str]]:
     Raises:
         RecordingError: naming file and line, for columns that are missing, or what is no number, pose or score.
     """
+    path = Path(path)
     has = set(column_names(path, _STAMPS))
     given = [name for group in (_POSE, _SIGMAS) for name in group if set(group) & has]
     if set(_SIGMAS) & has and not set(_POSE) & has:

@@ -17,7 +17,7 @@ from wheelsight.report import _map as surfels
 from wheelsight.report import _rectification as rectification
 from wheelsight.report import _sections as sections
 from wheelsight.report import comparison_figures as figures
-from wheelsight.report import words
+from wheelsight.report import loop_figures, words
 from wheelsight.report.overlay import Overlay, overlay_of
 from wheelsight.report.page import fill_template, settings
 from wheelsight.report.summary import Summary, summarise
@@ -217,6 +217,7 @@ def _details(record: RunRecord, summary: Summary) -> Iterable[str]:
     yield sections.certainty(record, of)
     if record.unit == "frame" and record.rectification is None and not record.is_joined:
         yield sections.tracking(record, summary, of)
+    yield loop_figures.section(record, of)
     yield sections.timing(record, summary, of)
     if not record.is_joined:
         yield surfels.section(record, of)

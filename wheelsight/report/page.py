@@ -16,7 +16,7 @@ from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _html as html
 from wheelsight.report import _map as surfels
 from wheelsight.report import _sections as sections
-from wheelsight.report import words
+from wheelsight.report import loop_figures, words
 from wheelsight.report._plotly import get_plotlyjs
 from wheelsight.report.summary import Summary, summarise
 from wheelsight.report.verdict import judge, notes
@@ -119,6 +119,7 @@ def _notes(record: RunRecord, summary: Summary) -> str:
 def _sections(record: RunRecord, summary: Summary) -> list[str]:
     return [
         sections.path(record, summary),
+        loop_figures.section(record),
         surfels.section(record),
         sections.errors(record),
         sections.certainty(record),

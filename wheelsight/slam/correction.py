@@ -76,24 +76,26 @@ def correct(
         ArgumentError: the trajectory has no poses, or neither it nor the recording states errors.
     """
     settings = settings or LoopSettings()
-    if not len(lived):
-        raise ArgumentError("the trajectory has no poses", fix="give one that has")
-    C = lived.covariances if stated is None else _covariances_by(stated, lived)
-    if C is None:
-        raise ArgumentError("the trajectory states no covariances", fix="odometry that states its errors, as wheels do")
+    C = _covariances(lived, stated)
     placed, unused = _placed(matches, lived, settings.matches)
     rows = _keyframe_rows(lived, [row for _, ends in placed for row in ends], settings.matches.keyframe_way_m)
-    loops = []
-    for match, ends in placed:
-        first, second = np.searchsorted(rows, ends).tolist()
-        if first != second:
-            loops.append(_loop(match, KeyframeId(first), KeyframeId(second), settings.matches))
+    loops = _loops(placed, rows, settings.matches)
     unused[Unused.ONE_PLACE] += len(placed) - len(loops)
     graph = graph if graph is not None else new_pose_graph(settings.cauchy_scale)
     _lay(graph, lived.T_frame_body[rows], C[rows], settings.matches)
     report = LoopCloser(graph, settings).offer_all(loops) if loops else LoopReport(())
     counts = {str(reason): count for reason, count in unused.items() if count}
     return Correction(_carried(lived, rows, graph.poses), rows, graph.poses, report, counts)
+
+
+def _covariances(lived: Trajectory, stated: SpeedVariances | None) -> FloatArray:
+    """(N, 6, 6), as the recording states, or the trajectory itself. Raises ArgumentError where neither does."""
+    if not len(lived):
+        raise ArgumentError("the trajectory has no poses", fix="give one that has")
+    C = lived.covariances if stated is None else _covariances_by(stated, lived)
+    if C is None:
+        raise ArgumentError("the trajectory states no covariances", fix="odometry that states its errors, as wheels do")
+    return C
 
 
 def _covariances_by(stated: SpeedVariances, lived: Trajectory) -> FloatArray:
@@ -135,6 +137,18 @@ def _keyframe_rows(lived: Trajectory, wanted: Sequence[int], way_m: float) -> In
     """Rows (K,) of keyframes: where they are wanted, at both ends, and where so much way has been gone."""
     _, first_each = np.unique(np.floor(lived.distances_m / way_m), return_index=True)
     return np.unique(np.concatenate([first_each, np.asarray(wanted, np.int64), [0, len(lived) - 1]])).astype(np.int64)
+
+
+def _loops(
+    placed: Sequence[tuple[Match, tuple[int, int]]], rows: IntArray, settings: MatchSettings
+) -> list[RelativePose]:
+    """Edges of those matches that join two keyframes."""
+    joined = [(match, *np.searchsorted(rows, ends).tolist()) for match, ends in placed]
+    return [
+        _loop(match, KeyframeId(first), KeyframeId(second), settings)
+        for match, first, second in joined
+        if first != second
+    ]
 
 
 def _loop(match: Match, first: KeyframeId, second: KeyframeId, settings: MatchSettings) -> RelativePose:

@@ -101,16 +101,16 @@ class LoopCloser:
         return self.report()
 
     def review(self) -> bool:
-        """Try other hypotheses; whether one has won."""
+        """Judge all anew, and try other hypotheses; whether one has won."""
         self._refused_since, self._reviews = 0, self._reviews + 1
+        T_start, settings = self.graph.poses, self.settings
+        self._clusters = clusters_of(self._loops, T_start, settings.cluster_keyframes, settings.gate_probability)
+        self._settle()
         T_now, kept_now = self.graph.poses, np.array(self._kept, bool)
-        self._clusters = clusters_of(
-            self._loops, T_now, self.settings.cluster_keyframes, self.settings.gate_probability
-        )
-        best, gain = (T_now, kept_now), self.settings.least_gain
+        best, gain = (T_now, kept_now), settings.least_gain
         for own, tried in self._hypotheses(kept_now):
             self._keep(tried)
-            self.graph.optimise(T_now)
+            self.graph.optimise(T_start)
             T = self.graph.poses
             found = self._cost(T_now, own) - self._cost(T, own)
             if found > gain:
@@ -137,7 +137,7 @@ class LoopCloser:
 
     def _limits(self, loops: Sequence[RelativePose]) -> list[float]:
         freedom = [loop.freedom for loop in loops]
-        return np.asarray(chi2_distribution.ppf(self.settings.gate_probability, freedom), float).tolist()
+        return [float(limit) for limit in chi2_distribution.ppf(self.settings.gate_probability, freedom)]
 
     def _hypotheses(self, kept: BoolArray) -> Iterator[tuple[int, BoolArray]]:
         """Loops (L,) that each goes by, and the cluster that must not speak for it, or -1."""
@@ -170,6 +170,11 @@ class LoopCloser:
             self._keep(kept)
             self.graph.optimise()
 
+    def _stretches(self, first: IntArray) -> IntArray:
+        """Over how many stretches of the way each cluster (C,) goes."""
+        along = first // max(self.settings.cluster_keyframes, 1)
+        return np.bincount(np.unique(np.column_stack([self._clusters, along]), axis=0)[:, 0])
+
     def _cost(self, T: FloatArray, own: int) -> float:
         """What poses leave unexplained of odometry and of all loops, kept or not, those of cluster `own` left out."""
         edges, loops = arrays_of([e for e in self.graph.edges if not e.is_loop]), arrays_of(self._loops)
@@ -179,7 +184,7 @@ class LoopCloser:
         loss = cauchy_loss(of_loops, self.settings.cauchy_scale)
         counts = np.bincount(self._clusters)
         means = np.bincount(self._clusters, loss) / counts
-        votes = np.minimum(counts, self.settings.cluster_votes)
+        votes = np.minimum(counts, self.settings.cluster_votes * self._stretches(loops.first))
         if own >= 0:
             votes[own] = 0
         return float(chi2.sum() / 2 + votes @ means)

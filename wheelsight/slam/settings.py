@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wheelsight.settings import ASKED, CHOSEN, Settings, setting
 
-_FROM_0050 = "docs/decisions/0050: synthetic graphs, found on the simulator alone"
+_FROM_0053 = "docs/decisions/0053: synthetic graphs, found on the simulator alone"
 
 
 class MatchSettings(Settings):
@@ -53,7 +53,7 @@ class LoopSettings(Settings):
         0.999, "share of true loops that pass the chi-square gate, where all covariances are honest", CHOSEN, gt=0, lt=1
     )
     cauchy_scale: float = setting(
-        1.0, "standard deviations from which on Cauchy's kernel lets go of a loop", _FROM_0050, gt=0, le=100
+        1.0, "standard deviations from which on Cauchy's kernel lets go of a loop", _FROM_0053, gt=0, le=100
     )
     review_after: int = setting(
         10, "loops refused since the last review of all of them after which there is another", CHOSEN, ge=1, le=100_000
@@ -63,8 +63,9 @@ class LoopSettings(Settings):
     )
     cluster_votes: float = setting(
         3.0,
-        "a cluster of loops that agree counts as so many at most: what took one view for another does so again beside",
-        _FROM_0050,
+        "loops that agree count as so many at most in each stretch of `cluster_keyframes`: what takes one view for"
+        " another does so again beside",
+        _FROM_0053,
         gt=0,
         le=1000,
     )

@@ -1,0 +1,143 @@
+import numpy as np
+import pytest
+
+from wheelsight.errors import ArgumentError
+from wheelsight.geometry import se3
+from wheelsight.matches import Match, SpeedVariances
+from wheelsight.slam.correction import Unused, correct
+from wheelsight.slam.own_solver import OwnPoseGraph
+from wheelsight.slam.settings import LoopSettings, MatchSettings
+from wheelsight.trajectory import Trajectory
+
+SPEED_M_S, SIDE_S, STEP_S = 1.0, 12.0, 0.1
+TURN_SIGMA = 0.05  # rad/s of each reading
+BIAS_RAD_S = 0.01
+
+
+def driven(bias_rad_s=BIAS_RAD_S, laps=2):
+    """The true way around a square, and the same with a gyroscope's bias; covariances grow by speeds' errors."""
+    count = int(4 * laps * SIDE_S / STEP_S)
+    stamps_s = np.linspace(0.0, STEP_S * count, count + 1)
+    at_corner = np.isclose(np.mod(stamps_s[1:], SIDE_S), 0, atol=1e-6) | np.isclose(
+        np.mod(stamps_s[1:], SIDE_S), SIDE_S, atol=1e-6
+    )
+    steps = np.zeros((count, 6))
+    steps[:, 0] = SPEED_M_S * STEP_S
+    ways = []
+    for bias in (0.0, bias_rad_s):
+        T = [np.eye(4)]
+        for step, corner in zip(steps, at_corner, strict=True):
+            turn = se3.from_plane(0, 0, np.pi / 2 if corner else bias * STEP_S)
+            T.append(T[-1] @ se3.exp(step) @ turn)
+        ways.append(np.array(T))
+    stated = SpeedVariances(stamps_s, np.tile([0.02**2, 0.02**2, TURN_SIGMA**2], (count + 1, 1)))
+    return stamps_s, ways[0], ways[1], stated
+
+
+def matches_of(stamps_s, T_true, wrong=0, relative=False, seed=0):
+    """One each two seconds of the second round, and wrong ones."""
+    rng = np.random.default_rng(seed)
+    half = len(stamps_s) // 2
+    found = []
+    for late in range(half + 20, len(stamps_s), 20):
+        early = late - half
+        T = se3.invert(T_true[early]) @ T_true[late] if relative else None
+        found.append(Match(float(stamps_s[early]), float(stamps_s[late]), T, score=0.9))
+    while wrong:
+        a, b = rng.integers(0, len(stamps_s), 2)
+        if np.linalg.norm(T_true[a, :3, 3] - T_true[b, :3, 3]) > 4:
+            found.append(Match(float(stamps_s[a]), float(stamps_s[b]), score=0.8))
+            wrong -= 1
+    return found
+
+
+def rmse_m(trajectory, T_true):
+    return float(np.sqrt(np.mean(np.sum((trajectory.positions_m - T_true[:, :3, 3]) ** 2, axis=1))))
+
+
+def lived_of(stamps_s, T, covariances=None):
+    return Trajectory(stamps_s, T, covariances, body="base", frame="odom")
+
+
+@pytest.mark.parametrize("wrong", [0, 30])
+def test_places_recognised_again_bend_the_way_back(wrong):
+    stamps_s, T_true, T_lived, stated = driven()
+    lived = lived_of(stamps_s, T_lived)
+    found = correct(lived, matches_of(stamps_s, T_true, wrong), stated=stated)
+    assert (found.corrected.frame, found.corrected.body) == ("map", "base")
+    np.testing.assert_array_equal(found.corrected.stamps_s, stamps_s)
+    assert rmse_m(found.corrected, T_true) < 0.5 * rmse_m(lived, T_true)
+    apart = [
+        np.linalg.norm(T_true[found.rows[e.first], :3, 3] - T_true[found.rows[e.second], :3, 3])
+        for e in found.loops.kept
+    ]
+    assert len(apart) >= 20
+    assert max(apart) < 4
+
+
+def test_our_own_solver_comes_to_the_same():
+    stamps_s, T_true, T_lived, stated = driven()
+    given = (lived_of(stamps_s, T_lived), matches_of(stamps_s, T_true, wrong=10))
+    ours, theirs = correct(*given, stated=stated, graph=OwnPoseGraph()), correct(*given, stated=stated)
+    np.testing.assert_allclose(ours.corrected.positions_m, theirs.corrected.positions_m, atol=0.02)
+    assert [one.is_kept for one in ours.loops.judged] == [one.is_kept for one in theirs.loops.judged]
+
+
+def test_relative_poses_are_better_than_places():
+    stamps_s, T_true, T_lived, stated = driven()
+    lived = lived_of(stamps_s, T_lived)
+    by_place, by_pose = (
+        correct(lived, matches_of(stamps_s, T_true, relative=relative), stated=stated) for relative in (False, True)
+    )
+    start, end = (found.corrected.positions_m[[0, len(stamps_s) // 2]] for found in (by_place, by_pose))
+    assert np.linalg.norm(end[1] - end[0]) <= np.linalg.norm(start[1] - start[0]) + 0.05
+    assert len(by_pose.loops.refused) == 0
+
+
+def test_what_is_not_judged_is_counted_by_its_reason():
+    stamps_s, _, T_lived, stated = driven()
+    matches = [
+        Match(1.0, 60.0, score=0.1),
+        Match(1.0, 1e4),
+        Match(-50.0, 60.0),
+        Match(1.0, 1.01),
+        Match(1.0, 49.0, score=0.9),
+    ]
+    found = correct(lived_of(stamps_s, T_lived), matches, stated=stated)
+    assert found.unused == {Unused.LOW_SCORE: 1, Unused.NO_POSE: 2, Unused.ONE_PLACE: 1}
+    assert len(found.loops.judged) == 1
+
+
+def test_without_matches_all_stays_as_it_was():
+    stamps_s, _, T_lived, stated = driven()
+    found = correct(lived_of(stamps_s, T_lived), [], stated=stated)
+    np.testing.assert_allclose(found.corrected.T_frame_body, T_lived, atol=1e-9)
+
+
+def test_every_pose_keeps_its_place_between_keyframes():
+    stamps_s, T_true, T_lived, stated = driven()
+    settings = LoopSettings(matches=MatchSettings(keyframe_way_m=2.0))
+    found = correct(lived_of(stamps_s, T_lived), matches_of(stamps_s, T_true), settings, stated=stated)
+    np.testing.assert_allclose(found.corrected.T_frame_body[found.rows], found.T_map_keyframe, atol=1e-9)
+    steps_m = np.linalg.norm(np.diff(found.corrected.positions_m, axis=0), axis=1)
+    assert np.abs(steps_m - SPEED_M_S * STEP_S).max() < 0.01
+
+
+def test_covariances_of_speeds_add_up_as_a_random_walk():
+    stamps_s, _, T_lived, stated = driven(bias_rad_s=0.0)
+    half = int(SIDE_S / STEP_S) - 2
+    lived = lived_of(stamps_s[:half], T_lived[:half])
+    found = correct(
+        lived, [Match(0.0, float(stamps_s[half - 1]), np.linalg.inv(T_lived[0]) @ T_lived[half - 1])], stated=stated
+    )
+    (judged,) = found.loops.judged
+    assert judged.chi2 < 1e-6
+    assert judged.is_kept
+
+
+def test_a_trajectory_that_states_no_errors_cannot_be_weighed():
+    stamps_s, _, T_lived, _ = driven()
+    with pytest.raises(ArgumentError, match="no covariances"):
+        correct(lived_of(stamps_s, T_lived), [Match(0.0, 1.0)])
+    with pytest.raises(ArgumentError, match="no poses"):
+        correct(lived_of(stamps_s[:0], T_lived[:0]), [])
