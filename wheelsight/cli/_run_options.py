@@ -28,9 +28,9 @@ Map = Annotated[
 Loops = Annotated[
     str | None,
     typer.Option(
-        metavar="matches|FILE",
-        help="Correct the way by places that were recognised: the recording's own matches and loops.csv, or a file "
-        "like that.",
+        metavar="keyframes|matches|FILE",
+        help="Correct the way by places that were recognised: those that the camera sees again, the recording's own "
+        "matches and loops.csv, or a file like that.",
         show_default="none",
     ),
 ]

@@ -6,24 +6,28 @@ import csv
 import io
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.errors import ArgumentError, ConfigError
 from wheelsight.evaluation import Evaluation
+from wheelsight.localizer import Localizer
 from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings import MATCHES_FILE, GivesMatches, Recording, matches_of, read_matches
+from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.correction import Correction, correct
+from wheelsight.slam.recognised import seen_again
 from wheelsight.slam.settings import LoopSettings
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
 CORRECTED_FILE, JUDGED_FILE = "trajectory_corrected.txt", "loops_judged.csv"
-_SOURCE_NONE, _SOURCE_MATCHES = "none", "matches"
+_SOURCE_NONE, _SOURCE_MATCHES, _SOURCE_KEYFRAMES = "none", "matches", "keyframes"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,12 +39,24 @@ class MatchesOfRun:
         stated: what the recording states of its wheel odometry's errors, or None.
         warnings: of the files.
         settings: see `LoopSettings`.
+        recognition: how keyframes are recognised that show a place again, where these are what is judged; else None.
     """
 
     matches: tuple[Match, ...]
     stated: SpeedVariances | None
     warnings: tuple[str, ...]
     settings: LoopSettings
+    recognition: RecognitionSettings | None = None
+
+    def seen_by(self, localizer: Localizer, calibration: Calibration) -> MatchesOfRun | None:
+        """The same with the places that a localizer's camera saw again; None where it has no camera."""
+        if self.recognition is None:
+            return self
+        if localizer.keyframes is None:
+            return None
+        T_body_camera = calibration.T_base_camera if localizer.body == "base" else None
+        seen = seen_again(localizer.keyframes, calibration, self.settings.seen, self.recognition, T_body_camera)
+        return replace(self, matches=seen.matches)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +106,8 @@ def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
     if asked == _SOURCE_NONE:
         return None
     stated = source.speed_variances if isinstance(source, GivesMatches) else None
+    if asked == _SOURCE_KEYFRAMES:
+        return _of_keyframes(config)
     if asked != _SOURCE_MATCHES:
         matches, warnings = read_matches(Path(asked))
     elif isinstance(source, Recording):
@@ -99,6 +117,13 @@ def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
     if not matches:
         raise ConfigError("the recording has no matches", fix=f"write {MATCHES_FILE} into its folder, or no --loops")
     return MatchesOfRun(tuple(matches), stated, tuple(warnings), config.loops)
+
+
+def _of_keyframes(config: Config) -> MatchesOfRun:
+    """What is judged once the run is over. Raises ConfigError where no camera is followed."""
+    if set(config.odometry) <= {"wheels"}:
+        raise ConfigError("--loops keyframes needs a camera", fix="--odometry dense, or --loops matches")
+    return MatchesOfRun((), None, (), config.loops, config.recognition)
 
 
 def correction_of(

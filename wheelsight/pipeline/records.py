@@ -34,7 +34,9 @@ def records_of(
     records = {track.odometry: _record_of(track, passage, source, config) for track in passage.tracks}
     if matches is not None:
         for track in passage.tracks:
-            records[track.odometry] = _with_correction(records[track.odometry], track, config, matches)
+            seen = matches.seen_by(track.localizer, source.calibration)
+            if seen is not None:
+                records[track.odometry] = _with_correction(records[track.odometry], track, config, seen)
     if places is not None:
         records["rectified"] = _with_rectification(records["rectified"], records["wheels"], passage, config, places)
     return tuple(records.values())

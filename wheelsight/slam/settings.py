@@ -41,12 +41,27 @@ class MatchSettings(Settings):
     plane_sigma_rad: float = setting(1e-3, "likewise, radians an axis", "reckoned, likewise", gt=0, le=1)
 
 
+class SeenSettings(Settings):
+    """Which keyframes are asked whether they show a place again."""
+
+    apart_s: float = setting(
+        3.0,
+        "seconds between two keyframes that may show a place again: of what was just seen odometry knows",
+        CHOSEN,
+        ge=0,
+        le=3600,
+    )
+    candidates: int = setting(5, "keyframes that are verified at most for each", CHOSEN, ge=1, le=1000)
+    most_places: int = setting(5, "verified ones that are enough for each", CHOSEN, ge=1, le=100)
+
+
 class LoopSettings(Settings):
     """Where loops come from, and which are kept."""
 
     source: str = setting(
         "none",
-        "none; matches: those of the recording, and of a loops.csv in its folder; or a file like that",
+        "none; keyframes: places that the camera sees again; matches: those of the recording, and of a loops.csv in "
+        "its folder; or a file like that",
         ASKED,
     )
     gate_probability: float = setting(
@@ -82,3 +97,4 @@ class LoopSettings(Settings):
     )
     most_rounds: int = setting(5, "rounds of judging and solving until none changes sides", CHOSEN, ge=1, le=100)
     matches: MatchSettings = MatchSettings()
+    seen: SeenSettings = SeenSettings()
