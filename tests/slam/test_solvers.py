@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wheelsight.errors import ArgumentError, ConfigError
+from wheelsight.extras import needed
 from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.slam import pose_graph
@@ -178,7 +179,7 @@ def test_where_gtsam_runs_short_of_digits_our_own_factor_tells_covariances(monke
     def ill_posed(*_):
         raise RuntimeError("Indeterminate linear system")
 
-    monkeypatch.setattr(pose_graph.needed("gtsam"), "Marginals", ill_posed)
+    monkeypatch.setattr(needed("gtsam"), "Marginals", ill_posed)
     ends = KeyframeId(3), KeyframeId(30)
     np.testing.assert_allclose(graph.joint(*ends), own.joint(*ends), rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(graph.marginal(ends[0]), own.marginal(ends[0]), rtol=1e-6, atol=1e-12)
