@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wheelsight.errors import ArgumentError, ConfigError
+from wheelsight.extras import needed
 from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.slam import pose_graph
@@ -169,3 +170,16 @@ def test_the_inverse_left_jacobian_undoes_a_perturbation_at_any_angle(values, sc
         ahead = se3.log(se3.exp(h) @ se3.exp(xi))
         back = se3.log(se3.exp(-h) @ se3.exp(xi))
         np.testing.assert_allclose(J[:, k], (ahead - back) / 2e-5, atol=1e-6)
+
+
+def test_where_gtsam_runs_short_of_digits_our_own_factor_tells_covariances(monkeypatch):
+    _, edges, start = noisy(6)
+    graph, own = filled(GtsamPoseGraph(), edges, start), filled(OwnPoseGraph(), edges, start)
+
+    def ill_posed(*_):
+        raise RuntimeError("Indeterminate linear system")
+
+    monkeypatch.setattr(needed("gtsam"), "Marginals", ill_posed)
+    ends = KeyframeId(3), KeyframeId(30)
+    np.testing.assert_allclose(graph.joint(*ends), own.joint(*ends), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(graph.marginal(ends[0]), own.marginal(ends[0]), rtol=1e-6, atol=1e-12)

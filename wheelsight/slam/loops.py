@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv
 
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.slam.clusters import clusters_of
@@ -137,8 +137,8 @@ class LoopCloser:
         self._chi2.extend(chi2)
 
     def _limits(self, loops: Sequence[RelativePose]) -> list[float]:
-        freedom = [loop.freedom for loop in loops]
-        return [float(limit) for limit in chi2_distribution.ppf(self.settings.gate_probability, freedom)]
+        freedom = np.array([loop.freedom for loop in loops])
+        return [float(limit) for limit in 2 * gammaincinv(freedom / 2, self.settings.gate_probability)]
 
     def _hypotheses(self, kept: BoolArray) -> Iterator[tuple[int, BoolArray]]:
         """Loops (L,) that each goes by, and the cluster that must not speak for it, or -1."""

@@ -70,14 +70,20 @@ class GtsamPoseGraph(GraphContents):
 
     def marginal(self, keyframe: KeyframeId) -> FloatArray:
         """See `PoseGraph`."""
+        source = self._source()
+        if isinstance(source, OwnPoseGraph):
+            return source.marginal(keyframe)
         Ad = se3.adjoint(self._T[keyframe])
-        C = np.asarray(self._source().marginalCovariance(int(keyframe)))[np.ix_(_SWAPPED, _SWAPPED)]
+        C = np.asarray(source.marginalCovariance(int(keyframe)))[np.ix_(_SWAPPED, _SWAPPED)]
         return np.asarray(Ad @ C @ Ad.T)
 
     def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray:
         """See `PoseGraph`."""
+        source = self._source()
+        if isinstance(source, OwnPoseGraph):
+            return source.joint(first, second)
         keys = [int(first), int(second)]
-        found = self._source().jointMarginalCovariance(keys)
+        found = source.jointMarginalCovariance(keys)
         C = np.zeros((12, 12))
         for a in (0, 1):
             for b in (0, 1):
@@ -92,8 +98,21 @@ class GtsamPoseGraph(GraphContents):
             return self._isam
         if self._marginals is None:
             self._need_prior()
-            self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
+            try:
+                self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
+            except RuntimeError:
+                # Long ways whose loops have let go leave GTSAM's Cholesky factor short of digits; ours is LU.
+                self._marginals = self._own_copy()
         return self._marginals
+
+    def _own_copy(self) -> OwnPoseGraph:
+        other = OwnPoseGraph(self.cauchy_scale)
+        for T in self._T:
+            other.add(se3.nearest(T))
+        for prior in self._priors:
+            other.add_prior(prior)
+        other.add_edges(self._edges)
+        return other
 
     def _factors(self, from_edge: int, from_prior: int) -> Any:
         gtsam, graph = self._gtsam, self._gtsam.NonlinearFactorGraph()
