@@ -79,3 +79,10 @@ def test_no_matches_are_said_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no matches \(write loops\.csv"):
         run(wheel_recording(), BY_MATCHES, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_keyframes_need_a_camera(tmp_path: Path) -> None:
+    config = load_config(overrides={"odometry": "wheels", "loops.source": "keyframes"})
+    with pytest.raises(ConfigError, match="--loops keyframes needs a camera"):
+        run(wheel_recording(), config, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -97,8 +97,7 @@ class LoopCloser:
     def offer_all(self, loops: Sequence[RelativePose]) -> LoopReport:
         """Judge loops of a drive that is over, all together: none has to fit what was known before the others."""
         self._take(loops, [False] * len(loops), [np.inf] * len(loops))
-        if not self.review():
-            self._settle()  # what fits the poses as they are is kept, though it had nothing to win
+        self.review()
         return self.report()
 
     def review(self) -> bool:
