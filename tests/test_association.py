@@ -97,6 +97,7 @@ def test_refuses_what_it_cannot_pair(a, b, gap):
         associate(a, b, gap)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(100)
 @pytest.mark.parametrize("offset_s", [0.001, 0.0166])
 def test_a_hundred_thousand_stamps_with_jitter_and_drops_take_seconds_not_minutes(offset_s):

@@ -182,6 +182,7 @@ def test_the_file_names_the_command_that_repeats_it(
     assert "| clean |" in text
 
 
+@pytest.mark.slow
 def test_two_rows_on_a_tiny_drive_that_is_kept(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     tiny = replace(DRIVE, size=(160, 120), rate_hz=5.0, duration_s=2.0)

@@ -40,6 +40,7 @@ def test_images_kept_are_those_rendered(recording: SimulatedRecording, tmp_path:
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_drives_of_a_plan_are_in_its_building_but_for_the_blank_corridor(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     from floor_plans import two_rooms, write_plan

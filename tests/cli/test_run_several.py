@@ -20,6 +20,7 @@ def drive(tmp_path: Path) -> Path:
     return tmp_path / "drive"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pages")
 def test_several_are_summed_up_in_one_row_each(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"

@@ -90,6 +90,7 @@ def test_the_rest_is_refused_with_the_fix(tmp_path: Path, text: str, told: str) 
         read(tmp_path, text)
 
 
+@pytest.mark.slow
 def test_many_readings_lose_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
     """Read in pieces: none is lost between them."""
     count = 400_000

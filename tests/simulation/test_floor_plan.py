@@ -55,6 +55,7 @@ def test_walls_stand_where_the_plan_has_them(house: Path) -> None:
     np.testing.assert_allclose(far, [3.0, 2.0, 2.8, 3.6], atol=0.03)
 
 
+@pytest.mark.slow
 def test_specks_of_a_scanner_are_no_walls(tmp_path: Path, house: Path, rng: np.random.Generator) -> None:
     angles = np.linspace(-math.pi, math.pi, 200)
     clean = hits(built(house), (3.0, 6.0), angles)
@@ -64,6 +65,7 @@ def test_specks_of_a_scanner_are_no_walls(tmp_path: Path, house: Path, rng: np.r
     assert np.mean(np.abs(noisy - clean) < 0.12) > 0.97
 
 
+@pytest.mark.slow
 def test_jagged_walls_are_drawn_straight(tmp_path: Path, rng: np.random.Generator) -> None:
     image = two_rooms()
     beside = (cv2.dilate((image == 0).astype(np.uint8), np.ones((3, 3))) > 0) & (image == 254)
@@ -112,11 +114,13 @@ def test_both_doorways_have_doors(house: Path) -> None:
     assert all(thing.bottom_m == pytest.approx(2.08) for thing in lintels)
 
 
+@pytest.mark.slow
 def test_equal_seeds_make_equal_worlds_and_others_make_others(house: Path) -> None:
     assert built(house, 3).mjcf == built(house, 3).mjcf
     assert built(house, 3).mjcf != built(house, 4).mjcf
 
 
+@pytest.mark.slow
 def test_the_whole_drive_can_be_driven_either_way_round(house: Path) -> None:
     settings = SimulationSettings(plan=FloorPlan(house), seed=2, rate_hz=1)
     for is_reverse in (False, True):
@@ -126,12 +130,14 @@ def test_the_whole_drive_can_be_driven_either_way_round(house: Path) -> None:
     assert settings.to_dict()["world"] == "house"
 
 
+@pytest.mark.slow
 def test_a_drive_lasts_as_long_as_was_asked_for(house: Path) -> None:
     recording = simulate(SimulationSettings(plan=FloorPlan(house), seed=2, rate_hz=1, duration_s=150))
     assert recording.drive.duration_s == pytest.approx(150, abs=0.1)
     assert recording.warnings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way_m", [12.0, 80.0])
 def test_a_way_is_about_as_long_as_was_asked_for(house: Path, way_m: float) -> None:
     world = built(house, 1, way_m=way_m)
@@ -209,6 +215,7 @@ def test_an_image_of_areas_that_does_not_fit_is_refused(tmp_path: Path, house: P
         built(house, areas=tmp_path / "none.png")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [2, 5])
 def test_plans_of_other_resolutions_make_the_same_rooms(tmp_path: Path, house: Path, times: int) -> None:
     fine = np.kron(two_rooms(), np.ones((times, times), np.uint8))

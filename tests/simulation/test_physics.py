@@ -48,6 +48,7 @@ def test_without_slip_true_wheels_close_to_a_thousandth(robot: Robot) -> None:
     assert np.abs(yaws_rad(path.T_frame_body) - yaws_rad(truth)).max() < 0.01
 
 
+@pytest.mark.slow
 def test_in_a_bend_the_outer_tyre_is_pressed_in_and_turns_further() -> None:
     """130 kg, 0.42 m high, at 0.48 m/s² across 0.52 m: 50 N change sides, two thirds of them on the driven wheels."""
     bend = ManualVelocities([0.0, 14.0, 15.0], [0.8, 0.0, 0.0], [0.6, 0.0, 0.0])
@@ -65,6 +66,7 @@ def test_in_a_bend_the_outer_tyre_is_pressed_in_and_turns_further() -> None:
     assert 1 - left == pytest.approx(expected, rel=0.5)
 
 
+@pytest.mark.slow
 def test_with_slip_what_turns_do_to_the_heading_outweighs_what_straights_do_to_the_way() -> None:
     """Each corner turns the rest of the lap by its error; ten metres of straight only lengthen themselves."""
     turned_m, straight_m = [], []

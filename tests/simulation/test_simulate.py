@@ -77,6 +77,7 @@ def test_truth_holds_for_the_robot_as_it_is(folder):
     np.testing.assert_allclose(se3.log(not_none(true.T_base_camera) @ se3.invert(ROBOT.T_base_camera)), 0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_real_drive_is_repeated_to_the_byte_and_tells_where_the_camera_was(tmp_path):
     settings = replace(SETTINGS, realism="real")
     recording = simulate(settings)
