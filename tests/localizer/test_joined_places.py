@@ -187,7 +187,7 @@ def test_the_map_comes_along_with_the_pose(made: Callable[..., Localizer]) -> No
     T_map_camera = se3.invert(subject.T_odom_map) @ answer.T_odom_body
     moved = [a for e, a in answers if isinstance(e, WheelTicks) and e.stamp_s > event.stamp_s]
     assert len(moved) <= 5
-    np.testing.assert_allclose(T_map_camera, kept.fused[event.stamp_s], atol=1e-4)  # but for the camera's lag
+    np.testing.assert_allclose(T_map_camera, kept.fused[event.stamp_s], atol=1e-3)  # but for the camera's lag
 
 
 def test_a_frame_of_another_size_is_refused_by_its_number(made: Callable[..., Localizer]) -> None:

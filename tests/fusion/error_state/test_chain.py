@@ -82,7 +82,8 @@ def drifting(steps: list[Step], settings: ErrorStateSettings, spread: FloatArray
 
 def test_errors_of_single_looks_do_not_add_up() -> None:
     """Two hundred measurements, twenty anchors: what one measurement errs by, the next one, from there, makes good."""
-    right = dict.fromkeys(("camera_scale_sigma", "camera_drift_sigma_rad_per_m", "camera_turn_sigma"), 0.0)
+    errors = ("scale_{}", "drift_{}_rad_per_m", "turn_{}")
+    right = {f"camera_{name.format(of)}": 0.0 for name in errors for of in ("sigma", "walk")}
     settings = ErrorStateSettings().model_copy(update={"mount_sigma_rad": 0.0, "camera_lag_sigma_s": 0.0, **right})
     chained, single = [], []
     for seed in range(4):

@@ -81,19 +81,13 @@ class Locator:
         sigma_m = self._settings.prior_sigma_m_s * max(seconds, 1e-3)
         # One's own guess is held only where nothing tells more: what noise pulls off is to betray itself by a leap.
         held_m = sigma_m if ahead.is_helped or is_held else np.inf, self._settings.nonholonomic_share * sigma_m
-        grid_used = grid
         with self._watch.stage("align"):
             told = _told(ahead.told, reference.T_map_reference)
-            expected = [T_reference_map @ T for T in begun]
-            if told is not None:
-                starts = [self._aligner.nearest(grid, reference, [told.T_reference_frame, *expected])]
-            else:
-                starts = [self._aligner.start(grid, reference, expected)]
-            if told is not None:
-                grid_used = self._still(grid, reference, starts[0])
+            used, start = self._begun(grid, reference, [T_reference_map @ T for T in begun], told)
+            starts = [start]
             if ahead.T_map_other is not None:
                 starts.append(self._aligner.turn(grid, reference, T_reference_map @ ahead.T_map_other))
-            found = self._aligner.align_clearest(grid_used, reference, starts, step, held_m, told, self.weight.factor)
+            found = self._aligner.align_clearest(used, reference, starts, step, held_m, told, self.weight.factor)
         joint = None
         if told is not None:
             found, joint = self._met(found, told)
@@ -107,6 +101,15 @@ class Locator:
         turning = judged.T_reference_frame[:3, :3] @ twist[3:] - view.turning_rad_s
         tracked = self._tracked(grid, view, found, judged, T_map_camera, twist)
         return replace(tracked, joint=joint, turning_rad_s=turning)
+
+    def _begun(
+        self, grid: GridFrame, reference: Reference, expected: list[FloatArray], told: Told | None
+    ) -> tuple[GridFrame, FloatArray]:
+        """What of a frame is aligned, and from where (4, 4): where keypoints say, or at the best expected pose."""
+        if told is None:
+            return grid, self._aligner.start(grid, reference, expected)
+        start = self._aligner.nearest(grid, reference, [told.T_reference_frame, *expected])
+        return self._still(grid, reference, start), start
 
     def _still(self, grid: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> GridFrame:
         """A frame, located by keypoints at (4, 4), without the regions that move by themselves."""
