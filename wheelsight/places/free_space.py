@@ -40,7 +40,7 @@ def _one_way(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> Intrusion:
     """Points that lie behind what was seen are hidden, and tell nothing."""
-    points = _points(seen) @ T_by_seen[:3, :3].T + T_by_seen[:3, 3]
+    points = seen.points()[0] @ T_by_seen[:3, :3].T + T_by_seen[:3, 3]
     points = points[points[:, 2] > noise.near_m]
     fx, fy, cx, cy = by.intrinsics
     u, v = np.rint(points[:, :2] / points[:, 2:] * (fx, fy) + (cx, cy)).astype(np.int64).T
@@ -59,11 +59,3 @@ def _nearest(depth_m: Float32Array, radius_px: int) -> Float32Array:
     """The nearest depth (h, w) within so many pixels: at an outline a point may belong to either side."""
     far = np.where(depth_m > 0, depth_m, _NOTHING)
     return np.asarray(cv2.erode(far, np.ones((2 * radius_px + 1,) * 2, np.uint8)), np.float32)
-
-
-def _points(level: Level) -> FloatArray:
-    """(N, 3) of what has depth."""
-    fx, fy, cx, cy = level.intrinsics
-    v, u = np.nonzero(level.depth_m)
-    z_m = level.depth_m[v, u].astype(float)
-    return np.column_stack([(u - cx) / fx * z_m, (v - cy) / fy * z_m, z_m])

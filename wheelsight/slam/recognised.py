@@ -53,13 +53,14 @@ def seen_again(
     recognizer = Recognizer(recognition)
     verifier = PlaceVerifier(calibration, recognition, views)
     T_body_camera = np.eye(4) if T_body_camera is None else T_body_camera
-    stamps_s = [store[number].stamp_s for number in store]
+    stamps_s = np.array([store[number].stamp_s for number in store])
     matches: list[Match] = []
     for number in store:
         view = views.of_keyframe(store[number])
-        recent = [other for other in store if other < number and stamps_s[number] - stamps_s[other] < settings.apart_s]
+        first_recent = int(np.searchsorted(stamps_s, stamps_s[number] - settings.apart_s, side="right"))
+        recent = [KeyframeId(other) for other in range(first_recent, number)]
         for place in _verified(view, recognizer, verifier, store, recent, settings):
-            stamps = stamps_s[place.keyframe], stamps_s[number]
+            stamps = float(stamps_s[place.keyframe]), float(stamps_s[number])
             matches.append(_match(place, *stamps, T_body_camera))
         recognizer.add(number, view)
     refused: Counter[str] = Counter({str(reason): count for reason, count in verifier.refusals.items()})

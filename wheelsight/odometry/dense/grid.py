@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray, IntArray, PinholeCamera
 from wheelsight.odometry.dense import _grid_kernels as kernels
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.threads import Rows
@@ -34,6 +34,13 @@ class Level:
     intrinsics: FloatArray
     depth_m: Float32Array
     grey: Float32Array
+
+    def points(self) -> tuple[FloatArray, IntArray, IntArray]:
+        """(N, 3) in the camera frame of all that has depth, and the rows and columns (N,) of its pixels."""
+        fx, fy, cx, cy = self.intrinsics
+        rows, columns = np.nonzero(self.depth_m)
+        z = self.depth_m[rows, columns].astype(float)
+        return np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z]), rows, columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)

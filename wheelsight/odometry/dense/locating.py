@@ -174,13 +174,9 @@ def _told(pose: KeypointPose | None, T_map_reference: FloatArray) -> Told | None
 
 def fine_share(frame: GridFrame, T_reference_frame: FloatArray, least: float) -> float:
     """The share of a frame's points that its reference saw at `least` so many times as finely."""
-    level = frame.levels[-1]
-    fx, fy, cx, cy = level.intrinsics
-    rows, columns = np.nonzero(level.depth_m)
-    z = level.depth_m[rows, columns]
-    points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
+    points, _, _ = frame.levels[-1].points()
     there = points @ T_reference_frame[2, :3] + T_reference_frame[2, 3]
-    return float(np.count_nonzero(z >= least * there) / max(len(z), 1))
+    return float(np.count_nonzero(points[:, 2] >= least * there) / max(len(points), 1))
 
 
 def implausible(last: Tracked, T_map_camera: FloatArray, seconds: float, settings: DenseSettings) -> Reason | None:

@@ -57,9 +57,7 @@ def _misfits(
     known does not count.
     """
     fx, fy, cx, cy = level.intrinsics
-    rows, columns = np.nonzero(level.depth_m)
-    z = level.depth_m[rows, columns].astype(float)
-    points = np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z])
+    points, rows, columns = level.points()
     there = points @ T_reference_frame[:3, :3].T + T_reference_frame[:3, 3]
     is_ahead = there[:, 2] > noise.near_m
     depth = np.where(is_ahead, there[:, 2], 1.0)
@@ -68,7 +66,7 @@ def _misfits(
     is_inside = is_ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
     at = np.where(is_inside, v * width + u, 0).astype(np.int64)
     planes = seen.pixels.reshape(-1, kernels.CHANNELS)[at]
-    sigmas = np.hypot(noise.sigma_m(z), noise.sigma_m(depth))
+    sigmas = np.hypot(noise.sigma_m(points[:, 2]), noise.sigma_m(depth))
     along = (planes[:, kernels.NX : kernels.NZ + 1] * there).sum(axis=1)
     off = np.abs(along - planes[:, kernels.OFFSET]) / sigmas
     elsewhere = np.abs(planes[:, kernels.DEPTH] - depth) > settings.most_sigmas * sigmas + settings.gate * depth
