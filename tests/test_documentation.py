@@ -24,6 +24,7 @@ from places.made_recording import write_drive
 
 from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.simulation import SimulationSettings, simulate, write_simulation
+from wheelsight.trajectory import read_tum
 
 PROJECT = Path(__file__).resolve().parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in sorted((PROJECT / "docs").glob("*.md"))))
@@ -118,6 +119,9 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
         shutil.copytree(recordings / "rooms", tmp_path / name)
     shutil.copy(recordings / "three.places", tmp_path / "building.places")
     shutil.copytree(recordings / "squares", tmp_path / "squares")
+    ends_s = read_tum(tmp_path / "my_recording" / "groundtruth_base.txt").stamps_s[[0, -1]]
+    rows = ("stamp_a_s,stamp_b_s,score", f"{ends_s[0]},{ends_s[1]},0.9")
+    (tmp_path / "my_recording" / "loops.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "visual").mkdir()
     shutil.copy(recordings / "RECORDING" / "groundtruth_base.txt", tmp_path / "visual" / "trajectory.txt")
     save_calibration(Calibration(wheels=WHEELS), tmp_path / "nominal.yaml")
