@@ -120,8 +120,8 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
     shutil.copy(recordings / "three.places", tmp_path / "building.places")
     shutil.copytree(recordings / "squares", tmp_path / "squares")
     ends_s = read_tum(tmp_path / "my_recording" / "groundtruth_base.txt").stamps_s[[0, -1]]
-    rows = ("stamp_a_s,stamp_b_s,score", f"{ends_s[0]},{ends_s[1]},0.9")
-    (tmp_path / "my_recording" / "loops.csv").write_text("\n".join(rows) + "\n")
+    match = f"stamp_a_s,stamp_b_s,score\n{ends_s[0]},{ends_s[1]},0.9\n"
+    (tmp_path / "my_recording" / "loops.csv").write_text(match)
     (tmp_path / "visual").mkdir()
     shutil.copy(recordings / "RECORDING" / "groundtruth_base.txt", tmp_path / "visual" / "trajectory.txt")
     save_calibration(Calibration(wheels=WHEELS), tmp_path / "nominal.yaml")

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wheelsight.errors import ArgumentError
+from wheelsight.errors import ArgumentError, MapError
 from wheelsight.geometry import Float32Array, FloatArray, IntArray, se3
 
 KeyframeId = NewType("KeyframeId", int)
@@ -168,6 +168,7 @@ class KeyframeStore:
             raise ArgumentError("T_map_keyframe has numbers that are not finite", fix="give rigid motions")
         if not len(rows):
             return
+        T = se3.nearest(T)
         T_new_old = T @ se3.invert(self._T_map_keyframe[rows])
         self._T_map_keyframe[rows] = T
         self.revision += 1
@@ -212,7 +213,7 @@ class Follower:
         known = np.zeros((0, 4, 4)) if self._T_new_old is None else self._T_new_old
         if len(known) < count:
             known = np.concatenate([known, np.tile(np.eye(4), (count - len(known), 1, 1))])
-        known[rows] = T_new_old @ known[rows]
+        known[rows] = se3.nearest(T_new_old @ known[rows])
         self._T_new_old = known
 
     def moves(self) -> FloatArray | None:
@@ -229,4 +230,7 @@ def _png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 
 
 def _image(code: bytes) -> NDArray[Any]:
-    return np.asarray(cv2.imdecode(np.frombuffer(code, np.uint8), cv2.IMREAD_UNCHANGED))
+    image = cv2.imdecode(np.frombuffer(code, np.uint8), cv2.IMREAD_UNCHANGED) if code else None
+    if image is None:
+        raise MapError("an image of a keyframe cannot be decoded", fix="build the map anew")
+    return np.asarray(image)

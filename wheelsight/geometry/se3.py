@@ -113,9 +113,9 @@ def view_shift_m(T: ArrayLike) -> FloatArray:
 
 
 def nearest(T: ArrayLike) -> FloatArray:
-    """The rigid motion (4, 4) that lies nearest to T (4, 4), which rounding, doubled by inverses, made none."""
+    """The rigid motions (..., 4, 4) nearest to T (..., 4, 4), which rounding, doubled by inverses, made none."""
     T = np.asarray(T, float)
-    return from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
+    return from_parts(so3.nearest(T[..., :3, :3]), T[..., :3, 3])
 
 
 def is_valid(T: ArrayLike, tolerance: float = 1e-6) -> bool:

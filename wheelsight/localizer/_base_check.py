@@ -110,6 +110,11 @@ class BaseCheck:
         if self.by_wheels is not None:
             self._camera.add(frame.stamp_s, seen, shows_all=True)
 
+    def moved(self, T_new_old: FloatArray) -> None:
+        """Loops have moved the camera's map by (4, 4), from the left: what comes is no motion since what came."""
+        self._pieces.interrupt()
+        self._camera.moved(T_new_old)
+
     def see(self, frame: RgbdFrame, seen: Estimate, *, shows_all: bool) -> None:
         """Take a frame that was tracked, T_map_camera, and whether it shows all directions."""
         self._camera.tracked += 1

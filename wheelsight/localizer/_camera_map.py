@@ -57,6 +57,7 @@ class CameraMap:
         T_odom_map: (4, 4) where the map, of the camera and its surfels, lies by now.
         anchor: the frame against which the camera's motions are told to the filter; None before the camera begins.
         seen_s: stamp of the last frame that was believed.
+        keyframe: by which the camera remembers it.
     """
 
     def __init__(self, T_base_camera: FloatArray) -> None:
@@ -66,7 +67,7 @@ class CameraMap:
         self._T_base_camera = T_base_camera
         self._T_map_odom: FloatArray = np.eye(4)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
-        self._keyframe: KeyframeId | None = None
+        self.keyframe: KeyframeId | None = None
         self._T_keyframe_map: FloatArray | None = None
 
     def forget_frame(self) -> None:
@@ -85,10 +86,22 @@ class CameraMap:
             self.T_odom_map = motions.mended(motions.times(T_odom_camera, motions.inverse(self._T_map_camera)))
             self._T_map_odom = motions.inverse(self.T_odom_map)
 
+    def moved(self, T_new_old: FloatArray) -> None:
+        """Loops have moved the map by (4, 4), from the left, where the camera is; in odom nothing moves."""
+        T_old_new = motions.inverse(T_new_old)
+        self.T_odom_map = motions.mended(motions.times(self.T_odom_map, T_old_new))
+        self._T_map_odom = motions.inverse(self.T_odom_map)
+        if self.anchor is not None:
+            self.anchor = replace(self.anchor, T_map_camera=motions.times(T_new_old, self.anchor.T_map_camera))
+        if self._T_map_camera is not None:
+            self._T_map_camera = motions.times(T_new_old, self._T_map_camera)
+        if self._T_keyframe_map is not None:
+            self._T_keyframe_map = motions.times(self._T_keyframe_map, T_old_new)
+
     def refer(self, seen: Estimate) -> None:
         """Take by which keyframe the camera remembers its pose T_map_camera."""
         if seen.keyframe is not None and seen.T_keyframe_body is not None and seen.T_odom_body is not None:
-            self._keyframe = seen.keyframe
+            self.keyframe = seen.keyframe
             self._T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))
 
     def camera_at(self, T_odom_base: FloatArray) -> FloatArray:
@@ -101,7 +114,7 @@ class CameraMap:
         T_keyframe_base = None
         if self._T_keyframe_map is not None and answer.T_odom_body is not None:
             T_keyframe_base = motions.times(self._T_keyframe_map, motions.times(self._T_map_odom, answer.T_odom_body))
-        keyframe = None if T_keyframe_base is None else self._keyframe
+        keyframe = None if T_keyframe_base is None else self.keyframe
         return replace(answer, T_map_odom=self._T_map_odom, keyframe=keyframe, T_keyframe_body=T_keyframe_base)
 
 

@@ -60,6 +60,13 @@ class CameraPoses:
             self.newest = stamp_s, T_map_base
             self._waiting.append(self.newest)
 
+    def moved(self, T_new_old: FloatArray) -> None:
+        """The map has moved by (4, 4), from the left, where the camera is; frames that wait are of the one before."""
+        self._waiting.clear()
+        self.newest = None
+        if self._T_odom_map is not None:
+            self._T_odom_map = motions.times(self._T_odom_map, motions.inverse(T_new_old))
+
     def until(self, stamp_s: float) -> Iterator[tuple[float, FloatArray]]:
         """Stamp and T_map_base (4, 4) of the frames up to a stamp that waited; they wait no longer."""
         while self._waiting and self._waiting[0][0] <= stamp_s:

@@ -67,6 +67,10 @@ class FusedCamera:
             self._pace.tell(frame.stamp_s, seen.T_odom_body)
         return seen
 
+    def moved(self, T_new_old: FloatArray) -> None:
+        """Loops have moved the map by (4, 4), from the left, where the camera is."""
+        self._pace.moved(T_new_old)
+
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
         """T_map_camera at a frame that shows nothing known, from which the camera goes on where others have it."""
         self.unknown = 0
@@ -122,6 +126,10 @@ class Pace:
     def tell(self, stamp_s: float, T_map_camera: FloatArray) -> None:
         """A tracked frame's pose (4, 4)."""
         self._before, self._last = self._last, (stamp_s, T_map_camera)
+
+    def moved(self, T_new_old: FloatArray) -> None:
+        """The map has moved by (4, 4), from the left."""
+        self._before, self._last = (told and (told[0], T_new_old @ told[1]) for told in (self._before, self._last))
 
     def expect(self, stamp_s: float) -> FloatArray | None:
         """T_last_current (4, 4) at constant velocity; None where that is unknown or too long ago."""

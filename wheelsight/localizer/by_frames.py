@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.config import Config
-from wheelsight.estimates import Estimate, Reason, Status
+from wheelsight.estimates import CameraEstimate, Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
-from wheelsight.geometry import se3
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeId
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
+from wheelsight.localizer._loops import loops_beside
 from wheelsight.odometry.dense import DenseEstimate
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 
@@ -21,11 +25,13 @@ class ByFrames:
 
     Attributes:
         last_matches: the pixels that the last frame was found by; None where there are none.
+        loops: closes loops while driving, where that is asked for.
+        T_odom_map: (4, 4) where the map lies, which loops have moved the camera in.
     """
 
     frame, answers = "map", (RgbdFrame, SkippedFrame)
 
-    def __init__(self, calibration: Calibration, settings: Config) -> None:
+    def __init__(self, calibration: Calibration, settings: Config, *, waits: bool = False) -> None:
         self.body = "camera" if calibration.T_base_camera is None else "base"
         self.odometry, self.mapper = camera_odometry(calibration, settings)
         T_base_camera = calibration.T_base_camera
@@ -34,6 +40,9 @@ class ByFrames:
         self.hears: tuple[type[Event], ...] = self.answers
         self._status = Status.INITIALIZING
         self.last_matches: MatchedPixels | None = None
+        self.loops = loops_beside(self.odometry.store, calibration, settings, waits=waits)
+        self.T_odom_map: FloatArray = np.eye(4)
+        self._keyframe: KeyframeId | None = None
 
     @property
     def stage_seconds(self) -> dict[str, float]:
@@ -60,12 +69,20 @@ class ByFrames:
     def _failed(self, stamp_s: float, why: str) -> tuple[Estimate, str]:
         return self._of_body(self.odometry.miss(stamp_s)), why
 
-    def _tracked(self, frame: RgbdFrame) -> Estimate:
+    def _tracked(self, frame: RgbdFrame) -> CameraEstimate:
         """The camera's pose at a frame; the map learns where all of its motion was seen."""
+        T_new_old = None if self.loops is None else self.loops.move_keyframes(frame.stamp_s, self._keyframe)
+        if T_new_old is not None:
+            self.T_odom_map = se3.nearest(self.T_odom_map @ se3.invert(T_new_old))
         estimate = self.odometry.process(frame)
+        self._keyframe = self._keyframe if estimate.keyframe is None else estimate.keyframe
         if self.mapper is not None and isinstance(estimate, DenseEstimate) and estimate.shows_all:
             self.mapper.fuse_tracked(frame, estimate)
-        return estimate
+        if self.loops is None:
+            return estimate
+        in_odom = framed(estimate, self.T_odom_map)
+        self.loops.hand_over(frame.stamp_s, self.T_odom_map, in_odom.covariance)
+        return in_odom
 
     def _repeated(self, stamp_s: float) -> Estimate:
         """The answer to an image that has come before: no pose, and odometry goes on as if it had not come."""
@@ -86,3 +103,13 @@ class ByFrames:
         T_keyframe_base = None if T_keyframe_camera is None else T_keyframe_camera @ T_camera_base
         T_odom_base = estimate.T_odom_body @ T_camera_base
         return replace(estimate, T_odom_body=T_odom_base, T_keyframe_body=T_keyframe_base, body="base")
+
+
+def framed(seen: CameraEstimate, T_odom_map: FloatArray) -> CameraEstimate:
+    """What odometry answers in the map, T_map_camera and its covariance, in odom, from where the map lies (4, 4)."""
+    T_map_odom = se3.invert(T_odom_map)
+    if seen.T_odom_body is None or seen.covariance is None:
+        return replace(seen, T_map_odom=T_map_odom)
+    Ad = se3.adjoint(T_odom_map)
+    T_odom_camera = se3.nearest(T_odom_map @ seen.T_odom_body)
+    return replace(seen, T_odom_body=T_odom_camera, covariance=Ad @ seen.covariance @ Ad.T, T_map_odom=T_map_odom)

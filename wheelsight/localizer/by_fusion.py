@@ -17,6 +17,7 @@ from wheelsight.localizer._camera import mount_of
 from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far
 from wheelsight.localizer._carried import Carried, UnsureStart
 from wheelsight.localizer._fused_camera import FusedCamera
+from wheelsight.localizer._loops import loops_beside
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.map_builder import MapBuilder
@@ -33,11 +34,14 @@ class ByFusion:
 
     Attributes:
         filter: what joins the camera with the wheels.
+        loops: closes loops while driving, where that is asked for.
     """
 
     body, frame, answers = "base", "map", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
 
-    def __init__(self, calibration: Calibration, settings: Config, places: Places | None = None) -> None:
+    def __init__(
+        self, calibration: Calibration, settings: Config, places: Places | None = None, *, waits: bool = False
+    ) -> None:
         self._settings, of, T_base_camera = settings.fusion.joining, settings.localizer, mount_of(calibration)
         self._base = BaseSensors(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
@@ -49,6 +53,7 @@ class ByFusion:
         self.filter = ErrorStateFilter(*begin)
         checks = (of.base_check, of.color_check, settings.extrinsics)
         self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)
+        self.loops = loops_beside(self.odometry.store, calibration, settings, waits=waits)
         self._carried, self._unsure = Carried(self._settings), UnsureStart(self._settings)
 
     @property
@@ -161,11 +166,14 @@ class ByFusion:
         self._check.look(event)
         answer = self._frame(event, expected)
         self._camera.lead(answer)
+        if self.loops is not None:
+            self.loops.hand_over(event.stamp_s, self._map.T_odom_map, answer.covariance)
         return self._checked(self._placed(event, answer)), self._base.deaf
 
     def _frame(self, frame: RgbdFrame, expected: FloatArray | None) -> FusedEstimate:
         """Track, judge, and remember what was believed."""
         self._map.forget_frame()
+        self._close_loops(frame.stamp_s)
         twist = self._camera.twist(self.filter.estimate)
         seen = self._camera.process(frame, expected, twist, ask_wheels=not self._check.suspects_wheels)
         if seen.T_odom_body is None:
@@ -181,6 +189,14 @@ class ByFusion:
         if frame.stamp_s - self._map.seen_s > self._settings.dark_s and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measured(frame, seen, motion)
+
+    def _close_loops(self, stamp_s: float) -> None:
+        """Put keyframes to where loops have them by now; the pose in odom stays."""
+        T_new_old = None if self.loops is None else self.loops.move_keyframes(stamp_s, self._map.keyframe)
+        if T_new_old is not None:
+            self._map.moved(T_new_old)
+            self._camera.moved(T_new_old)
+            self._check.moved(T_new_old)
 
     def _measured(self, frame: RgbdFrame, seen: CameraEstimate, motion: MotionEstimate) -> FusedEstimate:
         """The answer to a frame that was tracked, by its motion against the anchor; the map grows if it is believed."""

@@ -15,6 +15,7 @@ from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
+from wheelsight.localizer._loops import LoopsBeside
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.localizer.by_ligocki import ByLigocki
@@ -50,6 +51,8 @@ class Localizer:
         calibration: of the sensors.
         config: all settings; `config.alone(track)` picks one of several tracks.
         places: model, areas and start, where they are not all in `config.places`.
+        waits: whether loops are waited for once they are due, so that a recording gives the same poses each time. A
+            robot that drives does not wait.
 
     Attributes:
         body: "base" or "camera".
@@ -63,7 +66,14 @@ class Localizer:
         AreaError, PlaceError: areas or model cannot be read, or do not belong together.
     """
 
-    def __init__(self, calibration: Calibration, config: Config | None = None, places: Places | None = None) -> None:
+    def __init__(
+        self,
+        calibration: Calibration,
+        config: Config | None = None,
+        places: Places | None = None,
+        *,
+        waits: bool = False,
+    ) -> None:
         calibration = need_calibration(calibration)
         settings = Config() if config is None else need_kind("config", config, Config, _CONFIG_FIX)
         if len(settings.odometry) > 1 and settings.fusion.filter == "none":
@@ -71,13 +81,13 @@ class Localizer:
             raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
         self._way: ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki
         if settings.fusion.filter != "none":
-            self._way = _joined(calibration, settings, places)
+            self._way = _joined(calibration, settings, places, waits=waits)
         elif settings.places.model is not None:
             self._way = ByPlaces(calibration, settings, places or load_places(settings.places))
         elif settings.odometry == ("wheels",):
             self._way = ByWheels(calibration, settings.wheels)
         else:
-            self._way = ByFrames(calibration, settings)
+            self._way = ByFrames(calibration, settings, waits=waits)
         self.body, self.frame, self.answers = self._way.body, self._way.frame, self._way.answers
         self.note = ""
         self._clock = SessionClock(settings.clocks)
@@ -116,13 +126,18 @@ class Localizer:
         return None if isinstance(odometry, WheelOdometry) else odometry.store
 
     @property
+    def loops(self) -> LoopsBeside | None:
+        """Closes loops while driving, with `loops: {source: keyframes}` and a camera; else None."""
+        return self._way.loops if isinstance(self._way, ByFrames | ByFusion) else None
+
+    @property
     def T_odom_map(self) -> FloatArray:
-        """(4, 4) where the map lies: the identity where one odometry is followed.
+        """(4, 4) where the map lies: the identity where one odometry is followed, and no loop is closed.
 
         Joined with wheels, a pose T_odom_body gets better by what no camera shows, such as the floor that is level;
         the map stays as it is. Within the map the body is at `inv(T_odom_map) @ T_odom_body`.
         """
-        return self._way.T_odom_map if isinstance(self._way, ByFusion | ByLigocki) else np.eye(4)
+        return np.eye(4) if isinstance(self._way, ByWheels | ByPlaces) else self._way.T_odom_map
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -142,6 +157,8 @@ class Localizer:
         """
         if self.keyframes is not None:
             self.keyframes.close()
+        if self.loops is not None:
+            self.loops.close()
 
     def process(self, event: Event) -> Estimate | None:
         """The estimate at an event that is answered, None at any other.
@@ -180,9 +197,9 @@ class Localizer:
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
 
 
-def _joined(calibration: Calibration, settings: Config, places: Places | None) -> ByFusion | ByLigocki:
+def _joined(calibration: Calibration, settings: Config, places: Places | None, *, waits: bool) -> ByFusion | ByLigocki:
     if settings.fusion.filter == "ligocki":
         return ByLigocki(calibration, settings)
     if settings.places.model is None:
-        return ByFusion(calibration, settings)
-    return ByFusion(calibration, settings, places or load_places(settings.places))
+        return ByFusion(calibration, settings, waits=waits)
+    return ByFusion(calibration, settings, places or load_places(settings.places), waits=waits)

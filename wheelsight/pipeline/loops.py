@@ -1,33 +1,30 @@
-"""Loops of a run: matches from outside, read before it begins and judged once it is over."""
+"""Loops of a run: closed by the localizer on the way; or matches from outside, judged once it is over."""
 
 from __future__ import annotations
 
 import csv
 import io
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.errors import ArgumentError, ConfigError
 from wheelsight.evaluation import Evaluation
 from wheelsight.localizer import Localizer
 from wheelsight.matches import Match, SpeedVariances
+from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.recordings import MATCHES_FILE, GivesMatches, Recording, matches_of, read_matches
-from wheelsight.settings import RecognitionSettings
-from wheelsight.slam.correction import Correction, correct
-from wheelsight.slam.recognised import seen_again
-from wheelsight.slam.settings import LoopSettings
+from wheelsight.slam.correction import Correction, correct, corrected_by
+from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE, LoopSettings
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
 CORRECTED_FILE, JUDGED_FILE = "trajectory_corrected.txt", "loops_judged.csv"
-_SOURCE_NONE, _SOURCE_MATCHES, _SOURCE_KEYFRAMES = "none", "matches", "keyframes"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,24 +36,14 @@ class MatchesOfRun:
         stated: what the recording states of its wheel odometry's errors, or None.
         warnings: of the files.
         settings: see `LoopSettings`.
-        recognition: how keyframes are recognised that show a place again, where these are what is judged; else None.
+        are_seen: whether the localizer itself closes loops, and there are no matches to judge.
     """
 
     matches: tuple[Match, ...]
     stated: SpeedVariances | None
     warnings: tuple[str, ...]
     settings: LoopSettings
-    recognition: RecognitionSettings | None = None
-
-    def seen_by(self, localizer: Localizer, calibration: Calibration) -> MatchesOfRun | None:
-        """The same with the places that a localizer's camera saw again; None where it has no camera."""
-        if self.recognition is None:
-            return self
-        if localizer.keyframes is None:
-            return None
-        T_body_camera = calibration.T_base_camera if localizer.body == "base" else None
-        seen = seen_again(localizer.keyframes, calibration, self.settings.seen, self.recognition, T_body_camera)
-        return replace(self, matches=seen.matches)
+    are_seen: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +56,8 @@ class CorrectionRecord:
         matches: how many there were.
         seconds: that it took.
         evaluation: of the corrected trajectory, or None without truth.
+        refused: how many keyframes that looked alike were no place seen again, by reason.
+        unseen: keyframes that nobody had time to compare.
     """
 
     found: Correction
@@ -76,6 +65,8 @@ class CorrectionRecord:
     matches: int
     seconds: float
     evaluation: Evaluation | None
+    refused: Mapping[str, int] = field(default_factory=dict)
+    unseen: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """For metrics.json."""
@@ -85,6 +76,8 @@ class CorrectionRecord:
             "kept": len(loops.kept),
             "refused": len(loops.refused),
             "not_judged": dict(self.found.unused),
+            "not_verified": dict(self.refused),
+            "not_compared": self.unseen,
             "reviews": loops.reviews,
             "overturned": loops.overturned,
             "keyframes": len(self.found.rows),
@@ -97,18 +90,19 @@ class CorrectionRecord:
         """What became of the matches."""
         loops = self.found.loops
         unused = "".join(f", {count:,} not judged ({why})" for why, count in self.found.unused.items())
+        unused += f", {self.unseen:,} keyframes not compared for want of time" if self.unseen else ""
         return f"{self.matches:,} matches: {len(loops.kept):,} kept, {len(loops.refused):,} refused{unused}"
 
 
 def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
     """The matches that a run is to judge, or None. Raises ConfigError where there are none, RecordingError."""
     asked = config.loops.source
-    if asked == _SOURCE_NONE:
+    if asked == FROM_NOWHERE:
         return None
     stated = source.speed_variances if isinstance(source, GivesMatches) else None
-    if asked == _SOURCE_KEYFRAMES:
+    if asked == FROM_KEYFRAMES:
         return _of_keyframes(config)
-    if asked != _SOURCE_MATCHES:
+    if asked != FROM_MATCHES:
         matches, warnings = read_matches(Path(asked))
     elif isinstance(source, Recording):
         matches, warnings = matches_of(source)
@@ -123,13 +117,31 @@ def _of_keyframes(config: Config) -> MatchesOfRun:
     """What is judged once the run is over. Raises ConfigError where no camera is followed."""
     if set(config.odometry) <= {"wheels"}:
         raise ConfigError("--loops keyframes needs a camera", fix="--odometry dense, or --loops matches")
-    return MatchesOfRun((), None, (), config.loops, config.recognition)
+    return MatchesOfRun((), None, (), config.loops, are_seen=True)
 
 
 def correction_of(
+    given: MatchesOfRun, localizer: Localizer, lived: Trajectory, judge: Callable[[Trajectory], Evaluation | None]
+) -> tuple[CorrectionRecord | None, tuple[str, ...]]:
+    """What loops make of a track's trajectory, or None; and warnings."""
+    if not given.are_seen:
+        return _by_matches(given, lived, isinstance(localizer.odometry, WheelOdometry), judge)
+    if localizer.loops is None:
+        return None, ()
+    started = time.perf_counter()
+    closed = localizer.loops.finish()
+    if not (len(lived) and len(closed.stamps_s)):
+        return None, ("Loops were not closed: no keyframe has a pose.",)
+    found = corrected_by(closed, lived)
+    seconds, count = time.perf_counter() - started, len(closed.loops.judged)
+    told = (found, closed.stamps_s, count, seconds, judge(found.corrected), closed.refused, closed.unseen)
+    return CorrectionRecord(*told), ()
+
+
+def _by_matches(
     given: MatchesOfRun, lived: Trajectory, is_wheels: bool, judge: Callable[[Trajectory], Evaluation | None]
 ) -> tuple[CorrectionRecord | None, tuple[str, ...]]:
-    """What matches make of a track's trajectory, or None; and warnings."""
+    """Likewise, of matches from outside."""
     started = time.perf_counter()
     try:
         found = correct(lived, given.matches, given.settings, stated=given.stated if is_wheels else None)

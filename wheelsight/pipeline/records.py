@@ -34,9 +34,7 @@ def records_of(
     records = {track.odometry: _record_of(track, passage, source, config) for track in passage.tracks}
     if matches is not None:
         for track in passage.tracks:
-            seen = matches.seen_by(track.localizer, source.calibration)
-            if seen is not None:
-                records[track.odometry] = _with_correction(records[track.odometry], track, config, seen)
+            records[track.odometry] = _with_correction(records[track.odometry], track, config, matches)
     if places is not None:
         records["rectified"] = _with_rectification(records["rectified"], records["wheels"], passage, config, places)
     return tuple(records.values())
@@ -58,8 +56,7 @@ def _with_correction(record: RunRecord, track: Track, config: Config, matches: M
         truth = record.ground_truth
         return None if truth is None else _compare(corrected, truth, config, track)[0]
 
-    is_wheels = record.odometry == "wheels"
-    correction, warnings = correction_of(matches, record.estimate, is_wheels, judge)
+    correction, warnings = correction_of(matches, track.localizer, record.estimate, judge)
     return replace(record, correction=correction, warnings=(*record.warnings, *warnings))
 
 

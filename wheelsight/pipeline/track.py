@@ -22,6 +22,7 @@ from wheelsight.pipeline.origin import frame_count_of, spread, wheel_count_of
 from wheelsight.pipeline.realtime import RealTimeRecording, rehearse
 from wheelsight.pipeline.rectification_record import Look
 from wheelsight.pipeline.run_record import FrameRecord, MatchPicture
+from wheelsight.recordings import Recording
 from wheelsight.sources import EventSource
 
 # What a track's record lists; of rectified and joined ones frames, though they tell a pose at each reading too.
@@ -91,7 +92,8 @@ class Track:
     def begin(cls, odometry: TrackName, source: EventSource, config: Config, places: Places | None) -> Track:
         """At the start. Raises CalibrationError, ConfigError."""
         listed = wheel_count_of(source) if UNITS[odometry] == "reading" else frame_count_of(source)
-        localizer = Localizer(source.calibration, config.alone(odometry), places)
+        waits = isinstance(source, Recording) and not isinstance(source, RealTimeRecording)
+        localizer = Localizer(source.calibration, config.alone(odometry), places, waits=waits)
         due = spread(config.report.pictures, frame_count_of(source))
         stops = Stops(list(due) if localizer.map is not None else [])
         return cls(odometry, listed, localizer, Photographer(due), source.calibration.T_base_camera, stops=stops)

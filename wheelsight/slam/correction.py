@@ -1,4 +1,4 @@
-"""A drive that is over, corrected by matches from outside: from a trajectory to the trajectory as known at its end."""
+"""A trajectory as known at its end: by loops that were closed on the way, or by matches from outside."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ import numpy as np
 
 from wheelsight.errors import ArgumentError
 from wheelsight.geometry import FloatArray, IntArray, se3
-from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId
 from wheelsight.matches import Match, SpeedVariances
-from wheelsight.slam.graph import PoseGraph, Prior, RelativePose
+from wheelsight.slam.graph import PoseGraph, RelativePose
+from wheelsight.slam.live import ClosedLoops
 from wheelsight.slam.loops import LoopCloser, LoopReport
 from wheelsight.slam.pose_graph import new_pose_graph
 from wheelsight.slam.settings import LoopSettings, MatchSettings
+from wheelsight.slam.steps import anchor, step_edge
 from wheelsight.trajectory import Trajectory
 
-# The first keyframe holds the map where it began; so little, in metres and radians, is as good as exact.
-_ANCHOR_SIGMA = 1e-4
 # A heading that is said to be no better known than this is not known: the root of its variance, radians.
 _ANY_HEADING_RAD = 10.0
 
@@ -85,7 +84,16 @@ def correct(
     _lay(graph, lived.T_frame_body[rows], C[rows], settings.matches)
     report = LoopCloser(graph, settings).offer_all(loops) if loops else LoopReport(())
     counts = {str(reason): count for reason, count in unused.items() if count}
-    return Correction(_carried(lived, rows, graph.poses), rows, graph.poses, report, counts)
+    T_map_odom = graph.poses @ se3.invert(lived.T_frame_body[rows])
+    return Correction(carried(lived, lived.stamps_s[rows], T_map_odom), rows, graph.poses, report, counts)
+
+
+def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
+    """A trajectory as known at the end, by loops that were closed while driving."""
+    T_map_odom = found.T_map_keyframe @ se3.invert(found.T_odom_keyframe)
+    rows = np.array([_nearest(lived.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
+    corrected = carried(lived, found.stamps_s, T_map_odom)
+    return Correction(corrected, rows, T_map_odom @ lived.T_frame_body[rows], found.loops, {})
 
 
 def _covariances(lived: Trajectory, stated: SpeedVariances | None) -> FloatArray:
@@ -165,22 +173,21 @@ def _lay(graph: PoseGraph, T: FloatArray, C: FloatArray, settings: MatchSettings
     """Keyframes (K, 4, 4), where the first one is held, and the ways between, as covariances (K, 6, 6) grow."""
     for pose in T:
         graph.add(pose)
-    graph.add_prior(Prior(KeyframeId(0), T[0], _ANCHOR_SIGMA**2 * np.eye(6)))
-    least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
-    steps = []
-    for k in range(len(T) - 1):
-        T_step, _ = motions.between(T[k], C[k], T[k + 1], C[k + 1])
-        _, grown = motions.step_between(T[k], C[k], T[k + 1], C[k + 1])
-        steps.append(RelativePose(KeyframeId(k), KeyframeId(k + 1), T_step, grown + least))
-    graph.add_edges(steps)
+    graph.add_prior(anchor(KeyframeId(0), T[0]))
+    ways = [(T[k], C[k]) for k in range(len(T))]
+    graph.add_edges([step_edge(KeyframeId(k), ways[k - 1], ways[k], settings) for k in range(1, len(T))])
 
 
-def _carried(lived: Trajectory, rows: IntArray, T_map_keyframe: FloatArray) -> Trajectory:
-    """All poses: each as the keyframes before and after it have it, in shares of the time between."""
-    before = (np.searchsorted(rows, np.arange(len(lived)), side="right") - 1).clip(max=max(len(rows) - 2, 0))
-    after = np.minimum(before + 1, len(rows) - 1)
-    T_map_odom = T_map_keyframe @ se3.invert(lived.T_frame_body[rows])
+def carried(lived: Trajectory, stamps_s: FloatArray, T_map_odom: FloatArray) -> Trajectory:
+    """All poses of a trajectory in the map, where odom (K, 4, 4) lies in it as keyframes at (K,) stamps have it.
+
+    Each pose goes with the keyframes before and after it, in shares of the time between.
+    """
+    last = max(len(stamps_s) - 2, 0)
+    before = (np.searchsorted(stamps_s, lived.stamps_s, side="right") - 1).clip(0, last)
+    after = np.minimum(before + 1, len(stamps_s) - 1)
     T_before, T_after = (T_map_odom[of] @ lived.T_frame_body for of in (before, after))
-    begin_s, end_s = lived.stamps_s[rows[before]], lived.stamps_s[rows[after]]
+    begin_s, end_s = stamps_s[before], stamps_s[after]
     share = (lived.stamps_s - begin_s) / np.where(end_s > begin_s, end_s - begin_s, 1.0)
-    return Trajectory(lived.stamps_s, se3.interpolate(T_before, T_after, share), None, lived.body, "map")
+    T_map_body = se3.interpolate(T_before, T_after, share.clip(0, 1))
+    return Trajectory(lived.stamps_s, T_map_body, None, lived.body, "map")

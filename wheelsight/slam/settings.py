@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from wheelsight.settings import ASKED, CHOSEN, Settings, setting
 
+FROM_NOWHERE, FROM_MATCHES, FROM_KEYFRAMES = "none", "matches", "keyframes"
+"""Of `LoopSettings.source`, beside the path of a file."""
+
 _FROM_0053 = "docs/decisions/0053: synthetic graphs, found on the simulator alone"
 
 
@@ -60,8 +63,8 @@ class LoopSettings(Settings):
 
     source: str = setting(
         "none",
-        "none; keyframes: places that the camera sees again; matches: those of the recording, and of a loops.csv in "
-        "its folder; or a file like that",
+        "none; keyframes: places that the camera sees again, while driving; matches: those of the recording, and of a "
+        "loops.csv in its folder; or a file like that",
         ASKED,
     )
     gate_probability: float = setting(
@@ -96,5 +99,18 @@ class LoopSettings(Settings):
         le=1000,
     )
     most_rounds: int = setting(5, "rounds of judging and solving until none changes sides", CHOSEN, ge=1, le=100)
+    latency_s: float = setting(
+        1.0,
+        "a recording's keyframes are answered so long after them, by their stamps, in seconds: as late on each machine",
+        "reckoned: to recognise and verify takes a tenth of that or two",
+        ge=0,
+        le=60,
+    )
+    most_waiting: int = setting(
+        5, "keyframes of a robot that drives may wait; of more nobody asks what they show", CHOSEN, ge=1, le=10_000
+    )
+    least_shift_m: float = setting(
+        0.002, "where loops move keyframes by less, they stay; a turn by a radian counts as 1.5 m", CHOSEN, ge=0, le=10
+    )
     matches: MatchSettings = MatchSettings()
     seen: SeenSettings = SeenSettings()

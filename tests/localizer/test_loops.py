@@ -1,0 +1,92 @@
+"""Loops move the map under the robot: its pose in odom goes on as if nothing were, that in the map goes with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from narrowing import not_none
+from room_drive import make_room_drive
+
+from wheelsight.config import load_config
+from wheelsight.estimates import Estimate, Status
+from wheelsight.events import Event, RgbdFrame
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeStore
+from wheelsight.localizer import Localizer
+from wheelsight.recordings import Recording, open_recording
+from wheelsight.slam.live import LiveLoops
+
+FAR = se3.exp([3.0, -2.0, 1.0, 0.4, -0.6, 0.8])
+WAYS = {
+    "dense": {"odometry": "dense", "dense.keyframe_way_m": 0.05},
+    "map": {"odometry": "dense", "map": "surfels", "dense.keyframe_way_m": 0.05},
+    "features": {"odometry": "features", "features.keyframe_share": 0.95},
+    "wheels and dense": {"odometry": "wheels,dense", "dense.keyframe_way_m": 0.05},
+    "wheels and features": {"odometry": "wheels,features", "features.keyframe_share": 0.95},
+}
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    folder = tmp_path_factory.mktemp("recordings") / "room"
+    make_room_drive(folder, frames=20)
+    return open_recording(folder)
+
+
+@pytest.fixture(scope="module")
+def events(room: Recording) -> list[Event]:
+    return list(room.events())
+
+
+def answers(subject: Localizer, events: list[Event]) -> list[Estimate]:
+    found = [(event, subject.process(event)) for event in events]
+    return [answer for event, answer in found if isinstance(event, RgbdFrame) and answer is not None]
+
+
+class Told:
+    """Stands in for the thread: tells once that the keyframes known by a time are FAR off."""
+
+    def __init__(self, store: KeyframeStore, from_s: float) -> None:
+        self.store, self.from_s, self.known = store, from_s, 0
+
+    def due(self, stamp_s: float) -> FloatArray | None:
+        if self.known or stamp_s < self.from_s:
+            return None
+        self.known = max(len(self.store) - 1, 1)  # the newest it has not heard of yet
+        return np.asarray(FAR @ self.store.T_map_keyframe[: self.known])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_odom_does_not_jump_where_the_map_does(
+    room: Recording, events: list[Event], way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = load_config(overrides={**WAYS[way], "dense.threads": 1, "loops.source": "keyframes"})
+    still = Localizer(room.calibration, settings, waits=True)
+    expected = answers(still, events)
+    subject = Localizer(room.calibration, settings, waits=True)
+    middle_s = events[0].stamp_s + 1.9  # it drives from 1.0 to 2.6 s
+    told = Told(not_none(subject.keyframes), middle_s)
+    monkeypatch.setattr(LiveLoops, "due", lambda live, stamp_s: told.due(stamp_s))
+    found = answers(subject, events)
+    subject.close()
+    still.close()
+    assert told.known
+    for answer, as_before in list(zip(found, expected, strict=True))[1:]:  # beside wheels the first one begins nothing
+        assert answer.status is as_before.status is Status.TRACKING
+        T, T_before = not_none(answer.T_odom_body), not_none(as_before.T_odom_body)
+        np.testing.assert_allclose(T, T_before, atol=2e-3)
+        np.testing.assert_allclose(not_none(answer.covariance), not_none(as_before.covariance), rtol=0.2, atol=1e-5)
+        T_map = not_none(answer.T_map_body)
+        has_moved = answer.stamp_s >= middle_s
+        np.testing.assert_allclose(T_map, (FAR if has_moved else np.eye(4)) @ T_before, atol=5e-3)
+        # Who was where is remembered by keyframes, which all have moved by now.
+        where = answer.remembered_in(not_none(subject.keyframes))
+        np.testing.assert_allclose(not_none(where), FAR @ T_before, atol=5e-3)
+    np.testing.assert_allclose(subject.T_odom_map, se3.invert(found[-1].T_map_odom), atol=1e-9)
+
+
+def test_who_does_not_ask_for_loops_has_none(room: Recording) -> None:
+    for way in ("dense", "wheels and features"):
+        assert Localizer(room.calibration, load_config(overrides=WAYS[way])).loops is None
+    wheels = load_config(overrides={"odometry": "wheels", "loops.source": "keyframes"})
+    assert Localizer(room.calibration, wheels).loops is None

@@ -1,0 +1,115 @@
+"""Loops closed while driving: keyframes go where they belong, odom stays, and a recording gives the same each time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places.seen_room import EXACT, kept, ring, seen
+
+from wheelsight.errors import MapError
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.slam.correction import corrected_by
+from wheelsight.slam.live import LivedKeyframe, LiveLoops
+from wheelsight.slam.settings import LoopSettings, SeenSettings
+from wheelsight.trajectory import Trajectory
+
+# Half round the room and the same way again, some centimetres aside; a keyframe a second.
+WAY = [T for lap in (0.0, 0.06) for T in (pose @ se3.exp([lap, 0, 0, 0, 0, 0]) for pose in ring(16)[:8])]
+# Odometry errs alike in each step, by what it states.
+DRIFT = np.array([0.02, -0.01, 0.01, 0.004, -0.006, 0.01])
+SETTINGS = LoopSettings(latency_s=0.5, seen=SeenSettings(apart_s=5.0))
+
+
+@pytest.fixture(scope="module")
+def keyframes() -> list[Keyframe]:
+    return [replace(kept(seen(T)), stamp_s=float(second)) for second, T in enumerate(WAY)]
+
+
+def lived() -> list[LivedKeyframe]:
+    T, C, found = WAY[0], np.zeros((6, 6)), []
+    for second in range(len(WAY)):
+        if second:
+            step = se3.invert(WAY[second - 1]) @ WAY[second]
+            Ad = se3.adjoint(T @ step)
+            T, C = T @ step @ se3.exp(DRIFT), C + Ad @ np.diag(DRIFT**2) @ Ad.T
+        found.append(LivedKeyframe(KeyframeId(second), float(second), T, C))
+    return found
+
+
+def driven(keyframes: list[Keyframe], settings: LoopSettings = SETTINGS) -> tuple[LiveLoops, list[FloatArray | None]]:
+    """All keyframes, one after the other; and what was answered right after each."""
+    store = KeyframeStore()
+    live, told = LiveLoops(store, EXACT, settings, waits=True), []
+    for keyframe, way in zip(keyframes, lived(), strict=True):
+        store.add(keyframe, way.T_odom_keyframe)
+        told.append(live.due(way.stamp_s))
+        live.add(way)
+    return live, told
+
+
+def off_m(T: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(T[:, :3, 3] - np.array(WAY)[: len(T), :3, 3], axis=1))
+
+
+def test_keyframes_go_to_where_loops_have_them(keyframes: list[Keyframe]) -> None:
+    live, told = driven(keyframes)
+    found = live.finish()
+    before, after = off_m(found.T_odom_keyframe), off_m(found.T_map_keyframe)
+    assert before[-1] > 0.2
+    assert after[-1] < before[-1] / 4
+    assert len(found.loops.kept) >= 6
+    assert not found.loops.refused
+    np.testing.assert_array_equal(found.stamps_s, np.arange(len(WAY)))
+    # On the way, too, some keyframes late: what is told is of all keyframes that were judged by then.
+    moved = [T for T in told if T is not None]
+    assert moved
+    assert len(moved[-1]) < len(WAY)
+    assert off_m(moved[-1]).max() < 0.1
+
+
+def test_what_is_due_is_waited_for_and_comes_as_late_each_time(keyframes: list[Keyframe]) -> None:
+    (first, told), (second, again) = driven(keyframes), driven(keyframes)
+    assert [T is None for T in told] == [T is None for T in again]
+    for one, other in zip(told, again, strict=True):
+        np.testing.assert_array_equal(np.eye(4) if one is None else one, np.eye(4) if other is None else other)
+    np.testing.assert_array_equal(first.finish().T_map_keyframe, second.finish().T_map_keyframe)
+
+
+def test_nothing_is_told_where_nothing_is_seen_again(keyframes: list[Keyframe]) -> None:
+    live, told = driven(keyframes, LoopSettings(latency_s=0.0, seen=SeenSettings(apart_s=100.0)))
+    assert all(T is None for T in told)
+    found = live.finish()
+    np.testing.assert_allclose(found.T_map_keyframe, found.T_odom_keyframe, atol=1e-9)
+
+
+def test_a_robot_that_drives_does_not_wait_and_says_what_it_had_no_time_for(keyframes: list[Keyframe]) -> None:
+    store, ways = KeyframeStore(), lived()
+    for keyframe, way in zip(keyframes, ways, strict=True):
+        store.add(keyframe, way.T_odom_keyframe)
+    live = LiveLoops(store, EXACT, SETTINGS.model_copy(update={"most_waiting": 1}))
+    for way in ways:
+        live.add(way)
+    found = live.finish()
+    assert found.unseen > 0
+    assert len(found.T_map_keyframe) == len(WAY)
+
+
+def test_what_goes_wrong_in_the_thread_is_raised_where_it_is_asked_for(keyframes: list[Keyframe]) -> None:
+    store = KeyframeStore()
+    store.add(replace(keyframes[0], depth_png=b"no image"), np.eye(4))
+    live = LiveLoops(store, EXACT, SETTINGS, waits=True)
+    live.add(lived()[0])
+    with pytest.raises(MapError, match="cannot be decoded"):
+        live.due(10.0)
+
+
+def test_a_trajectory_goes_with_its_keyframes(keyframes: list[Keyframe]) -> None:
+    found = driven(keyframes)[0].finish()
+    ways = lived()
+    at = Trajectory(found.stamps_s, np.array([way.T_odom_keyframe for way in ways]), None, "camera", "odom")
+    corrected = corrected_by(found, at)
+    assert corrected.corrected.frame == "map"
+    np.testing.assert_allclose(corrected.corrected.T_frame_body, found.T_map_keyframe, atol=1e-9)

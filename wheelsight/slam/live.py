@@ -1,0 +1,159 @@
+"""LiveLoops: loops that are closed while the robot drives, in a thread of their own.
+
+Odometry hands over each new keyframe, with where it is by odometry alone. The thread recognises and verifies, and has
+the pose graph judge what is found. Odometry is told where keyframes are by now, some frames later.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.settings import RecognitionSettings
+from wheelsight.slam.loops import LoopCloser, LoopReport
+from wheelsight.slam.pose_graph import new_pose_graph
+from wheelsight.slam.recognised import PlaceWatcher
+from wheelsight.slam.settings import LoopSettings
+from wheelsight.slam.steps import anchor, step_edge
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LivedKeyframe:
+    """A keyframe as odometry hands it over.
+
+    Attributes:
+        number: in the store; one after the other, from 0.
+        stamp_s: of its frame, seconds.
+        T_odom_keyframe: (4, 4).
+        covariance: (6, 6) of the left perturbation (v, ω) of that; it grows along the way.
+    """
+
+    number: KeyframeId
+    stamp_s: float
+    T_odom_keyframe: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosedLoops:
+    """What became of all loops of a drive.
+
+    Attributes:
+        stamps_s: (N,) of the keyframes, seconds.
+        T_odom_keyframe: (N, 4, 4) as lived.
+        T_map_keyframe: (N, 4, 4) as known at the end.
+        loops: how they were judged.
+        refused: how many candidates were no place seen again, by reason.
+        unseen: keyframes that nobody had time to compare.
+    """
+
+    stamps_s: FloatArray
+    T_odom_keyframe: FloatArray
+    T_map_keyframe: FloatArray
+    loops: LoopReport
+    refused: Mapping[str, int]
+    unseen: int
+
+
+class LiveLoops:
+    """See the module.
+
+    Args:
+        store: holds the keyframes. It is read here, and never moved.
+        calibration: of the camera.
+        settings, recognition: or the defaults.
+        waits: an answer is waited for once it is due, so that the same recording gives the same poses. A robot that
+            drives does not wait: it takes what is there.
+    """
+
+    def __init__(
+        self,
+        store: KeyframeStore,
+        calibration: Calibration,
+        settings: LoopSettings | None = None,
+        recognition: RecognitionSettings | None = None,
+        *,
+        waits: bool = False,
+    ) -> None:
+        self._settings, self._waits = settings or LoopSettings(), waits
+        self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition)
+        self._graph = new_pose_graph(self._settings.cauchy_scale)
+        self._closer = LoopCloser(self._graph, self._settings)
+        self._lived: list[LivedKeyframe] = []
+        self._waiting: deque[tuple[float, Future[FloatArray | None]]] = deque()
+        self._thread: ThreadPoolExecutor | None = None
+        self._told: FloatArray = np.zeros((0, 4, 4))  # where odometry has them, by what it was told so far
+        self._unseen = 0
+
+    def add(self, keyframe: LivedKeyframe) -> None:
+        """Have the thread look whether a keyframe shows a place seen before."""
+        if self._thread is None:
+            self._thread = ThreadPoolExecutor(1, "wheelsight-loops")
+        has_time = self._waits or len(self._waiting) < self._settings.most_waiting
+        self._unseen += not has_time
+        before = self._lived[-1] if self._lived else None
+        self._lived.append(keyframe)
+        self._waiting.append((keyframe.stamp_s, self._thread.submit(self._judge, keyframe, before, has_time)))
+
+    def due(self, stamp_s: float) -> FloatArray | None:
+        """T_map_keyframe (K, 4, 4) of the first keyframes, where loops have moved them since it was asked last.
+
+        Raises what went wrong in the thread.
+        """
+        newest: FloatArray | None = None
+        while self._waiting and self._is_due(stamp_s, *self._waiting[0]):
+            found = self._waiting.popleft()[1].result()
+            newest = newest if found is None else found
+        return newest
+
+    def finish(self) -> ClosedLoops:
+        """Wait for all that was handed over, judge all loops once more, and end the thread; it may go on all the same.
+
+        Raises what went wrong in the thread.
+        """
+        self.close()
+        if self._closer.report().judged:
+            self._closer.review()
+        stamps_s = np.array([keyframe.stamp_s for keyframe in self._lived])
+        T_odom = np.array([keyframe.T_odom_keyframe for keyframe in self._lived]).reshape(-1, 4, 4)
+        known = (self._graph.poses, self._closer.report(), dict(self._watcher.refusals), self._unseen)
+        return ClosedLoops(stamps_s, T_odom, *known)
+
+    def close(self) -> None:
+        """Wait for the thread, and end it."""
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.shutdown()
+
+    def _is_due(self, stamp_s: float, keyframe_s: float, judged: Future[FloatArray | None]) -> bool:
+        return stamp_s >= keyframe_s + self._settings.latency_s if self._waits else judged.done()
+
+    def _judge(self, keyframe: LivedKeyframe, before: LivedKeyframe | None, has_time: bool) -> FloatArray | None:
+        """The thread: one keyframe; where all are by now, if its loops have moved any."""
+        loops = self._watcher.look(keyframe.number) if has_time else self._watcher.pass_by(keyframe.number)
+        if before is None:
+            self._graph.add(keyframe.T_odom_keyframe)
+            self._graph.add_prior(anchor(keyframe.number, keyframe.T_odom_keyframe))
+            self._told = self._graph.poses
+            return None
+        then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
+        edge = step_edge(keyframe.number, then, now, self._settings.matches)
+        self._graph.add(se3.nearest(self._graph.poses[before.number] @ edge.T_first_second))
+        self._graph.add_edges([edge])
+        self._told = np.concatenate([self._told, self._told[-1:] @ edge.T_first_second])
+        if not loops:
+            return None
+        self._graph.update()
+        self._closer.offer(loops)
+        shift_m = se3.view_shift_m(se3.invert(self._told) @ self._graph.poses).max()
+        if shift_m <= self._settings.least_shift_m:
+            return None
+        self._told = self._graph.poses
+        return self._told
