@@ -10,10 +10,11 @@ from room_drive import make_room_drive
 from wheelsight.config import load_config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer import Localizer
 from wheelsight.recordings import Recording, open_recording
+from wheelsight.slam.drive_graph import PoseUpdate
 from wheelsight.slam.live import LiveLoops
 
 FAR = se3.exp([3.0, -2.0, 1.0, 0.4, -0.6, 0.8])
@@ -49,11 +50,12 @@ class Told:
     def __init__(self, store: KeyframeStore, from_s: float) -> None:
         self.store, self.from_s, self.known = store, from_s, 0
 
-    def due(self, stamp_s: float) -> FloatArray | None:
+    def due(self, stamp_s: float) -> PoseUpdate | None:
         if self.known or stamp_s < self.from_s:
             return None
         self.known = max(len(self.store) - 1, 1)  # the newest it has not heard of yet
-        return np.asarray(FAR @ self.store.T_map_keyframe[: self.known])
+        T = np.asarray(FAR @ self.store.T_map_keyframe[: self.known])
+        return PoseUpdate(T, np.zeros(self.known, np.int64))
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -16,7 +16,7 @@ from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 
-_BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
+BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
 
 
 class FusedCamera:
@@ -79,7 +79,7 @@ class FusedCamera:
 
     def miss(self, seen: Estimate) -> bool:
         """Take a frame that gave no pose; whether it showed anything, which then is nothing known."""
-        if seen.reason in _BLIND:
+        if seen.reason in BLIND:
             return False
         self.unknown += 1
         return True

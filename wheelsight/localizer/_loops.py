@@ -6,10 +6,14 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
-from wheelsight.slam.live import ClosedLoops, LivedKeyframe, LiveLoops
+from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate
+from wheelsight.slam.live import ClosedLoops, LiveLoops
 from wheelsight.slam.settings import FROM_KEYFRAMES
+
+# Pieces of which nobody knows where they lie are kept so far below the map, metres, that none is seen from another.
+_APART_M = 200.0
 
 
 class LoopsBeside:
@@ -19,26 +23,45 @@ class LoopsBeside:
         store: of the odometry.
         calibration, settings: of the run.
         waits: see `LiveLoops`.
+
+    Attributes:
+        is_joined: whether it is known where the piece of map lies that the robot is in.
     """
 
     def __init__(self, store: KeyframeStore, calibration: Calibration, settings: Config, *, waits: bool) -> None:
         self._store = store
         self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, waits=waits)
         self._told = 0
+        self._pieces: list[int] = [0]  # by the numbers of their first keyframes
+        self.is_joined = True
+
+    def apart(self, T_map_camera: FloatArray) -> FloatArray:
+        """T_map_camera (4, 4) at which odometry is to begin another piece of map, of a camera at (4, 4) in this one."""
+        here = 0 if self.is_joined else len(self._pieces) - 1
+        return _apart(len(self._pieces)) @ se3.invert(_apart(here)) @ T_map_camera
+
+    def begin_piece(self, keyframe: KeyframeId) -> None:
+        """A keyframe begins a piece of map, apart from the others."""
+        self._pieces.append(keyframe)
+        self.is_joined = False
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> FloatArray | None:
         """Put keyframes to where loops have them; T_new_old (4, 4) of one of them, or None where none has moved.
 
         Those that are newer than what the thread knows go with the last one that it does.
         """
-        T_known = self._live.due(stamp_s)
-        if T_known is None:
+        update = self._live.due(stamp_s)
+        if update is None:
             return None
-        T_old = np.array(self._store.T_map_keyframe)
-        T_last = T_known[-1] @ se3.invert(T_old[len(T_known) - 1])
-        T_new = np.concatenate([T_known, T_last @ T_old[len(T_known) :]])
+        T_known, T_old = self._laid(update), np.array(self._store.T_map_keyframe)
+        count = len(T_known)
+        T_newer = T_old[count:]
+        if self._pieces[-1] < count:  # else the newer ones are of a piece that the thread has not heard of
+            T_newer = T_known[-1] @ se3.invert(T_old[count - 1]) @ T_newer
+            self.is_joined = update.piece[-1] == 0
+        T_new = np.concatenate([T_known, T_newer])
         self._store.move(list(self._store), T_new)
-        at = len(T_known) - 1 if keyframe is None else keyframe
+        at = count - 1 if keyframe is None else keyframe
         return np.asarray(se3.nearest(T_new[at] @ se3.invert(T_old[at])))
 
     def hand_over(self, stamp_s: float, T_odom_map: FloatArray, covariance: FloatArray | None) -> None:
@@ -47,7 +70,8 @@ class LoopsBeside:
             return
         for number in range(self._told, len(self._store)):
             T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(KeyframeId(number)))
-            self._live.add(LivedKeyframe(KeyframeId(number), stamp_s, T_odom_keyframe, covariance))
+            begins = number > 0 and number in self._pieces
+            self._live.add(LivedKeyframe(KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins))
         self._told = len(self._store)
 
     def finish(self) -> ClosedLoops:
@@ -61,6 +85,14 @@ class LoopsBeside:
         """End the thread."""
         self._live.close()
 
+    def _laid(self, update: PoseUpdate) -> FloatArray:
+        """T_map_keyframe (K, 4, 4), pieces apart."""
+        T: FloatArray = update.T_map_keyframe.copy()
+        unjoined: IntArray = np.unique(update.piece[update.piece > 0])
+        for first in unjoined:
+            T[update.piece == first] = _apart(self._pieces.index(int(first))) @ T[update.piece == first]
+        return T
+
 
 def loops_beside(
     store: KeyframeStore, calibration: Calibration, settings: Config, *, waits: bool
@@ -68,3 +100,10 @@ def loops_beside(
     """Where the settings ask for loops that the camera finds; Ligocki's filter, as its paper has it, knows none."""
     is_asked = settings.loops.source == FROM_KEYFRAMES and settings.fusion.filter != "ligocki"
     return LoopsBeside(store, calibration, settings, waits=waits) if is_asked else None
+
+
+def _apart(piece: int) -> FloatArray:
+    """(4, 4) to where a piece is kept until it is known where it lies."""
+    T = np.eye(4)
+    T[2, 3] = -_APART_M * piece
+    return T

@@ -15,9 +15,11 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
-from wheelsight.localizer._loops import loops_beside
+from wheelsight.localizer._fused_camera import BLIND
+from wheelsight.localizer._loops import LoopsBeside, loops_beside
 from wheelsight.odometry.dense import DenseEstimate
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
+from wheelsight.settings.localizer import PieceSettings
 
 
 class ByFrames:
@@ -43,6 +45,8 @@ class ByFrames:
         self.loops = loops_beside(self.odometry.store, calibration, settings, waits=waits)
         self.T_odom_map: FloatArray = np.eye(4)
         self._keyframe: KeyframeId | None = None
+        self._last: CameraEstimate | None = None  # that had a pose, in odom
+        self._pieces = settings.localizer.pieces
 
     @property
     def stage_seconds(self) -> dict[str, float]:
@@ -74,7 +78,9 @@ class ByFrames:
         T_new_old = None if self.loops is None else self.loops.move_keyframes(frame.stamp_s, self._keyframe)
         if T_new_old is not None:
             self.T_odom_map = se3.nearest(self.T_odom_map @ se3.invert(T_new_old))
-        estimate = self.odometry.process(frame)
+        estimate: CameraEstimate = self.odometry.process(frame)
+        if self.loops is not None and estimate.status is Status.LOST and estimate.reason not in BLIND:
+            estimate = self._begin_piece(self.loops, frame, estimate)
         self._keyframe = self._keyframe if estimate.keyframe is None else estimate.keyframe
         if self.mapper is not None and isinstance(estimate, DenseEstimate) and estimate.shows_all:
             self.mapper.fuse_tracked(frame, estimate)
@@ -82,7 +88,28 @@ class ByFrames:
             return estimate
         in_odom = framed(estimate, self.T_odom_map)
         self.loops.hand_over(frame.stamp_s, self.T_odom_map, in_odom.covariance)
-        return in_odom
+        self._last = self._last if in_odom.T_odom_body is None else in_odom
+        is_known = self.loops.is_joined or in_odom.status is not Status.TRACKING
+        return in_odom if is_known else replace(in_odom, status=Status.COASTING)
+
+    def _begin_piece(self, loops: LoopsBeside, frame: RgbdFrame, lost: CameraEstimate) -> CameraEstimate:
+        """The answer at a frame that shows nothing known, at which another piece of map begins.
+
+        In odom the camera stays where it was seen last, less certain by where it may be by now.
+        """
+        last = self._last
+        if last is None or last.T_odom_body is None or last.covariance is None:
+            return lost
+        C_odom = last.covariance + carried_off(last.T_odom_body, frame.stamp_s - last.stamp_s, self._pieces)
+        T_map_camera = loops.apart(se3.invert(self.T_odom_map) @ last.T_odom_body)
+        T_odom_map = se3.nearest(last.T_odom_body @ se3.invert(T_map_camera))
+        Ad = se3.adjoint(se3.invert(T_odom_map))
+        found = self.odometry.restart(frame, T_map_camera, Ad @ C_odom @ Ad.T)
+        if found.keyframe is None:
+            return lost
+        loops.begin_piece(found.keyframe)
+        self.T_odom_map = T_odom_map
+        return found
 
     def _repeated(self, stamp_s: float) -> Estimate:
         """The answer to an image that has come before: no pose, and odometry goes on as if it had not come."""
@@ -103,6 +130,14 @@ class ByFrames:
         T_keyframe_base = None if T_keyframe_camera is None else T_keyframe_camera @ T_camera_base
         T_odom_base = estimate.T_odom_body @ T_camera_base
         return replace(estimate, T_odom_body=T_odom_base, T_keyframe_body=T_keyframe_base, body="base")
+
+
+def carried_off(T_odom_camera: FloatArray, seconds: float, settings: PieceSettings) -> FloatArray:
+    """Covariance (6, 6) that a pose gains while nobody saw where the camera was carried."""
+    sigma_m = settings.speed_m_s * seconds
+    sigma_rad = min(settings.turn_rad_s * seconds, settings.most_rad)
+    Ad = se3.adjoint(T_odom_camera)
+    return np.asarray(Ad @ np.diag(np.square([sigma_m] * 3 + [sigma_rad] * 3)) @ Ad.T)
 
 
 def framed(seen: CameraEstimate, T_odom_map: FloatArray) -> CameraEstimate:

@@ -14,31 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.geometry import FloatArray
+from wheelsight.keyframes import KeyframeStore
 from wheelsight.settings import RecognitionSettings
-from wheelsight.slam.loops import LoopCloser, LoopReport
-from wheelsight.slam.pose_graph import new_pose_graph
+from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe, PoseUpdate
+from wheelsight.slam.loops import LoopReport
 from wheelsight.slam.recognised import PlaceWatcher
 from wheelsight.slam.settings import LoopSettings
-from wheelsight.slam.steps import anchor, step_edge
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LivedKeyframe:
-    """A keyframe as odometry hands it over.
-
-    Attributes:
-        number: in the store; one after the other, from 0.
-        stamp_s: of its frame, seconds.
-        T_odom_keyframe: (4, 4).
-        covariance: (6, 6) of the left perturbation (v, ω) of that; it grows along the way.
-    """
-
-    number: KeyframeId
-    stamp_s: float
-    T_odom_keyframe: FloatArray
-    covariance: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +34,7 @@ class ClosedLoops:
         loops: how they were judged.
         refused: how many candidates were no place seen again, by reason.
         unseen: keyframes that nobody had time to compare.
+        pieces: of how many pieces nobody knows how they lie to each other; 1 where all are joined.
     """
 
     stamps_s: FloatArray
@@ -60,6 +43,7 @@ class ClosedLoops:
     loops: LoopReport
     refused: Mapping[str, int]
     unseen: int
+    pieces: int
 
 
 class LiveLoops:
@@ -84,12 +68,10 @@ class LiveLoops:
     ) -> None:
         self._settings, self._waits = settings or LoopSettings(), waits
         self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition)
-        self._graph = new_pose_graph(self._settings.cauchy_scale)
-        self._closer = LoopCloser(self._graph, self._settings)
+        self._graph = DriveGraph(self._settings)
         self._lived: list[LivedKeyframe] = []
-        self._waiting: deque[tuple[float, Future[FloatArray | None]]] = deque()
+        self._waiting: deque[tuple[float, Future[PoseUpdate | None]]] = deque()
         self._thread: ThreadPoolExecutor | None = None
-        self._told: FloatArray = np.zeros((0, 4, 4))  # where odometry has them, by what it was told so far
         self._unseen = 0
 
     def add(self, keyframe: LivedKeyframe) -> None:
@@ -98,16 +80,15 @@ class LiveLoops:
             self._thread = ThreadPoolExecutor(1, "wheelsight-loops")
         has_time = self._waits or len(self._waiting) < self._settings.most_waiting
         self._unseen += not has_time
-        before = self._lived[-1] if self._lived else None
         self._lived.append(keyframe)
-        self._waiting.append((keyframe.stamp_s, self._thread.submit(self._judge, keyframe, before, has_time)))
+        self._waiting.append((keyframe.stamp_s, self._thread.submit(self._judge, keyframe, has_time)))
 
-    def due(self, stamp_s: float) -> FloatArray | None:
-        """T_map_keyframe (K, 4, 4) of the first keyframes, where loops have moved them since it was asked last.
+    def due(self, stamp_s: float) -> PoseUpdate | None:
+        """Where the first keyframes are, if loops have moved them since it was asked last.
 
         Raises what went wrong in the thread.
         """
-        newest: FloatArray | None = None
+        newest: PoseUpdate | None = None
         while self._waiting and self._is_due(stamp_s, *self._waiting[0]):
             found = self._waiting.popleft()[1].result()
             newest = newest if found is None else found
@@ -119,12 +100,12 @@ class LiveLoops:
         Raises what went wrong in the thread.
         """
         self.close()
-        if self._closer.report().judged:
-            self._closer.review()
+        self._graph.review()
         stamps_s = np.array([keyframe.stamp_s for keyframe in self._lived])
         T_odom = np.array([keyframe.T_odom_keyframe for keyframe in self._lived]).reshape(-1, 4, 4)
-        known = (self._graph.poses, self._closer.report(), dict(self._watcher.refusals), self._unseen)
-        return ClosedLoops(stamps_s, T_odom, *known)
+        known = (self._graph.poses, self._graph.report(), dict(self._watcher.refusals), self._unseen)
+        pieces = max(len(np.unique(self._graph.pieces)), 1)
+        return ClosedLoops(stamps_s, T_odom, *known, pieces)
 
     def close(self) -> None:
         """Wait for the thread, and end it."""
@@ -132,28 +113,11 @@ class LiveLoops:
         if thread is not None:
             thread.shutdown()
 
-    def _is_due(self, stamp_s: float, keyframe_s: float, judged: Future[FloatArray | None]) -> bool:
+    def _is_due(self, stamp_s: float, keyframe_s: float, judged: Future[PoseUpdate | None]) -> bool:
         return stamp_s >= keyframe_s + self._settings.latency_s if self._waits else judged.done()
 
-    def _judge(self, keyframe: LivedKeyframe, before: LivedKeyframe | None, has_time: bool) -> FloatArray | None:
+    def _judge(self, keyframe: LivedKeyframe, has_time: bool) -> PoseUpdate | None:
         """The thread: one keyframe; where all are by now, if its loops have moved any."""
         loops = self._watcher.look(keyframe.number) if has_time else self._watcher.pass_by(keyframe.number)
-        if before is None:
-            self._graph.add(keyframe.T_odom_keyframe)
-            self._graph.add_prior(anchor(keyframe.number, keyframe.T_odom_keyframe))
-            self._told = self._graph.poses
-            return None
-        then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
-        edge = step_edge(keyframe.number, then, now, self._settings.matches)
-        self._graph.add(se3.nearest(self._graph.poses[before.number] @ edge.T_first_second))
-        self._graph.add_edges([edge])
-        self._told = np.concatenate([self._told, self._told[-1:] @ edge.T_first_second])
-        if not loops:
-            return None
-        self._graph.update()
-        self._closer.offer(loops)
-        shift_m = se3.view_shift_m(se3.invert(self._told) @ self._graph.poses).max()
-        if shift_m <= self._settings.least_shift_m:
-            return None
-        self._told = self._graph.poses
-        return self._told
+        self._graph.add(keyframe)
+        return self._graph.close(loops)

@@ -94,6 +94,16 @@ class LoopCloser:
             self.review()
         return self.report().judged[before:]
 
+    def join(self, loops: Sequence[RelativePose], T_start: FloatArray) -> None:
+        """Go by loops that alone tell how two pieces lie to each other, and solve from poses (N, 4, 4) that fit them.
+
+        They are judged like all others afterwards.
+        """
+        self.graph.add_edges(loops)
+        self._take(loops, [True] * len(loops), [np.inf] * len(loops))
+        self.graph.optimise(T_start)
+        self._settle()
+
     def offer_all(self, loops: Sequence[RelativePose]) -> LoopReport:
         """Judge loops of a drive that is over, all together: none has to fit what was known before the others."""
         self._take(loops, [False] * len(loops), [np.inf] * len(loops))

@@ -112,5 +112,9 @@ class LoopSettings(Settings):
     least_shift_m: float = setting(
         0.002, "where loops move keyframes by less, they stay; a turn by a radian counts as 1.5 m", CHOSEN, ge=0, le=10
     )
+    agree_m: float = setting(
+        0.3, "two loops that join pieces of a map put them to one place, metres apart at most", CHOSEN, gt=0, le=100
+    )
+    agree_rad: float = setting(0.1, "likewise, radians", CHOSEN, gt=0, le=3)
     matches: MatchSettings = MatchSettings()
     seen: SeenSettings = SeenSettings()
