@@ -23,6 +23,7 @@ from typing import Any
 from wheelsight.config import Config
 from wheelsight.errors import OutputError
 from wheelsight.files import write_text
+from wheelsight.slam.settings import FROM_KEYFRAMES
 
 PACKAGE = Path(__file__).parent.parent
 # What each part of wheelsight runs for the sake of its kernels: settings of a run, by their names. What a part calls
@@ -36,6 +37,7 @@ PARTS: dict[str, tuple[dict[str, Any], ...]] = {
         {"odometry": "wheels,features"},
         {"odometry": "wheels,dense", "fusion": "ligocki"},
     ),
+    "loops": ({"odometry": "dense", "map": "surfels", "loops.source": FROM_KEYFRAMES, "loops.seen.apart_s": 0.0},),
     "places": (),
     "simulation": (),
     "mesh": (),
@@ -43,7 +45,7 @@ PARTS: dict[str, tuple[dict[str, Any], ...]] = {
 # Libraries without which a part cannot be run at all.
 _NEEDS = {"simulation": "mujoco", "mesh": "skimage"}
 # On two cores of 2023, nothing being compiled yet; for words such as "about a minute" alone.
-SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "places": 5, "simulation": 40, "mesh": 5}
+SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "loops": 5, "places": 5, "simulation": 40, "mesh": 5}
 _KERNEL_FILES = ("*_kernels.py", "compiled.py", "geometry/arrays.py")
 _MARK = "wheelsight-{}.compiled.json"
 
@@ -55,8 +57,10 @@ def usable_parts() -> tuple[str, ...]:
 
 def parts_of(config: Config) -> tuple[str, ...]:
     """The parts whose kernels a run needs."""
-    tracks = [{"rectified": "places"}.get(track, track) for track in config.tracks]
-    return tuple(part for part in PARTS if part in tracks or (part == "places" and config.places.model is not None))
+    wanted = {{"rectified": "places"}.get(track, track) for track in config.tracks}
+    wanted |= {"places"} if config.places.model is not None else set()
+    wanted |= {"loops"} if config.loops.source == FROM_KEYFRAMES else set()
+    return tuple(part for part in PARTS if part in wanted)
 
 
 def missing_parts(parts: Sequence[str]) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE,
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
+_CHOICES = f"{FROM_KEYFRAMES}, {FROM_MATCHES}, {FROM_NOWHERE}"
 CORRECTED_FILE, JUDGED_FILE = "trajectory_corrected.txt", "loops_judged.csv"
 
 
@@ -103,6 +104,8 @@ def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
     if asked == FROM_KEYFRAMES:
         return _of_keyframes(config)
     if asked != FROM_MATCHES:
+        if not Path(asked).exists():
+            raise ConfigError(f"--loops {asked}: there is no such file", fix=f"{_CHOICES}, or a file that is there")
         matches, warnings = read_matches(Path(asked))
     elif isinstance(source, Recording):
         matches, warnings = matches_of(source)
