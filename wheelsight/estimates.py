@@ -46,7 +46,10 @@ class Reason(StrEnum):
 class Status(StrEnum):
     """What the estimate at a frame can be used for.
 
-    initializing: no pose yet. tracking: pose known. coasting: pose by wheels alone, ever less certain.
+    initializing: no pose yet; in a map of before there may be one in odom, while none is known in the map.
+    tracking: pose known.
+    coasting: pose by wheels alone, or by a camera that was lost and sees again, while it is not known yet where in the
+    map that is; ever less certain.
     failing: this frame gave no pose, the next may.
     lost: so many frames failed in a row, or all sensors were silent so long, that only recognising a known place helps.
     """
@@ -124,7 +127,9 @@ class Estimate:
     @property
     def T_map_body(self) -> FloatArray | None:
         """(4, 4) in the map, or None while it is not known: what was seen lies there, and poses may jump."""
-        return None if self.T_odom_body is None else self.T_map_odom @ self.T_odom_body
+        if self.T_odom_body is None or self.status is Status.INITIALIZING:
+            return None
+        return self.T_map_odom @ self.T_odom_body
 
     def remembered_in(self, store: KeyframeStore) -> FloatArray | None:
         """T_map_body (4, 4) by where its keyframe is by now; None where no keyframe remembers it.

@@ -6,9 +6,11 @@ from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.localizer._loops import begin_in
 from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
+from wheelsight.slam.known import KnownMap
 
 
 def mount_of(calibration: Calibration) -> FloatArray:
@@ -20,17 +22,21 @@ def mount_of(calibration: Calibration) -> FloatArray:
 
 
 def camera_odometry(
-    calibration: Calibration, settings: Config
+    calibration: Calibration, settings: Config, known: KnownMap | None = None
 ) -> tuple[FeatureOdometry | DenseOdometry, MapBuilder | None]:
     """Feature or dense odometry, whose map begins where the base was where that is known; and what builds a map.
 
-    Beside wheels, tracking begins against keyframes; who joins both says when the map shows more.
+    In a map of before it begins where somebody says, or apart from it where nobody does. Beside wheels, tracking begins
+    against keyframes; who joins both says when the map shows more.
     """
+    store, T_map_first = (
+        (None, calibration.T_base_camera) if known is None else (known.store, begin_in(known, calibration))
+    )
     if settings.map == "surfels":
-        dense = DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera)
+        dense = DenseOdometry(calibration, settings.dense, T_map_first=T_map_first, store=store)
         mapper = MapBuilder(dense, calibration, settings.surfels)
         mapper.track_map(settings.fusion.filter != "default")
         return dense, mapper
     if "dense" in settings.odometry:
-        return DenseOdometry(calibration, settings.dense, T_map_first=calibration.T_base_camera), None
-    return FeatureOdometry(calibration, settings.features, T_map_first=calibration.T_base_camera), None
+        return DenseOdometry(calibration, settings.dense, T_map_first=T_map_first, store=store), None
+    return FeatureOdometry(calibration, settings.features, T_map_first=T_map_first, store=store), None

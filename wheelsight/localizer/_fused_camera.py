@@ -15,6 +15,7 @@ from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
+from wheelsight.slam.known import KnownMap
 
 BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
 
@@ -30,8 +31,10 @@ class FusedCamera:
         last_matches: what the last frame was aligned by; dense odometry matches no pixels.
     """
 
-    def __init__(self, calibration: Calibration, settings: Config, T_base_camera: FloatArray) -> None:
-        self.odometry, self.mapper = camera_odometry(calibration, settings)
+    def __init__(
+        self, calibration: Calibration, settings: Config, T_base_camera: FloatArray, known: KnownMap | None = None
+    ) -> None:
+        self.odometry, self.mapper = camera_odometry(calibration, settings, known)
         self._settings = settings.fusion.joining
         self.gate = FrameGate(settings.localizer.frame_gate)
         self.unknown = 0

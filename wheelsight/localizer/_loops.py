@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TypeVar
+
 import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
+from wheelsight.estimates import Estimate, Status
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate
+from wheelsight.slam.known import KnownMap
 from wheelsight.slam.live import ClosedLoops, LiveLoops
 from wheelsight.slam.settings import FROM_KEYFRAMES
+
+AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 
 # Pieces of which nobody knows where they lie are kept so far below the map, metres, that none is seen from another.
 _APART_M = 200.0
@@ -22,18 +30,30 @@ class LoopsBeside:
     Args:
         store: of the odometry.
         calibration, settings: of the run.
+        known: what an earlier drive has left, whose keyframes the store has.
         waits: see `LiveLoops`.
 
     Attributes:
         is_joined: whether it is known where the piece of map lies that the robot is in.
     """
 
-    def __init__(self, store: KeyframeStore, calibration: Calibration, settings: Config, *, waits: bool) -> None:
+    def __init__(
+        self,
+        store: KeyframeStore,
+        calibration: Calibration,
+        settings: Config,
+        known: KnownMap | None = None,
+        *,
+        waits: bool,
+    ) -> None:
         self._store = store
-        self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, waits=waits)
-        self._told = 0
+        self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, known=known, waits=waits)
+        self._told = len(store)
         self._pieces: list[int] = [0]  # by the numbers of their first keyframes
-        self.is_joined = True
+        self.is_joined, self._is_new = True, False
+        if known is not None and len(store) and known.start is None:
+            self.begin_piece(KeyframeId(len(store)))
+            self._is_new = True  # in this map it has not been anywhere yet
 
     def apart(self, T_map_camera: FloatArray) -> FloatArray:
         """T_map_camera (4, 4) at which odometry is to begin another piece of map, of a camera at (4, 4) in this one."""
@@ -58,7 +78,8 @@ class LoopsBeside:
         T_newer = T_old[count:]
         if self._pieces[-1] < count:  # else the newer ones are of a piece that the thread has not heard of
             T_newer = T_known[-1] @ se3.invert(T_old[count - 1]) @ T_newer
-            self.is_joined = update.piece[-1] == 0
+            self.is_joined = bool(update.piece[-1] == 0)
+            self._is_new &= not self.is_joined
         T_new = np.concatenate([T_known, T_newer])
         self._store.move(list(self._store), T_new)
         at = count - 1 if keyframe is None else keyframe
@@ -73,6 +94,17 @@ class LoopsBeside:
             begins = number > 0 and number in self._pieces
             self._live.add(LivedKeyframe(KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins))
         self._told = len(self._store)
+
+    def called(self, answer: AnyEstimate) -> AnyEstimate:
+        """The answer, by a status that says whether it is known where in the map it is."""
+        if self.is_joined or answer.status not in (Status.TRACKING, Status.COASTING):
+            return answer
+        return replace(answer, status=Status.INITIALIZING if self._is_new else Status.COASTING)
+
+    @property
+    def recognizer(self) -> Recognizer:
+        """Knows all keyframes; whole once loops are finished."""
+        return self._live.recognizer
 
     def finish(self) -> ClosedLoops:
         """All loops, once the drive is over; keyframes are put to where they are known to be."""
@@ -95,11 +127,19 @@ class LoopsBeside:
 
 
 def loops_beside(
-    store: KeyframeStore, calibration: Calibration, settings: Config, *, waits: bool
+    store: KeyframeStore, calibration: Calibration, settings: Config, known: KnownMap | None = None, *, waits: bool
 ) -> LoopsBeside | None:
     """Where the settings ask for loops that the camera finds; Ligocki's filter, as its paper has it, knows none."""
     is_asked = settings.loops.source == FROM_KEYFRAMES and settings.fusion.filter != "ligocki"
-    return LoopsBeside(store, calibration, settings, waits=waits) if is_asked else None
+    return LoopsBeside(store, calibration, settings, known, waits=waits) if is_asked else None
+
+
+def begin_in(known: KnownMap, calibration: Calibration) -> FloatArray:
+    """T_map_camera (4, 4) at which a drive begins in a map of before."""
+    if known.T_map_camera is not None:
+        return known.T_map_camera
+    T_base_camera = np.eye(4) if calibration.T_base_camera is None else se3.nearest(calibration.T_base_camera)
+    return _apart(1) @ T_base_camera if len(known.store) else T_base_camera
 
 
 def _apart(piece: int) -> FloatArray:

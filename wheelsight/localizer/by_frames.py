@@ -16,10 +16,11 @@ from wheelsight.keyframes import KeyframeId
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer._fused_camera import BLIND
-from wheelsight.localizer._loops import LoopsBeside, loops_beside
+from wheelsight.localizer._loops import LoopsBeside, begin_in, loops_beside
 from wheelsight.odometry.dense import DenseEstimate
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 from wheelsight.settings.localizer import PieceSettings
+from wheelsight.slam.known import KnownMap
 
 
 class ByFrames:
@@ -33,17 +34,22 @@ class ByFrames:
 
     frame, answers = "map", (RgbdFrame, SkippedFrame)
 
-    def __init__(self, calibration: Calibration, settings: Config, *, waits: bool = False) -> None:
+    def __init__(
+        self, calibration: Calibration, settings: Config, known: KnownMap | None = None, *, waits: bool = False
+    ) -> None:
         self.body = "camera" if calibration.T_base_camera is None else "base"
-        self.odometry, self.mapper = camera_odometry(calibration, settings)
+        self.odometry, self.mapper = camera_odometry(calibration, settings, known)
         T_base_camera = calibration.T_base_camera
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
         self._gate = FrameGate(settings.localizer.frame_gate)
         self.hears: tuple[type[Event], ...] = self.answers
         self._status = Status.INITIALIZING
         self.last_matches: MatchedPixels | None = None
-        self.loops = loops_beside(self.odometry.store, calibration, settings, waits=waits)
+        self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits)
         self.T_odom_map: FloatArray = np.eye(4)
+        if known is not None:
+            T_odom_camera = np.eye(4) if T_base_camera is None else T_base_camera
+            self.T_odom_map = se3.nearest(T_odom_camera @ se3.invert(begin_in(known, calibration)))
         self._keyframe: KeyframeId | None = None
         self._last: CameraEstimate | None = None  # that had a pose, in odom
         self._pieces = settings.localizer.pieces
@@ -89,8 +95,7 @@ class ByFrames:
         in_odom = framed(estimate, self.T_odom_map)
         self.loops.hand_over(frame.stamp_s, self.T_odom_map, in_odom.covariance)
         self._last = self._last if in_odom.T_odom_body is None else in_odom
-        is_known = self.loops.is_joined or in_odom.status is not Status.TRACKING
-        return in_odom if is_known else replace(in_odom, status=Status.COASTING)
+        return self.loops.called(in_odom)
 
     def _begin_piece(self, loops: LoopsBeside, frame: RgbdFrame, lost: CameraEstimate) -> CameraEstimate:
         """The answer at a frame that shows nothing known, at which another piece of map begins.

@@ -25,6 +25,7 @@ from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.extrinsics import Culprit
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.places import PlaceMatch
+from wheelsight.slam.known import KnownMap
 
 
 class ByFusion:
@@ -40,12 +41,18 @@ class ByFusion:
     body, frame, answers = "base", "map", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
 
     def __init__(
-        self, calibration: Calibration, settings: Config, places: Places | None = None, *, waits: bool = False
+        self,
+        calibration: Calibration,
+        settings: Config,
+        places: Places | None = None,
+        known: KnownMap | None = None,
+        *,
+        waits: bool = False,
     ) -> None:
         self._settings, of, T_base_camera = settings.fusion.joining, settings.localizer, mount_of(calibration)
         self._base = BaseSensors(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
-        self._camera = FusedCamera(calibration, settings, T_base_camera)
+        self._camera = FusedCamera(calibration, settings, T_base_camera, known)
         self._map = CameraMap(T_base_camera)
         self._places = None if places is None else PlaceSense(places, settings.fusion.areas)
         T_start, spread = (None, None) if self._places is None else self._places.start
@@ -53,7 +60,7 @@ class ByFusion:
         self.filter = ErrorStateFilter(*begin)
         checks = (of.base_check, of.color_check, settings.extrinsics)
         self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)
-        self.loops = loops_beside(self.odometry.store, calibration, settings, waits=waits)
+        self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits)
         self._carried, self._unsure = Carried(self._settings), UnsureStart(self._settings)
 
     @property
@@ -102,7 +109,9 @@ class ByFusion:
             answer, note = self._any_frame(event)
         else:
             return None, ""
-        return self._map.framed(answer) if isinstance(answer, FusedEstimate) else answer, note
+        if isinstance(answer, FusedEstimate):
+            answer = self._map.framed(answer)
+        return answer if self.loops is None or answer is None else self.loops.called(answer), note
 
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
         """What is known, at an event whose stamp means nothing; None at a yaw rate."""

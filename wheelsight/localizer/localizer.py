@@ -26,6 +26,8 @@ from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.places import PlaceMatch
+from wheelsight.slam.known import KnownMap
+from wheelsight.slam.settings import FROM_KEYFRAMES
 from wheelsight.stamps import StampCheck
 
 _CONFIG_FIX = 'load_config(PATH), or load_config(overrides={"odometry": "dense"})'
@@ -51,6 +53,8 @@ class Localizer:
         calibration: of the sensors.
         config: all settings; `config.alone(track)` picks one of several tracks.
         places: model, areas and start, where they are not all in `config.places`.
+        known: a map of before, in which it finds itself; with `loops: {source: keyframes}`. Until the place is
+            recognised its answers are `INITIALIZING`: they have a pose in odom, and none in the map.
         waits: whether loops are waited for once they are due, so that a recording gives the same poses each time. A
             robot that drives does not wait.
 
@@ -72,22 +76,27 @@ class Localizer:
         config: Config | None = None,
         places: Places | None = None,
         *,
+        known: KnownMap | None = None,
         waits: bool = False,
     ) -> None:
         calibration = need_calibration(calibration)
         settings = Config() if config is None else need_kind("config", config, Config, _CONFIG_FIX)
+        if known is not None and settings.loops.source != FROM_KEYFRAMES:
+            raise ConfigError(
+                "a known map is found by loops", fix='load_config(overrides={"loops.source": "keyframes"})'
+            )
         if len(settings.odometry) > 1 and settings.fusion.filter == "none":
             several = " and ".join(settings.odometry)
             raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
         self._way: ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki
         if settings.fusion.filter != "none":
-            self._way = _joined(calibration, settings, places, waits=waits)
+            self._way = _joined(calibration, settings, places, known, waits=waits)
         elif settings.places.model is not None:
             self._way = ByPlaces(calibration, settings, places or load_places(settings.places))
         elif settings.odometry == ("wheels",):
             self._way = ByWheels(calibration, settings.wheels)
         else:
-            self._way = ByFrames(calibration, settings, waits=waits)
+            self._way = ByFrames(calibration, settings, known, waits=waits)
         self.body, self.frame, self.answers = self._way.body, self._way.frame, self._way.answers
         self.note = ""
         self._clock = SessionClock(settings.clocks)
@@ -197,9 +206,11 @@ class Localizer:
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
 
 
-def _joined(calibration: Calibration, settings: Config, places: Places | None, *, waits: bool) -> ByFusion | ByLigocki:
+def _joined(
+    calibration: Calibration, settings: Config, places: Places | None, known: KnownMap | None, *, waits: bool
+) -> ByFusion | ByLigocki:
     if settings.fusion.filter == "ligocki":
         return ByLigocki(calibration, settings)
     if settings.places.model is None:
-        return ByFusion(calibration, settings, waits=waits)
-    return ByFusion(calibration, settings, places or load_places(settings.places), waits=waits)
+        return ByFusion(calibration, settings, known=known, waits=waits)
+    return ByFusion(calibration, settings, places or load_places(settings.places), known, waits=waits)

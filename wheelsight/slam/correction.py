@@ -90,7 +90,7 @@ def correct(
 
 def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
     """A trajectory as known at the end, by loops that were closed while driving."""
-    T_map_odom = found.T_map_keyframe @ se3.invert(found.T_odom_keyframe)
+    T_map_odom = found.T_map_odom
     rows = np.array([_nearest(lived.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
     corrected = carried(lived, found.stamps_s, T_map_odom)
     return Correction(corrected, rows, T_map_odom @ lived.T_frame_body[rows], found.loops, {})

@@ -14,11 +14,12 @@ import numpy as np
 
 from wheelsight.geometry import FloatArray, IntArray, se3, so3
 from wheelsight.keyframes import KeyframeId
-from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.graph import Prior, RelativePose
+from wheelsight.slam.known import KnownMap
 from wheelsight.slam.loops import LoopCloser, LoopReport
 from wheelsight.slam.pose_graph import new_pose_graph
 from wheelsight.slam.settings import LoopSettings
-from wheelsight.slam.steps import anchor, step_edge
+from wheelsight.slam.steps import ANCHOR_SIGMA, anchor, step_edge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,16 +60,21 @@ class DriveGraph:
 
     Args:
         settings: see `LoopSettings`.
+        known: what an earlier drive has left; this one begins a piece of its own, unless somebody says where it begins.
     """
 
-    def __init__(self, settings: LoopSettings) -> None:
+    def __init__(self, settings: LoopSettings, known: KnownMap | None = None) -> None:
         self._settings = settings
         self._graph = new_pose_graph(settings.cauchy_scale)
         self._closer = LoopCloser(self._graph, settings)
         self._piece: list[int] = []
         self._before: LivedKeyframe | None = None
+        self._held: dict[int, Prior] = {}  # what holds each piece that is not joined
         self._across: list[RelativePose] = []  # loops between pieces that no other one agrees with yet
-        self._told: FloatArray = np.zeros((0, 4, 4))  # where odometry has keyframes, by what it was told so far
+        self._start = None if known is None else known.start
+        if known is not None:
+            self._take(known)
+        self._told: FloatArray = self._graph.poses  # where odometry has keyframes, by what it was told so far
 
     @property
     def poses(self) -> FloatArray:
@@ -98,16 +104,46 @@ class DriveGraph:
         """The next keyframe, as odometry has it from the one before."""
         before, self._before = self._before, keyframe
         if before is None:
-            self._graph.add(keyframe.T_odom_keyframe)
-            self._graph.add_prior(anchor(keyframe.number, keyframe.T_odom_keyframe))
-            self._piece, self._told = [0], self._graph.poses
+            self._begin(keyframe)
+            return
+        if keyframe.begins:
+            self._begin_piece(keyframe)
             return
         then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
         edge = step_edge(keyframe.number, then, now, self._settings.matches)
         self._graph.add(se3.nearest(self._graph.poses[-1] @ edge.T_first_second))
         self._graph.add_edges([edge])
         self._told = np.concatenate([self._told, self._told[-1:] @ edge.T_first_second])
-        self._piece.append(keyframe.number if keyframe.begins else self._piece[-1])
+        self._piece.append(self._piece[-1])
+
+    def _take(self, known: KnownMap) -> None:
+        """Keyframes of an earlier drive, as nodes that are held where they are."""
+        priors = known.priors(ANCHOR_SIGMA, self._settings.known_sigma_m, self._settings.known_sigma_rad)
+        for prior in priors:
+            self._graph.add(prior.T_map_keyframe)
+            self._graph.add_prior(prior)
+        self._graph.add_edges(known.edges)
+        self._piece = [0] * len(priors)
+
+    def _begin(self, keyframe: LivedKeyframe) -> None:
+        """The first keyframe of a drive: the map begins there; in a known one it is where somebody says, or nobody."""
+        if keyframe.number and self._start is None:
+            self._begin_piece(keyframe)
+        else:
+            start = anchor(keyframe.number, keyframe.T_odom_keyframe)
+            self._hold(start if self._start is None else Prior(keyframe.number, *self._start), piece=0)
+
+    def _begin_piece(self, keyframe: LivedKeyframe) -> None:
+        """It is held where odom has it, until loops say where it lies."""
+        self._held[keyframe.number] = anchor(keyframe.number, keyframe.T_odom_keyframe)
+        self._hold(self._held[keyframe.number], piece=keyframe.number)
+
+    def _hold(self, prior: Prior, piece: int) -> None:
+        """A keyframe that is the first of its drive, or of its piece."""
+        self._graph.add(prior.T_map_keyframe)
+        self._graph.add_prior(prior)
+        self._piece.append(piece)
+        self._told = np.concatenate([self._told, prior.T_map_keyframe[None]])
 
     def close(self, loops: Sequence[RelativePose]) -> PoseUpdate | None:
         """Judge loops; where keyframes are by now, if that moves any or joins pieces."""
@@ -137,6 +173,7 @@ class DriveGraph:
             older, newer = min(first, second), max(first, second)
             moving = self.pieces == newer
             T[moving] = se3.nearest((X if newer == second else se3.invert(X)) @ T[moving])
+            self._graph.remove_prior(self._held.pop(newer))
             joining = [loop for loop in self._across if self._ends(loop) == (first, second)]
             self._closer.join([loop for loop in joining if self._agree(one, loop, T, joined=True)], T)
             self._piece = [older if piece == newer else piece for piece in self._piece]

@@ -85,6 +85,9 @@ class PoseGraph(Protocol):
     def remove_edges(self, edges: Sequence[RelativePose]) -> None:
         """Take out measurements, each by itself and not by what it says. Raises ArgumentError."""
 
+    def remove_prior(self, prior: Prior) -> None:
+        """Take out one that was added. Raises ArgumentError."""
+
     def update(self) -> None:
         """Take in what is new, from where the poses are: cheap, for use while driving."""
 
@@ -153,6 +156,14 @@ class GraphContents:
         if len(kept) + len(gone) != len(self._edges):
             raise ArgumentError("the graph has no such edge", fix="give edges out of `edges`")
         self._edges = kept
+        self._changed()
+
+    def remove_prior(self, prior: Prior) -> None:
+        """See `PoseGraph`."""
+        kept = [one for one in self._priors if one is not prior]
+        if len(kept) == len(self._priors):
+            raise ArgumentError("the graph has no such prior", fix="give one that was added")
+        self._priors = kept
         self._changed()
 
     @property

@@ -14,10 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
+from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe, PoseUpdate
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.known import KnownMap
 from wheelsight.slam.loops import LoopReport
 from wheelsight.slam.recognised import PlaceWatcher
 from wheelsight.slam.settings import LoopSettings
@@ -28,22 +31,32 @@ class ClosedLoops:
     """What became of all loops of a drive.
 
     Attributes:
-        stamps_s: (N,) of the keyframes, seconds.
+        stamps_s: (N,) of the keyframes of this drive, seconds.
         T_odom_keyframe: (N, 4, 4) as lived.
-        T_map_keyframe: (N, 4, 4) as known at the end.
+        T_map_keyframe: (M, 4, 4) of all, the N last ones of this drive, as known at the end.
+        edges: of the graph.
         loops: how they were judged.
         refused: how many candidates were no place seen again, by reason.
         unseen: keyframes that nobody had time to compare.
         pieces: of how many pieces nobody knows how they lie to each other; 1 where all are joined.
+        is_joined: whether it is known where the last keyframe lies in the map.
     """
 
     stamps_s: FloatArray
     T_odom_keyframe: FloatArray
     T_map_keyframe: FloatArray
+    edges: tuple[RelativePose, ...]
     loops: LoopReport
     refused: Mapping[str, int]
     unseen: int
     pieces: int
+    is_joined: bool
+
+    @property
+    def T_map_odom(self) -> FloatArray:
+        """(N, 4, 4) where odom lies in the map, as each keyframe of this drive has it."""
+        first = len(self.T_map_keyframe) - len(self.T_odom_keyframe)
+        return np.asarray(self.T_map_keyframe[first:] @ se3.invert(self.T_odom_keyframe))
 
 
 class LiveLoops:
@@ -53,6 +66,7 @@ class LiveLoops:
         store: holds the keyframes. It is read here, and never moved.
         calibration: of the camera.
         settings, recognition: or the defaults.
+        known: what an earlier drive has left, whose keyframes the store has.
         waits: an answer is waited for once it is due, so that the same recording gives the same poses. A robot that
             drives does not wait: it takes what is there.
     """
@@ -64,11 +78,13 @@ class LiveLoops:
         settings: LoopSettings | None = None,
         recognition: RecognitionSettings | None = None,
         *,
+        known: KnownMap | None = None,
         waits: bool = False,
     ) -> None:
         self._settings, self._waits = settings or LoopSettings(), waits
-        self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition)
-        self._graph = DriveGraph(self._settings)
+        recognizer = None if known is None else known.recognizer
+        self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition, recognizer)
+        self._graph = DriveGraph(self._settings, known)
         self._lived: list[LivedKeyframe] = []
         self._waiting: deque[tuple[float, Future[PoseUpdate | None]]] = deque()
         self._thread: ThreadPoolExecutor | None = None
@@ -103,9 +119,14 @@ class LiveLoops:
         self._graph.review()
         stamps_s = np.array([keyframe.stamp_s for keyframe in self._lived])
         T_odom = np.array([keyframe.T_odom_keyframe for keyframe in self._lived]).reshape(-1, 4, 4)
-        known = (self._graph.poses, self._graph.report(), dict(self._watcher.refusals), self._unseen)
-        pieces = max(len(np.unique(self._graph.pieces)), 1)
-        return ClosedLoops(stamps_s, T_odom, *known, pieces)
+        found = (self._graph.poses, self._graph.edges, self._graph.report(), dict(self._watcher.refusals), self._unseen)
+        pieces = self._graph.pieces
+        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), not pieces[-1:].any())
+
+    @property
+    def recognizer(self) -> Recognizer:
+        """Knows all keyframes that were looked at. The thread writes to it."""
+        return self._watcher.recognizer
 
     def close(self) -> None:
         """Wait for the thread, and end it."""

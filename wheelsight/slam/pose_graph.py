@@ -14,7 +14,7 @@ import numpy as np
 from wheelsight.extras import needed, why_missing
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId
-from wheelsight.slam.graph import GraphContents, PoseGraph, RelativePose
+from wheelsight.slam.graph import GraphContents, PoseGraph, Prior, RelativePose
 from wheelsight.slam.own_solver import OwnPoseGraph
 
 _SWAPPED = np.array([3, 4, 5, 0, 1, 2])
@@ -146,6 +146,11 @@ class GtsamPoseGraph(GraphContents):
     def remove_edges(self, edges: Sequence[RelativePose]) -> None:
         """See `PoseGraph`."""
         super().remove_edges(edges)
+        self._isam = None
+
+    def remove_prior(self, prior: Prior) -> None:
+        """See `PoseGraph`."""
+        super().remove_prior(prior)
         self._isam = None
 
     def _changed(self) -> None:

@@ -25,6 +25,10 @@ class PlaceWatcher:
         store: of the keyframes, with keypoints.
         calibration: of the camera that saw them.
         settings, recognition: or the defaults.
+        recognizer: knows keyframes of an earlier drive; or a new one.
+
+    Attributes:
+        recognizer: knows all that were seen.
     """
 
     def __init__(
@@ -33,10 +37,11 @@ class PlaceWatcher:
         calibration: Calibration,
         settings: SeenSettings | None = None,
         recognition: RecognitionSettings | None = None,
+        recognizer: Recognizer | None = None,
     ) -> None:
         self._store, self._settings = store, settings or SeenSettings()
         self._views = ViewMaker(calibration, DenseSettings(threads=1))
-        self._recognizer = Recognizer(recognition)
+        self.recognizer = recognizer or Recognizer(recognition)
         self._verifier = PlaceVerifier(calibration, recognition, self._views)
         self._known: list[KeyframeId] = []
         self._stamps_s: list[float] = []
@@ -55,7 +60,7 @@ class PlaceWatcher:
         view = self._views.of_keyframe(keyframe)
         recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._settings.apart_s) :]
         found: list[RelativePose] = []
-        for candidate in self._recognizer.candidates(view, self._settings.candidates, recent):
+        for candidate in self.recognizer.candidates(view, self._settings.candidates, recent):
             answer = self._verifier.verify(view, candidate.keyframe, self._store[candidate.keyframe])
             if isinstance(answer, VerifiedPlace):
                 motion = answer.T_keyframe_camera, answer.covariance
@@ -71,6 +76,6 @@ class PlaceWatcher:
         return ()
 
     def _learn(self, number: KeyframeId, keyframe: Keyframe) -> None:
-        self._recognizer.add(number, keyframe)
+        self.recognizer.add(number, keyframe)
         self._known.append(number)
         self._stamps_s.append(keyframe.stamp_s)

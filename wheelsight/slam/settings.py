@@ -112,6 +112,10 @@ class LoopSettings(Settings):
     least_shift_m: float = setting(
         0.002, "where loops move keyframes by less, they stay; a turn by a radian counts as 1.5 m", CHOSEN, ge=0, le=10
     )
+    known_sigma_m: float = setting(
+        0.3, "how far keyframes of a map that is extended may be off where they are, metres", CHOSEN, gt=0, le=100
+    )
+    known_sigma_rad: float = setting(0.1, "likewise, radians", CHOSEN, gt=0, le=3)
     agree_m: float = setting(
         0.3, "two loops that join pieces of a map put them to one place, metres apart at most", CHOSEN, gt=0, le=100
     )

@@ -11,12 +11,12 @@ from wheelsight.slam.graph import Prior, RelativePose
 from wheelsight.slam.settings import MatchSettings
 
 # The first keyframe holds the map where it began; so little, in metres and radians, is as good as exact.
-_ANCHOR_SIGMA = 1e-4
+ANCHOR_SIGMA = 1e-4
 
 
 def anchor(keyframe: KeyframeId, T_map_keyframe: FloatArray) -> Prior:
     """A keyframe (4, 4) that stays where it is."""
-    return Prior(keyframe, T_map_keyframe, _ANCHOR_SIGMA**2 * np.eye(6))
+    return Prior(keyframe, T_map_keyframe, ANCHOR_SIGMA**2 * np.eye(6))
 
 
 def step_edge(
