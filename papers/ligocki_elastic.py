@@ -1,8 +1,9 @@
 """Ligocki, Methods for SLAM for Depth Cameras: Fig. 1's kind of picture, the model of a place made by a depth camera.
 
 The paper shows the model of a laboratory, made by ElasticFusion and a Kinect v2, and gives no numbers. Here a real
-recording and a simulated drive through a flat are mapped with surfels; each leaves a picture of its model from outside,
-the camera's way and its last frame in it, and a line of numbers.
+recording and a simulated drive of two laps through a flat are mapped with surfels; each leaves a picture of its model
+from outside, the camera's way and its last frame in it, and a line of numbers. The paper says that closing loops "often
+fails"; here the flat is mapped with and without, and both models stand side by side.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from _ligocki_view import Viewpoint, frustum_of, outside, picture_of
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
 from wheelsight.errors import EvaluationError, InputError, WheelsightError
-from wheelsight.estimates import Status
+from wheelsight.estimates import Estimate, Status
 from wheelsight.evaluation import evaluate
 from wheelsight.events import RgbdFrame, SkippedFrame
 from wheelsight.files import atomic_write, make_output_folder, write_text
@@ -50,7 +51,7 @@ PAPER = (
 )
 REAL = Path("rgbd") / "red_kitchen"
 # The whole round through four rooms. Half the Kinect's rate: rendering it takes longer than mapping it.
-FLAT = SimulationSettings(world="flat", camera="kinect-v1", size=None, rate_hz=15.0, seed=0)
+FLAT = SimulationSettings(world="flat", camera="kinect-v1", size=None, rate_hz=15.0, seed=0, laps=2, realism="real")
 HEAD = ("recording", "frames tracked", "surfels", "stable", "ATE RMSE", "frames/s", "map")
 _QUALITY = {".jpg": {"quality": 85}}
 INK, BLUE, HALO = "#222222", "#0b62d6", "#ffffff"
@@ -64,7 +65,8 @@ class Model:
     Attributes:
         recording: what was seen.
         map: what was made of it.
-        stamps_s, T_odom_body: of each frame with a pose, the latter (4, 4).
+        has_loops: whether loops were closed on the way.
+        stamps_s, T_map_body: of each frame with a pose, the latter (4, 4) as known at the end.
         seconds: of work on each frame.
         frames: how many there were.
         last: colour (h, w, 3) of the last frame with a pose.
@@ -72,8 +74,10 @@ class Model:
 
     recording: Recording
     map: SurfelMap
+    has_loops: bool
     stamps_s: list[float] = field(default_factory=list)
-    T_odom_body: list[FloatArray] = field(default_factory=list)
+    estimates: list[Estimate] = field(default_factory=list)
+    T_map_body: list[FloatArray] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     frames: int = 0
     last: ByteArray = field(default_factory=lambda: np.zeros((1, 1, 3), np.uint8))
@@ -81,8 +85,13 @@ class Model:
     @property
     def T_map_camera(self) -> FloatArray:
         """(n, 4, 4)."""
-        poses, T_base_camera = np.array(self.T_odom_body), self.recording.calibration.T_base_camera
+        poses, T_base_camera = np.array(self.T_map_body), self.recording.calibration.T_base_camera
         return poses if T_base_camera is None else poses @ T_base_camera
+
+    @property
+    def name(self) -> str:
+        """The recording's, and whether loops were closed."""
+        return f"{self.recording.name}, loops closed" if self.has_loops else self.recording.name
 
     @property
     def up(self) -> FloatArray:
@@ -109,10 +118,14 @@ def main(arguments: list[str] | None = None, flat: SimulationSettings = FLAT) ->
         folder = make_output_folder(options.out, options.force)
         looks, rows = [], []
         for recording in _recordings(options.recordings, flat, folder):
-            model = mapped(recording)
-            rows.append(row_of(model))  # before pictures need more memory than frames do
-            looks.append(look_at(model, options.azimuth, options.down))
+            before, after = (mapped(recording, has_loops=has_loops) for has_loops in (False, True))
+            rows += [row_of(before), row_of(after)]  # before pictures need more memory than frames do
+            looks.append(look_at(after, options.azimuth, options.down))
             save(beside_camera(looks[-1]), folder / f"{recording.name}.png")
+            save(
+                in_a_row([Look(before, looks[-1].view, *picture_of(before.map, looks[-1].view)), looks[-1]]),
+                folder / f"{recording.name}-loops.jpg",
+            )
         save(in_a_row(looks), folder / "models.jpg")
         text = table(rows)
         print(f"\n{text}\n\n{PAPER}")
@@ -141,20 +154,27 @@ def _simulated(flat: SimulationSettings, folder: Path) -> Path:
     return folder
 
 
-def mapped(recording: Recording) -> Model:
+def mapped(recording: Recording, *, has_loops: bool) -> Model:
     """Track a recording against the surfel map it makes, with wheelsight's defaults.
 
     Raises:
         InputError: no surfel was seen often enough to be sure of.
     """
-    localizer = Localizer(recording.calibration, load_config(overrides={"odometry": "dense", "map": "surfels"}))
+    overrides = {"odometry": "dense", "map": "surfels", "loops.source": "keyframes" if has_loops else "none"}
+    localizer = Localizer(recording.calibration, load_config(overrides=overrides), waits=True)
     assert localizer.map is not None
-    model = Model(recording, localizer.map)
+    assert localizer.keyframes is not None
+    model = Model(recording, localizer.map, has_loops)
     with _progress() as progress:
         for event in progress.track(
             recording.events(), recording.frame_count + recording.wheel_count, description=recording.name
         ):
             _take(model, localizer, event)
+    if localizer.loops is not None:
+        localizer.loops.finish()
+    localizer.close()
+    remembered = [estimate.remembered_in(localizer.keyframes) for estimate in model.estimates]
+    model.T_map_body = [T for T in remembered if T is not None]
     if not model.map.status().stable:
         raise InputError("leaves no map", path=recording.path, fix="give a recording with depth, of a second or more")
     return model
@@ -170,7 +190,7 @@ def _take(model: Model, localizer: Localizer, event: Any) -> None:
         return
     model.seconds.append(time.perf_counter() - started)
     model.stamps_s.append(event.stamp_s)
-    model.T_odom_body.append(estimate.T_odom_body)
+    model.estimates.append(estimate)
     if isinstance(event, RgbdFrame):
         model.last = event.color
 
@@ -179,7 +199,7 @@ def row_of(model: Model) -> tuple[str, ...]:
     """What the table says of a model, in the order of its head."""
     status = model.map.status()
     return (
-        model.recording.name,
+        model.name,
         f"{len(model.stamps_s)} of {model.frames}",
         f"{status.surfels:,}",
         f"{status.stable:,}",
@@ -194,7 +214,7 @@ def _error(model: Model) -> str:
     if truth is None:
         return "no truth"
     try:
-        estimate = Trajectory(np.array(model.stamps_s), np.array(model.T_odom_body), body=model.recording.body)
+        estimate = Trajectory(np.array(model.stamps_s), np.array(model.T_map_body), body=model.recording.body)
         return f"{evaluate(estimate, truth).ate.translation.rmse:.4f} m"
     except EvaluationError:
         return "no truth at these times"
@@ -250,6 +270,7 @@ def _draw(axes: Axes, look: Look) -> None:
     for edge in frustum_of(view, T_map_camera[-1], _corner_slopes(last), far_m):
         axes.plot(*edge.T, color=HALO, linewidth=2.8, solid_capstyle="round")
         axes.plot(*edge.T, color=BLUE, linewidth=1.5, solid_capstyle="round")
+    axes.text(0.01, 0.02, look.model.name, transform=axes.transAxes, fontsize=11, color=INK)
     axes.set(xlim=(-0.5, view.size[0] - 0.5), ylim=(view.size[1] - 0.5, -0.5))
     axes.set_axis_off()
 

@@ -142,16 +142,16 @@ def test_a_recording_leaves_picture_and_table(
     make_tum_recording(tmp_path / "room", frames=20)
     out = tmp_path / "out"
     assert parts["ligocki_elastic"].main([str(tmp_path / "room"), "--out", str(out)]) == 0
-    assert {path.name for path in out.iterdir()} == {"room.png", "models.jpg", "table.md"}
-    for name in ("room.png", "models.jpg"):
+    assert {path.name for path in out.iterdir()} == {"room.png", "room-loops.jpg", "models.jpg", "table.md"}
+    for name in ("room.png", "room-loops.jpg", "models.jpg"):
         image = cv2.imread(str(out / name))
         assert image is not None
         assert min(image.shape[:2]) > 600
         assert len(np.unique(image.reshape(-1, 3), axis=0)) > 1000
-    row = (out / "table.md").read_text().splitlines()[2].split(" | ")
-    assert row[0] == "| room"
-    assert row[1] == "20 of 20"
-    assert float(row[4].removesuffix(" m")) < 0.02
+    rows = [line.split(" | ") for line in (out / "table.md").read_text().splitlines()[2:]]
+    assert [row[0] for row in rows] == ["| room", "| room, loops closed"]
+    assert all(row[1] == "20 of 20" for row in rows)
+    assert all(float(row[4].removesuffix(" m")) < 0.02 for row in rows)
     assert "no error, rate or size is given" in capsys.readouterr().out
 
 
@@ -166,12 +166,14 @@ def test_by_default_a_real_and_a_simulated_place_are_drawn(
     assert script.main(["--out", str(tmp_path / "out")], flat) == 0
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "red_kitchen.png",
+        "red_kitchen-loops.jpg",
         "flat.png",
+        "flat-loops.jpg",
         "flat",
         "models.jpg",
         "table.md",
     }
-    assert len((tmp_path / "out" / "table.md").read_text().splitlines()) == 4
+    assert len((tmp_path / "out" / "table.md").read_text().splitlines()) == 6
 
 
 def test_errors_are_one_line_and_code_2(
