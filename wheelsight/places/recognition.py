@@ -58,6 +58,16 @@ class Recognizer:
     def __len__(self) -> int:
         return len(self._keyframes)
 
+    @property
+    def settings(self) -> RecognitionSettings:
+        """By which its codes were made."""
+        return self._settings
+
+    @property
+    def keyframes(self) -> tuple[KeyframeId, ...]:
+        """Those that it knows, in the order in which they were added."""
+        return tuple(self._keyframes)
+
     def add(self, number: KeyframeId, view: Keyframe | SeenView) -> None:
         """Know a keyframe from now on. Raises ArgumentError for one that it knows."""
         if number in self._rows:

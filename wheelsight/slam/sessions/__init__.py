@@ -1,0 +1,23 @@
+"""Maps that outlast a drive: a folder of keyframes, where they are and how they hang together.
+
+Written while driving so that a kill at any moment loses the last seconds at most; opened by the next drive.
+"""
+
+from wheelsight.slam.sessions.header import MapCamera, MapHeader
+from wheelsight.slam.sessions.kept import KeptKeyframes
+from wheelsight.slam.sessions.map_folder import MapFolder, discard_map
+from wheelsight.slam.sessions.reading import FolderContents, Health
+from wheelsight.slam.sessions.records import Place
+from wheelsight.slam.sessions.settings import SessionSettings
+
+__all__ = [
+    "FolderContents",
+    "Health",
+    "KeptKeyframes",
+    "MapCamera",
+    "MapFolder",
+    "MapHeader",
+    "Place",
+    "SessionSettings",
+    "discard_map",
+]
