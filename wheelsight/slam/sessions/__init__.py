@@ -3,12 +3,14 @@
 Written while driving so that a kill at any moment loses the last seconds at most; opened by the next drive.
 """
 
+from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
 from wheelsight.slam.sessions.header import MapCamera, MapHeader
 from wheelsight.slam.sessions.kept import KeptKeyframes
 from wheelsight.slam.sessions.map_folder import MapFolder, discard_map
 from wheelsight.slam.sessions.reading import FolderContents, Health
 from wheelsight.slam.sessions.records import Place
 from wheelsight.slam.sessions.settings import SessionSettings
+from wheelsight.slam.sessions.writer import MapWriter
 
 __all__ = [
     "FolderContents",
@@ -17,7 +19,10 @@ __all__ = [
     "MapCamera",
     "MapFolder",
     "MapHeader",
+    "MapWriter",
     "Place",
+    "SeenKeyframe",
     "SessionSettings",
     "discard_map",
+    "odometry_edge",
 ]
