@@ -57,9 +57,12 @@ def _corrections(records: Sequence[RunRecord]) -> Iterator[Table | str]:
 def _maps(records: Sequence[RunRecord], out: Path) -> Iterator[str]:
     """Where each map is, and how large."""
     for record in records:
+        folder = out / record.odometry if len(records) > 1 else out
         if record.map is not None:
-            folder, status = out / record.odometry if len(records) > 1 else out, record.map.status
+            status = record.map.status
             yield f"map: {folder / record.map.file} ({status.surfels:,} surfels, {status.stable:,} of them stable)"
+        if record.kept_map is not None:
+            yield f"kept for the next drive: {folder / record.kept_map.file} ({record.kept_map.sentence})"
 
 
 def _joint_table(records: Sequence[RunRecord]) -> Table:

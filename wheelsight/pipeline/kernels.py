@@ -55,8 +55,12 @@ def usable_parts() -> tuple[str, ...]:
 
 def parts_of(config: Config) -> tuple[str, ...]:
     """The parts whose kernels a run needs."""
-    tracks = [{"rectified": "places"}.get(track, track) for track in config.tracks]
-    return tuple(part for part in PARTS if part in tracks or (part == "places" and config.places.model is not None))
+    needed = {{"rectified": "places"}.get(track, track) for track in config.tracks}
+    if config.places.model is not None:
+        needed.add("places")
+    if config.sessions.keep_map:  # keyframes are halved and recognised as dense odometry's are
+        needed.add("dense")
+    return tuple(part for part in PARTS if part in needed)
 
 
 def missing_parts(parts: Sequence[str]) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
+from wheelsight.pipeline.kept_maps import begin_maps, close_maps
 from wheelsight.pipeline.loops import MatchesOfRun, matches_of_run
 from wheelsight.pipeline.origin import frame_count_of, wheel_count_of, where
 from wheelsight.pipeline.outputs import Draw, write_results
@@ -51,10 +52,14 @@ def run_each(
     tracks, places, matches = _begin(source, config)
     folder = make_output_folder(Path(out), force)
     on_ready()
-    passage = follow(tracks, source, config, on_event, None if places is None else places.places, duration_s)
-    if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in tracks):
-        raise passage.interruption
-    records = records_of(passage, source, config, places, matches)
+    try:
+        begin_maps(tracks, source, config, folder)
+        passage = follow(tracks, source, config, on_event, None if places is None else places.places, duration_s)
+        if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in tracks):
+            raise passage.interruption
+        records = records_of(passage, source, config, places, matches)
+    finally:
+        close_maps(tracks)
     write_results(records, passage, source, config, folder, draw)
     if passage.interruption is not None:
         raise passage.interruption

@@ -5,24 +5,32 @@ Written while driving so that a kill at any moment loses the last seconds at mos
 
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
 from wheelsight.slam.sessions.header import MapCamera, MapHeader
+from wheelsight.slam.sessions.info import MAP_FOLDER, MapInfo, find_map, info_of
 from wheelsight.slam.sessions.kept import KeptKeyframes
 from wheelsight.slam.sessions.map_folder import MapFolder, discard_map
 from wheelsight.slam.sessions.reading import FolderContents, Health
+from wheelsight.slam.sessions.rebuild import fused_anew, rebuild
 from wheelsight.slam.sessions.records import Place
 from wheelsight.slam.sessions.settings import SessionSettings
 from wheelsight.slam.sessions.writer import MapWriter
 
 __all__ = [
+    "MAP_FOLDER",
     "FolderContents",
     "Health",
     "KeptKeyframes",
     "MapCamera",
     "MapFolder",
     "MapHeader",
+    "MapInfo",
     "MapWriter",
     "Place",
     "SeenKeyframe",
     "SessionSettings",
     "discard_map",
+    "find_map",
+    "fused_anew",
+    "info_of",
     "odometry_edge",
+    "rebuild",
 ]

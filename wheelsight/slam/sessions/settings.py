@@ -75,8 +75,8 @@ class SessionSettings(Settings):
         ge=0,
         le=1,
     )
-    rebuild_frames: float = setting(
-        6.0,
+    rebuild_frames: int = setting(
+        6,
         "frames that a keyframe counts as where the surfel map is fused anew of keyframes alone: two of them make "
         "a surfel stable",
         "reckoned: `surfels.stable_confidence` is 10",

@@ -88,12 +88,16 @@ class MapWriter:
             self._tell_poses()
 
     def close(self, surfel_map: SurfelMap | None = None, recognizer: Recognizer | None = None) -> None:
-        """Write all that is left, and what was made of the keyframes, and close the folder; it does not raise.
+        """Write all that is left, and what was made of the keyframes, and close the folder.
+
+        It does not raise, and does nothing a second time.
 
         Args:
             surfel_map: whose surfels hang on the keyframes.
             recognizer: that knows them, in place of the writer's own.
         """
+        if not self._thread.is_alive():
+            return
         self._hand_over(self._frames)
         self._tell_poses()
         self._work.put(None)
