@@ -58,11 +58,9 @@ def _maps(records: Sequence[RunRecord], out: Path) -> Iterator[str]:
     """Where each map is, and how large."""
     for record in records:
         folder = out / record.odometry if len(records) > 1 else out
-        if record.map is not None:
-            status = record.map.status
-            yield f"map: {folder / record.map.file} ({status.surfels:,} surfels, {status.stable:,} of them stable)"
-        if record.kept_map is not None:
-            yield f"kept for the next drive: {folder / record.kept_map.file} ({record.kept_map.sentence})"
+        for kept in (record.map, record.kept_map):
+            if kept is not None:
+                yield f"map: {folder / kept.file} ({kept.sentence})"
 
 
 def _joint_table(records: Sequence[RunRecord]) -> Table:
@@ -96,9 +94,9 @@ def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
     from wheelsight.pipeline import best_alone_of, facts_of, joined_of
     from wheelsight.report import words
 
-    joined = joined_of(records)
+    joined, best_alone = joined_of(records), best_alone_of(records)
     assert joined is not None
-    facts, best_alone = facts_of(joined), best_alone_of(records)
+    facts = facts_of(joined)
     if best_alone is not None:
         yield "error", f"{words.number(best_alone.ratio, 2)} times that of {best_alone.odometry} alone"
     for status, seconds in facts.seconds.items():

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from wheelsight.config import Config
@@ -16,36 +17,50 @@ from wheelsight.slam.sessions.map_folder import SURFELS_FILE
 from wheelsight.sources import EventSource
 
 
-def begin_maps(tracks: Sequence[Track], source: EventSource, config: Config, folder: Path) -> None:
-    """Let each track that is to leave a map write it; what an earlier run left in its place goes.
+@contextmanager
+def keeping_maps(tracks: Sequence[Track], source: EventSource, config: Config, folder: Path) -> Iterator[None]:
+    """Let each track that is to leave a map write it, while the block runs; however it ends, what is written is a map.
+
+    What an earlier run left in its place goes.
 
     Raises:
         OutputError: the folder cannot be made, or holds something else.
         MapError: another run writes it.
     """
-    settings = config.sessions
-    for track in tracks:
-        store = track.localizer.keyframes
-        if store is None or not _is_asked(track, tracks, config):
-            continue
-        path = map_path(folder, track, tracks)
-        discard_map(path)
-        facts = {"source": source.name, "depth_factor": config.recording.depth_factor}
-        kept = MapFolder.create(path, source.calibration, settings, **facts)
-        track.map_writer, track.map_path = MapWriter(kept, store, config.recognition), path
+    try:
+        for track in tracks:
+            if _is_asked(track, tracks, config):
+                _begin(track, source, config, (folder if len(tracks) == 1 else folder / track.odometry) / MAP_FOLDER)
+        yield
+    finally:
+        for track in tracks:
+            _close(track)
+
+
+def _begin(track: Track, source: EventSource, config: Config, path: Path) -> None:
+    store = track.localizer.keyframes
+    assert store is not None
+    discard_map(path)
+    factor = config.recording.depth_factor
+    kept = MapFolder.create(path, source.calibration, config.sessions, source=source.name, depth_factor=factor)
+    track.map_writer, track.map_path = MapWriter(kept, store, config.recognition), path
+
+
+def _close(track: Track) -> None:
+    if track.map_writer is not None and track.map_path is not None:
+        track.map_writer.close()
+        if _is_empty(track.map_writer):
+            discard_map(track.map_path)
 
 
 def _is_asked(track: Track, tracks: Sequence[Track], config: Config) -> bool:
-    """Of joined sensors one map is enough."""
+    """Of a camera alone; of joined sensors one map is enough."""
+    if track.localizer.keyframes is None:
+        return False
     if track.odometry != "joined" and any(other.odometry == "joined" for other in tracks):
         return False
     asked = config.sessions.keep_map
     return track.localizer.map is not None if asked is None else asked
-
-
-def map_path(folder: Path, track: Track, tracks: Sequence[Track]) -> Path:
-    """Beside the track's other results."""
-    return (folder if len(tracks) == 1 else folder / track.odometry) / MAP_FOLDER
 
 
 def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
@@ -54,15 +69,22 @@ def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
     if writer is None or path is None:
         return None
     writer.close(None if passage.is_torn else track.localizer.map)
-    size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
-    return KeptMapRecord(path.name, writer.keyframes, size, writer.warnings)
+    if _is_empty(writer):
+        discard_map(path)
+        return None
+    return KeptMapRecord(path.name, writer.keyframes, _bytes_in(path), writer.warnings)
 
 
-def close_maps(tracks: Sequence[Track]) -> None:
-    """Whatever happened: what has been written stays a map."""
-    for track in tracks:
-        if track.map_writer is not None:
-            track.map_writer.close()
+def _is_empty(writer: MapWriter) -> bool:
+    """Whether its drive has seen nothing, rather than not been able to write it."""
+    return not writer.keyframes and not writer.warnings
+
+
+def _bytes_in(folder: Path) -> int:
+    try:
+        return sum(file.stat().st_size for file in folder.iterdir() if file.is_file())
+    except OSError:  # the disk is gone; the writer has said so
+        return 0
 
 
 def save_surfels(surfel_map: SurfelMap, path: StrPath, map_folder: Path | None) -> None:
@@ -71,12 +93,13 @@ def save_surfels(surfel_map: SurfelMap, path: StrPath, map_folder: Path | None) 
     Files are replaced and never changed, so that one may have two names. Raises OutputError.
     """
     path = Path(path)
-    if map_folder is not None and (map_folder / SURFELS_FILE).is_file():
-        try:
-            path.unlink(missing_ok=True)
-            os.link(map_folder / SURFELS_FILE, path)
-        except OSError:  # a file system without links
-            pass
-        else:
-            return
-    save_map(surfel_map, path)
+    if map_folder is None or not (map_folder / SURFELS_FILE).is_file():
+        save_map(surfel_map, path)
+        return
+    other_name = path.with_name(f".{path.name}.link")
+    try:
+        other_name.unlink(missing_ok=True)
+        os.link(map_folder / SURFELS_FILE, other_name)
+        other_name.replace(path)
+    except OSError:  # a file system without links
+        save_map(surfel_map, path)

@@ -9,7 +9,7 @@ from wheelsight.slam.sessions.info import MAP_FOLDER, MapInfo, find_map, info_of
 from wheelsight.slam.sessions.kept import KeptKeyframes
 from wheelsight.slam.sessions.map_folder import MapFolder, discard_map
 from wheelsight.slam.sessions.reading import FolderContents, Health
-from wheelsight.slam.sessions.rebuild import fused_anew, rebuild
+from wheelsight.slam.sessions.rebuilding import fused_anew, rebuild
 from wheelsight.slam.sessions.records import Place
 from wheelsight.slam.sessions.settings import SessionSettings
 from wheelsight.slam.sessions.writer import MapWriter
