@@ -56,7 +56,7 @@ def test_a_map_comes_back(written: Path) -> None:
     for number in found.store:
         back = found.store[number]
         assert back.stamp_s == number
-        assert np.abs(back.grey - keyframe(number).grey).max() <= 1
+        assert np.corrcoef(back.grey.ravel(), keyframe(number).grey.ravel())[0, 1] > 0.999
     assert [(one.first, one.second) for one in found.edges] == [(k, k + 1) for k in range(COUNT - 1)]
     assert found.contents.health.notes == ()
     assert found.header.source == "made up"
