@@ -107,7 +107,7 @@ class Recognizer:
         buffer = io.BytesIO()
         words = {f"words_{name}": array for name, array in self._words.arrays().items()}
         arrays: dict[str, Any] = {**told, **ferns, **kept, **words}
-        np.savez(buffer, **arrays)
+        np.savez_compressed(buffer, **arrays)
         write_bytes(path, buffer.getvalue())
 
     @classmethod
