@@ -14,6 +14,7 @@ from wheelsight.slam.sessions import MapFolder, SessionSettings
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 CALIBRATION = Calibration.registered_camera(CAMERA, source="made up")
+COUNT = 7
 SETTINGS = SessionSettings(piece_keyframes=3)
 INTRINSICS = np.array([60.0, 60.0, 31.5, 23.5])
 

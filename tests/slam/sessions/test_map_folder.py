@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,35 +8,17 @@ import pytest
 from full_disk import FullDisk
 from hypothesis import given
 from hypothesis import strategies as st
-from kept_views import CALIBRATION, CAMERA, SETTINGS, edge, keyframe, pose, write_map
+from kept_views import CALIBRATION, COUNT, SETTINGS, edge, keyframe, pose
 from numpy.testing import assert_allclose, assert_array_equal
 
-from wheelsight.calibration import Calibration
 from wheelsight.errors import ArgumentError, MapError, OutputError
 from wheelsight.keyframes import KeyframeId
 from wheelsight.mapping import SurfelMap, Surfels
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import FernSettings, RecognitionSettings
-from wheelsight.slam.sessions import MapFolder, SessionSettings, discard_map
-from wheelsight.slam.sessions.journal import FIRST_RECORD, HEAD_BYTES, read_journal
-
-COUNT = 7
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("maps") / "map"
-    write_map(path, COUNT)
-    return path
-
-
-@pytest.fixture
-def copied(written: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(written, tmp_path / "map"))
-
-
-def last_graph(path: Path) -> Path:
-    return sorted(path.glob("graph-*"))[-1]
+from wheelsight.slam.sessions import MapFolder, discard_map, records
+from wheelsight.slam.sessions.journal import FIRST_RECORD, HEAD_BYTES, JournalWriter, read_journal
+from wheelsight.slam.sessions.records import Kind, Place
 
 
 def test_a_map_comes_back(written: Path) -> None:
@@ -83,22 +63,6 @@ def test_the_newest_poses_and_the_edges_that_hold_are_told(copied: Path) -> None
     assert len(list(copied.glob("graph-*"))) == 2
 
 
-def test_few_keyframes_are_held_in_memory_and_more_may_be_added(written: Path) -> None:
-    store = MapFolder.open(written, settings=SessionSettings(memory_keyframes=2)).store
-    first = store[KeyframeId(0)]
-    assert store[KeyframeId(0)] is first
-    for number in (1, 2):
-        store[KeyframeId(number)]
-    assert store[KeyframeId(0)] is not first
-    added = store.add(keyframe(50), pose(50))
-    assert (added, len(store)) == (COUNT, COUNT + 1)
-    assert store[added].stamp_s == 50
-    store.move([KeyframeId(1)], pose(31)[None])
-    assert_array_equal(store.pose(KeyframeId(1)), pose(31))
-    with pytest.raises(ArgumentError):
-        store[KeyframeId(COUNT + 1)]
-
-
 @given(share=st.floats(0, 1, exclude_max=True), kind=st.sampled_from(["graph", "keyframes"]))
 def test_a_map_that_was_cut_off_anywhere_opens(written: Path, share: float, kind: str) -> None:
     path = written.with_name("cut")
@@ -123,52 +87,6 @@ def test_a_map_that_was_cut_off_anywhere_opens(written: Path, share: float, kind
     assert (found.contents.health.torn_bytes == 0) == (at_border or cut == 0)
 
 
-def test_a_damaged_keyframe_keeps_its_number_and_its_pose(copied: Path) -> None:
-    path = copied / "keyframes-00000.journal"
-    record, _ = read_journal(path).records[1]
-    data = bytearray(path.read_bytes())
-    data[record.offset + 100] ^= 4
-    path.write_bytes(data)
-    found = MapFolder.open(copied)
-    assert list(found.store) == [0, 2, 3, 4, 5, 6]
-    assert (len(found.store), found.store.missing, found.contents.health.missing) == (COUNT, (1,), (1,))
-    assert_array_equal(found.store.pose(KeyframeId(1)), pose(1))
-    with pytest.raises(MapError, match="keyframe 1 is lost"):
-        found.store[KeyframeId(1)]
-    damage, lost = found.contents.health.notes
-    assert damage == f"{path.name}: {HEAD_BYTES + record.length:,} bytes from byte {record.offset:,} on are damaged."
-    assert lost == "1 keyframes are lost: 1."
-    assert not found.contents.health.is_whole
-
-
-def test_a_damaged_place_leaves_no_pose_that_looks_good(copied: Path) -> None:
-    path = last_graph(copied)
-    record = next(record for record, _ in read_journal(path).records if record.kind == 2 and record.key == 2)
-    data = bytearray(path.read_bytes())
-    data[record.offset + 60] ^= 4
-    path.write_bytes(data)
-    found = MapFolder.open(copied)
-    assert found.store.missing == (2,)
-    assert np.isnan(found.store.pose(KeyframeId(2))).all()
-    assert np.isfinite(np.delete(found.store.T_map_keyframe, 2, axis=0)).all()
-
-
-def test_two_writers_never_write_one_map(copied: Path) -> None:
-    first = MapFolder.open(copied, read_only=False)
-    with pytest.raises(MapError, match=r"another run, of process \d+, writes this map"):
-        MapFolder.open(copied, read_only=False)
-    with pytest.raises(MapError, match="another run"):
-        discard_map(copied)
-    assert len(MapFolder.open(copied).store) == COUNT  # to read it does no harm
-    first.close()
-    MapFolder.open(copied, read_only=False).close()
-
-
-def test_a_lock_that_a_dead_process_left_locks_nothing(copied: Path) -> None:
-    (copied / "lock").write_text("1\n")
-    MapFolder.open(copied, read_only=False).close()
-
-
 def test_what_is_open_to_read_takes_nothing(written: Path) -> None:
     folder = MapFolder.open(written)
     for work in (
@@ -180,47 +98,6 @@ def test_what_is_open_to_read_takes_nothing(written: Path) -> None:
         with pytest.raises(OutputError, match="read-only"):
             work()
     assert len(list(written.glob("graph-*"))) == 1
-
-
-def test_a_map_of_another_camera_is_told(written: Path) -> None:
-    folder = MapFolder.open(written)
-    folder.check_camera(Calibration.registered_camera(replace(CAMERA, fx=60.5)))
-    wrong = {
-        "its fx is 60.0 px, here 66.0": replace(CAMERA, fx=66.0),
-        "its cy is 23.5 px, here 30.5": replace(CAMERA, cy=30.5),
-        "its images are 64×48, these 32×24": replace(CAMERA, width=32, height=24, fx=30, fy=30, cx=15.5, cy=11.5),
-    }
-    for why, camera in wrong.items():
-        with pytest.raises(MapError, match=rf"is of another camera: {why} \(give"):
-            folder.check_camera(Calibration.registered_camera(camera))
-    apart = Calibration(CAMERA, CAMERA, T_color_depth=np.eye(4))
-    with pytest.raises(MapError, match="its depth is registered to colour, here it is not"):
-        folder.check_camera(apart)
-
-
-def test_another_depth_factor_is_told(tmp_path: Path) -> None:
-    MapFolder.create(tmp_path / "map", CALIBRATION, depth_factor=5000.0).close()
-    folder = MapFolder.open(tmp_path / "map")
-    folder.check_camera(CALIBRATION)  # nobody says
-    with pytest.raises(MapError, match="its depth factor is 5000, here 1000"):
-        folder.check_camera(CALIBRATION, 1000.0)
-
-
-def test_a_newer_map_is_refused_and_an_edited_one(copied: Path) -> None:
-    path = copied / "map.json"
-    document = json.loads(path.read_text())
-    path.write_text(json.dumps(document | {"version": 2}))
-    with pytest.raises(MapError, match="is of version 2, newer than 1"):
-        MapFolder.open(copied)
-    path.write_text(json.dumps(document | {"source": "elsewhere"}))
-    with pytest.raises(MapError, match="its checksum is wrong"):
-        MapFolder.open(copied)
-    path.write_text("{")
-    with pytest.raises(MapError, match="is damaged"):
-        MapFolder.open(copied)
-    path.unlink()
-    with pytest.raises(MapError, match="is no map"):
-        MapFolder.open(copied)
 
 
 def test_a_folder_in_use_and_one_that_cannot_be_written_are_refused(written: Path, tmp_path: Path) -> None:
@@ -315,3 +192,17 @@ def test_a_pose_that_is_none_is_refused_before_anything_is_written(copied: Path)
         folder.append_keyframe(COUNT, keyframe(COUNT), np.full((4, 4), np.nan))
     folder.close()
     assert len(list(copied.glob("keyframes-*"))) == 3
+
+
+def test_numbers_beyond_reason_ask_for_no_memory(copied: Path) -> None:
+    journal = JournalWriter(copied / "graph-00001.journal")
+    journal.append(Kind.PLACE, 1 << 60, records.pack_place(Place(1.0, pose(0))))
+    journal.close()
+    with pytest.raises(MapError, match=r"graph-00001\.journal: its record at byte 16 is of number 1152921504606846976"):
+        MapFolder.open(copied)
+    (copied / "graph-00001.journal").unlink()
+    journal = JournalWriter(copied / "keyframes-00009.journal")
+    journal.append(Kind.KEYFRAME, 1 << 60, b"")
+    journal.close()
+    found = MapFolder.open(copied)
+    assert (len(found.store), found.contents.health.dropped) == (COUNT, 1)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from full_disk import FullDisk
-from kept_views import CALIBRATION, SETTINGS, keyframe, pose
+from kept_views import CALIBRATION, SETTINGS, edge, keyframe, pose
 from killed_drive import KEYFRAMES_A_SECOND
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -94,6 +94,22 @@ def test_moved_keyframes_are_written_while_driving(tmp_path: Path) -> None:
     else:
         pytest.fail("the moved pose was never written")
     writer.close()
+
+
+def test_loops_are_kept_and_those_that_were_false_are_not(tmp_path: Path) -> None:
+    store = KeyframeStore()
+    writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store)
+    drive(writer, store, 5)
+    loops = [edge(4, 0, is_loop=True), edge(3, 0, is_loop=True), edge(3, 0, is_loop=True)]
+    writer.add_edges(loops[:2])
+    writer.add_edges(loops[2:])
+    writer.withdraw_edges([loops[1], edge(4, 0, is_loop=True)])  # the last one was never added
+    drive_more = store.add(keyframe(5), pose(5))
+    writer.look(answer(drive_more))
+    writer.close()
+    found = MapFolder.open(tmp_path / "map")
+    assert [(one.first, one.second) for one in found.edges if one.is_loop] == [(4, 0), (3, 0)]
+    assert [(one.first, one.second) for one in found.edges if not one.is_loop] == [(k, k + 1) for k in range(5)]
 
 
 def test_a_keyframe_that_could_not_be_made_is_told(tmp_path: Path) -> None:

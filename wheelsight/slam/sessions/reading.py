@@ -17,6 +17,9 @@ from wheelsight.slam.sessions.records import Kind, Place
 
 KEYFRAMES, GRAPH = "keyframes", "graph"
 _SUFFIX = ".journal"
+# A thousand hours of driving; a number beyond would ask for a table that fits into no memory.
+_MOST_NUMBER = 5_000_000
+_DAMAGED = "use another copy of the map"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +88,8 @@ class _Graph:
 
     def take(self, record: Record, content: bytes) -> None:
         """Raises MapError for a record that contradicts itself."""
+        if record.key > _MOST_NUMBER:
+            raise MapError(f"is of number {record.key}", fix=_DAMAGED)
         if record.kind == Kind.PLACE:
             place = records.unpack_place(content)
             self.places[record.key], self.T[record.key] = place, place.T_map_keyframe
@@ -124,6 +129,7 @@ def read_contents(folder: Path) -> FolderContents:
         torn_bytes += journal.torn_bytes
         damages += journal.damages
         found = (record for record, _ in journal.records if record.kind == Kind.KEYFRAME)
+        # Of a number beyond all there is no place either: it is dropped with those at the end.
         where |= {record.key: (journal.path, record) for record in found}
     graph = _Graph()
     for journal in _read(folder, GRAPH):

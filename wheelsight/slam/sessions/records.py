@@ -97,7 +97,7 @@ def unpack_keyframe(content: bytes) -> Keyframe:
     descriptor_bytes = max(count, 0) * _ORB_BYTES
     lengths = (depth_bytes, grey_bytes, code_bytes, place_bytes, descriptor_bytes)
     numbers = np.array([stamp_s, fx, fy, cx, cy, step_m, growth])
-    is_sound = np.isfinite(numbers).all() and step_m > 0 and growth > 0 and -1 <= count <= _MOST_KEYPOINTS
+    is_sound = np.isfinite(numbers).all() and min(fx, fy, step_m, growth) > 0 and -1 <= count <= _MOST_KEYPOINTS
     if not is_sound or min(lengths) < 0 or _KEYFRAME.size + 1 + sum(lengths) != len(content) or code_bytes % 8:
         raise MapError("is no keyframe", fix=_DAMAGED)
     parts, at = [], _KEYFRAME.size + 1

@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.mapping import SurfelMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
+from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
 from wheelsight.slam.sessions.map_folder import MapFolder
 
@@ -33,6 +34,15 @@ class _NewKeyframe:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moved:
     T_map_keyframe: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edges:
+    edges: tuple[RelativePose, ...]
+    holds: bool
+
+
+_Work = _NewKeyframe | _Moved | _Edges
 
 
 class MapWriter:
@@ -62,7 +72,7 @@ class MapWriter:
         self._unsettled: deque[tuple[int, SeenKeyframe]] = deque()
         self._frames, self._taken = 0, len(store)
         self._revision, self._told_s = store.revision, -np.inf
-        self._work: queue.SimpleQueue[_NewKeyframe | _Moved | None] = queue.SimpleQueue()
+        self._work: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
         self._written = _Written(folder, store, self._recognizer)
         self._thread = threading.Thread(target=self._write, name=THREAD, daemon=True)
         self._thread.start()
@@ -86,6 +96,14 @@ class MapWriter:
         self._hand_over(self._frames - self._folder.settings.settled_frames)
         if self._store.revision != self._revision and self._now_s() - self._told_s >= self._folder.settings.flush_s:
             self._tell_poses()
+
+    def add_edges(self, edges: Sequence[RelativePose]) -> None:
+        """Keep edges, such as loops; those of odometry between successive keyframes the writer adds by itself."""
+        self._work.put(_Edges(tuple(edges), holds=True))
+
+    def withdraw_edges(self, edges: Sequence[RelativePose]) -> None:
+        """Edges that were added, each by itself and not by what it says, do not hold any more."""
+        self._work.put(_Edges(tuple(edges), holds=False))
 
     def close(self, surfel_map: SurfelMap | None = None, recognizer: Recognizer | None = None) -> None:
         """Write all that is left, and what was made of the keyframes, and close the folder.
@@ -141,11 +159,19 @@ class _Written:
         self._folder, self._store, self._recognizer = folder, store, recognizer
         self._before: SeenKeyframe | None = None
         self._T_map_keyframe = np.zeros((0, 4, 4))
+        # With the edge, lest its identity go to another.
+        self._edges: dict[int, tuple[RelativePose, int]] = {}
         self._is_over = self._is_dirty = False
 
-    def take(self, work: _NewKeyframe | _Moved) -> None:
+    def take(self, work: _Work) -> None:
         """Append it."""
-        self._do(lambda: self._add(work) if isinstance(work, _NewKeyframe) else self._move(work.T_map_keyframe))
+        match work:
+            case _NewKeyframe():
+                self._do(lambda: self._add(work))
+            case _Moved():
+                self._do(lambda: self._move(work.T_map_keyframe))
+            case _Edges():
+                self._do(lambda: self._add_edges(work.edges) if work.holds else self._withdraw(work.edges))
 
     def flush(self) -> None:
         """Where anything was appended since."""
@@ -182,6 +208,14 @@ class _Written:
         self._grow(number + 1)
         self._T_map_keyframe[number] = new.T_map_keyframe
         self.keyframes += 1
+
+    def _add_edges(self, edges: tuple[RelativePose, ...]) -> None:
+        numbers = self._folder.append_edges(edges)
+        self._edges |= {id(edge): (edge, number) for edge, number in zip(edges, numbers, strict=True)}
+
+    def _withdraw(self, edges: tuple[RelativePose, ...]) -> None:
+        known = [self._edges.pop(id(edge), None) for edge in edges]
+        self._folder.withdraw_edges([number for _, number in filter(None, known)])
 
     def _move(self, T_map_keyframe: FloatArray) -> None:
         """Append the poses that have changed since."""
