@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from kept_views import write_map
+from sessions.kept_views import write_map
 from typer.testing import Result
 
 from wheelsight.slam.sessions import MapFolder

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from kept_views import COUNT, write_map
+from sessions.kept_views import COUNT, write_map
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from kept_views import CALIBRATION, keyframe, pose
+from sessions.kept_views import CALIBRATION, keyframe, pose
 
 from wheelsight.estimates import Estimate, Status
 from wheelsight.geometry import se3

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from kept_views import SETTINGS, pose
 from numpy.testing import assert_allclose
+from sessions.kept_views import SETTINGS, pose
 
 from wheelsight.estimates import Estimate, Status
 from wheelsight.geometry import se3
@@ -14,9 +16,9 @@ T_KEYFRAME_BODY = se3.exp([0.1, -0.2, 0.05, 0.3, 0.1, -0.2])
 
 def seen(number: int, C: np.ndarray) -> SeenKeyframe:
     T_odom_body = pose(number) @ T_KEYFRAME_BODY
-    known = {"keyframe": KeyframeId(number), "T_keyframe_body": T_KEYFRAME_BODY}
-    estimate = Estimate(float(number), Status.TRACKING, T_odom_body, C, T_map_odom=pose(9), **known)
-    return SeenKeyframe.of(KeyframeId(number), estimate)
+    held = KeyframeId(number)
+    known = Estimate(float(number), Status.TRACKING, T_odom_body, C, T_map_odom=pose(9))
+    return SeenKeyframe.of(held, replace(known, keyframe=held, T_keyframe_body=T_KEYFRAME_BODY))
 
 
 def test_an_edge_is_the_way_between_and_as_uncertain_as_the_way_made_it() -> None:

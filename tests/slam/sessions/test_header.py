@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kept_views import CALIBRATION, CAMERA
+from sessions.kept_views import CALIBRATION, CAMERA
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import MapError

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kept_views import CALIBRATION, edge, keyframe, pose, write_map
+from sessions.kept_views import CALIBRATION, edge, keyframe, pose, write_map
 
 from wheelsight.errors import MapError
 from wheelsight.slam.sessions import MapFolder, find_map, info_of

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kept_views import COUNT, keyframe, pose
 from numpy.testing import assert_array_equal
+from sessions.kept_views import COUNT, keyframe, pose
 
 from wheelsight.errors import ArgumentError, MapError
 from wheelsight.keyframes import KeyframeId

@@ -3,7 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from kept_views import COUNT
+from sessions.kept_views import COUNT
 
 from wheelsight.errors import MapError
 from wheelsight.slam.sessions import MapFolder, discard_map

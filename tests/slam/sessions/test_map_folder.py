@@ -8,8 +8,8 @@ import pytest
 from full_disk import FullDisk
 from hypothesis import given
 from hypothesis import strategies as st
-from kept_views import CALIBRATION, COUNT, SETTINGS, edge, keyframe, pose
 from numpy.testing import assert_allclose, assert_array_equal
+from sessions.kept_views import CALIBRATION, COUNT, SETTINGS, edge, keyframe, pose
 
 from wheelsight.errors import ArgumentError, MapError, OutputError
 from wheelsight.keyframes import KeyframeId

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kept_views import CALIBRATION, INTRINSICS, SETTINGS, edge, write_map
 from numpy.testing import assert_allclose, assert_array_equal
+from sessions.kept_views import CALIBRATION, INTRINSICS, SETTINGS, edge, write_map
 
 from wheelsight.errors import MapError
 from wheelsight.geometry import se3

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kept_views import CAMERA, INTRINSICS, SETTINGS, edge, keyframe, pose
 from numpy.testing import assert_allclose, assert_array_equal
+from sessions.kept_views import CAMERA, INTRINSICS, SETTINGS, edge, keyframe, pose
 
 from wheelsight.calibration import DepthNoise
 from wheelsight.errors import MapError

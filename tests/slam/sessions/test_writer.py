@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from full_disk import FullDisk
-from kept_views import CALIBRATION, SETTINGS, edge, keyframe, pose
-from killed_drive import KEYFRAMES_A_SECOND
 from numpy.testing import assert_allclose, assert_array_equal
+from sessions.kept_views import CALIBRATION, SETTINGS, edge, keyframe, pose
+from sessions.killed_drive import KEYFRAMES_A_SECOND
 
 from wheelsight.estimates import Estimate, Status
 from wheelsight.keyframes import KeyframeId, KeyframeStore
@@ -29,8 +29,8 @@ PROJECT = Path(__file__).resolve().parents[3]
 
 def answer(number: int) -> Estimate:
     C = 1e-4 * (number + 1) * np.eye(6)
-    known = {"keyframe": KeyframeId(number), "T_keyframe_body": np.eye(4)}
-    return Estimate(float(number), Status.TRACKING, pose(number), C, **known)
+    held = KeyframeId(number)
+    return Estimate(float(number), Status.TRACKING, pose(number), C, keyframe=held, T_keyframe_body=np.eye(4))
 
 
 def drive(writer: MapWriter, store: KeyframeStore, count: int) -> None:
@@ -53,7 +53,9 @@ def test_a_drive_leaves_its_map(tmp_path: Path) -> None:
     assert_array_equal(found.store.T_map_keyframe, store.T_map_keyframe)
     assert all(found.store[number].stamp_s == number for number in found.store)
     assert [(one.first, one.second) for one in found.edges] == [(k, k + 1) for k in range(6)]
-    assert_allclose(found.contents.places[4].T_odom_keyframe, pose(4), atol=1e-12)
+    T_odom_keyframe = found.contents.places[4].T_odom_keyframe
+    assert T_odom_keyframe is not None
+    assert_allclose(T_odom_keyframe, pose(4), atol=1e-12)
     asked: list[int] = []
     assert len(found.recognizer(RECOGNITION, lambda done, total: asked.append(done))) == 7
     assert asked == []
@@ -165,7 +167,7 @@ def test_extending_a_map_goes_on_with_its_numbers(tmp_path: Path) -> None:
 def test_a_kill_at_any_moment_costs_the_last_seconds_alone(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "map"
     program = Path(__file__).with_name("killed_drive.py")
-    folders = (PROJECT, PROJECT / "tests", program.parent)
+    folders = (PROJECT, PROJECT / "tests" / "slam")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
     child = subprocess.Popen([sys.executable, str(program), str(path)], env=environment, stdout=subprocess.PIPE)
     assert child.stdout is not None

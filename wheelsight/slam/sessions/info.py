@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -96,9 +97,9 @@ def find_map(path: StrPath) -> Path:
     return found
 
 
-def _parts(numbers: list[int], ends: list[tuple[int, int]]) -> int:
+def _parts(numbers: Sequence[int], ends: Sequence[tuple[int, int]]) -> int:
     """How many parts hang together: by union and find."""
-    root = {number: number for number in numbers}
+    root: dict[int, int] = {number: number for number in numbers}
 
     def find(number: int) -> int:
         while root[number] != number:

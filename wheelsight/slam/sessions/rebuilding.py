@@ -44,8 +44,8 @@ def rebuild(
         OutputError: it cannot be written.
     """
     surfel_map = fused_anew(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
-    facts = {"source": folder.header.source, "depth_factor": folder.header.camera.depth_factor}
-    new = MapFolder.create(out, folder.calibration, folder.settings, **facts)
+    source, factor = folder.header.source, folder.header.camera.depth_factor
+    new = MapFolder.create(out, folder.calibration, folder.settings, source=source, depth_factor=factor)
     try:
         numbers = list(folder.store)
         for done, number in enumerate(numbers, start=1):
