@@ -18,6 +18,7 @@ from wheelsight.config import Config, load_config, save_config
 from wheelsight.devices.source import TicksFile
 from wheelsight.errors import RecordingError
 from wheelsight.geometry import PinholeCamera, se3
+from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map
 from wheelsight.odometry.wheels.squares import read_return_errors
 from wheelsight.places import (
@@ -32,6 +33,8 @@ from wheelsight.recordings import OpenOptions, open_recording
 from wheelsight.recordings.inspection import inspect_recording
 from wheelsight.ros_map import read_ros_map
 from wheelsight.simulation import read_manual_velocities
+from wheelsight.slam import RelativePose
+from wheelsight.slam.sessions import MapFolder, info_of
 from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 Files = Mapping[str, bytes]
@@ -164,6 +167,7 @@ def _single_files() -> list[Target]:
         Target("model", {"places.skops": _model()}, _reads("places.skops", PlaceModel.load)),
         Target("ros map", {"a.yaml": _ROS_MAP, "a.pgm": _plan()}, _reads("a.yaml", read_ros_map)),
         Target("map", {"a.surfels": _map()}, _reads("a.surfels", load_map)),
+        Target("map folder", _map_folder(), _read_map_folder),
     ]
 
 
@@ -183,6 +187,13 @@ def _reads(name: str, read: Callable[[Path], object]) -> Callable[[Path], object
 
 def _reads_config(folder: Path) -> object:
     return load_config(folder / "config.yaml")
+
+
+def _read_map_folder(folder: Path) -> object:
+    found = MapFolder.open(folder)
+    for number in found.store:
+        _ = found.store[number].features
+    return info_of(found).to_dict()
 
 
 def _squares(path: Path) -> object:
@@ -261,6 +272,25 @@ def _model() -> bytes:
 
 def _plan() -> bytes:
     return cv2.imencode(".pgm", np.where(np.mgrid[:8, :9][0] % 3, 254, 0).astype(np.uint8))[1].tobytes()
+
+
+def _map_folder() -> Files:
+    rng = np.random.default_rng(7)
+    features = KeyframeFeatures(
+        rng.random((3, 2)), 1 + rng.random((3, 3)), np.arange(12, dtype=np.uint64).reshape(3, 4)
+    )
+    images = np.full((12, 16), 2.0, np.float32), np.full((12, 16), 90.0, np.float32)
+    with TemporaryDirectory() as name:
+        folder = MapFolder.create(name, Calibration.registered_camera(_CAMERA))
+        for number, T in enumerate(_trajectory().T_frame_body):
+            view = Keyframe.of_images(float(number), np.array([14.0, 14.0, 7.5, 5.5]), *images, features)
+            folder.append_keyframe(number, view, T, T)
+            if number:
+                folder.append_edges([RelativePose(KeyframeId(number - 1), KeyframeId(number), T, np.eye(6))])
+        folder.append_poses([1], np.eye(4)[None])
+        folder.withdraw_edges([0])
+        folder.close()
+        return {path.name: path.read_bytes() for path in Path(name).iterdir() if path.stat().st_size}
 
 
 def _map() -> bytes:

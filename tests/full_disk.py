@@ -22,16 +22,16 @@ class FullDisk:
         opened = Path.open
 
         def open_here(path: Path, mode: str = "r", buffering: int = -1, **others: Any) -> Any:
-            if path.name == self.name and mode == "wb" and buffering == 0:
-                return _File(path, self)
+            if path.name == self.name and mode in ("wb", "xb") and buffering == 0:
+                return _File(path, self, mode)
             return opened(path, mode, buffering, **others)
 
         monkeypatch.setattr(Path, "open", open_here)
 
 
 class _File(io.FileIO):
-    def __init__(self, path: Path, disk: FullDisk) -> None:
-        super().__init__(path, "wb")
+    def __init__(self, path: Path, disk: FullDisk, mode: str) -> None:
+        super().__init__(path, mode)
         self.disk = disk
 
     def write(self, data: Any) -> int:

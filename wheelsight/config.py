@@ -40,6 +40,7 @@ from wheelsight.settings import (
     conflict,
     setting,
 )
+from wheelsight.slam.sessions.settings import SessionSettings
 from wheelsight.slam.settings import LoopSettings
 
 OdometryName = Literal["features", "dense", "wheels"]
@@ -226,6 +227,7 @@ class Config(Settings):
     places: PlaceSettings = PlaceSettings()
     loops: LoopSettings = LoopSettings()
     recognition: RecognitionSettings = RecognitionSettings()
+    sessions: SessionSettings = SessionSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
     realtime: RealTimeSettings = RealTimeSettings()

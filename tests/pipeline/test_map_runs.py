@@ -20,6 +20,7 @@ from wheelsight.mapping import SurfelMap, load_map
 from wheelsight.pipeline import MAP_FILE
 from wheelsight.recordings import Recording, open_recording
 from wheelsight.runs import run, run_each
+from wheelsight.slam.sessions import MapFolder
 
 pytestmark = pytest.mark.usefixtures("real_odometry")
 
@@ -45,7 +46,7 @@ def in_memory(room: Path, stop: BaseException, after: int) -> Recording:
 
 def test_a_run_leaves_its_map_and_a_frame_that_failed_is_not_in_it(room: Path, tmp_path: Path) -> None:
     record = run(open_recording(room), mapped(), tmp_path)
-    assert names_in(tmp_path) == FILES | {MAP_FILE}
+    assert names_in(tmp_path) == FILES | {MAP_FILE, "map"}
     assert len(record.estimate) == 7
     found, kept = metrics_in(tmp_path)["map"], load_map(tmp_path / MAP_FILE)
     assert found["file"] == MAP_FILE
@@ -154,7 +155,8 @@ def test_a_map_that_was_broken_off_in_the_middle_of_a_frame_is_not_kept(
     press_ctrl_c(monkeypatch, times=2)
     with pytest.raises(KeyboardInterrupt):
         run(open_recording(room), mapped(), tmp_path)
-    assert names_in(tmp_path) == FILES
+    assert names_in(tmp_path) == FILES | {"map"}
+    assert MapFolder.open(tmp_path / "map").surfels() is None  # keyframes are whole all the same
     metrics = metrics_in(tmp_path)
     assert "map" not in metrics
     assert "The map was not kept: it was broken off in the middle of a frame." in metrics["warnings"]

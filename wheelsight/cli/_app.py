@@ -8,7 +8,7 @@ import typer
 import typer.core
 
 from wheelsight._version import __version__
-from wheelsight.cli import calibrate, evaluate, export, info, places, record, run, simulate, warm_up, wheels
+from wheelsight.cli import calibrate, evaluate, export, info, maps, places, record, run, simulate, warm_up, wheels
 from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error, speak_any_encoding
 from wheelsight.errors import WheelsightError
 
@@ -50,6 +50,7 @@ app.command("warm-up")(warm_up.warm_up)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(wheels.app, name="wheels")
 app.add_typer(places.app, name="places")
+app.add_typer(maps.app, name="map")
 
 
 def _print_version(wanted: bool) -> None:

@@ -57,9 +57,10 @@ def _corrections(records: Sequence[RunRecord]) -> Iterator[Table | str]:
 def _maps(records: Sequence[RunRecord], out: Path) -> Iterator[str]:
     """Where each map is, and how large."""
     for record in records:
-        if record.map is not None:
-            folder, status = out / record.odometry if len(records) > 1 else out, record.map.status
-            yield f"map: {folder / record.map.file} ({status.surfels:,} surfels, {status.stable:,} of them stable)"
+        folder = out / record.odometry if len(records) > 1 else out
+        for kept in (record.map, record.kept_map):
+            if kept is not None:
+                yield f"map: {folder / kept.file} ({kept.sentence})"
 
 
 def _joint_table(records: Sequence[RunRecord]) -> Table:
@@ -93,9 +94,9 @@ def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
     from wheelsight.pipeline import best_alone_of, facts_of, joined_of
     from wheelsight.report import words
 
-    joined = joined_of(records)
+    joined, best_alone = joined_of(records), best_alone_of(records)
     assert joined is not None
-    facts, best_alone = facts_of(joined), best_alone_of(records)
+    facts = facts_of(joined)
     if best_alone is not None:
         yield "error", f"{words.number(best_alone.ratio, 2)} times that of {best_alone.odometry} alone"
     for status, seconds in facts.seconds.items():

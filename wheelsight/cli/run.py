@@ -68,7 +68,7 @@ def run(
     With several odometries each has a folder of its name, and report.html and metrics.json join them; so have, with
     --places, the wheels alone and the wheels that areas have rectified.
     With --loops also trajectory_corrected.txt, the way as known at its end, and loops_judged.csv.
-    With --map surfels also map.surfels, of which wheelsight export makes points or a mesh.
+    With --map surfels also map.surfels, of which wheelsight export makes points or a mesh, and map/ for the next drive.
 
     Ctrl-C stops early and keeps what was found until then.
 

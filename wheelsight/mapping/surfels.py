@@ -11,7 +11,7 @@ import numpy as np
 
 from wheelsight.calibration import DepthNoise
 from wheelsight.errors import MapError
-from wheelsight.geometry import Float32Array, FloatArray, Int32Array
+from wheelsight.geometry import Float32Array, FloatArray, Int32Array, se3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.mapping import _fusion_kernels as fusion
 from wheelsight.mapping import _match_kernels as match
@@ -114,6 +114,20 @@ class SurfelMap:
     def restore(self, dropped: int, T_map_keyframe: FloatArray) -> None:
         """Count so many surfels as given up before, and know the keyframes (K, 4, 4): for a map read from a file."""
         self.blocks.dropped, self._T_map_keyframe = dropped, T_map_keyframe
+
+    def hang_on(self, store: KeyframeStore) -> None:
+        """Move surfels to where a store has their keyframes by now, and with them from now on: for a map from a file.
+
+        Raises MapError where the store has fewer keyframes than the map.
+        """
+        known = self.T_map_keyframe
+        if len(known) > len(store):
+            raise MapError(f"has {len(known)} keyframes, the store {len(store)}", fix="give the store of this map")
+        moves = store.T_map_keyframe[: len(known)] @ se3.invert(known)
+        moves = np.where(np.isfinite(moves).all(axis=(1, 2), keepdims=True), moves, np.eye(4))
+        if not np.allclose(moves, np.eye(4), atol=1e-12):
+            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules)
+        self._store, self._follower = store, store.follow()
 
     def move(self, T_new_old: FloatArray) -> None:
         """Move the whole map by a rigid motion (4, 4) from the left, and all keyframes of its store.

@@ -60,6 +60,9 @@ def parts_of(config: Config) -> tuple[str, ...]:
     wanted = {{"rectified": "places"}.get(track, track) for track in config.tracks}
     wanted |= {"places"} if config.places.model is not None else set()
     wanted |= {"loops"} if config.loops.source == FROM_KEYFRAMES else set()
+    wanted |= (
+        {"dense"} if config.sessions.keep_map else set()
+    )  # keyframes are halved and recognised as dense odometry's
     return tuple(part for part in PARTS if part in wanted)
 
 

@@ -43,3 +43,8 @@ class MapRecord:
     plan: Plan | None
     pictures: tuple[MapPicture, ...] = ()
     is_levelled: bool = True
+
+    @property
+    def sentence(self) -> str:
+        """How large it is."""
+        return f"{self.status.surfels:,} surfels, {self.status.stable:,} of them stable"

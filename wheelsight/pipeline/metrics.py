@@ -77,6 +77,7 @@ def _of_odometry(record: RunRecord, passage: Passage, source: EventSource) -> di
         **({} if record.map is None else {"map": _map(record.map)}),
         **({} if record.rectification is None else {"rectification": _rectification(record.rectification)}),
         **({} if record.correction is None else {"loops": record.correction.to_dict()}),
+        **({} if record.kept_map is None else {"kept_map": record.kept_map.to_dict()}),
         **({"joined": _joined(facts_of(record))} if record.is_joined else {}),
     }
 

@@ -13,13 +13,14 @@ import numpy as np
 
 from wheelsight.config import Config, TrackName, save_config
 from wheelsight.files import make_output_folder, output_error, write_text
-from wheelsight.mapping import save_map
+from wheelsight.pipeline.kept_maps import save_surfels
 from wheelsight.pipeline.loops import CORRECTED_FILE, JUDGED_FILE, judged_csv
 from wheelsight.pipeline.maps import MAP_FILE
 from wheelsight.pipeline.metrics import joint_metrics, metrics_of
 from wheelsight.pipeline.places import looks_csv
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import Passage
+from wheelsight.slam.sessions import MAP_FOLDER, discard_map
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import write_tum
 
@@ -64,6 +65,7 @@ def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
         try:
             for name in _OF_ONE:
                 (place / name).unlink(missing_ok=True)
+            discard_map(place / MAP_FOLDER)
             if place.is_dir() and place != folder and not any(place.iterdir()):
                 place.rmdir()
         except OSError as error:
@@ -92,9 +94,11 @@ def _write_correction(record: RunRecord, folder: Path) -> None:
 
 def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:
     """The map of a run that has one; what an earlier run left in its place goes."""
-    (surfel_map,) = (track.localizer.map for track in passage.tracks if track.odometry == record.odometry)
-    if record.map is not None and surfel_map is not None:
-        save_map(surfel_map, path)
+    (track,) = (track for track in passage.tracks if track.odometry == record.odometry)
+    if record.kept_map is None:
+        discard_map(path.with_name(MAP_FOLDER))
+    if record.map is not None and track.localizer.map is not None:
+        save_surfels(track.localizer.map, path, track.map_path)
     else:
         _forget(path)
 

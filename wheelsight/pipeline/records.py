@@ -10,6 +10,7 @@ import numpy as np
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate
+from wheelsight.pipeline.kept_maps import finish_map
 from wheelsight.pipeline.loops import MatchesOfRun, correction_of
 from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.maps import map_record_of
@@ -67,6 +68,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
     surfels = _map(track, passage, source)
+    kept = finish_map(track, passage)  # after the map was laid where the trajectory has it
     return RunRecord(
         recording=source.name,
         format=format_of(source),
@@ -83,6 +85,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
             *_repeats(track),
             *(() if evaluation is None else evaluation.warnings),
             *_map_warnings(track, passage, config),
+            *(() if kept is None else kept.warnings),
         ),
         evaluation_problem=problem,
         pictures=tuple(track.photographer.pictures),
@@ -92,6 +95,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
         unit=UNITS[track.odometry],
         odometry=track.odometry,
         map=surfels,
+        kept_map=kept,
         realtime=source.report() if isinstance(source, RealTimeRecording) else None,
     )
 

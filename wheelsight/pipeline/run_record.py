@@ -12,6 +12,7 @@ import numpy as np
 from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import Evaluation
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray
+from wheelsight.pipeline.kept_map_record import KeptMapRecord
 from wheelsight.pipeline.loops import CorrectionRecord
 from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.realtime_record import RealTimeRecord
@@ -116,6 +117,7 @@ class RunRecord:
         map: what was built on the way, or None.
         correction: what matches from outside made of the trajectory, or None.
         realtime: how it went, if the recording was played in real time, or None.
+        kept_map: the map folder that it leaves for the next drive, or None.
     """
 
     recording: str
@@ -138,6 +140,7 @@ class RunRecord:
     map: MapRecord | None = None
     realtime: RealTimeRecord | None = None
     correction: CorrectionRecord | None = None
+    kept_map: KeptMapRecord | None = None
 
     @property
     def posed(self) -> int:

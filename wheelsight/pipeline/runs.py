@@ -8,6 +8,7 @@ from pathlib import Path
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
+from wheelsight.pipeline.kept_maps import keeping_maps
 from wheelsight.pipeline.loops import MatchesOfRun, matches_of_run
 from wheelsight.pipeline.origin import frame_count_of, wheel_count_of, where
 from wheelsight.pipeline.outputs import Draw, write_results
@@ -15,7 +16,7 @@ from wheelsight.pipeline.places import PlacesOfRun, places_of
 from wheelsight.pipeline.realtime import RealTimeRecording
 from wheelsight.pipeline.records import records_of
 from wheelsight.pipeline.run_record import FrameRecord, RunRecord
-from wheelsight.pipeline.track import UNITS, Track, begin_all, follow
+from wheelsight.pipeline.track import UNITS, Passage, Track, begin_all, follow
 from wheelsight.recordings import Recording
 from wheelsight.recordings.clocks import FRAMES, WHEELS, refuse_if_apart, refuse_other_units
 from wheelsight.sources import EventSource
@@ -51,14 +52,20 @@ def run_each(
     tracks, places, matches = _begin(source, config)
     folder = make_output_folder(Path(out), force)
     on_ready()
-    passage = follow(tracks, source, config, on_event, None if places is None else places.places, duration_s)
-    if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in tracks):
-        raise passage.interruption
-    records = records_of(passage, source, config, places, matches)
+    with keeping_maps(tracks, source, config, folder):
+        passage = follow(tracks, source, config, on_event, None if places is None else places.places, duration_s)
+        _raise_where_nothing(passage)
+        records = records_of(passage, source, config, places, matches)
     write_results(records, passage, source, config, folder, draw)
     if passage.interruption is not None:
         raise passage.interruption
     return records
+
+
+def _raise_where_nothing(passage: Passage) -> None:
+    """Ctrl-C before anything was answered leaves nothing to write."""
+    if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in passage.tracks):
+        raise passage.interruption
 
 
 def _begin(source: EventSource, config: Config) -> tuple[tuple[Track, ...], PlacesOfRun | None, MatchesOfRun | None]:

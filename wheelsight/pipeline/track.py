@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from wheelsight.config import Config, TrackName
@@ -23,6 +24,7 @@ from wheelsight.pipeline.realtime import RealTimeRecording, rehearse
 from wheelsight.pipeline.rectification_record import Look
 from wheelsight.pipeline.run_record import FrameRecord, MatchPicture
 from wheelsight.recordings import Recording
+from wheelsight.slam.sessions import MapWriter
 from wheelsight.sources import EventSource
 
 # What a track's record lists; of rectified and joined ones frames, though they tell a pose at each reading too.
@@ -75,6 +77,7 @@ class Track:
         stage_seconds: how long each stage of each frame took.
         looks: what each frame said of the area, where places were asked.
         stops: where to look at the map from, where one is built.
+        map_writer, map_path: what writes a map folder for the next drive, and where, if anything does.
     """
 
     odometry: TrackName
@@ -87,6 +90,8 @@ class Track:
     stage_seconds: dict[str, list[float]] = field(default_factory=dict)
     looks: list[Look] = field(default_factory=list)
     stops: Stops = field(default_factory=lambda: Stops([]))
+    map_writer: MapWriter | None = None
+    map_path: Path | None = None
 
     @classmethod
     def begin(cls, odometry: TrackName, source: EventSource, config: Config, places: Places | None) -> Track:
@@ -125,6 +130,8 @@ class Track:
         told_s = None if estimate.T_odom_body is None else estimate.stamp_s
         answer = FrameRecord(index, stamp_s, *outcome, seconds, localizer.note, *_size(localizer.map), flags, told_s)
         is_frame = isinstance(event, RgbdFrame | SkippedFrame)
+        if is_frame and self.map_writer is not None:
+            self.map_writer.look(estimate)
         if is_frame or UNITS[self.odometry] == "reading":
             self.frames.append(answer)
         if is_frame and self.odometry == "rectified":

@@ -58,6 +58,16 @@ class Recognizer:
     def __len__(self) -> int:
         return len(self._keyframes)
 
+    @property
+    def settings(self) -> RecognitionSettings:
+        """By which its codes were made."""
+        return self._settings
+
+    @property
+    def keyframes(self) -> tuple[KeyframeId, ...]:
+        """Those that it knows, in the order in which they were added."""
+        return tuple(self._keyframes)
+
     def add(self, number: KeyframeId, view: Keyframe | SeenView) -> None:
         """Know a keyframe from now on. Raises ArgumentError for one that it knows."""
         if number in self._rows:
@@ -97,7 +107,7 @@ class Recognizer:
         buffer = io.BytesIO()
         words = {f"words_{name}": array for name, array in self._words.arrays().items()}
         arrays: dict[str, Any] = {**told, **ferns, **kept, **words}
-        np.savez(buffer, **arrays)
+        np.savez_compressed(buffer, **arrays)
         write_bytes(path, buffer.getvalue())
 
     @classmethod

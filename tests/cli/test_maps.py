@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from sessions.kept_views import write_map
+from typer.testing import Result
+
+from wheelsight.slam.sessions import MapFolder
+from wheelsight.slam.sessions.journal import read_journal
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Path:
+    (tmp_path / "run").mkdir()
+    write_map(tmp_path / "run" / "map", 5)
+    return tmp_path / "run"
+
+
+def damage(run: Path) -> None:
+    path = run / "map" / "keyframes-00000.journal"
+    data = bytearray(path.read_bytes())
+    data[read_journal(path).records[1][0].offset + 99] ^= 1
+    path.write_bytes(data)
+
+
+def test_what_a_map_holds_is_told_within_80_columns(
+    wheelsight: Command, kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    result = wheelsight("map", "info", kept)
+    assert result.exit_code == 0, result.output
+    lines = [line.rstrip() for line in result.stdout.splitlines()]
+    assert lines[0] == "map of made up"
+    assert max(map(len, lines)) <= 80
+    facts = {line.split()[0]: " ".join(line.split()[1:]) for line in lines[1:]}
+    assert facts["camera"] == "64×48, fx 60.0, fy 60.0, cx 31.5, cy 23.5 px"
+    assert facts["keyframes"].startswith("5, ")
+    assert facts["edges"] == "4 by odometry, 0 loops; all hang together"
+    assert facts["surfels"] == "none; wheelsight map rebuild makes them"
+    assert facts["time"] == "4.0 s"
+    assert facts["health"] == "whole"
+    assert result.stderr == ""
+
+
+def test_damage_is_told_in_the_table_and_as_json(wheelsight: Command, kept: Path) -> None:
+    damage(kept)
+    result = wheelsight("map", "info", kept / "map")
+    assert result.exit_code == 0, result.output
+    assert "damaged, see below" in result.stdout
+    first, second = result.stderr.splitlines()
+    assert first.startswith("warning: keyframes-00000.journal: ")
+    assert second == "warning: 1 keyframes are lost: 1."
+    told = json.loads(wheelsight("map", "info", kept, "--json").stdout)
+    assert told["health"]["is_whole"] is False
+    assert told["keyframes"] == 4
+    assert (told["source"], told["camera"]["width"]) == ("made up", 64)
+
+
+def test_a_map_is_rebuilt_and_its_points_are_written(wheelsight: Command, kept: Path, tmp_path: Path) -> None:
+    result = wheelsight("map", "rebuild", kept, "--out", tmp_path / "new")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("5 keyframes, 0 loops, ")
+    assert MapFolder.open(tmp_path / "new").surfels() is not None
+    assert "is not empty" in wheelsight("map", "rebuild", kept, "--out", tmp_path / "new").stderr
+    ply = tmp_path / "points.ply"
+    result = wheelsight("map", "export", tmp_path / "new", "--all", "--out", ply)
+    assert result.exit_code == 0, result.output
+    assert ply.read_bytes().startswith(b"ply\n")
+    count = int(result.stdout.split()[0].replace(",", ""))
+    assert f"element vertex {count}\n".encode() in ply.read_bytes()[:500]
+    assert "is there already" in wheelsight("map", "export", tmp_path / "new", "--out", ply).stderr
+    bare = wheelsight("map", "export", kept, "--all", "--out", tmp_path / "bare.ply")
+    assert bare.stderr.strip() == "the map has no surfels; they are fused of its keyframes"
+    assert bare.stdout.split()[0] == result.stdout.split()[0]
+
+
+def test_what_is_no_map_is_refused_in_a_line(refusal: Callable[..., str], kept: Path, tmp_path: Path) -> None:
+    assert refusal("map", "info", tmp_path / "nowhere").endswith("nowhere: there is no such folder (check the path)")
+    assert "does not end in .ply" in refusal("map", "export", kept, "--out", tmp_path / "points.obj")
+    path = kept / "map" / "map.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 9}))
+    assert "is of version 9, newer than 1" in refusal("map", "info", kept)

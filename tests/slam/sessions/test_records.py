@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from sessions.kept_views import CAMERA, INTRINSICS, SETTINGS, edge, keyframe, pose
+
+from wheelsight.calibration import DepthNoise
+from wheelsight.errors import MapError
+from wheelsight.keyframes import Keyframe
+from wheelsight.slam.sessions import SessionSettings, records
+from wheelsight.slam.sessions.images import DepthSteps
+from wheelsight.slam.sessions.records import Place
+
+NOISE = DepthNoise()
+STEPS = DepthSteps.of_noise(NOISE, SETTINGS.depth_sigmas)
+
+
+def there_and_back(given: Keyframe, settings: SessionSettings = SETTINGS) -> Keyframe:
+    return records.unpack_keyframe(records.pack_keyframe(given, STEPS, settings))
+
+
+def test_a_keyframe_comes_back_within_its_noise() -> None:
+    given = keyframe(3)
+    back = there_and_back(given)
+    assert back.stamp_s == 3.0
+    assert_array_equal(back.intrinsics, INTRINSICS)
+    known = given.depth_m > 0
+    assert_array_equal(back.depth_m > 0, known)
+    # Half a step, and what the keyframe itself rounds.
+    limit = (0.5 * SETTINGS.depth_sigmas * NOISE.sigma_m(given.depth_m) + 0.0001 + 1e-6)[known]
+    assert (np.abs(back.depth_m - given.depth_m)[known] <= 1.01 * limit).all()
+    # What is darker than half a step must not become unknown.
+    limit = np.where(given.grey < SETTINGS.grey_step / 2, SETTINGS.grey_step, SETTINGS.grey_step / 2)
+    assert (np.abs(back.grey - given.grey) <= limit).all()
+    assert_array_equal(back.grey > 0, given.grey > 0)
+    assert given.features is not None
+    assert back.features is not None
+    kept = given.features.points[:, 2] > 0
+    assert 0 < np.count_nonzero(kept) < len(kept)
+    assert_array_equal(back.features.descriptors, given.features.descriptors[kept])
+    assert_allclose(back.features.px, given.features.px[kept], rtol=1e-6)
+    assert_allclose(back.features.points, given.features.points[kept], rtol=1e-6)
+
+
+def test_what_came_back_once_stays_as_it_is() -> None:
+    once = there_and_back(keyframe(4))
+    twice = there_and_back(once)
+    assert_array_equal(twice.depth_m, once.depth_m)
+    assert_array_equal(twice.grey, once.grey)
+
+
+def test_images_that_are_too_wide_are_halved() -> None:
+    given = keyframe(5, keypoints=None, size=(96, 128))
+    back = there_and_back(given, SessionSettings(width_px=64))
+    assert back.depth_m.shape == (48, 64)
+    assert_allclose(back.intrinsics, [30, 30, 15.5, 11.5])
+    assert back.features is None
+    assert there_and_back(given, SessionSettings(width_px=128)).depth_m.shape == (96, 128)
+    assert back.depth_m.shape == (CAMERA.height, CAMERA.width)
+
+
+def test_keypoints_are_left_out_evenly_where_there_is_no_room() -> None:
+    given, settings = keyframe(6, keypoints=2000), SessionSettings(most_kb=40, least_keypoints=10)
+    packed = records.pack_keyframe(given, STEPS, settings)
+    back = records.unpack_keyframe(packed)
+    assert given.features is not None
+    assert back.features is not None
+    assert 30_000 < len(packed) <= 40_000
+    kept = given.features.descriptors[given.features.points[:, 2] > 0]
+    rows = [np.flatnonzero((kept == one).all(axis=1))[0] for one in back.features.descriptors]
+    steps = np.diff(rows)
+    assert (rows[0], rows[-1]) == (0, len(kept) - 1)
+    assert set(steps) <= {steps.min(), steps.min() + 1}
+    least = records.unpack_keyframe(records.pack_keyframe(given, STEPS, SessionSettings(most_kb=1, least_keypoints=10)))
+    assert least.features is not None
+    assert len(least.features.px) == 10
+
+
+def test_a_code_comes_back() -> None:
+    given = keyframe(1)
+    code = np.arange(5.0)
+    coded = Keyframe(given.stamp_s, given.intrinsics, given.depth_png, given.grey_png, given.features, code)
+    assert_array_equal(there_and_back(coded).code, code)
+    assert there_and_back(given).code is None
+
+
+@given(cut=st.integers(0, 20_000), at=st.integers(0, 20_000), value=st.integers(0, 255))
+def test_bytes_that_are_no_keyframe_are_refused_or_one(cut: int, at: int, value: int) -> None:
+    """Such bytes pass no checksum; a hostile file may bring them all the same."""
+    data = bytearray(records.pack_keyframe(keyframe(2), STEPS, SETTINGS))
+    cut, at = cut % len(data), at % len(data)
+    with pytest.raises(MapError):
+        records.unpack_keyframe(bytes(data[:cut]))
+    data[at] = value
+    try:
+        found = records.unpack_keyframe(bytes(data))
+    except MapError:
+        return
+    assert found.depth_m.shape == found.grey.shape
+
+
+def test_an_image_that_says_to_be_huge_is_refused() -> None:
+    data = records.pack_keyframe(keyframe(2), STEPS, SETTINGS)
+    begin = data.index(b"IHDR") + 4
+    huge = data[:begin] + (1 << 30).to_bytes(4, "big") * 2 + data[begin + 8 :]
+    with pytest.raises(MapError, match="an image of it cannot be read"):
+        records.unpack_keyframe(huge)
+
+
+def test_places_edges_and_poses_come_back_to_the_last_bit() -> None:
+    for T_odom in (pose(5), None):
+        place = records.unpack_place(records.pack_place(Place(1.5, pose(4), T_odom)))
+        assert place.stamp_s == 1.5
+        assert_array_equal(place.T_map_keyframe, pose(4))
+        assert (place.T_odom_keyframe is None) == (T_odom is None)
+        if T_odom is not None:
+            assert_array_equal(place.T_odom_keyframe, T_odom)
+    edges = (edge(0, 1), edge(7, 2, is_loop=True))
+    for back, one in zip(records.unpack_edges(records.pack_edges(edges)), edges, strict=True):
+        assert (back.first, back.second, back.is_loop) == (one.first, one.second, one.is_loop)
+        assert_array_equal(back.T_first_second, one.T_first_second)
+        assert_array_equal(back.covariance, one.covariance)
+    numbers, T = records.unpack_poses(records.pack_poses([3, 1], np.array([pose(3), pose(1)])))
+    assert numbers.tolist() == [3, 1]
+    assert_array_equal(T, [pose(3), pose(1)])
+    assert records.unpack_numbers(records.pack_numbers([4, 2])) == (4, 2)
+
+
+def test_what_contradicts_itself_is_refused() -> None:
+    bent = pose(1) * 1.5
+    with pytest.raises(MapError, match="no rigid motions"):
+        records.unpack_place(records.pack_place(Place(1.0, bent)))
+    with pytest.raises(MapError, match="no rigid motions"):
+        records.unpack_poses(records.pack_poses([0], bent[None]))
+    with pytest.raises(MapError, match="an edge that is none"):
+        records.unpack_edges(records.pack_edges([edge(1, 1)]))
+    with pytest.raises(MapError, match="holds 7 bytes, which are no numbers"):
+        records.unpack_numbers(bytes(7))
+    with pytest.raises(MapError, match="is no place"):
+        records.unpack_place(b"short")

@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from full_disk import FullDisk
+from numpy.testing import assert_allclose, assert_array_equal
+from sessions.kept_views import CALIBRATION, SETTINGS, edge, keyframe, pose
+from sessions.killed_drive import KEYFRAMES_A_SECOND
+
+from wheelsight.estimates import Estimate, Status
+from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.mapping import SurfelMap
+from wheelsight.settings import FernSettings, RecognitionSettings
+from wheelsight.slam.sessions import MapFolder, MapWriter, SessionSettings
+from wheelsight.slam.sessions.writer import THREAD
+
+RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
+PROJECT = Path(__file__).resolve().parents[3]
+
+
+def answer(number: int) -> Estimate:
+    C = 1e-4 * (number + 1) * np.eye(6)
+    held = KeyframeId(number)
+    return Estimate(float(number), Status.TRACKING, pose(number), C, keyframe=held, T_keyframe_body=np.eye(4))
+
+
+def drive(writer: MapWriter, store: KeyframeStore, count: int) -> None:
+    for number in range(count):
+        store.add(partial(keyframe, number), pose(number))
+        for _ in range(3):
+            writer.look(answer(number))
+
+
+def test_a_drive_leaves_its_map(tmp_path: Path) -> None:
+    store = KeyframeStore()
+    writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store, RECOGNITION)
+    drive(writer, store, 7)
+    store.move([KeyframeId(2)], pose(12)[None])
+    surfel_map = SurfelMap(store=store)
+    writer.close(surfel_map)
+    assert (writer.keyframes, writer.warnings) == (7, ())
+    assert not any(thread.name == THREAD for thread in threading.enumerate())
+    found = MapFolder.open(tmp_path / "map")
+    assert_array_equal(found.store.T_map_keyframe, store.T_map_keyframe)
+    assert all(found.store[number].stamp_s == number for number in found.store)
+    assert [(one.first, one.second) for one in found.edges] == [(k, k + 1) for k in range(6)]
+    T_odom_keyframe = found.contents.places[4].T_odom_keyframe
+    assert T_odom_keyframe is not None
+    assert_allclose(T_odom_keyframe, pose(4), atol=1e-12)
+    asked: list[int] = []
+    assert len(found.recognizer(RECOGNITION, lambda done, total: asked.append(done))) == 7
+    assert asked == []
+    surfels = found.surfels()
+    assert surfels is not None
+    assert len(surfels) == 0
+    MapFolder.open(tmp_path / "map", read_only=False).close()  # nobody holds it
+
+
+def test_a_keyframe_is_written_once_it_is_settled(tmp_path: Path) -> None:
+    """The first is made anew at the second frame."""
+    store = KeyframeStore()
+    folder = MapFolder.create(tmp_path / "map", CALIBRATION, SessionSettings(settled_frames=2))
+    writer = MapWriter(folder, store)
+    number = store.add(keyframe(0), pose(0))
+    writer.look(answer(0))
+    store.replace(number, keyframe(77))
+    writer.look(answer(0))
+    writer.look(answer(0))
+    writer.close()
+    found = MapFolder.open(tmp_path / "map")
+    assert found.store[KeyframeId(0)].stamp_s == 77
+
+
+def test_moved_keyframes_are_written_while_driving(tmp_path: Path) -> None:
+    store, path = KeyframeStore(), tmp_path / "map"
+    clock = iter(range(1_000_000))
+    writer = MapWriter(MapFolder.create(path, CALIBRATION, SETTINGS), store, now_s=lambda: float(next(clock)))
+    drive(writer, store, 3)
+    store.move([KeyframeId(1)], pose(21)[None])
+    waiting = threading.Event()
+    for _ in range(100_000):
+        writer.look(answer(2))
+        found = MapFolder.open(path).store.T_map_keyframe
+        if len(found) == 3 and np.array_equal(found[1], pose(21)):
+            break
+        waiting.wait(0.01)
+    else:
+        pytest.fail("the moved pose was never written")
+    writer.close()
+
+
+def test_loops_are_kept_and_those_that_were_false_are_not(tmp_path: Path) -> None:
+    store = KeyframeStore()
+    writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store)
+    drive(writer, store, 5)
+    loops = [edge(4, 0, is_loop=True), edge(3, 0, is_loop=True), edge(3, 0, is_loop=True)]
+    writer.add_edges(loops[:2])
+    writer.add_edges(loops[2:])
+    writer.withdraw_edges([loops[1], edge(4, 0, is_loop=True)])  # the last one was never added
+    drive_more = store.add(keyframe(5), pose(5))
+    writer.look(answer(drive_more))
+    writer.close()
+    found = MapFolder.open(tmp_path / "map")
+    assert [(one.first, one.second) for one in found.edges if one.is_loop] == [(4, 0), (3, 0)]
+    assert [(one.first, one.second) for one in found.edges if not one.is_loop] == [(k, k + 1) for k in range(5)]
+
+
+def test_a_keyframe_that_could_not_be_made_is_told(tmp_path: Path) -> None:
+    def fail():
+        raise ValueError("no image")
+
+    store = KeyframeStore()
+    writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store)
+    store.add(keyframe(0), pose(0))
+    store.add(fail, pose(1))
+    for _ in range(3):
+        writer.look(None)
+    writer.close()
+    assert writer.warnings == ("Keyframe 1 is not in the map: no image.",)
+    assert len(MapFolder.open(tmp_path / "map").store) == 1
+
+
+def test_on_a_full_disk_the_drive_goes_on_and_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    FullDisk("keyframes-00001.journal", 2000).take_over(monkeypatch)
+    store = KeyframeStore()
+    writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store, RECOGNITION)
+    drive(writer, store, 7)
+    writer.close(SurfelMap(store=store))
+    (warning,) = writer.warnings
+    where = tmp_path / "map" / "keyframes-00001.journal"
+    fix = "free some space, or choose another folder"
+    assert warning == f"The map is not written any further: {where}: no space left on the disk ({fix})."
+    assert writer.keyframes == 3
+    found = MapFolder.open(tmp_path / "map")
+    assert len(found.store) == 3
+    assert len(found.recognizer(RECOGNITION)) == 3
+
+
+def test_extending_a_map_goes_on_with_its_numbers(tmp_path: Path) -> None:
+    store = KeyframeStore()
+    writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store)
+    drive(writer, store, 4)
+    writer.close()
+    folder = MapFolder.open(tmp_path / "map", read_only=False)
+    writer = MapWriter(folder, folder.store)
+    assert folder.store.add(keyframe(40), pose(40)) == 4
+    for _ in range(3):
+        writer.look(None)
+    folder.store.move([KeyframeId(0), KeyframeId(4)], np.array([pose(50), pose(54)]))
+    writer.close()
+    found = MapFolder.open(tmp_path / "map").store
+    assert [found[number].stamp_s for number in found] == [0, 1, 2, 3, 40]
+    assert_array_equal(found.T_map_keyframe, [pose(k) for k in (50, 1, 2, 3, 54)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_a_kill_at_any_moment_costs_the_last_seconds_alone(tmp_path: Path, seed: int) -> None:
+    path = tmp_path / "map"
+    program = Path(__file__).with_name("killed_drive.py")
+    folders = (PROJECT, PROJECT / "tests" / "slam")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
+    child = subprocess.Popen([sys.executable, str(program), str(path)], env=environment, stdout=subprocess.PIPE)
+    assert child.stdout is not None
+    chosen = random.Random(seed)
+    last = chosen.randrange(1, 60)
+    told = -1
+    for line in child.stdout:
+        told = int(line)
+        if told >= last:
+            break
+    threading.Event().wait(chosen.uniform(0, 0.06))
+    child.send_signal(signal.SIGKILL)
+    told = max([told, *(int(line) for line in child.stdout if line.endswith(b"\n"))])
+    child.wait()
+    child.stdout.close()
+    found = MapFolder.open(path, read_only=False)  # what the dead process held is free
+    assert told + 1 - len(found.store) <= 5 * KEYFRAMES_A_SECOND
+    assert found.contents.health.is_whole
+    assert all(found.store[number].stamp_s == number % 8 for number in found.store)
+    ends = [(one.first, one.second) for one in found.edges]
+    assert ends == [(k, k + 1) for k in range(len(ends))]
+    assert len(ends) >= len(found.store) - 2
+    found.close()

@@ -1,0 +1,106 @@
+"""What `wheelsight map` does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from wheelsight.mapping import SurfelMap
+    from wheelsight.slam.sessions import MapFolder, MapInfo
+
+_MB = 1e6
+
+
+def info(source: Path, as_json: bool) -> None:
+    """Print the figures of a map."""
+    from wheelsight.cli._console import console, facts_table, print_json, print_warning
+    from wheelsight.slam.sessions import info_of
+
+    folder = _opened(source)
+    found = info_of(folder)
+    if as_json:
+        print_json(found.to_dict())
+        return
+    console().print(facts_table(f"map of {found.header.source or 'a drive'}", _facts(found)))
+    for note in found.health.notes:
+        print_warning(note)
+
+
+def export(source: Path, out: Path, everything: bool, force: bool) -> None:
+    """Write the surfels of a map as points."""
+    from wheelsight.cli._outputs import check_out
+    from wheelsight.errors import ConfigError
+    from wheelsight.mapping import write_ply
+
+    if out.suffix.lower() != ".ply":
+        raise ConfigError(f"--out is {str(out)!r}, which does not end in .ply", fix="PLY is what is written")
+    folder = _opened(source)
+    check_out(out, force)
+    count = write_ply(folder.surfels() or _fused(folder), out, stable_only=not everything)
+    typer.echo(f"{count:,} points, {out.stat().st_size / _MB:.1f} MB: {out}")
+
+
+def rebuild(source: Path, out: Path) -> None:
+    """Write a map anew."""
+    from wheelsight.cli._progress import FrameProgress
+    from wheelsight.slam.sessions import info_of, rebuild
+
+    folder = _opened(source)
+    _compile()
+    with FrameProgress("rebuilding", None, unit="keyframes") as progress:
+        new = rebuild(folder, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
+    told = info_of(new)
+    surfels = f"{(told.surfel_bytes or 0) / _MB:.1f} MB of surfels"
+    typer.echo(f"{told.keyframes:,} keyframes, {told.loops:,} loops, {surfels}: {out}")
+
+
+def _opened(source: Path) -> MapFolder:
+    from wheelsight.slam.sessions import MapFolder, find_map
+
+    return MapFolder.open(find_map(source))
+
+
+def _fused(folder: MapFolder) -> SurfelMap:
+    from wheelsight.cli._console import print_note
+    from wheelsight.cli._progress import FrameProgress
+    from wheelsight.slam.sessions import fused_anew
+
+    print_note("the map has no surfels; they are fused of its keyframes")
+    _compile()
+    with FrameProgress("fusing", None, unit="keyframes") as progress:
+        return fused_anew(folder, on_keyframe=progress.reach)
+
+
+def _compile() -> None:
+    from wheelsight.cli._compiling import compile_missing
+
+    compile_missing(["dense"])
+
+
+def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
+    header, camera = found.header, found.header.camera
+    yield "made", f"{header.made} by {header.made_by}"
+    lens = f"fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx {camera.cx:.1f}, cy {camera.cy:.1f} px"
+    yield "camera", f"{camera.width}×{camera.height}, {lens}"
+    kilobytes = found.keyframe_bytes / 1e3
+    yield "keyframes", f"{found.keyframes:,}" + (f", {kilobytes:.0f} kB each" if found.keyframes else "")
+    if found.begin_s is not None and found.end_s is not None:
+        yield "time", f"{found.end_s - found.begin_s:.1f} s"
+        yield "way", f"{found.length_m:.1f} m from keyframe to keyframe"
+    yield "edges", f"{found.edges:,} by odometry, {found.loops:,} loops; {_parts(found.parts)}"
+    yield "surfels", _size(found.surfel_bytes, "none; wheelsight map rebuild makes them")
+    yield "recognition", _size(found.recognition_bytes, "made when the map is used")
+    yield "size", f"{found.bytes / _MB:.1f} MB"
+    yield "health", "whole" if found.health.is_whole else "damaged, see below"
+
+
+def _parts(parts: int) -> str:
+    return "all hang together" if parts <= 1 else f"in {parts:,} parts that do not hang together"
+
+
+def _size(size: int | None, missing: str) -> str:
+    return missing if size is None else f"{size / _MB:.1f} MB"

@@ -1,0 +1,105 @@
+"""The map folders that a run leaves, for the next drive: begun, written while driving, and finished."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from wheelsight.config import Config
+from wheelsight.files import StrPath
+from wheelsight.mapping import SurfelMap, save_map
+from wheelsight.pipeline.kept_map_record import KeptMapRecord
+from wheelsight.pipeline.track import Passage, Track
+from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, MapWriter, discard_map
+from wheelsight.slam.sessions.map_folder import SURFELS_FILE
+from wheelsight.sources import EventSource
+
+
+@contextmanager
+def keeping_maps(tracks: Sequence[Track], source: EventSource, config: Config, folder: Path) -> Iterator[None]:
+    """Let each track that is to leave a map write it, while the block runs; however it ends, what is written is a map.
+
+    What an earlier run left in its place goes.
+
+    Raises:
+        OutputError: the folder cannot be made, or holds something else.
+        MapError: another run writes it.
+    """
+    try:
+        for track in tracks:
+            if _is_asked(track, tracks, config):
+                _begin(track, source, config, (folder if len(tracks) == 1 else folder / track.odometry) / MAP_FOLDER)
+        yield
+    finally:
+        for track in tracks:
+            _close(track)
+
+
+def _begin(track: Track, source: EventSource, config: Config, path: Path) -> None:
+    store = track.localizer.keyframes
+    assert store is not None
+    discard_map(path)
+    factor = config.recording.depth_factor
+    kept = MapFolder.create(path, source.calibration, config.sessions, source=source.name, depth_factor=factor)
+    track.map_writer, track.map_path = MapWriter(kept, store, config.recognition), path
+
+
+def _close(track: Track) -> None:
+    if track.map_writer is not None and track.map_path is not None:
+        track.map_writer.close()
+        if _is_empty(track.map_writer):
+            discard_map(track.map_path)
+
+
+def _is_asked(track: Track, tracks: Sequence[Track], config: Config) -> bool:
+    """Of a camera alone; of joined sensors one map is enough."""
+    if track.localizer.keyframes is None:
+        return False
+    if track.odometry != "joined" and any(other.odometry == "joined" for other in tracks):
+        return False
+    asked = config.sessions.keep_map
+    return track.localizer.map is not None if asked is None else asked
+
+
+def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
+    """Write what is left of a track's map, if it has one; no surfels where the run was torn within a frame."""
+    writer, path = track.map_writer, track.map_path
+    if writer is None or path is None:
+        return None
+    writer.close(None if passage.is_torn else track.localizer.map)
+    if _is_empty(writer):
+        discard_map(path)
+        return None
+    return KeptMapRecord(path.name, writer.keyframes, _bytes_in(path), writer.warnings)
+
+
+def _is_empty(writer: MapWriter) -> bool:
+    """Whether its drive has seen nothing, rather than not been able to write it."""
+    return not writer.keyframes and not writer.warnings
+
+
+def _bytes_in(folder: Path) -> int:
+    try:
+        return sum(file.stat().st_size for file in folder.iterdir() if file.is_file())
+    except OSError:  # the disk is gone; the writer has said so
+        return 0
+
+
+def save_surfels(surfel_map: SurfelMap, path: StrPath, map_folder: Path | None) -> None:
+    """Write the surfel map of a run; where its map folder has the same file already, as another name of that.
+
+    Files are replaced and never changed, so that one may have two names. Raises OutputError.
+    """
+    path = Path(path)
+    if map_folder is None or not (map_folder / SURFELS_FILE).is_file():
+        save_map(surfel_map, path)
+        return
+    other_name = path.with_name(f".{path.name}.link")
+    try:
+        other_name.unlink(missing_ok=True)
+        os.link(map_folder / SURFELS_FILE, other_name)
+        other_name.replace(path)
+    except OSError:  # a file system without links
+        save_map(surfel_map, path)

@@ -1,0 +1,36 @@
+"""Maps that outlast a drive: a folder of keyframes, where they are and how they hang together.
+
+Written while driving so that a kill at any moment loses the last seconds at most; opened by the next drive.
+"""
+
+from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
+from wheelsight.slam.sessions.header import MapCamera, MapHeader
+from wheelsight.slam.sessions.info import MAP_FOLDER, MapInfo, find_map, info_of
+from wheelsight.slam.sessions.kept import KeptKeyframes
+from wheelsight.slam.sessions.map_folder import MapFolder, discard_map
+from wheelsight.slam.sessions.reading import FolderContents, Health
+from wheelsight.slam.sessions.rebuilding import fused_anew, rebuild
+from wheelsight.slam.sessions.records import Place
+from wheelsight.slam.sessions.settings import SessionSettings
+from wheelsight.slam.sessions.writer import MapWriter
+
+__all__ = [
+    "MAP_FOLDER",
+    "FolderContents",
+    "Health",
+    "KeptKeyframes",
+    "MapCamera",
+    "MapFolder",
+    "MapHeader",
+    "MapInfo",
+    "MapWriter",
+    "Place",
+    "SeenKeyframe",
+    "SessionSettings",
+    "discard_map",
+    "find_map",
+    "fused_anew",
+    "info_of",
+    "odometry_edge",
+    "rebuild",
+]

@@ -1,0 +1,330 @@
+"""MapFolder: a map that outlasts its drive, written piece by piece, and read by the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Self
+
+from wheelsight.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.errors import ArgumentError, MapError, OutputError
+from wheelsight.files import StrPath, make_output_folder, output_error
+from wheelsight.geometry import FloatArray, IntArray, se3
+from wheelsight.inputs import is_there
+from wheelsight.keyframes import Keyframe
+from wheelsight.mapping import SurfelMap, load_map, save_map
+from wheelsight.places.recognition import Recognizer
+from wheelsight.settings import RecognitionSettings
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.sessions import records
+from wheelsight.slam.sessions.header import HEADER_FILE, MapCamera, MapHeader, read_header
+from wheelsight.slam.sessions.images import DepthSteps
+from wheelsight.slam.sessions.journal import JournalWriter
+from wheelsight.slam.sessions.kept import KeptKeyframes
+from wheelsight.slam.sessions.lock import LOCK_FILE, MapLock
+from wheelsight.slam.sessions.reading import (
+    GRAPH,
+    KEYFRAMES,
+    FolderContents,
+    journal_name,
+    journals_of,
+    next_number,
+    read_contents,
+)
+from wheelsight.slam.sessions.records import Kind, Place
+from wheelsight.slam.sessions.settings import SessionSettings
+
+CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE = "calibration.yaml", "recognition.npz", "map.surfels"
+_READ_ONLY = "open it with read_only=False"
+
+
+class MapFolder:
+    """A map on disk: keyframes, where they are, edges between them, and what was made of them.
+
+    `create` begins a new one, `open` reads one; to one that is not read-only keyframes, edges and poses are appended.
+    What it held when it was opened is told by `store`, `edges` and `health`; what is appended later is not in them.
+
+    Nothing is rewritten in place: each writer begins journals of its own. Not to be used by two threads at once.
+
+    Attributes:
+        path: the folder.
+        header: what it says of itself.
+        calibration: of the robot that made it.
+        settings: how it is written and read.
+        contents: its journals, as they were when it was opened.
+        store: its keyframes, as they were when it was opened.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        header: MapHeader,
+        calibration: Calibration,
+        contents: FolderContents,
+        settings: SessionSettings,
+        lock: MapLock | None,
+    ) -> None:
+        self.path, self.header, self.calibration, self.settings = path, header, calibration, settings
+        self.contents, self._lock = contents, lock
+        self.store = KeptKeyframes(contents.where, contents.T_map_keyframe, settings.memory_keyframes)
+        self._steps = DepthSteps.of_noise(calibration.depth_noise, settings.depth_sigmas)
+        self._pieces = _Pieces(path, settings.piece_keyframes)
+        self._edge_count = contents.edge_count
+
+    @classmethod
+    def create(
+        cls,
+        path: StrPath,
+        calibration: Calibration,
+        settings: SessionSettings | None = None,
+        *,
+        source: str = "",
+        depth_factor: float | None = None,
+    ) -> Self:
+        """Begin a map in a folder that is empty or not there.
+
+        Args:
+            path: the folder.
+            calibration: of the robot; with a camera.
+            settings: or the defaults.
+            source: name of the recording or live source.
+            depth_factor: depth units a metre, where they are not those of the recording's format.
+
+        Raises:
+            OutputError: the folder holds something, or cannot be made or written.
+            CalibrationError: there is no camera.
+        """
+        settings, path = settings or SessionSettings(), Path(path)
+        header = MapHeader.new(MapCamera.of(calibration, depth_factor), source)
+        make_output_folder(path)
+        lock = MapLock(path)
+        try:
+            save_calibration(calibration, path / CALIBRATION_FILE)
+            header.save(path)  # the last: a folder with it is a map
+            return cls(path, header, calibration, read_contents(path), settings, lock)
+        except BaseException:
+            lock.release()
+            raise
+
+    @classmethod
+    def open(cls, path: StrPath, *, read_only: bool = True, settings: SessionSettings | None = None) -> Self:
+        """Read a map.
+
+        Raises:
+            MapError: it is none, of a newer version, damaged beyond what can be left out, or written by another run.
+            CalibrationError: its calibration is damaged.
+            OutputError: it is to be written and cannot be.
+        """
+        path, settings = Path(path), settings or SessionSettings()
+        header = read_header(path)
+        lock = None if read_only else MapLock(path)
+        try:
+            calibration = load_calibration(path / CALIBRATION_FILE)
+            return cls(path, header, calibration, read_contents(path), settings, lock)
+        except BaseException:
+            if lock is not None:
+                lock.release()
+            raise
+
+    @property
+    def edges(self) -> tuple[RelativePose, ...]:
+        """Those that hold, of odometry and loops, when it was opened."""
+        return self.contents.edges
+
+    def check_camera(self, calibration: Calibration, depth_factor: float | None = None) -> None:
+        """Raises MapError, saying what differs, where a calibration is of another camera than the map's."""
+        camera = MapCamera.of(calibration, depth_factor)
+        why = self.header.camera.why_other(camera, self.settings.camera_share)
+        if why is not None:
+            fix = "give the map of this camera, or --camera and --calibration as when it was made"
+            raise MapError(f"is of another camera: {why}", path=self.path, fix=fix)
+
+    def append_keyframe(
+        self, number: int, keyframe: Keyframe, T_map_keyframe: FloatArray, T_odom_keyframe: FloatArray | None = None
+    ) -> None:
+        """Keep a keyframe; of one number the last counts.
+
+        Args:
+            number: of the keyframe in the map.
+            keyframe: what was seen.
+            T_map_keyframe: (4, 4) by what is known now.
+            T_odom_keyframe: (4, 4) in the frame that never jumps, if that is known.
+
+        Raises:
+            OutputError: it cannot be written, or the map is read-only.
+            ArgumentError: a pose that is no rigid motion.
+        """
+        for T in (T_map_keyframe, T_odom_keyframe):
+            if T is not None and not se3.is_valid(T):
+                raise ArgumentError(f"the pose of keyframe {number} is no rigid motion", fix="give SE(3), (4, 4)")
+        self._need_lock()
+        content = records.pack_keyframe(keyframe, self._steps, self.settings)
+        self._pieces.of_keyframes().append(Kind.KEYFRAME, number, content)
+        place = records.pack_place(Place(keyframe.stamp_s, T_map_keyframe, T_odom_keyframe))
+        self._pieces.graph().append(Kind.PLACE, number, place)
+
+    def append_edges(self, edges: Sequence[RelativePose]) -> tuple[int, ...]:
+        """Keep edges; their numbers, by which they can be withdrawn. Raises OutputError."""
+        self._need_lock()
+        first = self._edge_count
+        if edges:
+            self._pieces.graph().append(Kind.EDGES, first, records.pack_edges(edges))
+            self._edge_count += len(edges)
+        return tuple(range(first, self._edge_count))
+
+    def withdraw_edges(self, numbers: Sequence[int]) -> None:
+        """Edges that do not hold, such as loops that were found to be false. Raises OutputError."""
+        self._need_lock()
+        if numbers:
+            self._pieces.graph().append(Kind.WITHDRAWN, 0, records.pack_numbers(numbers))
+
+    def append_poses(self, numbers: Sequence[int] | IntArray, T_map_keyframe: FloatArray) -> None:
+        """Where keyframes (K,) are by now (K, 4, 4); of each the last counts. Raises OutputError."""
+        self._need_lock()
+        if len(numbers):
+            self._pieces.graph().append(Kind.POSES, 0, records.pack_poses(numbers, T_map_keyframe))
+
+    def flush(self) -> None:
+        """Make what was appended outlive a loss of power. Raises OutputError."""
+        self._pieces.flush()
+
+    def save_recognition(self, recognizer: Recognizer) -> None:
+        """Keep what recognises the keyframes, so that the next drive need not make it anew. Raises OutputError."""
+        self._need_lock()
+        recognizer.save(self.path / RECOGNITION_FILE)
+
+    def save_surfels(self, surfel_map: SurfelMap) -> None:
+        """Keep a surfel map whose surfels hang on the map's keyframes. Raises OutputError."""
+        self._need_lock()
+        save_map(surfel_map, self.path / SURFELS_FILE)
+
+    def close(self) -> None:
+        """Flush, and let others write. Raises OutputError."""
+        lock, self._lock = self._lock, None
+        try:
+            self._pieces.close()
+        finally:
+            if lock is not None:
+                lock.release()
+
+    def recognizer(
+        self,
+        settings: RecognitionSettings | None = None,
+        on_keyframe: Callable[[int, int], None] = lambda done, total: None,
+    ) -> Recognizer:
+        """What recognises the keyframes: as kept, completed, or made anew where its file is missing or of others.
+
+        Args:
+            settings: or the defaults; a file of other settings is not used.
+            on_keyframe: called with how many are done, and of how many, where any is to be made.
+
+        Raises MapError where a keyframe cannot be read.
+        """
+        found, numbers = self._kept_recognizer(settings or RecognitionSettings()), list(self.store)
+        known = set(found.keyframes)
+        if not known <= set(numbers):
+            found, known = Recognizer(settings), set()
+        todo = [number for number in numbers if number not in known]
+        for done, number in enumerate(todo, start=1):
+            found.add(number, self.store[number])
+            on_keyframe(done, len(todo))
+        return found
+
+    def surfels(self) -> SurfelMap | None:
+        """The surfel map, moved to where its keyframes are by now; None where there is none. Raises MapError."""
+        path = self.path / SURFELS_FILE
+        if not is_there(path):
+            return None
+        surfel_map = load_map(path)
+        if len(surfel_map.T_map_keyframe) > len(self.store):
+            fix = "make it anew: wheelsight map rebuild"
+            raise MapError("hangs on keyframes that the map does not have", path=path, fix=fix)
+        surfel_map.hang_on(self.store)
+        return surfel_map
+
+    def _kept_recognizer(self, settings: RecognitionSettings) -> Recognizer:
+        """As its file has it; a new one where that is missing, damaged or of other settings."""
+        path = self.path / RECOGNITION_FILE
+        if is_there(path):
+            try:
+                found = Recognizer.load(path)
+            except MapError:  # all that it holds can be made again
+                return Recognizer(settings)
+            if found.settings == settings:
+                return found
+        return Recognizer(settings)
+
+    def _need_lock(self) -> None:
+        if self._lock is None:
+            raise OutputError("is read-only here", path=self.path, fix=_READ_ONLY)
+
+
+class _Pieces:
+    """The journals of one writer, begun when they are needed; of keyframes one after the other."""
+
+    def __init__(self, folder: Path, most_keyframes: int) -> None:
+        self._folder, self._most = folder, most_keyframes
+        self._keyframes: JournalWriter | None = None
+        self._graph: JournalWriter | None = None
+        self._count = 0
+
+    def of_keyframes(self) -> JournalWriter:
+        """Where the next keyframe goes."""
+        if self._keyframes is not None and self._count >= self._most:
+            full, self._keyframes = self._keyframes, None
+            full.close()
+        if self._keyframes is None:
+            self._keyframes, self._count = self._begun(KEYFRAMES), 0
+        self._count += 1
+        return self._keyframes
+
+    def graph(self) -> JournalWriter:
+        """Where all else goes."""
+        if self._graph is None:
+            self._graph = self._begun(GRAPH)
+        return self._graph
+
+    def flush(self) -> None:
+        """Images first: a place whose keyframe is lost is worth nothing."""
+        for journal in (self._keyframes, self._graph):
+            if journal is not None:
+                journal.flush()
+
+    def close(self) -> None:
+        """Both of them, even if one of them fails."""
+        keyframes, self._keyframes = self._keyframes, None
+        graph, self._graph = self._graph, None
+        try:
+            if keyframes is not None:
+                keyframes.close()
+        finally:
+            if graph is not None:
+                graph.close()
+
+    def _begun(self, kind: str) -> JournalWriter:
+        return JournalWriter(self._folder / journal_name(kind, next_number(self._folder, kind)))
+
+
+def discard_map(path: StrPath) -> None:
+    """Remove a map that an earlier run left; other files in its folder stay.
+
+    Raises:
+        MapError: another run writes it.
+        OutputError: it cannot be removed.
+    """
+    path = Path(path)
+    if not is_there(path / HEADER_FILE):
+        return
+    lock = MapLock(path)
+    names = (HEADER_FILE, CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE)
+    try:
+        # What says that it is a map goes first: a kill in between leaves no map that lacks a part.
+        for file in (*(path / name for name in names), *journals_of(path, KEYFRAMES), *journals_of(path, GRAPH)):
+            file.unlink(missing_ok=True)
+        (path / LOCK_FILE).unlink(missing_ok=True)
+        if not any(path.iterdir()):
+            path.rmdir()
+    except OSError as error:
+        raise output_error(error, path) from error
+    finally:
+        lock.release()

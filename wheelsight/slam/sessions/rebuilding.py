@@ -1,0 +1,96 @@
+"""A map made anew of its keyframes, where they are by now: its surfels fused, its journals without what is outdated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from wheelsight.errors import MapError
+from wheelsight.files import StrPath
+from wheelsight.keyframes import Keyframe
+from wheelsight.mapping import SurfelMap, SurfelSettings
+from wheelsight.odometry.dense.grid import Level
+from wheelsight.odometry.dense.reference import ReferenceMaker
+from wheelsight.odometry.dense.settings import DenseSettings
+from wheelsight.places.views import known_grey
+from wheelsight.settings import RecognitionSettings
+from wheelsight.slam.sessions.map_folder import MapFolder
+from wheelsight.threads import Rows
+from wheelsight.views import Surface
+
+Progress = Callable[[str, int, int], None]
+# Between two keyframes that show a surface many seconds may pass: none of it is forgotten.
+_KEPT_S = 1e6
+
+
+def rebuild(
+    folder: MapFolder,
+    out: StrPath,
+    surfels: SurfelSettings | None = None,
+    recognition: RecognitionSettings | None = None,
+    on_keyframe: Progress = lambda doing, done, total: None,
+) -> MapFolder:
+    """Write a map anew into another folder: keyframes where they are by now, edges that hold, codes and surfels.
+
+    Args:
+        folder: an open map; it stays as it is.
+        out: a folder that is empty or not there.
+        surfels, recognition: or the defaults.
+        on_keyframe: called with what is being done, how many keyframes are done, and of how many.
+
+    Returns the new map, open to read.
+
+    Raises:
+        MapError: there are no keyframes, or one cannot be read.
+        OutputError: it cannot be written.
+    """
+    surfel_map = fused_anew(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
+    source, factor = folder.header.source, folder.header.camera.depth_factor
+    new = MapFolder.create(out, folder.calibration, folder.settings, source=source, depth_factor=factor)
+    try:
+        numbers = list(folder.store)
+        for done, number in enumerate(numbers, start=1):
+            place = folder.contents.places[number]
+            new.append_keyframe(number, folder.store[number], folder.store.pose(number), place.T_odom_keyframe)
+            on_keyframe("writing", done, len(numbers))
+        new.append_edges(folder.edges)
+        found = folder.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
+        new.save_recognition(found)
+        new.save_surfels(surfel_map)
+    finally:
+        new.close()
+    return MapFolder.open(out, settings=folder.settings)
+
+
+def fused_anew(
+    folder: MapFolder,
+    settings: SurfelSettings | None = None,
+    on_keyframe: Callable[[int, int], None] = lambda done, total: None,
+) -> SurfelMap:
+    """Surfels of all keyframes, in the order of their stamps; grey, since keyframes keep no colour.
+
+    Args:
+        folder: an open map.
+        settings: of surfels, or the defaults.
+        on_keyframe: called with how many are done, and of how many.
+
+    Raises:
+        MapError: there are no keyframes, or one cannot be read.
+    """
+    store, noise = folder.store, folder.calibration.depth_noise
+    numbers = sorted(store, key=lambda number: folder.contents.places[number].stamp_s)
+    if not numbers:
+        raise MapError("has no keyframes", path=folder.path, fix="give a map of a drive that kept some")
+    kept = {"unstable_s": _KEPT_S, "unseen_s": _KEPT_S}
+    surfel_map, dense = SurfelMap((settings or SurfelSettings()).model_copy(update=kept), store), DenseSettings()
+    maker = ReferenceMaker(noise, dense, Rows(dense.threads))
+    for done, number in enumerate(numbers, start=1):
+        keyframe = store[number]
+        how = (keyframe.stamp_s, noise, folder.settings.rebuild_frames, number)
+        surfel_map.fuse(_surface(keyframe, maker), keyframe.intrinsics, store.pose(number), *how)
+        on_keyframe(done, len(numbers))
+    return surfel_map
+
+
+def _surface(keyframe: Keyframe, maker: ReferenceMaker) -> Surface:
+    level = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
+    return Surface(level.depth_m, maker.normals(level), level.grey)

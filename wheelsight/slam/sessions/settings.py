@@ -1,0 +1,85 @@
+"""SessionSettings: what is kept of a drive for the next, and how often it is written."""
+
+from __future__ import annotations
+
+from wheelsight.settings import ASKED, Settings, setting
+
+_FROM_0056 = "two real recordings of Kinects: docs/decisions/0056"
+
+
+class SessionSettings(Settings):
+    """The map folder of a run; see docs/sessions.md."""
+
+    keep_map: bool | None = setting(
+        None, "whether the run leaves a map folder for the next drive; null: where `map: surfels` builds a map", ASKED
+    )
+    flush_s: float = setting(
+        1.0,
+        "seconds between two times at which what was written is made to outlive a loss of power",
+        "reckoned: a fifth of what a kill may cost",
+        gt=0,
+        le=60,
+    )
+    settled_frames: int = setting(
+        2,
+        "frames after which a keyframe is written: the first is straightened once the second tells the camera's speed",
+        "reckoned",
+        ge=0,
+        le=100,
+    )
+    piece_keyframes: int = setting(
+        64, "keyframes of a journal, after which another begins: 6 MB", "reckoned", ge=1, le=10_000
+    )
+    memory_keyframes: int = setting(
+        256, "keyframes of a map that are held in memory, those asked for last: 45 MB", "reckoned", ge=1, le=1_000_000
+    )
+    width_px: int = setting(
+        320,
+        "width of images that are kept, at most: larger ones are halved, as whoever recognises by them does too",
+        "as `dense.finest_width_px`",
+        ge=16,
+        le=4096,
+    )
+    depth_sigmas: float = setting(
+        1.0,
+        "depth is kept in steps of so many standard deviations of its noise",
+        _FROM_0056,
+        gt=0,
+        le=10,
+    )
+    grey_step: int = setting(4, "grey is kept in steps of so many levels of 255", _FROM_0056, ge=1, le=32)
+    most_kb: int = setting(
+        99,
+        "kilobytes of a keyframe, at most; where images leave no room for all keypoints, some are left out, evenly",
+        "what issue 31 allows, 100 kB, without poses and edges",
+        ge=1,
+        le=100_000,
+    )
+    least_keypoints: int = setting(300, "that are kept even so", "as `recognition.words.descriptors`", ge=0, le=20_000)
+    plane_sigma_m: float = setting(
+        1e-3,
+        "added to the error of the way from a keyframe to the next, metres a coordinate: odometry in a plane states "
+        "none out of it",
+        "as `loops.matches.plane_sigma_m`",
+        gt=0,
+        le=1,
+    )
+    plane_sigma_rad: float = setting(
+        1e-3, "likewise, radians an axis", "as `loops.matches.plane_sigma_rad`", gt=0, le=1
+    )
+    camera_share: float = setting(
+        0.02,
+        "share by which focal lengths, and of the image's size its middle, may differ between a map's camera and "
+        "another that goes for the same",
+        "reckoned: two calibrations of one Kinect differ by 1 %",
+        ge=0,
+        le=1,
+    )
+    rebuild_frames: int = setting(
+        6,
+        "frames that a keyframe counts as where the surfel map is fused anew of keyframes alone: two of them make "
+        "a surfel stable",
+        "reckoned: `surfels.stable_confidence` is 10",
+        gt=0,
+        le=1000,
+    )

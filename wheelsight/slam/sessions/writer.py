@@ -1,0 +1,245 @@
+"""MapWriter: writes a map while driving, in a thread of its own."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.errors import InputError, OutputError
+from wheelsight.estimates import Estimate
+from wheelsight.geometry import FloatArray
+from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.mapping import SurfelMap
+from wheelsight.places.recognition import Recognizer
+from wheelsight.settings import RecognitionSettings
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
+from wheelsight.slam.sessions.map_folder import MapFolder
+
+THREAD = "wheelsight-map-writer"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _NewKeyframe:
+    seen: SeenKeyframe
+    T_map_keyframe: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Moved:
+    T_map_keyframe: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edges:
+    edges: tuple[RelativePose, ...]
+    holds: bool
+
+
+_Work = _NewKeyframe | _Moved | _Edges
+
+
+class MapWriter:
+    """Takes keyframes from a store as they come, and appends them, what lies between them, and where they move.
+
+    `look` is called after each frame; it copies some numbers and never waits for the disk. All else is done by the
+    thread: what it has appended outlives a kill of the process, and each `flush_s` a loss of power. Where the disk is
+    full or the folder cannot be written any more, writing ends, the drive goes on, and `warnings` says so.
+
+    Args:
+        folder: to append to; the writer closes it.
+        store: of the odometry that drives; its keyframes keep their numbers, and those it has already are not written.
+        recognition: by what keyframes are recognised on the next drive; None: nobody builds that here.
+        now_s: seconds since some moment.
+    """
+
+    def __init__(
+        self,
+        folder: MapFolder,
+        store: KeyframeStore,
+        recognition: RecognitionSettings | None = None,
+        *,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._folder, self._store, self._now_s = folder, store, now_s
+        self._recognizer = None if recognition is None else Recognizer(recognition)
+        self._unsettled: deque[tuple[int, SeenKeyframe]] = deque()
+        self._frames, self._taken = 0, len(store)
+        self._revision, self._told_s = store.revision, -np.inf
+        self._work: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
+        self._written = _Written(folder, store, self._recognizer)
+        self._thread = threading.Thread(target=self._write, name=THREAD, daemon=True)
+        self._thread.start()
+
+    @property
+    def keyframes(self) -> int:
+        """How many are written by now."""
+        return self._written.keyframes
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What could not be written, and why; one sentence each."""
+        return tuple(self._written.warnings)
+
+    def look(self, estimate: Estimate | None) -> None:
+        """Take what the frame that `estimate` answers has changed in the store."""
+        self._frames += 1
+        for number in range(self._taken, len(self._store)):
+            self._unsettled.append((self._frames, SeenKeyframe.of(KeyframeId(number), estimate)))
+        self._taken = len(self._store)
+        self._hand_over(self._frames - self._folder.settings.settled_frames)
+        if self._store.revision != self._revision and self._now_s() - self._told_s >= self._folder.settings.flush_s:
+            self._tell_poses()
+
+    def add_edges(self, edges: Sequence[RelativePose]) -> None:
+        """Keep edges, such as loops; those of odometry between successive keyframes the writer adds by itself."""
+        self._work.put(_Edges(tuple(edges), holds=True))
+
+    def withdraw_edges(self, edges: Sequence[RelativePose]) -> None:
+        """Edges that were added, each by itself and not by what it says, do not hold any more."""
+        self._work.put(_Edges(tuple(edges), holds=False))
+
+    def close(self, surfel_map: SurfelMap | None = None, recognizer: Recognizer | None = None) -> None:
+        """Write all that is left, and what was made of the keyframes, and close the folder.
+
+        It does not raise, and does nothing a second time.
+
+        Args:
+            surfel_map: whose surfels hang on the keyframes.
+            recognizer: that knows them, in place of the writer's own.
+        """
+        if not self._thread.is_alive():
+            return
+        self._hand_over(self._frames)
+        self._tell_poses()
+        self._work.put(None)
+        self._thread.join()
+        self._written.finish(surfel_map, recognizer)
+
+    def _hand_over(self, last_frame: int) -> None:
+        """Those that were new at a frame, or before."""
+        while self._unsettled and self._unsettled[0][0] <= last_frame:
+            _, seen = self._unsettled.popleft()
+            self._work.put(_NewKeyframe(seen, self._store.pose(seen.number)))
+
+    def _tell_poses(self) -> None:
+        # Of those handed over alone; the others come with the pose that they have by then.
+        count = self._taken - len(self._unsettled)
+        self._work.put(_Moved(self._store.T_map_keyframe[:count].copy()))
+        self._revision, self._told_s = self._store.revision, self._now_s()
+
+    def _write(self) -> None:
+        """The thread: work as it comes, and a flush each so often."""
+        flushed_s, flush_s = self._now_s(), self._folder.settings.flush_s
+        while True:
+            try:
+                work = self._work.get(timeout=max(flushed_s + flush_s - self._now_s(), 0.001))
+            except queue.Empty:
+                pass
+            else:
+                if work is None:
+                    return
+                self._written.take(work)
+            if self._now_s() - flushed_s >= flush_s:
+                self._written.flush()
+                flushed_s = self._now_s()
+
+
+class _Written:
+    """What has been written; after the first problem of the disk nothing more."""
+
+    def __init__(self, folder: MapFolder, store: KeyframeStore, recognizer: Recognizer | None) -> None:
+        self.keyframes, self.warnings = 0, list[str]()
+        self._folder, self._store, self._recognizer = folder, store, recognizer
+        self._before: SeenKeyframe | None = None
+        self._T_map_keyframe = np.zeros((0, 4, 4))
+        # With the edge, lest its identity go to another.
+        self._edges: dict[int, tuple[RelativePose, int]] = {}
+        self._is_over = self._is_dirty = False
+
+    def take(self, work: _Work) -> None:
+        """Append it."""
+        match work:
+            case _NewKeyframe():
+                self._do(lambda: self._add(work))
+            case _Moved():
+                self._do(lambda: self._move(work.T_map_keyframe))
+            case _Edges():
+                self._do(lambda: self._add_edges(work.edges) if work.holds else self._withdraw(work.edges))
+
+    def flush(self) -> None:
+        """Where anything was appended since."""
+        if self._is_dirty:
+            self._do(self._folder.flush)
+            self._is_dirty = False
+
+    def finish(self, surfel_map: SurfelMap | None, recognizer: Recognizer | None) -> None:
+        """Write what was made of the keyframes, and close the folder."""
+        found = self._recognizer if recognizer is None else recognizer
+        if found is not None:
+            self._do(lambda: self._folder.save_recognition(found))
+        if surfel_map is not None:
+            self._do(lambda: self._folder.save_surfels(surfel_map))
+        try:
+            self._folder.close()
+        except OutputError as error:
+            self._end(error)
+
+    def _add(self, new: _NewKeyframe) -> None:
+        number, before = new.seen.number, self._before
+        try:
+            keyframe = self._store[number]
+        except Exception as error:  # whatever went wrong in making it: the drive is told by the store, too
+            self.warnings.append(f"Keyframe {number} is not in the map: {error}.")
+            return
+        self._folder.append_keyframe(number, keyframe, new.T_map_keyframe, new.seen.T_odom_keyframe)
+        edge = None if before is None else odometry_edge(before, new.seen, self._folder.settings)
+        if edge is not None:
+            self._folder.append_edges([edge])
+        if self._recognizer is not None:
+            self._recognizer.add(number, keyframe)
+        self._before = new.seen
+        self._grow(number + 1)
+        self._T_map_keyframe[number] = new.T_map_keyframe
+        self.keyframes += 1
+
+    def _add_edges(self, edges: tuple[RelativePose, ...]) -> None:
+        numbers = self._folder.append_edges(edges)
+        self._edges |= {id(edge): (edge, number) for edge, number in zip(edges, numbers, strict=True)}
+
+    def _withdraw(self, edges: tuple[RelativePose, ...]) -> None:
+        known = [self._edges.pop(id(edge), None) for edge in edges]
+        self._folder.withdraw_edges([number for _, number in filter(None, known)])
+
+    def _move(self, T_map_keyframe: FloatArray) -> None:
+        """Append the poses that have changed since."""
+        self._grow(len(T_map_keyframe))
+        known = self._T_map_keyframe[: len(T_map_keyframe)]
+        (moved,) = np.nonzero((known != T_map_keyframe).any(axis=(1, 2)))
+        self._folder.append_poses(moved, T_map_keyframe[moved])
+        known[moved] = T_map_keyframe[moved]
+
+    def _grow(self, count: int) -> None:
+        if count > len(self._T_map_keyframe):
+            more = np.zeros((max(count, 2 * len(self._T_map_keyframe)) - len(self._T_map_keyframe), 4, 4))
+            self._T_map_keyframe = np.concatenate([self._T_map_keyframe, more])
+
+    def _do(self, work: Callable[[], None]) -> None:
+        if self._is_over:
+            return
+        try:
+            work()
+            self._is_dirty = True
+        except InputError as error:
+            self._end(error)
+
+    def _end(self, error: InputError) -> None:
+        if not self._is_over:
+            self.warnings.append(f"The map is not written any further: {error}.")
+        self._is_over = True
