@@ -41,7 +41,7 @@ from wheelsight.settings import (
     setting,
 )
 from wheelsight.slam.sessions.settings import SessionSettings
-from wheelsight.slam.settings import LoopSettings
+from wheelsight.slam.settings import FROM_KEYFRAMES, LoopSettings
 
 OdometryName = Literal["features", "dense", "wheels"]
 TrackName = Literal["features", "dense", "wheels", "rectified", "joined"]
@@ -110,6 +110,19 @@ class StartSettings(Settings):
     def T_odom_base(self) -> FloatArray:
         """(4, 4), in the plane."""
         return se3.from_plane(self.x_m, self.y_m, np.radians(self.yaw_deg))
+
+
+class KnownMapSettings(Settings):
+    """A map of before, in which a drive finds itself; see docs/sessions.md."""
+
+    path: str | None = setting(None, "folder of the map, or of the run that left it", ASKED)
+    extend: bool = setting(False, "whether what this drive sees is added to it; else it stays as it is", ASKED)
+    start: StartSettings | None = setting(None, "where the drive begins; of None, the place is recognised", ASKED)
+    start_sigma_m: float = setting(0.5, "how far off that may be, metres a coordinate", CHOSEN, gt=0, le=100)
+    start_sigma_rad: float = setting(0.25, "likewise, of the heading, radians", CHOSEN, gt=0, le=3)
+    level_sigma: float = setting(
+        0.02, "likewise, of height, roll and pitch, metres and radians: bases stand on a floor", CHOSEN, gt=0, le=3
+    )
 
 
 _Weight = Annotated[float, bounds(ge=0, le=1)]
@@ -189,6 +202,12 @@ class ReportSettings(Settings):
     pictures: int = setting(4, "frames drawn with their matches", CHOSEN, ge=0, le=100)
 
 
+def _is_given(given: Mapping[str, Any], section: str, name: str) -> bool:
+    """Whether a file or an option says anything of a setting."""
+    below = given.get(section)
+    return below is not None and (not isinstance(below, dict) or below.get(name) is not None)
+
+
 def _split(names: Any) -> Any:
     """Names as a user writes them, "wheels,features", one by one."""
     return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
@@ -228,6 +247,7 @@ class Config(Settings):
     loops: LoopSettings = LoopSettings()
     recognition: RecognitionSettings = RecognitionSettings()
     sessions: SessionSettings = SessionSettings()
+    known_map: KnownMapSettings = KnownMapSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
     realtime: RealTimeSettings = RealTimeSettings()
@@ -235,9 +255,11 @@ class Config(Settings):
     @model_validator(mode="before")
     @classmethod
     def _resolve(cls, given: Any) -> Any:
-        """Wheels and a camera are joined unless one says otherwise."""
+        """Wheels and a camera are joined unless one says otherwise; a known map is found by loops."""
         if not isinstance(given, dict):
             return given
+        if _is_given(given, "known_map", "path") and not _is_given(given, "loops", "source"):
+            given = {**given, "loops": {**(given.get("loops") or {}), "source": FROM_KEYFRAMES}}
         fusion = given.get("fusion") or {}
         if not isinstance(fusion, dict) or fusion.get("filter") is not None:
             return given
@@ -248,6 +270,7 @@ class Config(Settings):
     @model_validator(mode="after")
     def _refuse_conflicts(self) -> Self:
         places, joined_by = self.places, self.fusion.filter
+        self._check_known_map()
         if joined_by != "none" and (len(self.odometry) != 2 or "wheels" not in self.odometry):
             problem = "joins wheels with one camera odometry, not " + " and ".join(self.odometry)
             raise conflict("fusion.filter", problem, "--odometry wheels,dense or wheels,features")
@@ -266,6 +289,20 @@ class Config(Settings):
                 if getattr(places, name) is not None:
                     raise conflict(f"places.{name}", "is of the paper's eq. 5 alone", "add --rectify paper")
         return self
+
+    def _check_known_map(self) -> None:
+        known = self.known_map
+        if known.path is None:
+            for name in ("extend", "start"):
+                if getattr(known, name):
+                    raise conflict(f"known_map.{name}", "is given without a map", "add --map-from DIR")
+            return
+        if len([name for name in self.odometry if name != "wheels"]) != 1:
+            raise conflict("known_map.path", "is for one odometry by a camera", "--odometry dense, or wheels,dense")
+        if self.fusion.filter == "ligocki":
+            raise conflict("known_map.path", "is for the default filter", "no --fusion ligocki")
+        if self.loops.source != FROM_KEYFRAMES:
+            raise conflict("known_map.path", "is found by loops", f"--loops {FROM_KEYFRAMES}")
 
     @property
     def tracks(self) -> tuple[TrackName, ...]:
