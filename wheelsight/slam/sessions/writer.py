@@ -73,6 +73,7 @@ class MapWriter:
         self._frames, self._taken = 0, len(store)
         self._revision, self._told_s = store.revision, -np.inf
         self._work: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
+        self._is_closed = False
         self._written = _Written(folder, store, self._recognizer)
         self._thread = threading.Thread(target=self._write, name=THREAD, daemon=True)
         self._thread.start()
@@ -114,8 +115,9 @@ class MapWriter:
             surfel_map: whose surfels hang on the keyframes.
             recognizer: that knows them, in place of the writer's own.
         """
-        if not self._thread.is_alive():
+        if self._is_closed:
             return
+        self._is_closed = True
         self._hand_over(self._frames)
         self._tell_poses()
         self._work.put(None)
@@ -236,10 +238,11 @@ class _Written:
         try:
             work()
             self._is_dirty = True
-        except InputError as error:
+        except Exception as error:  # a thread that ends without a word would lose all that comes after
             self._end(error)
 
-    def _end(self, error: InputError) -> None:
+    def _end(self, error: Exception) -> None:
         if not self._is_over:
-            self.warnings.append(f"The map is not written any further: {error}.")
+            why = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+            self.warnings.append(f"The map is not written any further: {why}.")
         self._is_over = True
