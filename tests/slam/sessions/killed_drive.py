@@ -11,20 +11,25 @@ from sessions.kept_views import CALIBRATION, keyframe, pose
 
 from wheelsight.estimates import Estimate, Status
 from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeStore
+from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import FernSettings, RecognitionSettings
 from wheelsight.slam.sessions import MapFolder, MapWriter, SessionSettings
 
 # Two keyframes a second are what a drive makes at most; here a second takes less.
-KEYFRAMES_A_SECOND, SECONDS_A_SECOND = 2, 10
+KEYFRAMES_A_SECOND, SECONDS_A_SECOND = 2, 5
 FRAMES_A_KEYFRAME = 3
 
 
 def main(path: Path) -> None:
-    settings = SessionSettings(flush_s=0.1, piece_keyframes=5)
+    settings, recognition = (
+        SessionSettings(flush_s=0.1, piece_keyframes=5),
+        RecognitionSettings(ferns=FernSettings(ferns=64)),
+    )
+    Recognizer(recognition).add(KeyframeId(0), keyframe(0))  # compiled or loaded, as before a run
     store = KeyframeStore()
     folder = MapFolder.create(path, CALIBRATION, settings)
-    writer = MapWriter(folder, store, RecognitionSettings(ferns=FernSettings(ferns=64)))
+    writer = MapWriter(folder, store, recognition)
     views = [keyframe(k) for k in range(8)]
     for number in range(100_000):
         held = store.add(views[number % len(views)], pose(number))

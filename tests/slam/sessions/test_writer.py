@@ -145,6 +145,20 @@ def test_on_a_full_disk_the_drive_goes_on_and_it_is_told(tmp_path: Path, monkeyp
     assert len(found.recognizer(RECOGNITION)) == 3
 
 
+def test_whatever_goes_wrong_the_drive_goes_on_and_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("nobody thought of this")
+
+    monkeypatch.setattr("wheelsight.slam.sessions.records.pack_place", fail)
+    store = KeyframeStore()
+    writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store)
+    drive(writer, store, 3)
+    writer.close()
+    writer.close()
+    assert writer.warnings == ("The map is not written any further: ZeroDivisionError: nobody thought of this.",)
+    MapFolder.open(tmp_path / "map", read_only=False).close()
+
+
 def test_extending_a_map_goes_on_with_its_numbers(tmp_path: Path) -> None:
     store = KeyframeStore()
     writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store)
@@ -172,7 +186,7 @@ def test_a_kill_at_any_moment_costs_the_last_seconds_alone(tmp_path: Path, seed:
     child = subprocess.Popen([sys.executable, str(program), str(path)], env=environment, stdout=subprocess.PIPE)
     assert child.stdout is not None
     chosen = random.Random(seed)
-    last = chosen.randrange(1, 60)
+    last = chosen.randrange(1, 40)
     told = -1
     for line in child.stdout:
         told = int(line)

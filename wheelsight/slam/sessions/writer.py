@@ -14,15 +14,19 @@ import numpy as np
 from wheelsight.errors import InputError, OutputError
 from wheelsight.estimates import Estimate
 from wheelsight.geometry import FloatArray
-from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId, KeyframeStore
 from wheelsight.mapping import SurfelMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.sessions import records
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
+from wheelsight.slam.sessions.images import DepthSteps
 from wheelsight.slam.sessions.map_folder import MapFolder
 
 THREAD = "wheelsight-map-writer"
+# Wide enough to be halved where images of most cameras are.
+_REHEARSED_PX = 320
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,10 +73,12 @@ class MapWriter:
     ) -> None:
         self._folder, self._store, self._now_s = folder, store, now_s
         self._recognizer = None if recognition is None else Recognizer(recognition)
+        _rehearse(folder, recognition)
         self._unsettled: deque[tuple[int, SeenKeyframe]] = deque()
         self._frames, self._taken = 0, len(store)
         self._revision, self._told_s = store.revision, -np.inf
         self._work: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
+        self._is_closed = False
         self._written = _Written(folder, store, self._recognizer)
         self._thread = threading.Thread(target=self._write, name=THREAD, daemon=True)
         self._thread.start()
@@ -114,8 +120,9 @@ class MapWriter:
             surfel_map: whose surfels hang on the keyframes.
             recognizer: that knows them, in place of the writer's own.
         """
-        if not self._thread.is_alive():
+        if self._is_closed:
             return
+        self._is_closed = True
         self._hand_over(self._frames)
         self._tell_poses()
         self._work.put(None)
@@ -149,6 +156,17 @@ class MapWriter:
             if self._now_s() - flushed_s >= flush_s:
                 self._written.flush()
                 flushed_s = self._now_s()
+
+
+def _rehearse(folder: MapFolder, recognition: RecognitionSettings | None) -> None:
+    """Let kernels be loaded before the drive, since loading them holds up all threads."""
+    width_px = 2 * min(folder.settings.width_px, _REHEARSED_PX)
+    images = np.ones((width_px // 2, width_px), np.float32), np.ones((width_px // 2, width_px), np.float32)
+    features = KeyframeFeatures(np.ones((1, 2)), np.ones((1, 3)), np.zeros((1, 4), np.uint64))
+    keyframe = Keyframe.of_images(0.0, np.array([width_px, width_px, width_px / 2, width_px / 4]), *images, features)
+    records.pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise, 1.0), folder.settings)
+    if recognition is not None:
+        Recognizer(recognition).add(KeyframeId(0), keyframe)
 
 
 class _Written:
@@ -236,10 +254,11 @@ class _Written:
         try:
             work()
             self._is_dirty = True
-        except InputError as error:
+        except Exception as error:  # a thread that ends without a word would lose all that comes after
             self._end(error)
 
-    def _end(self, error: InputError) -> None:
+    def _end(self, error: Exception) -> None:
         if not self._is_over:
-            self.warnings.append(f"The map is not written any further: {error}.")
+            why = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+            self.warnings.append(f"The map is not written any further: {why}.")
         self._is_over = True
