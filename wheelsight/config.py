@@ -310,6 +310,10 @@ class Config(Settings):
         rectified: tuple[TrackName, ...] = () if self.places.model is None else ("rectified",)
         return (*self.odometry, *rectified, *(() if self.fusion.filter == "none" else ("joined",)))
 
+    def without_known_map(self) -> Config:
+        """The same settings for what knows no map of before."""
+        return self if self.known_map.path is None else self.model_copy(update={"known_map": KnownMapSettings()})
+
     def to_dict(self) -> dict[str, Any]:
         """All settings as plain nested values, as YAML and JSON take them."""
         return self.model_dump(mode="json")

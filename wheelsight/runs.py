@@ -58,6 +58,7 @@ def run_each(
     *,
     force: bool = False,
     on_ready: Callable[[], None] = lambda: None,
+    on_code: Callable[[int, int], None] = lambda done, total: None,
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
     duration_s: float | None = None,
 ) -> tuple[RunRecord, ...]:
@@ -66,6 +67,5 @@ def run_each(
     Without plotly, which the extra `report` brings, all is done but the page.
     """
     draw = write_page if why_no_page() is None else None
-    return pipeline.run_each(
-        source, config, out, force=force, on_ready=on_ready, on_event=on_event, draw=draw, duration_s=duration_s
-    )
+    told = {"on_ready": on_ready, "on_code": on_code, "on_event": on_event}
+    return pipeline.run_each(source, config, out, force=force, draw=draw, duration_s=duration_s, **told)

@@ -53,11 +53,16 @@ RateHz = Annotated[
 ]
 
 
+# What --start says beside --map-from.
+STARTS_IN_KNOWN_MAP = "--start in the known map"
 _SETTINGS = {
     "--odometry": "odometry",
     "--fusion": "fusion.filter",
     "--map": "map",
     "--loops": "loops.source",
+    "--map-from": "known_map.path",
+    "--extend": "known_map.extend",
+    STARTS_IN_KNOWN_MAP: "known_map.start",
     "--reference": "features.reference",
     "--integration": "wheels.integration",
     "--gyro": "wheels.gyro",

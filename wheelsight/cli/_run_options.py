@@ -34,6 +34,16 @@ Loops = Annotated[
         show_default="none",
     ),
 ]
+MapFrom = Annotated[
+    Path | None,
+    typer.Option(
+        "--map-from",
+        metavar="DIR",
+        help="Find oneself in a map of before: that of an earlier run with --map surfels.",
+        show_default=False,
+    ),
+]
+Extend = Annotated[bool, typer.Option("--extend", help="Add to the map of --map-from what this drive sees.")]
 Fusion = Annotated[
     str | None,
     typer.Option(
@@ -79,7 +89,9 @@ Areas = Annotated[
 Start = Annotated[
     str | None,
     typer.Option(
-        metavar="X,Y,YAW_DEG", help="Where the base stands in the areas' map.", show_default="by ground truth"
+        metavar="X,Y,YAW_DEG",
+        help="Where the base stands at first, in the map of --map-from or of the areas.",
+        show_default="recognised; of areas, by ground truth",
     ),
 ]
 OdometryTerm = Annotated[

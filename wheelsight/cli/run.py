@@ -13,6 +13,7 @@ from wheelsight.cli import _run_options as options
 from wheelsight.cli._console import INTERRUPTED
 from wheelsight.cli._odometry import ANY, chosen_odometry, names_odometry
 from wheelsight.cli._options import (
+    STARTS_IN_KNOWN_MAP,
     CalibrationFile,
     Camera,
     DepthFactor,
@@ -38,6 +39,8 @@ def run(
     fusion: options.Fusion = None,
     map_: options.Map = None,
     loops: options.Loops = None,
+    map_from: options.MapFrom = None,
+    extend: options.Extend = False,
     camera: Camera = None,
     calibration: CalibrationFile = None,
     config: options.SettingsFile = None,
@@ -68,6 +71,7 @@ def run(
     With several odometries each has a folder of its name, and report.html and metrics.json join them; so have, with
     --places, the wheels alone and the wheels that areas have rectified.
     With --loops also trajectory_corrected.txt, the way as known at its end, and loops_judged.csv.
+    With --map-from the way is in that map, once the place is recognised; until then each pose is "initializing".
     With --map surfels also map.surfels, of which wheelsight export makes points or a mesh, and map/ for the next drive.
 
     Ctrl-C stops early and keeps what was found until then.
@@ -91,13 +95,19 @@ def run(
     wheelsight run my_recording --odometry wheels --loops matches --out results
 
     wheelsight run my_recording --odometry wheels,dense --realtime --out results
+
+    wheelsight run monday --map surfels --loops keyframes --out monday_map
+
+    wheelsight run tuesday --map-from monday_map --out found_again
     """
     of_recording = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
     of_features = {"--max-gap": max_gap, "--rate-hz": rate_hz, "--reference": reference, "--seed": seed}
     of_wheels = {"--integration": integration, "--gyro": gyro}
-    of_places = {"--places": places, "--areas": areas, "--rectify": rectify, "--start": start}
+    start_of = "--start" if map_from is None else STARTS_IN_KNOWN_MAP
+    of_places = {"--places": places, "--areas": areas, "--rectify": rectify, start_of: start}
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}
     of_all = {"--odometry": odometry, "--fusion": fusion, "--map": map_, "--loops": loops}
+    of_all |= {"--map-from": None if map_from is None else str(map_from), "--extend": extend or None}
     given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     is_named = odometry is not None or names_odometry(config)
     settings = settings_from(given if is_named else {**given, "--odometry": ANY}, config)
@@ -134,7 +144,11 @@ def _track(source: EventSource, settings: Config, out: Path, force: bool) -> Seq
                 compile_missing(parts_of(settings))
                 shown.enter_context(progress)
 
-            return runs.run_each(source, settings, out, force=force, on_ready=begin, on_event=show)
+            def code(done: int, total: int) -> None:
+                if done == 1:
+                    print_note(f"making {total:,} keyframes ready to be recognised")
+
+            return runs.run_each(source, settings, out, force=force, on_ready=begin, on_code=code, on_event=show)
     except KeyboardInterrupt as interruption:
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")

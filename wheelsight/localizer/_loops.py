@@ -49,6 +49,7 @@ class LoopsBeside:
         self._store = store
         self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, known=known, waits=waits)
         self._told = len(store)
+        self._closed: ClosedLoops | None = None
         self._pieces: list[int] = [0]  # by the numbers of their first keyframes
         self.is_joined, self._is_new = True, False
         if known is not None and len(store) and known.start is None:
@@ -108,7 +109,9 @@ class LoopsBeside:
 
     def finish(self) -> ClosedLoops:
         """All loops, once the drive is over; keyframes are put to where they are known to be."""
-        found = self._live.finish()
+        if self._closed is not None and len(self._closed.T_map_keyframe) == len(self._store):
+            return self._closed
+        self._closed = found = self._live.finish()
         if len(found.T_map_keyframe) == len(self._store):
             self._store.move(list(self._store), found.T_map_keyframe)
         return found

@@ -11,17 +11,19 @@ from wheelsight.config import Config
 from wheelsight.files import StrPath
 from wheelsight.mapping import SurfelMap, save_map
 from wheelsight.pipeline.kept_map_record import KeptMapRecord
-from wheelsight.pipeline.track import Passage, Track
+from wheelsight.pipeline.track import Passage, Track, has_map
 from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, MapWriter, discard_map
 from wheelsight.slam.sessions.map_folder import SURFELS_FILE
 from wheelsight.sources import EventSource
 
 
 @contextmanager
-def keeping_maps(tracks: Sequence[Track], source: EventSource, config: Config, folder: Path) -> Iterator[None]:
+def keeping_maps(
+    tracks: Sequence[Track], source: EventSource, config: Config, folder: Path, known: MapFolder | None = None
+) -> Iterator[None]:
     """Let each track that is to leave a map write it, while the block runs; however it ends, what is written is a map.
 
-    What an earlier run left in its place goes.
+    What an earlier run left in its place goes. A drive in a known map leaves none of its own: it extends that, or not.
 
     Raises:
         OutputError: the folder cannot be made, or holds something else.
@@ -29,12 +31,22 @@ def keeping_maps(tracks: Sequence[Track], source: EventSource, config: Config, f
     """
     try:
         for track in tracks:
-            if _is_asked(track, tracks, config):
+            if known is not None:
+                _extend(track, tracks, config, known)
+            elif _is_asked(track, tracks, config):
                 _begin(track, source, config, (folder if len(tracks) == 1 else folder / track.odometry) / MAP_FOLDER)
         yield
     finally:
         for track in tracks:
             _close(track)
+        if known is not None:
+            known.close()
+
+
+def _extend(track: Track, tracks: Sequence[Track], config: Config, known: MapFolder) -> None:
+    store = track.localizer.keyframes
+    if config.known_map.extend and store is not None and has_map(track.odometry, [one.odometry for one in tracks]):
+        track.map_writer, track.map_path, track.extends = MapWriter(known, store), known.path, True
 
 
 def _begin(track: Track, source: EventSource, config: Config, path: Path) -> None:
@@ -49,7 +61,7 @@ def _begin(track: Track, source: EventSource, config: Config, path: Path) -> Non
 def _close(track: Track) -> None:
     if track.map_writer is not None and track.map_path is not None:
         track.map_writer.close()
-        if _is_empty(track.map_writer):
+        if _is_empty(track.map_writer) and not track.extends:
             discard_map(track.map_path)
 
 
@@ -57,7 +69,7 @@ def _is_asked(track: Track, tracks: Sequence[Track], config: Config) -> bool:
     """Of a camera alone; of joined sensors one map is enough."""
     if track.localizer.keyframes is None:
         return False
-    if track.odometry != "joined" and any(other.odometry == "joined" for other in tracks):
+    if not has_map(track.odometry, [one.odometry for one in tracks]):
         return False
     asked = config.sessions.keep_map
     return track.localizer.map is not None if asked is None else asked
@@ -68,8 +80,18 @@ def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
     writer, path = track.map_writer, track.map_path
     if writer is None or path is None:
         return None
-    writer.close(None if passage.is_torn else track.localizer.map)
-    if _is_empty(writer):
+    surfels = None if passage.is_torn or track.extends else track.localizer.map
+    loops = track.localizer.loops
+    if loops is None or passage.is_torn:
+        writer.close(surfels)
+    else:
+        closed = loops.finish()
+        first_new = len(closed.T_map_keyframe) - len(closed.stamps_s)
+        if closed.is_joined:
+            kept = closed.edges if track.extends else closed.loops.kept
+            writer.add_edges([edge for edge in kept if edge.second >= first_new])
+        writer.close(surfels, loops.recognizer)
+    if _is_empty(writer) and not track.extends:
         discard_map(path)
         return None
     return KeptMapRecord(path.name, writer.keyframes, _bytes_in(path), writer.warnings)

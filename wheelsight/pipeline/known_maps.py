@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -16,7 +15,7 @@ from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.known import KnownMap
-from wheelsight.slam.sessions import MapFolder, map_folder_of
+from wheelsight.slam.sessions import MapFolder, find_map
 from wheelsight.sources import EventSource
 
 # An edge that is less sure, as of a camera that was carried off, does not tell how its ends lie to each other.
@@ -43,7 +42,7 @@ def open_known(
     given = config.known_map
     if given.path is None:
         return None
-    folder = MapFolder.open(map_folder_of(Path(given.path)), read_only=not given.extend, settings=config.sessions)
+    folder = MapFolder.open(find_map(given.path), read_only=not given.extend, settings=config.sessions)
     try:
         folder.check_camera(source.calibration, config.recording.depth_factor)
         together = lie_together(folder)
@@ -61,7 +60,7 @@ def open_known(
 def lie_together(folder: MapFolder) -> BoolArray:
     """(N,) which keyframes of a map hang together by edges that are sure: the largest such piece."""
     count = len(folder.store)
-    there = np.isfinite(folder.store.T_map_keyframe).all(axis=(1, 2))
+    there: BoolArray = np.asarray(np.isfinite(folder.store.T_map_keyframe).all(axis=(1, 2)))
     there[[int(number) for number in folder.store.missing]] = False
     sure = [(edge.first, edge.second) for edge in folder.edges if _is_sure(edge.covariance)]
     ends = np.array([pair for pair in sure if max(pair) < count], np.int64).reshape(-1, 2)

@@ -98,7 +98,7 @@ def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:
     if record.kept_map is None:
         discard_map(path.with_name(MAP_FOLDER))
     if record.map is not None and track.localizer.map is not None:
-        save_surfels(track.localizer.map, path, track.map_path)
+        save_surfels(track.localizer.map, path, None if track.extends else track.map_path)
     else:
         _forget(path)
 

@@ -32,6 +32,9 @@ def records_of(
     matches: MatchesOfRun | None = None,
 ) -> tuple[RunRecord, ...]:
     """The record of each track of a pass that is over."""
+    for track in passage.tracks:
+        if track.localizer.loops is not None and not passage.is_torn:
+            track.localizer.loops.finish()  # first: keyframes, and all that hangs on them, move once more
     records = {track.odometry: _record_of(track, passage, source, config) for track in passage.tracks}
     if matches is not None:
         for track in passage.tracks:

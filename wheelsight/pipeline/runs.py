@@ -9,6 +9,7 @@ from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
 from wheelsight.pipeline.kept_maps import keeping_maps
+from wheelsight.pipeline.known_maps import open_known
 from wheelsight.pipeline.loops import MatchesOfRun, matches_of_run
 from wheelsight.pipeline.origin import frame_count_of, wheel_count_of, where
 from wheelsight.pipeline.outputs import Draw, write_results
@@ -19,6 +20,7 @@ from wheelsight.pipeline.run_record import FrameRecord, RunRecord
 from wheelsight.pipeline.track import UNITS, Passage, Track, begin_all, follow
 from wheelsight.recordings import Recording
 from wheelsight.recordings.clocks import FRAMES, WHEELS, refuse_if_apart, refuse_other_units
+from wheelsight.slam.known import KnownMap
 from wheelsight.sources import EventSource
 
 
@@ -29,6 +31,7 @@ def run_each(
     *,
     force: bool = False,
     on_ready: Callable[[], None] = lambda: None,
+    on_code: Callable[[int, int], None] = lambda done, total: None,
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
     draw: Draw | None = None,
     duration_s: float | None = None,
@@ -42,6 +45,8 @@ def run_each(
         source: a recording, also one `in_real_time`, or what gives events from elsewhere, without an end.
         config, out, force: all settings; folder for the results, made if need be; whether it may hold something.
         on_ready: called once all is checked and `out` is made, before the first event.
+        on_code: called while keyframes of a known map are made ready to be recognised, with how many are, and of
+            how many.
         on_event: called after each event that was answered, with each odometry's answer by its name.
         draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
         duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
@@ -49,10 +54,11 @@ def run_each(
     Raises:
         InputError: what cannot end well, before anything is written; or the source cannot be read on.
     """
-    tracks, places, matches = _begin(source, config)
+    known = open_known(source, config, on_code)
+    tracks, places, matches = _begin(source, config, None if known is None else known[0])
     folder = make_output_folder(Path(out), force)
     on_ready()
-    with keeping_maps(tracks, source, config, folder):
+    with keeping_maps(tracks, source, config, folder, None if known is None else known[1]):
         passage = follow(tracks, source, config, on_event, None if places is None else places.places, duration_s)
         _raise_where_nothing(passage)
         records = records_of(passage, source, config, places, matches)
@@ -68,7 +74,9 @@ def _raise_where_nothing(passage: Passage) -> None:
         raise passage.interruption
 
 
-def _begin(source: EventSource, config: Config) -> tuple[tuple[Track, ...], PlacesOfRun | None, MatchesOfRun | None]:
+def _begin(
+    source: EventSource, config: Config, known: KnownMap | None
+) -> tuple[tuple[Track, ...], PlacesOfRun | None, MatchesOfRun | None]:
     """Every track at its start, and places and matches if they are asked for.
 
     Raises:
@@ -79,7 +87,7 @@ def _begin(source: EventSource, config: Config) -> tuple[tuple[Track, ...], Plac
     """
     _check_sensors(source, config)
     places, matches = places_of(source, config), matches_of_run(source, config)
-    tracks = begin_all(source, config, None if places is None else places.places)
+    tracks = begin_all(source, config, None if places is None else places.places, known)
     _check_clocks(source, config)
     return tracks, places, matches
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +24,7 @@ from wheelsight.pipeline.realtime import RealTimeRecording, rehearse
 from wheelsight.pipeline.rectification_record import Look
 from wheelsight.pipeline.run_record import FrameRecord, MatchPicture
 from wheelsight.recordings import Recording
+from wheelsight.slam.known import KnownMap
 from wheelsight.slam.sessions import MapWriter
 from wheelsight.sources import EventSource
 
@@ -78,6 +79,7 @@ class Track:
         looks: what each frame said of the area, where places were asked.
         stops: where to look at the map from, where one is built.
         map_writer, map_path: what writes a map folder for the next drive, and where, if anything does.
+        extends: whether that is the known map, to which nothing is added before it is known where in it the robot is.
     """
 
     odometry: TrackName
@@ -92,13 +94,21 @@ class Track:
     stops: Stops = field(default_factory=lambda: Stops([]))
     map_writer: MapWriter | None = None
     map_path: Path | None = None
+    extends: bool = False
 
     @classmethod
-    def begin(cls, odometry: TrackName, source: EventSource, config: Config, places: Places | None) -> Track:
+    def begin(
+        cls,
+        odometry: TrackName,
+        source: EventSource,
+        config: Config,
+        places: Places | None,
+        known: KnownMap | None = None,
+    ) -> Track:
         """At the start. Raises CalibrationError, ConfigError."""
         listed = wheel_count_of(source) if UNITS[odometry] == "reading" else frame_count_of(source)
         waits = isinstance(source, Recording) and not isinstance(source, RealTimeRecording)
-        localizer = Localizer(source.calibration, config.alone(odometry), places, waits=waits)
+        localizer = Localizer(source.calibration, config.alone(odometry), places, known=known, waits=waits)
         due = spread(config.report.pictures, frame_count_of(source))
         stops = Stops(list(due) if localizer.map is not None else [])
         return cls(odometry, listed, localizer, Photographer(due), source.calibration.T_base_camera, stops=stops)
@@ -130,13 +140,22 @@ class Track:
         told_s = None if estimate.T_odom_body is None else estimate.stamp_s
         answer = FrameRecord(index, stamp_s, *outcome, seconds, localizer.note, *_size(localizer.map), flags, told_s)
         is_frame = isinstance(event, RgbdFrame | SkippedFrame)
-        if is_frame and self.map_writer is not None:
-            self.map_writer.look(estimate)
+        if is_frame:
+            self._keep(estimate)
         if is_frame or UNITS[self.odometry] == "reading":
             self.frames.append(answer)
         if is_frame and self.odometry == "rectified":
             self.looks.append(_look(localizer, estimate))
         return answer
+
+    def _keep(self, estimate: Estimate) -> None:
+        """Have new keyframes written for the next drive; edges of a map that is extended come in the end."""
+        if self.map_writer is None:
+            return
+        if not self.extends:
+            self.map_writer.look(estimate)
+        elif self.localizer.loops is not None and self.localizer.loops.is_joined:
+            self.map_writer.look(None)
 
     def _add_stages(self, seconds: Mapping[str, float]) -> None:
         if seconds.keys() > self.stage_seconds.keys():
@@ -181,9 +200,22 @@ class Passage:
     unused: tuple[str, ...] = ()
 
 
-def begin_all(source: EventSource, config: Config, places: Places | None) -> tuple[Track, ...]:
-    """Every track of a run at its start. Raises CalibrationError, ConfigError."""
-    return tuple(Track.begin(track, source, config, places) for track in _followed(source, config))
+def begin_all(
+    source: EventSource, config: Config, places: Places | None, known: KnownMap | None = None
+) -> tuple[Track, ...]:
+    """Every track of a run at its start; `known` is for what has the map. Raises CalibrationError, ConfigError."""
+    names = _followed(source, config)
+    return tuple(
+        Track.begin(name, source, config.without_known_map(), places)
+        if known is None or not has_map(name, names)
+        else Track.begin(name, source, config, places, known)
+        for name in names
+    )
+
+
+def has_map(name: str, names: Collection[str]) -> bool:
+    """Whether a track of some is the one whose keyframes are kept: a camera's, or where sensors are joined, that."""
+    return name == "joined" or (UNITS[name] == "frame" and "joined" not in names)  # type: ignore[index]
 
 
 def _followed(source: EventSource, config: Config) -> tuple[TrackName, ...]:
