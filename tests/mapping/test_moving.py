@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mapping.scenes import FRAME_S, GRID, SHAPE, Wall, fuse, kept_keyframes, pose, see
@@ -10,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
-from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings
+from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map
 
 FIRST, SECOND = KeyframeId(0), KeyframeId(1)
 APART_M = 8.0
@@ -143,6 +145,27 @@ def test_a_whole_map_moves_with_its_keyframes_and_with_what_hangs_on_none(
     moves = told.moves()
     assert moves is not None
     assert_allclose(moves, np.tile(T_new_old, (2, 1, 1)), atol=1e-12)
+
+
+def test_a_map_from_a_file_follows_a_store_from_where_its_keyframes_were(
+    surfel_map: SurfelMap, store: KeyframeStore, tmp_path: Path
+) -> None:
+    save_map(surfel_map, tmp_path / "a.surfels")
+    T_new_old = se3.exp([3.0, -2.0, 1.0, 0.3, -0.2, 0.5])
+    later = kept_keyframes(3)
+    later.move([FIRST, SECOND], store.T_map_keyframe)
+    move(later, T_new_old, SECOND)
+    back = load_map(tmp_path / "a.surfels")
+    back.hang_on(later)
+    move(store, T_new_old, SECOND)
+    for keyframe in (0, 1):
+        expected = of_keyframe(surfel_map.surfels(), keyframe).position
+        assert_allclose(of_keyframe(back.surfels(), keyframe).position, expected, atol=2e-6)
+    move(later, T_new_old, FIRST)
+    move(store, T_new_old, FIRST)
+    assert_allclose(of_keyframe(back.surfels(), 0).position, of_keyframe(surfel_map.surfels(), 0).position, atol=2e-6)
+    with pytest.raises(MapError, match="has 3 keyframes, the store 1"):
+        back.hang_on(kept_keyframes(1))
 
 
 def test_a_map_that_is_not_moved_is_the_same_to_the_last_bit(rng: np.random.Generator) -> None:

@@ -120,6 +120,7 @@ class SurfelMap:
 
         Raises MapError where the store has fewer keyframes than the map.
         """
+        self._follow()
         known = self.T_map_keyframe
         if len(known) > len(store):
             raise MapError(f"has {len(known)} keyframes, the store {len(store)}", fix="give the store of this map")
