@@ -67,5 +67,14 @@ def run_each(
     Without plotly, which the extra `report` brings, all is done but the page.
     """
     draw = write_page if why_no_page() is None else None
-    told = {"on_ready": on_ready, "on_code": on_code, "on_event": on_event}
-    return pipeline.run_each(source, config, out, force=force, draw=draw, duration_s=duration_s, **told)
+    return pipeline.run_each(
+        source,
+        config,
+        out,
+        force=force,
+        on_ready=on_ready,
+        on_code=on_code,
+        on_event=on_event,
+        draw=draw,
+        duration_s=duration_s,
+    )

@@ -106,7 +106,7 @@ def run(
     start_of = "--start" if map_from is None else STARTS_IN_KNOWN_MAP
     of_places = {"--places": places, "--areas": areas, "--rectify": rectify, start_of: start}
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}
-    of_all = {"--odometry": odometry, "--fusion": fusion, "--map": map_, "--loops": loops}
+    of_all: dict[str, object] = {"--odometry": odometry, "--fusion": fusion, "--map": map_, "--loops": loops}
     of_all |= {"--map-from": None if map_from is None else str(map_from), "--extend": extend or None}
     given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     is_named = odometry is not None or names_odometry(config)

@@ -53,7 +53,7 @@ class CorrectionRecord:
 
     Attributes:
         found: the corrected trajectory, and how matches were judged.
-        stamps_s: (K,) of the keyframes that loops join.
+        stamps_s: (K,) of the keyframes of this drive.
         matches: how many there were.
         seconds: that it took.
         evaluation: of the corrected trajectory, or None without truth.
@@ -156,12 +156,17 @@ def _by_matches(
 
 
 def judged_csv(record: CorrectionRecord) -> str:
-    """A row for each match that was judged."""
+    """A row for each match that was judged; a keyframe of a known map has a number and no stamp."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["stamp_a_s", "stamp_b_s", "kept", "chi2", "limit", "cluster"])
+    rows.writerow(["stamp_a_s", "stamp_b_s", "kept", "chi2", "limit", "cluster", "keyframe_a", "keyframe_b"])
+    first_new = len(record.found.T_map_keyframe) - len(record.stamps_s)
     for one in record.found.loops.judged:
-        ends = (record.stamps_s[one.loop.first], record.stamps_s[one.loop.second])
-        stamps = (np.format_float_positional(stamp_s, min_digits=6) for stamp_s in ends)
-        rows.writerow([*stamps, int(one.is_kept), f"{one.chi2:.3f}", f"{one.limit:.3f}", one.cluster])
+        ends = (one.loop.first, one.loop.second)
+        stamps = (_stamp(record, number - first_new) for number in ends)
+        rows.writerow([*stamps, int(one.is_kept), f"{one.chi2:.3f}", f"{one.limit:.3f}", one.cluster, *ends])
     return text.getvalue()
+
+
+def _stamp(record: CorrectionRecord, row: int) -> str:
+    return "" if row < 0 else np.format_float_positional(record.stamps_s[row], min_digits=6)

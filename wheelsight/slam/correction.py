@@ -40,7 +40,7 @@ class Correction:
     Attributes:
         corrected: the trajectory as known at the end, in the map; without covariances.
         rows: (K,) of which poses of the trajectory keyframes are.
-        T_map_keyframe: (K, 4, 4) where they are.
+        T_map_keyframe: (M, 4, 4) where the body was at all keyframes; the K last ones are those of this drive.
         loops: how matches were judged.
         unused: how many matches were not judged, by reason.
     """
@@ -93,7 +93,10 @@ def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
     T_map_odom = found.T_map_odom
     rows = np.array([_nearest(lived.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
     corrected = carried(lived, found.stamps_s, T_map_odom)
-    return Correction(corrected, rows, T_map_odom @ lived.T_frame_body[rows], found.loops, {})
+    T_map_new = T_map_odom @ lived.T_frame_body[rows]
+    T_camera_body = se3.invert(found.T_odom_keyframe[0]) @ lived.T_frame_body[rows[0]]
+    T_map_known = found.T_map_keyframe[: len(found.T_map_keyframe) - len(rows)] @ T_camera_body
+    return Correction(corrected, rows, np.concatenate([T_map_known, T_map_new]), found.loops, {})
 
 
 def _covariances(lived: Trajectory, stated: SpeedVariances | None) -> FloatArray:
