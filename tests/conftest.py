@@ -6,6 +6,9 @@ import os
 import shutil
 from pathlib import Path
 
+# Before numpy is loaded: OpenBLAS' threads wait for each other in a loop, and there is a process a core already.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 from hypothesis import settings

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, cast
 
 import numpy as np
@@ -39,26 +39,28 @@ class Forest:
         return replace(match, probabilities=self._change(match.probabilities))
 
 
-@pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Localizer]:
+@pytest.fixture(scope="module")
+def made() -> Iterator[Callable[..., Localizer]]:
     """Makes a localizer by wheels, a camera that sees the truth but where it is blind, and places."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("wheelsight.localizer._fused_camera.DenseOdometry", Eye)
+        yield partial(make, patch)
 
-    def make(
-        forest: Forest | None,
-        sight: Callable[[float], Sight] = lambda stamp_s: Sight(),
-        begin_s: float = -np.inf,
-        kept: MapOfFrames | None = None,
-    ) -> Localizer:
-        eye = Eye(area_drive().truth, sight, np.eye(4))
-        monkeypatch.setattr("wheelsight.localizer._fused_camera.DenseOdometry", Eye)
-        monkeypatch.setattr("wheelsight.localizer._fused_camera.camera_odometry", lambda *_: (eye, kept))
-        settings: dict[str, Any] = {"odometry": "wheels,dense"}
-        if forest is None:
-            return Localizer(calibration(), load_config(overrides=settings))
-        config = load_config(overrides=settings | {"places.model": "three.places"})
-        return Localizer(calibration(), config, Places(cast(PlaceModel, forest), AREAS, T_WORLD_START, begin_s))
 
-    return make
+def make(
+    patch: pytest.MonkeyPatch,
+    forest: Forest | None,
+    sight: Callable[[float], Sight] = lambda stamp_s: Sight(),
+    begin_s: float = -np.inf,
+    kept: MapOfFrames | None = None,
+) -> Localizer:
+    eye = Eye(area_drive().truth, sight, np.eye(4))
+    patch.setattr("wheelsight.localizer._fused_camera.camera_odometry", lambda *_: (eye, kept))
+    settings: dict[str, Any] = {"odometry": "wheels,dense"}
+    if forest is None:
+        return Localizer(calibration(), load_config(overrides=settings))
+    config = load_config(overrides=settings | {"places.model": "three.places"})
+    return Localizer(calibration(), config, Places(cast(PlaceModel, forest), AREAS, T_WORLD_START, begin_s))
 
 
 @cache
@@ -80,11 +82,21 @@ def errors_m(answers: Answers, T_odom_begin: FloatArray | None = None) -> FloatA
     return np.asarray(np.linalg.norm((T - truth.at(stamps_s))[:, :2, 3], axis=1))
 
 
-def test_places_hold_the_position_while_the_camera_is_dark(made: Callable[..., Localizer]) -> None:
-    sight = dark_after(0.0)
-    alone = errors_m(answers_to(made(None, sight)), T_WORLD_START)
-    subject = made(Forest(), sight)
-    answers = answers_to(subject)
+@pytest.fixture(scope="module")
+def alone_m(made: Callable[..., Localizer]) -> Callable[[float], FloatArray]:
+    """How far it is off without places where the camera sees for so many seconds."""
+    return cache(lambda seeing_s: errors_m(answers_to(made(None, dark_after(seeing_s))), T_WORLD_START))
+
+
+@pytest.fixture(scope="module")
+def held_in_the_dark(made: Callable[..., Localizer]) -> Answers:
+    return answers_to(made(Forest(), dark_after(0.0)))
+
+
+def test_places_hold_the_position_while_the_camera_is_dark(
+    held_in_the_dark: Answers, alone_m: Callable[[float], FloatArray]
+) -> None:
+    answers, alone = held_in_the_dark, alone_m(0.0)
     held = errors_m(answers)
     assert alone[-1] > 5
     assert held.mean() < 0.3 * alone.mean()
@@ -94,8 +106,8 @@ def test_places_hold_the_position_while_the_camera_is_dark(made: Callable[..., L
     assert {answer.reason for answer in late} == {Reason.TOO_LITTLE_DEPTH}
 
 
-def test_the_covariance_is_honest_while_they_hold_it(made: Callable[..., Localizer]) -> None:
-    answers = answers_to(made(Forest(), dark_after(0.0)))
+def test_the_covariance_is_honest_while_they_hold_it(held_in_the_dark: Answers) -> None:
+    answers = held_in_the_dark
     spread_m = []
     for _, answer in answers:
         assert answer.T_odom_body is not None
@@ -109,7 +121,7 @@ def test_the_covariance_is_honest_while_they_hold_it(made: Callable[..., Localiz
 @pytest.mark.parametrize("kind", ["next one", "shuffled", "always one"])
 @pytest.mark.parametrize("seeing_s", [0.0, 20.0, 1000.0])
 def test_a_forest_that_is_worth_nothing_harms_little(
-    made: Callable[..., Localizer], kind: str, seeing_s: float
+    made: Callable[..., Localizer], alone_m: Callable[[float], FloatArray], kind: str, seeing_s: float
 ) -> None:
     rng = np.random.default_rng(1)
     changes: dict[str, Callable[[FloatArray], FloatArray]] = {
@@ -117,9 +129,8 @@ def test_a_forest_that_is_worth_nothing_harms_little(
         "shuffled": lambda probabilities: rng.permutation(probabilities),
         "always one": lambda probabilities: np.array([0.02, 0.02, 0.96]),
     }
-    alone = errors_m(answers_to(made(None, dark_after(seeing_s))), T_WORLD_START).mean()
     misled = errors_m(answers_to(made(Forest(changes[kind]), dark_after(seeing_s)))).mean()
-    assert misled < 1.2 * alone
+    assert misled < 1.2 * alone_m(seeing_s).mean()
 
 
 def test_it_tells_what_the_model_said_and_how_long_it_took(made: Callable[..., Localizer]) -> None:

@@ -34,9 +34,14 @@ def built(path: Path, seed: int = 0, robot: Robot | None = None, **plan: object)
     return build_floor_plan(FloorPlan(path, **plan), seed, robot or Robot())  # type: ignore[arg-type]
 
 
-@pytest.fixture
-def house(tmp_path: Path) -> Path:
-    return write_plan(tmp_path, two_rooms())
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_plan(tmp_path_factory.mktemp("plans"), two_rooms())
+
+
+@pytest.fixture(scope="module")
+def world(house: Path) -> World:
+    return built(house)
 
 
 def hits(world: World, start: tuple[float, float], angles_rad: np.ndarray) -> np.ndarray:
@@ -50,15 +55,15 @@ def hits(world: World, start: tuple[float, float], angles_rad: np.ndarray) -> np
     return far
 
 
-def test_walls_stand_where_the_plan_has_them(house: Path) -> None:
-    far = hits(built(house), (3.0, 6.0), np.radians([0, 90, 180, 270]))
+def test_walls_stand_where_the_plan_has_them(world: World) -> None:
+    far = hits(world, (3.0, 6.0), np.radians([0, 90, 180, 270]))
     np.testing.assert_allclose(far, [3.0, 2.0, 2.8, 3.6], atol=0.03)
 
 
 @pytest.mark.slow
-def test_specks_of_a_scanner_are_no_walls(tmp_path: Path, house: Path, rng: np.random.Generator) -> None:
+def test_specks_of_a_scanner_are_no_walls(tmp_path: Path, world: World, rng: np.random.Generator) -> None:
     angles = np.linspace(-math.pi, math.pi, 200)
-    clean = hits(built(house), (3.0, 6.0), angles)
+    clean = hits(world, (3.0, 6.0), angles)
     (tmp_path / "noisy").mkdir()
     noisy = hits(built(write_plan(tmp_path / "noisy", two_rooms(rng))), (3.0, 6.0), angles)
     # Specks that touch a wall are taken for a part of it, but for its corners no more than 2 cells thick.
@@ -76,12 +81,12 @@ def test_jagged_walls_are_drawn_straight(tmp_path: Path, rng: np.random.Generato
     np.testing.assert_allclose(hits(world, (3.0, 6.0), np.radians([0, 90, 180])), [3.0, 2.0, 2.8], atol=0.12)
 
 
-def test_nothing_but_walls_and_doors_closes_the_floor(house: Path) -> None:
+def test_nothing_but_walls_and_doors_closes_the_floor(world: World) -> None:
     """All around every waypoint a level ray ends within the house."""
-    world = built(house)
     for x, y in world.route[::5]:
-        assert hits(world, (x, y), np.linspace(-math.pi, math.pi, 360)).max() < 15
-        assert hits(world, (x, y), np.linspace(-math.pi, math.pi, 360)).min() > 0
+        far = hits(world, (x, y), np.linspace(-math.pi, math.pi, 360))
+        assert far.max() < 15
+        assert far.min() > 0
 
 
 @pytest.mark.parametrize("yaw_rad", [0.5, 3.14])
@@ -95,8 +100,8 @@ def test_a_rotated_origin_turns_the_world(tmp_path: Path, yaw_rad: float) -> Non
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_route_is_a_loop_that_keeps_clear_of_everything(house: Path, seed: int) -> None:
-    world = built(house, seed)
+def test_the_route_is_a_loop_that_keeps_clear_of_everything(house: Path, world: World, seed: int) -> None:
+    world = built(house, seed) if seed else world
     assert world.is_loop
     assert find_collision(world, world.route, Robot().width_m / 2 + 0.1) is None
     line = shapely.LineString([*world.route, world.route[0]])
@@ -106,8 +111,7 @@ def test_the_route_is_a_loop_that_keeps_clear_of_everything(house: Path, seed: i
     assert all(line.distance(leaf) > 0.4 for leaf in leaves)
 
 
-def test_both_doorways_have_doors(house: Path) -> None:
-    world = built(house)
+def test_both_doorways_have_doors(world: World) -> None:
     lintels = [thing for thing in footprints(world) if thing.name.startswith("lintel_")]
     found = sorted((thing.polygon.centroid.x, thing.polygon.centroid.y) for thing in lintels)
     np.testing.assert_allclose(found, [(3.0, 2.3), (9.0, 2.3)], atol=0.06)

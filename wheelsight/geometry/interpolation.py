@@ -26,5 +26,9 @@ def interpolate_at(stamps_s: ArrayLike, T: ArrayLike, wanted_s: ArrayLike, max_g
     gap_s = stamps_s[after] - stamps_s[before]
     between = ~exact & (stamps_s[before] < wanted_s) & (wanted_s < stamps_s[after]) & (gap_s <= max_gap_s)
     i, j = before[between], after[between]
-    result[between] = se3.interpolate(T[i], T[j], (wanted_s[between] - stamps_s[i]) / gap_s[between])
+    if len(i) == 1:
+        # Single motions are reckoned in plain numbers: as a batch of one they take four times as long.
+        i, j = i[0], j[0]
+    if np.size(i):
+        result[between] = se3.interpolate(T[i], T[j], np.squeeze((wanted_s[between] - stamps_s[i]) / gap_s[between]))
     return result

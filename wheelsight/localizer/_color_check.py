@@ -131,12 +131,13 @@ def _nearness(frame: RgbdFrame, of: ColorCheckSettings) -> Float32Array:
 def _shift_of(before: Float32Array, now: Float32Array, of: ColorCheckSettings) -> float:
     """By how many pixels an image of nearness moved to the right; NaN where none fits."""
     costs = np.full(2 * of.most_px + 1, 0.1)
+    width = before.shape[1]
+    known_before, known_now = before > 0, now > 0
     for place, shift in enumerate(range(-of.most_px, of.most_px + 1)):
-        a = before[:, max(0, -shift) : before.shape[1] - max(0, shift)]
-        b = now[:, max(0, shift) : now.shape[1] - max(0, -shift)]
-        both = (a > 0) & (b > 0)
-        if both.mean() > 0.05:
-            costs[place] = np.minimum(np.abs(a - b), 0.1)[both].mean()
+        first, then = slice(max(0, -shift), width - max(0, shift)), slice(max(0, shift), width - max(0, -shift))
+        both = known_before[:, first] & known_now[:, then]
+        if np.count_nonzero(both) > 0.05 * both.size:
+            costs[place] = np.minimum(np.abs(before[:, first] - now[:, then])[both], 0.1).mean()
     i = int(costs.argmin())
     if not 0 < i < len(costs) - 1 or 1 - costs[i] / np.median(costs) < of.alike:
         return np.nan

@@ -86,14 +86,16 @@ class OffsetMeter:
         self._far.keep(contrasts, borders)
         if size[0] <= 2 * right or size[1] <= 2 * down:
             return  # smaller than the shifts that are tried
-        for contrast, border in zip(contrasts, borders, strict=True):
-            spectrum = np.fft.rfft2(cv2.resize(contrast, size, interpolation=cv2.INTER_AREA))
-            for index, scale in enumerate(_SEARCH_SCALES):
-                about = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 0.0, float(scale))
+        spectra = [np.fft.rfft2(cv2.resize(contrast, size, interpolation=cv2.INTER_AREA)) for contrast in contrasts]
+        for index, scale in enumerate(_SEARCH_SCALES):
+            about = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 0.0, float(scale))
+            product = np.zeros_like(spectra[0])
+            for spectrum, border in zip(spectra, borders, strict=True):
                 moved = cv2.resize(cv2.warpAffine(border, about, (width, height)), size, interpolation=cv2.INTER_AREA)
-                fit = np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(moved)), s=size[::-1])
-                self._fit[index] += np.roll(fit, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
-            self._edges += float(border.sum()) / self._reduction**2
+                product += spectrum * np.conj(np.fft.rfft2(moved))
+            fit = np.fft.irfft2(product, s=size[::-1])
+            self._fit[index] += np.roll(fit, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
+        self._edges += sum(float(border.sum()) for border in borders) / self._reduction**2
 
     def offset(self) -> RegistrationOffset | None:
         """The best fit, or None where none stands out; first among those far off, which seem near by chance at best."""
@@ -151,13 +153,15 @@ class _FarSearch:
         columns, rows = _far_size(width, height)
         middle, step = np.array([(width - 1) / 2, (height - 1) / 2]), np.array([width / columns, height / rows])
         signs, count = np.where(flips, -scale, scale), 0
-        fit: FloatArray = np.zeros((rows, columns))
+        # The transform is linear: it is inverted once, of the sum.
+        product = np.zeros_like(edges[0][0])
         for spectrum, px in edges:
             x, y = np.floor((signs * (px - middle) + middle + 0.5) / step).astype(np.int64).T
             inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
             count += int(np.count_nonzero(inside))
             moved = np.bincount(y[inside] * columns + x[inside], minlength=rows * columns).reshape(rows, columns)
-            fit += np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(moved)), s=(rows, columns))
+            product += spectrum * np.conj(np.fft.rfft2(moved))
+        fit = np.fft.irfft2(product, s=(rows, columns))
         near = np.roll(fit, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
         y_best, x_best = np.unravel_index(near.argmax(), near.shape)
         shift_px = step * (np.array([x_best, y_best]) - _FAR_PX)

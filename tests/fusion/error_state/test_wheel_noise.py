@@ -72,7 +72,7 @@ def noise_after(ratio: float, seed: int, seconds: float = 60.0, slips_s: float =
 
 @pytest.mark.parametrize("ratio", [1 / 16, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_noise_is_learned_whatever_the_calibration_says(ratio: float) -> None:
-    found = [noise_after(ratio, seed)[-1] for seed in range(4)]
+    found = [noise_after(ratio, seed, seconds=45.0)[-1] for seed in range(2)]
     assert 0.5 * ratio < np.mean(found) < 2 * ratio
 
 

@@ -53,13 +53,13 @@ def checked(
 
 
 def test_a_gyroscope_that_agrees_is_trusted_after_some_seconds_of_turning() -> None:
-    for seed in range(5):
-        check, trusted = checked(seed=seed)
+    for seed in range(3):
+        check, trusted = checked(seed=seed, seconds=16.0)
         assert check.is_trusted
         assert check.agrees_now
         assert check.warnings == ()
         assert 3.5 < trusted[0] < 6.0
-        assert len(trusted) * WHEEL_S == pytest.approx(40.0 - trusted[0], abs=0.1)
+        assert len(trusted) * WHEEL_S == pytest.approx(16.0 - trusted[0], abs=0.1)
 
 
 def test_one_that_was_never_put_to_the_test_is_not() -> None:
@@ -104,7 +104,7 @@ def test_one_that_fails_on_the_way_is_left_out_from_then_on() -> None:
 @pytest.mark.parametrize("slope", [0.6, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_wheels_that_slip_in_every_turn_do_not_condemn_it(slope: float) -> None:
     """As those of a skid-steered robot, whose track is given as it is measured: never twice alike."""
-    for seed in range(5):
+    for seed in range(3):
         check, trusted = checked(slope=slope, scatter=0.1, seed=seed)
         assert check.is_trusted
         assert trusted
