@@ -11,7 +11,7 @@ import numpy as np
 
 from wheelsight.calibration_fields import Range, check_range, made, mapping, motion, need_numbers, number, whole
 from wheelsight.calibration_layers import NOMINAL, NOMINAL_PARTS, laid_over
-from wheelsight.calibration_parts import DepthNoise, Gyro, Wheels
+from wheelsight.calibration_parts import WHEEL_SIGMAS, DepthNoise, Gyro, Wheels
 from wheelsight.errors import CalibrationError
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
@@ -257,7 +257,9 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
         document["T_base_camera"] = rows(calibration.T_base_camera)
     if calibration.wheels is not None:
         counter = {name: int(getattr(calibration.wheels, name)) for name in _COUNTER_FIELDS}
-        document["wheels"] = _plain(calibration.wheels) | counter
+        stated = _plain(calibration.wheels)
+        silent = {name for name in WHEEL_SIGMAS if not stated[name]}
+        document["wheels"] = {name: value for name, value in stated.items() if name not in silent} | counter
     if calibration.wheels is not None or calibration.gyro != Gyro():
         document["gyro"] = _plain(calibration.gyro)
     return document

@@ -25,7 +25,12 @@ _OF_WHEELS = {
     "slip_m_per_sqrt_m": Range(0.0, 1.0, "m/√m"),
     "max_speed_m_s": Range(0.01, 100.0, "m/s"),
     "max_gap_s": Range(0.001, 3600.0, "s"),
+    "scale_sigma": Range(0.0, 1.0, "", "0.01 for radii that are known to 1 %"),
+    "drift_sigma_rad_per_m": Range(0.0, 1.0, "rad/m"),
+    "turn_sigma": Range(0.0, 1.0, "", "0.01 for a track width that is known to 1 %"),
 }
+# Not stated where they are 0.
+WHEEL_SIGMAS = ("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma")
 # Ten turns a second are more than any robot makes, and a bias that large is a broken gyroscope's.
 _OF_GYRO = {
     "noise_rad_per_sqrt_s": Range(0.0, 10.0, "rad/√s"),
@@ -84,6 +89,9 @@ class Wheels:
         slip_m_per_sqrt_m: standard deviation of a wheel's travel over one metre; its square grows with the way.
         max_speed_m_s: fastest a wheel can roll; a step that needs more is a fault, no motion.
         max_gap_s: longest time between readings that can be bridged.
+        scale_sigma, drift_sigma_rad_per_m, turn_sigma: how sure these sizes are, as standard deviations: the share by
+            which ways are wrong, the turn a metre that wheels of unequal size make, the share by which turns are
+            wrong. 0 where nobody says; then `fusion.error_state` has what is likely of a data sheet's.
         counter_modulus: how many values the counters count through before they roll over, where that is no power of
             two, such as 9000 for 0 … 8999; 0 where `counter_bits` tells.
 
@@ -101,6 +109,9 @@ class Wheels:
     max_speed_m_s: float = 5.0
     max_gap_s: float = 0.5
     counter_modulus: int = 0
+    scale_sigma: float = 0.0
+    drift_sigma_rad_per_m: float = 0.0
+    turn_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         need_numbers(self, (*_OF_WHEELS, *_COUNTER_FIELDS))
@@ -108,7 +119,7 @@ class Wheels:
             value = getattr(self, name)
             if not np.isfinite(value):
                 raise CalibrationError(f"{name} is {value}, not a number")
-            if value <= 0 and name not in (*_COUNTER_FIELDS, "delay_s"):
+            if value <= 0 and name not in (*_COUNTER_FIELDS, *WHEEL_SIGMAS, "delay_s"):
                 raise CalibrationError(f"{name} is {value}, not positive")
         self._check_counter()
         for name, allowed in _OF_WHEELS.items():

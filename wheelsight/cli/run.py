@@ -2,15 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-import typer
-
 from wheelsight.cli import _run_options as options
-from wheelsight.cli._console import INTERRUPTED
 from wheelsight.cli._odometry import ANY, chosen_odometry, names_odometry
 from wheelsight.cli._options import (
     STARTS_IN_KNOWN_MAP,
@@ -23,13 +15,9 @@ from wheelsight.cli._options import (
     open_source,
     settings_from,
 )
-from wheelsight.cli._run_progress import expected, played, show_progress
+from wheelsight.cli._run_progress import played
+from wheelsight.cli._running import track
 from wheelsight.cli._summary import print_summary
-
-if TYPE_CHECKING:
-    from wheelsight.config import Config
-    from wheelsight.pipeline import FrameRecord, RunRecord
-    from wheelsight.sources import EventSource
 
 
 def run(
@@ -115,41 +103,5 @@ def run(
         if not is_named:
             given["--odometry"] = chosen_odometry(source, settings)
             settings = settings_from(given, config)
-        records = _track(source, settings, out, force)
+        records = track(source, settings, out, force)
     print_summary(records, out)
-
-
-def _track(source: EventSource, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
-    from wheelsight import runs
-    from wheelsight.cli._compiling import compile_missing
-    from wheelsight.cli._console import print_note
-    from wheelsight.cli._outputs import can_draw
-    from wheelsight.cli._progress import FrameProgress
-    from wheelsight.cli._run_status import RunStatus
-    from wheelsight.pipeline.kernels import parts_of
-
-    count, unit = expected(source, settings)
-    status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
-    answered: list[bool] = []
-
-    def show(answers: Mapping[str, FrameRecord]) -> None:
-        answered[:] = [True]
-        show_progress(progress, source, settings, status.after(answers))
-
-    try:
-        with ExitStack() as shown:
-
-            def begin() -> None:
-                can_draw()
-                compile_missing(parts_of(settings))
-                shown.enter_context(progress)
-
-            def code(done: int, total: int) -> None:
-                if done == 1:
-                    print_note(f"making {total:,} keyframes ready to be recognised")
-
-            return runs.run_each(source, settings, out, force=force, on_ready=begin, on_code=code, on_event=show)
-    except KeyboardInterrupt as interruption:
-        found = f"what was found until then is in {out}" if answered else "nothing was found until then"
-        print_note(f"interrupted; {found}")
-        raise typer.Exit(INTERRUPTED) from interruption

@@ -56,7 +56,8 @@ class ByFusion:
         self._map = CameraMap(T_base_camera)
         self._places = None if places is None else PlaceSense(places, settings.fusion.areas)
         T_start, spread = (None, None) if self._places is None else self._places.start
-        begin = (T_base_camera, T_start, spread, settings.fusion.error_state, calibration.gyro)
+        filter_settings = settings.fusion.error_state.with_wheels(calibration.wheels)
+        begin = (T_base_camera, T_start, spread, filter_settings, calibration.gyro)
         self.filter = ErrorStateFilter(*begin)
         checks = (of.base_check, of.color_check, settings.extrinsics)
         self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)

@@ -16,6 +16,7 @@ from wheelsight.recordings import AssociationReport
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.realism import realism_of, stream
 from wheelsight.simulation.realism.stamps import as_stamped
+from wheelsight.simulation.realism.wheel_sizes import as_calibrated
 from wheelsight.simulation.renderer import Renderer
 from wheelsight.simulation.robot import Robot
 from wheelsight.simulation.settings import SimulationSettings
@@ -60,9 +61,14 @@ class SimulatedRecording:
 
     @property
     def calibration(self) -> Calibration:
-        """What the robot's owner measured: the nominal wheels and camera mount, none of the errors injected."""
-        robot = self.settings.robot
+        """What the robot's owner measured: the nominal wheels and camera mount, none of the errors injected.
+
+        Of a real robot whose wheels were given no errors, they are as a calibration has left them.
+        """
+        robot, realism = self.settings.robot, realism_of(self.settings.realism)
         wheels, T_base_camera = robot.nominal, Robot().T_base_camera
+        if realism is not None and robot.wheels == wheels:
+            wheels = as_calibrated(wheels, realism.wheel_sizes, stream(self.settings.seed, "wheel sizes"))
         return calibration_of(wheels, T_base_camera, self.renderer.calibration, "nominal")
 
     @property

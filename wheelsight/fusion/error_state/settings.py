@@ -11,7 +11,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from wheelsight.calibration import Gyro
+from wheelsight.calibration import Gyro, Wheels
+from wheelsight.calibration_parts import WHEEL_SIGMAS
 from wheelsight.geometry import FloatArray
 from wheelsight.settings import CHOSEN, ON_SIMULATOR, Settings, setting
 
@@ -314,6 +315,11 @@ class ErrorStateSettings(Settings):
         gt=0,
         le=100,
     )
+
+    def with_wheels(self, wheels: Wheels | None) -> ErrorStateSettings:
+        """The same, with what a calibration states of how sure the wheels' sizes are."""
+        stated = {} if wheels is None else {name: getattr(wheels, name) for name in WHEEL_SIGMAS}
+        return self.model_copy(update={name: sigma for name, sigma in stated.items() if sigma > 0})
 
 
 class FilterParameters(ErrorStateSettings):

@@ -26,6 +26,7 @@ from wheelsight.odometry.wheels._observability import (
 )
 from wheelsight.odometry.wheels.drive import Drive
 from wheelsight.odometry.wheels.segments import Segments, cut
+from wheelsight.odometry.wheels.sureness import stated
 from wheelsight.trajectory import Trajectory
 
 PARAMETERS = ("left_radius_m", "right_radius_m", "track_width_m", "delay_s")
@@ -104,7 +105,10 @@ def fit_wheels(
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
     ratio_sigma, mount = _ratio_sigma(fitted, found.covariance), problem.mount(values)
     explained = (found.residuals, found.weights, found.is_outlier)
-    return WheelFit(wheels, fitted, sigmas, ratio_sigma, mount, segments, *explained)
+    radius_m = (fitted.left_radius_m + fitted.right_radius_m) / 2
+    scale = float(np.hypot(sigmas["left_radius_m"], sigmas["right_radius_m"]) / 2 / radius_m)
+    told = stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, scale)
+    return WheelFit(wheels, told, sigmas, ratio_sigma, mount, segments, *explained)
 
 
 def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: float) -> Segments:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Wheels
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
+from wheelsight.odometry.wheels.sureness import stated
 
 _LARGEST_FACTOR = 1.5
 _LONGEST_SIDE_M = 1000.0  # of a square that is driven; more is another unit
@@ -46,8 +47,14 @@ class Umbmark:
 
     @property
     def wheels(self) -> Wheels:
-        """The corrected wheels: the mean of both radii stays, its halves and the track width change."""
-        return corrected(self.nominal, self.diameter_ratio, self.track_factor)
+        """The corrected wheels: the mean of both radii stays, its halves and the track width change.
+
+        They say how sure that is where several squares do.
+        """
+        found = corrected(self.nominal, self.diameter_ratio, self.track_factor)
+        if self.diameter_ratio_sigma is None or self.track_factor_sigma is None:
+            return found
+        return stated(found, self.diameter_ratio_sigma, self.track_factor_sigma)
 
     @property
     def largest_error_m(self) -> float:

@@ -21,6 +21,7 @@ from wheelsight.simulation.realism.registration import RegistrationSettings
 from wheelsight.simulation.realism.stamps import StampSettings
 from wheelsight.simulation.realism.sunlight import SunlightSettings
 from wheelsight.simulation.realism.tyres import TyreSettings
+from wheelsight.simulation.realism.wheel_sizes import WheelSizeSettings
 from wheelsight.simulation.world import World
 
 RealismName = Literal["ideal", "real"]
@@ -32,7 +33,7 @@ class Realism:
 
     Attributes:
         lens, registration, control, pixels: of the camera; one without error of its own has none of them.
-        mount, body, floor, tyres: of the robot and the floor under it.
+        mount, wheel_sizes, body, floor, tyres: of the robot and the floor under it.
         stamps: of what the sensors say.
         sunlight, lights: of the building.
     """
@@ -42,6 +43,7 @@ class Realism:
     control: ControlSettings = field(default_factory=ControlSettings)
     pixels: PixelSettings = field(default_factory=PixelSettings)
     mount: MountSettings = field(default_factory=MountSettings)
+    wheel_sizes: WheelSizeSettings = field(default_factory=WheelSizeSettings)
     body: BodySettings = field(default_factory=BodySettings)
     floor: FloorSettings = field(default_factory=FloorSettings)
     tyres: TyreSettings = field(default_factory=TyreSettings)

@@ -1,0 +1,55 @@
+"""What `wheelsight run` does once all is known: compile, track, show how far it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from wheelsight.cli._console import INTERRUPTED
+from wheelsight.cli._run_progress import expected, show_progress
+
+if TYPE_CHECKING:
+    from wheelsight.config import Config
+    from wheelsight.pipeline import FrameRecord, RunRecord
+    from wheelsight.sources import EventSource
+
+
+def track(source: EventSource, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
+    """Run, with progress on stderr; Ctrl-C ends it with the exit code of an interruption."""
+    from wheelsight import runs
+    from wheelsight.cli._compiling import compile_missing
+    from wheelsight.cli._console import print_note
+    from wheelsight.cli._outputs import can_draw
+    from wheelsight.cli._progress import FrameProgress
+    from wheelsight.cli._run_status import RunStatus
+    from wheelsight.pipeline.kernels import parts_of
+
+    count, unit = expected(source, settings)
+    status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
+    answered: list[bool] = []
+
+    def show(answers: Mapping[str, FrameRecord]) -> None:
+        answered[:] = [True]
+        show_progress(progress, source, settings, status.after(answers))
+
+    try:
+        with ExitStack() as shown:
+
+            def begin() -> None:
+                can_draw()
+                compile_missing(parts_of(settings))
+                shown.enter_context(progress)
+
+            def code(done: int, total: int) -> None:
+                if done == 1:
+                    print_note(f"making {total:,} keyframes ready to be recognised")
+
+            return runs.run_each(source, settings, out, force=force, on_ready=begin, on_code=code, on_event=show)
+    except KeyboardInterrupt as interruption:
+        found = f"what was found until then is in {out}" if answered else "nothing was found until then"
+        print_note(f"interrupted; {found}")
+        raise typer.Exit(INTERRUPTED) from interruption
