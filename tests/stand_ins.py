@@ -80,11 +80,17 @@ class TrueOdometry:
     truth: ClassVar[Trajectory]
     seen: ClassVar[list[RgbdFrame]]
 
-    def __init__(self, calibration: Calibration, settings: object, T_map_first: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        calibration: Calibration,
+        settings: object,
+        T_map_first: FloatArray | None = None,
+        store: KeyframeStore | None = None,
+    ) -> None:
         type(self).seen = []
         self._T_map_first = np.eye(4) if T_map_first is None else T_map_first
         self.stage_seconds: dict[str, float] = {}
-        self.store = KeyframeStore()
+        self.store = KeyframeStore() if store is None else store
         self._reference_s: float | None = None
 
     def miss(self, stamp_s: float) -> Estimate:

@@ -189,7 +189,9 @@ def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.Monkey
     made: list[object] = []
 
     class Dense(TrueOdometry):
-        def __init__(self, calibration: Calibration, settings: object, T_map_first: object = None) -> None:
+        def __init__(
+            self, calibration: Calibration, settings: object, T_map_first: object = None, store: object = None
+        ) -> None:
             super().__init__(calibration, settings)
             made.append(settings)
 

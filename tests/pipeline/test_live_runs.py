@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,9 +97,9 @@ def test_a_localizer_is_built_once_a_track(tmp_path: Path, truth: Trajectory, mo
     built: list[tuple[str, ...]] = []
     begin = Localizer.__init__
 
-    def counted(self: Localizer, calibration: Calibration, config: Config, *places: object) -> None:
+    def counted(self: Localizer, calibration: Calibration, config: Config, *places: Any, **others: Any) -> None:
         built.append(config.odometry)
-        begin(self, calibration, config, *places)  # type: ignore[arg-type]
+        begin(self, calibration, config, *places, **others)
 
     monkeypatch.setattr(Localizer, "__init__", counted)
     run_each(mixed_recording(truth), BOTH, tmp_path / "out")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
@@ -20,7 +21,7 @@ from wheelsight.pipeline.run_record import FrameRecord, RunRecord
 from wheelsight.pipeline.track import UNITS, Passage, Track, begin_all, follow
 from wheelsight.recordings import Recording
 from wheelsight.recordings.clocks import FRAMES, WHEELS, refuse_if_apart, refuse_other_units
-from wheelsight.slam.known import KnownMap
+from wheelsight.slam.sessions import MapFolder
 from wheelsight.sources import EventSource
 
 
@@ -45,8 +46,7 @@ def run_each(
         source: a recording, also one `in_real_time`, or what gives events from elsewhere, without an end.
         config, out, force: all settings; folder for the results, made if need be; whether it may hold something.
         on_ready: called once all is checked and `out` is made, before the first event.
-        on_code: called while keyframes of a known map are made ready to be recognised, with how many are, and of
-            how many.
+        on_code: called while keyframes of a known map are made ready, with how many are, and of how many.
         on_event: called after each event that was answered, with each odometry's answer by its name.
         draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
         duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
@@ -54,11 +54,10 @@ def run_each(
     Raises:
         InputError: what cannot end well, before anything is written; or the source cannot be read on.
     """
-    known = open_known(source, config, on_code)
-    tracks, places, matches = _begin(source, config, None if known is None else known[0])
+    tracks, places, matches, known = _begin(source, config, on_code)
     folder = make_output_folder(Path(out), force)
     on_ready()
-    with keeping_maps(tracks, source, config, folder, None if known is None else known[1]):
+    with keeping_maps(tracks, source, config, folder, known):
         passage = follow(tracks, source, config, on_event, None if places is None else places.places, duration_s)
         _raise_where_nothing(passage)
         records = records_of(passage, source, config, places, matches)
@@ -74,9 +73,16 @@ def _raise_where_nothing(passage: Passage) -> None:
         raise passage.interruption
 
 
-def _begin(
-    source: EventSource, config: Config, known: KnownMap | None
-) -> tuple[tuple[Track, ...], PlacesOfRun | None, MatchesOfRun | None]:
+class _Begun(NamedTuple):
+    """All that a run needs before its first event; `known` is the folder of the map in which it is to find itself."""
+
+    tracks: tuple[Track, ...]
+    places: PlacesOfRun | None
+    matches: MatchesOfRun | None
+    known: MapFolder | None
+
+
+def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], None]) -> _Begun:
     """Every track at its start, and places and matches if they are asked for.
 
     Raises:
@@ -87,9 +93,15 @@ def _begin(
     """
     _check_sensors(source, config)
     places, matches = places_of(source, config), matches_of_run(source, config)
-    tracks = begin_all(source, config, None if places is None else places.places, known)
-    _check_clocks(source, config)
-    return tracks, places, matches
+    known, folder = open_known(source, config, on_code) or (None, None)
+    try:
+        tracks = begin_all(source, config, None if places is None else places.places, known)
+        _check_clocks(source, config)
+    except BaseException:
+        if folder is not None:
+            folder.close()
+        raise
+    return _Begun(tracks, places, matches, folder)
 
 
 def _check_sensors(source: EventSource, config: Config) -> None:

@@ -105,10 +105,13 @@ def fit_wheels(
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
     ratio_sigma, mount = _ratio_sigma(fitted, found.covariance), problem.mount(values)
     explained = (found.residuals, found.weights, found.is_outlier)
+    return WheelFit(wheels, _stated(fitted, sigmas, ratio_sigma), sigmas, ratio_sigma, mount, segments, *explained)
+
+
+def _stated(fitted: Wheels, sigmas: dict[str, float], ratio_sigma: float) -> Wheels:
     radius_m = (fitted.left_radius_m + fitted.right_radius_m) / 2
     scale = float(np.hypot(sigmas["left_radius_m"], sigmas["right_radius_m"]) / 2 / radius_m)
-    told = stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, scale)
-    return WheelFit(wheels, told, sigmas, ratio_sigma, mount, segments, *explained)
+    return stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, scale)
 
 
 def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: float) -> Segments:
