@@ -151,9 +151,10 @@ def robot_of(seed: int) -> Robot:
     is off its mount by about 3 mm and 0.1° about each axis.
     """
     rng = np.random.default_rng([seed, _STREAM])
-    size, track, unequal = rng.choice([-1, 1], 3) * [*rng.uniform(*_WHEEL_ERROR, 2), rng.uniform(*_UNEQUAL)]
-    forward, left, height = _MOUNT_M * rng.standard_normal(3)
-    pitch, yaw, roll = _MOUNT_RAD * rng.standard_normal(3)
+    signs = rng.choice([-1, 1], 3)
+    size, track, unequal = (signs * [*rng.uniform(*_WHEEL_ERROR, 2), rng.uniform(*_UNEQUAL)]).tolist()
+    forward, left, height = (_MOUNT_M * rng.standard_normal(3)).tolist()
+    pitch, yaw, roll = (_MOUNT_RAD * rng.standard_normal(3)).tolist()
     nominal = Robot()
     return replace(
         nominal,
