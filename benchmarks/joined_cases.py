@@ -26,6 +26,7 @@ from wheelsight.simulation import (
 )
 from wheelsight.simulation.camera_faults import CameraFault, Covered, FramesDropped, LateClock
 from wheelsight.simulation.realism import realism_of
+from wheelsight.simulation.realism.wheel_sizes import WheelSizeSettings, as_calibrated
 from wheelsight.simulation.robot import NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M
 from wheelsight.simulation.worlds.blank import BLANK_M
 from wheelsight.trajectory import Trajectory
@@ -77,6 +78,7 @@ class Case:
         blackout_s: for how long the camera is covered.
         faults: of the camera, over the whole drive.
         radii: of the wheels as they are believed to be, as a share of the true ones; None for the data sheet's wheels.
+        is_calibrated: whether wheels are as a calibration leaves them, which states how sure it is.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Case:
     blackout_s: float = 0.0
     faults: tuple[CameraFault, ...] = ()
     radii: float | None = None
+    is_calibrated: bool = False
 
     @property
     def is_ordinary(self) -> bool:
@@ -108,9 +111,14 @@ class Case:
     def calibration(self, recording: SimulatedRecording) -> Calibration:
         """What the robot's owner believes."""
         calibration, wheels = recording.calibration, recording.true_calibration.wheels
+        assert wheels is not None
+        if self.is_calibrated:
+            drawn = as_calibrated(
+                wheels, WheelSizeSettings(), np.random.default_rng([recording.settings.seed, _STREAM])
+            )
+            return replace(calibration, wheels=drawn)
         if self.radii is None:
             return calibration
-        assert wheels is not None
         left, right = wheels.left_radius_m * self.radii, wheels.right_radius_m * self.radii
         return replace(calibration, wheels=replace(wheels, left_radius_m=left, right_radius_m=right))
 
@@ -122,6 +130,7 @@ CASES = (
     Case("featureless corridor", Way.BLANK, Expected.DEGENERATE),
     Case("a wheel lifted, 3 s", Way.LIFTED, Expected.SLIP),
     Case("a patch of ice", Way.ICE, Expected.SLIP),
+    Case("wheels calibrated", Way.CLEAN, is_calibrated=True),
     Case("radii 2 % wrong", Way.CLEAN, radii=WRONG_RADII),
     Case("camera clock 30 ms late", Way.CLEAN, faults=(LateClock(late_s=0.03),)),
     Case("20 % of frames dropped", Way.CLEAN, faults=(FramesDropped(share=0.2),)),

@@ -1,3 +1,5 @@
+"""Runs that close loops: by matches from outside, and by what the camera sees again."""
+
 from __future__ import annotations
 
 import csv
@@ -6,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pipeline.made import FILES, metrics_in, names_in, wheel_recording
+from room_drive import make_room_drive
 
 from wheelsight.config import load_config
 from wheelsight.errors import ConfigError
@@ -86,3 +89,38 @@ def test_keyframes_need_a_camera(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--loops keyframes needs a camera"):
         run(wheel_recording(), config, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_name_that_is_no_choice_and_no_file_is_refused(tmp_path: Path) -> None:
+    config = load_config(overrides={"odometry": "wheels", "loops.source": "keyframe"})
+    with pytest.raises(ConfigError, match=r"no such file \(keyframes, matches, none, or a file"):
+        run(wheel_recording(), config, tmp_path / "out")
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("loops") / "room"
+    make_room_drive(folder, frames=16)
+    return folder
+
+
+def test_loops_of_a_camera_are_closed_on_the_way_and_reported(room: Path, tmp_path: Path) -> None:
+    overrides = {"odometry": "dense", "dense.keyframe_way_m": 0.05, "dense.threads": 1}
+    loops = {"loops.source": "keyframes", "loops.seen.apart_s": 0.3, "loops.latency_s": 0.2}
+    out = tmp_path / "out"
+    record = run(open_recording(room), load_config(overrides=overrides | loops), out)
+    assert names_in(out) == FILES | {"trajectory_corrected.txt", "loops_judged.csv"}
+    told = metrics_in(out)["loops"]
+    assert told["kept"] > 0
+    assert told["not_compared"] == 0
+    assert told["evaluation"]["ate_m"]["rmse"] < 0.02
+    with (out / "loops_judged.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == told["matches"]
+    assert all(float(row["stamp_b_s"]) - float(row["stamp_a_s"]) >= 0.3 for row in rows)
+    assert record.correction is not None
+    assert "as known at the end" in loop_figures.section(record)
+    # The same recording gives the same bytes, whatever the thread's pace was.
+    run(open_recording(room), load_config(overrides=overrides | loops), tmp_path / "again")
+    for name in ("trajectory.txt", "trajectory_corrected.txt", "loops_judged.csv"):
+        assert (out / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
