@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import itertools
+import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 # Images lower than this are done sooner by one thread than handed to several.
 _FEWEST_ROWS = 100
 # A thread that is done early takes another part: rows are not all the same work, nor are threads there at once.
 _PARTS_A_THREAD = 2
+# Of `nice`: of work that frames must not wait for.
+_LEAST_PRIORITY = 15
+
+
+def yield_to_others() -> None:
+    """Let the calling thread run where others leave time, as far as the system lets threads differ (Linux does)."""
+    with suppress(AttributeError, OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LEAST_PRIORITY)
 
 
 class Rows:

@@ -24,6 +24,7 @@ from wheelsight.slam.known import KnownMap
 from wheelsight.slam.loops import LoopReport
 from wheelsight.slam.recognised import PlaceWatcher
 from wheelsight.slam.settings import LoopSettings
+from wheelsight.threads import yield_to_others
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +94,7 @@ class LiveLoops:
     def add(self, keyframe: LivedKeyframe) -> None:
         """Have the thread look whether a keyframe shows a place seen before."""
         if self._thread is None:
-            self._thread = ThreadPoolExecutor(1, "wheelsight-loops")
+            self._thread = ThreadPoolExecutor(1, "wheelsight-loops", yield_to_others)
         has_time = self._waits or len(self._waiting) < self._settings.most_waiting
         self._unseen += not has_time
         self._lived.append(keyframe)
