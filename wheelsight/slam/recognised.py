@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from wheelsight.calibration import Calibration
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
@@ -57,17 +57,22 @@ class PlaceWatcher:
         Keyframes come in order of time.
         """
         keyframe = self._store[number]
-        view = self._views.of_keyframe(keyframe)
         recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._settings.apart_s) :]
+        found = self.recognised(number, recent)
+        self._learn(number, keyframe)
+        return found
+
+    def recognised(self, number: KeyframeId, but: Collection[KeyframeId] = ()) -> tuple[RelativePose, ...]:
+        """Where keyframes that the recognizer knows, `but` some, show the place of one, which is not known by that."""
+        view = self._views.of_keyframe(self._store[number])
         found: list[RelativePose] = []
-        for candidate in self.recognizer.candidates(view, self._settings.candidates, recent):
+        for candidate in self.recognizer.candidates(view, self._settings.candidates, but):
             answer = self._verifier.verify(view, candidate.keyframe, self._store[candidate.keyframe])
             if isinstance(answer, VerifiedPlace):
                 motion = answer.T_keyframe_camera, answer.covariance
                 found.append(RelativePose(candidate.keyframe, number, *motion, is_loop=True))
                 if len(found) == self._settings.most_places:
                     break
-        self._learn(number, keyframe)
         return tuple(found)
 
     def pass_by(self, number: KeyframeId) -> tuple[RelativePose, ...]:
