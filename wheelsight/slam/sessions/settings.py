@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-from wheelsight.settings import ASKED, Settings, setting
+from wheelsight.settings import ASKED, CHOSEN, Settings, setting
 
 _FROM_0056 = "two real recordings of Kinects: docs/decisions/0056"
+
+
+class PruneSettings(Settings):
+    """Which keyframes `wheelsight map prune` leaves out: those whose view another one shows."""
+
+    near_m: float = setting(0.2, "how far the other one may be, metres", CHOSEN, gt=0, le=10)
+    near_rad: float = setting(
+        0.25, "and how far turned, radians: seen from elsewhere, keypoints are others", CHOSEN, gt=0, le=3
+    )
+    covered: float = setting(
+        0.7,
+        "share of its surfaces that the other one must show",
+        "two real recordings: docs/decisions/0058",
+        ge=0,
+        le=1,
+    )
 
 
 class SessionSettings(Settings):
@@ -83,3 +99,13 @@ class SessionSettings(Settings):
         gt=0,
         le=1000,
     )
+    sure_m: float = setting(
+        0.5,
+        "standard deviation from which on an edge does not tell how its ends lie to each other, as of a camera that "
+        "was carried off, metres",
+        CHOSEN,
+        gt=0,
+        le=100,
+    )
+    sure_rad: float = setting(0.3, "likewise, radians", CHOSEN, gt=0, le=3)
+    prune: PruneSettings = PruneSettings()
