@@ -23,6 +23,8 @@ def lie_together(folder: MapFolder) -> BoolArray:
 
 def pieces_of(parts: MapParts, settings: SessionSettings) -> IntArray:
     """(N,) the piece that each keyframe is in, by edges that are sure; the largest piece is 0."""
+    if not len(parts):
+        return np.zeros(0, np.int64)
     ends = np.array([(e.first, e.second) for e in parts.edges if is_sure(e, settings)], np.int64).reshape(-1, 2)
     graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(parts), len(parts)))
     _, piece = connected_components(graph, directed=False)

@@ -56,8 +56,7 @@ def merge(
 ) -> MergedMap:
     """Write two maps as one into another folder: in the frame of the first, solved together, surfels fused anew.
 
-    Keyframes are numbered anew, the first map's before the second's. Those that lie nowhere are left out; both maps
-    stay as they are.
+    The first map's keyframes come before the second's; those that lie nowhere are left out. Both maps stay as they are.
 
     Args:
         first, second: open maps of one camera.
@@ -70,25 +69,27 @@ def merge(
             then nothing is written.
         OutputError: it cannot be written.
     """
-    _refuse_other_camera(first, second)
+    _refuse_unlike(first, second)
     refuse_full(out)
-    pair = _Pair(MapParts.of(first), MapParts.of(second))
-    watcher = _watcher(first, pair, loops or LoopSettings(), recognition, on_keyframe)
-    graph = _begun(pair, first, loops or LoopSettings())
+    pair, settings = _Pair(MapParts.of(first), MapParts.of(second)), loops or LoopSettings()
+    watcher = _watcher(first, pair, settings, recognition, on_keyframe)
+    graph = _begun(pair, first, settings)
     _recognise(pair, watcher, graph, on_keyframe)
     kept = np.flatnonzero(graph.pieces == 0)
-    of_second = int(np.count_nonzero(kept >= len(pair.first)))
-    if not of_second:
+    if kept.max() < len(pair.first):
         raise _unjoined(first, second, pair)
-    solved = replace(pair.both, T_map_keyframe=graph.poses, edges=(*graph.edges, *_between(pair, first)))
-    parts = solved.some(kept)
+    parts = replace(pair.both, T_map_keyframe=graph.poses, edges=(*graph.edges, *_between(pair, first))).some(kept)
     surfel_map = fused_of(parts, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
     recognizer = _knows_all(parts, pair, watcher, recognition, on_keyframe)
     source = " and ".join(filter(None, (first.header.source, second.header.source)))
     folder = write_map(parts, out, first, (recognizer, surfel_map), on_keyframe, source)
-    across = [edge for edge in graph.edges if pair.is_across(edge)]
-    refused = len(graph.report().refused)
-    counts = (len(kept) - of_second, of_second), (len(across), refused)
+    return _told(folder, pair, kept, graph)
+
+
+def _told(folder: MapFolder, pair: _Pair, kept: IntArray, graph: PieceGraph) -> MergedMap:
+    of_first = int(np.count_nonzero(kept < len(pair.first)))
+    across = sum(pair.is_across(edge) for edge in graph.edges)
+    counts = (of_first, len(kept) - of_first), (across, len(graph.report().refused))
     return MergedMap(folder, *counts, len(pair.both) - len(kept))
 
 
@@ -166,11 +167,15 @@ def _knows_all(
     return watcher.recognizer
 
 
-def _refuse_other_camera(first: MapFolder, second: MapFolder) -> None:
+def _refuse_unlike(first: MapFolder, second: MapFolder) -> None:
+    """Raises MapError for two cameras, and for a map without keyframes."""
     why = first.header.camera.why_other(second.header.camera, first.settings.camera_share)
     if why is not None:
         problem = f"is of another camera than {second.path}: {why}"
         raise MapError(problem, path=first.path, fix="give two maps of one camera")
+    for folder in (first, second):
+        if not any(True for _ in folder.store):
+            raise MapError("has no keyframes", path=folder.path, fix="give a map of a drive that kept some")
 
 
 def _unjoined(first: MapFolder, second: MapFolder, pair: _Pair) -> MapError:

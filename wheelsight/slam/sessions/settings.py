@@ -57,17 +57,17 @@ class SessionSettings(Settings):
         le=4096,
     )
     depth_sigmas: float = setting(
-        1.0,
+        2.0,
         "depth is kept in steps of so many standard deviations of its noise",
         _FROM_0056,
         gt=0,
         le=10,
     )
-    grey_step: int = setting(4, "grey is kept in steps of so many levels of 255", _FROM_0056, ge=1, le=32)
+    grey_step: int = setting(8, "grey is kept in steps of so many levels of 255", _FROM_0056, ge=1, le=32)
     most_kb: int = setting(
-        99,
+        86,
         "kilobytes of a keyframe, at most; where images leave no room for all keypoints, some are left out, evenly",
-        "what issue 31 allows, 100 kB, without poses and edges",
+        "what issue 31 allows, 100 kB, without the 13 kB that recognise it, its pose and its edges",
         ge=1,
         le=100_000,
     )
