@@ -47,7 +47,12 @@ class SessionSettings(Settings):
         64, "keyframes of a journal, after which another begins: 6 MB", "reckoned", ge=1, le=10_000
     )
     memory_keyframes: int = setting(
-        256, "keyframes of a map that are held in memory, those asked for last: 45 MB", "reckoned", ge=1, le=1_000_000
+        256,
+        "keyframes of a map that are held in memory, those asked for last: 45 MB; of a drive that writes one twice "
+        "as many, the newest; with so many newer ones behind it a keyframe is recalled as it is on disk",
+        "reckoned",
+        ge=1,
+        le=1_000_000,
     )
     width_px: int = setting(
         320,
