@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from graphs import ANCHOR, LOOP_SIGMAS, drive, measured, odometry, true_loops
 from numpy.testing import assert_allclose
-from slam.graphs import ANCHOR, LOOP_SIGMAS, drive, measured, odometry, true_loops
 
 from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeId
