@@ -194,3 +194,51 @@ def test_better_images_take_a_keyframe_s_place_and_move_nothing() -> None:
     assert (store.revision, follower.moves()) == (0, None)
     with pytest.raises(ArgumentError, match="there is no keyframe 2"):
         store.replace(KeyframeId(2), better)
+
+
+def test_a_keyframe_that_rests_is_read_again_and_those_asked_for_last_are_held() -> None:
+    store, reads = KeyframeStore(), list[int]()
+
+    def reader(number: int):
+        def read() -> Keyframe:
+            reads.append(number)
+            return keyframe(100.0 + number)
+
+        return read
+
+    store.hold(2)
+    for number in range(7):
+        store.add(keyframe(float(number)), np.eye(4))
+        store.rest(KeyframeId(number), reader(number))
+    # Given up once twice as many newer ones follow.
+    assert [store[number].stamp_s for number in store] == [100.0, 101.0, 102.0, 3.0, 4.0, 5.0, 6.0]
+    assert reads == [0, 1, 2]
+    assert store[KeyframeId(1)].stamp_s == 101.0  # still at hand
+    assert store[KeyframeId(0)].stamp_s == 100.0
+    assert reads == [0, 1, 2, 0]
+
+
+def test_what_is_recalled_goes_by_numbers_alone() -> None:
+    """However far on another thread has driven by then."""
+    store = KeyframeStore()
+    store.hold(3)
+    recalled: list[list[float]] = []
+    for newest in range(8):
+        store.add(keyframe(float(newest)), np.eye(4))
+        store.rest(KeyframeId(newest), lambda: keyframe(-1.0))
+        for asked in range(max(0, newest - 2), newest + 1):  # a thread that lags, or does not
+            told = [store.recalled(KeyframeId(k), KeyframeId(asked)).stamp_s for k in range(asked + 1)]
+            assert told == [-1.0] * max(asked - 2, 0) + list(map(float, range(max(asked - 2, 0), asked + 1)))
+            recalled.append(told)
+    assert recalled
+
+
+def test_nothing_rests_unless_somebody_says() -> None:
+    store, kept = KeyframeStore(), keyframe()
+    for _ in range(5):
+        store.add(kept, np.eye(4))
+    assert store.recalled(KeyframeId(0), KeyframeId(4)) is kept
+    store.hold(1)
+    assert store.recalled(KeyframeId(0), KeyframeId(4)) is kept  # nobody has written it
+    with pytest.raises(ArgumentError):
+        store.recalled(KeyframeId(5), KeyframeId(6))

@@ -84,14 +84,24 @@ def make_output_folder(folder: StrPath, force: bool = False) -> Path:
     """
     folder = Path(folder)
     try:
-        if folder.is_dir() and any(folder.iterdir()) and not force:
-            raise OutputError("is not empty", path=folder, fix="choose another --out, or add --force to overwrite")
+        if not force:
+            refuse_full(folder)
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass  # only an attempt shows whether the folder can be written to, before a long run rather than after
     except OSError as error:
         raise output_error(error, folder) from error
     return folder
+
+
+def refuse_full(folder: StrPath) -> None:
+    """Raises OutputError for a folder that holds something; it makes none."""
+    folder = Path(folder)
+    try:
+        if folder.is_dir() and any(folder.iterdir()):
+            raise OutputError("is not empty", path=folder, fix="choose another --out, or add --force to overwrite")
+    except OSError as error:
+        raise output_error(error, folder) from error
 
 
 def check_name(path: StrPath) -> None:

@@ -6,6 +6,8 @@ the store: it asks how keyframes have moved since it asked last, and moves what 
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -92,16 +94,23 @@ class KeyframeStore:
     One keyframe at a time is in the making. An error in it is raised where the next one is added, where the store is
     closed, and wherever that keyframe is asked for.
 
+    Who has written keyframes to disk may let them rest there, see `hold` and `rest`; else all stay in memory.
+
     Attributes:
         revision: grows each time keyframes are moved; adding one moves none.
     """
 
     def __init__(self) -> None:
-        self._keyframes: list[Keyframe | Future[Keyframe]] = []
+        self._keyframes: list[Keyframe | Future[Keyframe] | None] = []  # None where it rests on disk
         self._T_map_keyframe = np.zeros((16, 4, 4))
         self._followers: list[Follower] = []
         self._thread: ThreadPoolExecutor | None = None
         self._making: Future[Keyframe] | None = None
+        self._most: int | None = None
+        self._readers: dict[int, Callable[[], Keyframe]] = {}
+        self._unreleased: deque[int] = deque()
+        self._read: OrderedDict[int, Keyframe] = OrderedDict()
+        self._lock = threading.Lock()
         self.revision = 0
 
     def __len__(self) -> int:
@@ -111,12 +120,37 @@ class KeyframeStore:
         return (KeyframeId(number) for number in range(len(self)))
 
     def __getitem__(self, number: KeyframeId) -> Keyframe:
-        """Raises ArgumentError for a keyframe that it does not hold."""
+        """Raises ArgumentError for a keyframe that it does not hold, and MapError where it cannot be read."""
         self._check([number])
         keyframe = self._keyframes[number]
         if isinstance(keyframe, Future):
             keyframe = self._keyframes[number] = keyframe.result()
-        return keyframe
+        return self._from_disk(number) if keyframe is None else keyframe
+
+    def recalled(self, number: KeyframeId, at: KeyframeId) -> Keyframe:
+        """A keyframe as it is remembered once another one is the newest: as it rests, if by then it may.
+
+        That goes by both numbers, and not by how far another thread is: the same drive recalls the same each time.
+        Raises as asking for it does.
+        """
+        self._check([number])
+        if self._most is not None and at - number >= self._most and number in self._readers:
+            return self._from_disk(number)
+        return self[number]
+
+    def hold(self, keyframes: int) -> None:
+        """Let keyframes rest that so many newer ones follow; of those that rest so many are held that were read last.
+
+        One is given up after twice as many, so that threads that lag behind recall what they would have in time.
+        """
+        self._most = keyframes
+
+    def rest(self, number: KeyframeId, read: Callable[[], Keyframe]) -> None:
+        """A keyframe that is made may rest: `read` gives it again, somewhat coarser, from any thread."""
+        with self._lock:
+            self._readers[number] = read
+            self._unreleased.append(number)
+        self._release()
 
     @property
     def T_map_keyframe(self) -> FloatArray:
@@ -140,6 +174,7 @@ class KeyframeStore:
             self._T_map_keyframe = np.concatenate([self._T_map_keyframe, np.zeros_like(self._T_map_keyframe)])
         self._T_map_keyframe[number] = np.asarray(T_map_keyframe, float)
         self._keyframes.append(kept)
+        self._release()
         return KeyframeId(number)
 
     def replace(self, number: KeyframeId, keyframe: Keyframe | Callable[[], Keyframe]) -> None:
@@ -182,6 +217,28 @@ class KeyframeStore:
         follower = Follower()
         self._followers.append(follower)
         return follower
+
+    def _release(self) -> None:
+        """Give up the images of those that have rested long enough."""
+        with self._lock:
+            while self._most is not None and self._unreleased:
+                if len(self) - 1 - self._unreleased[0] < 2 * self._most:
+                    return
+                self._keyframes[self._unreleased.popleft()] = None
+
+    def _from_disk(self, number: KeyframeId) -> Keyframe:
+        """One that rests; those asked for last are still at hand."""
+        with self._lock:
+            held = self._read.get(number)
+            if held is not None:
+                self._read.move_to_end(number)
+                return held
+        read = self._readers[number]()
+        with self._lock:
+            self._read[number] = read
+            while self._most is not None and len(self._read) > self._most:
+                self._read.popitem(last=False)
+        return read
 
     def _made(self, keyframe: Keyframe | Callable[[], Keyframe]) -> Keyframe | Future[Keyframe]:
         if isinstance(keyframe, Keyframe):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from sessions.kept_views import write_map
+from sessions.seen_maps import RING, aside, write_seen
 from typer.testing import Result
 
 from wheelsight.slam.sessions import MapFolder
@@ -85,3 +86,29 @@ def test_what_is_no_map_is_refused_in_a_line(refusal: Callable[..., str], kept: 
     path = kept / "map" / "map.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 9}))
     assert "is of version 9, newer than 1" in refusal("map", "info", kept)
+
+
+def test_two_maps_are_merged_and_pruned(wheelsight: Command, tmp_path: Path) -> None:
+    write_seen(tmp_path / "monday", RING[:4])
+    write_seen(tmp_path / "tuesday", [aside(T, 0.03) for T in RING[:5]], begin_s=100.0)
+    result = wheelsight("map", "merge", tmp_path / "monday", tmp_path / "tuesday", "--out", tmp_path / "both")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("4 keyframes and 5, joined by ")
+    assert result.stderr == ""
+    result = wheelsight("map", "prune", tmp_path / "both", "--out", tmp_path / "pruned")
+    assert result.exit_code == 0, result.output
+    count = len(MapFolder.open(tmp_path / "pruned").store)
+    assert 5 <= count < 9
+    assert result.stdout.startswith(f"{count} keyframes, {9 - count} left out: ")
+
+
+def test_maps_that_cannot_be_merged_are_refused_and_nothing_is_written(
+    refusal: Callable[..., str], kept: Path, tmp_path: Path
+) -> None:
+    write_seen(tmp_path / "room", RING[:2])
+    out = tmp_path / "new"
+    assert "is of another camera than" in refusal("map", "merge", tmp_path / "room", kept, "--out", out)
+    write_map(tmp_path / "noise", 2)
+    assert "nothing of " in refusal("map", "merge", kept, tmp_path / "noise", "--out", out)
+    assert "is not empty" in refusal("map", "prune", kept, "--out", kept)
+    assert not out.exists()

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from wheelsight.calibration import DepthNoise
 from wheelsight.geometry import se3
 from wheelsight.odometry.dense.grid import Level
-from wheelsight.places.free_space import intrusion
+from wheelsight.places.free_space import intrusion, shown_share
 from wheelsight.settings import PlaceVerificationSettings
 
 NOISE, SETTINGS = DepthNoise(0.001, 0.001425, 0.3, 10.0), PlaceVerificationSettings()
@@ -64,3 +64,15 @@ def test_it_does_not_matter_which_view_is_first(x, yaw, seed):
     first, second = (level(rng.uniform(1, 4, SHAPE)) for _ in range(2))
     T = se3.exp([x, 0, 0, 0, yaw, 0])
     assert intrusion(first, second, T, NOISE, SETTINGS) == intrusion(second, first, se3.invert(T), NOISE, SETTINGS)
+
+
+def test_what_another_view_shows_of_a_view_is_its_share():
+    same = shown_share(level(wall(3)), level(wall(3)), np.eye(4), NOISE, SETTINGS)
+    assert same == 1
+    with_cabinet = wall(3)
+    with_cabinet[:, 20:50] = 1.5
+    assert shown_share(level(wall(3)), level(with_cabinet), np.eye(4), NOISE, SETTINGS) == pytest.approx(0.6, abs=0.03)
+    # A quarter of the view lies beside that of the other one.
+    T = se3.exp([20 / 65 * 3, 0, 0, 0, 0, 0])
+    assert shown_share(level(wall(3)), level(wall(3)), T, NOISE, SETTINGS) == pytest.approx(0.75, abs=0.02)
+    assert shown_share(level(wall(0)), level(wall(3)), np.eye(4), NOISE, SETTINGS) == 0

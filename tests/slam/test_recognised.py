@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from places.seen_room import EXACT, kept, ring, seen
 
+from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeStore
+from wheelsight.keyframes import Keyframe, KeyframeStore
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.recognised import PlaceWatcher
 from wheelsight.slam.settings import SeenSettings
@@ -66,3 +67,21 @@ def test_who_is_passed_by_is_found_later(store: KeyframeStore) -> None:
     for number in list(store)[:10]:
         assert watcher.pass_by(number) == ()
     assert any(watcher.look(number) for number in list(store)[10:])
+
+
+def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeStore) -> None:
+    """Its disk is gone; others show the place all the same."""
+
+    def fail() -> Keyframe:
+        raise MapError("the disk is gone")
+
+    lame = KeyframeStore()
+    lame.hold(5)
+    watcher, loops = PlaceWatcher(lame, EXACT, SeenSettings(apart_s=5.0)), list[RelativePose]()
+    for number in store:
+        loops += watcher.look(lame.add(store[number], np.eye(4)))
+        if number == 4:
+            lame.rest(number, fail)
+    assert watcher.refusals["the keyframe cannot be read"] > 0
+    assert loops
+    assert 4 not in {loop.first for loop in loops}

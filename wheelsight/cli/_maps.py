@@ -58,6 +58,36 @@ def rebuild(source: Path, out: Path) -> None:
     typer.echo(f"{told.keyframes:,} keyframes, {told.loops:,} loops, {surfels}: {out}")
 
 
+def merge(first: Path, second: Path, out: Path) -> None:
+    """Write two maps as one."""
+    from wheelsight.cli._console import print_warning
+    from wheelsight.cli._progress import FrameProgress
+    from wheelsight.slam.sessions import merge
+
+    folders = _opened(first), _opened(second)
+    _compile()
+    with FrameProgress("merging", None, unit="keyframes") as progress:
+        made = merge(*folders, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
+    if made.left_out:
+        print_warning(f"{made.left_out:,} keyframes are left out: nobody knows where they lie in {first}.")
+    of_first, of_second = made.keyframes
+    joined, refused = made.loops
+    told = f"{of_first:,} keyframes and {of_second:,}, joined by {joined:,} loops, {refused:,} refused"
+    typer.echo(f"{told}: {out}")
+
+
+def prune(source: Path, out: Path) -> None:
+    """Write a map without what is shown twice."""
+    from wheelsight.cli._progress import FrameProgress
+    from wheelsight.slam.sessions import prune
+
+    folder = _opened(source)
+    _compile()
+    with FrameProgress("pruning", None, unit="keyframes") as progress:
+        made = prune(folder, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
+    typer.echo(f"{len(made.folder.store):,} keyframes, {made.left_out:,} left out: {out}")
+
+
 def _opened(source: Path) -> MapFolder:
     from wheelsight.slam.sessions import MapFolder, find_map
 

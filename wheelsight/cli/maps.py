@@ -1,4 +1,4 @@
-"""`wheelsight map`: the map that a run leaves for the next drive; what it holds, its points, and it made anew."""
+"""`wheelsight map`: the map that a run leaves for the next drive: told, exported, made anew, merged and pruned."""
 
 from __future__ import annotations
 
@@ -14,12 +14,16 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich")
 MapPath = Annotated[
     Path, typer.Argument(metavar="DIR", help="The map's folder, or that of the run that left it.", show_default=False)
 ]
+NewMap = Annotated[
+    Path,
+    typer.Option("--out", metavar="DIR", help="Folder of the new map; empty, or not there yet.", show_default=False),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
 
 @app.callback()
 def _about() -> None:
-    """The map that a run leaves for the next drive: info, export, rebuild."""
+    """The map that a run leaves for the next drive: info, export, rebuild, merge, prune."""
 
 
 @app.command()
@@ -60,12 +64,7 @@ def export(
 
 
 @app.command()
-def rebuild(
-    source: MapPath,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder of the new map; empty, or not there yet.", show_default=False)
-    ],
-) -> None:
+def rebuild(source: MapPath, out: NewMap) -> None:
     """Make a map anew of its keyframes, where they are by now: surfels are fused again, what is outdated is left out.
 
     The old map stays as it is. Keyframes keep no colour: the new surfels are grey.
@@ -77,3 +76,40 @@ def rebuild(
     wheelsight map rebuild results/map --out rebuilt
     """
     work.rebuild(source, out)
+
+
+@app.command()
+def merge(
+    first: Annotated[
+        Path, typer.Argument(metavar="A", help="A map, or the run that left it; its frame stays.", show_default=False)
+    ],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another one of the same camera.", show_default=False)],
+    out: NewMap,
+) -> None:
+    """Make one map of two: keyframes of B are recognised in A, and a graph of both is solved.
+
+    Two keyframes of B at least must be recognised, and agree on where B lies in A; else nothing is written.
+    Surfels are fused anew of the keyframes, and grey. What nobody knows how it lies to A is left out, and told.
+
+    [bold]Examples[/bold]
+
+    wheelsight map merge monday tuesday --out both
+
+    wheelsight map merge ground_floor/map stairs/map --out house
+    """
+    work.merge(first, second, out)
+
+
+@app.command()
+def prune(source: MapPath, out: NewMap) -> None:
+    """Leave out keyframes whose view another one shows, so that a map that is extended daily does not grow for ever.
+
+    The old map stays as it is. Edges are carried over to keyframes that stay, and so are surfels.
+
+    [bold]Examples[/bold]
+
+    wheelsight map prune results --out pruned
+
+    wheelsight map prune house/map --out house_pruned
+    """
+    work.prune(source, out)

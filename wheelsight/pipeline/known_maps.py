@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
@@ -15,11 +13,8 @@ from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.known import KnownMap
-from wheelsight.slam.sessions import MapFolder, find_map
+from wheelsight.slam.sessions import MapFolder, find_map, lie_together
 from wheelsight.sources import EventSource
-
-# An edge that is less sure, as of a camera that was carried off, does not tell how its ends lie to each other.
-_SURE_M, _SURE_RAD = 0.5, 0.3
 
 
 def open_known(
@@ -55,27 +50,6 @@ def open_known(
     except BaseException:
         folder.close()
         raise
-
-
-def lie_together(folder: MapFolder) -> BoolArray:
-    """(N,) which keyframes of a map hang together by edges that are sure: the largest such piece."""
-    count = len(folder.store)
-    there: BoolArray = np.asarray(np.isfinite(folder.store.T_map_keyframe).all(axis=(1, 2)))
-    there[[int(number) for number in folder.store.missing]] = False
-    sure = [(edge.first, edge.second) for edge in folder.edges if _is_sure(edge.covariance)]
-    ends = np.array([pair for pair in sure if max(pair) < count], np.int64).reshape(-1, 2)
-    ends = ends[there[ends].all(axis=1)]
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    _, piece = connected_components(graph, directed=False)
-    if not there.any():
-        return there
-    largest = np.bincount(piece[there]).argmax()
-    return np.asarray(there & (piece == largest))
-
-
-def _is_sure(covariance: FloatArray) -> bool:
-    sigmas = np.sqrt(np.diag(covariance))
-    return bool((sigmas[:3] < _SURE_M).all() and (sigmas[3:] < _SURE_RAD).all())
 
 
 def _of_these(found: Recognizer, folder: MapFolder, together: BoolArray, config: Config) -> Recognizer:

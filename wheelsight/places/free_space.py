@@ -36,11 +36,31 @@ def intrusion(
     return Intrusion(*(sum(both) for both in zip(there, back, strict=True)))
 
 
+def shown_share(
+    seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
+) -> float:
+    """Share of what one view sees whose surfaces another one, from which it lies at (4, 4), shows too; 0 of nothing."""
+    z_m, surface_m, within_m, count = _met(seen, by, T_by_seen, noise, settings)
+    return int(np.count_nonzero(np.abs(z_m - surface_m) <= within_m)) / max(count, 1)
+
+
 def _one_way(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> Intrusion:
     """Points that lie behind what was seen are hidden, and tell nothing."""
+    z_m, surface_m, within_m, _ = _met(seen, by, T_by_seen, noise, settings)
+    intruding = int(np.count_nonzero(z_m < surface_m - within_m))
+    return Intrusion(intruding, int(np.count_nonzero(z_m < surface_m + within_m)))
+
+
+def _met(
+    seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
+) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+    """Points (P,) that fall where the other view saw a surface: their depths, its depths, within how many metres both
+    are one; and how many points there are in all.
+    """
     points = seen.points()[0] @ T_by_seen[:3, :3].T + T_by_seen[:3, 3]
+    count = len(points)
     points = points[points[:, 2] > noise.near_m]
     fx, fy, cx, cy = by.intrinsics
     u, v = np.rint(points[:, :2] / points[:, 2:] * (fx, fy) + (cx, cy)).astype(np.int64).T
@@ -51,8 +71,7 @@ def _one_way(
     surface_m, z_m = nearest_m[is_known].astype(float), z_m[is_known]
     sigma_m = np.hypot(noise.sigma_m(surface_m), noise.sigma_m(z_m))
     within_m = settings.free_m + settings.free_share * surface_m + settings.free_sigmas * sigma_m
-    intruding = int(np.count_nonzero(z_m < surface_m - within_m))
-    return Intrusion(intruding, int(np.count_nonzero(z_m < surface_m + within_m)))
+    return z_m, surface_m, within_m, count
 
 
 def _nearest(depth_m: Float32Array, radius_px: int) -> Float32Array:

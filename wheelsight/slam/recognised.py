@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from wheelsight.calibration import Calibration
+from wheelsight.errors import MapError
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.places.recognition import Recognizer
@@ -14,6 +15,8 @@ from wheelsight.places.views import ViewMaker
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.settings import SeenSettings
+
+_UNREAD = "the keyframe cannot be read"
 
 
 class PlaceWatcher:
@@ -45,11 +48,13 @@ class PlaceWatcher:
         self._verifier = PlaceVerifier(calibration, recognition, self._views)
         self._known: list[KeyframeId] = []
         self._stamps_s: list[float] = []
+        self._unread = 0
 
     @property
     def refusals(self) -> Mapping[str, int]:
         """How many candidates were refused so far, by reason."""
-        return {str(reason): count for reason, count in self._verifier.refusals.items()}
+        told = {str(reason): count for reason, count in self._verifier.refusals.items()}
+        return told | ({_UNREAD: self._unread} if self._unread else {})
 
     def look(self, number: KeyframeId) -> tuple[RelativePose, ...]:
         """Where earlier keyframes show the place of one, which is known from now on.
@@ -57,17 +62,27 @@ class PlaceWatcher:
         Keyframes come in order of time.
         """
         keyframe = self._store[number]
-        view = self._views.of_keyframe(keyframe)
         recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._settings.apart_s) :]
+        found = self.recognised(number, recent)
+        self._learn(number, keyframe)
+        return found
+
+    def recognised(self, number: KeyframeId, but: Collection[KeyframeId] = ()) -> tuple[RelativePose, ...]:
+        """Where keyframes that the recognizer knows, `but` some, show the place of one, which is not known by that."""
+        view = self._views.of_keyframe(self._store[number])
         found: list[RelativePose] = []
-        for candidate in self.recognizer.candidates(view, self._settings.candidates, recent):
-            answer = self._verifier.verify(view, candidate.keyframe, self._store[candidate.keyframe])
+        for candidate in self.recognizer.candidates(view, self._settings.candidates, but):
+            try:
+                known = self._store.recalled(candidate.keyframe, number)
+            except MapError:  # the disk is gone, or damaged there: the drive goes on without
+                self._unread += 1
+                continue
+            answer = self._verifier.verify(view, candidate.keyframe, known)
             if isinstance(answer, VerifiedPlace):
                 motion = answer.T_keyframe_camera, answer.covariance
                 found.append(RelativePose(candidate.keyframe, number, *motion, is_loop=True))
                 if len(found) == self._settings.most_places:
                     break
-        self._learn(number, keyframe)
         return tuple(found)
 
     def pass_by(self, number: KeyframeId) -> tuple[RelativePose, ...]:

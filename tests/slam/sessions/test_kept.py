@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from sessions.kept_views import COUNT, keyframe, pose
 
 from wheelsight.errors import ArgumentError, MapError
@@ -28,7 +28,7 @@ def test_few_keyframes_are_held_in_memory_and_more_may_be_added(written: Path) -
     assert (added, len(store)) == (COUNT, COUNT + 1)
     assert store[added].stamp_s == 50
     store.move([KeyframeId(1)], pose(31)[None])
-    assert_array_equal(store.pose(KeyframeId(1)), pose(31))
+    assert_allclose(store.pose(KeyframeId(1)), pose(31), atol=1e-12)
     with pytest.raises(ArgumentError):
         store[KeyframeId(COUNT + 1)]
 

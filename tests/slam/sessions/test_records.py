@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from sessions.kept_views import CAMERA, INTRINSICS, SETTINGS, edge, keyframe, po
 
 from wheelsight.calibration import DepthNoise
 from wheelsight.errors import MapError
-from wheelsight.keyframes import Keyframe
+from wheelsight.keyframes import Keyframe, KeyframeFeatures
 from wheelsight.slam.sessions import SessionSettings, records
 from wheelsight.slam.sessions.images import DepthSteps
 from wheelsight.slam.sessions.records import Place
@@ -141,3 +143,21 @@ def test_what_contradicts_itself_is_refused() -> None:
         records.unpack_numbers(bytes(7))
     with pytest.raises(MapError, match="is no place"):
         records.unpack_place(b"short")
+
+
+def test_keypoints_that_fit_once_compressed_are_all_kept() -> None:
+    """All at one place, they take little more than their descriptors."""
+    given = keyframe(3, keypoints=400)
+    assert given.features is not None
+    points = np.tile([0.1, 0.2, 1.0], (400, 1))
+    alike = replace(given, features=KeyframeFeatures(np.ones((400, 2)), points, given.features.descriptors))
+    size = len(records.pack_keyframe(alike, STEPS, SETTINGS))
+    tight = SETTINGS.model_copy(update={"most_kb": -(-size // 1000), "least_keypoints": 1})
+    back = there_and_back(alike, tight).features
+    assert back is not None
+    assert len(back.px) == 400
+    # Those of which each is elsewhere do not fit beside.
+    apart = replace(given, features=replace(given.features, points=given.features.points + 1.0))
+    back = there_and_back(apart, tight).features
+    assert back is not None
+    assert len(back.px) < 400

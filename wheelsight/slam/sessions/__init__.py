@@ -4,14 +4,17 @@ Written while driving so that a kill at any moment loses the last seconds at mos
 """
 
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
+from wheelsight.slam.sessions.hanging import lie_together
 from wheelsight.slam.sessions.header import MapCamera, MapHeader
 from wheelsight.slam.sessions.info import MAP_FOLDER, MapInfo, find_map, info_of
 from wheelsight.slam.sessions.kept import KeptKeyframes
 from wheelsight.slam.sessions.map_folder import MapFolder, discard_map
+from wheelsight.slam.sessions.merging import MergedMap, merge
+from wheelsight.slam.sessions.pruning import PrunedMap, prune
 from wheelsight.slam.sessions.reading import FolderContents, Health
 from wheelsight.slam.sessions.rebuilding import fused_anew, rebuild
 from wheelsight.slam.sessions.records import Place
-from wheelsight.slam.sessions.settings import SessionSettings
+from wheelsight.slam.sessions.settings import PruneSettings, SessionSettings
 from wheelsight.slam.sessions.writer import MapWriter
 
 __all__ = [
@@ -24,13 +27,19 @@ __all__ = [
     "MapHeader",
     "MapInfo",
     "MapWriter",
+    "MergedMap",
     "Place",
+    "PruneSettings",
+    "PrunedMap",
     "SeenKeyframe",
     "SessionSettings",
     "discard_map",
     "find_map",
     "fused_anew",
     "info_of",
+    "lie_together",
+    "merge",
     "odometry_edge",
+    "prune",
     "rebuild",
 ]

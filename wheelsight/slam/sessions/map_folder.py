@@ -19,7 +19,7 @@ from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.sessions import records
 from wheelsight.slam.sessions.header import HEADER_FILE, MapCamera, MapHeader, read_header
 from wheelsight.slam.sessions.images import DepthSteps
-from wheelsight.slam.sessions.journal import JournalWriter
+from wheelsight.slam.sessions.journal import JournalWriter, Record
 from wheelsight.slam.sessions.kept import KeptKeyframes
 from wheelsight.slam.sessions.lock import LOCK_FILE, MapLock
 from wheelsight.slam.sessions.reading import (
@@ -141,8 +141,8 @@ class MapFolder:
 
     def append_keyframe(
         self, number: int, keyframe: Keyframe, T_map_keyframe: FloatArray, T_odom_keyframe: FloatArray | None = None
-    ) -> None:
-        """Keep a keyframe; of one number the last counts.
+    ) -> tuple[Path, Record]:
+        """Keep a keyframe, and tell in which journal and record; of one number the last counts.
 
         Args:
             number: of the keyframe in the map.
@@ -159,9 +159,11 @@ class MapFolder:
                 raise ArgumentError(f"the pose of keyframe {number} is no rigid motion", fix="give SE(3), (4, 4)")
         self._need_lock()
         content = records.pack_keyframe(keyframe, self._steps, self.settings)
-        self._pieces.of_keyframes().append(Kind.KEYFRAME, number, content)
+        journal = self._pieces.of_keyframes()
+        record = journal.append(Kind.KEYFRAME, number, content)
         place = records.pack_place(Place(keyframe.stamp_s, T_map_keyframe, T_odom_keyframe))
         self._pieces.graph().append(Kind.PLACE, number, place)
+        return journal.path, record
 
     def append_edges(self, edges: Sequence[RelativePose]) -> tuple[int, ...]:
         """Keep edges; their numbers, by which they can be withdrawn. Raises OutputError."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath
-from wheelsight.keyframes import Keyframe
+from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import SurfelMap, SurfelSettings
 from wheelsight.odometry.dense.grid import Level
 from wheelsight.odometry.dense.reference import ReferenceMaker
@@ -14,10 +14,10 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.places.views import known_grey
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.sessions.map_folder import MapFolder
+from wheelsight.slam.sessions.parts import MapParts, Progress
 from wheelsight.threads import Rows
 from wheelsight.views import Surface
 
-Progress = Callable[[str, int, int], None]
 # Between two keyframes that show a surface many seconds may pass: none of it is forgotten.
 _KEPT_S = 1e6
 
@@ -76,16 +76,36 @@ def fused_anew(
     Raises:
         MapError: there are no keyframes, or one cannot be read.
     """
-    store, noise = folder.store, folder.calibration.depth_noise
-    numbers = sorted(store, key=lambda number: folder.contents.places[number].stamp_s)
+    places = folder.contents.places
+    stamps_s = {number: places[number].stamp_s for number in folder.store}
+    return _fused(folder.store, stamps_s, folder, settings, on_keyframe)
+
+
+def fused_of(
+    parts: MapParts, like: MapFolder, settings: SurfelSettings | None, on_keyframe: Callable[[int, int], None]
+) -> SurfelMap:
+    """Likewise of parts, of the camera and by the settings of a map. Raises MapError."""
+    stamps_s = {KeyframeId(number): place.stamp_s for number, place in enumerate(parts.places)}
+    return _fused(parts.store(like.settings.memory_keyframes), stamps_s, like, settings, on_keyframe)
+
+
+def _fused(
+    store: KeyframeStore,
+    stamps_s: Mapping[KeyframeId, float],
+    like: MapFolder,
+    settings: SurfelSettings | None,
+    on_keyframe: Callable[[int, int], None],
+) -> SurfelMap:
+    """Of the keyframes that have a stamp, in the order of that."""
+    noise, numbers = like.calibration.depth_noise, sorted(stamps_s, key=lambda number: stamps_s[number])
     if not numbers:
-        raise MapError("has no keyframes", path=folder.path, fix="give a map of a drive that kept some")
+        raise MapError("has no keyframes", path=like.path, fix="give a map of a drive that kept some")
     kept = {"unstable_s": _KEPT_S, "unseen_s": _KEPT_S}
     surfel_map, dense = SurfelMap((settings or SurfelSettings()).model_copy(update=kept), store), DenseSettings()
     maker = ReferenceMaker(noise, dense, Rows(dense.threads))
     for done, number in enumerate(numbers, start=1):
         keyframe = store[number]
-        how = (keyframe.stamp_s, noise, folder.settings.rebuild_frames, number)
+        how = (keyframe.stamp_s, noise, like.settings.rebuild_frames, number)
         surfel_map.fuse(_surface(keyframe, maker), keyframe.intrinsics, store.pose(number), *how)
         on_keyframe(done, len(numbers))
     return surfel_map

@@ -68,8 +68,10 @@ def pack_keyframe(keyframe: Keyframe, steps: DepthSteps, settings: SessionSettin
     grey = images.packed(images.grey_numbers(level.grey, settings.grey_step))
     code = b"" if keyframe.code is None else np.ascontiguousarray(keyframe.code, "<f8").tobytes()
     room = 1000 * settings.most_kb - _KEYFRAME.size - 1 - len(depth) - len(grey) - len(code)
-    most = max(room // (_KEYPOINT_BYTES + _ORB_BYTES), settings.least_keypoints)
-    count, places, descriptors = _packed_features(keyframe.features, most)
+    count, places, descriptors = _packed_features(keyframe.features, _MOST_KEYPOINTS)
+    if len(places) + len(descriptors) > room:
+        most = max(room // (_KEYPOINT_BYTES + _ORB_BYTES), settings.least_keypoints)
+        count, places, descriptors = _packed_features(keyframe.features, most)
     sizes = (len(depth), len(grey), len(code), count, len(places))
     head = _KEYFRAME.pack(keyframe.stamp_s, *level.intrinsics, steps.step_m, steps.growth, *sizes)
     return b"".join([head, bytes([settings.grey_step]), depth, grey, code, places, descriptors])

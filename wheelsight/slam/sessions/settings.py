@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-from wheelsight.settings import ASKED, Settings, setting
+from wheelsight.settings import ASKED, CHOSEN, Settings, setting
 
 _FROM_0056 = "two real recordings of Kinects: docs/decisions/0056"
+
+
+class PruneSettings(Settings):
+    """Which keyframes `wheelsight map prune` leaves out: those whose view another one shows."""
+
+    near_m: float = setting(0.2, "how far the other one may be, metres", CHOSEN, gt=0, le=10)
+    near_rad: float = setting(
+        0.25, "and how far turned, radians: seen from elsewhere, keypoints are others", CHOSEN, gt=0, le=3
+    )
+    covered: float = setting(
+        0.7,
+        "share of its surfaces that the other one must show",
+        "two real recordings: docs/decisions/0058",
+        ge=0,
+        le=1,
+    )
 
 
 class SessionSettings(Settings):
@@ -31,7 +47,12 @@ class SessionSettings(Settings):
         64, "keyframes of a journal, after which another begins: 6 MB", "reckoned", ge=1, le=10_000
     )
     memory_keyframes: int = setting(
-        256, "keyframes of a map that are held in memory, those asked for last: 45 MB", "reckoned", ge=1, le=1_000_000
+        256,
+        "keyframes of a map that are held in memory, those asked for last: 45 MB; of a drive that writes one twice "
+        "as many, the newest; with so many newer ones behind it a keyframe is recalled as it is on disk",
+        "reckoned",
+        ge=1,
+        le=1_000_000,
     )
     width_px: int = setting(
         320,
@@ -41,17 +62,17 @@ class SessionSettings(Settings):
         le=4096,
     )
     depth_sigmas: float = setting(
-        1.0,
+        2.0,
         "depth is kept in steps of so many standard deviations of its noise",
         _FROM_0056,
         gt=0,
         le=10,
     )
-    grey_step: int = setting(4, "grey is kept in steps of so many levels of 255", _FROM_0056, ge=1, le=32)
+    grey_step: int = setting(8, "grey is kept in steps of so many levels of 255", _FROM_0056, ge=1, le=32)
     most_kb: int = setting(
-        99,
+        86,
         "kilobytes of a keyframe, at most; where images leave no room for all keypoints, some are left out, evenly",
-        "what issue 31 allows, 100 kB, without poses and edges",
+        "what issue 31 allows, 100 kB, without the 13 kB that recognise it, its pose and its edges",
         ge=1,
         le=100_000,
     )
@@ -83,3 +104,13 @@ class SessionSettings(Settings):
         gt=0,
         le=1000,
     )
+    sure_m: float = setting(
+        0.5,
+        "standard deviation from which on an edge does not tell how its ends lie to each other, as of a camera that "
+        "was carried off, metres",
+        CHOSEN,
+        gt=0,
+        le=100,
+    )
+    sure_rad: float = setting(0.3, "likewise, radians", CHOSEN, gt=0, le=3)
+    prune: PruneSettings = PruneSettings()

@@ -8,6 +8,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -22,6 +24,8 @@ from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.sessions import records
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
 from wheelsight.slam.sessions.images import DepthSteps
+from wheelsight.slam.sessions.journal import Record
+from wheelsight.slam.sessions.kept import read_keyframe
 from wheelsight.slam.sessions.map_folder import MapFolder
 
 THREAD = "wheelsight-map-writer"
@@ -56,6 +60,9 @@ class MapWriter:
     thread: what it has appended outlives a kill of the process, and each `flush_s` a loss of power. Where the disk is
     full or the folder cannot be written any more, writing ends, the drive goes on, and `warnings` says so.
 
+    Keyframes that are on the disk rest there once `memory_keyframes` newer ones follow: the store reads them again for
+    who recognises and verifies. Odometry tracks by what it holds itself.
+
     Args:
         folder: to append to; the writer closes it.
         store: of the odometry that drives; its keyframes keep their numbers, and those it has already are not written.
@@ -79,6 +86,7 @@ class MapWriter:
         self._revision, self._told_s = store.revision, -np.inf
         self._work: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
         self._is_closed = False
+        store.hold(folder.settings.memory_keyframes)
         self._written = _Written(folder, store, self._recognizer)
         self._thread = threading.Thread(target=self._write, name=THREAD, daemon=True)
         self._thread.start()
@@ -179,6 +187,8 @@ class _Written:
         self._T_map_keyframe = np.zeros((0, 4, 4))
         # With the edge, lest its identity go to another.
         self._edges: dict[int, tuple[RelativePose, int]] = {}
+        # Not on the disk for sure before the next flush.
+        self._unflushed: list[tuple[KeyframeId, tuple[Path, Record]]] = []
         self._is_over = self._is_dirty = False
 
     def take(self, work: _Work) -> None:
@@ -194,7 +204,7 @@ class _Written:
     def flush(self) -> None:
         """Where anything was appended since."""
         if self._is_dirty:
-            self._do(self._folder.flush)
+            self._do(self._flush)
             self._is_dirty = False
 
     def finish(self, surfel_map: SurfelMap | None, recognizer: Recognizer | None) -> None:
@@ -209,6 +219,13 @@ class _Written:
         except OutputError as error:
             self._end(error)
 
+    def _flush(self) -> None:
+        """What is on the disk by then need not stay in memory."""
+        self._folder.flush()
+        for number, where in self._unflushed:
+            self._store.rest(number, partial(read_keyframe, *where))
+        self._unflushed.clear()
+
     def _add(self, new: _NewKeyframe) -> None:
         number, before = new.seen.number, self._before
         try:
@@ -216,7 +233,8 @@ class _Written:
         except Exception as error:  # whatever went wrong in making it: the drive is told by the store, too
             self.warnings.append(f"Keyframe {number} is not in the map: {error}.")
             return
-        self._folder.append_keyframe(number, keyframe, new.T_map_keyframe, new.seen.T_odom_keyframe)
+        where = self._folder.append_keyframe(number, keyframe, new.T_map_keyframe, new.seen.T_odom_keyframe)
+        self._unflushed.append((number, where))
         edge = None if before is None else odometry_edge(before, new.seen, self._folder.settings)
         if edge is not None:
             self._folder.append_edges([edge])

@@ -1,0 +1,141 @@
+"""MapParts: what a new map is made of: keyframes of other maps, which stay on disk, under numbers of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from wheelsight.files import StrPath
+from wheelsight.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.keyframes import KeyframeId
+from wheelsight.mapping import SurfelMap
+from wheelsight.places.recognition import Recognizer
+from wheelsight.settings import RecognitionSettings
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.sessions.journal import Record
+from wheelsight.slam.sessions.kept import KeptKeyframes
+from wheelsight.slam.sessions.map_folder import MapFolder
+from wheelsight.slam.sessions.records import Place
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapParts:
+    """Keyframes from 0 on without holes, where they are, and edges between them.
+
+    Attributes:
+        where: journal and record of each keyframe.
+        places: where each was when it was kept.
+        T_map_keyframe: (N, 4, 4) by now.
+        edges: that hold.
+    """
+
+    where: tuple[tuple[Path, Record], ...]
+    places: tuple[Place, ...]
+    T_map_keyframe: FloatArray
+    edges: tuple[RelativePose, ...]
+
+    @classmethod
+    def of(cls, folder: MapFolder) -> Self:
+        """All keyframes of a map, in their order, but those that damage took, with image or pose."""
+        kept = np.flatnonzero(are_there(folder))
+        where, places = folder.contents.where, folder.contents.places
+        records, at = [where[number] for number in kept.tolist()], [places[number] for number in kept.tolist()]
+        numbers = new_numbers(kept, len(folder.store))
+        return cls(tuple(records), tuple(at), folder.store.T_map_keyframe[kept], renumbered(folder.edges, numbers))
+
+    def __len__(self) -> int:
+        return len(self.where)
+
+    def beside(self, other: MapParts) -> MapParts:
+        """Both, the other one's keyframes after these."""
+        shift = np.arange(len(other)) + len(self)
+        T = np.concatenate([self.T_map_keyframe, other.T_map_keyframe])
+        edges = (*self.edges, *renumbered(other.edges, shift))
+        return MapParts((*self.where, *other.where), (*self.places, *other.places), T, edges)
+
+    def some(self, kept: Sequence[int] | IntArray) -> MapParts:
+        """These keyframes alone, in ascending order, and edges between them."""
+        rows = np.asarray(kept, np.int64)
+        where, places = [self.where[row] for row in rows.tolist()], [self.places[row] for row in rows.tolist()]
+        edges = renumbered(self.edges, new_numbers(rows, len(self)))
+        return MapParts(tuple(where), tuple(places), self.T_map_keyframe[rows], edges)
+
+    def store(self, memory_keyframes: int) -> KeptKeyframes:
+        """The keyframes, read when one asks for them."""
+        return KeptKeyframes(dict(enumerate(self.where)), self.T_map_keyframe, memory_keyframes)
+
+
+def are_there(folder: MapFolder) -> BoolArray:
+    """(N,) which keyframes of a map have both, image and pose."""
+    there: BoolArray = np.asarray(np.isfinite(folder.store.T_map_keyframe).all(axis=(1, 2)))
+    there[[int(number) for number in folder.store.missing]] = False
+    return there
+
+
+def new_numbers(kept: IntArray, count: int) -> IntArray:
+    """(count,) the number that each keyframe gets where these alone are kept; -1 for the others."""
+    numbers = np.full(count, -1)
+    numbers[kept] = np.arange(len(kept))
+    return numbers
+
+
+def renumbered(edges: Sequence[RelativePose], numbers: IntArray) -> tuple[RelativePose, ...]:
+    """Edges between keyframes that have a new number (N,), others left out."""
+    ends = ((edge, int(numbers[edge.first]), int(numbers[edge.second])) for edge in edges)
+    return tuple(
+        replace(edge, first=KeyframeId(first), second=KeyframeId(second))
+        for edge, first, second in ends
+        if min(first, second) >= 0
+    )
+
+
+def write_map(
+    parts: MapParts,
+    out: StrPath,
+    like: MapFolder,
+    made: tuple[Recognizer, SurfelMap | None],
+    on_keyframe: Progress,
+    source: str | None = None,
+) -> MapFolder:
+    """Write parts into a new folder.
+
+    Args:
+        parts: what to write.
+        out: a folder that is empty or not there.
+        like: of which calibration and settings it is.
+        made: of the keyframes: what recognises them, and surfels that hang on them.
+        on_keyframe: called with what is being done, how many keyframes are done, and of how many.
+        source: its name; else as `like` has it.
+
+    Returns the new map, open to read. Raises MapError and OutputError as `rebuild` does.
+    """
+    name, factor = like.header.source if source is None else source, like.header.camera.depth_factor
+    new = MapFolder.create(out, like.calibration, like.settings, source=name, depth_factor=factor)
+    recognizer, surfel_map = made
+    try:
+        store = parts.store(like.settings.memory_keyframes)
+        for number, place in enumerate(parts.places):
+            new.append_keyframe(number, store[KeyframeId(number)], parts.T_map_keyframe[number], place.T_odom_keyframe)
+            on_keyframe("writing", number + 1, len(parts))
+        new.append_edges(parts.edges)
+        new.save_recognition(recognizer)
+        if surfel_map is not None:
+            new.save_surfels(surfel_map)
+    finally:
+        new.close()
+    return MapFolder.open(out, settings=like.settings)
+
+
+def recognizer_of(parts: MapParts, settings: RecognitionSettings | None, on_keyframe: Progress) -> Recognizer:
+    """What recognises the keyframes of parts, made anew."""
+    store, made = parts.store(1), Recognizer(settings)
+    for number in store:
+        made.add(number, store[number])
+        on_keyframe("recognition", number + 1, len(parts))
+    return made
