@@ -30,7 +30,9 @@ def camera_odometry(
     against keyframes; who joins both says when the map shows more.
     """
     store, T_map_first = (
-        (None, calibration.T_base_camera) if known is None else (known.store, begin_in(known, calibration))
+        (None, calibration.T_base_camera)
+        if known is None
+        else (known.store, begin_in(known, calibration, settings.loops.pieces))
     )
     if settings.map == "surfels":
         dense = DenseOdometry(calibration, settings.dense, T_map_first=T_map_first, store=store)

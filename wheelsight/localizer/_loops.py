@@ -16,12 +16,9 @@ from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.live import ClosedLoops, LiveLoops
-from wheelsight.slam.settings import FROM_KEYFRAMES
+from wheelsight.slam.settings import FROM_KEYFRAMES, PieceSettings
 
 AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
-
-# Pieces of which nobody knows where they lie are kept so far below the map, metres, that none is seen from another.
-_APART_M = 200.0
 
 
 class LoopsBeside:
@@ -46,7 +43,7 @@ class LoopsBeside:
         *,
         waits: bool,
     ) -> None:
-        self._store = store
+        self._store, self._settings = store, settings.loops.pieces
         self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, known=known, waits=waits)
         self._told = len(store)
         self._closed: ClosedLoops | None = None
@@ -59,7 +56,7 @@ class LoopsBeside:
     def apart(self, T_map_camera: FloatArray) -> FloatArray:
         """T_map_camera (4, 4) at which odometry is to begin another piece of map, of a camera at (4, 4) in this one."""
         here = 0 if self.is_joined else len(self._pieces) - 1
-        return _apart(len(self._pieces)) @ se3.invert(_apart(here)) @ T_map_camera
+        return self._apart(len(self._pieces)) @ se3.invert(self._apart(here)) @ T_map_camera
 
     def begin_piece(self, keyframe: KeyframeId) -> None:
         """A keyframe begins a piece of map, apart from the others."""
@@ -120,12 +117,15 @@ class LoopsBeside:
         """End the thread."""
         self._live.close()
 
+    def _apart(self, piece: int) -> FloatArray:
+        return apart(piece, self._settings)
+
     def _laid(self, update: PoseUpdate) -> FloatArray:
         """T_map_keyframe (K, 4, 4), pieces apart."""
         T: FloatArray = update.T_map_keyframe.copy()
         unjoined: IntArray = np.unique(update.piece[update.piece > 0])
         for first in unjoined:
-            T[update.piece == first] = _apart(self._pieces.index(int(first))) @ T[update.piece == first]
+            T[update.piece == first] = self._apart(self._pieces.index(int(first))) @ T[update.piece == first]
         return T
 
 
@@ -137,16 +137,16 @@ def loops_beside(
     return LoopsBeside(store, calibration, settings, known, waits=waits) if is_asked else None
 
 
-def begin_in(known: KnownMap, calibration: Calibration) -> FloatArray:
+def begin_in(known: KnownMap, calibration: Calibration, settings: PieceSettings) -> FloatArray:
     """T_map_camera (4, 4) at which a drive begins in a map of before."""
     if known.T_map_camera is not None:
         return known.T_map_camera
     T_base_camera = np.eye(4) if calibration.T_base_camera is None else se3.nearest(calibration.T_base_camera)
-    return _apart(1) @ T_base_camera if len(known.store) else T_base_camera
+    return apart(1, settings) @ T_base_camera if len(known.store) else T_base_camera
 
 
-def _apart(piece: int) -> FloatArray:
+def apart(piece: int, settings: PieceSettings) -> FloatArray:
     """(4, 4) to where a piece is kept until it is known where it lies."""
     T = np.eye(4)
-    T[2, 3] = -_APART_M * piece
+    T[2, 3] = -settings.apart_m * piece
     return T

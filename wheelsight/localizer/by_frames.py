@@ -19,8 +19,8 @@ from wheelsight.localizer._fused_camera import BLIND
 from wheelsight.localizer._loops import LoopsBeside, begin_in, loops_beside
 from wheelsight.odometry.dense import DenseEstimate
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
-from wheelsight.settings.localizer import PieceSettings
 from wheelsight.slam.known import KnownMap
+from wheelsight.slam.settings import PieceSettings
 
 
 class ByFrames:
@@ -49,10 +49,12 @@ class ByFrames:
         self.T_odom_map: FloatArray = np.eye(4)
         if known is not None:
             T_odom_camera = np.eye(4) if T_base_camera is None else T_base_camera
-            self.T_odom_map = se3.nearest(T_odom_camera @ se3.invert(begin_in(known, calibration)))
+            self.T_odom_map = se3.nearest(
+                T_odom_camera @ se3.invert(begin_in(known, calibration, settings.loops.pieces))
+            )
         self._keyframe: KeyframeId | None = None
         self._last: CameraEstimate | None = None  # that had a pose, in odom
-        self._pieces = settings.localizer.pieces
+        self._pieces = settings.loops.pieces
 
     @property
     def stage_seconds(self) -> dict[str, float]:

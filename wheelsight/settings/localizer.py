@@ -209,25 +209,12 @@ class FrameGateSettings(Settings):
     moved_rad: float = setting(0.0005, "likewise in radians", "reckoned", ge=0, le=10)
 
 
-class PieceSettings(Settings):
-    """How a lost camera alone begins another piece of map, where loops may join it with the old one; see `Pieces`."""
-
-    speed_m_s: float = setting(
-        1.0, "how fast a camera may have been carried while nothing was seen, as a standard deviation", CHOSEN, gt=0
-    )
-    turn_rad_s: float = setting(1.0, "how fast it may have turned, likewise", CHOSEN, gt=0)
-    most_rad: float = setting(
-        2.0, "a heading is no less certain than this, whatever happened", "reckoned: any is 1.8", gt=0
-    )
-
-
 class LocalizerSettings(Settings):
     """What a localizer goes by beyond odometry, map and filter."""
 
     base_check: BaseCheckSettings = BaseCheckSettings()
     color_check: ColorCheckSettings = ColorCheckSettings()
     frame_gate: FrameGateSettings = FrameGateSettings()
-    pieces: PieceSettings = PieceSettings()
     pace_s: float = setting(
         0.35,
         "where wheels slip, the camera is expected to go on as it went; over a longer gap, seconds, the mean velocity "

@@ -48,7 +48,12 @@ class GtsamPoseGraph(GraphContents):
             parameters.relinearizeSkip = 1
             self._isam, self._held = self._gtsam.ISAM2(parameters), (0, 0, 0)
         keyframes, edges, priors = self._held
-        self._isam.update(self._factors(edges, priors), self._values(keyframes))
+        try:
+            self._isam.update(self._factors(edges, priors), self._values(keyframes))
+        except RuntimeError:
+            # What hangs by loops alone that have let go leaves its Cholesky factor short of digits; damped it is solved.
+            self.optimise()
+            return
         self._held = (len(self), len(self._edges), len(self._priors))
         for _ in range(_STEPS_OF_UPDATE):
             self._isam.update()

@@ -58,6 +58,30 @@ class SeenSettings(Settings):
     most_places: int = setting(5, "verified ones that are enough for each", CHOSEN, ge=1, le=100)
 
 
+class PieceSettings(Settings):
+    """How a lost camera alone begins another piece of map, which loops may join with the old one."""
+
+    speed_m_s: float = setting(
+        1.0,
+        "how fast a camera may have been carried while nothing was seen, as a standard deviation",
+        CHOSEN,
+        gt=0,
+        le=100,
+    )
+    turn_rad_s: float = setting(1.0, "how fast it may have turned, likewise", CHOSEN, gt=0, le=100)
+    most_rad: float = setting(
+        2.0, "a heading is no less certain than this, whatever happened", "reckoned: any is 1.8", gt=0, le=10
+    )
+    apart_m: float = setting(
+        200.0,
+        "how far below the map, metres, pieces are kept of which nobody knows where they lie, so that none is seen from"
+        " another",
+        "reckoned: surfels there are still placed to 0.02 mm",
+        gt=0,
+        le=10_000,
+    )
+
+
 class LoopSettings(Settings):
     """Where loops come from, and which are kept."""
 
@@ -120,5 +144,6 @@ class LoopSettings(Settings):
         0.3, "two loops that join pieces of a map put them to one place, metres apart at most", CHOSEN, gt=0, le=100
     )
     agree_rad: float = setting(0.1, "likewise, radians", CHOSEN, gt=0, le=3)
+    pieces: PieceSettings = PieceSettings()
     matches: MatchSettings = MatchSettings()
     seen: SeenSettings = SeenSettings()

@@ -11,7 +11,7 @@ import pytest
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.fusion import ErrorStateSettings
-from wheelsight.odometry.wheels.sureness import DAILY_DRIFT_RAD_PER_M, stated
+from wheelsight.odometry.wheels.sureness import FromDayToDay, stated
 from wheelsight.simulation.realism.wheel_sizes import WheelSizeSettings, as_calibrated
 
 WHEELS = Wheels(0.17, 0.17, 0.5, 3200.0)
@@ -37,9 +37,11 @@ def test_the_filter_goes_by_what_is_stated() -> None:
 
 def test_a_fit_is_never_surer_than_tyres_are_from_day_to_day() -> None:
     found = stated(WHEELS, 1e-9, 1e-9, 1e-9)
-    assert found.drift_sigma_rad_per_m == pytest.approx(DAILY_DRIFT_RAD_PER_M)
+    assert found.drift_sigma_rad_per_m == pytest.approx(FromDayToDay().drift_rad_per_m)
     # A ratio known to a thousandth, on wheels half a metre apart, is two milliradians a metre.
-    assert stated(WHEELS, 1e-3, 0.01).drift_sigma_rad_per_m == pytest.approx(np.hypot(2e-3, DAILY_DRIFT_RAD_PER_M))
+    assert stated(WHEELS, 1e-3, 0.01).drift_sigma_rad_per_m == pytest.approx(
+        np.hypot(2e-3, FromDayToDay().drift_rad_per_m)
+    )
     assert stated(WHEELS, 1e-3, 0.01).scale_sigma == 0
 
 
