@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
@@ -39,7 +39,8 @@ class ClosedLoops:
         refused: how many candidates were no place seen again, by reason.
         unseen: keyframes that nobody had time to compare.
         pieces: of how many pieces nobody knows how they lie to each other; 1 where all are joined.
-        is_joined: whether it is known where the last keyframe lies in the map.
+        is_in_map: (N,) whether it is known where each keyframe of this drive lies in the map.
+        begins: (N,) whether odometry does not tell how each lies to the one before.
     """
 
     stamps_s: FloatArray
@@ -50,13 +51,23 @@ class ClosedLoops:
     refused: Mapping[str, int]
     unseen: int
     pieces: int
-    is_joined: bool
+    is_in_map: BoolArray
+    begins: BoolArray
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether it is known where the last keyframe lies in the map."""
+        return bool(self.is_in_map[-1:].all())
+
+    @property
+    def known(self) -> int:
+        """How many keyframes are of earlier drives."""
+        return len(self.T_map_keyframe) - len(self.T_odom_keyframe)
 
     @property
     def T_map_odom(self) -> FloatArray:
         """(N, 4, 4) where odom lies in the map, as each keyframe of this drive has it."""
-        first = len(self.T_map_keyframe) - len(self.T_odom_keyframe)
-        return np.asarray(self.T_map_keyframe[first:] @ se3.invert(self.T_odom_keyframe))
+        return np.asarray(self.T_map_keyframe[self.known :] @ se3.invert(self.T_odom_keyframe))
 
 
 class LiveLoops:
@@ -121,7 +132,9 @@ class LiveLoops:
         T_odom = np.array([keyframe.T_odom_keyframe for keyframe in self._lived]).reshape(-1, 4, 4)
         found = (self._graph.poses, self._graph.edges, self._graph.report(), dict(self._watcher.refusals), self._unseen)
         pieces = self._graph.pieces
-        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), not pieces[-1:].any())
+        is_in_map = pieces[len(pieces) - len(stamps_s) :] == 0
+        begins = np.array([keyframe.begins for keyframe in self._lived], bool)
+        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), is_in_map, begins)
 
     @property
     def recognizer(self) -> Recognizer:

@@ -89,6 +89,11 @@ class MapWriter:
         return self._written.keyframes
 
     @property
+    def taken(self) -> int:
+        """How many of the store's are written, or will be: the first ones."""
+        return self._taken
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What could not be written, and why; one sentence each."""
         return tuple(self._written.warnings)
