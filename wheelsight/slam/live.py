@@ -6,6 +6,7 @@ the pose graph judge what is found. Odometry is told where keyframes are by now,
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -40,6 +41,7 @@ class ClosedLoops:
         unseen: keyframes that nobody had time to compare.
         pieces: of how many pieces nobody knows how they lie to each other; 1 where all are joined.
         is_in_map: (N,) whether it is known where each keyframe of this drive lies in the map.
+        judged_s: (N,) seconds that the thread took for each.
         begins: (N,) whether odometry does not tell how each lies to the one before.
     """
 
@@ -53,6 +55,7 @@ class ClosedLoops:
     pieces: int
     is_in_map: BoolArray
     begins: BoolArray
+    judged_s: FloatArray
 
     @property
     def is_joined(self) -> bool:
@@ -100,6 +103,7 @@ class LiveLoops:
         self._waiting: deque[tuple[float, Future[PoseUpdate | None]]] = deque()
         self._thread: ThreadPoolExecutor | None = None
         self._unseen = 0
+        self._judged_s: list[float] = []
 
     def add(self, keyframe: LivedKeyframe) -> None:
         """Have the thread look whether a keyframe shows a place seen before."""
@@ -134,7 +138,8 @@ class LiveLoops:
         pieces = self._graph.pieces
         is_in_map = pieces[len(pieces) - len(stamps_s) :] == 0
         begins = np.array([keyframe.begins for keyframe in self._lived], bool)
-        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), is_in_map, begins)
+        judged = is_in_map, begins, np.array(self._judged_s)
+        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *judged)
 
     @property
     def recognizer(self) -> Recognizer:
@@ -152,6 +157,9 @@ class LiveLoops:
 
     def _judge(self, keyframe: LivedKeyframe, has_time: bool) -> PoseUpdate | None:
         """The thread: one keyframe; where all are by now, if its loops have moved any."""
+        started = time.perf_counter()
         loops = self._watcher.look(keyframe.number) if has_time else self._watcher.pass_by(keyframe.number)
         self._graph.add(keyframe)
-        return self._graph.close(loops)
+        update = self._graph.close(loops)
+        self._judged_s.append(time.perf_counter() - started)
+        return update
