@@ -87,8 +87,7 @@ def simulate(
         ({"world": world} if building is None else {"plan": building})
         | {"camera": camera, "laps": laps, "seed": seed, "day": day, "speed_m_s": speed, "duration_s": duration}
         | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn}
-        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip}
-        | {"realism": realism},
+        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip, "realism": realism},
         size=size,
         robot={"left_radius_m": left_radius, "right_radius_m": right_radius, "track_width_m": track, "has_gyro": gyro},
         times={"--dropout": dropout, "--unplug": unplug, "--lift": lift, "--cover": cover},

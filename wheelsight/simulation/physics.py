@@ -55,8 +55,7 @@ def simulate_drive(
         robot, driver: the robot as it truly is, and who gives it commands.
         faults: what goes wrong with the wheels, and when.
         slip: whether the wheels may slip.
-        seed: of the floor, the rider, the castors' first directions, the encoders' phases and the gyroscope.
-        floor_seed: of the floor, where that is another.
+        seed, floor_seed: of the rider, castors, encoders' phases and gyroscope; of the floor, or else by `seed`.
         realism: what tyres and floor do beside slipping, or None for nothing.
         time_limit_s: when a drive ends that has not arrived.
         on_progress: told the simulated seconds, once for each.
@@ -72,8 +71,7 @@ def simulate_drive(
     chair.settle(_SETTLING_S)
     gyroscope = Gyroscope(Gyro(), gyro_rng) if robot.has_gyro else None
     log = _Log(chair, Encoders(robot, faults, encoder_rng), gyroscope, Reckoning(robot.nominal, start))
-    reason = _drive(chair, driver, log, time_limit_s, on_progress)
-    return log.drive(reason)
+    return log.drive(_drive(chair, driver, log, time_limit_s, on_progress))
 
 
 def _check_limit(time_limit_s: float) -> None:
