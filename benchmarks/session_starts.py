@@ -15,7 +15,7 @@ from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer import Localizer
-from wheelsight.pipeline.known_maps import open_known
+from wheelsight.pipeline.known_maps import lie_together, open_known
 from wheelsight.runs import run_each
 from wheelsight.simulation import FloorPlan, SimulatedRecording, SimulationSettings, simulate
 from wheelsight.slam.sessions import MapFolder, find_map
@@ -48,7 +48,7 @@ class FirstDay:
         T_world_map: (4, 4) by rigid alignment of the corrected trajectory.
         ate_m: what that leaves, RMSE.
         way_m: how long the lap was.
-        keyframes: of the map.
+        keyframes, together: of the map, and how many of them hang together: the others are not recognised.
     """
 
     name: str
@@ -57,6 +57,7 @@ class FirstDay:
     ate_m: float
     way_m: float
     keyframes: int
+    together: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +118,12 @@ def first_day(building: Building, folder: Path, rate_hz: float) -> FirstDay:
     assert record.correction.evaluation is not None
     found = record.correction.evaluation.ate
     path = find_map(folder / JOINED)
-    keyframes = len(MapFolder.open(path).store)
+    left = MapFolder.open(path)
+    counts = len(left.store), int(lie_together(left).sum())
     truth = record.ground_truth
     assert truth is not None
     way_m = float(truth.distances_m[-1])
-    return FirstDay(building.name, path, found.T_truth_estimate, found.translation.rmse, way_m, keyframes)
+    return FirstDay(building.name, path, found.T_truth_estimate, found.translation.rmse, way_m, *counts)
 
 
 def second_day(building: Building, rate_hz: float) -> tuple[Calibration, SecondDay]:

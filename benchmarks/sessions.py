@@ -22,7 +22,7 @@ from rich.console import Console
 
 from benchmarks import machine
 from benchmarks.sequences import default_data_folder
-from benchmarks.session_starts import MODES, Building, Start, first_day, moments_of, second_day, start_at
+from benchmarks.session_starts import MODES, Building, FirstDay, Start, first_day, moments_of, second_day, start_at
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
 from wheelsight.simulation import FloorPlan
@@ -40,6 +40,14 @@ def buildings_of(names: Sequence[str], data: Path, way_m: float) -> list[Buildin
         plan = FloorPlan(path, None if has_yaml else _PLAN_M, None, None, way_m) if path.suffix else None
         found.append(Building(path.stem if plan else name, name, plan))
     return found
+
+
+def map_sheet(days: Sequence[FirstDay]) -> Sheet:
+    """What the first days have left."""
+    rows = [(day.name, f"{day.way_m:.0f}", str(day.keyframes), str(day.together), f"{day.ate_m:.3f}") for day in days]
+    return Sheet(
+        "Maps of the first day", ("building", "way m", "keyframes", "that hang together", "ATE m"), tuple(rows)
+    )
 
 
 def own_sheet(starts: Sequence[Start]) -> Sheet:
@@ -104,14 +112,14 @@ def _median(values: Sequence[float], decimals: int) -> str:
 
 def measure(
     buildings: Sequence[Building], starts: int, rate_hz: float, folder: Path, console: Console
-) -> tuple[list[Start], list[Start]]:
+) -> tuple[list[FirstDay], list[Start], list[Start]]:
     """All starts, in the map of their own building and in that of another one."""
     own: list[Start] = []
     elsewhere: list[Start] = []
     known = []
     for building in buildings:
         known.append(first_day(building, folder / building.name, rate_hz))
-        told = f"{known[-1].keyframes} keyframes, {known[-1].ate_m:.3f} m off"
+        told = f"{known[-1].together} of {known[-1].keyframes} keyframes together, {known[-1].ate_m:.3f} m off"
         console.print(f"{building.name}: first day mapped, {known[-1].way_m:.0f} m, {told}")
     for number, building in enumerate(buildings):
         calibration, events = second_day(building, rate_hz)
@@ -125,7 +133,7 @@ def measure(
                 mode = MODES[count % len(MODES)]
                 elsewhere.append(start_at(moment_s, mode, calibration, events, other, building.name, has_truth=False))
                 console.print(f"in the map of {other.name}: {elsewhere[-1].sentence}")
-    return own, elsewhere
+    return known, own, elsewhere
 
 
 def main() -> None:
@@ -141,8 +149,8 @@ def main() -> None:
     console, about = Console(width=150), machine.description()
     buildings = buildings_of(arguments.buildings, arguments.data, arguments.way)
     with TemporaryDirectory() as name:
-        own, elsewhere = measure(buildings, arguments.starts, arguments.rate, Path(name), console)
-    sheets = [own_sheet(own), elsewhere_sheet(elsewhere), targets_sheet(judge(own, elsewhere))]
+        days, own, elsewhere = measure(buildings, arguments.starts, arguments.rate, Path(name), console)
+    sheets = [map_sheet(days), own_sheet(own), elsewhere_sheet(elsewhere), targets_sheet(judge(own, elsewhere))]
     for sheet in sheets:
         console.print(sheet.to_rich())
     if arguments.out is not None:

@@ -87,17 +87,16 @@ def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
         writer.close(surfels)
     else:
         closed = loops.finish()
-        is_whole = _add_to_known(writer, closed) if track.extends else _add_loops(writer, closed)
+        if track.extends:
+            is_whole = _add_to_known(writer, closed)
+        else:
+            writer.add_edges(closed.edges)
+            is_whole = True
         writer.close(surfels, loops.recognizer if is_whole else None)
     if _is_empty(writer) and not track.extends:
         discard_map(path)
         return None
     return KeptMapRecord(path.name, writer.keyframes, _bytes_in(path), writer.warnings)
-
-
-def _add_loops(writer: MapWriter, closed: ClosedLoops) -> bool:
-    writer.add_edges(closed.loops.kept)
-    return True
 
 
 def _add_to_known(writer: MapWriter, closed: ClosedLoops) -> bool:
