@@ -14,6 +14,7 @@ from wheelsight.config import load_config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeId
 from wheelsight.localizer import Localizer
 from wheelsight.pipeline.known_maps import lie_together, open_known
 from wheelsight.runs import run_each
@@ -46,6 +47,7 @@ class FirstDay:
         name: of the building.
         folder: of the map.
         T_world_map: (4, 4) by rigid alignment of the corrected trajectory.
+        T_world_base, T_map_base: (K, 4, 4) at keyframes that hang together: as they truly are, and as the map has it.
         ate_m: what that leaves, RMSE.
         way_m: how long the lap was.
         keyframes, together: of the map, and how many of them hang together: the others are not recognised.
@@ -54,6 +56,8 @@ class FirstDay:
     name: str
     folder: Path
     T_world_map: FloatArray
+    T_world_base: FloatArray
+    T_map_base: FloatArray
     ate_m: float
     way_m: float
     keyframes: int
@@ -77,8 +81,9 @@ class Start:
         building, mode: where it is, and by what.
         moment_s: of the second day.
         found_s: after how many seconds it was found; None where it was not.
-        first_m, first_deg: how far off it was then.
-        error_m, error_deg: medians from then on.
+        first_m, first_deg: how far off it was then, beside the map's nearest keyframe.
+        error_m, error_deg: medians of that from then on.
+        aligned_m, aligned_deg: medians likewise, by the one alignment of the whole map.
         keyframe_ms: what the loop thread took for each keyframe.
     """
 
@@ -90,6 +95,8 @@ class Start:
     first_deg: float
     error_m: float
     error_deg: float
+    aligned_m: float
+    aligned_deg: float
     keyframe_ms: tuple[float, ...]
 
     @property
@@ -119,11 +126,17 @@ def first_day(building: Building, folder: Path, rate_hz: float) -> FirstDay:
     found = record.correction.evaluation.ate
     path = find_map(folder / JOINED)
     left = MapFolder.open(path)
-    counts = len(left.store), int(lie_together(left).sum())
+    together = lie_together(left)
+    counts = len(left.store), int(together.sum())
+    numbers = [KeyframeId(int(number)) for number in np.flatnonzero(together)]
+    T_camera_base = se3.invert(np.asarray(left.calibration.T_base_camera))
+    T_map_base = left.store.T_map_keyframe[together] @ T_camera_base
     truth = record.ground_truth
     assert truth is not None
     way_m = float(truth.distances_m[-1])
-    return FirstDay(building.name, path, found.T_truth_estimate, found.translation.rmse, way_m, *counts)
+    T_world_base = truth.at(np.clip([left.store[number].stamp_s for number in numbers], *truth.stamps_s[[0, -1]]))
+    poses = found.T_truth_estimate, T_world_base, T_map_base
+    return FirstDay(building.name, path, *poses, found.translation.rmse, way_m, *counts)
 
 
 def second_day(building: Building, rate_hz: float) -> tuple[Calibration, SecondDay]:
@@ -168,10 +181,12 @@ def start_at(
     opened[1].close()
     found_s = seen[0].stamp_s - moment_s if seen else None
     if not (seen and has_truth):
-        return Start(building, mode, moment_s, found_s, nan, nan, nan, nan, keyframe_ms)
-    off = np.array([_off(estimate, day.truth, known.T_world_map) for estimate in seen])
-    first_m, first_deg, error_m, error_deg = (float(value) for value in (*off[0], *np.median(off, axis=0)))
-    return Start(building, mode, moment_s, found_s, first_m, first_deg, error_m, error_deg, keyframe_ms)
+        return Start(building, mode, moment_s, found_s, nan, nan, nan, nan, nan, nan, keyframe_ms)
+    off = np.array([off_by(estimate, day.truth, known) for estimate in seen])
+    first_m, first_deg = off[0, :2].tolist()
+    error_m, error_deg, aligned_m, aligned_deg = np.median(off, axis=0).tolist()
+    errors = error_m, error_deg, aligned_m, aligned_deg
+    return Start(building, mode, moment_s, found_s, first_m, first_deg, *errors, keyframe_ms)
 
 
 def _seen(subject: Localizer, events: Sequence[Event]) -> list[Estimate]:
@@ -188,7 +203,14 @@ def _seen(subject: Localizer, events: Sequence[Event]) -> list[Estimate]:
     return seen
 
 
-def _off(estimate: Estimate, truth: Trajectory, T_world_map: FloatArray) -> tuple[float, float]:
-    """Metres, and degrees of heading."""
-    D = se3.invert(truth.at([estimate.stamp_s])[0]) @ T_world_map @ np.asarray(estimate.T_map_body)
+def off_by(estimate: Estimate, truth: Trajectory, known: FirstDay) -> tuple[float, float, float, float]:
+    """Metres and degrees of heading: beside the map's nearest keyframe, and by the alignment of the whole map."""
+    T_world_base, T_map_found = truth.at([estimate.stamp_s])[0], np.asarray(estimate.T_map_body)
+    nearest = int(se3.view_shift_m(se3.invert(known.T_world_base) @ T_world_base).argmin())
+    T_map_true = known.T_map_base[nearest] @ se3.invert(known.T_world_base[nearest]) @ T_world_base
+    here, aligned = (se3.invert(T) @ T_map_found for T in (T_map_true, se3.invert(known.T_world_map) @ T_world_base))
+    return (*_size(here), *_size(aligned))
+
+
+def _size(D: FloatArray) -> tuple[float, float]:
     return float(np.linalg.norm(D[:3, 3])), float(np.degrees(abs(np.arctan2(D[1, 0], D[0, 0]))))

@@ -5,9 +5,11 @@ a map of one lap. On the second day the light is another, chairs and bins stand 
 drive is begun anew at many moments of the lap, by a camera alone and by joined sensors, as `wheelsight run --map-from`
 does it. Nobody says where. The robot that is begun in the one building is also given the map of the other.
 
-The truth is expressed in the first day's map by the rigid alignment of the first day's corrected trajectory. "Found" is
-the first frame that is answered `tracking`; errors, of position and heading, are medians of all such frames, up to 3 s
-after the first. A place is wrong that is more than 0.5 m or 10° of heading off at that first frame.
+"Found" is the first frame that is answered `tracking`; errors, of position and heading, are medians of all such frames,
+up to 3 s after the first. They tell how far off the robot is beside the map's nearest keyframe, by the true poses of
+both days: whoever drives by the map drives by what is round about. A place is wrong that is more than 0.5 m or 10° off
+so at that first frame. "In the whole map" are errors by one rigid alignment of the first day's corrected trajectory
+with its truth: they hold what is wrong with the map itself, too.
 """
 
 from __future__ import annotations
@@ -67,11 +69,15 @@ def own_sheet(starts: Sequence[Start]) -> Sheet:
                 _median([start.found_s or 0.0 for start in found], 1),
                 _median([start.error_m for start in found], 3),
                 _median([start.error_deg for start in found], 2),
+                _median([start.aligned_m for start in found], 3),
+                _median([start.aligned_deg for start in found], 2),
                 _median([ms for start in some for ms in start.keyframe_ms], 0),
             )
         )
     return Sheet(
-        "The second day in the map of the first", (*header, "error °", "ms a keyframe, loop thread"), tuple(rows)
+        "The second day in the map of the first",
+        (*header, "error °", "in the whole map m", "°", "ms a keyframe, loop thread"),
+        tuple(rows),
     )
 
 
