@@ -1,6 +1,6 @@
 # Each target sets up what it needs in .venv from a bare python3 with venv; a fresh clone needs nothing else.
 #
-#   make demo                      simulate a drive with mishaps, join wheels and camera over it, map it, report against truth
+#   make demo                      simulate two laps with mishaps, join wheels and camera, close the loop, map, report against truth
 #   make demo RECORDING=folder     the same of a recording you have; ODOMETRY=wheels where it has no images
 #   make test [SLOW=1] [WORKERS=n] all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
@@ -22,12 +22,17 @@ QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 .PHONY: demo test check bench docs firmware wheel clean
 
 ifeq ($(RECORDING),)
-# A square of 4 m at 320×240 by a wheelchair whose wheels are not quite what its owner measured, as wheels never are. On
-# the way something lies on the camera, and a wheel is lifted.
+# Two laps of a square of 4 m at 320×240 by a wheelchair whose wheels are not quite what its owner measured, as wheels
+# never are. On the way something lies on the camera, and a wheel is lifted. On the second lap the first is recognised.
 demo: $(VENV)/.installed-sim,report
-	$(BIN)/wheelsight simulate square --rate 15 --right-radius 0.171 --track 0.525 --cover 10:13 --lift 19:22 \
+	$(BIN)/wheelsight simulate square --laps 2 --rate 10 --right-radius 0.171 --track 0.525 --cover 10:13 --lift 19:22 \
 		--out "$(OUT)/drive" --force
-	$(BIN)/wheelsight run "$(OUT)/drive" --odometry wheels,dense --map surfels --out "$(OUT)/results" --force
+	$(BIN)/wheelsight run "$(OUT)/drive" --odometry wheels,dense --map surfels --loops keyframes \
+		--out "$(OUT)/results" --force
+	@echo
+	@echo 'The loop is in the report, before and after. This finds the robot in that map again, on a recording of your own'
+	@echo 'or on the same one:'
+	@echo '  $(BIN)/wheelsight run "$(OUT)/drive" --map-from "$(OUT)/results" --out "$(OUT)/found" --force'
 else
 demo: $(VENV)/.installed-report
 	$(BIN)/wheelsight run "$(RECORDING)" $(if $(ODOMETRY),--odometry "$(ODOMETRY)") --out "$(OUT)/results" --force

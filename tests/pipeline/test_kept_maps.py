@@ -120,3 +120,15 @@ def test_of_joined_sensors_one_map_is_kept_and_it_lies_where_the_way_has_it(tmp_
         T_map_camera = record.estimate.T_frame_body[near] @ T_base_camera
         assert se3.view_shift_m(se3.invert(T_map_camera) @ found.store.pose(number)) < 0.03
     assert len(found.edges) == len(found.store) - 1
+
+
+def test_a_map_with_loops_has_the_edges_by_which_its_graph_hangs_together(tmp_path: Path) -> None:
+    """Estimates that joined sensors answer at a keyframe's own frame do not always tell of it; the graph does."""
+    make_room_drive(tmp_path / "room", frames=16)
+    joined = {"odometry": "wheels,dense", "sessions.keep_map": True, "loops.source": "keyframes"}
+    config = load_config(overrides={**joined, "dense.keyframe_way_m": 0.01, "dense.keyframe_overlap": 0.97})
+    run_each(open_recording(tmp_path / "room"), config, tmp_path / "out")
+    found = MapFolder.open(find_map(tmp_path / "out"))
+    steps = [(edge.first, edge.second) for edge in found.edges if not edge.is_loop]
+    assert sorted(steps) == [(k, k + 1) for k in range(len(found.store) - 1)]
+    assert len(found.store) >= 3

@@ -100,6 +100,24 @@ def test_a_seed_makes_the_drive(recording):
     assert (other.ground_truth.T_frame_body != recording.ground_truth.T_frame_body).any()
 
 
+def test_another_day_has_the_same_building_robot_and_camera_in_another_light(recording):
+    real = replace(SETTINGS, realism="real", size=(160, 120), duration_s=0.3)
+    first, other = (simulate(replace(real, day=day)) for day in (0, 1))
+    assert (first.name, other.name) == ("floor4-2", "floor4-2-day1")
+    for one, same in ((first.calibration, other.calibration), (first.true_calibration, other.true_calibration)):
+        assert (one.color, one.depth, one.wheels) == (same.color, same.depth, same.wheels)
+        np.testing.assert_array_equal(one.T_base_camera, same.T_base_camera)
+    assert first.drive.ticks != other.drive.ticks
+    views = [next(event for event in one.events() if isinstance(event, RgbdFrame)) for one in (first, other)]
+    is_measured = np.logical_and(*(view.depth_m > 0 for view in views))
+    off_m = abs(views[0].depth_m - views[1].depth_m)[is_measured]
+    assert off_m.mean() > 0
+    assert np.median(off_m) < 0.02
+    brighter = views[1].color.astype(float) - views[0].color
+    by_parts = brighter.reshape(4, 30, 4, 40, 3).mean(axis=(1, 3, 4))  # the exposure evens out the mean of all
+    assert np.ptp(by_parts) > 2
+
+
 @pytest.mark.parametrize(
     ("change", "problem"),
     [

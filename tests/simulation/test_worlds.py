@@ -142,6 +142,19 @@ def test_the_same_seed_gives_the_same_world(name: str) -> None:
     assert build_world(name, 5).surfaces == build_world(name, 5).surfaces
 
 
+@pytest.mark.parametrize("name", ["floor4", "flat", "square"])
+def test_on_another_day_chairs_and_bins_stand_elsewhere_and_nothing_else_does(name: str) -> None:
+    first, other, again = build_world(name, 1), build_world(name, 1, day=1), build_world(name, 1, day=1)
+    before, after = geoms(first), geoms(other)
+    assert before.keys() == after.keys()
+    assert first.surfaces == other.surfaces
+    moved = {geom for geom in before if before[geom] != after[geom]}
+    assert moved
+    assert all("chair" in geom or "bin" in geom for geom in moved)
+    assert other.mjcf == again.mjcf != build_world(name, 1, day=2).mjcf
+    check_route(other, other.route, CLEARANCE_M)
+
+
 def test_areas_do_not_overlap() -> None:
     for world in WORLDS.values():
         polygons = [shapely.Polygon(area.polygon) for area in world.areas.areas]

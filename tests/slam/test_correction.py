@@ -4,7 +4,7 @@ import pytest
 from wheelsight.errors import ArgumentError
 from wheelsight.geometry import se3
 from wheelsight.matches import Match, SpeedVariances
-from wheelsight.slam.correction import Unused, correct
+from wheelsight.slam.correction import Unused, carried, correct
 from wheelsight.slam.own_solver import OwnPoseGraph
 from wheelsight.slam.settings import LoopSettings, MatchSettings
 from wheelsight.trajectory import Trajectory
@@ -121,6 +121,17 @@ def test_every_pose_keeps_its_place_between_keyframes():
     np.testing.assert_allclose(found.corrected.T_frame_body[found.rows], found.T_map_keyframe, atol=1e-9)
     steps_m = np.linalg.norm(np.diff(found.corrected.positions_m, axis=0), axis=1)
     assert np.abs(steps_m - SPEED_M_S * STEP_S).max() < 0.01
+
+
+def test_a_pose_before_another_piece_goes_with_its_own_keyframe_alone():
+    stamps_s = np.arange(5.0)
+    lived = Trajectory(stamps_s, np.tile(np.eye(4), (5, 1, 1)))
+    T_map_odom = np.stack([se3.from_plane(x_m, 0.0, 0.0) for x_m in (0.0, 10.0)])
+    blended, apart = (
+        carried(lived, np.array([0.0, 4.0]), T_map_odom, begins) for begins in (None, np.array([False, True]))
+    )
+    np.testing.assert_allclose(blended.positions_m[:, 0], [0.0, 2.5, 5.0, 7.5, 10.0])
+    np.testing.assert_allclose(apart.positions_m[:, 0], [0.0, 0.0, 0.0, 0.0, 10.0])
 
 
 def test_covariances_of_speeds_add_up_as_a_random_walk():

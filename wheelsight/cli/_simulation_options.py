@@ -71,6 +71,9 @@ Size = Annotated[
 ]
 Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Images a second.", show_default="the camera's own")]
 Seed = Annotated[int, typer.Option(help="Of everything random; the same seed makes the same bytes.")]
+Day = Annotated[
+    int, typer.Option(metavar="N", help="Another day in the same building: other light, people, noise; chairs moved.")
+]
 Speed = Annotated[float, typer.Option(metavar="M/S", help="Speed on straights, up to 1.2 m/s.")]
 Duration = Annotated[
     float | None, typer.Option(metavar="SECONDS", help="Stop after so long.", show_default="the whole route")

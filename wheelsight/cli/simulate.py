@@ -30,6 +30,7 @@ def simulate(
     size: options.Size = "half",
     rate: options.Rate = None,
     seed: options.Seed = 0,
+    day: options.Day = 0,
     speed: options.Speed = 0.8,
     duration: options.Duration = None,
     reverse: options.Reverse = False,
@@ -84,10 +85,9 @@ def simulate(
         raise ConfigError(f"{missing} is missing", fix="wheelsight simulate floor4 --out DIR, or --list")
     settings = settings_from(
         ({"world": world} if building is None else {"plan": building})
-        | {"camera": camera, "laps": laps, "seed": seed, "speed_m_s": speed, "duration_s": duration}
+        | {"camera": camera, "laps": laps, "seed": seed, "day": day, "speed_m_s": speed, "duration_s": duration}
         | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn}
-        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip}
-        | {"realism": realism},
+        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip, "realism": realism},
         size=size,
         robot={"left_radius_m": left_radius, "right_radius_m": right_radius, "track_width_m": track, "has_gyro": gyro},
         times={"--dropout": dropout, "--unplug": unplug, "--lift": lift, "--cover": cover},

@@ -32,11 +32,12 @@ class ByFrames:
         T_odom_map: (4, 4) where the map lies, which loops have moved the camera in.
     """
 
-    frame, answers = "map", (RgbdFrame, SkippedFrame)
+    answers = (RgbdFrame, SkippedFrame)
 
     def __init__(
         self, calibration: Calibration, settings: Config, known: KnownMap | None = None, *, waits: bool = False
     ) -> None:
+        self.frame = "map" if known is None else "odom"  # in a map of before, odom begins anywhere
         self.body = "camera" if calibration.T_base_camera is None else "base"
         self.odometry, self.mapper = camera_odometry(calibration, settings, known)
         T_base_camera = calibration.T_base_camera

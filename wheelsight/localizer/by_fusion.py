@@ -38,7 +38,7 @@ class ByFusion:
         loops: closes loops while driving, where that is asked for.
     """
 
-    body, frame, answers = "base", "map", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
+    body, answers = "base", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
 
     def __init__(
         self,
@@ -49,6 +49,7 @@ class ByFusion:
         *,
         waits: bool = False,
     ) -> None:
+        self.frame = "map" if known is None else "odom"  # in a map of before, odom begins anywhere
         self._settings, of, T_base_camera = settings.fusion.joining, settings.localizer, mount_of(calibration)
         self._base = BaseSensors(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)

@@ -12,6 +12,7 @@ from wheelsight.files import StrPath
 from wheelsight.mapping import SurfelMap, save_map
 from wheelsight.pipeline.kept_map_record import KeptMapRecord
 from wheelsight.pipeline.track import Passage, Track, has_map
+from wheelsight.slam.live import ClosedLoops
 from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, MapWriter, discard_map
 from wheelsight.slam.sessions.map_folder import SURFELS_FILE
 from wheelsight.sources import EventSource
@@ -86,15 +87,27 @@ def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
         writer.close(surfels)
     else:
         closed = loops.finish()
-        first_new = len(closed.T_map_keyframe) - len(closed.stamps_s)
-        if closed.is_joined:
-            kept = closed.edges if track.extends else closed.loops.kept
-            writer.add_edges([edge for edge in kept if edge.second >= first_new])
-        writer.close(surfels, loops.recognizer)
+        if track.extends:
+            is_whole = _add_to_known(writer, closed)
+        else:
+            writer.add_edges(closed.edges)
+            is_whole = True
+        writer.close(surfels, loops.recognizer if is_whole else None)
     if _is_empty(writer) and not track.extends:
         discard_map(path)
         return None
     return KeptMapRecord(path.name, writer.keyframes, _bytes_in(path), writer.warnings)
+
+
+def _add_to_known(writer: MapWriter, closed: ClosedLoops) -> bool:
+    """Add to a map of before what is known to lie in it; whether those are all keyframes of the drive.
+
+    An edge of one that is not written would be taken for one of the next drive's, which will have its number.
+    """
+    if closed.is_joined:
+        writer.look(None)  # those of a place that was recognised when the drive was over
+    writer.add_edges([edge for edge in closed.edges if closed.known <= edge.second < writer.taken])
+    return writer.taken == len(closed.T_map_keyframe)
 
 
 def _is_empty(writer: MapWriter) -> bool:

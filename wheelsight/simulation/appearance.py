@@ -35,18 +35,27 @@ class Painter:
         geoms: the scene's geoms as it starts.
         surfaces: how each of their materials looks.
         seed: of textures and lighting; the same seed gives the same bytes with any number of threads.
+        light_seed: of the lighting, where that is another.
         threads: how many a picture is painted by.
 
     Raises:
         ConfigError: a geom's material is in no surface, or a surface is impossible.
     """
 
-    def __init__(self, geoms: Geoms, surfaces: Mapping[str, Surface], seed: int, *, threads: int = 2) -> None:
+    def __init__(
+        self,
+        geoms: Geoms,
+        surfaces: Mapping[str, Surface],
+        seed: int,
+        *,
+        light_seed: int | None = None,
+        threads: int = 2,
+    ) -> None:
         looks = [
             _surface_of(name, material, surfaces) for name, material in zip(geoms.names, geoms.materials, strict=True)
         ]
         self._geoms = geoms
-        self.lighting = Lighting.of(geoms, looks, seed)
+        self.lighting = Lighting.of(geoms, looks, seed if light_seed is None else light_seed)
         origin = np.zeros((len(looks), 3))
         painted = np.zeros((len(looks), 2), np.int64)
         colours = np.array([[look.rgb, look.accent_rgb] for look in looks], float).reshape(-1, 6)

@@ -40,6 +40,7 @@ def simulate_drive(
     faults: WheelFaults = NO_FAULTS,
     slip: bool = True,
     seed: int = 0,
+    floor_seed: int | None = None,
     realism: Realism | None = None,
     time_limit_s: float = 3600.0,
     on_progress: Callable[[float], None] | None = None,
@@ -54,7 +55,7 @@ def simulate_drive(
         robot, driver: the robot as it truly is, and who gives it commands.
         faults: what goes wrong with the wheels, and when.
         slip: whether the wheels may slip.
-        seed: of the floor, the rider, the castors' first directions, the encoders' phases and the gyroscope.
+        seed, floor_seed: of the rider, castors, encoders' phases and gyroscope; of the floor, or else by `seed`.
         realism: what tyres and floor do beside slipping, or None for nothing.
         time_limit_s: when a drive ends that has not arrived.
         on_progress: told the simulated seconds, once for each.
@@ -65,13 +66,12 @@ def simulate_drive(
     _check_limit(time_limit_s)
     chair_rng, encoder_rng, gyro_rng = (np.random.default_rng([seed, part]) for part in range(3))
     start = driver.T_world_start if driver.T_world_start is not None else _start_of(world)
-    underfoot = _underfoot(world, realism, seed)
+    underfoot = _underfoot(world, realism, seed if floor_seed is None else floor_seed)
     chair = Chair(world, robot, faults, start, slip=slip, rng=chair_rng, underfoot=underfoot)
     chair.settle(_SETTLING_S)
     gyroscope = Gyroscope(Gyro(), gyro_rng) if robot.has_gyro else None
     log = _Log(chair, Encoders(robot, faults, encoder_rng), gyroscope, Reckoning(robot.nominal, start))
-    reason = _drive(chair, driver, log, time_limit_s, on_progress)
-    return log.drive(reason)
+    return log.drive(_drive(chair, driver, log, time_limit_s, on_progress))
 
 
 def _check_limit(time_limit_s: float) -> None:

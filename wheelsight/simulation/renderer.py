@@ -46,7 +46,7 @@ class Renderer:
     Args:
         world: what there is to see.
         drive: along whose truth the camera moves.
-        settings: seed, robot, images a second, passers-by, motion blur, realism.
+        settings: seed, day, robot, images a second, passers-by, motion blur, realism.
         camera: the model, in the size wanted.
         carriage: how the camera moves, or None for one on the robot.
 
@@ -70,11 +70,13 @@ class Renderer:
             raise ConfigError(f"a drive of {drive.duration_s:.3f} s is too short for a frame")
         self.unit = unit_of(camera, self._realism, settings.seed)
         self.carriage = carriage or carriage_of(drive.truth, world, settings.robot, self._realism, settings.seed)
-        self._times = _times(count, self.rate_hz, self._realism, settings.seed)
+        self._times = _times(count, self.rate_hz, self._realism, settings.day_seed)
         self._meter = camera.resized(*_METER_SIZE).camera
         self._sensor = _sensor(settings, self.unit)
         self._passersby = (
-            Passersby(world, drive, settings.passersby, settings.seed, settings.robot) if settings.passersby else None
+            Passersby(world, drive, settings.passersby, settings.day_seed, settings.robot)
+            if settings.passersby
+            else None
         )
         self._metered: dict[int, tuple[float, FloatArray]] = {}
         self._idle_eyes: deque[_Eye] = deque()
@@ -125,7 +127,7 @@ class Renderer:
         try:
             eye = self._idle_eyes.pop()
         except IndexError:
-            eye = _Eye(self._world, self._passersby, self._settings.seed, self.unit, self._drive.duration_s)
+            eye = _Eye(self._world, self._passersby, self._settings, self.unit, self._drive.duration_s)
         try:
             return self._frame(index, eye)
         finally:
@@ -137,7 +139,7 @@ class Renderer:
 
     def _frame(self, index: int, eye: _Eye) -> RgbdFrame:
         taken_s, unit = self.taken_s(index), self.unit
-        depth_rng, color_rng = np.random.default_rng([self._settings.seed, _STREAM, index]).spawn(2)
+        depth_rng, color_rng = np.random.default_rng([self._settings.day_seed, _STREAM, index]).spawn(2)
         exposure, balance = self._exposure(index, eye)
         view = eye.look(unit.lens.true, self.row_poses(taken_s), taken_s)
         twist = self.carriage.twist_camera(taken_s)
@@ -185,10 +187,16 @@ class _Eye:
     """A scene and its paint, for one frame at a time: people in it are moved before each look."""
 
     def __init__(
-        self, world: World, passersby: Passersby | None, seed: int, unit: CameraUnit, duration_s: float
+        self,
+        world: World,
+        passersby: Passersby | None,
+        settings: SimulationSettings,
+        unit: CameraUnit,
+        duration_s: float,
     ) -> None:
+        seed = settings.day_seed
         self._scene = Scene(world, passersby, threads=1)
-        self._painter = Painter(self._scene.geoms, self._scene.surfaces, seed, threads=1)
+        self._painter = Painter(self._scene.geoms, self._scene.surfaces, settings.seed, light_seed=seed, threads=1)
         surfaces = [self._scene.surfaces[material] for material in self._scene.geoms.materials]
         self.infrared = np.array([surface.infrared for surface in surfaces])
         self.shine = np.array([surface.shine for surface in surfaces])

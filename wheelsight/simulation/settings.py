@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -30,6 +31,8 @@ class SimulationSettings:
         rate_hz: images a second, or None for the camera's own.
         laps: how often the world's route is driven.
         seed: of everything random: textures, lighting, noise, passers-by, slip.
+        day: another one has other light, people, noise and slip, and chairs and bins stand elsewhere; building, robot
+            and camera stay those of the seed.
         speed_m_s: of the robot on straights, up to 1.2.
         duration_s: ends the drive after so long, or None for the whole route.
         is_reverse: drives the route from its end to its start.
@@ -55,6 +58,7 @@ class SimulationSettings:
     rate_hz: float | None = None
     laps: int = 1
     seed: int = 0
+    day: int = 0
     speed_m_s: float = 0.8
     duration_s: float | None = None
     is_reverse: bool = False
@@ -73,6 +77,7 @@ class SimulationSettings:
         realism_of(self.realism)
         _check_whole("--laps", self.laps, 1, 1000)
         _check_whole("--seed", self.seed, 0, 2**32 - 1)
+        _check_whole("--day", self.day, 0, 100_000)
         _check_whole("--passers-by", self.passersby, 0, 100)
         _check_range("--speed", self.speed_m_s, MAX_SPEED_M_S, "m/s")
         if self.rate_hz is not None:
@@ -83,6 +88,11 @@ class SimulationSettings:
             raise ConfigError(f"--size is {self.size[0]}x{self.size[1]}", fix=f"{_SMALLEST_PX} to {_LARGEST_PX} pixels")
         if self.velocities is not None and (self.is_reverse or self.stops_to_turn or self.laps != 1):
             raise ConfigError("--drive has no route, so --laps, --reverse and --stop-and-turn mean nothing with it")
+
+    @property
+    def day_seed(self) -> int:
+        """Of what is another on each day; on day 0 the seed itself."""
+        return zlib.crc32(f"{self.seed}, day {self.day}".encode()) if self.day else self.seed
 
     def to_dict(self) -> dict[str, Any]:
         """Plain nested values under the same names, in lists and numbers that YAML keeps exactly."""

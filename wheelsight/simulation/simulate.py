@@ -85,7 +85,8 @@ def _driven(
         driver,
         faults=settings.faults,
         slip=settings.has_slip,
-        seed=settings.seed,
+        seed=settings.day_seed,
+        floor_seed=settings.seed,
         realism=realism_of(settings.realism),
         time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
         on_progress=None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s),
@@ -96,8 +97,8 @@ def world_of(settings: SimulationSettings) -> World:
     """The world that the settings name, or that of their floor plan. Raises InputError where it cannot be built."""
     if settings.plan is not None:
         least_m = 0.0 if settings.duration_s is None else settings.duration_s * settings.speed_m_s
-        return build_floor_plan(settings.plan, settings.seed, settings.robot, least_m)
-    return build_world(settings.world, settings.seed)
+        return build_floor_plan(settings.plan, settings.seed, settings.robot, least_m, day=settings.day)
+    return build_world(settings.world, settings.seed, settings.day)
 
 
 def _refuse_never(settings: SimulationSettings, end_s: float) -> None:

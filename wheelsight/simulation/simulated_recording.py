@@ -41,8 +41,9 @@ class SimulatedRecording:
 
     @property
     def name(self) -> str:
-        """World and seed."""
-        return f"{self.world.name}-{self.settings.seed}"
+        """World and seed, and the day where it is not the first."""
+        day = f"-day{self.settings.day}" if self.settings.day else ""
+        return f"{self.world.name}-{self.settings.seed}{day}"
 
     @property
     def path(self) -> Path:
@@ -124,7 +125,7 @@ class SimulatedRecording:
 
     def _readings(self) -> tuple[Sequence[Event], ...]:
         """Of gyroscope and wheels, as they are stamped."""
-        realism, drive, seed = realism_of(self.settings.realism), self.drive, self.settings.seed
+        realism, drive, seed = realism_of(self.settings.realism), self.drive, self.settings.day_seed
         if realism is None:
             return drive.yaw_rates, drive.ticks
         gyro, wheels = stream(seed, "gyro stamps"), stream(seed, "wheel stamps")

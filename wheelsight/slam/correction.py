@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from wheelsight.errors import ArgumentError
-from wheelsight.geometry import FloatArray, IntArray, se3
+from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.matches import Match, SpeedVariances
 from wheelsight.slam.graph import PoseGraph, RelativePose
@@ -89,14 +89,24 @@ def correct(
 
 
 def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
-    """A trajectory as known at the end, by loops that were closed while driving."""
+    """A trajectory as known at the end, by loops that were closed while driving.
+
+    In the map of an earlier drive it has no poses where it is not known how they lie in that: odom begins anywhere.
+    """
     T_map_odom = found.T_map_odom
     rows = np.array([_nearest(lived.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
-    corrected = carried(lived, found.stamps_s, T_map_odom)
+    corrected = carried(lived, found.stamps_s, T_map_odom, found.begins)
+    if found.known:
+        corrected = corrected.select(found.is_in_map[_before(lived.stamps_s, found.stamps_s)])
     T_map_new = T_map_odom @ lived.T_frame_body[rows]
     T_camera_body = se3.invert(found.T_odom_keyframe[0]) @ lived.T_frame_body[rows[0]]
-    T_map_known = found.T_map_keyframe[: len(found.T_map_keyframe) - len(rows)] @ T_camera_body
+    T_map_known = found.T_map_keyframe[: found.known] @ T_camera_body
     return Correction(corrected, rows, np.concatenate([T_map_known, T_map_new]), found.loops, {})
+
+
+def _before(at_s: FloatArray, stamps_s: FloatArray) -> IntArray:
+    """(N,) the last keyframe, of those at (K,) stamps, before each time; the first where there is none."""
+    return np.asarray((np.searchsorted(stamps_s, at_s, side="right") - 1).clip(0), np.int64)
 
 
 def _covariances(lived: Trajectory, stated: SpeedVariances | None) -> FloatArray:
@@ -181,14 +191,18 @@ def _lay(graph: PoseGraph, T: FloatArray, C: FloatArray, settings: MatchSettings
     graph.add_edges([step_edge(KeyframeId(k), ways[k - 1], ways[k], settings) for k in range(1, len(T))])
 
 
-def carried(lived: Trajectory, stamps_s: FloatArray, T_map_odom: FloatArray) -> Trajectory:
+def carried(
+    lived: Trajectory, stamps_s: FloatArray, T_map_odom: FloatArray, begins: BoolArray | None = None
+) -> Trajectory:
     """All poses of a trajectory in the map, where odom (K, 4, 4) lies in it as keyframes at (K,) stamps have it.
 
-    Each pose goes with the keyframes before and after it, in shares of the time between.
+    Each pose goes with the keyframes before and after it, in shares of the time between; with the one before alone
+    where the one after `begins` (K,) another piece.
     """
-    last = max(len(stamps_s) - 2, 0)
-    before = (np.searchsorted(stamps_s, lived.stamps_s, side="right") - 1).clip(0, last)
+    before = _before(lived.stamps_s, stamps_s)
     after = np.minimum(before + 1, len(stamps_s) - 1)
+    if begins is not None:
+        after = np.where(begins[after], before, after)
     T_before, T_after = (T_map_odom[of] @ lived.T_frame_body for of in (before, after))
     begin_s, end_s = stamps_s[before], stamps_s[after]
     share = (lived.stamps_s - begin_s) / np.where(end_s > begin_s, end_s - begin_s, 1.0)

@@ -6,6 +6,7 @@ the pose graph judge what is found. Odometry is told where keyframes are by now,
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
@@ -40,7 +41,9 @@ class ClosedLoops:
         refused: how many candidates were no place seen again, by reason.
         unseen: keyframes that nobody had time to compare.
         pieces: of how many pieces nobody knows how they lie to each other; 1 where all are joined.
-        is_joined: whether it is known where the last keyframe lies in the map.
+        is_in_map: (N,) whether it is known where each keyframe of this drive lies in the map.
+        judged_s: (N,) seconds that the thread took for each.
+        begins: (N,) whether odometry does not tell how each lies to the one before.
     """
 
     stamps_s: FloatArray
@@ -51,13 +54,24 @@ class ClosedLoops:
     refused: Mapping[str, int]
     unseen: int
     pieces: int
-    is_joined: bool
+    is_in_map: BoolArray
+    begins: BoolArray
+    judged_s: FloatArray
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether it is known where the last keyframe lies in the map."""
+        return bool(self.is_in_map[-1:].all())
+
+    @property
+    def known(self) -> int:
+        """How many keyframes are of earlier drives."""
+        return len(self.T_map_keyframe) - len(self.T_odom_keyframe)
 
     @property
     def T_map_odom(self) -> FloatArray:
         """(N, 4, 4) where odom lies in the map, as each keyframe of this drive has it."""
-        first = len(self.T_map_keyframe) - len(self.T_odom_keyframe)
-        return np.asarray(self.T_map_keyframe[first:] @ se3.invert(self.T_odom_keyframe))
+        return np.asarray(self.T_map_keyframe[self.known :] @ se3.invert(self.T_odom_keyframe))
 
 
 class LiveLoops:
@@ -90,6 +104,7 @@ class LiveLoops:
         self._waiting: deque[tuple[float, Future[PoseUpdate | None]]] = deque()
         self._thread: ThreadPoolExecutor | None = None
         self._unseen = 0
+        self._judged_s: list[float] = []
 
     def add(self, keyframe: LivedKeyframe) -> None:
         """Have the thread look whether a keyframe shows a place seen before."""
@@ -122,7 +137,10 @@ class LiveLoops:
         T_odom = np.array([keyframe.T_odom_keyframe for keyframe in self._lived]).reshape(-1, 4, 4)
         found = (self._graph.poses, self._graph.edges, self._graph.report(), dict(self._watcher.refusals), self._unseen)
         pieces = self._graph.pieces
-        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), not pieces[-1:].any())
+        is_in_map = pieces[len(pieces) - len(stamps_s) :] == 0
+        begins = np.array([keyframe.begins for keyframe in self._lived], bool)
+        judged = is_in_map, begins, np.array(self._judged_s)
+        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *judged)
 
     @property
     def recognizer(self) -> Recognizer:
@@ -140,6 +158,9 @@ class LiveLoops:
 
     def _judge(self, keyframe: LivedKeyframe, has_time: bool) -> PoseUpdate | None:
         """The thread: one keyframe; where all are by now, if its loops have moved any."""
+        started = time.perf_counter()
         loops = self._watcher.look(keyframe.number) if has_time else self._watcher.pass_by(keyframe.number)
         self._graph.add(keyframe)
-        return self._graph.close(loops)
+        update = self._graph.close(loops)
+        self._judged_s.append(time.perf_counter() - started)
+        return update

@@ -21,13 +21,14 @@ def world_names() -> tuple[str, ...]:
     return tuple(_BUILDERS)
 
 
-def build_world(name: str, seed: int = 0) -> World:
+def build_world(name: str, seed: int = 0, day: int = 0) -> World:
     """The world of that name.
 
     Args:
         name: one of `world_names()`.
         seed: of its dressing: which posters hang where, where bins and chairs stand, how paint came out; walls, route
             and areas are the same for all.
+        day: another one has chairs and bins elsewhere.
 
     Raises:
         ConfigError: there is no such world, or the seed is negative.
@@ -39,4 +40,4 @@ def build_world(name: str, seed: int = 0) -> World:
         near = get_close_matches(name, world_names(), n=1)
         hint = f"did you mean {near[0]}? " if near else ""
         raise ConfigError(f"there is no world {name}", fix=f"{hint}known: {', '.join(world_names())}")
-    return builder(seed)
+    return builder(seed, day)

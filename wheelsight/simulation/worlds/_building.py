@@ -133,16 +133,23 @@ class Building:
     Args:
         name: of the world.
         seed: of its dressing: `rng` places posters, bins and chairs, and materials come out a little different.
+        day: another one has what people move elsewhere, and all else where it was.
     """
 
-    def __init__(self, name: str, seed: int) -> None:
+    def __init__(self, name: str, seed: int, day: int = 0) -> None:
         self.name = name
         self.rng = np.random.default_rng([seed, 2024])
+        self._day_rng = np.random.default_rng([seed, 2024, day]) if day else None
         self.faces: dict[str, Face] = {}
         self._seed = seed
         self._geoms: dict[str, dict[str, str]] = {}
         self._surfaces: dict[str, Surface] = {}
         self._size_m = (0.0, 0.0, 0.0, 0.0)
+
+    def loose(self, low: float, high: float) -> float:
+        """Where between two bounds somebody has left a thing that is easily moved, or how it is turned, on this day."""
+        usual = float(self.rng.uniform(low, high))  # drawn on every day, so that what follows stays as it is
+        return usual if self._day_rng is None else float(self._day_rng.uniform(low, high))
 
     def floor_and_ceiling(
         self, floor: str, ceiling: str, size_m: tuple[float, float, float, float], friction: float = 0.9

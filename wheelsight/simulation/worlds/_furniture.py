@@ -97,8 +97,8 @@ def desk(building: Building, name: str, wall: Spot) -> None:
     """A table at a wall with a screen on it, and a chair before it."""
     table(building, name, wall.offset(0, 0.4), (1.5, 0.75))
     building.box(f"{name}_screen", "screen", wall.offset(0.1, 0.25), (0.56, 0.04), 0.80, 1.14)
-    swivel = building.rng.uniform(-0.5, 0.5)
-    place = wall.offset(building.rng.uniform(-0.2, 0.2), 1.05)
+    swivel = building.loose(-0.5, 0.5)
+    place = wall.offset(building.loose(-0.2, 0.2), 1.05)
     chair(building, f"{name}_chair", Spot(place.x_m, place.y_m, place.yaw_rad + 3.1416 + swivel), "fabric_dark")
 
 
@@ -110,13 +110,12 @@ def plant(building: Building, name: str, spot: Spot, height_m: float = 1.3) -> N
 
 def bin_beside(building: Building, face: str, begin_m: float, end_m: float) -> None:
     """A waste bin at a wall, somewhere between two places along it, as the seed has it."""
-    spot = building.faces[face].spot(building.rng.uniform(begin_m, end_m), 0.2)
+    spot = building.faces[face].spot(building.loose(begin_m, end_m), 0.2)
     building.cylinder(f"bin_{face}", "plastic_grey", spot, 0.15, 0.0, 0.55)
 
 
 def loose_chair(building: Building, name: str, face: str, begin_m: float, end_m: float) -> None:
     """A chair with its back to a wall, not quite straight, somewhere between two places along it."""
-    rng = building.rng
-    spot = building.faces[face].spot(rng.uniform(begin_m, end_m), 0.32)
-    fabric = ("fabric_red", "fabric_blue", "fabric_dark")[rng.integers(3)]
-    chair(building, name, Spot(spot.x_m, spot.y_m, spot.yaw_rad + rng.uniform(-0.25, 0.25)), fabric)
+    spot = building.faces[face].spot(building.loose(begin_m, end_m), 0.32)
+    fabric = ("fabric_red", "fabric_blue", "fabric_dark")[building.rng.integers(3)]
+    chair(building, name, Spot(spot.x_m, spot.y_m, spot.yaw_rad + building.loose(-0.25, 0.25)), fabric)

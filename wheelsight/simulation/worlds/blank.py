@@ -14,9 +14,9 @@ LENGTH_M, WIDTH_M = 44.0, 2.4
 BLANK_M = (8.0, 36.0)  # along x: where there is nothing to see
 
 
-def build_blank(seed: int) -> World:
+def build_blank(seed: int, day: int = 0) -> World:
     """The corridor; the robot starts at its west end and drives to the other."""
-    building = Building("blank", seed)
+    building = Building("blank", seed, day)
     building.floor_and_ceiling("screed_plain", "ceiling_plain", (-0.4, -0.4, LENGTH_M + 0.4, WIDTH_M + 0.4))
     begin, end = BLANK_M
     window = Opening(4.0, 1.8, 0.9, 2.2, "glass")

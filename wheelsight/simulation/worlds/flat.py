@@ -28,9 +28,9 @@ ROUTE = ((2.4, 3.4), (4.6, 3.4), (4.6, 1.7), (7.6, 1.7), (7.6, 6.4), (1.6, 6.4),
 _DOORWAY_M = 1.2  # as homes for wheelchairs have them
 
 
-def build_flat(seed: int) -> World:
+def build_flat(seed: int, day: int = 0) -> World:
     """The home; the robot starts in the living room, heading east."""
-    building = Building("flat", seed)
+    building = Building("flat", seed, day)
     building.floor_and_ceiling("parquet", "ceiling_plain", (-0.4, -0.4, EAST_M + 0.4, NORTH_M + 0.4))
     _walls(building)
     _living(building)
@@ -72,7 +72,7 @@ def _living(building: Building) -> None:
     building.cover("rug", "carpet_red", (0.9, 3.1), (1.1, 2.7))
     sofa(building, "sofa", building.faces["south"].spot(1.9), 2.2)
     four_legged_table(building, "coffee_table", Spot(1.9, 1.8), (1.1, 0.6), 0.45)
-    turn = building.rng.uniform(-0.2, 0.2)
+    turn = building.loose(-0.2, 0.2)
     chair(building, "armchair", Spot(3.4, 1.1, turn), "fabric_red")
     building.box("sideboard", "wood_dark", building.faces["west"].spot(NORTH_M - 1.0, 0.22), (1.3, 0.42), 0.0, 0.55)
     building.box("television", "screen", building.faces["west"].spot(NORTH_M - 1.0, 0.2), (1.1, 0.05), 0.60, 1.25)
@@ -98,7 +98,7 @@ def _kitchen(building: Building) -> None:
     building.box("fridge", "white_board", east.spot(3.4, 0.32), (0.62, 0.62), 0.0, 1.8)
     four_legged_table(building, "kitchen_table", Spot(9.4, 2.6), (1.0, 0.8), 0.75)
     for side, yaw in ((-1, 0.0), (1, math.pi)):
-        place = Spot(9.4 + building.rng.uniform(-0.15, 0.15), 2.6 + side * 0.65, yaw + building.rng.uniform(-0.3, 0.3))
+        place = Spot(9.4 + building.loose(-0.15, 0.15), 2.6 + side * 0.65, yaw + building.loose(-0.3, 0.3))
         chair(building, "kitchen_chair", place)
     building.posters("middle_back", (NORTH_M - 4.2, NORTH_M - 2.8))
     building.posters("hall_south_back", (0.4, 1.6), (1.6, 2.6))

@@ -25,9 +25,9 @@ ROUTE = (
 )
 
 
-def build_floor4(seed: int) -> World:
+def build_floor4(seed: int, day: int = 0) -> World:
     """The floor; the robot starts in corridor 1, heading east."""
-    building = Building("floor4", seed)
+    building = Building("floor4", seed, day)
     building.floor_and_ceiling("tiles_grey", "ceiling_panels", (-0.4, -0.4, 41.4, 26.8))
     _outer_walls(building)
     _core_walls(building)

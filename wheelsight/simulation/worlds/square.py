@@ -10,9 +10,9 @@ SIDE_M = 4.0
 _MARGIN_M = 2.5
 
 
-def build_square(seed: int) -> World:
+def build_square(seed: int, day: int = 0) -> World:
     """The hall; its corner (0, 0) is where the robot starts, heading along x."""
-    building = Building("square", seed)
+    building = Building("square", seed, day)
     low, high = -_MARGIN_M, SIDE_M + _MARGIN_M
     building.floor_and_ceiling("tiles_grey", "ceiling_panels", (low - 0.4, low - 0.4, high + 0.4, high + 0.4))
     building.walls(

@@ -97,6 +97,11 @@ class MapWriter:
         return self._written.keyframes
 
     @property
+    def taken(self) -> int:
+        """How many of the store's are written, or will be: the first ones."""
+        return self._taken
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What could not be written, and why; one sentence each."""
         return tuple(self._written.warnings)
@@ -112,7 +117,10 @@ class MapWriter:
             self._tell_poses()
 
     def add_edges(self, edges: Sequence[RelativePose]) -> None:
-        """Keep edges, such as loops; those of odometry between successive keyframes the writer adds by itself."""
+        """Keep edges, such as loops.
+
+        Those of odometry between successive keyframes the writer adds by itself; given ones only where it has none.
+        """
         self._work.put(_Edges(tuple(edges), holds=True))
 
     def withdraw_edges(self, edges: Sequence[RelativePose]) -> None:
@@ -189,6 +197,7 @@ class _Written:
         self._edges: dict[int, tuple[RelativePose, int]] = {}
         # Not on the disk for sure before the next flush.
         self._unflushed: list[tuple[KeyframeId, tuple[Path, Record]]] = []
+        self._stepped: set[int] = set()  # to which an edge of odometry leads from the one before
         self._is_over = self._is_dirty = False
 
     def take(self, work: _Work) -> None:
@@ -236,8 +245,9 @@ class _Written:
         where = self._folder.append_keyframe(number, keyframe, new.T_map_keyframe, new.seen.T_odom_keyframe)
         self._unflushed.append((number, where))
         edge = None if before is None else odometry_edge(before, new.seen, self._folder.settings)
-        if edge is not None:
+        if edge is not None and number not in self._stepped:
             self._folder.append_edges([edge])
+            self._stepped.add(number)
         if self._recognizer is not None:
             self._recognizer.add(number, keyframe)
         self._before = new.seen
@@ -246,8 +256,10 @@ class _Written:
         self.keyframes += 1
 
     def _add_edges(self, edges: tuple[RelativePose, ...]) -> None:
-        numbers = self._folder.append_edges(edges)
-        self._edges |= {id(edge): (edge, number) for edge, number in zip(edges, numbers, strict=True)}
+        new = [edge for edge in edges if edge.is_loop or edge.second not in self._stepped]
+        numbers = self._folder.append_edges(new)
+        self._edges |= {id(edge): (edge, number) for edge, number in zip(new, numbers, strict=True)}
+        self._stepped |= {edge.second for edge in new if not edge.is_loop}
 
     def _withdraw(self, edges: tuple[RelativePose, ...]) -> None:
         known = [self._edges.pop(id(edge), None) for edge in edges]

@@ -69,7 +69,7 @@ def _bin(building: Building, name: str, wall: Spot) -> None:
 
 def _chair(building: Building, name: str, wall: Spot) -> None:
     spot = wall.offset(0, 0.33)
-    turn = building.rng.uniform(-0.25, 0.25)
+    turn = building.loose(-0.25, 0.25)
     fabric = _FABRICS[building.rng.integers(len(_FABRICS))]
     chair(building, name, Spot(spot.x_m, spot.y_m, spot.yaw_rad + turn), fabric)
 
@@ -147,8 +147,8 @@ class Dresser:
             name, spot = self._name("group"), Spot(x_m, y_m, yaw_rad)
             four_legged_table(self._building, name, spot, (1.4, 0.8), 0.74)
             for side, turn in ((-1, 0.0), (1, np.pi)):
-                place = spot.offset(rng.uniform(-0.3, 0.3), side * 0.68)
-                turned = Spot(place.x_m, place.y_m, yaw_rad + turn + rng.uniform(-0.3, 0.3))
+                place = spot.offset(self._building.loose(-0.3, 0.3), side * 0.68)
+                turned = Spot(place.x_m, place.y_m, yaw_rad + turn + self._building.loose(-0.3, 0.3))
                 chair(self._building, f"{name}_chair", turned, _FABRICS[rng.integers(len(_FABRICS))])
 
     def table_places(self, count: int) -> list[tuple[float, float]]:

@@ -27,7 +27,7 @@ _STREAM = 0x100
 _FURNISHED_M = 10.0  # from the route: a depth camera sees no farther
 
 
-def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 0.0) -> World:
+def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 0.0, *, day: int = 0) -> World:
     """The world of a floor plan.
 
     Walls stand where free floor ends, be it at occupied cells or at unknown ones, and reach to the ceiling. Far from
@@ -38,6 +38,7 @@ def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 
         seed: of the route, and of materials, doors and furniture.
         robot: that is to drive there.
         least_m: how far the route leads at least: a tour that is shorter is driven again.
+        day: another one has chairs elsewhere.
 
     Raises:
         MapError, AreaError: a file that cannot be read or does not fit.
@@ -48,7 +49,7 @@ def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 
     space = free_space_of(read, robot.width_m + 2 * SIDE_MARGIN_M)
     rooms = find_rooms(space)
     route = plan_route(space, rooms.doorways, robot, seed, Wishes(plan.way_m, least_m, plan.start))
-    building = Building(plan.name, seed)
+    building = Building(plan.name, seed, day)
     _furnish(building, space, rooms, route, robot, seed)
     lap = "a lap" if route.is_loop else "a way"
     description = f"{space.shape.area:.0f} m² of {Path(plan.path).name}, {lap} of {route.length_m:.0f} m"

@@ -1,0 +1,171 @@
+"""`python -m benchmarks.sessions`: the map of one day, and whether the robot finds itself in it on the next.
+
+Each building is driven twice by the simulator, with `realism="real"`. On the first day wheels and camera, joined, make
+a map of one lap. On the second day the light is another, chairs and bins stand elsewhere, and people walk about. That
+drive is begun anew at many moments of the lap, by a camera alone and by joined sensors, as `wheelsight run --map-from`
+does it. Nobody says where. The robot that is begun in the one building is also given the map of the other.
+
+"Found" is the first frame that is answered `tracking`; errors, of position and heading, are medians of all such frames,
+up to 3 s after the first. They tell how far off the robot is beside the map's nearest keyframe, by the true poses of
+both days: whoever drives by the map drives by what is round about. A place is wrong that is more than 0.5 m or 10° off
+so at that first frame. "In the whole map" are errors by one rigid alignment of the first day's corrected trajectory
+with its truth: they hold what is wrong with the map itself, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.console import Console
+
+from benchmarks import machine
+from benchmarks.sequences import default_data_folder
+from benchmarks.session_starts import MODES, Building, FirstDay, Start, first_day, moments_of, second_day, start_at
+from benchmarks.table import Sheet, targets_sheet
+from benchmarks.targets import Target
+from wheelsight.simulation import FloorPlan
+
+FOUND_PERCENT, WITHIN_S, MEDIAN_M, MEDIAN_DEG = 95.0, 5.0, 0.05, 1.0
+_PLAN_M = 0.05  # a pixel of the plans that have no YAML file
+
+
+def buildings_of(names: Sequence[str], data: Path, way_m: float) -> list[Building]:
+    """Worlds by their names, and floor plans by those of their files."""
+    found = []
+    for name in names:
+        path = data / "maps" / name
+        has_yaml = path.suffix == ".yaml"
+        plan = FloorPlan(path, None if has_yaml else _PLAN_M, None, None, way_m) if path.suffix else None
+        found.append(Building(path.stem if plan else name, name, plan))
+    return found
+
+
+def map_sheet(days: Sequence[FirstDay]) -> Sheet:
+    """What the first days have left."""
+    rows = [(day.name, f"{day.way_m:.0f}", str(day.keyframes), str(day.together), f"{day.ate_m:.3f}") for day in days]
+    return Sheet(
+        "Maps of the first day", ("building", "way m", "keyframes", "that hang together", "ATE m"), tuple(rows)
+    )
+
+
+def own_sheet(starts: Sequence[Start]) -> Sheet:
+    """A row for each building and way to begin."""
+    header = ("building, begun by", "starts", "found in 5 s", "found in 10 s", "wrong", "to find s, median", "error m")
+    rows = []
+    for building, mode in dict.fromkeys((start.building, start.mode) for start in starts):
+        some = [start for start in starts if (start.building, start.mode) == (building, mode)]
+        found = [start for start in some if start.found_s is not None]
+        rows.append(
+            (
+                f"{building}, {mode}",
+                str(len(some)),
+                str(sum(start.is_found_within(WITHIN_S) for start in some)),
+                str(len(found)),
+                str(sum(start.is_wrong for start in some)),
+                _median([start.found_s or 0.0 for start in found], 1),
+                _median([start.error_m for start in found], 3),
+                _median([start.error_deg for start in found], 2),
+                _median([start.aligned_m for start in found], 3),
+                _median([start.aligned_deg for start in found], 2),
+                _median([ms for start in some for ms in start.keyframe_ms], 0),
+            )
+        )
+    return Sheet(
+        "The second day in the map of the first",
+        (*header, "error °", "in the whole map m", "°", "ms a keyframe, loop thread"),
+        tuple(rows),
+    )
+
+
+def elsewhere_sheet(starts: Sequence[Start]) -> Sheet:
+    """How many starts were taken for a place of a building in which they are not."""
+    rows = []
+    for building, mode in dict.fromkeys((start.building, start.mode) for start in starts):
+        some = [start for start in starts if (start.building, start.mode) == (building, mode)]
+        rows.append((f"{building}, {mode}", str(len(some)), str(sum(start.found_s is not None for start in some))))
+    return Sheet("In the map of another building", ("begun in, by", "starts", "accepted"), tuple(rows))
+
+
+def judge(own: Sequence[Start], elsewhere: Sequence[Start]) -> list[Target]:
+    """What must be reached."""
+    found = [start for start in own if start.found_s is not None]
+    share = 100 * sum(start.is_found_within(WITHIN_S) for start in own) / max(len(own), 1)
+    error_m, error_deg = ([getattr(start, name) for start in found] for name in ("error_m", "error_deg"))
+    return [
+        Target(f"found within 5 s of driving, of {len(own)} starts", FOUND_PERCENT, share, "%", is_least=True),
+        Target("error once found, median", MEDIAN_M, statistics.median(error_m) if found else None, "m", 3),
+        Target(
+            "error of heading once found, median", MEDIAN_DEG, statistics.median(error_deg) if found else None, "°", 2
+        ),
+        Target(f"wrong places accepted, of {len(own)} starts", 0, sum(start.is_wrong for start in own), "starts", 0),
+        Target(
+            f"accepted in another building's map, of {len(elsewhere)} starts",
+            0,
+            sum(start.found_s is not None for start in elsewhere),
+            "starts",
+            0,
+        ),
+    ]
+
+
+def _median(values: Sequence[float], decimals: int) -> str:
+    return f"{statistics.median(values):.{decimals}f}" if values else "—"
+
+
+def measure(
+    buildings: Sequence[Building], starts: int, rate_hz: float, folder: Path, console: Console
+) -> tuple[list[FirstDay], list[Start], list[Start]]:
+    """All starts, in the map of their own building and in that of another one."""
+    own: list[Start] = []
+    elsewhere: list[Start] = []
+    known = []
+    for building in buildings:
+        known.append(first_day(building, folder / building.name, rate_hz))
+        told = f"{known[-1].together} of {known[-1].keyframes} keyframes together, {known[-1].ate_m:.3f} m off"
+        console.print(f"{building.name}: first day mapped, {known[-1].way_m:.0f} m, {told}")
+    for number, building in enumerate(buildings):
+        calibration, events = second_day(building, rate_hz)
+        console.print(f"{building.name}: second day rendered")
+        other = known[(number + 1) % len(known)]
+        for count, moment_s in enumerate(moments_of(events, starts)):
+            for mode in MODES:
+                own.append(start_at(moment_s, mode, calibration, events, known[number], building.name))
+                console.print(own[-1].sentence)
+            if other is not known[number]:
+                mode = MODES[count % len(MODES)]
+                elsewhere.append(start_at(moment_s, mode, calibration, events, other, building.name, has_truth=False))
+                console.print(f"in the map of {other.name}: {elsewhere[-1].sentence}")
+    return known, own, elsewhere
+
+
+def main() -> None:
+    """Print what was measured, and write it where asked to."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.sessions", description=__doc__)
+    parser.add_argument("--data", type=Path, default=default_data_folder(), help="folder with maps/PLAN in it")
+    parser.add_argument("--buildings", nargs="+", default=["flat", "floor4", "Freiburg79_scan_furnitures.png"])
+    parser.add_argument("--starts", type=int, default=25, help="in each building, by each way to begin")
+    parser.add_argument("--rate", type=float, default=15.0, help="images a second")
+    parser.add_argument("--way", type=float, default=60.0, help="metres of the tour through a plan")
+    parser.add_argument("--out", type=Path, help="Markdown to write")
+    arguments = parser.parse_args()
+    console, about = Console(width=150), machine.description()
+    buildings = buildings_of(arguments.buildings, arguments.data, arguments.way)
+    with TemporaryDirectory() as name:
+        days, own, elsewhere = measure(buildings, arguments.starts, arguments.rate, Path(name), console)
+    sheets = [map_sheet(days), own_sheet(own), elsewhere_sheet(elsewhere), targets_sheet(judge(own, elsewhere))]
+    for sheet in sheets:
+        console.print(sheet.to_rich())
+    if arguments.out is not None:
+        what = f"--buildings {' '.join(arguments.buildings)} --starts {arguments.starts} --rate {arguments.rate:g}"
+        about |= {"Command": f"`python -m benchmarks.sessions {what} --way {arguments.way:g}`", "Images": "320×240"}
+        lines = "\n".join(f"- {topic}: {told}" for topic, told in about.items())
+        pages = [f"# Sessions\n\n{__doc__}", f"{lines}\n", *(sheet.to_markdown() for sheet in sheets)]
+        arguments.out.write_text("\n".join(pages), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from math import nan
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import session_starts, sessions
+from benchmarks.session_starts import ALONE, JOINED, FirstDay, Start
+from wheelsight.estimates import Estimate, Status
+from wheelsight.geometry import se3
+from wheelsight.trajectory import Trajectory
+
+FOUND = Start("flat", ALONE, 4.0, 1.5, 0.03, 0.4, 0.02, 0.3, 0.05, 0.6, (100.0, 200.0))
+NOT_FOUND = Start("flat", JOINED, 8.0, None, nan, nan, nan, nan, nan, nan, ())
+
+
+def test_a_place_is_wrong_by_where_it_was_first_told() -> None:
+    assert not FOUND.is_wrong
+    assert replace(FOUND, first_m=0.6).is_wrong
+    assert replace(FOUND, first_deg=11.0).is_wrong
+    assert not NOT_FOUND.is_wrong
+
+
+def test_who_is_found_late_or_wrongly_is_not_found_in_time() -> None:
+    assert FOUND.is_found_within(5.0)
+    assert not FOUND.is_found_within(1.0)
+    assert not replace(FOUND, first_m=0.6).is_found_within(5.0)
+    assert not NOT_FOUND.is_found_within(5.0)
+
+
+def test_tables_and_targets_count_starts() -> None:
+    starts = [FOUND, replace(FOUND, first_m=2.0), NOT_FOUND]
+    alone, joined = sessions.own_sheet(starts).rows
+    assert alone[:5] == ("flat, camera alone", "2", "1", "2", "1")
+    assert joined[:5] == ("flat, joined", "1", "0", "0", "0")
+    share, metres, degrees, wrong, elsewhere = sessions.judge(starts, [NOT_FOUND, FOUND])
+    assert share.measured == pytest.approx(100 / 3)
+    assert (metres.measured, degrees.measured) == (0.02, 0.3)
+    assert (wrong.measured, elsewhere.measured) == (1, 1)
+    assert not any(target.is_met for target in (share, wrong, elsewhere))
+
+
+def test_errors_are_told_beside_the_nearest_keyframe_and_in_the_whole_map() -> None:
+    """The far half of the map lies a metre aside: who is there and told so is right there, and off in the whole."""
+    here, there = np.eye(4), se3.from_plane(9.0, 0.0, 0.0)
+    aside = se3.from_plane(0.0, 1.0, 0.0)
+    known = FirstDay(
+        "flat", Path(), np.eye(4), np.stack([here, there]), np.stack([here, aside @ there]), 0.5, 9.0, 2, 2
+    )
+    truth = Trajectory(np.array([0.0, 1.0]), np.stack([here, se3.from_plane(8.5, 0.0, 0.1)]))
+    T_found = se3.from_plane(8.52, 1.0, 0.1 + np.radians(2.0))
+    estimate = Estimate(1.0, Status.TRACKING, T_found, None)
+    error_m, error_deg, aligned_m, aligned_deg = session_starts.off_by(estimate, truth, known)
+    assert (error_m, error_deg) == pytest.approx((0.02, 2.0))
+    assert (aligned_m, aligned_deg) == pytest.approx((np.hypot(1.0, 0.02), 2.0))
+
+
+def test_buildings_are_worlds_or_plans() -> None:
+    flat, office, scan = sessions.buildings_of(["flat", "a.yaml", "b.png"], Path("data"), 40.0)
+    assert (flat.world, flat.plan) == ("flat", None)
+    assert office.plan is not None
+    assert (office.name, office.plan.resolution_m) == ("a", None)
+    assert scan.plan is not None
+    assert (scan.name, scan.plan.resolution_m, scan.plan.way_m) == ("b", 0.05, 40.0)
