@@ -16,10 +16,10 @@ from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.localizer import Localizer
-from wheelsight.pipeline.known_maps import lie_together, open_known
+from wheelsight.pipeline.known_maps import open_known
 from wheelsight.runs import run_each
 from wheelsight.simulation import FloorPlan, SimulatedRecording, SimulationSettings, simulate
-from wheelsight.slam.sessions import MapFolder, find_map
+from wheelsight.slam.sessions import MapFolder, find_map, lie_together
 from wheelsight.trajectory import Trajectory
 
 ALONE, JOINED = "camera alone", "joined"

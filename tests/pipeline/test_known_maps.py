@@ -19,9 +19,8 @@ from wheelsight.config import Config, load_config
 from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
 from wheelsight.pipeline import RunRecord
-from wheelsight.pipeline.known_maps import lie_together
 from wheelsight.runs import run
-from wheelsight.slam.sessions import MapFolder
+from wheelsight.slam.sessions import MapFolder, lie_together
 from wheelsight.trajectory import read_tum
 
 pytestmark = pytest.mark.usefixtures("real_odometry")

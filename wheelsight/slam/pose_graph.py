@@ -51,7 +51,7 @@ class GtsamPoseGraph(GraphContents):
         try:
             self._isam.update(self._factors(edges, priors), self._values(keyframes))
         except RuntimeError:
-            # What hangs by loops alone that have let go leaves its Cholesky factor short of digits; damped it is solved.
+            # What hangs by loops that have let go leaves its Cholesky factor short of digits; damped it is solved.
             self.optimise()
             return
         self._held = (len(self), len(self._edges), len(self._priors))
