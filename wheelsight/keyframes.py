@@ -25,8 +25,6 @@ KeyframeId = NewType("KeyframeId", int)
 
 # Depth in files of the field: 16 bits, a fifth of a millimetre each; up to 13 m.
 _DEPTH_UNITS_PER_M = 5000.0
-# Rounding makes motions less rigid, and their inverses twice as much; so little is left alone.
-_MENDED = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +203,7 @@ class KeyframeStore:
             raise ArgumentError("T_map_keyframe has numbers that are not finite", fix="give rigid motions")
         if not len(rows):
             return
-        T = _mended(T)
+        T = se3.mended(T)
         T_new_old = T @ se3.invert(self._T_map_keyframe[rows])
         self._T_map_keyframe[rows] = T
         self.revision += 1
@@ -272,20 +270,13 @@ class Follower:
         known = np.zeros((0, 4, 4)) if self._T_new_old is None else self._T_new_old
         if len(known) < count:
             known = np.concatenate([known, np.tile(np.eye(4), (count - len(known), 1, 1))])
-        known[rows] = _mended(T_new_old @ known[rows])
+        known[rows] = se3.mended(T_new_old @ known[rows])
         self._T_new_old = known
 
     def moves(self) -> FloatArray | None:
         """T_new_old (N, 4, 4) by keyframe, of those held by then, since it was asked last; None if none has moved."""
         moved, self._T_new_old = self._T_new_old, None
         return moved
-
-
-def _mended(T: FloatArray) -> FloatArray:
-    """Motions (N, 4, 4), those made rigid again that rounding has made none; the others stay to the bit."""
-    R = T[:, :3, :3]
-    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    return T if (off < _MENDED).all() else np.where((off < _MENDED)[:, None, None], T, se3.nearest(T))
 
 
 def _png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

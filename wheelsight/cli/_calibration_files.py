@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wheelsight.calibration_parts import WHEEL_SIGMAS
 from wheelsight.cli._options import open_source, settings_from
 from wheelsight.cli._outputs import can_draw
 
@@ -90,6 +89,8 @@ def save_found(found: Mapping[str, Any], kept: Mapping[str, Any], nominal: Calib
 
 def wheel_fields(wheels: Wheels, *, delay: bool) -> dict[str, Any]:
     """What a calibration of wheels finds of them, and the ticks a turn that its radii go with."""
+    from wheelsight.calibration_parts import WHEEL_SIGMAS
+
     names = ("left_radius_m", "right_radius_m", "track_width_m", "ticks_per_turn", *(["delay_s"] if delay else []))
     stated = [name for name in WHEEL_SIGMAS if getattr(wheels, name)]
     return {"wheels": {name: float(getattr(wheels, name)) for name in (*names, *stated)}}

@@ -20,6 +20,8 @@ _METRES_A_RADIAN = 1.5
 _BOTTOM = (0, 0, 0, 1)
 # So far off what was written with two decimals may be; more is another mistake.
 _ROUNDED = 0.03
+# Rounding makes motions less rigid, and their inverses twice as much; so little is left alone.
+_RIGID = 1e-12
 
 
 def from_parts(R: ArrayLike, t: ArrayLike) -> FloatArray:
@@ -159,3 +161,11 @@ def _why_no_rotation(R: FloatArray, tolerance: float) -> tuple[str, str]:
     if np.allclose(product, scale**2 * np.eye(3), atol=tolerance * scale**2):
         return f"its rotation is scaled by {scale:g}", f"divide the three by three by {scale:g}"
     return "its rotation is not orthonormal", "its columns are the axes of the second frame, in the first, of length 1"
+
+
+def mended(T: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4), those made rigid again that rounding has made none; the others stay to the bit."""
+    T = np.asarray(T, float)
+    R = T[..., :3, :3]
+    off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
+    return T if (off < _RIGID).all() else np.where((off < _RIGID)[..., None, None], T, nearest(T))
