@@ -1,7 +1,7 @@
 """PieceGraph: a pose graph that may lie in pieces, until places that are seen again join them.
 
 Within a piece edges say how far off a loop may be, and loops are judged by that. How two pieces lie to each other
-nothing says but the loops themselves: two of them, of different keyframes, have to agree.
+nothing says but the loops themselves: two of them, seen from apart, have to agree, and few may say otherwise.
 """
 
 from __future__ import annotations
@@ -79,37 +79,45 @@ class PieceGraph:
         if within:
             self._closer.offer(within)
         self._across += [loop for loop in loops if self._piece[loop.first] != self._piece[loop.second]]
+        self._across = self._across[-self._settings.most_across :]
         return self._join()
 
     def _join(self) -> bool:
-        """Join two pieces by loops that agree, where there are some."""
+        """Join two pieces by loops that agree, where there are some and few speak against them."""
         T = self._graph.poses
         for one, other in combinations(self._across, 2):
-            ends = {self._ends(one), self._ends(other)}
-            if len(ends) > 1 or one.second == other.second or not self._agree(one, other, T):
+            if self._ends(one) != self._ends(other) or not self._bear_out(one, other, T):
                 continue
-            ((first, second),) = ends
-            X = T[one.first] @ one.T_first_second @ se3.invert(T[one.second])
-            older, newer = min(first, second), max(first, second)
-            moving = self.pieces == newer
-            T[moving] = se3.nearest((X if newer == second else se3.invert(X)) @ T[moving])
-            self._graph.remove_prior(self._held.pop(newer))
-            joining = [loop for loop in self._across if self._ends(loop) == (first, second)]
-            self._closer.join([loop for loop in joining if self._agree(one, loop, T, joined=True)], T)
-            self._piece = [older if piece == newer else piece for piece in self._piece]
-            self._across = [loop for loop in self._across if len(set(self._ends(loop))) > 1]
-            return True
+            alike = [loop for loop in self._across if self._ends(loop) == self._ends(one)]
+            agreeing = [loop for loop in alike if self._agree(one, loop, T)]
+            if len(agreeing) >= self._settings.join_majority * (len(alike) - len(agreeing)):
+                self._join_by(one, agreeing, T)
+                return True
         return False
+
+    def _join_by(self, one: RelativePose, agreeing: Sequence[RelativePose], T: FloatArray) -> None:
+        """Lay the newer piece where a loop has it, and solve both together from there."""
+        first, second = self._ends(one)
+        X = T[one.first] @ one.T_first_second @ se3.invert(T[one.second])
+        older, newer = min(first, second), max(first, second)
+        moving = self.pieces == newer
+        T[moving] = se3.nearest((X if newer == second else se3.invert(X)) @ T[moving])
+        self._graph.remove_prior(self._held.pop(newer))
+        self._closer.join(agreeing, T)
+        self._piece = [older if piece == newer else piece for piece in self._piece]
+        self._across = [loop for loop in self._across if len(set(self._ends(loop))) > 1]
+
+    def _bear_out(self, one: RelativePose, other: RelativePose, T: FloatArray) -> bool:
+        """Whether two loops agree that were seen from apart: what takes one view for another does so again beside."""
+        apart_m = float(se3.view_shift_m(se3.invert(T[one.second]) @ T[other.second]))
+        return apart_m >= self._settings.join_apart_m and self._agree(one, other, T)
 
     def _ends(self, loop: RelativePose) -> tuple[int, int]:
         return self._piece[loop.first], self._piece[loop.second]
 
-    def _agree(self, one: RelativePose, other: RelativePose, T: FloatArray, *, joined: bool = False) -> bool:
-        """Whether two loops put the same piece to the same place, as seen where the other one's keyframe is.
-
-        `joined`: whether T (N, 4, 4) has the pieces together already.
-        """
-        X = np.eye(4) if joined else T[one.first] @ one.T_first_second @ se3.invert(T[one.second])
+    def _agree(self, one: RelativePose, other: RelativePose, T: FloatArray) -> bool:
+        """Whether two loops put the same piece to the same place, as seen where the other one's keyframe is."""
+        X = T[one.first] @ one.T_first_second @ se3.invert(T[one.second])
         D = se3.invert(X @ T[other.second]) @ T[other.first] @ other.T_first_second
         is_near = np.linalg.norm(D[:3, 3]) <= self._settings.agree_m
         return bool(is_near and so3.angle(D[:3, :3]) <= self._settings.agree_rad)

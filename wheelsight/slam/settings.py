@@ -143,6 +143,24 @@ class LoopSettings(Settings):
     agree_m: float = setting(
         0.3, "two loops that join pieces of a map put them to one place, metres apart at most", CHOSEN, gt=0, le=100
     )
+    join_apart_m: float = setting(
+        0.5,
+        "and are seen from so far apart at least, a turn by a radian as 1.5 m: what takes one view for another does so"
+        " again beside",
+        CHOSEN,
+        ge=0,
+        le=100,
+    )
+    join_majority: float = setting(
+        2.0, "for each loop between these pieces that says otherwise, so many have to agree", CHOSEN, ge=0, le=1000
+    )
+    most_across: int = setting(
+        60,
+        "loops between pieces that are remembered, the newest: of more, comparing takes long",
+        "reckoned",
+        ge=2,
+        le=1000,
+    )
     agree_rad: float = setting(0.1, "likewise, radians", CHOSEN, gt=0, le=3)
     pieces: PieceSettings = PieceSettings()
     matches: MatchSettings = MatchSettings()

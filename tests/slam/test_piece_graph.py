@@ -1,0 +1,71 @@
+"""Two pieces of a map are joined where loops seen from apart agree, and not by few against others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeId
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.piece_graph import PieceGraph
+from wheelsight.slam.settings import LoopSettings
+from wheelsight.slam.steps import anchor
+
+COUNT, STEP_M = 5, 0.4
+C = 1e-4 * np.eye(6)
+# Where the second piece truly lies, and where it is thought to be.
+APART = se3.exp([3.0, -1.0, 0.2, 0.0, 0.1, 0.7])
+
+
+def at(number: int) -> FloatArray:
+    """Where a keyframe truly is; both pieces go along x, side by side."""
+    return se3.exp([STEP_M * (number % COUNT), 0.5 * (number // COUNT), 0.0, 0.0, 0.0, 0.05 * number])
+
+
+def graph() -> PieceGraph:
+    made = PieceGraph(LoopSettings())
+    for number in range(2 * COUNT):
+        piece = COUNT * (number // COUNT)
+        T = at(number) if not piece else APART @ at(number)
+        made.add(T, piece)
+        if number % COUNT == 0:
+            made.hold(anchor(KeyframeId(number), T), until_joined=bool(piece))
+        else:
+            before = KeyframeId(number - 1)
+            step = se3.invert(at(number - 1)) @ at(number)
+            made.add_edges([RelativePose(before, KeyframeId(number), step, C)])
+    return made
+
+
+def loop(first: int, second: int, off: FloatArray | None = None) -> RelativePose:
+    T = se3.invert(at(first)) @ at(second) @ (np.eye(4) if off is None else off)
+    return RelativePose(KeyframeId(first), KeyframeId(second), T, C, is_loop=True)
+
+
+def wrong(seed: int) -> FloatArray:
+    return se3.exp(np.random.default_rng(seed).uniform(1.0, 3.0, 6))
+
+
+def test_two_loops_seen_from_apart_join() -> None:
+    made = graph()
+    assert not made.close([loop(0, 5)])
+    assert made.close([loop(2, 7)])
+    assert set(made.pieces.tolist()) == {0}
+    np.testing.assert_allclose(made.poses, [at(number) for number in range(2 * COUNT)], atol=1e-5)
+
+
+def test_one_view_does_not_bear_out_the_next_beside_it() -> None:
+    made = graph()
+    assert not made.close([loop(0, 5), loop(1, 5), loop(1, 6)])  # 0.4 m apart
+    assert made.close([loop(2, 8)])
+
+
+@pytest.mark.parametrize("against", [1, 2])
+def test_few_do_not_join_against_others(against: int) -> None:
+    made = graph()
+    false = [loop(number, 9, wrong(number)) for number in range(against)]
+    assert made.close([*false, loop(0, 5), loop(2, 7)]) == (against == 1)
+    if against > 1:
+        assert made.close([loop(1, 6), loop(3, 8)])
+    np.testing.assert_allclose(made.poses, [at(number) for number in range(2 * COUNT)], atol=1e-5)
