@@ -42,6 +42,8 @@ NOT_RUN = {
     "wheelsight run corridor ": "of the recording that the controller made",
     "wheelsight simulate floor4 --laps 2": "four minutes of driving; docs/simulation.md's is run for some seconds",
     "wheelsight simulate floor4 --realism ideal --rate 5": "drives of whole floors; small ones stand for them",
+    "wheelsight map merge ": "needs the maps of two days; tests/cli/test_maps.py",
+    "wheelsight map prune both": "of the map that was merged; tests/cli/test_maps.py",
     "for seed in 1 2 3": "six squares, simulated; drawn ones stand for them",
 }
 # Options put to the end of commands, where the last one wins, so that they take seconds.

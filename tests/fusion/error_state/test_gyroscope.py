@@ -64,14 +64,14 @@ def yaw_of(answer: FusedEstimate) -> float:
 @pytest.mark.parametrize("gyro_hz", [RATES_HZ[0], RATES_HZ[-1]])
 def test_at_rest_there_is_hardly_any_slip_that_is_none(gyro_hz: int) -> None:
     """However often it tells: it was a quarter of the frames at 1000 Hz."""
-    answers = [answer for seed in range(100, 124) for answer in ridden(gyro_hz, seed, bias_rad_s=0.01)[1]]
+    answers = [answer for seed in range(100, 112) for answer in ridden(gyro_hz, seed, bias_rad_s=0.01)[1]]
     assert np.mean([answer.slip for answer in answers]) <= 0.005
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gyro_hz", [RATES_HZ[0], RATES_HZ[-1]])
 def test_on_the_way_too(gyro_hz: int) -> None:
-    answers = [answer for seed in range(100, 124) for answer in ridden(gyro_hz, seed, speed_m_s=0.5, sees=False)[1]]
+    answers = [answer for seed in range(100, 112) for answer in ridden(gyro_hz, seed, speed_m_s=0.5, sees=False)[1]]
     assert np.mean([answer.slip for answer in answers]) <= 0.005
 
 
