@@ -16,7 +16,10 @@ from wheelsight.trajectory import Trajectory, read_tum
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
 # The camera hardly moves in two seconds.
-QUICK = "loops: {latency_s: 0.3, join_apart_m: 0.1, seen: {apart_s: 2.5}}\ndense: {keyframe_way_m: 0.02, keyframe_overlap: 0.97}\n"
+QUICK = """
+loops: {latency_s: 0.3, join_apart_m: 0.1, seen: {apart_s: 2.5}}
+dense: {keyframe_way_m: 0.02, keyframe_overlap: 0.97}
+"""
 
 
 @pytest.fixture
