@@ -65,6 +65,14 @@ def test_ways_meet_where_least_squares_has_them(seed: int) -> None:
     np.testing.assert_allclose(met(T_SHORT, motions[0], T_LONG, motions[1]), best, atol=2e-6)
 
 
+@pytest.mark.parametrize("left", [0.0, -1e-9])
+def test_where_nothing_is_left_but_what_both_share_the_short_one_stands(left: float) -> None:
+    """It ended a drive: a matrix of rounding alone cannot be solved."""
+    C = np.diag([1e-6] * 3 + [1e-7] * 3)
+    given = (T_SHORT, told(np.eye(4), C), T_LONG, told(np.eye(4), C))
+    np.testing.assert_array_equal(joined(*given, SETTINGS, C - left * np.eye(6)), T_SHORT)
+
+
 def test_ways_that_contradict_each_other_leave_the_short_one() -> None:
     C = np.diag([1e-6] * 3 + [1e-7] * 3)
     T_far = T_SHORT @ se3.exp([0.02, 0, 0, 0, 0, 0])

@@ -28,7 +28,10 @@ def joined(
         return T_map_short
     C_short, C_long = settings.short_motions * (_at_its_end(short) - shared), _at_its_end(long) - shared
     off = se3.log(se3.invert(T_map_short) @ T_map_long)
-    innovation = np.linalg.solve(C_short + C_long, off)
+    C = np.ascontiguousarray(C_short + C_long)
+    if not (np.isfinite(C).all() and motions.is_definite(C)):  # what is left of both is less than rounding
+        return T_map_short
+    innovation = np.linalg.solve(C, off)
     if not off @ innovation < settings.joined_chi2:
         return T_map_short
     return np.asarray(se3.nearest(T_map_short @ se3.exp(C_short @ innovation)))
