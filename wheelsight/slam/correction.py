@@ -188,7 +188,8 @@ def _lay(graph: PoseGraph, T: FloatArray, C: FloatArray, settings: MatchSettings
         graph.add(pose)
     graph.add_prior(anchor(KeyframeId(0), T[0]))
     ways = [(T[k], C[k]) for k in range(len(T))]
-    graph.add_edges([step_edge(KeyframeId(k), ways[k - 1], ways[k], settings) for k in range(1, len(T))])
+    ends = [(KeyframeId(k - 1), KeyframeId(k)) for k in range(1, len(T))]
+    graph.add_edges([step_edge(pair, ways[pair[0]], ways[pair[1]], settings) for pair in ends])
 
 
 def carried(

@@ -100,7 +100,7 @@ class DriveGraph:
             self._begin_piece(keyframe)
             return
         then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
-        edge = step_edge(keyframe.number, then, now, self._settings.matches)
+        edge = step_edge((before.number, keyframe.number), then, now, self._settings.matches)
         self._graph.add(se3.nearest(self._graph.poses[-1] @ edge.T_first_second), int(self._graph.pieces[-1]))
         self._graph.add_edges([edge])
         self._told = np.concatenate([self._told, self._told[-1:] @ edge.T_first_second])

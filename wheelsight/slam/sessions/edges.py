@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
-import numpy as np
-
 from wheelsight.estimates import Estimate
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.sessions.settings import SessionSettings
+from wheelsight.slam.steps import step_edge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +43,4 @@ def odometry_edge(before: SeenKeyframe, now: SeenKeyframe, settings: SessionSett
     T_before, C_before, T_now, C_now = before.T_odom_keyframe, before.covariance, now.T_odom_keyframe, now.covariance
     if T_before is None or C_before is None or T_now is None or C_now is None:
         return None
-    T_step, _ = motions.between(T_before, C_before, T_now, C_now)
-    _, grown = motions.step_between(T_before, C_before, T_now, C_now)
-    least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
-    return RelativePose(before.number, now.number, motions.mended(T_step), grown + least)
+    return step_edge((before.number, now.number), (T_before, C_before), (T_now, C_now), settings)

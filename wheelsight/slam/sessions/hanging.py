@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -23,13 +25,18 @@ def lie_together(folder: MapFolder) -> BoolArray:
 
 def pieces_of(parts: MapParts, settings: SessionSettings) -> IntArray:
     """(N,) the piece that each keyframe is in, by edges that are sure; the largest piece is 0."""
-    if not len(parts):
-        return np.zeros(0, np.int64)
-    ends = np.array([(e.first, e.second) for e in parts.edges if is_sure(e, settings)], np.int64).reshape(-1, 2)
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(parts), len(parts)))
-    _, piece = connected_components(graph, directed=False)
+    piece = connected([edge for edge in parts.edges if is_sure(edge, settings)], len(parts))
     order = np.argsort(-np.bincount(piece, minlength=1), kind="stable")
     return np.asarray(np.argsort(order)[piece], np.int64)
+
+
+def connected(edges: Sequence[RelativePose], count: int) -> IntArray:
+    """(count,) the piece that each keyframe is in, from 0 on, by edges between them."""
+    if not count:
+        return np.zeros(0, np.int64)
+    ends = np.array([(edge.first, edge.second) for edge in edges], np.int64).reshape(-1, 2)
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
 def is_sure(edge: RelativePose, settings: SessionSettings) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,10 @@ import numpy as np
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath
 from wheelsight.inputs import is_there
+from wheelsight.slam.sessions.hanging import connected
 from wheelsight.slam.sessions.header import HEADER_FILE, MapHeader
 from wheelsight.slam.sessions.map_folder import RECOGNITION_FILE, SURFELS_FILE, MapFolder
+from wheelsight.slam.sessions.parts import new_numbers, renumbered
 from wheelsight.slam.sessions.reading import GRAPH, KEYFRAMES, Health, journals_of
 
 MAP_FOLDER = "map"
@@ -66,13 +67,13 @@ def info_of(folder: MapFolder) -> MapInfo:
     at = store.T_map_keyframe[numbers][:, :3, 3]
     journals = [*journals_of(path, KEYFRAMES), *journals_of(path, GRAPH)]
     journal_bytes = sum(file.stat().st_size for file in journals)
-    ends = [(int(edge.first), int(edge.second)) for edge in edges]
+    between = renumbered(edges, new_numbers(np.array(numbers, np.int64), len(store)))
     return MapInfo(
         header=folder.header,
         keyframes=len(numbers),
         edges=sum(not edge.is_loop for edge in edges),
         loops=sum(edge.is_loop for edge in edges),
-        parts=_parts(numbers, ends),
+        parts=len(np.unique(connected(between, len(numbers)))),
         begin_s=min(stamps_s, default=None),
         end_s=max(stamps_s, default=None),
         length_m=float(np.linalg.norm(np.diff(at, axis=0), axis=1).sum()),
@@ -95,22 +96,6 @@ def find_map(path: StrPath) -> Path:
         fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
         raise MapError("is no map, and no folder of a run with one", path=path, fix=fix)
     return found
-
-
-def _parts(numbers: Sequence[int], ends: Sequence[tuple[int, int]]) -> int:
-    """How many parts hang together: by union and find."""
-    root: dict[int, int] = {number: number for number in numbers}
-
-    def find(number: int) -> int:
-        while root[number] != number:
-            root[number] = root[root[number]]
-            number = root[number]
-        return number
-
-    for first, second in ends:
-        if first in root and second in root:
-            root[find(first)] = find(second)
-    return sum(number == root[number] for number in numbers)
 
 
 def _size(path: Path) -> int | None:
