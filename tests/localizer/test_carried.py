@@ -17,6 +17,7 @@ AHEAD = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
 def carried() -> Carried:
     """In a dark of 4 s, at the origin."""
     subject = Carried(JoiningSettings())
+    subject.known(0.0)
     subject.unknown(4.0, AHEAD, np.eye(4))
     return subject
 
@@ -35,7 +36,17 @@ def test_wheels_that_stood_and_another_view_say_so_and_a_known_view_takes_it_bac
 
 def test_wheels_that_went_on_tell_where_the_view_changed() -> None:
     subject = Carried(JoiningSettings())
+    subject.known(0.0)
     subject.unknown(4.0, se3.exp([0.0, 0.0, 0.4, 0.0, 0.0, 0.0]), np.eye(4))
+    assert not subject.is_so
+
+
+def test_frames_that_are_not_believed_show_what_is_known_all_the_same() -> None:
+    """A camera that contradicts the wheels for seconds is not in the dark."""
+    subject = Carried(JoiningSettings())
+    for stamp_s in np.arange(0.0, 4.0, 0.1):
+        subject.known(stamp_s)
+    subject.unknown(4.0, AHEAD, np.eye(4))
     assert not subject.is_so
 
 
@@ -70,13 +81,13 @@ def test_another_view_at_once_is_an_elevators_where_the_wheels_stood_before(
     seconds: float, way_m: float, is_so: bool
 ) -> None:
     subject = stood(seconds, way_m)
-    subject.unknown(0.03, AHEAD, np.eye(4))
+    subject.unknown(10.03, AHEAD, np.eye(4))
     assert subject.is_so == is_so
 
 
 def test_an_elevator_may_have_gone_to_another_floor_and_the_dark_has_not() -> None:
     subject = stood(3.0)
-    subject.unknown(0.03, AHEAD, np.eye(4))
+    subject.unknown(10.03, AHEAD, np.eye(4))
     of_elevator, of_dark = subject.answered(ANSWER), carried().answered(ANSWER)
     assert of_elevator.covariance is not None
     assert of_dark.covariance is not None
@@ -86,7 +97,7 @@ def test_an_elevator_may_have_gone_to_another_floor_and_the_dark_has_not() -> No
 
 def test_who_hides_the_view_of_a_robot_that_stands_on_may_go_away() -> None:
     subject = stood(3.0)
-    subject.unknown(0.03, AHEAD, np.eye(4))
+    subject.unknown(10.03, AHEAD, np.eye(4))
     assert subject.waits(AHEAD)
     assert not subject.waits(se3.exp([0.0, 0.0, 0.4, 0.0, 0.0, 0.0]))
     assert not subject.waits(None)
@@ -97,6 +108,6 @@ def test_who_hides_the_view_of_a_robot_that_stands_on_may_go_away() -> None:
 
 def test_a_camera_that_began_again_waits_for_nothing() -> None:
     subject = stood(3.0)
-    subject.unknown(0.03, AHEAD, np.eye(4))
+    subject.unknown(10.03, AHEAD, np.eye(4))
     subject.scatter(np.eye(4), np.eye(6))
     assert not subject.waits(AHEAD)

@@ -31,6 +31,7 @@ class Carried:
     def __init__(self, settings: JoiningSettings) -> None:
         self._settings = settings
         self._away_s = self._up_m = 0.0
+        self._known_s = -np.inf  # of the last frame that showed what was known, believed or not
         self._stands: tuple[float, FloatArray] | None = None  # since when the wheels stand, and where
         self._stood_s = 0.0  # for how long they had stood at the last known view
         self._from: FloatArray | None = None  # x, y where the wheels had it
@@ -53,15 +54,17 @@ class Carried:
         """The camera begins again: no cabin of an elevator that it has known for long."""
         self._stands, self._stood_s = None, 0.0
 
-    def unknown(self, dark_s: float, T_last_now: FloatArray | None, T_odom_base: FloatArray) -> None:
+    def unknown(self, stamp_s: float, T_last_now: FloatArray | None, T_odom_base: FloatArray) -> None:
         """Take the first frame that shows nothing known.
 
         Args:
-            dark_s: since the last frame that was believed.
-            T_last_now: (4, 4) how the camera moved since then by the wheels, or None where that is forgotten.
+            stamp_s: of the frame.
+            T_last_now: (4, 4) how the camera moved by the wheels since the last frame that showed what was known; None
+                where that is forgotten.
             T_odom_base: (4, 4) where the wheels have the base.
         """
         of, stood_s = self._settings, self._stood_s if self._stood_s > self._settings.stands_s else 0.0
+        dark_s = stamp_s - self._known_s
         if not (dark_s > of.dark_s or stood_s) or self.is_so or not self._shows_the_same(T_last_now):
             return
         self._away_s, self._up_m = dark_s + stood_s, of.floor_m if stood_s else 0.0
@@ -69,6 +72,7 @@ class Carried:
 
     def known(self, stamp_s: float) -> None:
         """The frame shows what was known before: nobody has carried anything."""
+        self._known_s = stamp_s
         self._stood_s = 0.0 if self._stands is None else stamp_s - self._stands[0]
         if not self._is_scattered:
             self._from = None

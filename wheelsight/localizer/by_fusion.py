@@ -235,6 +235,7 @@ class ByFusion:
         update = self.filter.begin_frame(frame.stamp_s, self._map.anchor.covariance)
         self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
         self._map.refer(seen)
+        self._carried.known(frame.stamp_s)
         self._check.begin(frame, seen, self._map.T_odom_map)
         reason = reason or update.answer.reason
         return replace(update.answer, reason=reason, matches=seen.matches, inliers=seen.inliers)
@@ -246,7 +247,7 @@ class ByFusion:
         expected = self.filter.expect_frame(frame.stamp_s)
         if self._camera.miss(seen) and self._camera.unknown == 1 and answer.T_odom_body is not None:
             # Wheels that stood while the view became another do not know whether they were carried.
-            self._carried.unknown(frame.stamp_s - self._map.seen_s, expected, answer.T_odom_body)
+            self._carried.unknown(frame.stamp_s, expected, answer.T_odom_body)
         is_lost = self._camera.is_lost and not self._carried.waits(expected)
         return self._again(frame, seen, answer) if (restarts or is_lost) and answer.covariance is not None else answer
 
