@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.geometry import Float32Array, FloatArray, Int32Array
+from wheelsight.geometry import Float32Array, FloatArray, Int32Array, IntArray
 from wheelsight.mapping import _block_kernels as kernels
 from wheelsight.mapping import _move_kernels as move_kernels
 from wheelsight.mapping._block_kernels import (
     ALIVE,
     CELLS,
     CONFIDENCE,
+    FREE,
     PAGE,
     PAGES,
     Cells,
@@ -75,6 +76,12 @@ class Blocks:
         """Of all arrays."""
         return sum(array.nbytes for array in vars(self).values() if isinstance(array, np.ndarray))
 
+    @property
+    def room(self) -> float:
+        """The share of the bound on memory that is still free."""
+        used = int(self._counters[PAGES]) - int(self._counters[FREE])
+        return 1.0 - used / self._max_pages
+
     def count_deaths(self, count: int) -> None:
         """Note that so many surfels' confidence was set to 0."""
         self._counters[ALIVE] -= count
@@ -138,14 +145,17 @@ class Blocks:
         has_moved = (T_new_old != np.eye(4)).any(axis=(1, 2))
         left = np.empty(len(self.geometry), np.int32)
         left = left[: move_kernels.move(T_new_old, has_moved, self.surfels, self.pages, self.cells, left)]
-        if not len(left):
-            return
-        taken = SurfelArrays(*(array[left] for array in self.surfels))
-        self.geometry[left, CONFIDENCE] = 0.0
-        self.count_deaths(len(left))
+        if len(left):
+            self.append(self.take_out(left, now_s), now_s, rules)
+
+    def take_out(self, slots: Int32Array | IntArray, now_s: float) -> SurfelArrays:
+        """Copies of surfels at (n,) slots, which are free from then on."""
+        taken = SurfelArrays(*(array[slots] for array in self.surfels))
+        self.geometry[slots, CONFIDENCE] = 0.0
+        self.count_deaths(len(slots))
         everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
         self._compact(0, *everything, now_s, _NONE_GOES, np.zeros(0, np.int64))
-        self.append(taken, now_s, rules)
+        return taken
 
     def _drop_least_useful(self, now_s: float, rules: FloatArray) -> None:
         """Let a tenth of all surfels go, those of least use first."""

@@ -141,6 +141,26 @@ class SurfelSettings(Settings):
     shown_cosine: float = setting(
         0.05, "of the angle at which a disk is seen, from which on it is shown", CHOSEN, gt=0, le=1
     )
-    max_surfels: int = setting(3_000_000, "bound on memory, about 72 bytes a surfel", "reckoned", ge=1024, le=6_000_000)
+    max_surfels: int = setting(
+        3_000_000,
+        "bound on those in memory, about 72 bytes each; others rest on the disk",
+        "reckoned",
+        ge=1024,
+        le=6_000_000,
+    )
+    least_room: float = setting(
+        0.1, "where less than this share of max_surfels is free, far surfels go to the disk", CHOSEN, gt=0, le=0.5
+    )
+    room_made: float = setting(0.3, "so large a share is free then", CHOSEN, gt=0, le=0.9)
+    rests_beyond: float = setting(
+        2.5,
+        "those of keyframes that many times far_m from the camera may rest: from twice on, neither sees the other's",
+        "reckoned",
+        ge=2,
+        le=100,
+    )
+    resting_folder: str | None = setting(
+        None, "in which they rest; none for the system's folder of temporary files", CHOSEN
+    )
     block_m: float = setting(0.5, "edge of the blocks by which surfels in view are found", CHOSEN, ge=0.05, le=10)
     threads: int = setting(2, "that share a frame's rows", "two cores, for which wheelsight is made", gt=0, le=64)

@@ -34,7 +34,7 @@ _NO_MAP = "give a file that `save_map` wrote"
 # Beyond 16 km, float32 no longer tells millimetres apart; the others are far beyond what a map ever holds.
 _LARGEST = {"position": 16_000.0, "normal": 1.01, "radius_m": 100.0, "color": 1000.0, "grey": 1000.0}
 _LARGEST |= {"confidence": 1e9, "variance_m2": 1e4, "first_s": 1e20, "last_s": 1e20}
-_FILE = Kind("a map", most_mb=450, fix=_NO_MAP)
+_FILE = Kind("a map", most_mb=2000, fix=_NO_MAP)
 _DAMAGED = "it is damaged or cut short: use another copy"
 # Name, type and number of columns; 0 for a flat array.
 _FIELDS = (
@@ -185,9 +185,9 @@ def _map_of(header: dict[str, Any], surfels: Surfels, T_map_keyframe: FloatArray
     if math.isnan(stamp_s) or (n and (surfels.last_s.max() > stamp_s or (surfels.first_s > surfels.last_s).any())):
         raise MapError("its surfels were seen after it ends, or before they were first seen", fix=_DAMAGED)
     surfel_map = SurfelMap(settings)
+    surfel_map.restore(dropped, T_map_keyframe)
     if surfel_map.add(surfels, stamp_s) != n:
         raise MapError(f"{n} surfels find no room in a map of {settings.max_surfels}", fix=_DAMAGED)
-    surfel_map.restore(dropped, T_map_keyframe)
     return surfel_map
 
 

@@ -5,13 +5,14 @@ Keller et al. 2013 for the surfels; Whelan et al. 2015 and 2016 for the window i
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
 
 from wheelsight.calibration import DepthNoise
 from wheelsight.errors import MapError
-from wheelsight.geometry import Float32Array, FloatArray, Int32Array, se3
+from wheelsight.geometry import BoolArray, Float32Array, FloatArray, Int32Array, se3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.mapping import _fusion_kernels as fusion
 from wheelsight.mapping import _match_kernels as match
@@ -19,6 +20,7 @@ from wheelsight.mapping import _view_kernels as view
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
 from wheelsight.mapping._inputs import Frame, Pose, checked_frame, checked_motion, checked_pose, rays_of
 from wheelsight.mapping.blocks import Blocks
+from wheelsight.mapping.resting import Nearness
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
 from wheelsight.threads import Rows
@@ -29,7 +31,8 @@ class SurfelMap:
     """Surfels in the map frame; frames with poses go in, views come out. A `ReferenceModel` to track against.
 
     Each surfel hangs on the keyframe that was current when it was made. Where the map follows a store, surfels move
-    with their keyframes: before it is fused into, shown or read, it asks how they have moved.
+    with their keyframes: before it is fused into, shown or read, it asks how they have moved. Where memory runs short,
+    what hangs on far keyframes rests on the disk until the camera comes near.
 
     Results do not depend on `settings.threads`, to the last bit. Not to be used by two threads at once.
 
@@ -50,17 +53,18 @@ class SurfelMap:
         self._T_map_keyframe = np.zeros((0, 4, 4))
         self.stamp_s, self.frames = -np.inf, 0
         self.blocks = Blocks(self.settings.block_m, self.settings.max_surfels)
+        self._nearness = Nearness(self.settings)
         self._rows = Rows(self.settings.threads)
         self._scratch: dict[str, np.ndarray] = {}
         self._weight_of: tuple[float, ...] = ()
 
     def __len__(self) -> int:
-        return self.blocks.alive
+        return self.blocks.alive + len(self._nearness.resting)
 
     @property
     def dropped(self) -> int:
-        """How many surfels were given up so far for want of room."""
-        return self.blocks.dropped
+        """How many surfels were given up so far for want of room, or could not be read back from the disk."""
+        return self.blocks.dropped + self._nearness.resting.lost
 
     @property
     def memory_bytes(self) -> int:
@@ -74,19 +78,17 @@ class SurfelMap:
 
     def status(self) -> MapStatus:
         """How the map stands; goes over all surfels."""
-        slots = self.blocks.slots()
-        stable = self.blocks.geometry[slots, CONFIDENCE] >= self.settings.stable_confidence
-        active = self.blocks.seen_s[slots, 1] >= self._active_since_s
-        counts = (len(slots), int(np.count_nonzero(stable)), int(np.count_nonzero(active)))
-        return MapStatus(*counts, self.dropped, self.memory_bytes)
+        everything = list(self._parts())
+        stable = sum(int(np.count_nonzero(self._are_stable(part))) for part in everything)
+        active = sum(int(np.count_nonzero(part.seen_s[:, 1] >= self._active_since_s)) for part in everything)
+        rests = len(self._nearness.resting)
+        return MapStatus(len(self), stable, active, self.dropped, self.memory_bytes, rests)
 
     def surfels(self, which: Literal["all", "stable"] = "all") -> Surfels:
         """Copies of all surfels, or of the stable ones, block by block."""
         self._follow()
-        blocks, slots = self.blocks, self.blocks.slots()
-        if which == "stable":
-            slots = slots[blocks.geometry[slots, CONFIDENCE] >= self.settings.stable_confidence]
-        geometry, look, seen_s = blocks.geometry[slots], blocks.look[slots], blocks.seen_s[slots]
+        parts = (part if which == "all" else _chosen(part, self._are_stable(part)) for part in self._parts())
+        geometry, look, seen_s, variance, keyframe = map(np.concatenate, zip(*parts, strict=True))
         return Surfels(
             geometry[:, :3].copy(),
             geometry[:, 4:7].copy(),
@@ -94,14 +96,23 @@ class SurfelMap:
             look[:, :3].copy(),
             look[:, 3].copy(),
             geometry[:, CONFIDENCE].copy(),
-            blocks.variance[slots],
+            variance,
             seen_s[:, 0].copy(),
             seen_s[:, 1].copy(),
-            blocks.keyframe[slots],
+            keyframe,
         )
 
+    def _parts(self) -> Iterator[SurfelArrays]:
+        """Copies of all that is in memory, block by block, and then of what rests on the disk."""
+        slots = self.blocks.slots()
+        yield SurfelArrays(*(array[slots] for array in self.blocks.surfels))
+        yield from self._nearness.resting.all(self.T_map_keyframe)
+
+    def _are_stable(self, part: SurfelArrays) -> BoolArray:
+        return np.asarray(part.geometry[:, CONFIDENCE] >= self.settings.stable_confidence)
+
     def add(self, surfels: Surfels, stamp_s: float) -> int:
-        """Put surfels in as they are, at a map's time; how many found room."""
+        """Put surfels in as they are, at a map's time; how many found room, in memory or on the disk."""
         self._follow()
         self.stamp_s = max(self.stamp_s, stamp_s)
         radius, confidence = surfels.radius_m[:, None], surfels.confidence[:, None]
@@ -109,7 +120,10 @@ class SurfelMap:
         look = np.hstack([surfels.color, surfels.grey[:, None]]).astype(np.float32)
         seen_s = np.stack([surfels.first_s, surfels.last_s], axis=-1)
         new = SurfelArrays(geometry, look, seen_s, surfels.variance_m2, surfels.keyframe)
-        return self.blocks.append(new, self.stamp_s, self._rules)
+        most = int((1 - self.settings.least_room) * self.settings.max_surfels) - self.blocks.alive
+        staying = self._nearness.lay_by(new, self.T_map_keyframe, most)
+        rest = len(new.geometry) - len(staying.geometry)
+        return rest + self.blocks.append(staying, self.stamp_s, self._rules)
 
     def restore(self, dropped: int, T_map_keyframe: FloatArray) -> None:
         """Count so many surfels as given up before, and know the keyframes (K, 4, 4): for a map read from a file."""
@@ -183,6 +197,7 @@ class SurfelMap:
             raise MapError(f"there is no keyframe {keyframe}", fix="give the map the store that has it")
         self._follow()
         self.stamp_s, dropped = float(stamp_s), self.blocks.dropped
+        self._come_near(pose)
         camera = self._camera(pose, frame.depth_m.shape, noise)
         seen = self._seen(frame, camera, pose.grid, frames)
         matched, removed, merged, is_new = self._average(seen, camera, pose)
@@ -198,6 +213,7 @@ class SurfelMap:
         """
         pose = checked_pose(T_map_camera, intrinsics)
         self._follow()
+        self._come_near(pose)
         limits = (self.settings.far_m, 0.0, self.settings.vague_m**2)
         return PredictedView(*self._show(pose, shape, limits, self._active_since_s, False)[:3])
 
@@ -215,7 +231,11 @@ class SurfelMap:
         since_s = self._active_since_s if which == "active" else -np.inf
         pose = checked_pose(T_map_camera, intrinsics)
         self._follow()
+        self._come_near(pose)
         return ColoredView(*self._show(pose, shape, (far_m, least, np.inf), since_s, True))
+
+    def _come_near(self, pose: Pose) -> None:
+        self._nearness.come_near(self.blocks, (self.T_map_keyframe, pose.T), self.stamp_s, self._rules)
 
     @property
     def _active_since_s(self) -> float:
@@ -349,3 +369,7 @@ class SurfelMap:
         if kept is None or len(kept) < size:
             kept = self._scratch[name] = np.empty(size + size // 2, dtype)
         return kept[:size].reshape(shape)
+
+
+def _chosen(part: SurfelArrays, which: BoolArray) -> SurfelArrays:
+    return SurfelArrays(*(array[which] for array in part))

@@ -38,6 +38,7 @@ class MapStatus:
         surfels: all; stable: those sure to be there; active: those seen within the window of time.
         dropped: how many were given up so far for want of room.
         memory_bytes: of all arrays.
+        resting: how many of all are on the disk, since they are far from the camera.
     """
 
     surfels: int
@@ -45,6 +46,7 @@ class MapStatus:
     active: int
     dropped: int
     memory_bytes: int
+    resting: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
