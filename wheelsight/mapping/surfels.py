@@ -195,7 +195,6 @@ class SurfelMap:
             raise MapError(f"stamp_s is {stamp_s}, after {self.stamp_s}", fix="fuse frames in order of time")
         if keyframe is not None and not 0 <= keyframe < len(self.T_map_keyframe):
             raise MapError(f"there is no keyframe {keyframe}", fix="give the map the store that has it")
-        self._follow()
         self.stamp_s, dropped = float(stamp_s), self.blocks.dropped
         self._come_near(pose)
         camera = self._camera(pose, frame.depth_m.shape, noise)
@@ -212,7 +211,6 @@ class SurfelMap:
         Args: as of `ReferenceModel.predict`. Raises MapError for a pose that is no rigid motion.
         """
         pose = checked_pose(T_map_camera, intrinsics)
-        self._follow()
         self._come_near(pose)
         limits = (self.settings.far_m, 0.0, self.settings.vague_m**2)
         return PredictedView(*self._show(pose, shape, limits, self._active_since_s, False)[:3])
@@ -230,11 +228,12 @@ class SurfelMap:
         far_m = self.settings.far_m if far_m is None else far_m
         since_s = self._active_since_s if which == "active" else -np.inf
         pose = checked_pose(T_map_camera, intrinsics)
-        self._follow()
         self._come_near(pose)
         return ColoredView(*self._show(pose, shape, (far_m, least, np.inf), since_s, True))
 
     def _come_near(self, pose: Pose) -> None:
+        """Have in memory what a camera may see, where its keyframes are by now."""
+        self._follow()
         self._nearness.come_near(self.blocks, (self.T_map_keyframe, pose.T), self.stamp_s, self._rules)
 
     @property
