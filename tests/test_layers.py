@@ -20,6 +20,7 @@ LAYERS = (
     "compiled",
     "geometry",
     "events",
+    "commands",
     "calibration_fields",
     "calibration_layers",
     "calibration_parts",
