@@ -136,44 +136,31 @@ def test_a_viewpoint_projects_as_it_renders_at_any_scale(parts: dict[str, Module
 
 
 @pytest.mark.slow
-def test_a_recording_leaves_picture_and_table(
-    parts: dict[str, ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_by_default_a_real_and_a_simulated_place_leave_pictures_and_a_table(
+    parts: dict[str, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    make_tum_recording(tmp_path / "room", frames=20)
+    script = parts["ligocki_elastic"]
+    make_tum_recording(tmp_path / script.REAL, frames=20)
+    monkeypatch.setenv("WHEELSIGHT_DATA", str(tmp_path))
     out = tmp_path / "out"
-    assert parts["ligocki_elastic"].main([str(tmp_path / "room"), "--out", str(out)]) == 0
-    assert {path.name for path in out.iterdir()} == {"room.png", "room-loops.jpg", "models.jpg", "table.md"}
-    for name in ("room.png", "room-loops.jpg", "models.jpg"):
+    assert script.main(["--out", str(out)], replace(script.FLAT, size=(320, 240), duration_s=2.0)) == 0
+    pictures = {"red_kitchen.png", "red_kitchen-loops.jpg", "flat.png", "flat-loops.jpg", "models.jpg"}
+    assert {path.name for path in out.iterdir()} == pictures | {"flat", "table.md"}
+    for name in ("red_kitchen.png", "red_kitchen-loops.jpg", "models.jpg"):
         image = cv2.imread(str(out / name))
         assert image is not None
         assert min(image.shape[:2]) > 600
         assert len(np.unique(image.reshape(-1, 3), axis=0)) > 1000
     rows = [line.split(" | ") for line in (out / "table.md").read_text().splitlines()[2:]]
-    assert [row[0] for row in rows] == ["| room", "| room, loops closed"]
-    assert all(row[1] == "20 of 20" for row in rows)
-    assert all(float(row[4].removesuffix(" m")) < 0.02 for row in rows)
+    assert [row[0] for row in rows] == [
+        "| red_kitchen",
+        "| red_kitchen, loops closed",
+        "| flat",
+        "| flat, loops closed",
+    ]
+    assert all(row[1] == "20 of 20" for row in rows[:2])
+    assert all(float(row[4].removesuffix(" m")) < 0.02 for row in rows[:2])
     assert "no error, rate or size is given" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_by_default_a_real_and_a_simulated_place_are_drawn(
-    parts: dict[str, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    script = parts["ligocki_elastic"]
-    make_tum_recording(tmp_path / script.REAL, frames=20)
-    monkeypatch.setenv("WHEELSIGHT_DATA", str(tmp_path))
-    flat = replace(script.FLAT, size=(320, 240), duration_s=2.0)
-    assert script.main(["--out", str(tmp_path / "out")], flat) == 0
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "red_kitchen.png",
-        "red_kitchen-loops.jpg",
-        "flat.png",
-        "flat-loops.jpg",
-        "flat",
-        "models.jpg",
-        "table.md",
-    }
-    assert len((tmp_path / "out" / "table.md").read_text().splitlines()) == 6
 
 
 def test_errors_are_one_line_and_code_2(

@@ -246,7 +246,7 @@ def test_one_command_makes_drives_table_and_figure(
 ) -> None:
     """A lap each: simulated, rendered, described, trained on and rectified."""
     script = parts["trinh_rectification"]
-    plan = script.Plan(seeds=1, laps=1, training=2, frames=200, test=1, passersby=1, trees=2, full_trees=32)
+    plan = script.Plan(seeds=1, laps=1, training=2, frames=100, test=1, passersby=1, trees=2, full_trees=32)
     assert script.main(["--out", str(tmp_path / "o")], plan) == 0
     printed = capsys.readouterr().out
     assert "probabilistic, layout" in printed

@@ -123,7 +123,6 @@ from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 from wheelsight import load_config, open_recording, run_each
 from wheelsight.pipeline._compile import _rehearse
-from wheelsight.pipeline.kernels import usable_parts
 from wheelsight.pipeline.rehearsal import write_rehearsal
 from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 
@@ -135,7 +134,7 @@ def loaded():
 folder = Path(sys.argv[1])
 for name, is_registered in (("one", True), ("two", False)):
     write_rehearsal(folder / name, is_registered=is_registered)
-    for part in usable_parts():
+    for part in ("joined", "simulation"):
         _rehearse(part, open_recording(folder / name), folder / "results")
 before = loaded()
 write_simulation(simulate(SimulationSettings(duration_s=1.0, rate_hz=4, size=(80, 60), seed=3)), folder / "simulated")
@@ -148,8 +147,8 @@ print(*(loaded() - before), sep="\\n")
 @pytest.mark.slow
 def test_a_drive_with_mishaps_needs_nothing_more(tmp_path: Path) -> None:
     """Covered for three seconds, a wheel lifted for two: no frame of it waits for a compiler."""
-    mishaps: dict[str, Any] = {"covered_s": ((6, 9),), "faults": WheelFaults(lifted_s=((12, 14),))}
-    settings = SimulationSettings(world="square", rate_hz=8, duration_s=20, **mishaps)
+    mishaps: dict[str, Any] = {"covered_s": ((3, 6),), "faults": WheelFaults(lifted_s=((8, 10),))}
+    settings = SimulationSettings(world="square", rate_hz=5, duration_s=12, **mishaps)
     write_simulation(simulate(settings), tmp_path / "drive")
     told = subprocess.run(
         [sys.executable, "-c", COUNT, str(tmp_path)], capture_output=True, text=True, check=False, timeout=280

@@ -93,13 +93,13 @@ def test_motions_told_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatc
         Plane((-1, 0, 0), 1.2, is_painted=True),
         Plane((0, 1, 0), 0.9, is_painted=True),
     ]
-    poses = [se3.exp([0, 0, 0.1 * k, 0, 0, 0]) for k in range(36)]
+    poses = [se3.exp([0, 0, 0.1 * k, 0, 0, 0]) for k in range(28)]
     drives = [
-        [frame_of(corridor, T, 0.1 * k, noise_seed=1000 * seed + k) for k, T in enumerate(poses)] for seed in range(8)
+        [frame_of(corridor, T, 0.1 * k, noise_seed=1000 * seed + k) for k, T in enumerate(poses)] for seed in range(3)
     ]
 
     def ends() -> FloatArray:
-        """(8, 6) how far off the last pose is in as many drives."""
+        """(3, 6) how far off the last pose is in as many drives."""
         off = []
         for frames in drives:
             odometry = dense()

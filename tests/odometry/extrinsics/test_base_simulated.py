@@ -18,7 +18,7 @@ ANGLE = np.radians(0.5)
 LIMITS: dict[str, float] = {"roll": ANGLE, "pitch": ANGLE, "yaw": ANGLE, "x": 0.01, "y": 0.01, "height": 0.01}
 CASES: dict[str, tuple[dict[str, Any], dict[str, Any], float]] = {
     "flat": (
-        {"world": "flat", "seed": 2, "rate_hz": 15},
+        {"world": "flat", "seed": 2, "rate_hz": 8},
         {
             "camera_left_m": 0.08,
             "camera_forward_m": 0.28,
@@ -33,7 +33,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], float]] = {
         0.03,
     ),
     "corridor": (
-        {"world": "floor4", "seed": 4, "rate_hz": 10, "duration_s": 70.0},
+        {"world": "floor4", "seed": 4, "rate_hz": 5, "duration_s": 70.0},
         {"camera_forward_m": 0.45, "camera_pitch_rad": 0.4, "camera_roll_rad": 0.1, "camera_height_m": 1.2},
         -0.05,
     ),

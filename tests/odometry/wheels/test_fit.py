@@ -73,10 +73,10 @@ def test_slips_are_told_from_noise(rng: np.random.Generator) -> None:
     ids=["wheels-only", "poor-reference", "with-slips"],
 )
 def test_standard_deviations_are_honest(slip: float, sigma_m: float, sigma_rad: float, slips: int) -> None:
-    """Over 40 drives, errors are as large as stated, within what 40 drives can tell."""
+    """Over 20 drives, errors are as large as stated, within what 20 drives can tell."""
     noisy = replace(TRUE, slip_m_per_sqrt_m=slip)
     errors, stated = [], []
-    for seed in range(40):
+    for seed in range(20):
         rng = np.random.default_rng([7, seed])
         result = fit(simulate(noisy, rng=rng, slips=slips, reference_sigma_m=sigma_m, reference_sigma_rad=sigma_rad))
         errors.append([getattr(result.wheels, name) - getattr(TRUE, name) for name in PARAMETERS])
