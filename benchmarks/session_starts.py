@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -169,16 +169,13 @@ def start_at(
     has_truth: bool = True,
 ) -> Start:
     """Begin the second day at a moment, in the map of a first one."""
-    config = load_config(overrides={"odometry": _ODOMETRY[mode], "known_map.path": str(known.folder)})
-    opened = open_known(day.source, config)
-    assert opened is not None
-    subject = Localizer(calibration, config, known=opened[0], waits=True)
+    subject, close = localizer_in(known, mode, calibration, day)
     seen = _seen(subject, [event for event in day.events if moment_s <= event.stamp_s < moment_s + WINDOW_S])
     loops = subject.loops
     assert loops is not None
     keyframe_ms = tuple(1e3 * float(seconds) for seconds in loops.finish().judged_s)
     subject.close()
-    opened[1].close()
+    close()
     found_s = seen[0].stamp_s - moment_s if seen else None
     if not (seen and has_truth):
         return Start(building, mode, moment_s, found_s, nan, nan, nan, nan, nan, nan, keyframe_ms)
@@ -187,6 +184,16 @@ def start_at(
     error_m, error_deg, aligned_m, aligned_deg = np.median(off, axis=0).tolist()
     errors = error_m, error_deg, aligned_m, aligned_deg
     return Start(building, mode, moment_s, found_s, first_m, first_deg, *errors, keyframe_ms)
+
+
+def localizer_in(
+    known: FirstDay, mode: str, calibration: Calibration, day: SecondDay
+) -> tuple[Localizer, Callable[[], None]]:
+    """A localizer that begins somewhere in the map of the first day, and what closes the map."""
+    config = load_config(overrides={"odometry": _ODOMETRY[mode], "known_map.path": str(known.folder)})
+    opened = open_known(day.source, config)
+    assert opened is not None
+    return Localizer(calibration, config, known=opened[0], waits=True), opened[1].close
 
 
 def _seen(subject: Localizer, events: Sequence[Event]) -> list[Estimate]:

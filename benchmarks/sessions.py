@@ -10,6 +10,9 @@ up to 3 s after the first. They tell how far off the robot is beside the map's n
 both days: whoever drives by the map drives by what is round about. A place is wrong that is more than 0.5 m or 10° off
 so at that first frame. "In the whole map" are errors by one rigid alignment of the first day's corrected trajectory
 with its truth: they hold what is wrong with the map itself, too.
+
+A robot that has found itself is also carried to another place of the building during four seconds in the dark, in which
+its wheels stand. "Unnoticed" is a `tracking` at a wrong place three seconds after the light came back, or later.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from __future__ import annotations
 import argparse
 import statistics
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,12 +28,14 @@ from rich.console import Console
 
 from benchmarks import machine
 from benchmarks.sequences import default_data_folder
+from benchmarks.session_kidnaps import Kidnapping, kidnappings
 from benchmarks.session_starts import MODES, Building, FirstDay, Start, first_day, moments_of, second_day, start_at
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
 from wheelsight.simulation import FloorPlan
 
 FOUND_PERCENT, WITHIN_S, MEDIAN_M, MEDIAN_DEG = 95.0, 5.0, 0.05, 1.0
+UNNOTICED_PERCENT = 1.0
 _PLAN_M = 0.05  # a pixel of the plans that have no YAML file
 
 
@@ -90,8 +96,29 @@ def elsewhere_sheet(starts: Sequence[Start]) -> Sheet:
     return Sheet("In the map of another building", ("begun in, by", "starts", "accepted"), tuple(rows))
 
 
-def judge(own: Sequence[Start], elsewhere: Sequence[Start]) -> list[Target]:
+def kidnapping_sheet(taken: Sequence[Kidnapping]) -> Sheet:
+    """What became of robots that were carried elsewhere in the dark."""
+    rows = []
+    for building, mode in dict.fromkeys((one.building, one.mode) for one in taken):
+        some = [one for one in taken if (one.building, one.mode) == (building, mode)]
+        found = [one for one in some if one.was_found]
+        again = [one.again_s for one in found if one.again_s is not None]
+        counts = (len(some), len(found), sum(one.is_unnoticed for one in found), len(again))
+        rows.append((f"{building}, {mode}", *map(str, counts), _median(again, 1)))
+    header = (
+        "carried off in, by",
+        "times",
+        "found before",
+        "unnoticed after 3 s",
+        "found again in 10 s",
+        "after s, median",
+    )
+    return Sheet("Carried elsewhere in the dark", header, tuple(rows))
+
+
+def judge(own: Sequence[Start], elsewhere: Sequence[Start], taken: Sequence[Kidnapping] = ()) -> list[Target]:
     """What must be reached."""
+    unnoticed = 100 * sum(one.is_unnoticed for one in taken) / max(sum(one.was_found for one in taken), 1)
     found = [start for start in own if start.found_s is not None]
     share = 100 * sum(start.is_found_within(WITHIN_S) for start in own) / max(len(own), 1)
     error_m, error_deg = ([getattr(start, name) for start in found] for name in ("error_m", "error_deg"))
@@ -109,6 +136,7 @@ def judge(own: Sequence[Start], elsewhere: Sequence[Start]) -> list[Target]:
             "starts",
             0,
         ),
+        Target(f"carried off unnoticed, of {len(taken)} times", UNNOTICED_PERCENT, unnoticed if taken else None, "%"),
     ]
 
 
@@ -116,13 +144,28 @@ def _median(values: Sequence[float], decimals: int) -> str:
     return f"{statistics.median(values):.{decimals}f}" if values else "—"
 
 
+@dataclass
+class Measured:
+    """All that was measured so far.
+
+    Attributes:
+        known: maps of first days.
+        own, elsewhere: starts, in the map of their own building and in that of another one.
+        taken: robots that were carried off.
+    """
+
+    known: list[FirstDay] = field(default_factory=list)
+    own: list[Start] = field(default_factory=list)
+    elsewhere: list[Start] = field(default_factory=list)
+    taken: list[Kidnapping] = field(default_factory=list)
+
+
 def measure(
-    buildings: Sequence[Building], starts: int, rate_hz: float, folder: Path, console: Console
-) -> tuple[list[FirstDay], list[Start], list[Start]]:
-    """All starts, in the map of their own building and in that of another one."""
-    own: list[Start] = []
-    elsewhere: list[Start] = []
-    known = []
+    buildings: Sequence[Building], starts: int, kidnaps: int, rate_hz: float, folder: Path, console: Console
+) -> Measured:
+    """All starts and kidnappings."""
+    of = Measured()
+    own, elsewhere, known = of.own, of.elsewhere, of.known
     for building in buildings:
         known.append(first_day(building, folder / building.name, rate_hz))
         told = f"{known[-1].together} of {known[-1].keyframes} keyframes together, {known[-1].ate_m:.3f} m off"
@@ -139,7 +182,10 @@ def measure(
                 mode = MODES[count % len(MODES)]
                 elsewhere.append(start_at(moment_s, mode, calibration, events, other, building.name, has_truth=False))
                 console.print(f"in the map of {other.name}: {elsewhere[-1].sentence}")
-    return known, own, elsewhere
+        for one in kidnappings(kidnaps, calibration, events, known[number]):
+            of.taken.append(one)
+            console.print(one.sentence)
+    return of
 
 
 def main() -> None:
@@ -148,6 +194,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=default_data_folder(), help="folder with maps/PLAN in it")
     parser.add_argument("--buildings", nargs="+", default=["flat", "floor4", "Freiburg79_scan_furnitures.png"])
     parser.add_argument("--starts", type=int, default=25, help="in each building, by each way to begin")
+    parser.add_argument("--kidnaps", type=int, default=12, help="in each building")
     parser.add_argument("--rate", type=float, default=15.0, help="images a second")
     parser.add_argument("--way", type=float, default=60.0, help="metres of the tour through a plan")
     parser.add_argument("--out", type=Path, help="Markdown to write")
@@ -155,12 +202,20 @@ def main() -> None:
     console, about = Console(width=150), machine.description()
     buildings = buildings_of(arguments.buildings, arguments.data, arguments.way)
     with TemporaryDirectory() as name:
-        days, own, elsewhere = measure(buildings, arguments.starts, arguments.rate, Path(name), console)
-    sheets = [map_sheet(days), own_sheet(own), elsewhere_sheet(elsewhere), targets_sheet(judge(own, elsewhere))]
+        of = measure(buildings, arguments.starts, arguments.kidnaps, arguments.rate, Path(name), console)
+    targets = targets_sheet(judge(of.own, of.elsewhere, of.taken))
+    sheets = [
+        map_sheet(of.known),
+        own_sheet(of.own),
+        elsewhere_sheet(of.elsewhere),
+        kidnapping_sheet(of.taken),
+        targets,
+    ]
     for sheet in sheets:
         console.print(sheet.to_rich())
     if arguments.out is not None:
-        what = f"--buildings {' '.join(arguments.buildings)} --starts {arguments.starts} --rate {arguments.rate:g}"
+        what = f"--buildings {' '.join(arguments.buildings)} --starts {arguments.starts} --kidnaps {arguments.kidnaps} "
+        what += f"--rate {arguments.rate:g}"
         about |= {"Command": f"`python -m benchmarks.sessions {what} --way {arguments.way:g}`", "Images": "320×240"}
         lines = "\n".join(f"- {topic}: {told}" for topic, told in about.items())
         pages = [f"# Sessions\n\n{__doc__}", f"{lines}\n", *(sheet.to_markdown() for sheet in sheets)]

@@ -36,11 +36,12 @@ def test_tables_and_targets_count_starts() -> None:
     alone, joined = sessions.own_sheet(starts).rows
     assert alone[:5] == ("flat, camera alone", "2", "1", "2", "1")
     assert joined[:5] == ("flat, joined", "1", "0", "0", "0")
-    share, metres, degrees, wrong, elsewhere = sessions.judge(starts, [NOT_FOUND, FOUND])
+    share, metres, degrees, wrong, elsewhere, unnoticed = sessions.judge(starts, [NOT_FOUND, FOUND])
     assert share.measured == pytest.approx(100 / 3)
     assert (metres.measured, degrees.measured) == (0.02, 0.3)
     assert (wrong.measured, elsewhere.measured) == (1, 1)
     assert not any(target.is_met for target in (share, wrong, elsewhere))
+    assert unnoticed.measured is None
 
 
 def test_errors_are_told_beside_the_nearest_keyframe_and_in_the_whole_map() -> None:
