@@ -16,6 +16,7 @@ from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
 from wheelsight.simulation.appearance import Painter
 from wheelsight.simulation.cameras import CameraModel
 from wheelsight.simulation.color_sensor import ColorSensor, Exposure
+from wheelsight.simulation.doors import Doors
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.passersby import Passersby
 from wheelsight.simulation.realism import CameraUnit, Carriage, Realism, carriage_of, realism_of, stream, unit_of
@@ -46,12 +47,12 @@ class Renderer:
     Args:
         world: what there is to see.
         drive: along whose truth the camera moves.
-        settings: seed, day, robot, images a second, passers-by, motion blur, realism.
+        settings: seed, day, robot, images a second, passers-by, doors, motion blur, realism.
         camera: the model, in the size wanted.
         carriage: how the camera moves, or None for one on the robot.
 
     Raises:
-        ConfigError: the drive is too short for a single frame.
+        ConfigError: the drive is too short for a single frame, or the world has not so many doors.
     """
 
     def __init__(
@@ -76,6 +77,11 @@ class Renderer:
         self._passersby = (
             Passersby(world, drive, settings.passersby, settings.day_seed, settings.robot)
             if settings.passersby
+            else None
+        )
+        self.doors = (
+            Doors(world, drive, settings.doors, settings.day_seed, settings.robot, self._passersby)
+            if settings.doors
             else None
         )
         self._metered: dict[int, tuple[float, FloatArray]] = {}
@@ -127,7 +133,8 @@ class Renderer:
         try:
             eye = self._idle_eyes.pop()
         except IndexError:
-            eye = _Eye(self._world, self._passersby, self._settings, self.unit, self._drive.duration_s)
+            scene = Scene(self._world, self._passersby, threads=1, doors=self.doors)
+            eye = _Eye(scene, self._settings, self.unit, self._drive.duration_s)
         try:
             return self._frame(index, eye)
         finally:
@@ -184,18 +191,11 @@ class Renderer:
 
 
 class _Eye:
-    """A scene and its paint, for one frame at a time: people in it are moved before each look."""
+    """A scene and its paint, for one frame at a time: people and doors in it are moved before each look."""
 
-    def __init__(
-        self,
-        world: World,
-        passersby: Passersby | None,
-        settings: SimulationSettings,
-        unit: CameraUnit,
-        duration_s: float,
-    ) -> None:
+    def __init__(self, scene: Scene, settings: SimulationSettings, unit: CameraUnit, duration_s: float) -> None:
         seed = settings.day_seed
-        self._scene = Scene(world, passersby, threads=1)
+        self._scene = scene
         self._painter = Painter(self._scene.geoms, self._scene.surfaces, settings.seed, light_seed=seed, threads=1)
         surfaces = [self._scene.surfaces[material] for material in self._scene.geoms.materials]
         self.infrared = np.array([surface.infrared for surface in surfaces])
