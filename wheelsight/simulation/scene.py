@@ -48,6 +48,8 @@ class Scene:
     lies outside the tile's frustum nor at what hides behind a wall that fills it. Nothing a ray could hit is left out,
     and every tile is cast the same way whichever thread does it.
 
+    `moving` are the indices (M,) of the geoms that `move_to` moves.
+
     Args:
         world: with a name and a material for every geom.
         passersby: who walks there, or None; `move_to` says when.
@@ -85,6 +87,8 @@ class Scene:
             position_world=np.array(self.data.geom_xpos),
             R_world_geom=np.array(self.data.geom_xmat).reshape(-1, 3, 3),
         )
+        is_mocap = self.model.body_mocapid[self.model.geom_bodyid] >= 0
+        self.moving: IntArray = np.flatnonzero(is_mocap)
         self._half_m = np.where(_visible(self.model)[:, None], self.model.geom_aabb[:, 3:], -1.0)
 
     def move_to(self, stamp_s: float) -> None:
