@@ -131,14 +131,6 @@ def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> 
     `flux` (Z, Y, X, 4) is the vector towards the lamps, as long as they are bright, and their sum whatever side they
     are on; `clearance` (2, Y, X) the distance to what stands on the floor, and to what is tall too, metres.
     """
-    facing, spill = flux_at(p, n, grid, flux)
-    window = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
-    return _shade(p, n, grid, clearance), facing + spill, window
-
-
-@kernel(error_model="numpy")
-def flux_at(p: Any, n: Any, grid: Any, flux: Any) -> Any:
-    """Of the light of lamps at p what comes from their side of a surface with normal n, and what from all round."""
     a, b = (p[0] - grid[0]) / grid[2], (p[1] - grid[1]) / grid[2]
     c = p[2] / grid[4]
     a, b, c = _inside(a, flux.shape[2]), _inside(b, flux.shape[1]), _inside(c, flux.shape[0])
@@ -153,7 +145,8 @@ def flux_at(p: Any, n: Any, grid: Any, flux: Any) -> Any:
             n[0] * flux[layer, row, column, 0] + n[1] * flux[layer, row, column, 1] + n[2] * flux[layer, row, column, 2]
         )
         spill += share * flux[layer, row, column, 3]
-    return max(facing, 0.0), _SPILL * spill
+    window = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
+    return _shade(p, n, grid, clearance), max(facing, 0.0) + _SPILL * spill, window
 
 
 @kernel(error_model="numpy")

@@ -13,16 +13,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.geometry.arrays import BoolArray, Float32Array, FloatArray, Int32Array
-from wheelsight.simulation._light_kernels import Views, flux_at, nine, turned
+from wheelsight.geometry.arrays import BoolArray, FloatArray, Int32Array
+from wheelsight.simulation._light_kernels import Views, nine, turned
 
 STRIDE_PX = 4
 # Between two pixels whose shares differ by less, those of the pixels between are interpolated.
 _ALIKE = 0.02
 _LEAST_RISE_M = 0.05
 _NEAREST_LAMP_M = 0.4
+_TO_CEILING_M = 0.12  # below a lamp's height; what reaches higher is a wall
 _ABOVE_M = 1e-3  # from which a box reaches over a point
 _THIN = 1e-9
+# Light that no lamp nearby sends: a sixth of what one in the ceiling sends to the floor right below. Chosen, so that
+# what hardly faces any lamp has no shadow.
+_ELSEWHERE = 0.02
 
 
 class Lamps(NamedTuple):
@@ -59,19 +63,9 @@ class Blockers(NamedTuple):
     listed: Int32Array
 
 
-class Table(NamedTuple):
-    """Of `Lighting`: light from all round, of lamps and of windows (3,), the windows' side, grid, and flux."""
-
-    strengths: FloatArray
-    sun: FloatArray
-    grid: FloatArray
-    flux: Float32Array
-
-
 class Shadowing(NamedTuple):
     """All that decides of shadows; `glows` (G,) tells geoms that have light of their own."""
 
-    table: Table
     lamps: Lamps
     blockers: Blockers
     glows: BoolArray
@@ -121,7 +115,6 @@ def _kept(v: int, u: int, R: Any, view: Views, shadowing: Shadowing) -> Any:
     g = view.geom[v, u]
     if g < 0 or shadowing.glows[g]:
         return 1.0
-    table, lamps = shadowing.table, shadowing.lamps
     n = (float(view.normal_world[v, u, 0]), float(view.normal_world[v, u, 1]), float(view.normal_world[v, u, 2]))
     z, ray = float(view.depth_m[v, u]), turned(R, (view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]))
     p = (
@@ -129,14 +122,7 @@ def _kept(v: int, u: int, R: Any, view: Views, shadowing: Shadowing) -> Any:
         view.T_world_camera[v, 1, 3] + z * ray[1],
         view.T_world_camera[v, 2, 3] + z * ray[2],
     )
-    hidden = hidden_at(p, n, g, lamps, shadowing.blockers)
-    if hidden <= 0:
-        return 1.0
-    facing, spill = flux_at(p, n, table.grid, table.flux)
-    sun, strengths = table.sun, table.strengths
-    window = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
-    whole = strengths[0] + strengths[1] * (facing + spill) + strengths[2] * window
-    return 1 - shadowing.strength * hidden * strengths[1] * facing / whole
+    return 1 - shadowing.strength * hidden_at(p, n, g, shadowing.lamps, shadowing.blockers)
 
 
 @kernel(error_model="numpy")
@@ -145,18 +131,24 @@ def hidden_at(p: Any, n: Any, own: int, lamps: Lamps, blockers: Blockers) -> Any
     rows, columns, count = lamps.brightest.shape
     column = min(max(int((p[0] - lamps.grid[0]) / lamps.grid[2]), 0), columns - 1)
     row = min(max(int((p[1] - lamps.grid[1]) / lamps.grid[2]), 0), rows - 1)
-    lost, whole = 0.0, 0.0
+    # The least bright one does not count, others by how much they are brighter: no seam where cells take other lamps.
+    last, least = lamps.brightest[row, column, count - 1], 0.0
+    if last >= 0:
+        least = lamps.lamps[last, 3] * light_of(_towards(p, lamps.lamps[last]), (0.0, 0.0, 1.0))
+    lost, whole = 0.0, _ELSEWHERE
     for k in range(count):
         lamp = lamps.brightest[row, column, k]
         if lamp < 0:
             break
-        d = _towards(p, lamps.lamps[lamp])
-        light = lamps.lamps[lamp, 3] * light_of(d, n)
+        d, power = _towards(p, lamps.lamps[lamp]), lamps.lamps[lamp, 3]
+        light = power * light_of(d, n)
+        if light > 0 and last >= 0:
+            light *= max(1 - least / (power * light_of(d, (0.0, 0.0, 1.0))), 0.0)
         if light > 0:
             half = (lamps.lamps[lamp, 4], lamps.lamps[lamp, 5])
-            lost += light * _hidden(p, d, half, own, (row * columns + column) * count + k, blockers)
-            whole += light
-    return lost / whole if whole > 0 else 0.0
+            walled, hidden = _hidden(p, d, half, own, (row * columns + column) * count + k, blockers)
+            lost, whole = lost + light * (1 - walled) * hidden, whole + light * (1 - walled)
+    return lost / whole
 
 
 @kernel(error_model="numpy")
@@ -178,21 +170,26 @@ def light_of(d: Any, n: Any) -> Any:
 
 @kernel(error_model="numpy")
 def _hidden(p: Any, d: Any, half: Any, own: int, entry: int, blockers: Blockers) -> Any:
-    """Share of one lamp that is hidden; `entry` tells its list of what stands still."""
-    hidden = 0.0
+    """Shares of one lamp that walls hide, and all else; `entry` tells its list of what stands still."""
+    walled, hidden = 0.0, 0.0
     for i in range(blockers.starts[entry], blockers.starts[entry + 1]):
         b = blockers.listed[i]
-        if blockers.geom[b] != own:
-            hidden += covered(p, d, half, blockers.boxes[b], blockers.is_round[b])
-            if hidden >= 1:
-                return 1.0
+        if blockers.geom[b] == own:
+            continue
+        share = covered(p, d, half, blockers.boxes[b], blockers.is_round[b])
+        if blockers.boxes[b, 3] > p[2] + d[2] - _TO_CEILING_M:
+            walled += share
+            if walled >= 1:
+                return 1.0, 0.0
+        else:
+            hidden += share
     level = np.sqrt(d[0] * d[0] + d[1] * d[1])
     for b in blockers.moving:
         box = blockers.boxes[b]
         x, y, reach = box[0] - p[0], box[1] - p[1], level + half[0] + half[1] + box[6] + box[7]
         if blockers.geom[b] != own and x * x + y * y < reach * reach:
             hidden += covered(p, d, half, blockers.boxes[b], blockers.is_round[b])
-    return min(hidden, 1.0)
+    return walled, min(hidden, 1.0)
 
 
 @kernel(error_model="numpy")
@@ -300,7 +297,7 @@ def _is_seen(row: int, column: int, k: int, lamps: Lamps, blockers: Blockers) ->
         p = (x, y, 0.05 + 1.5 * (i // 9))
         d = _towards(p, place)
         entry = (row * columns + column) * count + k
-        if d[2] > _LEAST_RISE_M and _hidden(p, d, (place[4], place[5]), -1, entry, blockers) < 1:
+        if d[2] > _LEAST_RISE_M and _hidden(p, d, (place[4], place[5]), -1, entry, blockers)[0] < 1:
             return True
     return False
 

@@ -222,13 +222,15 @@ class _Eye:
 
     def radiance(self, view: View, stamp_s: float, *, has_outlines: bool) -> tuple[Float32Array, Float32Array | None]:
         """Radiance (H, W, 3) of the last look, and the sunlight (H, W) in it; with or without more rays at outlines."""
+        level = 1.0
         if self._lights is not None:
+            level = self._lights.level_at(stamp_s)
             self._painter.lighting = self._lights.lit(self._lighting, stamp_s)
         outlines = self._scene.outlines(view) if has_outlines else None
         radiance = self._painter.paint(view, outlines=outlines)
         if self._sun is None or self._shadows is None:
             return radiance, None
-        kept = self._shadows.kept(view, self._painter.lighting, self._T_world_base(stamp_s))
+        kept = self._shadows.kept(view, level, self._T_world_base(stamp_s))
         sun = self._sun.on(view)
         radiance *= (kept + np.float32(self._sun.brightness) * sun)[..., None]
         return radiance, sun
