@@ -108,11 +108,15 @@ def test_a_picture_is_dark_under_a_board_and_nowhere_else() -> None:
     scene, shadows = shadows_in('<geom name="board" type="box" pos="3 0 0.72" size="0.5 0.5 0.03"/>')
     T = looking(z=1.9, pitch=0.6)
     kept = shadows.kept(scene.cast(CAMERA, T), 1.0, None)
-    # The lamp is of power 1.2, and the light from elsewhere is worth 0.02.
-    away_m = np.array([0.6, -0.5, 2.8])
+    # A pixel that sees the floor in the penumbra. The lamp is of power 1.2, the light from elsewhere worth 0.02.
+    row, column, view = 66, 52, scene.cast(CAMERA, T)
+    seen = T[:3, :3] @ (view.depth_m[row, column] * view.rays[row, column]) + T[:3, 3] - [3, 0, 0]
+    away_m = LAMP_M - seen
+    assert seen[2] == pytest.approx(0, abs=1e-5)
     light = 1.2 * 2.8 * 2.8 / ((0.3 + away_m @ away_m) ** 1.5 * np.sqrt(away_m @ away_m))
-    hidden = by_rays(np.array([-0.6, 0.5, 0.0]), np.array([0, 0, 0.69, 0.75, 1, 0, 0.5, 0.5]))
-    assert kept_at(2.4, 0.5, scene, kept, T) == pytest.approx(1 - 0.6 * hidden * light / (light + 0.02), abs=0.03)
+    hidden = by_rays(seen, np.array([0, 0, 0.69, 0.75, 1, 0, 0.5, 0.5]))
+    assert 0.1 < hidden < 1.0
+    assert kept[row, column] == pytest.approx(1 - 0.6 * hidden * light / (light + 0.02), abs=0.005)
     assert kept_at(1.8, 0.0, scene, kept, T) == 1.0
     assert kept_at(3.0, 1.3, scene, kept, T) == 1.0
     weak = shadows.kept(scene.cast(CAMERA, T), 0.25, None)
