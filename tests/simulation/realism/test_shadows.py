@@ -120,8 +120,8 @@ def test_a_picture_is_dark_under_a_board_and_nowhere_else() -> None:
     assert kept_at(1.8, 0.0, scene, kept, T) == 1.0
     assert kept_at(3.0, 1.3, scene, kept, T) == 1.0
     weak = shadows.kept(scene.cast(CAMERA, T), 0.25, None)
-    # Between pixels that differ by less than 0.02 the weak ones are interpolated, the strong ones are not.
-    np.testing.assert_allclose(1 - weak, 0.25 * (1 - kept), atol=0.01)
+    # Each fourth column is found for itself; what lies between is interpolated where it differs little.
+    np.testing.assert_allclose(1 - weak[:, ::4], 0.25 * (1 - kept[:, ::4]), atol=1e-6)
 
 
 def test_an_empty_room_has_no_shadows_and_lamps_none_on_themselves() -> None:
