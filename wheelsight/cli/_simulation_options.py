@@ -87,6 +87,7 @@ StopAndTurn = Annotated[
     bool, typer.Option("--stop-and-turn", help="Stop at each waypoint and turn on the spot, as UMBmark asks.")
 ]
 PassersBy = Annotated[int, typer.Option("--passers-by", metavar="N", help="How many people walk about.")]
+Doors = Annotated[int, typer.Option("--doors", metavar="N", help="How many doors open and shut meanwhile.")]
 MotionBlur = Annotated[bool, typer.Option("--motion-blur", help="Smear colour by the motion during exposure.")]
 Realism = Annotated[
     str,

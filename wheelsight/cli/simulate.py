@@ -37,6 +37,7 @@ def simulate(
     drive: options.DriveFile = None,
     stop_and_turn: options.StopAndTurn = False,
     passers_by: options.PassersBy = 0,
+    doors: options.Doors = 0,
     realism: options.Realism = "real",
     motion_blur: options.MotionBlur = False,
     gyro: options.Gyro = False,
@@ -56,9 +57,7 @@ def simulate(
 
     DIR gets what any recording has (images, wheels.csv, calibration.yaml with what a user would measure), and beside it
     the truth: of base and camera, of the area at each frame (labels.csv), and of the robot (truth/); plan.png shows
-    world, areas and track.
-
-    Ctrl-C stops early and leaves a valid, shorter recording.
+    world, areas and track. Ctrl-C stops early and leaves a valid, shorter recording.
 
     [bold]Examples[/bold]
 
@@ -86,7 +85,7 @@ def simulate(
     settings = settings_from(
         ({"world": world} if building is None else {"plan": building})
         | {"camera": camera, "laps": laps, "seed": seed, "day": day, "speed_m_s": speed, "duration_s": duration}
-        | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn}
+        | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn, "doors": doors}
         | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip, "realism": realism},
         size=size,
         robot={"left_radius_m": left_radius, "right_radius_m": right_radius, "track_width_m": track, "has_gyro": gyro},

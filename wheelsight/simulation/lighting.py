@@ -18,7 +18,7 @@ _USUAL_CEILING_M = 2.6
 _PANELS_TO_NEXT_LAMP = 3
 _LAMP_RIM_M = 0.03
 _LAMP_GLOW = 5.0
-_LAMP_REACH_M = 5.0
+LAMP_REACH_M = 5.0
 _NEAREST_LAMP_M = 0.4
 _FLUX_CELL_M = 0.3
 _CLEARANCE_CELL_M = 0.1
@@ -40,6 +40,7 @@ class Lighting:
         flux: (Z, Y, X, 4) vector towards the lamps, as long as they are bright, and the sum of their brightness.
         clearance: (2, Y, X) metres to what stands on the floor, and to what stands there and is tall.
         lattice: (5,) lamps in ceilings of panels: pitch, half lengths in x and y, glow, seed of their ages.
+        lamps: (L, 6) all lamps: position, power, half lengths in x and y.
     """
 
     tints: FloatArray
@@ -48,6 +49,7 @@ class Lighting:
     flux: Float32Array
     clearance: Float32Array
     lattice: FloatArray
+    lamps: FloatArray
 
     @classmethod
     def of(cls, geoms: Geoms, looks: Sequence[Surface], seed: int) -> Lighting:
@@ -73,7 +75,7 @@ class Lighting:
         ceiling_m = min(heights, default=_USUAL_CEILING_M)
         lamps = np.concatenate([_glowing(geoms, looks), *(_in_ceiling(geoms, g, lattice, low, high) for g in ceilings)])
         grid = np.array([*low, _FLUX_CELL_M, _CLEARANCE_CELL_M, ceiling_m / (_LAYERS - 1), ceiling_m])
-        return cls(tints, sun, grid, _flux(lamps, grid, high), _clearance(geoms, grid, high), lattice)
+        return cls(tints, sun, grid, _flux(lamps, grid, high), _clearance(geoms, grid, high), lattice, lamps)
 
 
 def _underside_m(geoms: Geoms, g: int) -> float:
@@ -103,13 +105,13 @@ def _extent(geoms: Geoms) -> tuple[FloatArray, FloatArray]:
 
 
 def _glowing(geoms: Geoms, looks: Sequence[Surface]) -> FloatArray:
-    """Position and power (N, 4) of the geoms that glow, of power 1 where they are as a panel's lamp."""
+    """Position, power and half lengths (N, 6) of the geoms that glow, of power 1 where they are as a panel's lamp."""
     found = [
-        [*geoms.position_world[g], look.glow / _LAMP_GLOW * _area_m2(geoms, g) / 0.3]
+        [*geoms.position_world[g], look.glow / _LAMP_GLOW * _area_m2(geoms, g) / 0.3, *_half_m(geoms, g)[:2]]
         for g, look in enumerate(looks)
         if look.glow > 0
     ]
-    return np.array(found, float).reshape(-1, 4)
+    return np.array(found, float).reshape(-1, 6)
 
 
 def _area_m2(geoms: Geoms, g: int) -> float:
@@ -118,7 +120,7 @@ def _area_m2(geoms: Geoms, g: int) -> float:
 
 
 def _in_ceiling(geoms: Geoms, g: int, lattice: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Position and power (N, 4) of the lattice's lamps that lie in one ceiling."""
+    """Position, power and half lengths (N, 6) of the lattice's lamps that lie in one ceiling."""
     half = _half_m(geoms, g)[:2]
     middle = geoms.position_world[g, :2]
     low, high = np.maximum(low, middle - half), np.minimum(high, middle + half)
@@ -127,11 +129,14 @@ def _in_ceiling(geoms: Geoms, g: int, lattice: FloatArray, low: FloatArray, high
     first, last = np.ceil(low / lattice[0] - 0.5).astype(int), np.floor(high / lattice[0] - 0.5).astype(int)
     height_m = _underside_m(geoms, g)
     found = [
-        [(i + 0.5) * lattice[0], (j + 0.5) * lattice[0], height_m, kernels.lamp_power(i, j, int(lattice[4]))]
+        [
+            *((i + 0.5) * lattice[0], (j + 0.5) * lattice[0], height_m),
+            *(kernels.lamp_power(i, j, int(lattice[4])), lattice[1], lattice[2]),
+        ]
         for i in range(first[0], last[0] + 1)
         for j in range(first[1], last[1] + 1)
     ]
-    return np.array(found, float).reshape(-1, 4)
+    return np.array(found, float).reshape(-1, 6)
 
 
 def _flux(lamps: FloatArray, grid: FloatArray, high: FloatArray) -> Float32Array:
@@ -141,12 +146,12 @@ def _flux(lamps: FloatArray, grid: FloatArray, high: FloatArray) -> Float32Array
     z = grid[4] * np.arange(_LAYERS)
     flux = np.zeros((_LAYERS, rows, columns, 4))
     for lamp in lamps:
-        i0, i1 = np.searchsorted(x, [lamp[0] - _LAMP_REACH_M, lamp[0] + _LAMP_REACH_M])
-        j0, j1 = np.searchsorted(y, [lamp[1] - _LAMP_REACH_M, lamp[1] + _LAMP_REACH_M])
+        i0, i1 = np.searchsorted(x, [lamp[0] - LAMP_REACH_M, lamp[0] + LAMP_REACH_M])
+        j0, j1 = np.searchsorted(y, [lamp[1] - LAMP_REACH_M, lamp[1] + LAMP_REACH_M])
         dx, dy = (lamp[0] - x[i0:i1])[None, None, :], (lamp[1] - y[j0:j1])[None, :, None]
         dz = np.maximum(lamp[2] - z, _NEAREST_LAMP_M)[:, None, None]
         square = dx**2 + dy**2 + dz**2
-        window = np.maximum(1 - (dx**2 + dy**2) / _LAMP_REACH_M**2, 0) ** 2
+        window = np.maximum(1 - (dx**2 + dy**2) / LAMP_REACH_M**2, 0) ** 2
         # A lamp in the ceiling sends most straight down; that much of it, times the square of distance, arrives.
         power = lamp[3] * window * dz / (0.3 + square) ** 1.5
         for axis, d in enumerate((dx, dy, dz)):

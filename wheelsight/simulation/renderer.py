@@ -16,11 +16,13 @@ from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
 from wheelsight.simulation.appearance import Painter
 from wheelsight.simulation.cameras import CameraModel
 from wheelsight.simulation.color_sensor import ColorSensor, Exposure
+from wheelsight.simulation.doors import Doors
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.passersby import Passersby
 from wheelsight.simulation.realism import CameraUnit, Carriage, Realism, carriage_of, realism_of, stream, unit_of
 from wheelsight.simulation.realism.control import balance_of, exposure_of, response
 from wheelsight.simulation.realism.lights import Lights
+from wheelsight.simulation.realism.shadows import Shadows
 from wheelsight.simulation.realism.stamps import FrameTimes, exact_times, frame_times
 from wheelsight.simulation.realism.sunlight import Sunlight
 from wheelsight.simulation.scene import Scene
@@ -46,12 +48,12 @@ class Renderer:
     Args:
         world: what there is to see.
         drive: along whose truth the camera moves.
-        settings: seed, day, robot, images a second, passers-by, motion blur, realism.
+        settings: seed, day, robot, images a second, passers-by, doors, motion blur, realism.
         camera: the model, in the size wanted.
         carriage: how the camera moves, or None for one on the robot.
 
     Raises:
-        ConfigError: the drive is too short for a single frame.
+        ConfigError: the drive is too short for a single frame, or the world has not so many doors.
     """
 
     def __init__(
@@ -69,6 +71,7 @@ class Renderer:
         if count < 1:
             raise ConfigError(f"a drive of {drive.duration_s:.3f} s is too short for a frame")
         self.unit = unit_of(camera, self._realism, settings.seed)
+        self._has_robot = carriage is None
         self.carriage = carriage or carriage_of(drive.truth, world, settings.robot, self._realism, settings.seed)
         self._times = _times(count, self.rate_hz, self._realism, settings.day_seed)
         self._meter = camera.resized(*_METER_SIZE).camera
@@ -76,6 +79,11 @@ class Renderer:
         self._passersby = (
             Passersby(world, drive, settings.passersby, settings.day_seed, settings.robot)
             if settings.passersby
+            else None
+        )
+        self.doors = (
+            Doors(world, drive, settings.doors, settings.day_seed, settings.robot, self._passersby)
+            if settings.doors
             else None
         )
         self._metered: dict[int, tuple[float, FloatArray]] = {}
@@ -127,7 +135,8 @@ class Renderer:
         try:
             eye = self._idle_eyes.pop()
         except IndexError:
-            eye = _Eye(self._world, self._passersby, self._settings, self.unit, self._drive.duration_s)
+            scene = Scene(self._world, self._passersby, threads=1, doors=self.doors)
+            eye = _Eye(scene, self._settings, self.unit, self._drive, self._has_robot)
         try:
             return self._frame(index, eye)
         finally:
@@ -184,18 +193,13 @@ class Renderer:
 
 
 class _Eye:
-    """A scene and its paint, for one frame at a time: people in it are moved before each look."""
+    """A scene and its paint, for one frame at a time: people and doors in it are moved before each look."""
 
     def __init__(
-        self,
-        world: World,
-        passersby: Passersby | None,
-        settings: SimulationSettings,
-        unit: CameraUnit,
-        duration_s: float,
+        self, scene: Scene, settings: SimulationSettings, unit: CameraUnit, drive: Drive, has_robot: bool
     ) -> None:
         seed = settings.day_seed
-        self._scene = Scene(world, passersby, threads=1)
+        self._scene = scene
         self._painter = Painter(self._scene.geoms, self._scene.surfaces, settings.seed, light_seed=seed, threads=1)
         surfaces = [self._scene.surfaces[material] for material in self._scene.geoms.materials]
         self.infrared = np.array([surface.infrared for surface in surfaces])
@@ -204,9 +208,12 @@ class _Eye:
         self._lighting, realism = self._painter.lighting, unit.realism
         self._sun: Sunlight | None = None
         self._lights: Lights | None = None
+        self._shadows: Shadows | None = None
+        self._truth = drive.truth if has_robot else None
         if realism is not None:
             self._sun = Sunlight(realism.sunlight, self._scene, self._lighting.sun, stream(seed, "sunlight"))
-            self._lights = Lights(realism.lights, duration_s, stream(seed, "lights"))
+            self._lights = Lights(realism.lights, drive.duration_s, stream(seed, "lights"))
+            self._shadows = Shadows(realism.shadows, scene, self._lighting, has_robot=has_robot)
 
     def look(self, camera: PinholeCamera, T_world_camera: FloatArray, stamp_s: float) -> View:
         """What a camera sees at a time."""
@@ -215,15 +222,23 @@ class _Eye:
 
     def radiance(self, view: View, stamp_s: float, *, has_outlines: bool) -> tuple[Float32Array, Float32Array | None]:
         """Radiance (H, W, 3) of the last look, and the sunlight (H, W) in it; with or without more rays at outlines."""
+        level = 1.0
         if self._lights is not None:
+            level = self._lights.level_at(stamp_s)
             self._painter.lighting = self._lights.lit(self._lighting, stamp_s)
         outlines = self._scene.outlines(view) if has_outlines else None
         radiance = self._painter.paint(view, outlines=outlines)
-        if self._sun is None:
+        if self._sun is None or self._shadows is None:
             return radiance, None
+        kept = self._shadows.kept(view, level, self._T_world_base(stamp_s))
         sun = self._sun.on(view)
-        radiance *= (1 + np.float32(self._sun.brightness) * sun)[..., None]
+        radiance *= (kept + np.float32(self._sun.brightness) * sun)[..., None]
         return radiance, sun
+
+    def _T_world_base(self, stamp_s: float) -> FloatArray | None:
+        if self._truth is None:
+            return None
+        return np.asarray(self._truth.at(np.clip(stamp_s, *self._truth.stamps_s[[0, -1]]))[0])
 
 
 def _times(count: int, rate_hz: float, realism: Realism | None, seed: int) -> FrameTimes:

@@ -40,7 +40,8 @@ def replay(
     needed("mujoco")
     if len(T_world_camera) < 2:
         raise ConfigError(f"a way of {len(T_world_camera)} poses has no motion", fix="give a trajectory of a recording")
-    world = build_world(settings.world, settings.seed, settings.day) if world is None else world
+    if world is None:
+        world = build_world(settings.world, settings.seed, settings.day, has_leaves=settings.doors > 0)
     way = _smoothed(T_world_camera, settings.duration_s, smooth_s)
     T_base_camera = settings.robot.T_base_camera
     T_world_base = se3.compose(way.T_frame_body, se3.invert(T_base_camera))

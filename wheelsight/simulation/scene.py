@@ -20,6 +20,7 @@ from wheelsight.simulation.view import Geoms, Outlines, View
 from wheelsight.simulation.world import Surface, World
 
 if TYPE_CHECKING:
+    from wheelsight.simulation.doors import Doors
     from wheelsight.simulation.passersby import Passersby
 
 _KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
@@ -35,7 +36,7 @@ _FAR_MARGIN = 1.05
 
 
 class Scene:
-    """A world without robot, and the people who walk in it, as rays see it.
+    """A world without robot, and the people who walk and the doors that swing in it, as rays see it.
 
     Rows of a rolling shutter have poses of their own, and one call of MuJoCo's `mj_multiRay` has one origin. So rays
     are cast in tiles of sixteen rows: every ray has its own row's direction, and what it hits from the origin of the
@@ -47,23 +48,32 @@ class Scene:
     lies outside the tile's frustum nor at what hides behind a wall that fills it. Nothing a ray could hit is left out,
     and every tile is cast the same way whichever thread does it.
 
+    `moving` are the indices (M,) of the geoms that `move_to` moves.
+
     Args:
         world: with a name and a material for every geom.
         passersby: who walks there, or None; `move_to` says when.
         threads: how many cast at a time; None takes as many as there are processors, up to four.
+        doors: which swing there, or None.
 
     Raises:
         ConfigError: a geom without name or material, a material without surface, a mesh or height field.
     """
 
-    def __init__(self, world: World, passersby: Passersby | None = None, threads: int | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        passersby: Passersby | None = None,
+        threads: int | None = None,
+        doors: Doors | None = None,
+    ) -> None:
         import mujoco
 
         self.world = world
-        self.model = _compile(world, passersby)
+        self.model = _compile(world, passersby, doors)
         self.data = mujoco.MjData(self.model)
         self.surfaces: Mapping[str, Surface] = {**world.surfaces, **(passersby.surfaces if passersby else {})}
-        self._passersby = passersby
+        self._passersby, self._doors = passersby, doors
         self._threads = min(os.cpu_count() or 1, 4) if threads is None else threads
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
         self._targets = [_Targets() for _ in range(self._threads)]
@@ -77,17 +87,27 @@ class Scene:
             position_world=np.array(self.data.geom_xpos),
             R_world_geom=np.array(self.data.geom_xmat).reshape(-1, 3, 3),
         )
+        is_mocap = self.model.body_mocapid[self.model.geom_bodyid] >= 0
+        self.moving: IntArray = np.flatnonzero(is_mocap)
         self._half_m = np.where(_visible(self.model)[:, None], self.model.geom_aabb[:, 3:], -1.0)
 
     def move_to(self, stamp_s: float) -> None:
-        """Put the people where they are at a time, in seconds; without people nothing moves."""
-        if self._passersby is None:
+        """Put people and doors where they are at a time, in seconds; without any nothing moves."""
+        if self._passersby is None and self._doors is None:
             return
         import mujoco
 
-        self.data.mocap_pos[:, :2] = self._passersby.positions_at(stamp_s)
+        people = 0 if self._passersby is None else self._passersby.count
+        if self._passersby is not None:
+            self.data.mocap_pos[:people, :2] = self._passersby.positions_at(stamp_s)
+        if self._doors is not None:
+            middles, yaws_rad = self._doors.poses_at(stamp_s)
+            self.data.mocap_pos[people:] = middles
+            self.data.mocap_quat[people:, 0] = np.cos(yaws_rad / 2)
+            self.data.mocap_quat[people:, 3] = np.sin(yaws_rad / 2)
         mujoco.mj_kinematics(self.model, self.data)
         self.geoms.position_world[:] = self.data.geom_xpos
+        self.geoms.R_world_geom[:] = self.data.geom_xmat.reshape(-1, 3, 3)
 
     def cast(self, camera: PinholeCamera, T_world_camera_rows: ArrayLike, far_m: float = np.inf) -> View:
         """What each pixel's ray hits first, nearer than `far_m` along the camera's z axis.
@@ -231,13 +251,15 @@ def _rays(camera: PinholeCamera) -> FloatArray:
     return rays
 
 
-def _compile(world: World, passersby: Passersby | None) -> Any:
+def _compile(world: World, passersby: Passersby | None, doors: Doors | None) -> Any:
     import mujoco
 
     try:
         spec = mujoco.MjSpec.from_string(world.mjcf)
         if passersby is not None:
             passersby.add_to(spec)
+        if doors is not None:
+            doors.add_to(spec)
         return spec.compile()
     except ValueError as error:
         raise ConfigError(f"world {world.name}: MuJoCo does not take its MJCF: {error}") from error

@@ -39,6 +39,7 @@ class SimulationSettings:
         velocities: CSV of velocities to be driven in place of the route, `stamp_s,v_m_s,yaw_rate_rad_s`, or None.
         stops_to_turn: whether the robot stops at each waypoint and turns on the spot, rather than round the corner.
         passersby: how many people walk about.
+        doors: how many doors open and shut while the robot drives; which and when is another on each day.
         has_motion_blur: whether colour images are smeared by the camera's motion during exposure.
         realism: one of `realism_names()`: "ideal" has nothing but the sensors' noise, "real" all that real sensors
             and robots do beside it, motion blur included.
@@ -65,6 +66,7 @@ class SimulationSettings:
     velocities: StrPath | None = None
     stops_to_turn: bool = False
     passersby: int = 0
+    doors: int = 0
     has_motion_blur: bool = False
     has_slip: bool = True
     robot: Robot = field(default_factory=Robot)
@@ -79,6 +81,7 @@ class SimulationSettings:
         _check_whole("--seed", self.seed, 0, 2**32 - 1)
         _check_whole("--day", self.day, 0, 100_000)
         _check_whole("--passers-by", self.passersby, 0, 100)
+        _check_whole("--doors", self.doors, 0, 1000)
         _check_range("--speed", self.speed_m_s, MAX_SPEED_M_S, "m/s")
         if self.rate_hz is not None:
             _check_range("--rate", self.rate_hz, 120, "Hz")

@@ -23,6 +23,7 @@ from wheelsight.recordings.text import LIST
 from wheelsight.simulation._way import driver_of, expected_s, refuse_walls, route_of
 from wheelsight.simulation.camera_faults import Covered
 from wheelsight.simulation.cameras import camera_model
+from wheelsight.simulation.doors import swinging
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.drivers import Driver
 from wheelsight.simulation.faulty_recording import with_camera_faults
@@ -62,6 +63,7 @@ def simulate(
     needed("mujoco")
     camera = camera_model(settings.camera, settings.size)
     world = world_of(settings)
+    swinging(world, settings.doors, settings.day_seed)  # refused before the long drive
     driver = driver_of(settings, world)
     refuse_walls(settings, world, driver, refused)
     covers = [Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s]
@@ -98,7 +100,7 @@ def world_of(settings: SimulationSettings) -> World:
     if settings.plan is not None:
         least_m = 0.0 if settings.duration_s is None else settings.duration_s * settings.speed_m_s
         return build_floor_plan(settings.plan, settings.seed, settings.robot, least_m, day=settings.day)
-    return build_world(settings.world, settings.seed, settings.day)
+    return build_world(settings.world, settings.seed, settings.day, has_leaves=settings.doors > 0)
 
 
 def _refuse_never(settings: SimulationSettings, end_s: float) -> None:
@@ -188,6 +190,8 @@ def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:
     write_text(truth / "settings.yaml", _settings_text(recording))
     if settings.velocities is not None:
         write_bytes(truth / "velocities.csv", read_bytes(Path(settings.velocities), LIST, ConfigError))
+    if recording.renderer.doors is not None:
+        write_text(truth / "doors.csv", recording.renderer.doors.to_csv())
 
 
 def _settings_text(recording: SimulatedRecording) -> str:

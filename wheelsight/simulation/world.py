@@ -39,6 +39,21 @@ class Surface:
     glow: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class Leaf:
+    """A door's leaf that can swing: it turns about a hinge between where the MJCF has it and its other end.
+
+    Attributes:
+        geom: its upright box in the MJCF, at rest where it is in nobody's way.
+        hinge_m: (x, y) of the upright axis it turns about.
+        turn_rad: how far it turns from there, anticlockwise seen from above: from open to shut, or from shut to open.
+    """
+
+    geom: str
+    hinge_m: tuple[float, float]
+    turn_rad: float
+
+
 @dataclass(frozen=True, eq=False)
 class World:
     """A world whose floor is the plane z = 0; +z up, metres.
@@ -54,6 +69,7 @@ class World:
         route: (N, 2) metres, waypoints of the base; the robot starts at the first one, heading for the second.
         is_loop: whether a lap ends where it began.
         size_m: (x_min, y_min, x_max, y_max) of the floor.
+        leaves: of doors, those that can swing.
     """
 
     name: str
@@ -64,3 +80,4 @@ class World:
     route: FloatArray
     is_loop: bool
     size_m: tuple[float, float, float, float]
+    leaves: tuple[Leaf, ...] = ()

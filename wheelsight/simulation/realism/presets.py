@@ -18,6 +18,7 @@ from wheelsight.simulation.realism.lights import LightSettings
 from wheelsight.simulation.realism.mount import MountSettings
 from wheelsight.simulation.realism.pixels import PixelSettings
 from wheelsight.simulation.realism.registration import RegistrationSettings
+from wheelsight.simulation.realism.shadows import ShadowSettings
 from wheelsight.simulation.realism.stamps import StampSettings
 from wheelsight.simulation.realism.sunlight import SunlightSettings
 from wheelsight.simulation.realism.tyres import TyreSettings
@@ -35,7 +36,7 @@ class Realism:
         lens, registration, control, pixels: of the camera; one without error of its own has none of them.
         mount, wheel_sizes, body, floor, tyres: of the robot and the floor under it.
         stamps: of what the sensors say.
-        sunlight, lights: of the building.
+        sunlight, lights, shadows: of the building.
     """
 
     lens: LensSettings = field(default_factory=LensSettings)
@@ -50,6 +51,7 @@ class Realism:
     stamps: StampSettings = field(default_factory=StampSettings)
     sunlight: SunlightSettings = field(default_factory=SunlightSettings)
     lights: LightSettings = field(default_factory=LightSettings)
+    shadows: ShadowSettings = field(default_factory=ShadowSettings)
 
     def floor_of(self, world: World, seed: int) -> Floor:
         """The floor of a world."""

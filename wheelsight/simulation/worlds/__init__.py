@@ -12,6 +12,7 @@ from wheelsight.simulation.worlds.floor4 import build_floor4
 from wheelsight.simulation.worlds.square import build_square
 
 _BUILDERS = {"floor4": build_floor4, "flat": build_flat, "blank": build_blank, "square": build_square}
+_WITH_LEAVES = {"flat": build_flat}
 
 __all__ = ["build_world", "world_names"]
 
@@ -21,7 +22,7 @@ def world_names() -> tuple[str, ...]:
     return tuple(_BUILDERS)
 
 
-def build_world(name: str, seed: int = 0, day: int = 0) -> World:
+def build_world(name: str, seed: int = 0, day: int = 0, *, has_leaves: bool = False) -> World:
     """The world of that name.
 
     Args:
@@ -29,6 +30,7 @@ def build_world(name: str, seed: int = 0, day: int = 0) -> World:
         seed: of its dressing: which posters hang where, where bins and chairs stand, how paint came out; walls, route
             and areas are the same for all.
         day: another one has chairs and bins elsewhere.
+        has_leaves: whether its doorways, where a door fits in, have leaves that can swing.
 
     Raises:
         ConfigError: there is no such world, or the seed is negative.
@@ -40,4 +42,6 @@ def build_world(name: str, seed: int = 0, day: int = 0) -> World:
         near = get_close_matches(name, world_names(), n=1)
         hint = f"did you mean {near[0]}? " if near else ""
         raise ConfigError(f"there is no world {name}", fix=f"{hint}known: {', '.join(world_names())}")
+    if has_leaves and name in _WITH_LEAVES:
+        return _WITH_LEAVES[name](seed, day, has_leaves=True)
     return builder(seed, day)

@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike
 
 from wheelsight.areas import Area, AreaMap
 from wheelsight.geometry import FloatArray
-from wheelsight.simulation.world import Surface, World
+from wheelsight.simulation.world import Leaf, Surface, World
 from wheelsight.simulation.worlds._surfaces import POSTERS, painted
 
 CEILING_M = 2.8
 WALL_THICKNESS_M = 0.2
+LEAF_M, LEAF_BOTTOM_M, LEAF_TOP_M = 0.045, 0.005, 2.08
 _PANE_M = 0.03
 _COVERING_M = 0.003  # over the floor, so that no renderer takes one for the other
 _FLUSH_M = 0.001  # how far a wall ends short of a corner, so that no two faces lie in one plane
@@ -144,6 +145,7 @@ class Building:
         self._seed = seed
         self._geoms: dict[str, dict[str, str]] = {}
         self._surfaces: dict[str, Surface] = {}
+        self._leaves: list[Leaf] = []
         self._size_m = (0.0, 0.0, 0.0, 0.0)
 
     def loose(self, low: float, high: float) -> float:
@@ -260,6 +262,21 @@ class Building:
         turn = {} if spot.yaw_rad == 0 else {"euler": f"0 0 {spot.yaw_rad:.6g}"}
         self._add(name, "box", material, centre, half, is_solid=is_solid, **turn)
 
+    def leaf(
+        self,
+        name: str,
+        material: str,
+        middle: Spot,
+        width_m: float,
+        hinge_m: tuple[float, float] | None,
+        turn_rad: float,
+    ) -> None:
+        """A door's leaf with its middle over a spot, along the spot's direction; it swings where it has a hinge."""
+        name = self._free_name(name)
+        self.box(name, material, middle, (width_m, LEAF_M), LEAF_BOTTOM_M, LEAF_TOP_M)
+        if hinge_m is not None:
+            self._leaves.append(Leaf(name, hinge_m, turn_rad))
+
     def cylinder(self, name: str, material: str, spot: Spot, radius_m: float, bottom_m: float, top_m: float) -> None:
         """An upright cylinder, solid."""
         centre = (spot.x_m, spot.y_m, (bottom_m + top_m) / 2)
@@ -277,7 +294,8 @@ class Building:
         waypoints.setflags(write=False)
         surfaces = dict(sorted(self._surfaces.items()))
         areas_of = AreaMap(tuple(areas))
-        return World(self.name, description, self._mjcf(), surfaces, areas_of, waypoints, is_loop, self._size_m)
+        leaves = tuple(self._leaves)
+        return World(self.name, description, self._mjcf(), surfaces, areas_of, waypoints, is_loop, self._size_m, leaves)
 
     def _wall(
         self,

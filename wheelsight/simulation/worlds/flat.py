@@ -9,7 +9,7 @@ import numpy as np
 from wheelsight.areas import Area
 from wheelsight.geometry import FloatArray
 from wheelsight.simulation.world import World
-from wheelsight.simulation.worlds._building import Building, Opening, Spot
+from wheelsight.simulation.worlds._building import LEAF_M, Building, Opening, Spot
 from wheelsight.simulation.worlds._furniture import (
     bed,
     bench,
@@ -28,8 +28,8 @@ ROUTE = ((2.4, 3.4), (4.6, 3.4), (4.6, 1.7), (7.6, 1.7), (7.6, 6.4), (1.6, 6.4),
 _DOORWAY_M = 1.2  # as homes for wheelchairs have them
 
 
-def build_flat(seed: int, day: int = 0) -> World:
-    """The home; the robot starts in the living room, heading east."""
+def build_flat(seed: int, day: int = 0, *, has_leaves: bool = False) -> World:
+    """The home; the robot starts in the living room, heading east. Its doorways have leaves where that is wanted."""
     building = Building("flat", seed, day)
     building.floor_and_ceiling("parquet", "ceiling_plain", (-0.4, -0.4, EAST_M + 0.4, NORTH_M + 0.4))
     _walls(building)
@@ -38,6 +38,8 @@ def build_flat(seed: int, day: int = 0) -> World:
     _hall(building)
     _bedroom(building)
     _radiators(building)
+    if has_leaves:
+        _leaves(building)
     areas = [
         _area("living room", 0.0, 0.0, LIVING_EAST_M, LIVING_NORTH_M),
         _area("kitchen", LIVING_EAST_M, 0.0, EAST_M, KITCHEN_NORTH_M),
@@ -137,6 +139,21 @@ def _radiators(building: Building) -> None:
     """Under the windows of living room and bedroom."""
     for face, at in (("south", 4.4), ("west", NORTH_M - 2.4), ("west", NORTH_M - 6.0)):
         building.hang(face, "radiator", "radiator", at, 1.4, 0.15, 0.75, 0.1, is_solid=True)
+
+
+def _leaves(building: Building) -> None:
+    """Leaves of the four doorways, open to where neither furniture nor the lap is."""
+    out_m, x, y, z = 0.06 + LEAF_M, LIVING_EAST_M, LIVING_NORTH_M, KITCHEN_NORTH_M
+    half, at_wall_rad, by_chairs_rad = _DOORWAY_M / 2 + 0.02, math.radians(175.0), math.radians(100.0)
+    # Where a leaf hangs, which way it leads when it is shut, and by which turn it has been opened.
+    for hinge, yaw_rad, turn_rad in (
+        ((x + out_m, 1.7 + half), -math.pi / 2, at_wall_rad),
+        ((x + out_m, 6.4 - half), math.pi / 2, -at_wall_rad),
+        ((1.6 + half, y + out_m), math.pi, -at_wall_rad),
+        ((7.6 + half, z - out_m), math.pi, by_chairs_rad),
+    ):
+        middle = Spot(*hinge, yaw_rad + turn_rad).offset(half, 0.0)
+        building.leaf("leaf", "door_white", middle, 2 * half, hinge, -turn_rad)
 
 
 def _area(name: str, x_min: float, y_min: float, x_max: float, y_max: float) -> Area:

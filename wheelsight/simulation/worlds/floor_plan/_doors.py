@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from wheelsight.simulation.worlds._building import CEILING_M, Building, Spot
+from wheelsight.simulation.worlds._building import CEILING_M, LEAF_M, LEAF_TOP_M, Building, Spot
 from wheelsight.simulation.worlds.floor_plan._doorways import Doorway
 
-_HEAD_M = 2.08
-_LEAF_M, _CASING_M, _PROUD_M = 0.045, 0.07, 0.015
+_CASING_M, _PROUD_M = 0.07, 0.015
 _SHARE_CLOSED = 0.5
 # Doors are pushed open to about these angles.
 _OPEN_DEG = (88.0, 110.0)
+# Of one that is shut in the plan: no more, as its hinge is at the wall's face and the leaf deeper in it.
+_SWUNG_RAD = math.radians(88.0)
 MATERIALS = ("door_oak", "door_white", "door_blue", "door_fire")
 
 
@@ -27,11 +28,15 @@ class Door:
         doorway: the gap.
         leaf: (x, y, yaw) of its middle in `map`, metres and radians; None where it has been taken off.
         is_closed: whether nobody can go through.
+        hinge: (x, y) that the leaf turns about when it swings, metres; None where there is no room to.
+        turn_rad: how far it swings from where it is, anticlockwise.
     """
 
     doorway: Doorway
     leaf: tuple[float, float, float] | None
     is_closed: bool
+    hinge: tuple[float, float] | None = None
+    turn_rad: float = 0.0
 
     @property
     def footprint(self) -> shapely.Geometry:
@@ -42,7 +47,7 @@ class Door:
         half = self.doorway.width_m / 2
         along = half * math.cos(yaw_rad), half * math.sin(yaw_rad)
         line = shapely.LineString([(x_m - along[0], y_m - along[1]), (x_m + along[0], y_m + along[1])])
-        return line.buffer(_LEAF_M / 2, cap_style="flat")
+        return line.buffer(LEAF_M / 2, cap_style="flat")
 
 
 def choose_door(doorway: Doorway, way: shapely.Geometry, floor: shapely.Geometry, rng: np.random.Generator) -> Door:
@@ -59,25 +64,37 @@ def choose_door(doorway: Doorway, way: shapely.Geometry, floor: shapely.Geometry
     angle_rad = math.radians(rng.uniform(*_OPEN_DEG))
     hinges = rng.permutation(4).tolist()
     if wants_closed and not shapely.intersects(gap, way):
-        return Door(doorway, (*doorway.middle, doorway.yaw_rad), is_closed=True)
+        return _closed(doorway, floor)
     for hinge in hinges:
-        door = Door(doorway, _leaf(doorway, hinge % 2 == 0, 1 if hinge < 2 else -1, angle_rad), is_closed=False)
+        door = _open(doorway, hinge % 2 == 0, 1 if hinge < 2 else -1, angle_rad)
         is_clear = not shapely.intersects(door.footprint, way)
         if is_clear and shapely.covers(floor, door.footprint):
             return door
     return Door(doorway, None, is_closed=False)
 
 
-def _leaf(doorway: Doorway, is_left: bool, side: int, angle_rad: float) -> tuple[float, float, float]:
-    """Where a leaf is that hangs on a jamb and is open to a side of the wall."""
+def _open(doorway: Doorway, is_left: bool, side: int, angle_rad: float) -> Door:
+    """A door whose leaf hangs on a jamb and is open to a side of the wall."""
     jamb = doorway.left if is_left else doorway.right
     yaw_rad = doorway.yaw_rad if is_left else doorway.yaw_rad + math.pi
     turn = angle_rad if (side > 0) == is_left else -angle_rad
-    out_m = doorway.thickness_m / 2 + _LEAF_M
+    out_m = doorway.thickness_m / 2 + LEAF_M
     half = doorway.width_m / 2
-    x_m = jamb[0] + side * out_m * float(doorway.onward[0]) + half * math.cos(yaw_rad + turn)
-    y_m = jamb[1] + side * out_m * float(doorway.onward[1]) + half * math.sin(yaw_rad + turn)
-    return x_m, y_m, yaw_rad + turn
+    hinge = jamb[0] + side * out_m * float(doorway.onward[0]), jamb[1] + side * out_m * float(doorway.onward[1])
+    x_m, y_m = hinge[0] + half * math.cos(yaw_rad + turn), hinge[1] + half * math.sin(yaw_rad + turn)
+    return Door(doorway, (x_m, y_m, yaw_rad + turn), False, hinge, -turn)
+
+
+def _closed(doorway: Doorway, floor: shapely.Geometry) -> Door:
+    """A shut door; it swings to where its leaf stands on free floor, if there is such a side."""
+    leaf = (*doorway.middle, doorway.yaw_rad)
+    for is_left, side in ((True, 1), (False, 1), (True, -1), (False, -1)):
+        opened = _open(doorway, is_left, side, _SWUNG_RAD)
+        if shapely.covers(floor, opened.footprint):
+            jamb, out_m = doorway.left if is_left else doorway.right, side * doorway.thickness_m / 2
+            hinge = jamb[0] + out_m * float(doorway.onward[0]), jamb[1] + out_m * float(doorway.onward[1])
+            return Door(doorway, leaf, True, hinge, -opened.turn_rad)
+    return Door(doorway, leaf, is_closed=True)
 
 
 def build_door(building: Building, name: str, door: Door, wall: str, material: str) -> None:
@@ -85,13 +102,13 @@ def build_door(building: Building, name: str, door: Door, wall: str, material: s
     doorway = door.doorway
     middle = Spot(*doorway.middle, doorway.yaw_rad)
     width, deep = doorway.width_m, doorway.thickness_m
-    building.box(f"lintel_{name}", wall, middle, (width + 0.04, deep + 0.004), _HEAD_M, CEILING_M)
+    building.box(f"lintel_{name}", wall, middle, (width + 0.04, deep + 0.004), LEAF_TOP_M, CEILING_M)
     for side in (-1, 1):
         casing = middle.offset(side * ((width + _CASING_M) / 2 - 0.004), 0.0)
         size_m = (_CASING_M, deep + 2 * _PROUD_M)
-        building.box(f"casing_{name}", material, casing, size_m, 0.0, _HEAD_M + _CASING_M, is_solid=False)
+        building.box(f"casing_{name}", material, casing, size_m, 0.0, LEAF_TOP_M + _CASING_M, is_solid=False)
     head = (width, deep + 2 * _PROUD_M)
-    building.box(f"casing_{name}", material, middle, head, _HEAD_M, _HEAD_M + _CASING_M, is_solid=False)
+    building.box(f"casing_{name}", material, middle, head, LEAF_TOP_M, LEAF_TOP_M + _CASING_M, is_solid=False)
     if door.leaf is not None:
         x_m, y_m, yaw_rad = door.leaf
-        building.box(f"leaf_{name}", material, Spot(x_m, y_m, yaw_rad), (width, _LEAF_M), 0.005, _HEAD_M)
+        building.leaf(f"leaf_{name}", material, Spot(x_m, y_m, yaw_rad), width, door.hinge, door.turn_rad)
