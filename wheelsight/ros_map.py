@@ -66,10 +66,10 @@ class RosMap:
 def read_ros_map(path: StrPath, resolution_m: float | None = None) -> RosMap:
     """Read a map_server map by its YAML file, or a bare image by its resolution.
 
-    Cells come out as those of Nav2's map_server. A cell's occupancy is 1 - the mean of its colours (the mean itself with
-    `negate`). In mode `trinary` it is occupied from `occupied_thresh` on, free up to `free_thresh`, unknown between;
-    `scale` has shares between the two; in both, what is transparent is unknown. `raw` takes pixel values 0 to 100 as
-    they are, others as unknown. Of images in colours Nav2 weighs red, green and blue, as this does not.
+    Cells come out as those of Nav2's map_server. A cell's occupancy is 1 - the mean of its colours (the mean itself
+    with `negate`). In mode `trinary` it is occupied from `occupied_thresh` on, free up to `free_thresh`, and unknown
+    between; `scale` has shares between the two; in both, what is transparent is unknown. `raw` takes pixel values 0 to
+    100 as they are, others as unknown. Of images in colours Nav2 weighs red, green and blue, as this does not.
 
     Args:
         path: of the YAML file, or of a PNG or PGM image, which is read as `trinary`, its lower left corner at (0, 0).

@@ -15,7 +15,7 @@ from wheelsight.compiled import kernel
 
 PASSED, MET = 1, 2
 FLOOR, DROP = 1, 2
-_NONE = -1.0e9
+_THING = 3
 
 
 class DepthRays(NamedTuple):
@@ -37,6 +37,7 @@ class Bands(NamedTuple):
     height_m: float
     overhang_m: float
     far_m: float
+    bridged_m: float
 
 
 class Noise(NamedTuple):
@@ -80,38 +81,51 @@ def trace(rays: DepthRays, M: Any, bands: Bands, noise: Noise, window: Window) -
         window: of nothing.
     """
     begin, end = M[:, 3].copy(), np.empty(3)
+    # What the ray of the row above says, where, and how high that is.
+    above = np.zeros(4)
     height, width = rays.depth_m.shape
     angle = abs(rays.slope_x[1] - rays.slope_x[0]) if width > 1 else 1.0
     for u in range(width):
-        # Where the ray of the row above met the floor, if it did.
-        x_before, y_before = _NONE, _NONE
+        above[0] = 0
         for v in range(height):
-            x_last, y_last, x_before = x_before, y_before, _NONE
             z = rays.depth_m[v, u]
             if not z > 0:
+                above[0] = 0
                 continue
             for i in range(3):
                 end[i] = begin[i] + z * (M[i, 0] * rays.slope_x[u] + M[i, 1] * rays.slope_y[v] + M[i, 2])
-            way_m = bands.resolution_m * np.hypot(end[0] - begin[0], end[1] - begin[1])
-            tilt_m = bands.tilt_rad * min(way_m, bands.far_m)
-            reach = 1.0 if way_m <= bands.far_m else bands.far_m / way_m
-            is_drop, ends = end[2] < -bands.drop_m - tilt_m and begin[2] > 0, 1.0
-            if is_drop:
-                ends = begin[2] / (begin[2] - end[2])
-                if ends <= reach:
-                    _ground(window, begin[0] + ends * (end[0] - begin[0]), begin[1] + ends * (end[1] - begin[1]), DROP)
             sigma_m = noise.constant_m + noise.quadratic_per_m * z * z
-            margin = (noise.margin_sigmas * sigma_m + bands.resolution_m) / max(way_m, 1e-6)
-            _pass(window, begin, end, _needed_from(u, v, angle, bands) / z, min(reach, ends - margin), bands)
-            if is_drop or reach < 1.0:
-                continue
-            if end[2] <= bands.floor_m + tilt_m:
-                _ground(window, end[0], end[1], FLOOR)
-                if x_last > _NONE:
-                    _fill(window, x_last, y_last, end)
-                x_before, y_before = end[0], end[1]
-            else:
-                _meet(window, end, bands)
+            margin_m = noise.margin_sigmas * sigma_m + bands.resolution_m
+            _follow(window, begin, end, _needed_from(u, v, angle, bands) / z, margin_m, bands, above)
+
+
+@kernel
+def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float, bands: Bands, above: Any) -> None:
+    """Mark what a ray passes from a share of its way on, and what it ends at, which `above` is for the next one."""
+    way_m = bands.resolution_m * np.hypot(end[0] - begin[0], end[1] - begin[1])
+    tilt_m = bands.tilt_rad * min(way_m, bands.far_m)
+    reach = 1.0 if way_m <= bands.far_m else bands.far_m / way_m
+    is_drop = end[2] < -bands.drop_m - tilt_m and begin[2] > 0
+    ends = begin[2] / (begin[2] - end[2]) if is_drop else 1.0
+    _pass(window, begin, end, needed, min(reach, ends - margin_m / max(way_m, 1e-6)), bands)
+    before, x_before, y_before, h_before = int(above[0]), above[1], above[2], above[3]
+    above[0] = 0
+    if ends > reach:
+        return
+    x, y = begin[0] + ends * (end[0] - begin[0]), begin[1] + ends * (end[1] - begin[1])
+    above[1], above[2], above[3] = x, y, end[2]
+    if is_drop or abs(end[2]) <= bands.floor_m + tilt_m:
+        above[0] = what = DROP if is_drop else FLOOR
+        _mark(window, x, y, 0, what)
+        if before == what:
+            _fill(window, x_before, y_before, x, y, 0, what)
+    elif 0 < end[2] < bands.overhang_m:
+        above[0] = _THING
+        channel = _channel_at(end[2], bands, window.seen.shape[2])
+        _mark(window, x, y, channel, MET)
+        gap_m = bands.resolution_m * np.hypot(x - x_before, y - y_before)
+        if before == _THING and gap_m <= bands.bridged_m and abs(end[2] - h_before) < bands.layer_m:
+            _fill(window, x_before, y_before, x, y, channel, MET)
 
 
 @kernel
@@ -141,37 +155,37 @@ def _touch(window: Window, row: int, column: int) -> None:
 
 
 @kernel
-def _ground(window: Window, x: float, y: float, what: int) -> None:
-    """A drop stays one."""
+def _mark(window: Window, x: float, y: float, channel: int, what: int) -> None:
+    """A drop stays one, and so does what was met."""
     row, column, seen = int(np.floor(y)), int(np.floor(x)), window.seen
-    if 0 <= row < seen.shape[0] and 0 <= column < seen.shape[1] and seen[row, column, 0] < what:
+    if 0 <= row < seen.shape[0] and 0 <= column < seen.shape[1] and seen[row, column, channel] < what:
         _touch(window, row, column)
-        seen[row, column, 0] = what
+        seen[row, column, channel] = what
 
 
 @kernel
-def _fill(window: Window, x: float, y: float, end: Any) -> None:
-    """Between two neighbouring rays that meet the floor there is floor: what stands there would hide the farther."""
-    steps = int(np.ceil(2 * max(abs(end[0] - x), abs(end[1] - y))))
+def _fill(window: Window, x: float, y: float, to_x: float, to_y: float, channel: int, what: int) -> None:
+    """Between two neighbouring rays that meet the floor there is floor: what stands there would hide the farther.
+
+    Likewise there is none where both go on below it, and one thing where both meet the same height near to each other.
+    """
+    steps = int(np.ceil(2 * max(abs(to_x - x), abs(to_y - y))))
     for step in range(1, steps):
         share = step / steps
-        _ground(window, x + share * (end[0] - x), y + share * (end[1] - y), FLOOR)
+        _mark(window, x + share * (to_x - x), y + share * (to_y - y), channel, what)
+
+
+@kernel
+def _channel_at(h_m: float, bands: Bands, channels: int) -> int:
+    """Of a height over the floor; what is below `floor_m`, and yet no floor, is in the lowest layer."""
+    top = (bands.height_m - bands.floor_m) / bands.layer_m
+    return _channel(max((h_m - bands.floor_m) / bands.layer_m, 0.0), top, channels)
 
 
 @kernel
 def _channel(layer: float, top: float, channels: int) -> int:
     """Of a height in layers over `floor_m`, where the robot is `top` layers high."""
     return channels - 1 if layer >= top else min(1 + int(layer), channels - 2)
-
-
-@kernel
-def _meet(window: Window, end: Any, bands: Bands) -> None:
-    """Above the floor's tolerance, which grows with distance, all is an obstacle, however low."""
-    row, column, seen = int(np.floor(end[1])), int(np.floor(end[0])), window.seen
-    if 0 <= row < seen.shape[0] and 0 <= column < seen.shape[1] and end[2] < bands.overhang_m:
-        top = (bands.height_m - bands.floor_m) / bands.layer_m
-        _touch(window, row, column)
-        seen[row, column, _channel((end[2] - bands.floor_m) / bands.layer_m, top, seen.shape[2])] = MET
 
 
 @kernel
@@ -221,9 +235,9 @@ def stand(window: Window, x: float, y: float, radius: float) -> None:
     for row in range(max(int(y - radius), 0), min(int(y + radius) + 2, seen.shape[0])):
         for column in range(max(int(x - radius), 0), min(int(x + radius) + 2, seen.shape[1])):
             if (row + 0.5 - y) ** 2 + (column + 0.5 - x) ** 2 <= radius * radius:
-                _ground(window, column + 0.5, row + 0.5, FLOOR)
+                _mark(window, column + 0.5, row + 0.5, 0, FLOOR)
                 for channel in range(1, seen.shape[2] - 1):
-                    seen[row, column, channel] = max(seen[row, column, channel], PASSED)
+                    _mark(window, column + 0.5, row + 0.5, channel, PASSED)
 
 
 @kernel

@@ -64,14 +64,14 @@ class OccupancyGrid:
     def kind_at(self, xy_map: ArrayLike) -> ByteArray:
         """(...) of `CellKind` at points (..., 2) in `map`; unknown outside."""
         cells = self.cells_at(xy_map)
-        inside = ((cells >= 0) & (cells < self.kind.shape)).all(axis=-1)
+        inside = np.asarray(((cells >= 0) & (cells < self.kind.shape)).all(axis=-1))
         row, column = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
         return np.asarray(np.where(inside, self.kind[row, column], CellKind.UNKNOWN), np.uint8)
 
     def changed(self, where: BoolArray, kind: CellKind) -> OccupancyGrid:
         """The same with other kinds of some cells (H, W)."""
         kinds = np.where(where, np.uint8(kind), self.kind).astype(np.uint8)
-        told = _occupancy(np.full(1, kind, np.uint8), np.zeros(1, bool))[0]
+        told = _occupancy(kinds, np.zeros_like(where))
         return replace(self, kind=kinds, occupancy=np.where(where, told, self.occupancy).astype(np.int8))
 
     def free_m2(self) -> float:

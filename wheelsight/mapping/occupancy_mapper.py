@@ -65,9 +65,7 @@ class OccupancyMapper:
 
     def __init__(self, calibration: Calibration, settings: OccupancySettings | None = None) -> None:
         if calibration.T_base_camera is None:
-            problem = (
-                "occupancy needs to know where the floor is, and the calibration does not say where the camera sits"
-            )
+            problem = "where the floor is nobody knows: the calibration does not say where the camera sits"
             raise MapError(problem, fix="wheelsight calibrate base, or T_base_camera in the calibration")
         self.settings = settings or OccupancySettings()
         self._T_base_camera, self._noise = calibration.T_base_camera, calibration.depth_noise
@@ -197,9 +195,7 @@ class OccupancyMapper:
         if np.prod((high - low).astype(float)) > self.settings.most_cells:
             size_m = (high - low) * self.settings.resolution_m
             problem = f"the occupancy map would be {size_m[1]:.0f} × {size_m[0]:.0f} m large"
-            fix = (
-                f"larger cells than {self.settings.resolution_m:g} m, or more than {self.settings.most_cells:,} of them"
-            )
+            fix = f"larger cells than {self.settings.resolution_m:g} m, or a larger most_cells"
             raise MapError(problem, fix=fix)
         larger = np.zeros((*(high - low).tolist(), self._channels), np.int8)
         if self._log_odds.size:

@@ -17,7 +17,11 @@ class OccupancySettings(Settings):
 
     resolution_m: float = setting(0.05, "side of a cell, metres", "what Nav2's maps have", ge=0.01, le=1)
     floor_m: float = setting(
-        0.05, "what is seen higher above the floor is an obstacle, metres: casters climb less", CHOSEN, gt=0, le=1
+        0.05,
+        "what is seen higher is an obstacle, and what is so far below is no floor, metres: casters climb less",
+        CHOSEN,
+        gt=0,
+        le=1,
     )
     drop_m: float = setting(
         0.1,
@@ -46,8 +50,8 @@ class OccupancySettings(Settings):
     )
     layer_m: float = setting(
         0.1,
-        "height of a layer, metres: what is seen through at one height says nothing about the others, such as the floor "
-        "below a table about its top",
+        "height of a layer, metres: what is seen through at one height says nothing about the others, as the floor "
+        "below a table does not about its top",
         "a simulated room: docs/decisions/0060",
         gt=0,
         le=10,
@@ -61,6 +65,13 @@ class OccupancySettings(Settings):
     )
     columns: int = setting(
         80, "of a keyframe's depth that are used, and rows as densely", "reckoned: a cell at 4 m", ge=8, le=1024
+    )
+    bridged_m: float = setting(
+        0.15,
+        "what neighbouring rays meet at one height and so near, metres, is one thing: no robot fits between",
+        CHOSEN,
+        ge=0,
+        le=1,
     )
     margin_sigmas: float = setting(
         3.0,
