@@ -67,7 +67,9 @@ def test_a_map_is_rebuilt_and_its_points_are_written(wheelsight: Command, kept: 
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("5 keyframes, 0 loops, ")
     assert MapFolder.open(tmp_path / "new").surfels() is not None
-    assert "is not empty" in wheelsight("map", "rebuild", kept, "--out", tmp_path / "new").stderr
+    full = wheelsight("map", "rebuild", kept, "--out", tmp_path / "new").stderr
+    assert "is not empty (choose a folder that is empty or not there yet" in full
+    assert "--force" not in full
     ply = tmp_path / "points.ply"
     result = wheelsight("map", "export", tmp_path / "new", "--all", "--out", ply)
     assert result.exit_code == 0, result.output

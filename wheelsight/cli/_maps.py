@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from wheelsight.mapping import SurfelMap
+    from wheelsight.cli._map_export import Exports
     from wheelsight.slam.sessions import MapFolder, MapInfo
 
 _MB = 1e6
@@ -30,18 +30,11 @@ def info(source: Path, as_json: bool) -> None:
         print_warning(note)
 
 
-def export(source: Path, out: Path, everything: bool, force: bool) -> None:
-    """Write the surfels of a map as points."""
-    from wheelsight.cli._outputs import check_out
-    from wheelsight.errors import ConfigError
-    from wheelsight.mapping import write_ply
+def export(source: Path, wanted: Exports, force: bool) -> None:
+    """Write a map for other programs."""
+    from wheelsight.cli._map_export import export
 
-    if out.suffix.lower() != ".ply":
-        raise ConfigError(f"--out is {str(out)!r}, which does not end in .ply", fix="PLY is what is written")
-    folder = _opened(source)
-    check_out(out, force)
-    count = write_ply(folder.surfels() or _fused(folder), out, stable_only=not everything)
-    typer.echo(f"{count:,} points, {out.stat().st_size / _MB:.1f} MB: {out}")
+    export(_opened(source), wanted, force)
 
 
 def rebuild(source: Path, out: Path) -> None:
@@ -50,7 +43,7 @@ def rebuild(source: Path, out: Path) -> None:
     from wheelsight.slam.sessions import info_of, rebuild
 
     folder = _opened(source)
-    _compile()
+    compile_kernels()
     with FrameProgress("rebuilding", None, unit="keyframes") as progress:
         new = rebuild(folder, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
     told = info_of(new)
@@ -65,7 +58,7 @@ def merge(first: Path, second: Path, out: Path) -> None:
     from wheelsight.slam.sessions import merge
 
     folders = _opened(first), _opened(second)
-    _compile()
+    compile_kernels()
     with FrameProgress("merging", None, unit="keyframes") as progress:
         made = merge(*folders, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
     if made.left_out:
@@ -82,7 +75,7 @@ def prune(source: Path, out: Path) -> None:
     from wheelsight.slam.sessions import prune
 
     folder = _opened(source)
-    _compile()
+    compile_kernels()
     with FrameProgress("pruning", None, unit="keyframes") as progress:
         made = prune(folder, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
     typer.echo(f"{len(made.folder.store):,} keyframes, {made.left_out:,} left out: {out}")
@@ -94,18 +87,8 @@ def _opened(source: Path) -> MapFolder:
     return MapFolder.open(find_map(source))
 
 
-def _fused(folder: MapFolder) -> SurfelMap:
-    from wheelsight.cli._console import print_note
-    from wheelsight.cli._progress import FrameProgress
-    from wheelsight.slam.sessions import fused_anew
-
-    print_note("the map has no surfels; they are fused of its keyframes")
-    _compile()
-    with FrameProgress("fusing", None, unit="keyframes") as progress:
-        return fused_anew(folder, on_keyframe=progress.reach)
-
-
-def _compile() -> None:
+def compile_kernels() -> None:
+    """What any of this needs."""
     from wheelsight.cli._compiling import compile_missing
 
     compile_missing(["dense"])
@@ -124,6 +107,9 @@ def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
     yield "edges", f"{found.edges:,} by odometry, {found.loops:,} loops; {_parts(found.parts)}"
     yield "surfels", _size(found.surfel_bytes, "none; wheelsight map rebuild makes them")
     yield "recognition", _size(found.recognition_bytes, "made when the map is used")
+    yield "occupancy", _size(found.occupancy_bytes, "none; wheelsight map export --occupancy makes it")
+    if found.edits != 0:
+        yield "edits", "cannot be read" if found.edits is None else f"{found.edits:,} zones and wiped places"
     yield "size", f"{found.bytes / _MB:.1f} MB"
     yield "health", "whole" if found.health.is_whole else "damaged, see below"
 

@@ -134,7 +134,7 @@ class MapEdits:
     def carried(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> MapEdits:
         """The edits for a map that is made of this one's keyframes.
 
-        Those whose keyframe goes hang on the nearest one that stays.
+        Those whose keyframe goes hang on the nearest one that stays; where nobody knows where it was, as drawn.
 
         Args:
             T_map_keyframe: (K, 4, 4) of this map.
@@ -149,7 +149,9 @@ class MapEdits:
             elif edit.keyframe is not None and numbers[edit.keyframe] >= 0:
                 carried.append(replace(edit, keyframe=KeyframeId(int(numbers[edit.keyframe]))))
             elif len(kept):
-                now = replace(edit, polygon=edit.polygon_now(table), keyframe=None, T_map_keyframe=None)
+                is_lost = edit.keyframe is not None and not np.isfinite(table[edit.keyframe]).all()
+                drawn = edit.polygon if is_lost else edit.polygon_now(table)
+                now = replace(edit, polygon=drawn, keyframe=None, T_map_keyframe=None)
                 off_m = np.linalg.norm(table[kept, :2, 3] - now.polygon.mean(axis=0), axis=1)
                 nearest = int(kept[np.argmin(off_m)])
                 carried.append(now.anchored(KeyframeId(int(numbers[nearest])), table[nearest]))

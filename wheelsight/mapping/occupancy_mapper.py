@@ -81,7 +81,7 @@ class OccupancyMapper:
         return number in self._seen
 
     def __len__(self) -> int:
-        """How many keyframes it is made of."""
+        """How many keyframes it keeps."""
         return len(self._seen)
 
     def add(self, number: KeyframeId, keyframe: Keyframe, T_map_keyframe: ArrayLike) -> None:
@@ -93,21 +93,31 @@ class OccupancyMapper:
         if number in self._seen:
             raise ArgumentError(f"keyframe {number} is there already", fix="add each once, and move it")
         T = _checked(T_map_keyframe, number)
-        seen = _Seen.of(keyframe, self.settings.columns, self._noise)
         self._make_room(T[None])
-        self._seen[number], self._T_map_keyframe[number] = seen, T
-        self._put(seen, T)
+        self.keep(number, keyframe)
+        self._T_map_keyframe[number] = T
+        self._put(self._seen[number], T)
 
-    def move(self, T_map_keyframe: ArrayLike) -> bool:
-        """Make the map anew where its keyframes are by now, of poses (N, 4, 4) by number; whether any had moved.
+    def keep(self, number: KeyframeId, keyframe: Keyframe) -> None:
+        """Keep what a keyframe sees, of which nobody knows yet where it is; `move` adds it."""
+        self._seen[number] = _Seen.of(keyframe, self.settings.columns, self._noise)
+
+    def move(self, T_map_keyframe: ArrayLike, shown: ArrayLike | None = None) -> bool:
+        """Make the map anew where its keyframes are by now; whether anything had changed.
+
+        Args:
+            T_map_keyframe: poses (N, 4, 4) by number.
+            shown: (N,) whether each is to be in the map; None: all are.
 
         Raises as `add` does; then the map is as it was.
         """
         table = np.asarray(T_map_keyframe, float)
         if any(number >= len(table) for number in self._seen):
             raise ArgumentError(f"poses of {len(table)} keyframes", fix="give those of all that were added, by number")
-        now = {number: _checked(table[number], number) for number in self._seen}
-        if all((now[number] == self._T_map_keyframe[number]).all() for number in now):
+        which = np.ones(len(table), bool) if shown is None else np.asarray(shown, bool)
+        now = {number: _checked(table[number], number) for number in self._seen if which[number]}
+        was = self._T_map_keyframe
+        if now.keys() == was.keys() and all((now[number] == was[number]).all() for number in now):
             return False
         self._make_anew(now)
         return True
@@ -148,13 +158,13 @@ class OccupancyMapper:
         before = self._low, self._log_odds
         self._clear()
         try:
-            self._make_room(np.array([*T_map_keyframe.values()]))
+            self._make_room(np.array([*T_map_keyframe.values()]).reshape(-1, 4, 4))
         except MapError:
             self._low, self._log_odds = before
             raise
         self._T_map_keyframe = T_map_keyframe
-        for number, seen in self._seen.items():
-            self._put(seen, T_map_keyframe[number])
+        for number, T in T_map_keyframe.items():
+            self._put(self._seen[number], T)
 
     def _put(self, seen: _Seen, T_map_keyframe: FloatArray) -> None:
         """Add what a keyframe sees; there is room."""
@@ -182,6 +192,8 @@ class OccupancyMapper:
 
     def _make_room(self, T_map_keyframe: FloatArray) -> None:
         """For what cameras (K, 4, 4) may see."""
+        if not len(T_map_keyframe):
+            return
         cells = self._cell_at(T_map_keyframe)
         low, high = cells.min(axis=0) - self._reach, cells.max(axis=0) + self._reach + 1
         old_low, old_high = self._low, self._low + self._log_odds.shape[:2]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 from wheelsight.errors import MapError
-from wheelsight.files import StrPath
+from wheelsight.files import StrPath, refuse_full
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import SurfelMap, SurfelSettings
 from wheelsight.odometry.dense.grid import Level
@@ -13,8 +15,9 @@ from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.places.views import known_grey
 from wheelsight.settings import RecognitionSettings
-from wheelsight.slam.sessions.map_folder import MapFolder
-from wheelsight.slam.sessions.parts import MapParts, Progress
+from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
+from wheelsight.slam.sessions.occupancy import save_occupancy
+from wheelsight.slam.sessions.parts import MapParts, Progress, are_there
 from wheelsight.threads import Rows
 from wheelsight.views import Surface
 
@@ -29,7 +32,7 @@ def rebuild(
     recognition: RecognitionSettings | None = None,
     on_keyframe: Progress = lambda doing, done, total: None,
 ) -> MapFolder:
-    """Write a map anew into another folder: keyframes where they are by now, edges that hold, codes and surfels.
+    """Write a map anew into another folder: keyframes where they are by now, edges that hold, and what is made of them.
 
     Args:
         folder: an open map; it stays as it is.
@@ -43,6 +46,9 @@ def rebuild(
         MapError: there are no keyframes, or one cannot be read.
         OutputError: it cannot be written.
     """
+    refuse_full(out, NEW_FOLDER)
+    there = are_there(folder)
+    edits = folder.map_edits().carried(folder.store.T_map_keyframe, np.where(there, np.arange(len(there)), -1))
     surfel_map = fused_anew(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
     source, factor = folder.header.source, folder.header.camera.depth_factor
     new = MapFolder.create(out, folder.calibration, folder.settings, source=source, depth_factor=factor)
@@ -56,9 +62,13 @@ def rebuild(
         found = folder.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
         new.save_recognition(found)
         new.save_surfels(surfel_map)
+        if len(edits):
+            new.save_edits(edits)
     finally:
         new.close()
-    return MapFolder.open(out, settings=folder.settings)
+    made = MapFolder.open(out, settings=folder.settings)
+    save_occupancy(made, lambda done, total: on_keyframe("occupancy", done, total))
+    return made
 
 
 def fused_anew(
