@@ -107,7 +107,8 @@ def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
     yield "edges", f"{found.edges:,} by odometry, {found.loops:,} loops; {_parts(found.parts)}"
     yield "surfels", _size(found.surfel_bytes, "none; wheelsight map rebuild makes them")
     yield "recognition", _size(found.recognition_bytes, "made when the map is used")
-    yield "occupancy", _size(found.occupancy_bytes, "none; wheelsight map export --occupancy makes it")
+    told = "none; wheelsight map export --occupancy makes it"
+    yield "occupancy", told if found.occupancy_bytes is None else f"{found.occupancy_bytes / 1e3:.0f} kB"
     if found.edits != 0:
         yield "edits", "cannot be read" if found.edits is None else f"{found.edits:,} zones and wiped places"
     yield "size", f"{found.bytes / _MB:.1f} MB"
