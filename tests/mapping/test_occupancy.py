@@ -93,6 +93,18 @@ def test_a_table_is_an_obstacle_although_the_floor_below_it_is_seen() -> None:
     assert (in_one == CellKind.OBSTACLE).mean() < 0.8
 
 
+def test_the_inside_of_what_is_seen_from_the_front_alone_is_not_free() -> None:
+    """The floor below a shelf at the camera's height is seen, its front, and never what is in it."""
+    shelf = Box((1.32, -0.5, 1.0), (2.1, 0.5, 1.2))
+    hidden, seen_as_free = (
+        mapped(turning(), shelf, settings=OccupancySettings(hidden_m=depth_m)).grid() for depth_m in (0.8, 0.0)
+    )
+    assert (hidden.kind_at(points((1.32, -0.4), (1.34, 0.4))) == CellKind.OBSTACLE).all()
+    assert CellKind.FREE not in hidden.kind_at(of_box(shelf))
+    assert (seen_as_free.kind_at(of_box(shelf)) == CellKind.FREE).mean() > 0.9
+    assert hidden.kind_at((-2.0, 1.0)) == CellKind.FREE
+
+
 def test_a_lamp_above_the_robot_is_an_overhang_and_the_floor_below_it_is_free() -> None:
     level = mount(1.1, 0.0)
     made = OccupancyMapper(robot(level))

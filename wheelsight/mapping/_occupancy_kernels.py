@@ -13,7 +13,7 @@ import numpy as np
 
 from wheelsight.compiled import kernel
 
-PASSED, MET = 1, 2
+HIDDEN, PASSED, MET = 1, 2, 3
 FLOOR, DROP = 1, 2
 _THING = 3
 
@@ -38,6 +38,7 @@ class Bands(NamedTuple):
     overhang_m: float
     far_m: float
     bridged_m: float
+    hidden_m: float
 
 
 class Noise(NamedTuple):
@@ -51,8 +52,9 @@ class Noise(NamedTuple):
 class Window(NamedTuple):
     """What one keyframe sees of the cells about it.
 
-    `seen` is (rows, columns, channels) uint8: FLOOR or DROP on the ground, PASSED or MET elsewhere, or 0. `is_touched`
-    (rows, columns) uint8 tells where any is, and `touched` (rows · columns, 2) lists these cells; `count` (1,) of them.
+    `seen` is (rows, columns, channels) uint8: FLOOR or DROP on the ground, HIDDEN, PASSED or MET elsewhere, or 0.
+    `is_touched` (rows, columns) uint8 tells where any is, and `touched` (rows · columns, 2) lists these cells; `count`
+    (1,) of them.
     """
 
     seen: Any
@@ -62,7 +64,10 @@ class Window(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """By what log-odds change, and between what they stay; in the units of the table."""
+    """By what log-odds change, and between what they stay; in steps of the table, all of them even.
+
+    So 1 is nothing but a layer of which nothing was ever seen since something hid it.
+    """
 
     met: int
     passed: int
@@ -107,7 +112,8 @@ def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float
     reach = 1.0 if way_m <= bands.far_m else bands.far_m / way_m
     is_drop = end[2] < -bands.drop_m - tilt_m and begin[2] > 0
     ends = begin[2] / (begin[2] - end[2]) if is_drop else 1.0
-    _pass(window, begin, end, needed, min(reach, ends - margin_m / max(way_m, 1e-6)), bands)
+    a_metre = 1 / max(way_m, 1e-6)
+    _pass(window, begin, end, needed, min(reach, ends - margin_m * a_metre), bands, PASSED)
     before, x_before, y_before, h_before = int(above[0]), above[1], above[2], above[3]
     above[0] = 0
     if ends > reach:
@@ -123,6 +129,7 @@ def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float
         above[0] = _THING
         channel = _channel_at(end[2], bands, window.seen.shape[2])
         _mark(window, x, y, channel, MET)
+        _pass(window, begin, end, 1.0, 1 + bands.hidden_m * a_metre, bands, HIDDEN)
         gap_m = bands.resolution_m * np.hypot(x - x_before, y - y_before)
         if before == _THING and gap_m <= bands.bridged_m and abs(end[2] - h_before) < bands.layer_m:
             _fill(window, x_before, y_before, x, y, channel, MET)
@@ -156,7 +163,7 @@ def _touch(window: Window, row: int, column: int) -> None:
 
 @kernel
 def _mark(window: Window, x: float, y: float, channel: int, what: int) -> None:
-    """A drop stays one, and so does what was met."""
+    """What says more counts: a drop stays one, and so does what was met."""
     row, column, seen = int(np.floor(y)), int(np.floor(x)), window.seen
     if 0 <= row < seen.shape[0] and 0 <= column < seen.shape[1] and seen[row, column, channel] < what:
         _touch(window, row, column)
@@ -189,8 +196,8 @@ def _channel(layer: float, top: float, channels: int) -> int:
 
 
 @kernel
-def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: Bands) -> None:
-    """Mark what a ray passes from one share of its way to another, cell by cell (Amanatides & Woo 1987)."""
+def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: Bands, what: int) -> None:
+    """Mark what lies on a ray from one share of its way to another, cell by cell (Amanatides & Woo 1987)."""
     dx, dy, dh = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
     # Only where it is within the bands.
     if dh > 0:
@@ -217,8 +224,7 @@ def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: 
         if 0 <= row < rows and 0 <= column < columns:
             _touch(window, row, column)
             for channel in range(min(here, there), max(here, there) + 1):
-                if seen[row, column, channel] == 0:
-                    seen[row, column, channel] = PASSED
+                seen[row, column, channel] = max(seen[row, column, channel], what)
         here = there
         if next_x < next_y:
             column += step_x
@@ -264,7 +270,10 @@ def add(window: Window, log_odds: Any, row: int, column: int, steps: Steps) -> N
                 # That the floor is missing is as surely seen as that it is there.
                 value += steps.met if what == FLOOR else -steps.met
                 value = min(max(value, -steps.most), steps.most)
+            elif what == HIDDEN:
+                value = 1 if value == 0 else value
             else:
+                value = 0 if value == 1 else value
                 value += steps.met if what == MET else steps.passed
                 value = min(max(value, steps.least), steps.most)
             log_odds[row + i, column + j, channel] = value

@@ -16,9 +16,9 @@ from wheelsight.mapping import _occupancy_kernels as kernels
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 from wheelsight.mapping.occupancy_settings import OccupancySettings
 
-# Log-odds are kept in these steps: 3.5, the log-odds of 0.97, is 111, and int8 holds 127.
-_STEPS_PER_UNIT = 32.0
-_MOST_STEPS = 127
+# Log-odds are kept in even steps: 3.5, the log-odds of 0.97, is 112, and int8 holds 127.
+_PAIRS_PER_UNIT = 16.0
+_MOST_PAIRS = 63
 _UNITS_PER_M = 5000.0
 _GROWTH_CELLS = 128
 # Cells of unknown floor all round what is known.
@@ -137,14 +137,14 @@ class OccupancyMapper:
     def grid(self) -> OccupancyGrid:
         """The map as it is by now, cut to what is known; one unknown cell where nothing is."""
         size_m = self.settings.resolution_m
-        is_known = (self._log_odds != 0).any(axis=2)
-        rows, columns = (np.flatnonzero(is_known.any(axis=axis)) for axis in (1, 0))
+        kind, is_free = _kinds(self._log_odds, _log_odds(self.settings.occupied))
+        rows, columns = (np.flatnonzero((kind != CellKind.UNKNOWN).any(axis=axis)) for axis in (1, 0))
         if not len(rows):
             return OccupancyGrid.of_kinds(np.zeros((1, 1), np.uint8), np.zeros((1, 1), bool), size_m, (0.0, 0.0))
         low = np.maximum([rows[0] - _BORDER_CELLS, columns[0] - _BORDER_CELLS], 0)
-        cut = self._log_odds[low[0] : rows[-1] + 1 + _BORDER_CELLS, low[1] : columns[-1] + 1 + _BORDER_CELLS]
+        cut = slice(low[0], rows[-1] + 1 + _BORDER_CELLS), slice(low[1], columns[-1] + 1 + _BORDER_CELLS)
         y_m, x_m = (size_m * (self._low + low)).tolist()
-        return OccupancyGrid.of_kinds(*_kinds(cut, _log_odds(self.settings.occupied)), size_m, (x_m, y_m))
+        return OccupancyGrid.of_kinds(kind[cut], is_free[cut], size_m, (x_m, y_m))
 
     @property
     def _channels(self) -> int:
@@ -225,7 +225,7 @@ def _window(side: int, channels: int) -> kernels.Window:
 def _kinds(log_odds: NDArray[np.int8], occupied: int) -> tuple[NDArray[np.uint8], BoolArray]:
     """(H, W) kinds, and where there is floor with nothing in the robot's way, of steps (H, W, channels)."""
     ground, layers, above = log_odds[..., 0], log_odds[..., 1:-1].max(axis=2), log_odds[..., -1]
-    # Once seen and not yet seen through often enough to be none is unknown.
+    # What was met, and not yet passed often enough to be none, or was hidden alone, leaves the cell unknown.
     is_free = (ground >= occupied) & (layers <= 0)
     kind = np.where(is_free, CellKind.FREE, CellKind.UNKNOWN)
     kind = np.where(above >= occupied, CellKind.OVERHANG, kind)
@@ -236,8 +236,8 @@ def _kinds(log_odds: NDArray[np.int8], occupied: int) -> tuple[NDArray[np.uint8]
 
 def _log_odds(probability: float) -> int:
     """In steps."""
-    steps = round(_STEPS_PER_UNIT * math.log(probability / (1 - probability)))
-    return min(max(steps, -_MOST_STEPS), _MOST_STEPS)
+    pairs = round(_PAIRS_PER_UNIT * math.log(probability / (1 - probability)))
+    return 2 * min(max(pairs, -_MOST_PAIRS), _MOST_PAIRS)
 
 
 def _steps_of(settings: OccupancySettings) -> kernels.Steps:

@@ -73,6 +73,14 @@ class OccupancySettings(Settings):
         ge=0,
         le=1,
     )
+    hidden_m: float = setting(
+        0.8,
+        "how far behind what is seen its inside may be, metres: of a shelf at the camera's height its front alone is "
+        "seen, and the floor below; as deep as tables are",
+        "a simulated room: docs/decisions/0060",
+        ge=0,
+        le=10,
+    )
     margin_sigmas: float = setting(
         3.0,
         "standard deviations of depth before what a ray ends at, and a cell, in which it frees nothing",

@@ -83,15 +83,16 @@ def merge(
     surfel_map = fused_of(parts, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
     recognizer = _knows_all(parts, pair, watcher, recognition, on_keyframe)
     source = " and ".join(filter(None, (first.header.source, second.header.source)))
-    edits = MapEdits(
-        (
-            *carried_edits(first, kept).edits,
-            *carried_edits(second, kept, len(pair.first), is_same_frame=False).edits,
-        )
-    )
-    folder = write_map(parts, out, first, (recognizer, surfel_map, edits), on_keyframe, source)
+    made = recognizer, surfel_map, _edits(first, second, kept, pair)
+    folder = write_map(parts, out, first, made, on_keyframe, source)
     save_occupancy(folder, lambda done, total: on_keyframe("occupancy", done, total))
     return _told(folder, pair, kept, graph)
+
+
+def _edits(first: MapFolder, second: MapFolder, kept: IntArray, pair: _Pair) -> MapEdits:
+    """Of both maps; the second's all hang on keyframes, whose frame goes."""
+    of_second = carried_edits(second, kept, len(pair.first), is_same_frame=False)
+    return MapEdits((*carried_edits(first, kept).edits, *of_second.edits))
 
 
 def _told(folder: MapFolder, pair: _Pair, kept: IntArray, graph: PieceGraph) -> MergedMap:

@@ -12,7 +12,7 @@ from wheelsight.mapping import OccupancyGrid, OccupancyMapper, OccupancySettings
 from wheelsight.ros_map import write_ros_map
 from wheelsight.slam.sessions.hanging import lie_together
 from wheelsight.slam.sessions.map_folder import OCCUPANCY_FILE, MapFolder
-from wheelsight.slam.sessions.parts import are_there
+from wheelsight.slam.sessions.parts import edits_as_known
 
 Progress = Callable[[int, int], None]
 
@@ -43,11 +43,8 @@ def occupancy_of(
     for done, number in enumerate(todo, start=1):
         made.keep(number, folder.store[number])
         on_keyframe(done, len(todo))
-    T, there = folder.store.T_map_keyframe, are_there(folder)
-    made.move(T, together)
-    # One that hung on a keyframe that damage took is where it was drawn.
-    edits = folder.map_edits().carried(T, np.where(there, np.arange(len(there)), -1))
-    return edits.applied(made.grid(), T)
+    made.move(folder.store.T_map_keyframe, together)
+    return edits_as_known(folder).applied(made.grid(), folder.store.T_map_keyframe)
 
 
 def save_occupancy(

@@ -78,6 +78,12 @@ def are_there(folder: MapFolder) -> BoolArray:
     return there
 
 
+def edits_as_known(folder: MapFolder) -> MapEdits:
+    """The edits of a map; one that hung on a keyframe that damage took is where it was drawn. Raises MapError."""
+    there = are_there(folder)
+    return folder.map_edits().carried(folder.store.T_map_keyframe, np.where(there, np.arange(len(there)), -1))
+
+
 def carried_edits(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame: bool = True) -> MapEdits:
     """The edits of a map for one that is made of its parts, see `MapEdits.carried`. Raises MapError.
 

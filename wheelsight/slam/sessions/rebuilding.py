@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-import numpy as np
-
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath, refuse_full
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
@@ -17,7 +15,7 @@ from wheelsight.places.views import known_grey
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
 from wheelsight.slam.sessions.occupancy import save_occupancy
-from wheelsight.slam.sessions.parts import MapParts, Progress, are_there
+from wheelsight.slam.sessions.parts import MapParts, Progress, edits_as_known
 from wheelsight.threads import Rows
 from wheelsight.views import Surface
 
@@ -47,17 +45,12 @@ def rebuild(
         OutputError: it cannot be written.
     """
     refuse_full(out, NEW_FOLDER)
-    there = are_there(folder)
-    edits = folder.map_edits().carried(folder.store.T_map_keyframe, np.where(there, np.arange(len(there)), -1))
+    edits = edits_as_known(folder)
     surfel_map = fused_anew(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
     source, factor = folder.header.source, folder.header.camera.depth_factor
     new = MapFolder.create(out, folder.calibration, folder.settings, source=source, depth_factor=factor)
     try:
-        numbers = list(folder.store)
-        for done, number in enumerate(numbers, start=1):
-            place = folder.contents.places[number]
-            new.append_keyframe(number, folder.store[number], folder.store.pose(number), place.T_odom_keyframe)
-            on_keyframe("writing", done, len(numbers))
+        _copy_keyframes(folder, new, lambda done, total: on_keyframe("writing", done, total))
         new.append_edges(folder.edges)
         found = folder.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
         new.save_recognition(found)
@@ -69,6 +62,14 @@ def rebuild(
     made = MapFolder.open(out, settings=folder.settings)
     save_occupancy(made, lambda done, total: on_keyframe("occupancy", done, total))
     return made
+
+
+def _copy_keyframes(folder: MapFolder, new: MapFolder, on_keyframe: Callable[[int, int], None]) -> None:
+    numbers = list(folder.store)
+    for done, number in enumerate(numbers, start=1):
+        place = folder.contents.places[number]
+        new.append_keyframe(number, folder.store[number], folder.store.pose(number), place.T_odom_keyframe)
+        on_keyframe(done, len(numbers))
 
 
 def fused_anew(
