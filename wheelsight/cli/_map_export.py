@@ -77,7 +77,7 @@ def _write_points(folder: MapFolder, out: Path, everything: bool) -> None:
 
 
 def _grid(folder: MapFolder, resolution_m: float | None) -> OccupancyGrid:
-    from wheelsight.cli._maps import compile_kernels
+    from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.mapping import OccupancyMapper
     from wheelsight.slam.sessions import occupancy_of
@@ -85,7 +85,7 @@ def _grid(folder: MapFolder, resolution_m: float | None) -> OccupancyGrid:
     settings = folder.settings.occupancy
     if resolution_m is not None:
         settings = settings.model_copy(update={"resolution_m": resolution_m})
-    compile_kernels()
+    compile_missing(["dense"])
     # Refused before any keyframe is read, where nobody knows where the camera sits.
     mapper = OccupancyMapper(folder.calibration, settings)
     with FrameProgress("occupancy", None, unit="keyframes") as progress:
@@ -116,12 +116,12 @@ def _write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
 
 
 def _fused(folder: MapFolder) -> SurfelMap:
+    from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note
-    from wheelsight.cli._maps import compile_kernels
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.slam.sessions import fused_anew
 
     print_note("the map has no surfels; they are fused of its keyframes")
-    compile_kernels()
+    compile_missing(["dense"])
     with FrameProgress("fusing", None, unit="keyframes") as progress:
         return fused_anew(folder, on_keyframe=progress.reach)

@@ -43,7 +43,7 @@ def rebuild(source: Path, out: Path) -> None:
     from wheelsight.slam.sessions import info_of, rebuild
 
     folder = _opened(source)
-    compile_kernels()
+    _compile()
     with FrameProgress("rebuilding", None, unit="keyframes") as progress:
         new = rebuild(folder, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
     told = info_of(new)
@@ -58,7 +58,7 @@ def merge(first: Path, second: Path, out: Path) -> None:
     from wheelsight.slam.sessions import merge
 
     folders = _opened(first), _opened(second)
-    compile_kernels()
+    _compile()
     with FrameProgress("merging", None, unit="keyframes") as progress:
         made = merge(*folders, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
     if made.left_out:
@@ -75,7 +75,7 @@ def prune(source: Path, out: Path) -> None:
     from wheelsight.slam.sessions import prune
 
     folder = _opened(source)
-    compile_kernels()
+    _compile()
     with FrameProgress("pruning", None, unit="keyframes") as progress:
         made = prune(folder, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
     typer.echo(f"{len(made.folder.store):,} keyframes, {made.left_out:,} left out: {out}")
@@ -87,8 +87,7 @@ def _opened(source: Path) -> MapFolder:
     return MapFolder.open(find_map(source))
 
 
-def compile_kernels() -> None:
-    """What any of this needs."""
+def _compile() -> None:
     from wheelsight.cli._compiling import compile_missing
 
     compile_missing(["dense"])

@@ -241,7 +241,7 @@ def _log_odds(probability: float) -> int:
 
 
 def _steps_of(settings: OccupancySettings) -> kernels.Steps:
-    return kernels.Steps(*(_log_odds(getattr(settings, name)) for name in ("hit", "passed", "least", "most")))
+    return kernels.Steps(*map(_log_odds, (settings.hit, settings.passed, settings.least, settings.most)))
 
 
 def _checked(T_map_keyframe: ArrayLike, number: int) -> FloatArray:

@@ -191,3 +191,10 @@ def test_extending_a_map_makes_it_of_all_its_keyframes(kept: Path) -> None:
     plan = read_ros_map(kept / "occupancy.yaml")
     walls_m = plan.to_map(np.argwhere(plan.occupancy == OCCUPIED)[:, ::-1] + 0.5)[:, 0]
     assert (walls_m.min(), walls_m.max()) == pytest.approx((-3.0, 23.0), abs=0.06)
+
+
+def test_a_map_too_large_is_rebuilt_all_the_same(tmp_path: Path) -> None:
+    few = SessionSettings(occupancy=OccupancySettings(most_cells=10_000))
+    drive(tmp_path / "map", WAY, few).close()
+    new = rebuild(MapFolder.open(tmp_path / "map", settings=few), tmp_path / "new", None, RECOGNITION)
+    assert (len(new.store), info_of(new).occupancy_bytes) == (len(WAY), None)

@@ -19,7 +19,7 @@ from wheelsight.slam.piece_graph import PieceGraph
 from wheelsight.slam.recognised import PlaceWatcher
 from wheelsight.slam.sessions.hanging import pieces_of
 from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
-from wheelsight.slam.sessions.occupancy import save_occupancy
+from wheelsight.slam.sessions.occupancy import with_occupancy
 from wheelsight.slam.sessions.parts import MapParts, Progress, carried_edits, recognizer_of, write_map
 from wheelsight.slam.sessions.rebuilding import fused_of
 from wheelsight.slam.settings import LoopSettings
@@ -81,11 +81,9 @@ def merge(
         raise _unjoined(first, second, pair)
     parts = replace(pair.both, T_map_keyframe=graph.poses, edges=(*graph.edges, *_between(pair, first))).some(kept)
     surfel_map = fused_of(parts, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
-    recognizer = _knows_all(parts, pair, watcher, recognition, on_keyframe)
     source = " and ".join(filter(None, (first.header.source, second.header.source)))
-    made = recognizer, surfel_map, _edits(first, second, kept, pair)
-    folder = write_map(parts, out, first, made, on_keyframe, source)
-    save_occupancy(folder, lambda done, total: on_keyframe("occupancy", done, total))
+    made = _knows_all(parts, pair, watcher, recognition, on_keyframe), surfel_map, _edits(first, second, kept, pair)
+    folder = with_occupancy(write_map(parts, out, first, made, on_keyframe, source), on_keyframe)
     return _told(folder, pair, kept, graph)
 
 

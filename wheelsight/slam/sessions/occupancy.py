@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
+from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeId
 from wheelsight.mapping import OccupancyGrid, OccupancyMapper, OccupancySettings
@@ -59,6 +61,16 @@ def save_occupancy(
     grid = occupancy_of(folder, None, on_keyframe, mapper)
     write_ros_map(grid.to_ros(), folder.path / OCCUPANCY_FILE)
     return grid
+
+
+def with_occupancy(folder: MapFolder, on_keyframe: Callable[[str, int, int], None]) -> MapFolder:
+    """A new map, whose occupancy map is written by now, if it can be made: a map is whole without it.
+
+    Why there is none `occupancy_of` says. Raises OutputError.
+    """
+    with suppress(MapError):
+        save_occupancy(folder, lambda done, total: on_keyframe("occupancy", done, total))
+    return folder
 
 
 def driven_way(folder: MapFolder) -> FloatArray:

@@ -20,7 +20,7 @@ from wheelsight.settings import PlaceVerificationSettings, RecognitionSettings
 from wheelsight.slam.contraction import without
 from wheelsight.slam.sessions.hanging import pieces_of
 from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
-from wheelsight.slam.sessions.occupancy import save_occupancy
+from wheelsight.slam.sessions.occupancy import with_occupancy
 from wheelsight.slam.sessions.parts import (
     MapParts,
     Progress,
@@ -78,8 +78,7 @@ def prune(
     recognizer = recognizer_of(left, recognition, on_keyframe)
     hangs_on = new_numbers(kept, len(parts))[shown_by]
     made = recognizer, _rehung(folder, left, hangs_on), carried_edits(folder, kept)
-    new = write_map(left, out, folder, made, on_keyframe)
-    save_occupancy(new, lambda done, total: on_keyframe("occupancy", done, total))
+    new = with_occupancy(write_map(left, out, folder, made, on_keyframe), on_keyframe)
     return PrunedMap(new, len(parts) - len(left))
 
 

@@ -14,7 +14,7 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.places.views import known_grey
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
-from wheelsight.slam.sessions.occupancy import save_occupancy
+from wheelsight.slam.sessions.occupancy import with_occupancy
 from wheelsight.slam.sessions.parts import MapParts, Progress, edits_as_known
 from wheelsight.threads import Rows
 from wheelsight.views import Surface
@@ -59,9 +59,7 @@ def rebuild(
             new.save_edits(edits)
     finally:
         new.close()
-    made = MapFolder.open(out, settings=folder.settings)
-    save_occupancy(made, lambda done, total: on_keyframe("occupancy", done, total))
-    return made
+    return with_occupancy(MapFolder.open(out, settings=folder.settings), on_keyframe)
 
 
 def _copy_keyframes(folder: MapFolder, new: MapFolder, on_keyframe: Callable[[int, int], None]) -> None:
