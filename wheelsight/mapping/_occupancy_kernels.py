@@ -129,7 +129,8 @@ def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float
         above[0] = _THING
         channel = _channel_at(end[2], bands, window.seen.shape[2])
         _mark(window, x, y, channel, MET)
-        _pass(window, begin, end, 1.0, 1 + bands.hidden_m * a_metre, bands, HIDDEN)
+        if needed < 1:
+            _pass(window, begin, end, 1.0, 1 + bands.hidden_m * a_metre, bands, HIDDEN)
         gap_m = bands.resolution_m * np.hypot(x - x_before, y - y_before)
         if before == _THING and gap_m <= bands.bridged_m and abs(end[2] - h_before) < bands.layer_m:
             _fill(window, x_before, y_before, x, y, channel, MET)

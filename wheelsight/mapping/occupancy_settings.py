@@ -104,7 +104,7 @@ class OccupancySettings(Settings):
     )
     most_cells: int = setting(
         6_000_000,
-        "bound on memory, some 17 bytes a cell: 150 × 100 m in cells of 0.05 m",
+        "bound on memory, 16 bytes a cell: 150 × 100 m in cells of 0.05 m",
         "reckoned",
         ge=10_000,
         le=100_000_000,
