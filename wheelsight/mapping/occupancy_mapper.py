@@ -52,7 +52,7 @@ class _Seen:
 class OccupancyMapper:
     """Log-odds that layers of height over the floor are occupied, by all keyframes that were added.
 
-    The floor is z = 0 of the base at each keyframe, so that a map whose height drifts does not drown. Of each keyframe
+    The floor is z = 0 of the base at each keyframe, so that a map may drift in height. Of each keyframe
     some depth is kept, about 10 kB: where keyframes moved, all is made anew of that, and no image is decoded.
 
     Args:
