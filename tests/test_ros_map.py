@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
 
-from wheelsight.errors import MapError
-from wheelsight.ros_map import FREE, OCCUPIED, UNKNOWN, read_ros_map
+from wheelsight.errors import MapError, OutputError
+from wheelsight.ros_map import FREE, OCCUPIED, UNKNOWN, Mode, RosMap, read_ros_map, write_ros_map
 
 YAML = "image: a.pgm\nresolution: 0.1\norigin: [1, 2, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
 # Black, grey as map_saver writes what is unknown, and the two whites in use; below it, what falls between.
@@ -111,10 +116,10 @@ def test_a_field_that_is_wrong_is_named_with_its_line(tmp_path: Path, change: tu
         (np.zeros((4, 4, 4), np.uint8), "is transparent in places (save it without alpha channel"),
     ],
 )
-def test_an_image_that_is_no_map_is_named(tmp_path: Path, image: np.ndarray, problem: str) -> None:
-    path = written(tmp_path, YAML.replace("a.pgm", "a.png"), image, "a.png")
+def test_a_bare_image_that_is_no_map_is_named(tmp_path: Path, image: np.ndarray, problem: str) -> None:
+    written(tmp_path, YAML, image, "a.png")
     with pytest.raises(MapError) as caught:
-        read_ros_map(path)
+        read_ros_map(tmp_path / "a.png", 0.05)
     assert str(caught.value).startswith(f"{tmp_path / 'a.png'}: {problem}")
 
 
@@ -131,8 +136,108 @@ def test_an_image_that_is_missing_or_damaged_is_named(tmp_path: Path) -> None:
         read_ros_map(path)
 
 
-def test_real_maps_are_read(data_folder: Path) -> None:
-    for path in sorted((data_folder / "maps").glob("*.yaml")):
-        plan = read_ros_map(path)
-        assert set(np.unique(plan.occupancy)) == {UNKNOWN, FREE, OCCUPIED}, path.name
-        assert 0.02 < (plan.occupancy == FREE).mean() < 0.9
+@pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
+def test_what_is_transparent_is_unknown_but_in_raw_maps(tmp_path: Path, mode: str) -> None:
+    alpha = np.array([[255, 0, 255, 255], [254, 255, 255, 0]], np.uint8)
+    image = np.dstack([PIXELS, PIXELS, PIXELS, alpha])
+    plain = read_ros_map(written(tmp_path, YAML + f"mode: {mode}\n")).occupancy
+    seen = read_ros_map(written(tmp_path, YAML.replace("a.pgm", "a.png") + f"mode: {mode}\n", image, "a.png")).occupancy
+    expected = plain if mode == "raw" else np.where(alpha[::-1] < 255, UNKNOWN, plain)
+    np.testing.assert_array_equal(seen, expected)
+
+
+def test_thresholds_count_themselves(tmp_path: Path) -> None:
+    """Half of 255 is no pixel; 0 and 1 are."""
+    text = YAML.replace("0.65", "1.0").replace("0.196", "0.0")
+    plan = read_ros_map(written(tmp_path, text))
+    np.testing.assert_array_equal(plan.occupancy[1], [OCCUPIED, UNKNOWN, UNKNOWN, FREE])
+
+
+def pixels_of(path: Path) -> np.ndarray:
+    """A plain PGM by its own bytes; a PNG, whose colours are all alike, by one of them."""
+    if path.suffix == ".png":
+        image = cv2.imread(str(path))
+        assert image is not None
+        return image[..., 1]
+    data, numbers, at = path.read_bytes(), list[int](), 2
+    assert data.startswith(b"P5")
+    while len(numbers) < 3:
+        line = data[at : data.index(b"\n", at)]
+        at += len(line) + 1
+        numbers += [int(word) for word in line.split(b"#")[0].split()]
+    width, height, _ = numbers
+    return np.frombuffer(data, np.uint8, width * height, at).reshape(height, width)
+
+
+def plainly_read(path: Path) -> tuple[np.ndarray, dict[str, object]]:
+    """A map in mode trinary as map_server's documentation reads it: shade by shade, in exact fractions."""
+    told = yaml.safe_load(path.read_text())
+    assert told.get("mode", "trinary") == "trinary"
+    table = np.empty(256, np.int8)
+    for shade in range(256):
+        occupied = Fraction(shade if told["negate"] else 255 - shade, 255)
+        is_occupied, is_free = occupied > Fraction(told["occupied_thresh"]), occupied < Fraction(told["free_thresh"])
+        table[shade] = 100 if is_occupied else 0 if is_free else -1
+    image = pixels_of(path.parent / told["image"])
+    return np.array([table[row] for row in reversed(image)]), told
+
+
+def test_cells_of_real_maps_are_those_of_a_plain_reading_and_come_back(data_folder: Path, tmp_path: Path) -> None:
+    paths = sorted((data_folder / "maps").glob("*.yaml"))
+    assert len(paths) >= 5
+    for path in paths:
+        plan, (cells, told) = read_ros_map(path), plainly_read(path)
+        np.testing.assert_array_equal(plan.occupancy, cells, err_msg=path.name)
+        assert [plan.resolution_m, *plan.origin] == [told["resolution"], *told["origin"]]  # type: ignore[misc]
+        write_ros_map(plan, tmp_path / path.name)
+        again, (cells, _) = read_ros_map(tmp_path / path.name), plainly_read(tmp_path / path.name)
+        for back in (again.occupancy, cells):
+            np.testing.assert_array_equal(back, plan.occupancy, err_msg=path.name)
+        assert (again.resolution_m, again.origin) == (plan.resolution_m, plan.origin)
+
+
+METRES = st.floats(-1e4, 1e4)
+ORIGINS = st.tuples(METRES, METRES, st.floats(-math.pi, math.pi))
+RESOLUTIONS = st.floats(0.001, 1.0)
+SHAPES = array_shapes(min_dims=2, max_dims=2, max_side=12)
+PERCENT = st.integers(UNKNOWN, OCCUPIED)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("maps")
+
+
+@given(arrays(np.int8, SHAPES, elements=st.sampled_from([UNKNOWN, FREE, OCCUPIED])), RESOLUTIONS, ORIGINS)
+def test_a_trinary_map_comes_back_exactly(
+    folder: Path, cells: np.ndarray, resolution_m: float, origin: tuple[float, float, float]
+) -> None:
+    path, image = write_ros_map(RosMap(cells, resolution_m, origin), folder / "a.yaml")
+    back = read_ros_map(path)
+    np.testing.assert_array_equal(back.occupancy, cells)
+    assert (back.resolution_m, back.origin) == (resolution_m, origin)
+    np.testing.assert_array_equal(plainly_read(path)[0], cells)
+    assert set(np.unique(pixels_of(image))) <= {0, 205, 254}
+
+
+@given(arrays(np.int8, SHAPES, elements=PERCENT), st.sampled_from(["scale", "raw"]))
+def test_shares_come_back_exactly(folder: Path, cells: np.ndarray, mode: Mode) -> None:
+    path, _ = write_ros_map(RosMap(cells, 0.05), folder / "shares.yaml", mode)
+    np.testing.assert_array_equal(read_ros_map(path).occupancy, cells)
+
+
+def test_what_lies_between_the_thresholds_is_unknown_once_written(tmp_path: Path) -> None:
+    cells = np.array([[0, 19, 20, 21, 64, 65, 100, -1]], np.int8)
+    write_ros_map(RosMap(cells, 0.05), tmp_path / "a.yaml")
+    assert read_ros_map(tmp_path / "a.yaml").occupancy.tolist() == [[0, 0, 0, -1, -1, 100, 100, -1]]
+
+
+def test_a_map_that_cannot_be_written_is_refused_and_leaves_the_old_one(tmp_path: Path) -> None:
+    plan = RosMap(np.zeros((2, 3), np.int8), 0.05)
+    with pytest.raises(MapError, match=r"a\.pgm: does not end in \.yaml or \.yml \(the image stands beside it\)"):
+        write_ros_map(plan, tmp_path / "a.pgm")
+    with pytest.raises(MapError, match="mode is 'colour'"):
+        write_ros_map(plan, tmp_path / "a.yaml", "colour")  # type: ignore[arg-type]
+    with pytest.raises(OutputError, match="does not exist"):
+        write_ros_map(plan, tmp_path / "nowhere" / "a.yaml")
+    assert list(tmp_path.iterdir()) == []

@@ -26,7 +26,18 @@ if TYPE_CHECKING:
     from wheelsight.geometry import PinholeCamera
     from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
     from wheelsight.localizer import Localizer
-    from wheelsight.mapping import SurfelMap, SurfelSettings, load_map, mesh_of, save_map, write_mesh_ply, write_ply
+    from wheelsight.mapping import (
+        OccupancyGrid,
+        OccupancyMapper,
+        OccupancySettings,
+        SurfelMap,
+        SurfelSettings,
+        load_map,
+        mesh_of,
+        save_map,
+        write_mesh_ply,
+        write_ply,
+    )
     from wheelsight.odometry.dense import DenseOdometry, DenseSettings
     from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
     from wheelsight.odometry.wheels import WheelOdometry
@@ -64,6 +75,9 @@ __all__ = [
     "LigockiSettings",
     "Localizer",
     "MotionEstimate",
+    "OccupancyGrid",
+    "OccupancyMapper",
+    "OccupancySettings",
     "OpenOptions",
     "PinholeCamera",
     "PlaceMatch",
@@ -125,7 +139,10 @@ _NAMES_OF = {
     "geometry": ("PinholeCamera",),
     "keyframes": ("Keyframe", "KeyframeId", "KeyframeStore"),
     "localizer": ("Localizer",),
-    "mapping": ("SurfelMap", "SurfelSettings", "load_map", "mesh_of", "save_map", "write_mesh_ply", "write_ply"),
+    "mapping": (
+        *("OccupancyGrid", "OccupancyMapper", "OccupancySettings"),
+        *("SurfelMap", "SurfelSettings", "load_map", "mesh_of", "save_map", "write_mesh_ply", "write_ply"),
+    ),
     "odometry.dense": ("DenseOdometry", "DenseSettings"),
     "odometry.features": ("FeatureOdometry", "FeatureSettings"),
     "odometry.wheels": ("WheelOdometry",),

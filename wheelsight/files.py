@@ -94,12 +94,12 @@ def make_output_folder(folder: StrPath, force: bool = False) -> Path:
     return folder
 
 
-def refuse_full(folder: StrPath) -> None:
-    """Raises OutputError for a folder that holds something; it makes none."""
+def refuse_full(folder: StrPath, fix: str = "choose another --out, or add --force to overwrite") -> None:
+    """Raises OutputError, with what to do, for a folder that holds something; it makes none."""
     folder = Path(folder)
     try:
         if folder.is_dir() and any(folder.iterdir()):
-            raise OutputError("is not empty", path=folder, fix="choose another --out, or add --force to overwrite")
+            raise OutputError("is not empty", path=folder, fix=fix)
     except OSError as error:
         raise output_error(error, folder) from error
 

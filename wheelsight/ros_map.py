@@ -1,18 +1,19 @@
-"""Floor plans and occupancy maps in the format of ROS map_server and Nav2: an image, and a YAML file about it."""
+"""Floor plans and occupancy maps in the format of ROS map_server and Nav2, read and written: an image, and YAML."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
+import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from wheelsight.errors import MapError
-from wheelsight.files import StrPath
+from wheelsight.files import StrPath, output_error, write_bytes, write_text
 from wheelsight.geometry import MOST_PIXELS, ByteArray, FloatArray, se2
 from wheelsight.inputs import Kind, line_of, picture_size, read_bytes, read_yaml, scan_count
 
@@ -20,7 +21,11 @@ OCCUPIED, FREE, UNKNOWN = 100, 0, -1
 # What map_server's documentation and `map_saver` write; they hold where a YAML file tells no others.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 
+Mode = Literal["trinary", "scale", "raw"]
+
 _MODES = ("trinary", "scale", "raw")
+# What map_saver paints: the grey of unknown cells is unknown again at 0.196, and would be free at 0.25.
+_BLACK, _GREY, _WHITE = 0, 205, 254
 _YAML_SUFFIXES = (".yaml", ".yml")
 _PICTURE = Kind("a map's image", most_mb=128, missing="the map's image is missing", fix="put it where image: says")
 _LARGEST_CELL_M = 10.0
@@ -61,9 +66,10 @@ class RosMap:
 def read_ros_map(path: StrPath, resolution_m: float | None = None) -> RosMap:
     """Read a map_server map by its YAML file, or a bare image by its resolution.
 
-    A cell's occupancy is 1 - the mean of its colours (the mean itself with `negate`). In mode `trinary` it is occupied
-    over `occupied_thresh`, free below `free_thresh`, unknown between; `scale` has shares between the two; `raw` takes
-    pixel values 0 to 100 as they are, others as unknown.
+    Cells come out as those of Nav2's map_server. A cell's occupancy is 1 - the mean of its colours (the mean itself
+    with `negate`). In mode `trinary` it is occupied from `occupied_thresh` on, free up to `free_thresh`, and unknown
+    between; `scale` has shares between the two; in both, what is transparent is unknown. `raw` takes pixel values 0 to
+    100 as they are, others as unknown. Of images in colours Nav2 weighs red, green and blue, as this does not.
 
     Args:
         path: of the YAML file, or of a PNG or PGM image, which is read as `trinary`, its lower left corner at (0, 0).
@@ -71,7 +77,7 @@ def read_ros_map(path: StrPath, resolution_m: float | None = None) -> RosMap:
 
     Raises:
         MapError: naming file, line and fix: a file that is missing or damaged, a field that is wrong, an image of 16
-            bits, with transparency, or of more pixels than a map has.
+            bits, or of more pixels than a map has; a bare one that is transparent.
     """
     path = Path(path)
     if path.suffix.lower() in _YAML_SUFFIXES:
@@ -85,14 +91,80 @@ def read_ros_map(path: StrPath, resolution_m: float | None = None) -> RosMap:
             fix = f"metres a cell: over 0, up to {_LARGEST_CELL_M:g}"
             raise MapError(f"--resolution is {resolution_m:g}", path=path, fix=fix)
         about = _Description(path, resolution_m)
-    image = read_plan_image(about.image)
+    image = read_plan_image(about.image) if about.image == path else _read_image(about.image)
     if max(image.shape[:2]) * about.resolution_m > _LARGEST_SPAN_M:
         raise MapError(f"is over {_LARGEST_SPAN_M / 1000:g} km long", path=path, fix="resolution is metres a cell")
     return RosMap(_occupancy(image, about), about.resolution_m, about.origin)
 
 
+def write_ros_map(ros_map: RosMap, path: StrPath, mode: Mode = "trinary") -> tuple[Path, Path]:
+    """Write a map as Nav2's map_saver does, so that map_server gets the same cells: a YAML file, an image beside it.
+
+    `trinary` and `raw` are written as PGM; `scale` as PNG, whose unknown cells are transparent. In `trinary` what lies
+    between both thresholds becomes unknown; `raw` and `scale` keep every percent.
+
+    The image comes first, and an old YAML file goes before it: whatever happens in between, no file tells the wrong
+    place of another one's image.
+
+    Args:
+        ros_map: at least one cell.
+        path: of the YAML file.
+        mode: of the file.
+
+    Returns the paths of both files.
+
+    Raises:
+        MapError: a path that does not end in .yaml or .yml, or another mode.
+        OutputError: one of them cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in _YAML_SUFFIXES:
+        raise MapError(f"does not end in {' or '.join(_YAML_SUFFIXES)}", path=path, fix="the image stands beside it")
+    if mode not in _MODES:
+        raise MapError(f"mode is {mode!r}", path=path, fix=f"one of {', '.join(_MODES)}")
+    image = path.with_suffix(".png" if mode == "scale" else ".pgm")
+    written, code = cv2.imencode(image.suffix, _painted(ros_map.occupancy[::-1], mode))
+    assert written
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise output_error(error, path) from error
+    write_bytes(image, code.tobytes())
+    # Of shares a reader makes thresholds of its own: those that keep each of them are 0 and 1.
+    free, occupied = (0.0, 1.0) if mode == "scale" else (FREE_THRESHOLD, OCCUPIED_THRESHOLD)
+    fields: dict[str, Any] = {"image": image.name, "mode": mode, "resolution": float(ros_map.resolution_m)}
+    fields |= {"origin": [float(part) for part in ros_map.origin], "negate": 0}
+    fields |= {"occupied_thresh": occupied, "free_thresh": free}
+    write_text(path, yaml.safe_dump(fields, sort_keys=False, default_flow_style=None, allow_unicode=True))
+    return path, image
+
+
+def _painted(occupancy: NDArray[np.int8], mode: Mode) -> ByteArray:
+    """The image of occupancy (H, W), whose row 0 is the upper one."""
+    percent = occupancy.astype(np.int64)
+    is_known = (percent >= FREE) & (percent <= OCCUPIED)
+    if mode == "raw":
+        return np.where(is_known, percent, _OPAQUE).astype(np.uint8)
+    if mode == "scale":
+        shade = np.where(is_known, np.rint(_OPAQUE * (OCCUPIED - percent) / OCCUPIED), _OPAQUE // 2).astype(np.uint8)
+        return np.dstack([shade, shade, shade, np.where(is_known, _OPAQUE, 0).astype(np.uint8)])
+    limits = round(100 * FREE_THRESHOLD), round(100 * OCCUPIED_THRESHOLD)
+    shade = np.where(percent <= limits[0], _WHITE, np.where(percent >= limits[1], _BLACK, _GREY))
+    return np.where(is_known, shade, _GREY).astype(np.uint8)
+
+
 def read_plan_image(path: StrPath) -> ByteArray:
     """An image (H, W, 3) uint8, or (H, W) where it is grey; row 0 is its upper one. Raises MapError."""
+    image = _read_image(path)
+    if image.ndim == 3 and image.shape[2] == 4:
+        if (image[..., 3] != _OPAQUE).any():
+            raise MapError("is transparent in places", path=path, fix="save it without alpha channel, on white or grey")
+        image = image[..., :3]
+    return np.ascontiguousarray(image, np.uint8)
+
+
+def _read_image(path: StrPath) -> ByteArray:
+    """Likewise, or (H, W, 4) with alpha."""
     data = read_bytes(path, _PICTURE, MapError)
     size = picture_size(data)
     if size is None:
@@ -109,11 +181,7 @@ def read_plan_image(path: StrPath) -> ByteArray:
     if image.dtype != np.uint8:
         problem = f"has {8 * image.dtype.itemsize} bits a pixel and colour"
         raise MapError(problem, path=path, fix="save it with 8 bits; is it a depth image?")
-    if image.ndim == 3 and image.shape[2] == 4:
-        if (image[..., 3] != _OPAQUE).any():
-            raise MapError("is transparent in places", path=path, fix="save it without alpha channel, on white or grey")
-        image = image[..., :3]
-    return np.ascontiguousarray(image, np.uint8)
+    return np.asarray(image, np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,14 +268,24 @@ def _number(value: Any) -> float | None:
 
 
 def _occupancy(image: ByteArray, about: _Description) -> NDArray[np.int8]:
-    """(H, W) of an image, turned over so that row 0 is the lowest."""
-    shade = (image if image.ndim == 2 else image.mean(axis=2))[::-1] / 255.0
+    """(H, W) of an image, turned over so that row 0 is the lowest.
+
+    In single precision and with thresholds that count themselves, as Nav2 computes since 2025.
+    """
+    image = image[::-1]
+    grey = image if image.ndim == 2 else image[..., :3].mean(axis=2)
     if about.mode == "raw":
-        percent = np.round(255 * shade)
+        percent = np.round(grey)
         return np.where(percent <= OCCUPIED, percent, UNKNOWN).astype(np.int8)
-    occupied = shade if about.negate else 1 - shade
-    between = np.full(shade.shape, float(UNKNOWN))
+    shade = grey.astype(np.float32) / np.float32(_OPAQUE)
+    occupied = shade if about.negate else np.float32(1) - shade
+    free_at, occupied_at = np.float32(about.free), np.float32(about.occupied)
+    found = np.full(shade.shape, float(UNKNOWN))
     if about.mode == "scale" and about.occupied > about.free:
-        between = np.round((occupied - about.free) / (about.occupied - about.free) * OCCUPIED)
-    found = np.where(occupied > about.occupied, OCCUPIED, np.where(occupied < about.free, FREE, between))
+        share = (occupied - free_at) / np.float32(about.occupied - about.free)
+        found = np.floor(share * np.float32(OCCUPIED) + np.float32(0.5)).astype(float)
+    found = np.where(occupied >= occupied_at, OCCUPIED, found)
+    found = np.where(occupied <= free_at, FREE, found)
+    if image.ndim == 3 and image.shape[2] == 4:
+        found = np.where(image[..., 3] < _OPAQUE, UNKNOWN, found)
     return found.astype(np.int8)

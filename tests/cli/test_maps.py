@@ -1,14 +1,19 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from sessions.kept_views import write_map
+from sessions.mounted_maps import WAY, drive
 from sessions.seen_maps import RING, aside, write_seen
 from typer.testing import Result
 
+from wheelsight.ros_map import read_ros_map
 from wheelsight.slam.sessions import MapFolder
 from wheelsight.slam.sessions.journal import read_journal
 
@@ -67,7 +72,9 @@ def test_a_map_is_rebuilt_and_its_points_are_written(wheelsight: Command, kept: 
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("5 keyframes, 0 loops, ")
     assert MapFolder.open(tmp_path / "new").surfels() is not None
-    assert "is not empty" in wheelsight("map", "rebuild", kept, "--out", tmp_path / "new").stderr
+    full = wheelsight("map", "rebuild", kept, "--out", tmp_path / "new").stderr
+    assert "is not empty (choose a folder that is empty or not there yet" in full
+    assert "--force" not in full
     ply = tmp_path / "points.ply"
     result = wheelsight("map", "export", tmp_path / "new", "--all", "--out", ply)
     assert result.exit_code == 0, result.output
@@ -78,6 +85,39 @@ def test_a_map_is_rebuilt_and_its_points_are_written(wheelsight: Command, kept: 
     bare = wheelsight("map", "export", kept, "--all", "--out", tmp_path / "bare.ply")
     assert bare.stderr.strip() == "the map has no surfels; they are fused of its keyframes"
     assert bare.stdout.split()[0] == result.stdout.split()[0]
+
+
+def test_what_of_the_floor_is_free_is_exported_and_drawn(wheelsight: Command, tmp_path: Path) -> None:
+    drive(tmp_path / "map", WAY).close()
+    facts = wheelsight("map", "info", tmp_path / "map").stdout
+    assert re.search(r"^occupancy +1\d kB", facts, re.MULTILINE)
+    plan, picture = tmp_path / "plan.yaml", tmp_path / "plan.png"
+    asked = ("map", "export", tmp_path / "map", "--occupancy", plan, "--picture", picture, "--resolution", 0.1)
+    result = wheelsight(*asked)
+    assert result.exit_code == 0, result.output
+    first, second = result.stdout.splitlines()
+    assert re.fullmatch(r"6\.[3-6] × 4\.[3-6] m in cells of 0\.1 m, 2\d\.\d m² free: .+plan\.yaml, plan\.pgm", first)
+    found = read_ros_map(plan)
+    assert found.resolution_m == 0.1
+    assert set(np.unique(found.occupancy)) == {-1, 0, 100}
+    image = cv2.imread(str(picture))
+    assert image is not None
+    assert second.startswith(f"{image.shape[1]} × {image.shape[0]} pixels: ")
+    assert "is there already" in wheelsight(*asked).stderr
+    assert wheelsight(*asked, "--force").exit_code == 0
+
+
+def test_what_cannot_be_exported_is_refused_in_a_line(refusal: Callable[..., str], kept: Path, tmp_path: Path) -> None:
+    assert refusal("map", "export", kept).startswith("nothing is asked for (--out points.ply, --occupancy plan.yaml")
+    occupancy = ("map", "export", kept, "--occupancy")
+    assert "does not end in .yaml or .yml" in refusal(*occupancy, tmp_path / "plan.pgm")
+    assert "where the floor is nobody knows" in refusal(*occupancy, tmp_path / "plan.yaml")
+    (tmp_path / "plan.pgm").touch()
+    assert "plan.pgm: is there already" in refusal(*occupancy, tmp_path / "plan.yaml")
+    assert "--resolution is of occupancy maps" in refusal(
+        "map", "export", kept, "--out", tmp_path / "points.ply", "--resolution", 0.1
+    )
+    assert "does not end in .png" in refusal("map", "export", kept, "--picture", tmp_path / "plan.jpg")
 
 
 def test_what_is_no_map_is_refused_in_a_line(refusal: Callable[..., str], kept: Path, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from wheelsight.errors import OutputError
 from wheelsight.geometry import se3
 from wheelsight.pipeline import MAP_FILE, run_each
 from wheelsight.recordings import open_recording
+from wheelsight.ros_map import FREE, UNKNOWN, read_ros_map
 from wheelsight.runs import run
 from wheelsight.slam import GtsamPoseGraph, OwnPoseGraph
 from wheelsight.slam.graph import Prior
@@ -113,6 +114,9 @@ def test_of_joined_sensors_one_map_is_kept_and_it_lies_where_the_way_has_it(tmp_
     assert sorted(path.parent.name for path in (tmp_path / "out").rglob("map.json")) == ["map"]
     found = MapFolder.open(find_map(tmp_path / "out"))
     assert found.path == tmp_path / "out" / "joined" / "map"
+    # A joined robot knows where its camera sits: what of the floor is free is told at once.
+    plan = read_ros_map(found.path / "occupancy.yaml")
+    assert {FREE, UNKNOWN} < set(np.unique(plan.occupancy).tolist())
     T_base_camera = source.calibration.T_base_camera
     assert T_base_camera is not None
     for number in found.store:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from wheelsight.mapping import SurfelMap
+    from wheelsight.cli._map_export import Exports
     from wheelsight.slam.sessions import MapFolder, MapInfo
 
 _MB = 1e6
@@ -30,18 +30,11 @@ def info(source: Path, as_json: bool) -> None:
         print_warning(note)
 
 
-def export(source: Path, out: Path, everything: bool, force: bool) -> None:
-    """Write the surfels of a map as points."""
-    from wheelsight.cli._outputs import check_out
-    from wheelsight.errors import ConfigError
-    from wheelsight.mapping import write_ply
+def export(source: Path, wanted: Exports, force: bool) -> None:
+    """Write a map for other programs."""
+    from wheelsight.cli._map_export import export
 
-    if out.suffix.lower() != ".ply":
-        raise ConfigError(f"--out is {str(out)!r}, which does not end in .ply", fix="PLY is what is written")
-    folder = _opened(source)
-    check_out(out, force)
-    count = write_ply(folder.surfels() or _fused(folder), out, stable_only=not everything)
-    typer.echo(f"{count:,} points, {out.stat().st_size / _MB:.1f} MB: {out}")
+    export(_opened(source), wanted, force)
 
 
 def rebuild(source: Path, out: Path) -> None:
@@ -94,17 +87,6 @@ def _opened(source: Path) -> MapFolder:
     return MapFolder.open(find_map(source))
 
 
-def _fused(folder: MapFolder) -> SurfelMap:
-    from wheelsight.cli._console import print_note
-    from wheelsight.cli._progress import FrameProgress
-    from wheelsight.slam.sessions import fused_anew
-
-    print_note("the map has no surfels; they are fused of its keyframes")
-    _compile()
-    with FrameProgress("fusing", None, unit="keyframes") as progress:
-        return fused_anew(folder, on_keyframe=progress.reach)
-
-
 def _compile() -> None:
     from wheelsight.cli._compiling import compile_missing
 
@@ -124,6 +106,10 @@ def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
     yield "edges", f"{found.edges:,} by odometry, {found.loops:,} loops; {_parts(found.parts)}"
     yield "surfels", _size(found.surfel_bytes, "none; wheelsight map rebuild makes them")
     yield "recognition", _size(found.recognition_bytes, "made when the map is used")
+    told = "none; wheelsight map export --occupancy makes it"
+    yield "occupancy", told if found.occupancy_bytes is None else f"{found.occupancy_bytes / 1e3:.0f} kB"
+    if found.edits != 0:
+        yield "edits", "cannot be read" if found.edits is None else f"{found.edits:,} zones and wiped places"
     yield "size", f"{found.bytes / _MB:.1f} MB"
     yield "health", "whole" if found.health.is_whole else "damaged, see below"
 

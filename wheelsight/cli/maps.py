@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from wheelsight.cli import _maps as work
+from wheelsight.cli._map_export import Exports
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich")
 
@@ -44,23 +45,41 @@ def info(
 @app.command()
 def export(
     source: MapPath,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="PLY file to write.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="PLY file of the surfels to write.", show_default=False)
+    ] = None,
+    occupancy: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="YAML file of the occupancy map; its PGM stands beside it.", show_default=False
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="PNG file: a picture of that.", show_default=False)
+    ] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(metavar="METRES", min=0.01, max=1, help="Side of the occupancy map's cells.", show_default="0.05"),
+    ] = None,
     everything: Annotated[
         bool, typer.Option("--all", help="All surfels, and not only those seen often enough to be sure.")
     ] = False,
     force: Force = False,
 ) -> None:
-    """Write the map's surfels as points, where its keyframes are by now: colour, normal, radius.
+    """Write the map where its keyframes are by now: surfels as points, and what of the floor is free.
 
-    Where the map has no surfels, as one of a run that was killed, they are fused of its keyframes first.
+    Where the map has no surfels, as one of a run that was killed, they are fused of its keyframes first. Nav2's
+    map_server reads the occupancy map.
 
     [bold]Examples[/bold]
 
     wheelsight map export results --out kitchen.ply
 
     wheelsight map export results/map --all --out all_points.ply --force
+
+    wheelsight map export results --occupancy plan.yaml --picture plan.png --resolution 0.05
     """
-    work.export(source, out, everything, force)
+    work.export(source, Exports(out, occupancy, picture, resolution, everything), force)
 
 
 @app.command()

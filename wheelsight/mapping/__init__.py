@@ -1,16 +1,27 @@
-"""Mapping: surfels that frames are fused into, views predicted from them, files and meshes."""
+"""Mapping: surfels that frames are fused into, views predicted from them, files and meshes; occupancy of the floor."""
 
 from wheelsight.mapping.export import Mesh, mesh_of, write_mesh_ply, write_ply
+from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits
+from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
+from wheelsight.mapping.occupancy_mapper import OccupancyMapper
+from wheelsight.mapping.occupancy_settings import OccupancySettings
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.storage import load_map, save_map
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
 
 __all__ = [
+    "CellKind",
     "ColoredView",
+    "EditKind",
     "FusedFrame",
+    "MapEdit",
+    "MapEdits",
     "MapStatus",
     "Mesh",
+    "OccupancyGrid",
+    "OccupancyMapper",
+    "OccupancySettings",
     "SurfelMap",
     "SurfelSettings",
     "Surfels",

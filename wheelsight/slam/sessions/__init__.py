@@ -10,6 +10,7 @@ from wheelsight.slam.sessions.info import MAP_FOLDER, MapInfo, find_map, info_of
 from wheelsight.slam.sessions.kept import KeptKeyframes
 from wheelsight.slam.sessions.map_folder import MapFolder, discard_map
 from wheelsight.slam.sessions.merging import MergedMap, merge
+from wheelsight.slam.sessions.occupancy import driven_way, occupancy_of, save_occupancy
 from wheelsight.slam.sessions.pruning import PrunedMap, prune
 from wheelsight.slam.sessions.reading import FolderContents, Health
 from wheelsight.slam.sessions.rebuilding import fused_anew, rebuild
@@ -34,12 +35,15 @@ __all__ = [
     "SeenKeyframe",
     "SessionSettings",
     "discard_map",
+    "driven_way",
     "find_map",
     "fused_anew",
     "info_of",
     "lie_together",
     "merge",
+    "occupancy_of",
     "odometry_edge",
     "prune",
     "rebuild",
+    "save_occupancy",
 ]

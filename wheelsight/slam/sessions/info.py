@@ -13,7 +13,13 @@ from wheelsight.files import StrPath
 from wheelsight.inputs import is_there
 from wheelsight.slam.sessions.hanging import connected
 from wheelsight.slam.sessions.header import HEADER_FILE, MapHeader
-from wheelsight.slam.sessions.map_folder import RECOGNITION_FILE, SURFELS_FILE, MapFolder
+from wheelsight.slam.sessions.map_folder import (
+    OCCUPANCY_FILE,
+    OCCUPANCY_IMAGE,
+    RECOGNITION_FILE,
+    SURFELS_FILE,
+    MapFolder,
+)
 from wheelsight.slam.sessions.parts import new_numbers, renumbered
 from wheelsight.slam.sessions.reading import GRAPH, KEYFRAMES, Health, journals_of
 
@@ -34,7 +40,8 @@ class MapInfo:
         length_m: of the way from keyframe to keyframe, where they are by now.
         bytes: of all files.
         keyframe_bytes: a keyframe, with its place, its edges and its moves.
-        surfel_bytes, recognition_bytes: of these files; None where they are missing.
+        surfel_bytes, recognition_bytes, occupancy_bytes: of these files; None where they are missing.
+        edits: zones and wiped obstacles; None where their file cannot be read.
         health: what is wrong.
     """
 
@@ -50,6 +57,8 @@ class MapInfo:
     keyframe_bytes: float
     surfel_bytes: int | None
     recognition_bytes: int | None
+    occupancy_bytes: int | None
+    edits: int | None
     health: Health
 
     def to_dict(self) -> dict[str, Any]:
@@ -81,6 +90,8 @@ def info_of(folder: MapFolder) -> MapInfo:
         keyframe_bytes=journal_bytes / max(len(numbers), 1),
         surfel_bytes=_size(path / SURFELS_FILE),
         recognition_bytes=_size(path / RECOGNITION_FILE),
+        occupancy_bytes=_occupancy_bytes(path),
+        edits=_edits(folder),
         health=folder.contents.health,
     )
 
@@ -96,6 +107,19 @@ def find_map(path: StrPath) -> Path:
         fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
         raise MapError("is no map, and no folder of a run with one", path=path, fix=fix)
     return found
+
+
+def _occupancy_bytes(path: Path) -> int | None:
+    """Of both files; the image alone is none."""
+    about, image = _size(path / OCCUPANCY_FILE), _size(path / OCCUPANCY_IMAGE)
+    return None if about is None or image is None else about + image
+
+
+def _edits(folder: MapFolder) -> int | None:
+    try:
+        return len(folder.map_edits())
+    except MapError:
+        return None
 
 
 def _size(path: Path) -> int | None:

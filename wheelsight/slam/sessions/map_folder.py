@@ -8,11 +8,11 @@ from typing import Self
 
 from wheelsight.calibration import Calibration, load_calibration, save_calibration
 from wheelsight.errors import ArgumentError, MapError, OutputError
-from wheelsight.files import StrPath, make_output_folder, output_error
+from wheelsight.files import StrPath, make_output_folder, output_error, refuse_full
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.inputs import is_there
 from wheelsight.keyframes import Keyframe
-from wheelsight.mapping import SurfelMap, load_map, save_map
+from wheelsight.mapping import MapEdits, SurfelMap, load_map, save_map
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
@@ -35,7 +35,9 @@ from wheelsight.slam.sessions.records import Kind, Place
 from wheelsight.slam.sessions.settings import SessionSettings
 
 CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE = "calibration.yaml", "recognition.npz", "map.surfels"
+OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE = "occupancy.yaml", "occupancy.pgm", "edits.json"
 _READ_ONLY = "open it with read_only=False"
+NEW_FOLDER = "choose a folder that is empty or not there yet: no map is written over"
 
 
 class MapFolder:
@@ -96,7 +98,8 @@ class MapFolder:
         """
         settings, path = settings or SessionSettings(), Path(path)
         header = MapHeader.new(MapCamera.of(calibration, depth_factor), source)
-        make_output_folder(path)
+        refuse_full(path, NEW_FOLDER)
+        make_output_folder(path, force=True)
         lock = MapLock(path)
         try:
             save_calibration(calibration, path / CALIBRATION_FILE)
@@ -199,6 +202,16 @@ class MapFolder:
         """Keep a surfel map whose surfels hang on the map's keyframes. Raises OutputError."""
         self._need_lock()
         save_map(surfel_map, self.path / SURFELS_FILE)
+
+    def map_edits(self) -> MapEdits:
+        """What somebody said of the map: zones and wiped obstacles; none where no file of them is. Raises MapError."""
+        path = self.path / EDITS_FILE
+        return MapEdits.load(path) if is_there(path) else MapEdits()
+
+    def save_edits(self, edits: MapEdits) -> None:
+        """Keep edits of the map, in place of what it has. Raises OutputError."""
+        self._need_lock()
+        edits.save(self.path / EDITS_FILE)
 
     def close(self) -> None:
         """Flush, and let others write. Raises OutputError."""
@@ -318,7 +331,8 @@ def discard_map(path: StrPath) -> None:
     if not is_there(path / HEADER_FILE):
         return
     lock = MapLock(path)
-    names = (HEADER_FILE, CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE)
+    made = (RECOGNITION_FILE, SURFELS_FILE, OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE)
+    names = (HEADER_FILE, CALIBRATION_FILE, *made)
     try:
         # What says that it is a map goes first: a kill in between leaves no map that lacks a part.
         for file in (*(path / name for name in names), *journals_of(path, KEYFRAMES), *journals_of(path, GRAPH)):

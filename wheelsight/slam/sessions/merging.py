@@ -11,15 +11,16 @@ from wheelsight.errors import MapError
 from wheelsight.files import StrPath, refuse_full
 from wheelsight.geometry import IntArray
 from wheelsight.keyframes import KeyframeId
-from wheelsight.mapping import SurfelSettings
+from wheelsight.mapping import MapEdits, SurfelSettings
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.piece_graph import PieceGraph
 from wheelsight.slam.recognised import PlaceWatcher
 from wheelsight.slam.sessions.hanging import pieces_of
-from wheelsight.slam.sessions.map_folder import MapFolder
-from wheelsight.slam.sessions.parts import MapParts, Progress, recognizer_of, write_map
+from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
+from wheelsight.slam.sessions.occupancy import with_occupancy
+from wheelsight.slam.sessions.parts import MapParts, Progress, carried_edits, recognizer_of, write_map
 from wheelsight.slam.sessions.rebuilding import fused_of
 from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.steps import anchor
@@ -70,7 +71,7 @@ def merge(
         OutputError: it cannot be written.
     """
     _refuse_unlike(first, second)
-    refuse_full(out)
+    refuse_full(out, NEW_FOLDER)
     pair, settings = _Pair(MapParts.of(first), MapParts.of(second)), loops or LoopSettings()
     watcher = _watcher(first, pair, settings, recognition, on_keyframe)
     graph = _begun(pair, first, settings)
@@ -80,10 +81,16 @@ def merge(
         raise _unjoined(first, second, pair)
     parts = replace(pair.both, T_map_keyframe=graph.poses, edges=(*graph.edges, *_between(pair, first))).some(kept)
     surfel_map = fused_of(parts, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
-    recognizer = _knows_all(parts, pair, watcher, recognition, on_keyframe)
     source = " and ".join(filter(None, (first.header.source, second.header.source)))
-    folder = write_map(parts, out, first, (recognizer, surfel_map), on_keyframe, source)
+    made = _knows_all(parts, pair, watcher, recognition, on_keyframe), surfel_map, _edits(first, second, kept, pair)
+    folder = with_occupancy(write_map(parts, out, first, made, on_keyframe, source), on_keyframe)
     return _told(folder, pair, kept, graph)
+
+
+def _edits(first: MapFolder, second: MapFolder, kept: IntArray, pair: _Pair) -> MapEdits:
+    """Of both maps; the second's all hang on keyframes, whose frame goes."""
+    of_second = carried_edits(second, kept, len(pair.first), is_same_frame=False)
+    return MapEdits((*carried_edits(first, kept).edits, *of_second.edits))
 
 
 def _told(folder: MapFolder, pair: _Pair, kept: IntArray, graph: PieceGraph) -> MergedMap:

@@ -12,7 +12,7 @@ import numpy as np
 from wheelsight.files import StrPath
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.keyframes import KeyframeId
-from wheelsight.mapping import SurfelMap
+from wheelsight.mapping import MapEdits, SurfelMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
@@ -78,6 +78,28 @@ def are_there(folder: MapFolder) -> BoolArray:
     return there
 
 
+def edits_as_known(folder: MapFolder) -> MapEdits:
+    """The edits of a map; one that hung on a keyframe that damage took is where it was drawn. Raises MapError."""
+    there = are_there(folder)
+    return folder.map_edits().carried(folder.store.T_map_keyframe, np.where(there, np.arange(len(there)), -1))
+
+
+def carried_edits(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame: bool = True) -> MapEdits:
+    """The edits of a map for one that is made of its parts, see `MapEdits.carried`. Raises MapError.
+
+    Args:
+        folder: whose edits they are.
+        kept: rows of the new map's parts that are kept, in ascending order.
+        first: row of the folder's first keyframe in these parts.
+        is_same_frame: whether the new map has the folder's frame.
+    """
+    there = np.flatnonzero(are_there(folder))
+    numbers = np.full(len(folder.store), -1)
+    of_kept = new_numbers(kept, max(int(kept.max(initial=-1)) + 1, first + len(there)))
+    numbers[there] = of_kept[first : first + len(there)]
+    return folder.map_edits().carried(folder.store.T_map_keyframe, numbers, is_same_frame=is_same_frame)
+
+
 def new_numbers(kept: IntArray, count: int) -> IntArray:
     """(count,) the number that each keyframe gets where these alone are kept; -1 for the others."""
     numbers = np.full(count, -1)
@@ -99,7 +121,7 @@ def write_map(
     parts: MapParts,
     out: StrPath,
     like: MapFolder,
-    made: tuple[Recognizer, SurfelMap | None],
+    made: tuple[Recognizer, SurfelMap | None, MapEdits],
     on_keyframe: Progress,
     source: str | None = None,
 ) -> MapFolder:
@@ -109,7 +131,7 @@ def write_map(
         parts: what to write.
         out: a folder that is empty or not there.
         like: of which calibration and settings it is.
-        made: of the keyframes: what recognises them, and surfels that hang on them.
+        made: of the keyframes: what recognises them, surfels that hang on them, and edits.
         on_keyframe: called with what is being done, how many keyframes are done, and of how many.
         source: its name; else as `like` has it.
 
@@ -117,7 +139,7 @@ def write_map(
     """
     name, factor = like.header.source if source is None else source, like.header.camera.depth_factor
     new = MapFolder.create(out, like.calibration, like.settings, source=name, depth_factor=factor)
-    recognizer, surfel_map = made
+    recognizer, surfel_map, edits = made
     try:
         store = parts.store(like.settings.memory_keyframes)
         for number, place in enumerate(parts.places):
@@ -127,6 +149,8 @@ def write_map(
         new.save_recognition(recognizer)
         if surfel_map is not None:
             new.save_surfels(surfel_map)
+        if len(edits):
+            new.save_edits(edits)
     finally:
         new.close()
     return MapFolder.open(out, settings=like.settings)

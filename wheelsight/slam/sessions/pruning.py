@@ -19,8 +19,17 @@ from wheelsight.places.views import ViewMaker
 from wheelsight.settings import PlaceVerificationSettings, RecognitionSettings
 from wheelsight.slam.contraction import without
 from wheelsight.slam.sessions.hanging import pieces_of
-from wheelsight.slam.sessions.map_folder import MapFolder
-from wheelsight.slam.sessions.parts import MapParts, Progress, are_there, new_numbers, recognizer_of, write_map
+from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
+from wheelsight.slam.sessions.occupancy import with_occupancy
+from wheelsight.slam.sessions.parts import (
+    MapParts,
+    Progress,
+    are_there,
+    carried_edits,
+    new_numbers,
+    recognizer_of,
+    write_map,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +66,7 @@ def prune(
         MapError: there are no keyframes, or one cannot be read.
         OutputError: it cannot be written.
     """
-    refuse_full(out)
+    refuse_full(out, NEW_FOLDER)
     parts = MapParts.of(folder)
     if not len(parts):
         raise MapError("has no keyframes", path=folder.path, fix="give a map of a drive that kept some")
@@ -68,8 +77,9 @@ def prune(
     left = replace(parts, edges=edges).some(kept)
     recognizer = recognizer_of(left, recognition, on_keyframe)
     hangs_on = new_numbers(kept, len(parts))[shown_by]
-    made = recognizer, _rehung(folder, left, hangs_on)
-    return PrunedMap(write_map(left, out, folder, made, on_keyframe), len(parts) - len(left))
+    made = recognizer, _rehung(folder, left, hangs_on), carried_edits(folder, kept)
+    new = with_occupancy(write_map(left, out, folder, made, on_keyframe), on_keyframe)
+    return PrunedMap(new, len(parts) - len(left))
 
 
 def _shown_by(parts: MapParts, folder: MapFolder, on_keyframe: Callable[[int, int], None]) -> IntArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from wheelsight.errors import MapError
-from wheelsight.files import StrPath
+from wheelsight.files import StrPath, refuse_full
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import SurfelMap, SurfelSettings
 from wheelsight.odometry.dense.grid import Level
@@ -13,8 +13,9 @@ from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.places.views import known_grey
 from wheelsight.settings import RecognitionSettings
-from wheelsight.slam.sessions.map_folder import MapFolder
-from wheelsight.slam.sessions.parts import MapParts, Progress
+from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
+from wheelsight.slam.sessions.occupancy import with_occupancy
+from wheelsight.slam.sessions.parts import MapParts, Progress, edits_as_known
 from wheelsight.threads import Rows
 from wheelsight.views import Surface
 
@@ -29,7 +30,7 @@ def rebuild(
     recognition: RecognitionSettings | None = None,
     on_keyframe: Progress = lambda doing, done, total: None,
 ) -> MapFolder:
-    """Write a map anew into another folder: keyframes where they are by now, edges that hold, codes and surfels.
+    """Write a map anew into another folder: keyframes where they are by now, edges that hold, and what is made of them.
 
     Args:
         folder: an open map; it stays as it is.
@@ -43,22 +44,30 @@ def rebuild(
         MapError: there are no keyframes, or one cannot be read.
         OutputError: it cannot be written.
     """
+    refuse_full(out, NEW_FOLDER)
+    edits = edits_as_known(folder)
     surfel_map = fused_anew(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
     source, factor = folder.header.source, folder.header.camera.depth_factor
     new = MapFolder.create(out, folder.calibration, folder.settings, source=source, depth_factor=factor)
     try:
-        numbers = list(folder.store)
-        for done, number in enumerate(numbers, start=1):
-            place = folder.contents.places[number]
-            new.append_keyframe(number, folder.store[number], folder.store.pose(number), place.T_odom_keyframe)
-            on_keyframe("writing", done, len(numbers))
+        _copy_keyframes(folder, new, lambda done, total: on_keyframe("writing", done, total))
         new.append_edges(folder.edges)
         found = folder.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
         new.save_recognition(found)
         new.save_surfels(surfel_map)
+        if len(edits):
+            new.save_edits(edits)
     finally:
         new.close()
-    return MapFolder.open(out, settings=folder.settings)
+    return with_occupancy(MapFolder.open(out, settings=folder.settings), on_keyframe)
+
+
+def _copy_keyframes(folder: MapFolder, new: MapFolder, on_keyframe: Callable[[int, int], None]) -> None:
+    numbers = list(folder.store)
+    for done, number in enumerate(numbers, start=1):
+        place = folder.contents.places[number]
+        new.append_keyframe(number, folder.store[number], folder.store.pose(number), place.T_odom_keyframe)
+        on_keyframe(done, len(numbers))
 
 
 def fused_anew(

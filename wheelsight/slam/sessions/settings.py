@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from wheelsight.mapping.occupancy_settings import OccupancySettings
 from wheelsight.settings import ASKED, CHOSEN, Settings, setting
 
 _FROM_0056 = "two real recordings of Kinects: docs/decisions/0056"
@@ -114,3 +115,4 @@ class SessionSettings(Settings):
     )
     sure_rad: float = setting(0.3, "likewise, radians", CHOSEN, gt=0, le=3)
     prune: PruneSettings = PruneSettings()
+    occupancy: OccupancySettings = OccupancySettings()

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from wheelsight.calibration import Calibration
 from wheelsight.errors import InputError, OutputError
 from wheelsight.estimates import Estimate
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId, KeyframeStore
-from wheelsight.mapping import SurfelMap
+from wheelsight.mapping import OccupancyMapper, SurfelMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
@@ -27,10 +28,12 @@ from wheelsight.slam.sessions.images import DepthSteps
 from wheelsight.slam.sessions.journal import Record
 from wheelsight.slam.sessions.kept import read_keyframe
 from wheelsight.slam.sessions.map_folder import MapFolder
+from wheelsight.slam.sessions.occupancy import save_occupancy
 
 THREAD = "wheelsight-map-writer"
 # Wide enough to be halved where images of most cameras are.
 _REHEARSED_PX = 320
+_MOUNTED = Calibration(T_base_camera=np.eye(4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,6 +186,7 @@ def _rehearse(folder: MapFolder, recognition: RecognitionSettings | None) -> Non
     records.pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise, 1.0), folder.settings)
     if recognition is not None:
         Recognizer(recognition).add(KeyframeId(0), keyframe)
+    OccupancyMapper(_MOUNTED).add(KeyframeId(0), keyframe, np.eye(4))
 
 
 class _Written:
@@ -199,6 +203,8 @@ class _Written:
         self._unflushed: list[tuple[KeyframeId, tuple[Path, Record]]] = []
         self._stepped: set[int] = set()  # to which an edge of odometry leads from the one before
         self._is_over = self._is_dirty = False
+        is_mounted = folder.calibration.T_base_camera is not None
+        self._mapper = OccupancyMapper(folder.calibration, folder.settings.occupancy) if is_mounted else None
 
     def take(self, work: _Work) -> None:
         """Append it."""
@@ -217,7 +223,7 @@ class _Written:
             self._is_dirty = False
 
     def finish(self, surfel_map: SurfelMap | None, recognizer: Recognizer | None) -> None:
-        """Write what was made of the keyframes, and close the folder."""
+        """Write what was made of the keyframes, close the folder, and write its occupancy map."""
         found = self._recognizer if recognizer is None else recognizer
         if found is not None:
             self._do(lambda: self._folder.save_recognition(found))
@@ -227,6 +233,15 @@ class _Written:
             self._folder.close()
         except OutputError as error:
             self._end(error)
+        if self._mapper is not None and self.keyframes and not self._is_over:
+            self._save_occupancy(self._mapper)
+
+    def _save_occupancy(self, mapper: OccupancyMapper) -> None:
+        """Of all keyframes, of earlier drives too. It can be made of them at any time: a map without it is whole."""
+        try:
+            save_occupancy(MapFolder.open(self._folder.path, settings=self._folder.settings), mapper=mapper)
+        except Exception as error:  # a drive does not end in an error for its sake
+            self.warnings.append(f"The occupancy map was not written: {_why(error)}.")
 
     def _flush(self) -> None:
         """What is on the disk by then need not stay in memory."""
@@ -250,6 +265,8 @@ class _Written:
             self._stepped.add(number)
         if self._recognizer is not None:
             self._recognizer.add(number, keyframe)
+        if self._mapper is not None:
+            self._mapper.keep(number, keyframe)
         self._before = new.seen
         self._grow(number + 1)
         self._T_map_keyframe[number] = new.T_map_keyframe
@@ -289,6 +306,9 @@ class _Written:
 
     def _end(self, error: Exception) -> None:
         if not self._is_over:
-            why = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-            self.warnings.append(f"The map is not written any further: {why}.")
+            self.warnings.append(f"The map is not written any further: {_why(error)}.")
         self._is_over = True
+
+
+def _why(error: Exception) -> str:
+    return str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
