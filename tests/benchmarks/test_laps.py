@@ -1,0 +1,54 @@
+"""Loops against the truth, and which keyframes see a place again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks import laps
+from wheelsight.geometry import se3
+from wheelsight.keyframes import KeyframeId
+from wheelsight.slam.graph import RelativePose
+
+# x of a camera that looks along z is to its right; it stands upright in a world whose z is up.
+LOOKS_ALONG_X = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+DRIVE = laps.Laps("flat", "joined", 1, 40.0, 1.0, 0.2, 0.1, 10, 2, 0, 1, 8, 6)
+
+
+def at(x: float, y: float, yaw: float = 0.0) -> np.ndarray:
+    return np.asarray(se3.from_plane(x, y, yaw) @ LOOKS_ALONG_X)
+
+
+@pytest.mark.parametrize(
+    ("off", "is_right"),
+    [
+        (np.zeros(6), True),
+        (np.array([0.4, 0, 0, 0, 0, 0]), True),
+        (np.array([0.6, 0, 0, 0, 0, 0]), False),
+        (np.array([0, 0, 0, 0, 0.2, 0]), False),
+    ],
+)
+def test_a_loop_is_false_that_is_far_off(off: np.ndarray, is_right: bool) -> None:
+    ends = np.stack([at(1.0, 2.0, 0.3), at(1.5, 2.2, 0.4)])
+    told = se3.exp(off) @ se3.invert(ends[0]) @ ends[1]
+    sure, along = np.eye(6) * 0.01**2, np.diag([9.0, 1e-4, 1e-4, 1e-4, 9.0, 1e-4])
+    assert laps.is_right(ends, RelativePose(KeyframeId(0), KeyframeId(1), told, sure)) == is_right
+    assert laps.is_right(ends, RelativePose(KeyframeId(0), KeyframeId(1), told, along))
+
+
+def test_a_revisit_is_near_looks_the_same_way_and_comes_later() -> None:
+    stamps_s = np.array([0.0, 5.0, 30.0, 31.0, 32.0])
+    cameras = np.stack([at(0, 0), at(0.1, 0), at(0.5, 0.5, 0.1), at(0.2, 0, np.pi), at(5, 0)])
+    assert laps.revisits(stamps_s, cameras).tolist() == [False, False, True, False, False]
+
+
+def test_targets_count_all_drives() -> None:
+    other = replace(DRIVE, mode="camera alone", false=2, closed=1, end_m=0.3)
+    false, closed, alone, joined = laps.judge([DRIVE, other])
+    assert (false.measured, closed.measured) == (2, 100 * 7 / 16)
+    assert alone.measured == pytest.approx(1.5)
+    assert joined.measured == pytest.approx(0.5)
+    assert DRIVE.row[0] == "flat, seed 1, joined"
+    assert DRIVE.row[-1] == "6/8"
