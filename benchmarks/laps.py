@@ -2,8 +2,9 @@
 
 Each building is driven by the simulator with `realism="real"`, by the camera alone and by joined sensors. "As lived" is
 the trajectory while driving, in `odom`; "at the end" is the corrected one. A loop is false that is more than 0.5 m or
-10° off, and farther than its covariance allows (in a corridor it tells nothing of the way along). A revisit is a keyframe that lies within 1 m and 30° of one that is at least 20 s older; it is closed where a
-loop that was kept ends at it.
+10° off, and farther than its covariance allows (in a corridor it tells nothing of the way along). A revisit is a
+keyframe that lies within 1 m and 30° of one that is at least 20 s older; it is closed where a kept loop ends at it.
+"Right" are loops that were refused all the same.
 """
 
 from __future__ import annotations
