@@ -155,21 +155,14 @@ def _judged(T: FloatArray, T_prior: FloatArray | None, hidden: FloatArray | None
 
 @dataclass
 class MapOfFrames:
-    """Stands for a mapper: keeps which frames were fused, and where, and whether the map is tracked against.
-
-    `shows`: whether it says that the map shows what frames see.
-    """
+    """Stands for a mapper: keeps which frames were fused, and where, and whether the map is tracked against."""
 
     fused: dict[float, FloatArray] = field(default_factory=dict)
     map: None = None
     is_tracked: bool = False
-    shows: bool = False
 
     def track_map(self, tracks: bool) -> None:
         self.is_tracked = tracks
-
-    def shows_most(self, seen: object) -> bool:
-        return self.shows
 
     def fuse_tracked(self, frame: RgbdFrame, seen: Estimate) -> None:
         assert seen.T_odom_body is not None

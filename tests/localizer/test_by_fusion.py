@@ -265,63 +265,6 @@ def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeyp
     assert np.median(off_by_slip[True]) < 0.005  # a spinning wheel says 2 cm a frame
 
 
-def test_the_map_is_tracked_where_it_shows_what_frames_see_and_the_base_goes_straight(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    made = drive([(2.0, 0.5, 0.0), (2.0, 0.5, 0.4), (2.0, 0.5, 0.0)], seed=4)  # and a second at rest before and after
-    subject, kept = joined(monkeypatch, made.eye())
-    tracked: dict[tuple[bool, bool], list[bool]] = {}
-    for event in made.events():
-        since_s = event.stamp_s - made.begin_s
-        kept.shows = since_s < 6.0
-        subject.process(event)
-        if isinstance(event, RgbdFrame) and min(abs(since_s - change_s) for change_s in (3.0, 5.0)) > 0.3:
-            tracked.setdefault((kept.shows, 3.0 < since_s < 5.0), []).append(kept.is_tracked)
-    assert np.mean(tracked[True, False]) > 0.9
-    assert not any(tracked[True, True] + tracked[False, False])
-
-
-@pytest.mark.slow
-def test_the_map_is_tracked_in_turns_too_right_after_a_look_that_was_not_believed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """People who hid the view may be in the keyframe; the map has nobody in it."""
-    legs = [(2.0, 0.5, 0.0), (9.0, 0.5, 0.4)]
-    made = drive(legs, only((2.8, 2.95), Sight(blind=Reason.SURFACES_CONTRADICTED)))
-    subject, kept = joined(monkeypatch, made.eye())
-    kept.shows = True
-    tracked: dict[bool, list[bool]] = {True: [], False: []}
-    for event in made.events():
-        since_s = event.stamp_s - made.begin_s
-        subject.process(event)
-        if isinstance(event, RgbdFrame) and (3.3 < since_s < 7.8 or 8.1 < since_s < 11.5):
-            tracked[since_s < 8.0].append(kept.is_tracked)
-    assert np.mean(tracked[True]) == 1
-    assert not any(tracked[False])
-
-
-@pytest.mark.slow
-def test_in_a_turn_keyframes_are_tracked_once_it_is_the_wheels_that_are_not_believed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """What a look was not believed for was no people then, and the map knows little of what a turn brings."""
-    made = spinning(drive([(1.0, 0.5, 0.0), (6.0, 0.5, 0.4)]), 3.0, 4.5, 0.6)
-    subject, kept = joined(monkeypatch, made.eye())
-    kept.shows = True
-    slips: list[bool] = []
-    tracked: list[bool] = []
-    for event in made.events():
-        answer = subject.process(event)
-        if not isinstance(event, RgbdFrame) or not isinstance(answer, FusedEstimate):
-            continue
-        slips.append(answer.slip)
-        if any(slips) and event.stamp_s - made.begin_s < 7.5:
-            tracked.append(kept.is_tracked)
-    assert sum(slips) > 30
-    assert len(tracked) > 2 * sum(slips)
-    assert not any(tracked)
-
-
 @pytest.mark.parametrize("kind", ["dense", "features"])
 def test_a_robot_that_is_pushed_aside_soon_believes_its_camera_again(ran: Callable[..., Run], kind: str) -> None:
     """Who was right then nobody tells, and both are covered; a camera that goes on well is not left out for it."""

@@ -116,25 +116,6 @@ def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
     assert all(directions is not None and len(directions) for directions in unseen)
 
 
-@pytest.mark.parametrize(("far_m", "expected"), [(4.0, True), (8.0, False)])
-def test_a_map_shows_most_where_hardly_anything_lies_beyond_its_end(far_m: float, expected: bool) -> None:
-    calibration = Calibration.registered_camera(SMALL)
-    odometry = DenseOdometry(calibration)
-    subject = MapBuilder(odometry, calibration)
-    scene = [Plane((0, 0, 1), far_m), Plane((0, 1, 0), 1.0)]
-    for k in range(2):
-        seen = odometry.process(frame_of(scene, np.eye(4), k / 30, noise_seed=k))
-        assert subject.shows_most(seen) == expected
-
-
-def test_of_a_frame_that_failed_no_map_shows_anything(frames: list[RgbdFrame]) -> None:
-    calibration = Calibration.registered_camera(synthetic.CAMERA)
-    odometry = DenseOdometry(calibration)
-    subject = MapBuilder(odometry, calibration)
-    assert subject.shows_most(odometry.process(frames[0]))
-    assert not subject.shows_most(odometry.process(replace(frames[1], depth_m=np.zeros_like(frames[1].depth_m))))
-
-
 def test_a_frame_goes_to_where_others_have_it(frames: list[RgbdFrame]) -> None:
     """Odometry tells what the frame shows; where that is, who joins it with wheels may know better."""
     calibration, T_told = Calibration.registered_camera(synthetic.CAMERA), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])

@@ -114,10 +114,19 @@ def first_version(data: bytes) -> bytes:
     about = json.loads(header)
     numbers = body[: len(body) - 128 * about.pop("keyframes") - 4 * about["surfels"]]
     del about["frame"], about["fields"][-1]
-    for later in ("colored_every", "beyond_share", "merged_every", "laid_sigmas", "radial_sigma"):
+    for later in ("colored_every", "merged_every", "laid_sigmas", "radial_sigma"):
         del about["settings"][later]
     about["crc32"] = zlib.crc32(numbers)
     return b"\n".join([b"wheelsight-map-1", json.dumps(about).encode(), numbers])
+
+
+def test_a_setting_that_means_nothing_now_is_passed_over(surfel_map, tmp_path):
+    save_map(surfel_map, tmp_path / "new.map")
+    name, header, body = (tmp_path / "new.map").read_bytes().split(b"\n", 2)
+    about = json.loads(header)
+    about["settings"]["beyond_share"] = 0.05
+    (tmp_path / "old.map").write_bytes(b"\n".join([name, json.dumps(about).encode(), body]))
+    assert len(load_map(tmp_path / "old.map")) == len(surfel_map)
 
 
 def test_a_file_of_the_first_version_is_a_map_whose_surfels_hang_on_no_keyframe(surfel_map, tmp_path):

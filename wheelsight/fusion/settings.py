@@ -9,12 +9,9 @@ from pydantic import model_validator
 from wheelsight.fusion.areas import AreaRectifierSettings
 from wheelsight.fusion.error_state import ErrorStateSettings
 from wheelsight.fusion.ligocki import LigockiSettings
-from wheelsight.settings import ASKED, CHOSEN, ON_SIMULATOR, Settings, setting
+from wheelsight.settings import ASKED, CHOSEN, Settings, setting
 
 FusionName = Literal["default", "ligocki", "none"]
-
-
-_FROM_0038 = f"{ON_SIMULATOR}: docs/decisions/0038"
 
 
 class JoiningSettings(Settings):
@@ -42,16 +39,6 @@ class JoiningSettings(Settings):
         CHOSEN,
         gt=0,
         le=10_000,
-    )
-    map_turn_rad_s: float = setting(
-        0.1,
-        "from here on a base turns, and keyframes lead instead of the map, which turns 0.08 % too far",
-        _FROM_0038,
-        gt=0,
-        le=100,
-    )
-    uncalm_s: float = setting(
-        5.0, "so long after a measurement that was not believed, people may go on to mislead", _FROM_0038, ge=0, le=3600
     )
     same_view_m: float = setting(
         0.3,

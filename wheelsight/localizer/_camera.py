@@ -26,8 +26,8 @@ def camera_odometry(
 ) -> tuple[FeatureOdometry | DenseOdometry, MapBuilder | None]:
     """Feature or dense odometry, whose map begins where the base was where that is known; and what builds a map.
 
-    In a map of before it begins where somebody says, or apart from it where nobody does. Beside wheels, tracking begins
-    against keyframes; who joins both says when the map shows more.
+    In a map of before it begins where somebody says, or apart from it where nobody does. Beside wheels, frames are
+    aligned with keyframes alone: docs/decisions/0061.
     """
     store, T_map_first = (
         (None, calibration.T_base_camera)

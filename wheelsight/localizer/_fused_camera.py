@@ -1,4 +1,4 @@
-"""FusedCamera: camera odometry beside a filter, which tells it what to expect and when its map leads."""
+"""FusedCamera: camera odometry beside a filter, which tells it what to expect."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
-from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
+from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 from wheelsight.slam.known import KnownMap
 
@@ -39,10 +39,9 @@ class FusedCamera:
         self.gate = FrameGate(settings.localizer.frame_gate)
         self.unknown = 0
         self.last_matches: MatchedPixels | None = None
-        self._seen: CameraEstimate | None = None  # what was answered at the last frame
         self._Ad_camera_base = motions.inverse_adjoint(T_base_camera)
         self._pace = Pace(settings.localizer.pace_s)
-        self._slips, self._unbelieved_s = False, -np.inf
+        self._slips = False
 
     @property
     def is_lost(self) -> bool:
@@ -51,7 +50,7 @@ class FusedCamera:
 
     def forget_frame(self) -> None:
         """The last frame is over."""
-        self.last_matches = self._seen = None
+        self.last_matches = None
 
     def twist(self, answer: FusedEstimate) -> FloatArray | None:
         """The camera's velocity (6,) in its own frame, by the wheels; None where they slip or tell nothing."""
@@ -64,7 +63,7 @@ class FusedCamera:
     ) -> CameraEstimate:
         """T_map_camera at a frame, where `by_wheels` (4, 4) is its motion since the last one, if they may be asked."""
         expected = self._expected(frame.stamp_s, by_wheels) if ask_wheels else (None,)
-        self._seen = seen = self.odometry.process(frame, *expected, twist=twist)
+        seen = self.odometry.process(frame, *expected, twist=twist)
         self.last_matches = seen.matched if isinstance(seen, FeatureEstimate) else None
         if seen.T_odom_body is not None:
             self._pace.tell(frame.stamp_s, seen.T_odom_body)
@@ -77,7 +76,7 @@ class FusedCamera:
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
         """T_map_camera at a frame that shows nothing known, from which the camera goes on where others have it."""
         self.unknown = 0
-        self._seen = seen = self.odometry.restart(frame, T_map_camera, covariance)
+        seen = self.odometry.restart(frame, T_map_camera, covariance)
         return seen
 
     def miss(self, seen: Estimate) -> bool:
@@ -88,23 +87,11 @@ class FusedCamera:
         return True
 
     def lead(self, answer: FusedEstimate) -> None:
-        """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion; and the map.
+        """Who is asked what to expect of the next frame: the wheels or, where these slip, the last motion.
 
-        What slips expects what is not so. The map shows it best wherever hardly anything lies beyond its end, while
-        the base goes straight; else keyframes do. They reach as far as the camera sees, and in a turn they have whole
-        what the map has learned from a frame or two; but whom they show may walk on, so for a while after a measurement
-        was not believed the map leads in turns too, unless it turns out that the wheels slip.
+        What slips expects what is not so.
         """
         self._slips = answer.slip
-        if answer.slip:
-            self._unbelieved_s = -np.inf
-        elif answer.reason is not None or answer.doubtful:
-            self._unbelieved_s = answer.stamp_s
-        if self.mapper is not None:
-            turns = answer.twist is None or abs(answer.twist[2]) > self._settings.map_turn_rad_s
-            is_calm = answer.stamp_s - self._unbelieved_s > self._settings.uncalm_s
-            shows_most = isinstance(self._seen, DenseEstimate) and self.mapper.shows_most(self._seen)
-            self.mapper.track_map(shows_most and not (turns and is_calm))
 
     def _expected(self, stamp_s: float, by_wheels: FloatArray | None) -> tuple[FloatArray | None, ...]:
         """The camera's motion since the last frame; and what it may be instead, for wheels that slip may grip again."""

@@ -49,14 +49,6 @@ class MapBuilder:
         """From now on odometry aligns frames with what the map predicts, or with keyframes."""
         self._odometry.refer_to(self.map if tracks else None)
 
-    def shows_most(self, seen: DenseEstimate) -> bool:
-        """Whether hardly anything of what a frame shows lies beyond where the map ends; False if it has no pose."""
-        if seen.frame is None:
-            return False
-        depth_m, settings = seen.frame.levels[-1].depth_m, self.map.settings
-        beyond = np.count_nonzero(depth_m > settings.far_m)
-        return bool(beyond <= settings.beyond_share * np.count_nonzero(depth_m))
-
 
 class Thinning:
     """Remembers the last frame that was fused, and counts those left out since.

@@ -6,7 +6,6 @@ from wheelsight.settings import CHOSEN, ON_SIMULATOR, Settings, setting
 
 _FROM_0026 = f"{ON_SIMULATOR}: docs/decisions/0026"
 _FROM_0037 = f"{ON_SIMULATOR}: docs/decisions/0037"
-_FROM_0038 = f"{ON_SIMULATOR}: docs/decisions/0038"
 
 
 class SurfelSettings(Settings):
@@ -51,13 +50,6 @@ class SurfelSettings(Settings):
         CHOSEN,
         gt=0,
         le=100,
-    )
-    beyond_share: float = setting(
-        0.05,
-        "where more of a frame's depths lie beyond far_m, keyframes show more than the map does",
-        _FROM_0038,
-        ge=0,
-        le=1,
     )
     merged_every: int = setting(
         3,

@@ -49,6 +49,8 @@ _FIELDS = (
     ("last_s", "<f8", 0),
     ("keyframe", "<i4", 0),
 )
+# Settings that files of before have, and that mean nothing now.
+_RETIRED = ("beyond_share",)
 _COUNTS, _POSE_BYTES = ("surfels", "keyframes"), 16 * 8
 assert tuple(name for name, _, _ in _FIELDS) == tuple(field.name for field in fields(Surfels))
 
@@ -177,7 +179,8 @@ def _refuse_wrong_keyframes(surfels: Surfels, T_map_keyframe: FloatArray) -> Non
 
 
 def _map_of(header: dict[str, Any], surfels: Surfels, T_map_keyframe: FloatArray) -> SurfelMap:
-    settings = checked_settings(SurfelSettings, header["settings"], MapError, "settings: ", _DAMAGED)
+    told = {name: value for name, value in dict(header["settings"]).items() if name not in _RETIRED}
+    settings = checked_settings(SurfelSettings, told, MapError, "settings: ", _DAMAGED)
     stamp_s, dropped, n = header["stamp_s"], header["dropped"], len(surfels.grey)
     if not _is_count(dropped):
         raise MapError(f"dropped is {dropped!r}, not a count", fix=_DAMAGED)
