@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from wheelsight.errors import ArgumentError
 from wheelsight.geometry import Float32Array, FloatArray
@@ -86,9 +87,7 @@ def _inside_m(sides: FloatArray, at: FloatArray) -> FloatArray:
 def _cover(footprint: Footprint, sides: FloatArray) -> FloatArray:
     """Discs that reach less than `_OVERHANG_M` out of an outline; each is the one that holds most of what is left."""
     low, high = footprint.corners.min(axis=0), footprint.corners.max(axis=0)
-    counts = np.maximum(np.ceil((high - low) / _COVER_STEP_M).astype(int) + 1, 2)
-    grid = np.stack(np.meshgrid(*(np.linspace(*ends) for ends in zip(low, high, counts, strict=True))), axis=-1)
-    centres = grid.reshape(-1, 2)
+    centres = _grid(low, high, _COVER_STEP_M)
     centres = centres[_inside_m(sides, centres) >= 0]
     radii = _inside_m(sides, centres) + _OVERHANG_M
     on_sides = [
@@ -97,9 +96,16 @@ def _cover(footprint: Footprint, sides: FloatArray) -> FloatArray:
     ]
     left = np.concatenate([centres, *on_sides])
     # Between two of the points that must be held others lie, half a diagonal away from one.
-    held = np.linalg.norm(left - centres[:, None], axis=-1) <= radii[:, None] - _COVER_STEP_M * np.sqrt(0.5)
+    held = cdist(centres, left) <= radii[:, None] - _COVER_STEP_M * np.sqrt(0.5)
     chosen = []
     while held.shape[1]:
         chosen.append(int(held.sum(axis=1).argmax()))
         held = held[:, ~held[chosen[-1]]]
     return np.concatenate([centres[chosen], radii[chosen, None]], axis=1)
+
+
+def _grid(low: FloatArray, high: FloatArray, step_m: float) -> FloatArray:
+    """(N, 2) points of a rectangle."""
+    counts = np.maximum(np.ceil((high - low) / step_m).astype(int) + 1, 2)
+    axes = (np.linspace(*ends) for ends in zip(low, high, counts, strict=True))
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)

@@ -139,10 +139,10 @@ class PathFollower:
                 return turning
         return self._stand(ControlReason.ARRIVED)
 
-    def _unless_stuck(self, left: float, result: ControlResult) -> ControlResult:
+    def _unless_stuck(self, left: float, result: ControlResult, turns: bool = False) -> ControlResult:
         """The same, unless what is left, metres or radians, has become no less for too long."""
         s = self._settings
-        piece = (self._index, self._is_turning)
+        piece = (self._index, turns)
         if piece != self._piece or left < self._least_left - _LEAST_WAY:
             self._piece, self._least_left, self._stuck_s = piece, left, 0.0
         self._stuck_s += s.period_s
@@ -194,7 +194,7 @@ class PathFollower:
                 yaws = float(state.pose[2]) + np.linspace(0, way, 1 + int(np.ceil(abs(way) / _TURN_STEP_RAD)))
                 poses = np.stack([np.full(len(yaws), state.pose[0]), np.full(len(yaws), state.pose[1]), yaws], axis=-1)
                 result = ControlResult(VelocityCommand(0.0, self._turn_rad_s(way, state.turn_rad_s)), None, poses)
-                return self._unless_stuck(abs(way), result)
+                return self._unless_stuck(abs(way), result, turns=True)
         return self._stand(ControlReason.BLOCKED)
 
     def _turn_rad_s(self, way: float, turning: float) -> float:
