@@ -337,7 +337,7 @@ def test_nobody_who_asks_for_full_speed_hits_a_wall() -> None:
         results.append(ride.drive(VelocityCommand(1.0, rng.uniform(-0.6, 0.6)), 3.0))
         ride.clearance_m = min(ride.clearance_m, clearance_m(CHAIR, ride.base.pose, points))
         assert ride.clearance_m > 0
-    assert sum(result.reason is MonitorReason.OBSTACLE for result in results) > 300
+    assert sum(result.state is not MonitorState.FREE for result in results) > 400
 
 
 def test_speeds_of_a_ride_follow_from_what_was_commanded() -> None:

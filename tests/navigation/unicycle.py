@@ -125,7 +125,7 @@ def field_of(is_obstacle: BoolArray) -> CostField:
 
 def centres_of(is_obstacle: BoolArray) -> FloatArray:
     """(N, 2) of obstacle cells."""
-    return (np.argwhere(is_obstacle)[:, ::-1] + 0.5) * RESOLUTION_M
+    return np.asarray((np.argwhere(is_obstacle)[:, ::-1] + 0.5) * RESOLUTION_M, float)
 
 
 def clearance_m(footprint: Footprint, poses: FloatArray, points: FloatArray) -> float:
@@ -142,7 +142,7 @@ def clearance_m(footprint: Footprint, poses: FloatArray, points: FloatArray) -> 
             share = np.clip((near - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
             away = np.hypot(*(near - a - share[:, None] * (b - a)).T)
             least = min(least, float(np.where(inside, 0.0, away).min()))
-    return least
+    return float(least)
 
 
 @dataclass(frozen=True)

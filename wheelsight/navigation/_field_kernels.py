@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight.compiled import kernel
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.fields import CostField, Outline
+from wheelsight.navigation.fields import OVERHANG_M, CostField, Outline
 
 # Beyond so many metres of clearance nobody asks how much it is.
 _ENOUGH_M = 0.5
@@ -64,7 +64,11 @@ def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float)
         least = min(least, distance_at(field, x + c * dx - s * dy, y + s * dx + c * dy) - outline.cover[k, 2])
     if least > margin_m:
         return least
-    return _traced(field, outline, pose, margin_m)
+    along_m = _traced(field, outline, pose, margin_m)
+    # What the cover holds and lies farther from the outline than the cover reaches out lies within.
+    if least < 0.0 and along_m > max(margin_m, OVERHANG_M + field.resolution / 2):
+        return least
+    return along_m
 
 
 @kernel(error_model="numpy", fastmath=_FAST)

@@ -15,7 +15,7 @@ ANY_SPEED: Float32Array = np.full((1, 1), np.inf, np.float32)
 ANY_SPEED.setflags(write=False)
 
 # A cover of fewer discs reaches farther out; with these it has 12 for a chair, and errs by less than a cell.
-_OVERHANG_M, _COVER_STEP_M = 0.04, 0.02
+OVERHANG_M, _COVER_STEP_M = 0.04, 0.02
 
 
 class CostField(NamedTuple):
@@ -85,23 +85,23 @@ def _inside_m(sides: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def _cover(footprint: Footprint, sides: FloatArray) -> FloatArray:
-    """Discs that reach less than `_OVERHANG_M` out of an outline; each is the one that holds most of what is left."""
+    """Discs that reach less than `OVERHANG_M` out of an outline; each is the one that holds most of what is left."""
     low, high = footprint.corners.min(axis=0), footprint.corners.max(axis=0)
-    centres = _grid(low, high, _COVER_STEP_M)
-    centres = centres[_inside_m(sides, centres) >= 0]
-    radii = _inside_m(sides, centres) + _OVERHANG_M
+    inside = _grid(low, high, _COVER_STEP_M)
     on_sides = [
         corner + np.linspace(0, length, 2 + int(length / _COVER_STEP_M))[:, None] * way
         for corner, way, length in zip(sides[:, :2], sides[:, 2:4], sides[:, 4], strict=True)
     ]
-    left = np.concatenate([centres, *on_sides])
+    # Each is held by its own disc at least.
+    points = np.concatenate([inside[_inside_m(sides, inside) >= 0], *on_sides])
+    radii = np.maximum(_inside_m(sides, points), 0) + OVERHANG_M
     # Between two of the points that must be held others lie, half a diagonal away from one.
-    held = cdist(centres, left) <= radii[:, None] - _COVER_STEP_M * np.sqrt(0.5)
+    held = cdist(points, points) <= radii[:, None] - _COVER_STEP_M * np.sqrt(0.5)
     chosen = []
     while held.shape[1]:
         chosen.append(int(held.sum(axis=1).argmax()))
         held = held[:, ~held[chosen[-1]]]
-    return np.concatenate([centres[chosen], radii[chosen, None]], axis=1)
+    return np.concatenate([points[chosen], radii[chosen, None]], axis=1)
 
 
 def _grid(low: FloatArray, high: FloatArray, step_m: float) -> FloatArray:

@@ -12,13 +12,14 @@ import numpy as np
 from wheelsight.commands import VelocityCommand
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.navigation._field_kernels import cost_and_speed_at
-from wheelsight.navigation._mppi_kernels import Begin, Dynamics, Way, Weights, blend, costs_of, draw, roll_out
+from wheelsight.navigation._mppi_kernels import blend, costs_of, draw, roll_out
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings
 from wheelsight.navigation.control_values import ControlReason, ControlResult, DrivenPath, MotionState
 from wheelsight.navigation.fields import CostField, Outline
 from wheelsight.navigation.following import PathFollower, Situation, clearances
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.limits import RobotLimits
+from wheelsight.navigation.rollout_values import Begin, Dynamics, Way, Weights
 
 
 class MppiController:
@@ -61,23 +62,33 @@ class Rollouts:
 
     def steer(self, situation: Situation) -> ControlResult:
         """The mean of all rollouts, or the best of them, or a stop where that one touches something too."""
-        begin = self._begin(situation)
-        way = self._way(situation)
-        given = (begin, way, situation.field, situation.people, self._dynamics, self._weights)
+        given = self.given(situation)
         self._nominal[:-1] = self._nominal[1:]
-        s = self._settings
-        draw(self._nominal, self._noise, (s.spread_m_s, s.spread_rad_s), self._dynamics, self._drawn)
-        costs_of(*given, self._drawn, self._costs)
+        costs, drawn = self.costs(given)
         mean = np.empty_like(self._nominal)
-        best = blend(self._costs, self._drawn, s.temperature, mean)
-        poses = np.empty((s.steps, 3))
-        for commands in (mean.astype(np.float32), self._drawn[best]):
+        best = blend(costs, drawn, self._settings.temperature, mean)
+        poses = np.empty((len(mean), 3))
+        for commands in (mean.astype(np.float32), drawn[best]):
             _, contact = roll_out(*given, commands, poses)
-            if contact == s.steps:
+            if contact == len(mean):
                 self._nominal[:] = commands
                 return self._result(situation, commands[0], poses)
         self.forget()
         return ControlResult.standing(ControlReason.BLOCKED)
+
+    def given(self, situation: Situation) -> tuple[Begin, Way, CostField, FloatArray, Dynamics, Weights]:
+        """What rollouts are judged by."""
+        begin, way = self._begin(situation), self._way(situation)
+        return begin, way, situation.field, situation.people, self._dynamics, self._weights
+
+    def costs(
+        self, given: tuple[Begin, Way, CostField, FloatArray, Dynamics, Weights]
+    ) -> tuple[FloatArray, Float32Array]:
+        """Costs (K,) of commands (K, T, 2) about the nominal ones; both are overwritten by the next call."""
+        s = self._settings
+        draw(self._nominal, self._noise, (s.spread_m_s, s.spread_rad_s), self._dynamics, self._drawn)
+        costs_of(*given, self._drawn, self._costs)
+        return self._costs, self._drawn
 
     def _begin(self, situation: Situation) -> Begin:
         state = situation.state
