@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.navigation.fields import OVERHANG_M, CostField, Outline
 
 # Beyond so many metres of clearance nobody asks how much it is.
@@ -21,14 +21,19 @@ def distance_at(field: CostField, x: float, y: float) -> Any:
     """Metres from a point to the nearest obstacle, between the cells' centres bilinear; 0 outside of the field."""
     u = (x - field.origin[0]) / field.resolution - 0.5
     v = (y - field.origin[1]) / field.resolution - 0.5
-    rows, columns = field.distance_m.shape
+    return _between_cells(field.distance_m, u, v)
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _between_cells(distance_m: Float32Array, u: float, v: float) -> Any:
+    """The same, at a column and a row that count from the first cell's centre."""
+    rows, columns = distance_m.shape
     if not (u >= 0.0 and v >= 0.0 and u < columns - 1 and v < rows - 1):
         return 0.0
     i, j = int(v), int(u)
     a, b = u - j, v - i
-    d = field.distance_m
-    low = d[i, j] * (1.0 - a) + d[i, j + 1] * a
-    high = d[i + 1, j] * (1.0 - a) + d[i + 1, j + 1] * a
+    low = distance_m[i, j] * (1.0 - a) + distance_m[i, j + 1] * a
+    high = distance_m[i + 1, j] * (1.0 - a) + distance_m[i + 1, j + 1] * a
     return low * (1.0 - b) + high * b
 
 
@@ -59,9 +64,14 @@ def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float)
     if far > _ENOUGH_M:
         return far
     least = np.inf
+    # In cells: a division each time would take as long as all else.
+    cells = 1.0 / field.resolution
+    u, v = (x - field.origin[0]) * cells - 0.5, (y - field.origin[1]) * cells - 0.5
+    cc, sc = c * cells, s * cells
     for k in range(len(outline.cover)):
         dx, dy = outline.cover[k, 0], outline.cover[k, 1]
-        least = min(least, distance_at(field, x + c * dx - s * dy, y + s * dx + c * dy) - outline.cover[k, 2])
+        away = _between_cells(field.distance_m, u + cc * dx - sc * dy, v + sc * dx + cc * dy) - outline.cover[k, 2]
+        least = min(least, away)
     if least > margin_m:
         return least
     along_m = _traced(field, outline, pose, margin_m)
