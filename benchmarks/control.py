@@ -25,7 +25,7 @@ from wheelsight.navigation import Footprint, RobotLimits
 from wheelsight.navigation.collision_monitor import CollisionMonitor
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings
 from wheelsight.navigation.control_values import Controller, MotionState
-from wheelsight.navigation.fields import CostField, Outline
+from wheelsight.navigation.fields import CostField, outline_of
 from wheelsight.navigation.following import Situation
 from wheelsight.navigation.mppi import MppiController, Rollouts
 from wheelsight.navigation.pure_pursuit import PurePursuitController
@@ -86,7 +86,7 @@ def command_ms(controller: Controller, field: CostField, people: FloatArray) -> 
 
 def rollouts_ms(field: CostField) -> tuple[float, float]:
     """Costs of the same rollouts by the kernel and by numpy, least of several."""
-    rollouts = Rollouts(Outline.of(CHAIR), RobotLimits(), MppiSettings(), FollowSettings())
+    rollouts = Rollouts(outline_of(CHAIR), RobotLimits(), MppiSettings(), FollowSettings())
     (segment,) = cut(np.array([[2.0, 5, 0], [8.5, 5, 0]]), 0.05, 0.8)
     given = rollouts.given(Situation(MotionState(np.array([2.0, 5.03, 0.05]), 0.6, 0.1), segment, 0, field, _NOBODY))
     _, drawn = rollouts.costs(given)

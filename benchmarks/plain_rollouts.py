@@ -10,7 +10,7 @@ import numpy as np
 
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.navigation.fields import CostField
-from wheelsight.navigation.rollout_values import Begin, Dynamics, Way, Weights
+from wheelsight.navigation.mppi import Begin, Dynamics, Way, Weights
 
 
 def plain_costs(

@@ -211,6 +211,10 @@ def test_backward_it_goes_no_farther_than_blind_m_and_comes_back() -> None:
     assert end.reason is MonitorReason.NEVER_SEEN
     assert -SETTINGS.blind_m <= ride.base.pose[0] < -0.1
     assert ride.base.stands
+    # Nor in two goes.
+    ride.drive(STOP, 4.0)
+    ride.drive(VelocityCommand(-0.2, 0.0), 3.0)
+    assert -SETTINGS.blind_m <= ride.base.pose[0]
     ride.drive(VelocityCommand(0.3, 0.0), 1.5)
     assert ride.base.pose[0] > 0.0
 

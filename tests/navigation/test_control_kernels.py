@@ -25,12 +25,12 @@ from wheelsight.navigation._field_kernels import (
 from wheelsight.navigation._mppi_kernels import blend
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings
 from wheelsight.navigation.control_values import MotionState
-from wheelsight.navigation.fields import Outline
+from wheelsight.navigation.fields import outline_of
 from wheelsight.navigation.following import Situation
 from wheelsight.navigation.mppi import Rollouts, noise_of
 from wheelsight.navigation.segments import cut
 
-OUTLINE = Outline.of(CHAIR)
+OUTLINE = outline_of(CHAIR)
 MARGIN_M = 0.04
 
 
@@ -67,7 +67,7 @@ def test_clearance_is_the_plain_distance_of_cells_but_for_cover_and_grid(
 
 @given(shape=st.sampled_from([CHAIR, Footprint.circle(0.3), Footprint.of([(-0.3, -0.2), (0.7, 0.0), (-0.3, 0.4)])]))
 def test_the_cover_holds_the_outline_and_little_else(shape: Footprint) -> None:
-    outline, rng = Outline.of(shape), np.random.default_rng(3)
+    outline, rng = outline_of(shape), np.random.default_rng(3)
     points = rng.uniform(-1.2, 1.2, (4000, 2))
     away = np.linalg.norm(points[:, None] - outline.cover[:, :2], axis=-1) - outline.cover[:, 2]
     is_held, inside = (away <= 0).any(axis=1), shape.contains(points)

@@ -89,6 +89,7 @@ def test_it_arrives_and_touches_nothing(make: Callable[..., Controller], name: s
     assert np.abs(speeds[:, 1]).max() <= limits.turn_rad_s + 1e-6
 
 
+@pytest.mark.slow
 @both
 @pytest.mark.parametrize("lag_s", [0.0, 0.3])
 def test_a_base_that_lags_otherwise_arrives_too(make: Callable[..., Controller], lag_s: float) -> None:
@@ -100,6 +101,7 @@ def test_a_base_that_lags_otherwise_arrives_too(make: Callable[..., Controller],
     assert off_deg <= 5
 
 
+@pytest.mark.slow
 @both
 @pytest.mark.parametrize("seed", range(4))
 def test_it_finds_onto_the_path_from_beside(make: Callable[..., Controller], seed: int) -> None:
@@ -110,6 +112,7 @@ def test_it_finds_onto_the_path_from_beside(make: Callable[..., Controller], see
     assert drove.reason is ControlReason.ARRIVED
 
 
+@pytest.mark.slow
 @both
 def test_before_a_wall_across_the_path_it_stands(make: Callable[..., Controller]) -> None:
     cells, path = room(), WAYS["straight"][1]
@@ -129,6 +132,7 @@ def test_rollouts_go_around_a_box_that_the_plan_does_not_know() -> None:
     assert drive(PurePursuitController, cells, path).reason is ControlReason.BLOCKED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "person",
     [(5.0, 5.1, 0.0, 0.0, 0.3), (9.0, 5.0, -0.6, 0.0, 0.3), (5.0, 2.0, 0.0, 0.7, 0.3), (6.0, 4.2, -0.3, 0.2, 0.3)],
@@ -149,6 +153,7 @@ def test_equal_input_gives_equal_commands() -> None:
     assert first.commands == second.commands
 
 
+@pytest.mark.slow
 @both
 def test_zones_limit_the_speed(make: Callable[..., Controller]) -> None:
     field, path = field_of(room()), WAYS["straight"][1]

@@ -2,18 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.geometry import Float32Array, FloatArray
-from wheelsight.navigation.fields import OVERHANG_M, CostField, Outline
+from wheelsight.geometry.arrays import Float32Array, FloatArray
 
+ANY_SPEED: Float32Array = np.full((1, 1), np.inf, np.float32)
+ANY_SPEED.setflags(write=False)
+# How far a cover of discs reaches out of an outline, at most.
+OVERHANG_M = 0.04
 # Beyond so many metres of clearance nobody asks how much it is.
 _ENOUGH_M = 0.5
 # What leaves infinity and NaN as they are.
 _FAST = {"contract", "nsz", "arcp"}
+
+
+class CostField(NamedTuple):
+    """A window of the floor in cells: rows along y, columns along x. What lies outside of it counts as an obstacle.
+
+    Attributes:
+        distance_m: (H, W) from each cell's centre to the centre of the nearest cell with an obstacle; 0 in these.
+        cost: (H, W) from 0, free, to 1: what driving there costs beyond being near obstacles, such as unknown floor.
+        resolution: metres a cell.
+        origin: x and y in metres of the corner of cell (0, 0), in the frame of plan and robot.
+        speed_m_s: (H, W) fastest speed in zones, infinite outside of them; (1, 1) where one holds everywhere.
+    """
+
+    distance_m: Float32Array
+    cost: Float32Array
+    resolution: float
+    origin: tuple[float, float]
+    speed_m_s: Float32Array = ANY_SPEED
+
+
+class Outline(NamedTuple):
+    """A footprint as kernels take it.
+
+    Attributes:
+        sides: (N, 5) x, y of a corner, unit vector to the next one, and how far that is.
+        discs: (K, 3) x, y, radius of discs that lie within.
+        cover: (K, 3) discs that together hold all of it, and little else.
+        around: x, y, radius of a disc that holds all.
+    """
+
+    sides: FloatArray
+    discs: FloatArray
+    cover: FloatArray
+    around: tuple[float, float, float]
 
 
 @kernel(error_model="numpy", fastmath=_FAST)

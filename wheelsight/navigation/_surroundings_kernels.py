@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.geometry import ByteArray, FloatArray, IntArray
+from wheelsight.geometry.arrays import ByteArray, FloatArray, IntArray
 
 
 class Memory(NamedTuple):

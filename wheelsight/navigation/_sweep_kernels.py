@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray
+from wheelsight.geometry.arrays import ByteArray, Float32Array, FloatArray
 from wheelsight.navigation._field_kernels import moved
 
 

@@ -16,7 +16,7 @@ from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
 from wheelsight.navigation._sweep_kernels import Ground, all_outside_m, clear_share, seen_shares, zone_share
-from wheelsight.navigation.fields import Outline
+from wheelsight.navigation.fields import Outline, outline_of
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.monitor_settings import MonitorSettings, WheelCheckSettings
@@ -79,7 +79,7 @@ class CollisionMonitor:
         settings: MonitorSettings | None = None,
         wheel_settings: WheelCheckSettings | None = None,
     ) -> None:
-        self._outline = Outline.of(footprint)
+        self._outline = outline_of(footprint)
         self._limits, self._settings = limits or RobotLimits(), settings or MonitorSettings()
         self._wheels = WheelCheck(self._limits, wheel_settings or WheelCheckSettings())
         self._surroundings = Surroundings(self._outline, self._settings)

@@ -2,80 +2,45 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.spatial.distance import cdist
 
 from wheelsight.errors import ArgumentError
-from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.geometry import FloatArray
+from wheelsight.navigation._field_kernels import ANY_SPEED, OVERHANG_M, CostField, Outline
 from wheelsight.navigation.footprint import Footprint
 
-ANY_SPEED: Float32Array = np.full((1, 1), np.inf, np.float32)
-ANY_SPEED.setflags(write=False)
+__all__ = ["ANY_SPEED", "CostField", "Outline", "checked", "outline_of"]
 
-# A cover of fewer discs reaches farther out; with these it has 12 for a chair, and errs by less than a cell.
-OVERHANG_M, _COVER_STEP_M = 0.04, 0.02
-
-
-class CostField(NamedTuple):
-    """A window of the floor in cells: rows along y, columns along x. What lies outside of it counts as an obstacle.
-
-    Attributes:
-        distance_m: (H, W) from each cell's centre to the centre of the nearest cell with an obstacle; 0 in these.
-        cost: (H, W) from 0, free, to 1: what driving there costs beyond being near obstacles, such as unknown floor.
-        resolution: metres a cell.
-        origin: x and y in metres of the corner of cell (0, 0), in the frame of plan and robot.
-        speed_m_s: (H, W) fastest speed in zones, infinite outside of them; (1, 1) where one holds everywhere.
-    """
-
-    distance_m: Float32Array
-    cost: Float32Array
-    resolution: float
-    origin: tuple[float, float]
-    speed_m_s: Float32Array = ANY_SPEED
-
-    def checked(self) -> CostField:
-        """The same with the types that kernels take. Raises ArgumentError where shapes or numbers are none."""
-        distance, cost, speed = (np.ascontiguousarray(a, np.float32) for a in (self[0], self[1], self[4]))
-        if distance.ndim != 2 or min(distance.shape) < 2 or cost.shape != distance.shape:
-            raise ArgumentError(f"a field of shapes {distance.shape}, {cost.shape}", fix="give two of (H, W)")
-        if speed.shape not in (distance.shape, (1, 1)):
-            raise ArgumentError(f"speeds of zones of shape {speed.shape}", fix=f"give {distance.shape} or (1, 1)")
-        numbers = np.array([self.resolution, *self.origin], float)
-        if not np.isfinite(numbers).all() or self.resolution <= 0:
-            raise ArgumentError(f"a field of {self.resolution} m at {self.origin}", fix="give finite metres")
-        if np.isnan(distance).any() or np.isnan(cost).any() or np.isnan(speed).any():
-            raise ArgumentError("a field holds NaN", fix="what is unknown is an obstacle, or costs")
-        return CostField(distance, cost, float(numbers[0]), (float(numbers[1]), float(numbers[2])), speed)
+# With fewer and larger steps a cover has more discs; a chair's has 14.
+_COVER_STEP_M = 0.02
 
 
-class Outline(NamedTuple):
-    """A footprint as kernels take it.
+def checked(field: CostField) -> CostField:
+    """A field with the types that kernels take. Raises ArgumentError where shapes or numbers are none."""
+    distance, cost, speed = (np.ascontiguousarray(a, np.float32) for a in (field[0], field[1], field[4]))
+    if distance.ndim != 2 or min(distance.shape) < 2 or cost.shape != distance.shape:
+        raise ArgumentError(f"a field of shapes {distance.shape}, {cost.shape}", fix="give two of (H, W)")
+    if speed.shape not in (distance.shape, (1, 1)):
+        raise ArgumentError(f"speeds of zones of shape {speed.shape}", fix=f"give {distance.shape} or (1, 1)")
+    numbers = np.array([field.resolution, *field.origin], float)
+    if not np.isfinite(numbers).all() or field.resolution <= 0:
+        raise ArgumentError(f"a field of {field.resolution} m at {field.origin}", fix="give finite metres")
+    if np.isnan(distance).any() or np.isnan(cost).any() or np.isnan(speed).any():
+        raise ArgumentError("a field holds NaN", fix="what is unknown is an obstacle, or costs")
+    return CostField(distance, cost, float(numbers[0]), (float(numbers[1]), float(numbers[2])), speed)
 
-    Attributes:
-        sides: (N, 5) x, y of a corner, unit vector to the next one, and how far that is.
-        discs: (K, 3) x, y, radius of discs that lie within.
-        cover: (K, 3) discs that together hold all of it, and little else.
-        around: x, y, radius of a disc that holds all.
-    """
 
-    sides: FloatArray
-    discs: FloatArray
-    cover: FloatArray
-    around: tuple[float, float, float]
-
-    @classmethod
-    def of(cls, footprint: Footprint) -> Outline:
-        """Of a footprint: the disc about the middle of its corners, and the largest about middle and axle."""
-        corners = footprint.corners
-        ways = np.roll(corners, -1, axis=0) - corners
-        lengths = np.linalg.norm(ways, axis=1, keepdims=True)
-        sides = np.ascontiguousarray(np.concatenate([corners, ways / lengths, lengths], axis=1))
-        middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
-        discs = np.array([[*at, _inside_m(sides, at)] for at in (middle, np.zeros(2))])
-        radius = float(np.linalg.norm(corners - middle, axis=1).max())
-        return cls(sides, discs, _cover(footprint, sides), (float(middle[0]), float(middle[1]), radius))
+def outline_of(footprint: Footprint) -> Outline:
+    """A footprint as kernels take it; the discs within are the largest about the middle of its corners and the axle."""
+    corners = footprint.corners
+    ways = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(ways, axis=1, keepdims=True)
+    sides = np.ascontiguousarray(np.concatenate([corners, ways / lengths, lengths], axis=1))
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    discs = np.array([[*at, _inside_m(sides, at)] for at in (middle, np.zeros(2))])
+    radius = float(np.linalg.norm(corners - middle, axis=1).max())
+    return Outline(sides, discs, _cover(footprint, sides), (float(middle[0]), float(middle[1]), radius))
 
 
 def _inside_m(sides: FloatArray, at: FloatArray) -> FloatArray:

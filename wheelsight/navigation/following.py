@@ -13,7 +13,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.navigation._field_kernels import clearance_at, free_arc, people_apart
 from wheelsight.navigation.control_settings import FollowSettings
 from wheelsight.navigation.control_values import ControlReason, ControlResult, DrivenPath, MotionState
-from wheelsight.navigation.fields import CostField, Outline
+from wheelsight.navigation.fields import CostField, Outline, checked, outline_of
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.segments import Segment, cut, wrapped
@@ -75,7 +75,7 @@ class PathFollower:
     """Leads a robot through the segments of a plan, and asks a steering on each."""
 
     def __init__(self, footprint: Footprint, limits: RobotLimits, settings: FollowSettings, steering: Steering) -> None:
-        self._outline = Outline.of(footprint)
+        self._outline = outline_of(footprint)
         self._limits = limits
         self._settings = settings
         self._steering = steering
@@ -89,7 +89,7 @@ class PathFollower:
         """See `Controller.command`."""
         people = np.asarray(people, float).reshape(-1, 5) if np.size(people) % 5 == 0 else np.full((1, 5), np.nan)
         try:
-            field = field.checked()
+            field = checked(field)
         except (ArgumentError, TypeError, ValueError):
             return self._stand(ControlReason.INVALID)
         if not state.is_finite or not np.isfinite(people).all():

@@ -12,14 +12,24 @@ import numpy as np
 from wheelsight.commands import VelocityCommand
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.navigation._field_kernels import cost_and_speed_at
-from wheelsight.navigation._mppi_kernels import blend, costs_of, draw, roll_out
+from wheelsight.navigation._mppi_kernels import (
+    Begin,
+    Dynamics,
+    Way,
+    Weights,
+    blend,
+    costs_of,
+    draw,
+    roll_out,
+)
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings
 from wheelsight.navigation.control_values import ControlReason, ControlResult, DrivenPath, MotionState
-from wheelsight.navigation.fields import CostField, Outline
+from wheelsight.navigation.fields import CostField, Outline, outline_of
 from wheelsight.navigation.following import PathFollower, Situation, clearances
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.limits import RobotLimits
-from wheelsight.navigation.rollout_values import Begin, Dynamics, Way, Weights
+
+__all__ = ["Begin", "Dynamics", "MppiController", "Rollouts", "Way", "Weights", "dynamics_of", "noise_of", "weights_of"]
 
 
 class MppiController:
@@ -36,7 +46,7 @@ class MppiController:
         follow: FollowSettings | None = None,
     ) -> None:
         limits, follow = limits or RobotLimits(), follow or FollowSettings()
-        steering = Rollouts(Outline.of(footprint), limits, settings or MppiSettings(), follow)
+        steering = Rollouts(outline_of(footprint), limits, settings or MppiSettings(), follow)
         self._follower = PathFollower(footprint, limits, follow, steering)
 
     def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:

@@ -14,7 +14,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.navigation._field_kernels import cost_and_speed_at, free_arc, moved
 from wheelsight.navigation.control_settings import FollowSettings, PurePursuitSettings
 from wheelsight.navigation.control_values import ControlReason, ControlResult, DrivenPath, MotionState
-from wheelsight.navigation.fields import CostField, Outline
+from wheelsight.navigation.fields import CostField, Outline, outline_of
 from wheelsight.navigation.following import PathFollower, Situation, clearances
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.limits import RobotLimits
@@ -31,7 +31,7 @@ class PurePursuitController:
         follow: FollowSettings | None = None,
     ) -> None:
         limits, follow = limits or RobotLimits(), follow or FollowSettings()
-        steering = _Arcs(Outline.of(footprint), limits, settings or PurePursuitSettings(), follow)
+        steering = _Arcs(outline_of(footprint), limits, settings or PurePursuitSettings(), follow)
         self._follower = PathFollower(footprint, limits, follow, steering)
 
     def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
