@@ -117,8 +117,8 @@ def keep(memory: Memory, points: FloatArray, stamp_s: float, middle: Any) -> Non
 
 
 @kernel
-def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float) -> None:
-    """Mark the floor under an outline (sides as `Outline` has them) as seen: the robot stands there."""
+def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float, from_m: float) -> None:
+    """Mark the floor under an outline (sides as `Outline` has them), so far ahead of the axle and on, as seen."""
     x, y, c, s = pose
     cell = memory.cell_m
     reach = int(np.ceil(np.sqrt((sides[:, 0] ** 2 + sides[:, 1] ** 2).max()) / cell)) + 1
@@ -130,7 +130,7 @@ def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float) -> 
             away = -np.inf
             for k in range(len(sides)):
                 away = max(away, sides[k, 3] * (bx - sides[k, 0]) - sides[k, 2] * (by - sides[k, 1]))
-            if away <= 0.0:
+            if away <= 0.0 and bx >= from_m:
                 a, b = slot(memory, i, j)
                 memory.seen_s[a, b] = max(memory.seen_s[a, b], stamp_s)
 

@@ -100,3 +100,18 @@ def seen_shares(outline: FloatArray, sides: FloatArray, ground: Ground, arc: Any
             if outside or ground.deep_m[i, j] > deep_m:
                 return (n - 1) / steps, old
     return 1.0, old
+
+
+@kernel
+def deepest_m(points: FloatArray, ground: Ground) -> Any:
+    """How deep in floor never seen the deepest of points (N, 2) of a robot is; infinite beyond what is known."""
+    px, py, pc, ps = ground.pose
+    rows, columns = ground.deep_m.shape
+    most = 0.0
+    for k in range(len(points)):
+        i = int(np.floor((px + pc * points[k, 0] - ps * points[k, 1]) / ground.cell_m)) - ground.first[0]
+        j = int(np.floor((py + ps * points[k, 0] + pc * points[k, 1]) / ground.cell_m)) - ground.first[1]
+        if i < 0 or j < 0 or i >= rows or j >= columns:
+            return np.inf
+        most = max(most, ground.deep_m[i, j])
+    return most

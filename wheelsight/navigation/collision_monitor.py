@@ -15,7 +15,7 @@ import numpy as np
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation._sweep_kernels import Ground, all_outside_m, clear_share, seen_shares, zone_share
+from wheelsight.navigation._sweep_kernels import Ground, all_outside_m, clear_share, deepest_m, seen_shares, zone_share
 from wheelsight.navigation.fields import Outline, outline_of
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.limits import RobotLimits
@@ -195,6 +195,8 @@ class CollisionMonitor:
     ) -> list[tuple[float, MonitorReason | None]]:
         s = self._settings
         ground = Ground(*self._surroundings.unseen_about(pose, now_s, self._look_m(twist)), s.cell_m, pose)
+        if self._is_led_by_its_front(ground):
+            self._surroundings.cover(pose, now_s)
         arc, steps = self._arc(twist)
         # Distances between cells' centres are off by a diagonal.
         deep_m = max(s.blind_m - 1.5 * s.cell_m, 0.0)
@@ -205,6 +207,14 @@ class CollisionMonitor:
             (self._stops_within(twist, deep), MonitorReason.NEVER_SEEN),
             (max(lately, blind), MonitorReason.NOT_SEEN_LATELY),
         ]
+
+    def _is_led_by_its_front(self, ground: Ground) -> bool:
+        """Whether it moves, not backward, and its front is nowhere deeper in floor never seen than a corner leads."""
+        forward, turn = self._measured
+        if forward < -_LEAST_M_S or (forward < _LEAST_M_S and abs(turn) < _LEAST_RAD_S):
+            return False
+        front = self._edge[self._edge[:, 0] >= 0]
+        return bool(deepest_m(front, ground) <= self._settings.lead_m)
 
     def _slowing_s(self, twist: tuple[float, float]) -> float:
         """From a twist to standing, along its arc."""

@@ -44,6 +44,14 @@ class MonitorSettings(Settings):
     blind_m: float = setting(
         0.3, "how far the outline may reach into floor that was never seen", "issue 32", ge=0, le=2
     )
+    lead_m: float = setting(
+        0.1,
+        "how deep the front may be in floor never seen, for what it passes over to count as seen: a corner leads the "
+        "view of 60° by 0.04 m in a turn",
+        "reckoned",
+        ge=0,
+        le=1,
+    )
     fresh_s: float = setting(
         3.0, "time for which floor counts as seen; after that somebody may have come", CHOSEN, gt=0, le=600
     )

@@ -120,7 +120,7 @@ class Surroundings:
         """Go on by what the wheels measured since the last reading; stamps in order."""
         if not self._readings:
             pose = (0.0, 0.0, 1.0, 0.0)
-            mark_under(self._memory, self._outline.sides, pose, stamp_s)
+            mark_under(self._memory, self._outline.sides, pose, stamp_s, -np.inf)
         else:
             last = self._readings[-1]
             step_s = stamp_s - last.stamp_s
@@ -138,6 +138,10 @@ class Surroundings:
         last, step_s = before[-1], stamp_s - before[-1].stamp_s
         x, y, c, s = moved(last.pose, last.forward_m_s * step_s, last.turn_rad_s * step_s)
         return float(x), float(y), float(c), float(s)
+
+    def cover(self, pose: Pose, stamp_s: float) -> None:
+        """Count the floor under the robot ahead of its axle as seen: its front went over that before its sides do."""
+        mark_under(self._memory, self._outline.sides, pose, stamp_s, 0.0)
 
     def see(self, view: DepthView) -> bool:
         """Add what a frame shows; False where nobody knows where the robot was then."""
