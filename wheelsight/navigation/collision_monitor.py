@@ -1,0 +1,269 @@
+"""CollisionMonitor: makes a robot slower, or stops it, whoever asks for what.
+
+It knows nothing of plans, maps and controllers. It hears the wheels, sees depth frames, and judges each command: by the
+arcs that the robot would go until it stands, by what is known of the floor there, and by whether all that it hears is
+fresh and fits together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.estimates import Status
+from wheelsight.geometry import FloatArray
+from wheelsight.navigation._sweep_kernels import Ground, all_outside_m, clear_share, deepest_m, seen_shares, zone_share
+from wheelsight.navigation.fields import Outline, outline_of
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.limits import RobotLimits
+from wheelsight.navigation.monitor_settings import MonitorSettings, WheelCheckSettings
+from wheelsight.navigation.surroundings import DepthView, Pose, Surroundings
+from wheelsight.navigation.wheel_check import WheelCheck
+
+# Slower than these a base does not move; a command below them is a stop.
+_LEAST_M_S, _LEAST_RAD_S = 0.02, 0.02
+_STATUS_TO_STAND = (Status.INITIALIZING, Status.FAILING, Status.LOST)
+
+
+class MonitorState(StrEnum):
+    """What became of a command."""
+
+    FREE = "free"
+    SLOWED = "slowed"
+    STOPPED = "stopped"
+
+
+class MonitorReason(StrEnum):
+    """Why a command became slower."""
+
+    INVALID = "numbers that are none"
+    FROM_AHEAD = "stamps ahead of now"
+    NO_FRAME = "no fresh depth frame"
+    NO_WHEELS = "no fresh wheel reading"
+    STATUS = "the robot does not know where it is"
+    WHEELS_OFF = "the wheels do not do what they were told"
+    INSIDE = "something where the robot is"
+    NEAR = "something nearer than the margin"
+    IN_ZONE = "something within the slow-down zone"
+    OBSTACLE = "something in the way"
+    NEVER_SEEN = "floor that was never seen"
+    NOT_SEEN_LATELY = "floor that was not seen lately"
+    COASTING = "the wheels alone lead"
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorResult:
+    """What a robot is to do.
+
+    Attributes:
+        command: as asked, or slower along the same arc, or a stop.
+        state: which of these.
+        reason: why it is slower; None where it is free.
+    """
+
+    command: VelocityCommand
+    state: MonitorState
+    reason: MonitorReason | None = None
+
+
+class CollisionMonitor:
+    """Stands between whoever commands a robot and the robot; nothing may come after it that makes it faster."""
+
+    def __init__(
+        self,
+        footprint: Footprint,
+        limits: RobotLimits | None = None,
+        settings: MonitorSettings | None = None,
+        wheel_settings: WheelCheckSettings | None = None,
+    ) -> None:
+        self._outline = outline_of(footprint)
+        self._limits, self._settings = limits or RobotLimits(), settings or MonitorSettings()
+        self._wheels = WheelCheck(self._limits, wheel_settings or WheelCheckSettings())
+        self._surroundings = Surroundings(self._outline, self._settings)
+        self._edge = _edge_points(self._outline, self._settings.cell_m)
+        self._reach_m = float(np.linalg.norm(footprint.corners, axis=1).max())
+        self._frame_s, self._wheels_s = -np.inf, -np.inf
+        self._measured = (0.0, 0.0)
+        self._is_frame_sound, self._are_wheels_sound = True, True
+        self._are_wheels_off = False
+
+    def clear_fault(self) -> None:
+        """Somebody has looked at the wheels: drive again."""
+        self._are_wheels_off = False
+        self._wheels.forget()
+
+    def hear(self, stamp_s: float, forward_m_s: float, turn_rad_s: float) -> None:
+        """The base's speeds, as its encoders measure them; each reading once, in order."""
+        self._are_wheels_sound = bool(np.isfinite([stamp_s, forward_m_s, turn_rad_s]).all())
+        if not self._are_wheels_sound or stamp_s <= self._wheels_s:
+            return
+        if stamp_s - self._wheels_s > self._settings.gap_s:
+            self._surroundings.forget()
+            self._wheels.forget()
+            self._frame_s = -np.inf
+        self._surroundings.hear(stamp_s, forward_m_s, turn_rad_s)
+        self._wheels_s, self._measured = stamp_s, (forward_m_s, turn_rad_s)
+        self._are_wheels_off |= self._wheels.is_off(forward_m_s, turn_rad_s, stamp_s)
+
+    def see(self, view: DepthView) -> None:
+        """A depth frame, in order; one that shows too little is none."""
+        self._is_frame_sound = view.is_sound
+        if not view.is_sound or view.stamp_s <= self._frame_s or view.share < self._settings.seen_share:
+            return
+        if self._surroundings.see(view):
+            self._frame_s = view.stamp_s
+
+    def check(self, asked: VelocityCommand, now_s: float, status: Status) -> MonitorResult:
+        """What becomes of a command; called once a period, also where it is a stop.
+
+        Args:
+            asked: by whoever leads the robot.
+            now_s: by the clock of the stamps.
+            status: of the localization.
+        """
+        reason = self._why_stand(now_s, status)
+        if reason is not None:
+            result = MonitorResult(STOP, MonitorState.STOPPED, reason)
+        elif asked.is_stop:
+            result = MonitorResult(asked, MonitorState.FREE)
+        else:
+            result = _scaled(asked, *self._share(asked, now_s, status))
+        self._wheels.tell(result.command, now_s)
+        return result
+
+    def _why_stand(self, now_s: float, status: Status) -> MonitorReason | None:
+        """What is wrong whatever is asked."""
+        s = self._settings
+        newest_s = max(self._frame_s, self._wheels_s)
+        wrong = {
+            MonitorReason.INVALID: not (np.isfinite(now_s) and self._is_frame_sound and self._are_wheels_sound),
+            MonitorReason.FROM_AHEAD: newest_s > now_s + s.ahead_s,
+            MonitorReason.NO_WHEELS: now_s - self._wheels_s > s.encoder_age_s,
+            MonitorReason.NO_FRAME: now_s - self._frame_s > s.frame_age_s,
+            MonitorReason.WHEELS_OFF: self._are_wheels_off,
+            MonitorReason.STATUS: status in _STATUS_TO_STAND,
+        }
+        return next((reason for reason, is_so in wrong.items() if is_so), None)
+
+    def _share(self, asked: VelocityCommand, now_s: float, status: Status) -> tuple[float, MonitorReason | None]:
+        """How much of a command may be driven, and what keeps it from being more."""
+        s = self._settings
+        pose = self._surroundings.pose_at(now_s)
+        if pose is None:
+            return 0.0, MonitorReason.NO_WHEELS
+        twist = (asked.forward_m_s, asked.turn_rad_s)
+        points = self._surroundings.points_at(pose, now_s, self._look_m(twist))
+        away = all_outside_m(self._outline.sides, points)
+        if (away < -s.inside_m).any():
+            return 0.0, MonitorReason.INSIDE
+        shares = [(1.0, None), *self._by_things(twist, points, bool((away < s.margin_m).any()))]
+        shares += self._by_floor(twist, pose, now_s)
+        if status is Status.COASTING:
+            shares.append((_within(twist, s.coasting_m_s, s.coasting_rad_s), MonitorReason.COASTING))
+        return min(shares, key=lambda share: share[0])
+
+    def _by_things(
+        self, twist: tuple[float, float], points: FloatArray, is_near: bool
+    ) -> list[tuple[float, MonitorReason | None]]:
+        """Along the arc asked, the one that is driven now, and between them, since the base changes over."""
+        s, sides = self._settings, self._outline.sides
+        arc, steps = self._arc(twist)
+        clear = clear_share(sides, points, arc, steps, s.margin_m)
+        shares: list[tuple[float, MonitorReason | None]] = [(self._stops_within(twist, clear), MonitorReason.OBSTACLE)]
+        zone = zone_share(sides, points, arc, steps, s.slow_zone_m)
+        slow = _within(twist, s.slow_m_s, s.slow_rad_s)
+        shares.append((max(self._stops_within(twist, zone), slow), MonitorReason.IN_ZONE))
+        if is_near:
+            shares.append((_within(twist, s.blind_m_s, s.blind_rad_s), MonitorReason.NEAR))
+        for part in (0.5, 1.0):
+            driven = (
+                (1 - part) * twist[0] + part * self._measured[0],
+                (1 - part) * twist[1] + part * self._measured[1],
+            )
+            arc, steps = self._arc(driven)
+            clear = clear_share(sides, points, arc, steps, s.margin_m)
+            if clear < 1.0:
+                share = self._stops_within(driven, clear) * self._rate(driven) / self._rate(twist)
+                shares.append((share, MonitorReason.OBSTACLE))
+        return shares
+
+    def _by_floor(
+        self, twist: tuple[float, float], pose: Pose, now_s: float
+    ) -> list[tuple[float, MonitorReason | None]]:
+        s = self._settings
+        ground = Ground(*self._surroundings.unseen_about(pose, now_s, self._look_m(twist)), s.cell_m, pose)
+        if self._is_led_by_its_front(ground):
+            self._surroundings.cover(pose, now_s)
+        arc, steps = self._arc(twist)
+        # Distances between cells' centres are off by a diagonal.
+        deep_m = max(s.blind_m - 1.5 * s.cell_m, 0.0)
+        deep, lately = seen_shares(self._edge, self._outline.sides, ground, arc, steps, deep_m)
+        blind = _within(twist, s.blind_m_s, s.blind_rad_s)
+        lately = 0.0 if twist[0] < 0 else self._stops_within(twist, lately)
+        return [
+            (self._stops_within(twist, deep), MonitorReason.NEVER_SEEN),
+            (max(lately, blind), MonitorReason.NOT_SEEN_LATELY),
+        ]
+
+    def _is_led_by_its_front(self, ground: Ground) -> bool:
+        """Whether it moves, not backward, and its front is nowhere deeper in floor never seen than a corner leads."""
+        forward, turn = self._measured
+        if forward < -_LEAST_M_S or (forward < _LEAST_M_S and abs(turn) < _LEAST_RAD_S):
+            return False
+        front = self._edge[self._edge[:, 0] >= 0]
+        return bool(deepest_m(front, ground) <= self._settings.lead_m)
+
+    def _slowing_s(self, twist: tuple[float, float]) -> float:
+        """From a twist to standing, along its arc."""
+        most, share = self._limits, self._settings.braking_share
+        return max(abs(twist[0]) / most.braking_m_s2, abs(twist[1]) / most.turn_acceleration_rad_s2) / share
+
+    def _arc(self, twist: tuple[float, float]) -> tuple[tuple[float, float], int]:
+        """Way and turn until the robot stands, and in how many steps they are judged."""
+        seconds = self._settings.reaction_s + self._slowing_s(twist) / 2
+        way = self._rate(twist) * seconds
+        return (twist[0] * seconds, twist[1] * seconds), max(int(np.ceil(way / self._settings.step_m)), 1)
+
+    def _stops_within(self, twist: tuple[float, float], share: float) -> float:
+        """The share of a twist whose arc ends within a share of the whole twist's arc."""
+        slowing_s, reaction_s = self._slowing_s(twist), self._settings.reaction_s
+        if share >= 1.0 or slowing_s == 0.0:
+            return 1.0
+        seconds = share * (reaction_s + slowing_s / 2)
+        return float((np.sqrt(reaction_s**2 + 2 * slowing_s * seconds) - reaction_s) / slowing_s)
+
+    def _rate(self, twist: tuple[float, float]) -> float:
+        """Metres a second of the farthest corner, at most."""
+        return abs(twist[0]) + self._reach_m * abs(twist[1])
+
+    def _look_m(self, twist: tuple[float, float]) -> float:
+        """How far from the axle things may matter."""
+        s = self._settings
+        driven = self._measured
+        ways = [self._rate(one) * (s.reaction_s + self._slowing_s(one) / 2) for one in (twist, driven)]
+        return self._reach_m + max(ways) + s.slow_zone_m + s.margin_m
+
+
+def _within(twist: tuple[float, float], most_m_s: float, most_rad_s: float) -> float:
+    """The share of a twist that keeps two limits."""
+    shares = [most / abs(speed) for speed, most in zip(twist, (most_m_s, most_rad_s), strict=True) if speed]
+    return min(1.0, *shares)
+
+
+def _scaled(asked: VelocityCommand, share: float, reason: MonitorReason | None) -> MonitorResult:
+    """A command along the same arc."""
+    if share >= 1.0:
+        return MonitorResult(asked, MonitorState.FREE)
+    forward, turn = share * asked.forward_m_s, share * asked.turn_rad_s
+    if abs(forward) < _LEAST_M_S and abs(turn) < _LEAST_RAD_S:
+        return MonitorResult(STOP, MonitorState.STOPPED, reason)
+    return MonitorResult(VelocityCommand(forward, turn), MonitorState.SLOWED, reason)
+
+
+def _edge_points(outline: Outline, spacing_m: float) -> FloatArray:
+    """(K, 2) along an outline."""
+    rows = [side[:2] + along * side[2:4] for side in outline.sides for along in np.arange(0.0, side[4], spacing_m)]
+    return np.array(rows)

@@ -1,0 +1,188 @@
+"""Surroundings: what a collision monitor remembers of the floor about a robot, carried along by the wheels alone."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray
+from wheelsight.navigation._field_kernels import moved
+from wheelsight.navigation._surroundings_kernels import Memory, Sight, keep, look, mark_under, remembered, unseen
+from wheelsight.navigation.fields import Outline
+from wheelsight.navigation.monitor_settings import MonitorSettings
+
+Pose = tuple[float, float, float, float]
+_MOST_POINTS = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthView:
+    """A depth frame, as a collision monitor takes it.
+
+    Attributes:
+        stamp_s: of the frame.
+        points: (N, 2) in `base` of things between floor and the robot's height, and of edges where the floor ends.
+        camera: x and y of the camera in `base`.
+        first_rad: bearing in `base` of the right end of the view.
+        step_rad: from one column to the next, counter-clockwise.
+        seen_m: (B,) how far from the camera each column sees the floor, or through the air; 0 where it has no depth.
+        near_m: nearer to the camera nothing of the floor is seen.
+    """
+
+    stamp_s: float
+    points: FloatArray
+    camera: tuple[float, float]
+    first_rad: float
+    step_rad: float
+    seen_m: FloatArray
+    near_m: float
+
+    @classmethod
+    def of_points(
+        cls,
+        stamp_s: float,
+        points: ArrayLike,
+        camera: tuple[float, float],
+        half_angle_rad: float,
+        reach_m: tuple[float, float],
+        columns: int = 64,
+    ) -> DepthView:
+        """Of a camera that looks ahead and has depth all over its view: each column sees to its nearest point.
+
+        Args:
+            stamp_s: of the frame.
+            points: (N, 2) in `base`.
+            camera: x and y in `base`.
+            half_angle_rad: to either side of ahead.
+            reach_m: nearest and farthest floor that it sees.
+            columns: of the answer.
+        """
+        points = np.asarray(points, float).reshape(-1, 2)
+        step_rad = 2 * half_angle_rad / columns
+        apart = points - np.array(camera)
+        column = np.floor((np.arctan2(apart[:, 1], apart[:, 0]) + half_angle_rad) / step_rad)
+        seen_m = np.full(columns, float(reach_m[1]))
+        inside = (column >= 0) & (column < columns)
+        np.minimum.at(seen_m, column[inside].astype(int), np.hypot(*apart[inside].T))
+        return cls(stamp_s, points, camera, -half_angle_rad, step_rad, seen_m, reach_m[0])
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether all its numbers can be reckoned with."""
+        numbers = np.array([self.stamp_s, *self.camera, self.first_rad, self.step_rad, self.near_m], float)
+        points, seen = np.asarray(self.points), np.asarray(self.seen_m)
+        shapes = points.ndim == 2 and points.shape[1:] == (2,) and seen.ndim == 1 and len(seen) > 0
+        finite = np.isfinite(numbers).all() and np.isfinite(points).all() and np.isfinite(seen).all()
+        return bool(shapes and finite and self.step_rad > 0)
+
+    @property
+    def share(self) -> float:
+        """Of the columns that have depth."""
+        return float((np.asarray(self.seen_m) > 0).mean())
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    stamp_s: float
+    pose: Pose
+    forward_m_s: float
+    turn_rad_s: float
+
+
+class Surroundings:
+    """Things and seen floor in a plane in which the wheels say where the robot is.
+
+    The plane is its own, and drifts: what is in it is never older than it takes the robot to leave it.
+    """
+
+    def __init__(self, outline: Outline, settings: MonitorSettings) -> None:
+        self._outline, self._settings = outline, settings
+        self._readings: deque[_Reading] = deque()
+        self._newest = np.empty((0, 2))
+        self._newest_s = -np.inf
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: nothing is known but that the robot stands where it stands."""
+        s = self._settings
+        n = int(np.ceil(s.window_m / s.cell_m))
+        never = np.full((n, n), -np.inf)
+        nowhere = np.full((n, n, 2), np.iinfo(np.int64).min)
+        self._memory = Memory(nowhere, never, never.copy(), np.zeros((n, n, 2)), s.cell_m)
+        self._readings.clear()
+        self._newest, self._newest_s = np.empty((0, 2)), -np.inf
+
+    def hear(self, stamp_s: float, forward_m_s: float, turn_rad_s: float) -> None:
+        """Go on by what the wheels measured since the last reading; stamps in order."""
+        if not self._readings:
+            pose = (0.0, 0.0, 1.0, 0.0)
+            mark_under(self._memory, self._outline.sides, pose, stamp_s, -np.inf)
+        else:
+            last = self._readings[-1]
+            step_s = stamp_s - last.stamp_s
+            v, w = (last.forward_m_s + forward_m_s) / 2, (last.turn_rad_s + turn_rad_s) / 2
+            pose = moved(last.pose, v * step_s, w * step_s)
+        self._readings.append(_Reading(stamp_s, pose, forward_m_s, turn_rad_s))
+        while len(self._readings) > 1 and self._readings[1].stamp_s < stamp_s - self._settings.history_s:
+            self._readings.popleft()
+
+    def pose_at(self, stamp_s: float) -> Pose | None:
+        """Where the base was, or will be soon; None where that is not known any more, or not yet."""
+        before = [reading for reading in self._readings if reading.stamp_s <= stamp_s]
+        if not before:
+            return None
+        last, step_s = before[-1], stamp_s - before[-1].stamp_s
+        x, y, c, s = moved(last.pose, last.forward_m_s * step_s, last.turn_rad_s * step_s)
+        return float(x), float(y), float(c), float(s)
+
+    def cover(self, pose: Pose, stamp_s: float) -> None:
+        """Count the floor under the robot ahead of its axle as seen: its front went over that before its sides do."""
+        mark_under(self._memory, self._outline.sides, pose, stamp_s, 0.0)
+
+    def see(self, view: DepthView) -> bool:
+        """Add what a frame shows; False where nobody knows where the robot was then."""
+        pose = self.pose_at(view.stamp_s)
+        if pose is None:
+            return False
+        points = _placed(np.asarray(view.points, float), pose)
+        camera = _placed(np.array([view.camera], float), pose)[0]
+        first_rad = view.first_rad + float(np.arctan2(pose[3], pose[2]))
+        seen_m = np.ascontiguousarray(view.seen_m, float)
+        near_far = (view.near_m, float(seen_m.max()))
+        sight = Sight(float(camera[0]), float(camera[1]), first_rad, view.step_rad, *near_far, seen_m, view.stamp_s)
+        look(self._memory, sight, pose[0], pose[1])
+        keep(self._memory, points, view.stamp_s, (pose[0], pose[1]))
+        self._newest, self._newest_s = points, view.stamp_s
+        return True
+
+    def points_at(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
+        """(N, 2) things within reach in the frame of a pose: all of the newest frame, and what is remembered."""
+        out = np.empty((_MOST_POINTS, 2))
+        count = remembered(self._memory, pose, now_s - self._settings.remember_s, reach_m, out)
+        apart = self._newest - np.array(pose[:2])
+        apart = apart[np.hypot(*apart.T) < reach_m]
+        R = np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
+        return np.ascontiguousarray(np.concatenate([apart @ R, out[:count]]))
+
+    def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> tuple[Float32Array, ByteArray, tuple[int, int]]:
+        """Of the cells within reach of a pose: metres into floor never seen, whether not lately, the first's place.
+
+        Rows along x, columns along y.
+        """
+        s = self._settings
+        half = min(int(np.ceil(reach_m / s.cell_m)) + 1, len(self._memory.seen_s) // 2)
+        first = (int(np.floor(pose[0] / s.cell_m)) - half, int(np.floor(pose[1] / s.cell_m)) - half)
+        out = np.empty((2 * half, 2 * half, 2), np.uint8)
+        unseen(self._memory, first, now_s - s.fresh_s, out)
+        never = np.ascontiguousarray(out[..., 0])
+        deep = cv2.distanceTransform(never, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * s.cell_m
+        return np.asarray(deep, np.float32), np.ascontiguousarray(out[..., 1]), first
+
+
+def _placed(points: FloatArray, pose: Pose) -> FloatArray:
+    x, y, c, s = pose
+    return np.asarray(points @ np.array([[c, s], [-s, c]]) + np.array([x, y]))
