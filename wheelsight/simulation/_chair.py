@@ -108,8 +108,12 @@ class Chair:
         The motors' controller ramps what would throw the rider out of the seat.
         """
         across_m_s = yaw_rate_rad_s * self._nominal.track_width_m / 2
+        self.turn_wheels((v_m_s - across_m_s, v_m_s + across_m_s))
+
+    def turn_wheels(self, rims_m_s: tuple[float, float]) -> None:
+        """The same by the speeds of the left and right wheel's rim."""
         step_rad_s = _RAMP_M_S2 * COMMAND_PERIOD_S / self._nominal.left_radius_m
-        for i, rim_m_s in enumerate((v_m_s - across_m_s, v_m_s + across_m_s)):
+        for i, rim_m_s in enumerate(rims_m_s):
             change = rim_m_s / self._nominal.left_radius_m - self._data.ctrl[i]
             self._data.ctrl[i] += min(max(change, -step_rad_s), step_rad_s)
 
