@@ -13,6 +13,7 @@ import shapely
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import BoolArray, FloatArray
 from wheelsight.simulation.drive import Drive
+from wheelsight.simulation.outline import outline_at
 from wheelsight.simulation.passersby import Passersby
 from wheelsight.simulation.robot import Robot
 from wheelsight.simulation.walking import RADIUS_M
@@ -21,7 +22,6 @@ from wheelsight.simulation.world import Leaf, World
 _STREAM = 0xD00
 _STEP_S = 0.1  # at which the robot's way is looked at; at 1.2 m/s it goes on by 12 cm
 _STEP_RAD = math.radians(5.0)
-_TAIL_M = 0.3  # how far a wheelchair reaches behind its axle
 # Beside the hinge a leaf is next to its wall by right, and at its free end next to the other jamb.
 _AT_HINGE_M, _AT_END_M = 0.15, 0.06
 _OVER_FLOOR_M = 0.02
@@ -84,7 +84,10 @@ class Leaves:
         return np.array([middle for middle, _ in turned]), np.array([yaw_rad for _, yaw_rad in turned])
 
     def add_to(self, spec: Any, *, is_solid: bool = False) -> None:
-        """Put them as mocap bodies into a MuJoCo MjSpec, in place of the geoms of the same names."""
+        """Put them as mocap bodies into a MuJoCo MjSpec, in place of the geoms of the same names.
+
+        Solid ones touch what has a conaffinity of 2, which a wheelchair's hull has and walls do not.
+        """
         import mujoco
 
         for board in self._boards:
@@ -93,7 +96,7 @@ class Leaves:
             spec.delete(geom)
             body = spec.worldbody.add_body(name=name, mocap=True, pos=board.middle_m.tolist())
             size, kind = board.half_m.tolist(), mujoco.mjtGeom.mjGEOM_BOX
-            body.add_geom(name=name, type=kind, size=size, material=material, contype=int(is_solid))
+            body.add_geom(name=name, type=kind, size=size, material=material, contype=2 * is_solid, conaffinity=0)
 
 
 class Doors(Leaves):
@@ -134,7 +137,7 @@ class Doors(Leaves):
         rng = np.random.default_rng([seed, _STREAM, 1])
         self.starts, self.swings = [], []
         for board in self._boards:
-            is_busy = is_near(board, outlines, people, settings.clearance_m)
+            is_busy = is_near(board.swept(), outlines, people, settings.clearance_m)
             start, swings = _swings(times_s, is_busy, settings, rng)
             self.starts.append(start)
             self.swings.append(swings)
@@ -173,6 +176,10 @@ class Board:
         hinge = np.array(self.leaf.hinge_m)
         x, y = self.middle_m[:2] - hinge
         return np.array([hinge[0] + c * x - s * y, hinge[1] + s * x + c * y, self.middle_m[2]]), self.yaw_rad + turn_rad
+
+    def covers(self, turn_rad: float) -> shapely.Polygon:
+        """What it covers of the floor once it is turned about its hinge."""
+        return self._footprint(*self.turned(turn_rad), 0.0, 0.0)
 
     def swept(self, at_hinge_m: float = 0.0, at_end_m: float = 0.0) -> shapely.Geometry:
         """All that it covers of the floor as it swings, without so much of it at its hinge and its end."""
@@ -240,9 +247,7 @@ def _boards(world: World) -> list[Board]:
 
 def _outlines(drive: Drive, times_s: FloatArray, robot: Robot) -> list[shapely.Polygon]:
     """The robot's outline from above at these times."""
-    x = np.array([-_TAIL_M, robot.length_m - _TAIL_M])
-    corners = np.array([(x[0], -1), (x[1], -1), (x[1], 1), (x[0], 1)]) * [1, robot.width_m / 2]
-    return [shapely.Polygon(corners @ T[:2, :2].T + T[:2, 3]) for T in drive.truth.at(times_s)]
+    return [outline_at(robot, T) for T in drive.truth.at(times_s)]
 
 
 def _people(passersby: Passersby | None, times_s: FloatArray) -> list[shapely.Geometry]:
@@ -253,10 +258,9 @@ def _people(passersby: Passersby | None, times_s: FloatArray) -> list[shapely.Ge
 
 
 def is_near(
-    board: Board, outlines: list[shapely.Polygon], people: list[shapely.Geometry], clearance_m: float
+    swept: shapely.Geometry, outlines: list[shapely.Polygon], people: list[shapely.Geometry], clearance_m: float
 ) -> BoolArray:
     """(N,) when somebody is too near to where a leaf sweeps."""
-    swept = board.swept()
     shapely.prepare(swept)
     near_robot = shapely.dwithin(outlines, swept, clearance_m)
     return np.asarray(near_robot | shapely.dwithin(people, swept, RADIUS_M + clearance_m), bool)

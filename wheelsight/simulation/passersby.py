@@ -12,6 +12,7 @@ from wheelsight.errors import ConfigError
 from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.simulation import _walk_kernels as kernels
 from wheelsight.simulation.drive import Drive
+from wheelsight.simulation.outline import outline_m
 from wheelsight.simulation.robot import Robot
 from wheelsight.simulation.walking import (
     CELL_M,
@@ -29,7 +30,6 @@ CLEARANCE_M = 0.6
 
 # Between two steps both go on straight, which can bring them nearer than at either end.
 _MARGIN_M = 0.1
-_TAIL_M = 0.3  # how far a wheelchair reaches behind its axle
 _STREAM = 0x9A55
 
 
@@ -59,11 +59,10 @@ class Passersby(Cylinders):
         self._xy_m = np.zeros((1, 0, 2))
         if count:
             robot = robot or Robot()
-            outline_m = np.array([-_TAIL_M, robot.length_m - _TAIL_M, robot.width_m / 2])
             times_s = np.arange(math.ceil(drive.duration_s / STEP_S) + 1) * STEP_S + self._start_s
             T = drive.truth.at(times_s.clip(None, drive.truth.stamps_s[-1]))
             ground = Ground(world)
-            safe = _safe_cells(ground, T, outline_m, world.name)
+            safe = _safe_cells(ground, T, outline_m(robot), world.name)
             self._xy_m = _walk(ground, safe, T[0, :2, 3], count, np.random.default_rng((seed, _STREAM)))
         super().__init__(self._xy_m[0])
 
@@ -94,7 +93,7 @@ class _SafeCells:
         return np.unpackbits(bits, count=self._is_free.size).reshape(self._is_free.shape) ^ self._is_free
 
 
-def _safe_cells(ground: Ground, T_world_robot: FloatArray, outline_m: FloatArray, world: str) -> _SafeCells:
+def _safe_cells(ground: Ground, T_world_robot: FloatArray, reach_m: FloatArray, world: str) -> _SafeCells:
     """Cells from which the robot at poses (N, 4, 4), a step apart, can be avoided until the last of them."""
     reach = np.zeros((2 * reach_cells() + 1,) * 2, np.uint8)
     reach[tuple((steps_within_reach() + reach_cells()).T)] = 1
@@ -103,7 +102,7 @@ def _safe_cells(ground: Ground, T_world_robot: FloatArray, outline_m: FloatArray
         near_safe = cv2.dilate(safe, reach, borderType=cv2.BORDER_CONSTANT, borderValue=0)
         safe = np.where(near_safe, ground.is_free, np.uint8(0))
         R, xy_m = np.ascontiguousarray(T[:2, :2]), np.ascontiguousarray(T[:2, 3])
-        kernels.keep_clear(safe, CELL_M, ground.corner_m, xy_m, R, outline_m, CLEARANCE_M + _MARGIN_M)
+        kernels.keep_clear(safe, CELL_M, ground.corner_m, xy_m, R, reach_m, CLEARANCE_M + _MARGIN_M)
         cells.put_before(safe)
     if not safe.any():
         raise ConfigError(f"world {world} leaves no room for passers-by beside the robot", fix="--passers-by 0")

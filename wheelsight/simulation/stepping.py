@@ -12,6 +12,7 @@ from wheelsight.events import WheelTicks, YawRate
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.simulation._chair import Chair
 from wheelsight.simulation._ground import Underfoot
+from wheelsight.simulation.doors import Leaves
 from wheelsight.simulation.encoders import GYRO_PERIOD_S, Encoders, Gyroscope
 from wheelsight.simulation.realism import Realism
 from wheelsight.simulation.robot import TICK_PERIOD_S, Robot, WheelFaults
@@ -53,6 +54,11 @@ class SteppedRobot:
         slip: whether the wheels may slip.
         seed: of the rider, castors, encoders' phases and gyroscope.
         floor: what the wheels meet, or None for a level one.
+        doors: which swing in the world, or None.
+
+    Attributes:
+        chair: what physics moves.
+        tick: how often it was advanced.
 
     Raises:
         ConfigError: a world that MuJoCo does not take.
@@ -68,18 +74,21 @@ class SteppedRobot:
         slip: bool = True,
         seed: int = 0,
         floor: Underfoot | None = None,
+        doors: Leaves | None = None,
     ) -> None:
         chair_rng, encoder_rng, gyro_rng = (np.random.default_rng([seed, part]) for part in range(3))
-        self.chair = Chair(world, robot, faults, T_world_start, slip=slip, rng=chair_rng, underfoot=floor)
+        self.chair = Chair(world, robot, faults, T_world_start, slip=slip, rng=chair_rng, underfoot=floor, doors=doors)
+        if doors is not None:
+            self.chair.swing(*doors.poses_at(0.0))
         self.chair.settle(_SETTLING_S)
         self._encoders = Encoders(robot, faults, encoder_rng)
         self._gyroscope = Gyroscope(Gyro(), gyro_rng) if robot.has_gyro else None
-        self._tick = 0
+        self.tick = 0
 
     @property
     def time_s(self) -> float:
         """Seconds since the start."""
-        return self._tick * TRUTH_PERIOD_S
+        return self.tick * TRUTH_PERIOD_S
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -91,16 +100,16 @@ class SteppedRobot:
         position, quaternion_wxyz = self.chair.pose
         self._encoders.turn(self.time_s, self.chair.wheels_rad)
         ticks = yaw_rate = None
-        if self._tick % ticks_of(TICK_PERIOD_S) == 0:
+        if self.tick % ticks_of(TICK_PERIOD_S) == 0:
             ticks = self._encoders.read(self.time_s)
-        if self._gyroscope is not None and self._tick % ticks_of(GYRO_PERIOD_S) == 0:
+        if self._gyroscope is not None and self.tick % ticks_of(GYRO_PERIOD_S) == 0:
             yaw_rate = self._gyroscope.read(self.time_s, self.chair.yaw_rate_rad_s)
         return Reading(self.time_s, position, quaternion_wxyz, ticks, yaw_rate)
 
     def advance(self) -> None:
         """Go on by `TRUTH_PERIOD_S`."""
         self.chair.step(self.time_s, _STEPS)
-        self._tick += 1
+        self.tick += 1
 
 
 def poses_of(readings: Sequence[Reading]) -> FloatArray:
