@@ -12,8 +12,6 @@ from wheelsight.events import WheelTicks
 from wheelsight.robot_limits import RobotLimits
 from wheelsight.settings import CHOSEN, ON_SIMULATOR, Settings, setting
 
-_LONGEST_STEP_S = 0.1  # a loop that was away for longer goes on as if it had been away for this
-
 
 class WheelControlSettings(Settings):
     """How wheels are held at their speeds, and when that is given up."""
@@ -35,14 +33,29 @@ class WheelControlSettings(Settings):
         gt=0,
         le=0.5,
     )
+    answer_s: float = setting(
+        0.13,
+        "time constant with which a wheel answers and its speed is known; feedback compares with what should be by now",
+        "found on the simulator alone: 0.1 s of its motors, and half of the window",
+        gt=0,
+        le=2,
+    )
     proportional: float = setting(
-        0.3, "duty for an error of full speed; of 0.1 to 1, a step answers without swinging up to 0.5", ON_SIMULATOR,
-        ge=0, le=10,
-    )  # fmt: skip
+        1.0,
+        "duty for an error of full speed; from 0.1 to 2 a ramp to 0.8 m/s ends 4.4 % to 2.6 % too high at worst, with "
+        "motors 15 % weaker or stronger that lag by 0.05 to 0.2 s",
+        ON_SIMULATOR,
+        ge=0,
+        le=10,
+    )
     integral_per_s: float = setting(
-        1.0, "duty a second for an error of full speed; what a slope takes is made up in a second", ON_SIMULATOR,
-        ge=0, le=50,
-    )  # fmt: skip
+        3.0,
+        "duty a second for an error of full speed; with 1 in place of 3, weak motors reach 95 % of that speed half a "
+        "second later",
+        ON_SIMULATOR,
+        ge=0,
+        le=50,
+    )
     most_correction: float = setting(
         0.2,
         "duty that feedback may add or take: with an encoder that lies, so much is what a robot is too fast by",
@@ -54,6 +67,14 @@ class WheelControlSettings(Settings):
     standing_m_s: float = setting(0.01, "speed of a rim below which a wheel stands", CHOSEN, gt=0, le=0.2)
     silence_s: float = setting(
         0.15, "without ticks after which the robot stops: seven readings of 20 ms, 15 cm at 1 m/s", CHOSEN, gt=0, le=2
+    )
+    hold_s: float = setting(
+        0.2,
+        "for which motors keep a duty without a new one, less than the firmware's 0.5; then they stand, and so does "
+        "what they are told next: 20 cm at 1 m/s",
+        CHOSEN,
+        gt=0.02,
+        le=0.5,
     )
     doubt_m_s: float = setting(
         0.15,
@@ -145,7 +166,13 @@ class VelocityControl:
         ]
         self._last_s: float | None = None
         self._heard_s: float | None = None
+        self._has_ticks = False
         self.reason = ""
+
+    @property
+    def settings(self) -> WheelControlSettings:
+        """Of the loop."""
+        return self._settings
 
     @property
     def velocity(self) -> VelocityCommand:
@@ -163,22 +190,25 @@ class VelocityControl:
         """The duties from now on.
 
         Args:
-            now_s: by the clock of the ticks' stamps.
+            now_s: by any clock that runs as that of the ticks' stamps.
             ticks: those that came now, or None.
             command: what the robot is to do.
         """
-        since_s = min(max(now_s - (now_s if self._last_s is None else self._last_s), 0.0), _LONGEST_STEP_S)
+        since_s = 0.0 if self._last_s is None else max(now_s - self._last_s, 0.0)
         self._last_s = now_s
+        if since_s > self._settings.hold_s:
+            since_s = 0.0
+            self.stop()
+        self._heard_s = now_s if ticks is not None or self._heard_s is None else self._heard_s
         if ticks is not None:
-            self._heard_s = now_s
+            self._has_ticks = True
             for loop, count in zip(self._loops, (ticks.left, ticks.right), strict=True):
                 loop.count(ticks.stamp_s, count)
-        is_silent = self._heard_s is None or now_s - self._heard_s > self._settings.silence_s
-        if is_silent:
+        if now_s - self._heard_s > self._settings.silence_s:
             self.stop("no wheel readings come")
         elif self.reason and command.is_stop:
             self.reason = ""
-        if self.reason:
+        if self.reason or not self._has_ticks:
             return Duties(reason=self.reason)
         return self._duties(command, since_s)
 
@@ -202,11 +232,10 @@ class _WheelLoop:
     def __init__(self, name: str, m_per_tick: float, settings: WheelControlSettings) -> None:
         self._name, self._m_per_tick, self._settings = name, m_per_tick, settings
         self._counts: deque[tuple[float, int]] = deque()
-        self._sum = self._doubted_s = 0.0
-        self.reason = ""
+        self.rest()
 
     def rest(self) -> None:
-        self._sum = self._doubted_s = 0.0
+        self._sum = self._doubted_s = self._expected_m_s = 0.0
         self.reason = ""
 
     def count(self, stamp_s: float, count: int) -> None:
@@ -226,13 +255,16 @@ class _WheelLoop:
     def duty(self, wanted_m_s: float, since_s: float) -> float:
         """From -1 to 1; sets `reason` where the wheel has not obeyed for too long."""
         settings, speed_m_s = self._settings, self.speed_m_s
-        self._doubted_s = self._doubted_s + since_s if (doubt := self._doubt(wanted_m_s, speed_m_s)) else 0.0
+        answered = 1 - math.exp(-since_s / settings.answer_s)
+        self._expected_m_s += answered * (wanted_m_s - self._expected_m_s)
+        doubt = self._doubt(self._expected_m_s, speed_m_s)
+        self._doubted_s = self._doubted_s + since_s if doubt else 0.0
         if self._doubted_s > settings.doubt_s:
             self.reason = f"the {self._name} wheel {doubt}: told {wanted_m_s:.2f} m/s, its encoder {speed_m_s:.2f}"
         if wanted_m_s == 0 and abs(speed_m_s) < settings.standing_m_s:
-            self._sum = 0.0
+            self._sum = self._expected_m_s = 0.0
             return 0.0
-        error = (wanted_m_s - speed_m_s) / settings.full_speed_m_s
+        error = (self._expected_m_s - speed_m_s) / settings.full_speed_m_s
         most = settings.most_correction
         self._sum = min(max(self._sum + settings.integral_per_s * error * since_s, -most), most)
         correction = min(max(settings.proportional * error + self._sum, -most), most)

@@ -15,6 +15,7 @@ from wheelsight.simulation.settings import SimulationSettings
 from wheelsight.simulation.simulate import world_of
 from wheelsight.simulation.stepping import SteppedRobot, start_of, ticks_of
 from wheelsight.simulation.walking import STEP_S
+from wheelsight.simulation.world import World
 
 _LOOK_S = 0.02  # at 1.2 m/s, 24 mm
 _DOORS_S = 0.05
@@ -39,7 +40,7 @@ class LiveWorld:
 
     def __init__(self, settings: SimulationSettings, start: tuple[float, float, float] | None = None) -> None:
         self.world = world_of(settings)
-        self.T_world_start = start_of(self.world) if start is None else se3.from_plane(*start)
+        self.T_world_start = _start(self.world, start)
         seed, robot = settings.day_seed, settings.robot
         outline = outline_at(robot, self.T_world_start)
         self.doors = LiveDoors(self.world, outline, settings.doors, seed) if settings.doors else None
@@ -51,7 +52,7 @@ class LiveWorld:
         self._robot, self.contacts = robot, list[Contact]()
         self._touched_s: dict[str, float] = {}
         self._bystanders = Bystanders(self.world, robot, self._people, self.doors)
-        if not (np.isfinite(self.T_world_start).all() and self.clearance_m(self.T_world_start, 0.0) > 0):
+        if self.clearance_m(self.T_world_start, 0.0) <= 0:
             place = self.T_world_start[:2, 3].round(2).tolist()
             raise ConfigError(f"the robot cannot begin at {place}: something stands there", fix="begin on free floor")
 
@@ -93,6 +94,15 @@ class LiveWorld:
             if contact.time_s - self._touched_s.get(contact.name, -np.inf) > _ANEW_S:
                 self.contacts.append(contact)
             self._touched_s[contact.name] = contact.time_s
+
+
+def _start(world: World, start: tuple[float, float, float] | None) -> FloatArray:
+    if start is None:
+        return start_of(world)
+    x_min, y_min, x_max, y_max = world.size_m
+    if not (np.isfinite(start[2]) and x_min <= start[0] <= x_max and y_min <= start[1] <= y_max):
+        raise ConfigError(f"the robot cannot begin at {start}: there is no floor", fix="begin on free floor")
+    return se3.from_plane(*start)
 
 
 def _going_on(motion: Motion, seconds: float) -> FloatArray:

@@ -242,7 +242,7 @@ def _stepped(settings: SimulationSettings, live: LiveWorld) -> SteppedRobot:
 
 
 def _checked_steps(period_s: float) -> int:
-    steps = round(period_s / TRUTH_PERIOD_S)
+    steps = round(period_s / TRUTH_PERIOD_S) if np.isfinite(period_s) else 0
     if not (1 <= steps <= 1000 and abs(steps * TRUTH_PERIOD_S - period_s) < 1e-9):
         raise ConfigError(f"period_s is {period_s}", fix=f"a multiple of {TRUTH_PERIOD_S} s, up to 5 s")
     return steps
