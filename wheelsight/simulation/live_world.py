@@ -9,7 +9,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.simulation.contacts import Bystanders, Contact, Motion
 from wheelsight.simulation.frames import Surroundings
 from wheelsight.simulation.live_doors import LiveDoors
-from wheelsight.simulation.live_passersby import LivePassersby
+from wheelsight.simulation.live_passersby import LivePassersby, LivePeopleSettings
 from wheelsight.simulation.outline import outline_at
 from wheelsight.simulation.settings import SimulationSettings
 from wheelsight.simulation.simulate import world_of
@@ -33,22 +33,27 @@ class LiveWorld:
     Args:
         settings: world, seed, day, robot, people, doors.
         start: x, y, yaw of the base, or None for the world's own.
+        world: in place of the one the settings name.
+        people: how they mind the robot.
 
     Raises:
         ConfigError: a world that cannot be, or a start that touches something.
     """
 
-    def __init__(self, settings: SimulationSettings, start: tuple[float, float, float] | None = None) -> None:
-        self.world = world_of(settings)
+    def __init__(
+        self,
+        settings: SimulationSettings,
+        start: tuple[float, float, float] | None = None,
+        world: World | None = None,
+        people: LivePeopleSettings | None = None,
+    ) -> None:
+        self.world = world or world_of(settings)
         self.T_world_start = _start(self.world, start)
         seed, robot = settings.day_seed, settings.robot
         outline = outline_at(robot, self.T_world_start)
         self.doors = LiveDoors(self.world, outline, settings.doors, seed) if settings.doors else None
-        self._people = (
-            LivePassersby(self.world, self.T_world_start, settings.passersby, seed, robot)
-            if settings.passersby
-            else None
-        )
+        count, T_start = settings.passersby, self.T_world_start
+        self._people = LivePassersby(self.world, T_start, count, seed, robot, people) if count else None
         self._robot, self.contacts = robot, list[Contact]()
         self._touched_s: dict[str, float] = {}
         self._bystanders = Bystanders(self.world, robot, self._people, self.doors)

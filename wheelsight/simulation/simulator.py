@@ -20,6 +20,7 @@ from wheelsight.simulation.contacts import Contact
 from wheelsight.simulation.delays import Delays
 from wheelsight.simulation.drivers import COMMAND_PERIOD_S
 from wheelsight.simulation.live_camera import LiveCamera
+from wheelsight.simulation.live_passersby import LivePeopleSettings
 from wheelsight.simulation.live_world import LiveWorld
 from wheelsight.simulation.motors import Motors
 from wheelsight.simulation.realism import realism_of, stream
@@ -49,6 +50,8 @@ class Simulator:
     Args:
         settings: world, camera, robot, faults, people, doors, realism, seed.
         start: x, y in metres and yaw in radians in the frame `map` where the base begins; None for the world's own.
+        world: in place of the one the settings name.
+        people: how they mind the robot.
         limits: which commands are held to.
         control: of the wheels' loop.
         period_s: of a step, a multiple of 5 ms.
@@ -64,6 +67,8 @@ class Simulator:
         settings: SimulationSettings,
         *,
         start: tuple[float, float, float] | None = None,
+        world: World | None = None,
+        people: LivePeopleSettings | None = None,
         limits: RobotLimits | None = None,
         control: WheelControlSettings | None = None,
         period_s: float = PERIOD_S,
@@ -73,7 +78,7 @@ class Simulator:
         needed("mujoco")
         self._steps = _checked_steps(period_s)
         self.settings, self._has_camera = settings, has_camera
-        self._live = LiveWorld(settings, start)
+        self._live = LiveWorld(settings, start, world, people)
         self._robot = _stepped(settings, self._live)
         self._camera = LiveCamera(self._live.surroundings, settings, LONGEST_S, threads)
         self._calibration = as_owned(settings, self._camera.calibration)
