@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -225,3 +227,10 @@ def test_what_cannot_be_is_refused() -> None:
         Simulator(SETTINGS, start=(x, y, 0.0))
     with pytest.raises(ConfigError, match="cannot begin"):
         Simulator(SETTINGS, start=(math.nan, 0.0, 0.0))
+
+
+def test_the_example_of_the_docs_runs(project_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (project_folder / "docs" / "simulation.md").read_text(encoding="utf-8")
+    section = page[page.index("## A robot to command") :]
+    exec(re.findall(r"^```python\n(.*?)^```", section, re.MULTILINE | re.DOTALL)[0], {})
+    assert "obeys ()" in capsys.readouterr().out
