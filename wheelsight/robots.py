@@ -9,6 +9,9 @@ from wheelsight.calibration import Calibration
 from wheelsight.commands import VelocityCommand
 from wheelsight.events import Event
 
+STOPPED = "it was stopped"
+"""The `stop_reason` after `stop`."""
+
 
 @runtime_checkable
 class Robot(Protocol):
@@ -36,7 +39,10 @@ class Robot(Protocol):
         """
 
     def stop(self) -> None:
-        """Stop at once, without the gentleness of commands."""
+        """Stop at once, without the gentleness of commands; then it stands until it is commanded to stand.
+
+        May be called by another thread, while a step goes on.
+        """
 
     def close(self) -> None:
         """Stop, and give up what it is driven by; may be called twice."""

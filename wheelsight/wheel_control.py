@@ -180,7 +180,10 @@ class VelocityControl:
         return self._velocity.now
 
     def stop(self, reason: str = "") -> None:
-        """Begin anew from a stand; with a reason, stand until the command is to stand."""
+        """Begin anew from a stand; with a reason, stand until the command is to stand.
+
+        May be called by another thread than `update` is.
+        """
         self.reason = reason or self.reason
         self._velocity.reset()
         for loop in self._loops:

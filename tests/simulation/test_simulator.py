@@ -137,6 +137,14 @@ def test_frames_are_those_of_a_recorded_drive_along_the_same_way() -> None:
     np.testing.assert_array_equal(simulator.calibration.color, recorded.calibration.color)
 
 
+def test_a_covered_camera_sees_nothing() -> None:
+    settings = replace(SETTINGS, covered_s=((0.45, 0.75),))
+    frames = [event for event in run(Simulator(settings), STOP, 1.2) if isinstance(event, RgbdFrame)]
+    is_blind = [not frame.depth_m.any() for frame in frames]
+    assert is_blind == [0.45 <= frame.stamp_s < 0.75 for frame in frames]
+    assert sum(is_blind) == 3
+
+
 def test_speeds_keep_the_limits() -> None:
     limits = RobotLimits(forward_m_s=0.4, turn_rad_s=0.5, acceleration_m_s2=0.3, braking_m_s2=0.6)
     simulator = Simulator(SETTINGS, limits=limits, has_camera=False)
@@ -203,8 +211,7 @@ def test_an_encoder_that_is_out_is_found() -> None:
 
 
 def test_stop_keeps_no_limits() -> None:
-    stopped, braked = (Simulator(SETTINGS, has_camera=False) for _ in range(2))
-    gentle = RobotLimits(braking_m_s2=0.1)
+    stopped, gentle = Simulator(SETTINGS, has_camera=False), RobotLimits(braking_m_s2=0.1)
     braked = Simulator(SETTINGS, limits=gentle, has_camera=False)
     ways_m = []
     for simulator in (stopped, braked):
@@ -212,6 +219,8 @@ def test_stop_keeps_no_limits() -> None:
         T = simulator.T_world_base
         if simulator is stopped:
             simulator.stop()
+            run(simulator, AHEAD, 0.5)
+            assert simulator.stop_reason == "it was stopped"
         run(simulator, STOP, 2.0)
         ways_m.append(moved(T, simulator.T_world_base)[0])
     assert ways_m[0] < 0.2

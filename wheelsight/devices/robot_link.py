@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,6 +15,7 @@ from wheelsight.devices.link import WheelLink
 from wheelsight.errors import ArgumentError, DeviceError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.robot_limits import RobotLimits
+from wheelsight.robots import STOPPED
 from wheelsight.wheel_control import VelocityControl, WheelControlSettings
 
 PERIOD_S = 0.05
@@ -66,6 +68,7 @@ class LinkRobot:
         self._restarts = link.report().restarts
         self._quickest_s: float | None = None
         self._has_driven = self._is_closed = False
+        self._stepping = threading.Lock()
 
     @property
     def calibration(self) -> Calibration:
@@ -83,10 +86,19 @@ class LinkRobot:
         A frame may be stamped before ticks that an earlier step has answered: cameras deliver later than wheels.
 
         Raises:
-            DeviceError: the robot is closed.
+            DeviceError: the robot is closed, or is stepped by somebody else at this moment; then it stops.
         """
         if self._is_closed:
             raise DeviceError("the robot is closed", path=self._link.port)
+        if not self._stepping.acquire(blocking=False):
+            self._control.stop("two programs drive it at once")
+            raise DeviceError("the robot is driven by somebody else", path=self._link.port, fix="let one drive")
+        try:
+            return self._step(command)
+        finally:
+            self._stepping.release()
+
+    def _step(self, command: VelocityCommand) -> list[Event]:
         ends_s = time.monotonic() + self._period_s
         events: list[Event] = [*self._backlog()]
         self._watch_controller()
@@ -106,7 +118,7 @@ class LinkRobot:
         Raises:
             DeviceError: the port is gone, or the controller does not confirm; then it stops by itself.
         """
-        self._control.stop()
+        self._control.stop(STOPPED)
         if self._has_driven:
             self._link.stop()
 

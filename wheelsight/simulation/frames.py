@@ -93,6 +93,11 @@ class FrameMaker:
         finally:
             self._idle_eyes.append(eye)
 
+    def forget_before(self, index: int) -> None:
+        """What was metered for frames that are no longer asked for."""
+        for old in [known for known in self._metered if known <= index - _METERED_FRAMES]:
+            del self._metered[old]
+
     def _frame(self, index: int, eye: _Eye) -> RgbdFrame:
         taken_s, unit = float(self.times.taken_s[index]), self.unit
         depth_rng, color_rng = np.random.default_rng([self._settings.day_seed, _STREAM, index]).spawn(2)

@@ -87,6 +87,7 @@ class LiveCamera:
             self._maker.carriage = self._carriage()
             frame = self._maker.frame(self._next)
             self._next += 1
+            self._maker.forget_before(self._next)
             for cover in self._covers:
                 frame = next(f for f in cover.apply([frame]) if isinstance(f, RgbdFrame))
             yield frame

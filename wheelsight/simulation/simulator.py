@@ -16,6 +16,7 @@ from wheelsight.events import Event
 from wheelsight.extras import needed
 from wheelsight.geometry import FloatArray
 from wheelsight.robot_limits import RobotLimits
+from wheelsight.robots import STOPPED
 from wheelsight.simulation.contacts import Contact
 from wheelsight.simulation.delays import Delays
 from wheelsight.simulation.drivers import COMMAND_PERIOD_S
@@ -159,7 +160,7 @@ class Simulator:
         return list(self._due())
 
     def stop(self) -> None:
-        """Take the motors' voltage; the chair brakes by itself in the steps to come."""
+        """Take the motors' voltage; the chair brakes by itself in the steps to come, until it is commanded to stand."""
         self._drive.stop()
 
     def close(self) -> None:
@@ -229,7 +230,7 @@ class _WheelDrive:
 
     def stop(self) -> None:
         """Begin anew from a stand."""
-        self.control.stop()
+        self.control.stop(STOPPED)
         self._motors.after(Duties(), np.inf)
 
 
