@@ -150,6 +150,18 @@ def test_silent_encoders_stop(robot: LinkRobot, controller: SimulatedController)
     wait(robot, lambda: not robot.stop_reason)
 
 
+def test_ticks_that_waited_are_no_sign_of_life(robot: LinkRobot, controller: SimulatedController) -> None:
+    wait(robot, lambda: controller.duties[0] > 50, AHEAD)
+    time.sleep(0.3)
+    controller.is_muted = True
+    time.sleep(1.2 * PATIENT.silence_s)
+    before = len(controller.commands)
+    events = run(robot, AHEAD, 0.3)
+    assert len(events) > 5
+    assert all(body == drive_body(0, 0) for kind, body in controller.commands[before:] if kind == Command.DRIVE)
+    assert robot.stop_reason == "no wheel readings come"
+
+
 def test_without_steps_the_link_stops_the_motors(robot: LinkRobot, controller: SimulatedController) -> None:
     wait(robot, lambda: controller.duties[0] > 50, AHEAD)
     before = len(controller.commands)

@@ -19,6 +19,8 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.robot_limits import RobotLimits
 from wheelsight.robots import Robot as RobotProtocol
 from wheelsight.simulation import Drive, Renderer, Robot, SimulationSettings, Simulator, WheelFaults, camera_model
+from wheelsight.simulation.realism import realism_of, stream
+from wheelsight.simulation.realism.mount import mounted
 from wheelsight.trajectory import Trajectory
 
 SETTINGS = SimulationSettings(world="square", size=(64, 48), rate_hz=10.0, seed=3, robot=Robot(has_gyro=True))
@@ -121,6 +123,24 @@ def test_events_come_in_the_order_of_stamps_and_none_is_missing() -> None:
     assert 34 <= counted[RgbdFrame] <= 40  # one in fifty is lost, and others with it
     assert counted[WheelTicks] in range(195, 201)
     assert counted[YawRate] in range(390, 401)
+
+
+def test_what_is_stamped_later_waits_for_a_frame() -> None:
+    """Steps that end while a frame's rows are still read."""
+    simulator = Simulator(replace(SETTINGS, rate_hz=15.0), period_s=0.005)
+    stamps_s = [event.stamp_s for _ in range(80) for event in simulator.step(AHEAD)]
+    assert stamps_s == sorted(stamps_s)
+    assert len(stamps_s) > 50
+
+
+def test_the_camera_is_mounted_as_that_of_recorded_drives() -> None:
+    simulator = Simulator(replace(REAL, passersby=0, doors=0))
+    run(simulator, STOP, 1.0)
+    realism = not_none(realism_of("real"))
+    mount = mounted(REAL.robot.T_base_camera, realism.mount, stream(REAL.seed, "mount"))
+    off = se3.log(se3.compose(se3.invert(simulator.T_world_base @ mount), simulator.T_world_camera))
+    assert np.abs(off).max() < 1e-3  # of the body on its springs
+    assert np.abs(se3.log(se3.compose(se3.invert(REAL.robot.T_base_camera), mount))).max() > 3e-3
 
 
 def test_frames_are_those_of_a_recorded_drive_along_the_same_way() -> None:
