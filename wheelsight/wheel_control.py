@@ -84,7 +84,13 @@ class WheelControlSettings(Settings):
         gt=0,
         le=2,
     )
-    doubt_s: float = setting(0.4, "for so long, after which the robot stops: 40 cm at 1 m/s", CHOSEN, gt=0, le=5)
+    doubt_s: float = setting(
+        0.4,
+        "for so long, after which the robot stops; less in proportion where it is more, so that a wheel is off by 6 cm",
+        CHOSEN,
+        gt=0,
+        le=5,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +265,9 @@ class _WheelLoop:
         answered = 1 - math.exp(-since_s / settings.answer_s)
         self._expected_m_s += answered * (wanted_m_s - self._expected_m_s)
         doubt = self._doubt(self._expected_m_s, speed_m_s)
-        self._doubted_s = self._doubted_s + since_s if doubt else 0.0
+        # A dead encoder shows a speed that no wheel can have come to so soon: the more, the less time is given.
+        weight = max(abs(self._expected_m_s - speed_m_s) / settings.doubt_m_s, 1.0)
+        self._doubted_s = self._doubted_s + weight * since_s if doubt else 0.0
         if self._doubted_s > settings.doubt_s:
             self.reason = f"the {self._name} wheel {doubt}: told {wanted_m_s:.2f} m/s, its encoder {speed_m_s:.2f}"
         if wanted_m_s == 0 and abs(speed_m_s) < settings.standing_m_s:
