@@ -33,9 +33,10 @@ from wheelsight.simulation.camera_faults import (
     StuckImage,
 )
 from wheelsight.simulation.drivers import Driver, follow_route
-from wheelsight.simulation.passersby import RADIUS_M, Passersby
+from wheelsight.simulation.passersby import Passersby
 from wheelsight.simulation.realism import RealismName, realism_of
 from wheelsight.simulation.scene_faults import DarkRoom, DirectSun, GlassWall, Mirror, Silence, StillView, WheelsStand
+from wheelsight.simulation.walking import RADIUS_M
 
 _SIZE = (320, 240)
 _BEGIN_S, _END_S = 4.0, 7.0

@@ -7,6 +7,7 @@ import select
 import threading
 import time
 import tty
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -24,6 +25,7 @@ class SimulatedController:
         port: a link to the pseudo-terminal.
         left, right: the true counts, never reset.
         speeds: pulses a period of both wheels.
+        motors: pulses of both wheels in so many seconds under duties in permille, in place of `speeds`; or None.
         duties: what DRIVE last said, (0, 0) after STOP or the watchdog.
         commands: all received, (type, body).
         is_muted, is_noisy, answers: whether it sends no counts; sends noise; answers commands.
@@ -33,6 +35,7 @@ class SimulatedController:
         self.port = folder / "ttyWHEELS"
         self.left = self.right = 0
         self.speeds = (0, 0)
+        self.motors: Callable[[tuple[int, int], float], tuple[int, int]] | None = None
         self.duties = (0, 0)
         self.commands: list[tuple[int, bytes]] = []
         self.is_muted, self.is_noisy, self.answers, self.is_paper = False, False, True, False
@@ -40,6 +43,7 @@ class SimulatedController:
         self._sequence = 0
         self._booted_s = time.monotonic()
         self._driven_s = 0.0
+        self._turned_s = time.monotonic()
         self._master: int | None = None
         self._slave: int | None = None
         self._received = b""
@@ -103,7 +107,9 @@ class SimulatedController:
                 self._period()
 
     def _period(self) -> None:
-        left, right = self.speeds
+        now_s = time.monotonic()
+        left, right = self.speeds if self.motors is None else self.motors(self.duties, now_s - self._turned_s)
+        self._turned_s = now_s
         self.left += left
         self.right += right
         if time.monotonic() - self._driven_s > WATCHDOG_S:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from wheelsight.areas import AreaMap
@@ -21,6 +23,24 @@ def room(geoms: str, surfaces: dict[str, Surface] | None = None) -> World:
     )
     route = np.array([[0.0, 0.0], [8.0, 0.0]])
     return World("room", "a few geoms", mjcf, surfaces, AreaMap(), route, False, (-20.0, -20.0, 20.0, 20.0))
+
+
+def corridor(
+    half_width_m: float = 1.4,
+    route: tuple[tuple[float, float], ...] = ((1.0, 0.0), (23.0, 0.0)),
+    ends_m: tuple[float, ...] = (),
+) -> World:
+    """Along x, with walls across it at `ends_m`, a bin on its left, and in its middle a poster to walk through."""
+    h = half_width_m + 0.1
+    walls = "".join(f'<geom name="end{x}" type="box" pos="{x} 0 1.4" size="0.1 3 1.4"/>' for x in ends_m)
+    walls += (
+        f'<geom name="left" type="box" pos="12 {h} 1.4" size="13 0.1 1.4"/>'
+        f'<geom name="right" type="box" pos="12 {-h} 1.4" size="13 0.1 1.4"/>'
+        '<geom name="floor" type="plane" size="40 40 1"/>'
+        f'<geom name="bin" type="cylinder" pos="9 {half_width_m - 0.2} 0.4" size="0.2 0.4"/>'
+        f'<geom name="poster" type="box" pos="12 0 1.4" size="0.5 0.5 0.5" contype="0"/>'
+    )
+    return replace(room(walls), route=np.array(route))
 
 
 def looking(x: float = 0.0, y: float = 0.0, z: float = 1.0, yaw: float = 0.0, pitch: float = 0.0) -> FloatArray:

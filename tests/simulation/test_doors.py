@@ -19,9 +19,10 @@ from wheelsight.geometry import FloatArray, PinholeCamera
 from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 from wheelsight.simulation.doors import Doors, DoorSettings
 from wheelsight.simulation.drive import Drive
-from wheelsight.simulation.passersby import RADIUS_M, Passersby
+from wheelsight.simulation.passersby import Passersby
 from wheelsight.simulation.scene import Scene
 from wheelsight.simulation.simulated_recording import SimulatedRecording
+from wheelsight.simulation.walking import RADIUS_M
 from wheelsight.simulation.world import Leaf, World
 from wheelsight.simulation.worlds.floor_plan import FloorPlan
 from wheelsight.trajectory import Trajectory

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from odometry.plain_kernels import plain
-from small_rooms import looking, room
+from small_rooms import corridor, looking, room
 
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray, PinholeCamera
@@ -13,26 +13,7 @@ from wheelsight.simulation import _walk_kernels as kernels
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.passersby import Passersby
 from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.world import World
 from wheelsight.trajectory import Trajectory
-
-
-def corridor(
-    half_width_m: float = 1.4,
-    route: tuple[tuple[float, float], ...] = ((1.0, 0.0), (23.0, 0.0)),
-    ends_m: tuple[float, ...] = (),
-) -> World:
-    """Along x, with walls across it at `ends_m`, a bin on its left, and in its middle a poster to walk through."""
-    h = half_width_m + 0.1
-    walls = "".join(f'<geom name="end{x}" type="box" pos="{x} 0 1.4" size="0.1 3 1.4"/>' for x in ends_m)
-    walls += (
-        f'<geom name="left" type="box" pos="12 {h} 1.4" size="13 0.1 1.4"/>'
-        f'<geom name="right" type="box" pos="12 {-h} 1.4" size="13 0.1 1.4"/>'
-        '<geom name="floor" type="plane" size="40 40 1"/>'
-        f'<geom name="bin" type="cylinder" pos="9 {half_width_m - 0.2} 0.4" size="0.2 0.4"/>'
-        f'<geom name="poster" type="box" pos="12 0 1.4" size="0.5 0.5 0.5" contype="0"/>'
-    )
-    return replace(room(walls), route=np.array(route))
 
 
 def drive_along(x_m: FloatArray, yaw_rad: FloatArray | float = 0.0) -> Drive:

@@ -6,6 +6,7 @@ from wheelsight.devices.link import BAUDRATE, LinkReport, LinkStatus, WheelLink
 from wheelsight.devices.pipe import TelemetryPipe
 from wheelsight.devices.protocol import FrameDecoder, LineStatistics, Version
 from wheelsight.devices.recognition import Format, LineDecoder
+from wheelsight.devices.robot_link import LinkRobot
 from wheelsight.devices.source import TelemetryReader, TicksFile, WheelSource, is_recorded, open_wheels
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "LineDecoder",
     "LineStatistics",
     "LinkReport",
+    "LinkRobot",
     "LinkStatus",
     "TelemetryPipe",
     "TelemetryReader",

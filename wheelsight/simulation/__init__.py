@@ -15,6 +15,7 @@ from wheelsight.simulation.scene import Scene
 from wheelsight.simulation.settings import SimulationSettings
 from wheelsight.simulation.simulate import simulate, write_simulation
 from wheelsight.simulation.simulated_recording import SimulatedRecording
+from wheelsight.simulation.simulator import Simulator
 from wheelsight.simulation.view import Geoms, View
 from wheelsight.simulation.world import Surface, World
 from wheelsight.simulation.worlds import build_world, world_names
@@ -32,6 +33,7 @@ __all__ = [
     "Scene",
     "SimulatedRecording",
     "SimulationSettings",
+    "Simulator",
     "StopAndTurn",
     "Surface",
     "View",

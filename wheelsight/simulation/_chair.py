@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.simulation._ground import Tyres, Underfoot, UnevenFloor, drag_n
+from wheelsight.simulation.doors import Leaves
 from wheelsight.simulation.drivers import COMMAND_PERIOD_S
 from wheelsight.simulation.encoders import is_during
 from wheelsight.simulation.robot import Robot, WheelFaults
@@ -20,6 +22,15 @@ _LIFT_M_S = 0.02
 _RAMP_M_S2 = 1.5
 _LARGEST_SWIVEL_RAD = 0.5
 _FASTEST = 1e3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch:
+    """The hull touches a geom `name` at `place_m` (2,); `towards` (2,) is the direction from the hull to it."""
+
+    name: str
+    place_m: FloatArray
+    towards: FloatArray
 
 
 class Chair:
@@ -35,12 +46,13 @@ class Chair:
         slip: bool,
         rng: np.random.Generator,
         underfoot: Underfoot | None = None,
+        doors: Leaves | None = None,
     ) -> None:
         import mujoco
 
         self._mujoco, self._faults, self._slip, self._rng = mujoco, faults, slip, rng
         self._nominal = robot.nominal
-        self._model = scene(world, robot, slip=slip)
+        self._model = scene(world, robot, slip=slip, doors=doors)
         self._data = mujoco.MjData(self._model)
         radii_m = robot.left_radius_m, robot.right_radius_m
         self._tyres = Tyres(self._model, radii_m, faults.patches, creep=slip, underfoot=underfoot)
@@ -51,6 +63,7 @@ class Chair:
         self._pose = self._data.qpos[int(base.qposadr[0]) :][:7]
         self._velocity = self._data.qvel[int(base.dofadr[0]) :][:6]
         self._angles = [int(self._model.joint(PREFIX + name).qposadr[0]) for name in ROLLING[:2]]
+        self._hull = self._model.geom(PREFIX + "hull").id
         self._jack = self._model.geom(PREFIX + "jack").id
         self._lowest_m = float(self._model.geom_pos[self._jack, 2])
         self._jack_m = self._lowest_m + 2 * LIFT_M
@@ -98,6 +111,28 @@ class Chair:
         return float(self._velocity[5])
 
     @property
+    def velocity_m_s(self) -> FloatArray:
+        """(2,) of the base over the floor, in the world."""
+        return np.array(self._velocity[:2])
+
+    @property
+    def touches(self) -> list[Touch]:
+        """What stands in the world and the hull touches."""
+        contacts, found = self._data.contact, []
+        for i in np.flatnonzero((contacts.geom == self._hull).any(axis=1)):
+            one, other = contacts.geom[i]
+            thing, sign = (other, 1.0) if one == self._hull else (one, -1.0)
+            name = self._model.geom(thing).name
+            found.append(Touch(name, contacts.pos[i, :2].copy(), sign * contacts.frame[i, :2]))
+        return found
+
+    def swing(self, middles_m: FloatArray, yaws_rad: FloatArray) -> None:
+        """Put the leaves of doors where they are: middles (N, 3) and yaws (N,)."""
+        self._data.mocap_pos[:] = middles_m
+        self._data.mocap_quat[:, 0] = np.cos(yaws_rad / 2)
+        self._data.mocap_quat[:, 3] = np.sin(yaws_rad / 2)
+
+    @property
     def is_broken(self) -> bool:
         """Whether numbers run away; seen before MuJoCo itself does, which then starts anew and writes a log file."""
         return bool(self._data.warning.number.any() or not np.abs(self._data.qvel).max() < _FASTEST)
@@ -108,8 +143,12 @@ class Chair:
         The motors' controller ramps what would throw the rider out of the seat.
         """
         across_m_s = yaw_rate_rad_s * self._nominal.track_width_m / 2
+        self.turn_wheels((v_m_s - across_m_s, v_m_s + across_m_s))
+
+    def turn_wheels(self, rims_m_s: tuple[float, float]) -> None:
+        """The same by the speeds of the left and right wheel's rim."""
         step_rad_s = _RAMP_M_S2 * COMMAND_PERIOD_S / self._nominal.left_radius_m
-        for i, rim_m_s in enumerate((v_m_s - across_m_s, v_m_s + across_m_s)):
+        for i, rim_m_s in enumerate(rims_m_s):
             change = rim_m_s / self._nominal.left_radius_m - self._data.ctrl[i]
             self._data.ctrl[i] += min(max(change, -step_rad_s), step_rad_s)
 

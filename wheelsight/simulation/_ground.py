@@ -75,7 +75,8 @@ class Tyres:
 
     def _rows(self, data: mujoco.MjData) -> list[int]:
         """Where MuJoCo has the contact of each wheel among its constraints; -1 for one in the air."""
-        of_geom = {int(contact.geom[1]): int(contact.efc_address) for contact in data.contact}
+        contacts = data.contact
+        of_geom = dict(zip(contacts.geom[:, 1].tolist(), contacts.efc_address.tolist(), strict=True))
         return [of_geom.get(geom, -1) for geom in self._geoms]
 
     def places(self, data: mujoco.MjData) -> FloatArray:

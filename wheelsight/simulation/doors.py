@@ -13,14 +13,15 @@ import shapely
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import BoolArray, FloatArray
 from wheelsight.simulation.drive import Drive
-from wheelsight.simulation.passersby import RADIUS_M, Passersby
+from wheelsight.simulation.outline import outline_at
+from wheelsight.simulation.passersby import Passersby
 from wheelsight.simulation.robot import Robot
+from wheelsight.simulation.walking import RADIUS_M
 from wheelsight.simulation.world import Leaf, World
 
 _STREAM = 0xD00
 _STEP_S = 0.1  # at which the robot's way is looked at; at 1.2 m/s it goes on by 12 cm
 _STEP_RAD = math.radians(5.0)
-_TAIL_M = 0.3  # how far a wheelchair reaches behind its axle
 # Beside the hinge a leaf is next to its wall by right, and at its free end next to the other jamb.
 _AT_HINGE_M, _AT_END_M = 0.15, 0.06
 _OVER_FLOOR_M = 0.02
@@ -58,7 +59,47 @@ class Swing:
     to_share: float
 
 
-class Doors:
+class Leaves:
+    """Leaves of doors that swing; whoever moves them says how far they are turned.
+
+    Args:
+        boards: the leaves.
+    """
+
+    def __init__(self, boards: list[Board]) -> None:
+        self._boards = boards
+
+    @property
+    def leaves(self) -> tuple[Leaf, ...]:
+        """Those that move."""
+        return tuple(board.leaf for board in self._boards)
+
+    def turns_at(self, stamp_s: float) -> FloatArray:
+        """(N,) how far each leaf is turned from where the world has it, radians, anticlockwise."""
+        raise NotImplementedError
+
+    def poses_at(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
+        """Middles (N, 3) of the leaves at a time, metres, and their yaws (N,), radians."""
+        turned = [board.turned(turn) for board, turn in zip(self._boards, self.turns_at(stamp_s), strict=True)]
+        return np.array([middle for middle, _ in turned]), np.array([yaw_rad for _, yaw_rad in turned])
+
+    def add_to(self, spec: Any, *, is_solid: bool = False) -> None:
+        """Put them as mocap bodies into a MuJoCo MjSpec, in place of the geoms of the same names.
+
+        Solid ones touch what has a conaffinity of 2, which a wheelchair's hull has and walls do not.
+        """
+        import mujoco
+
+        for board in self._boards:
+            name, geom = board.leaf.geom, spec.geom(board.leaf.geom)
+            material = geom.material
+            spec.delete(geom)
+            body = spec.worldbody.add_body(name=name, mocap=True, pos=board.middle_m.tolist())
+            size, kind = board.half_m.tolist(), mujoco.mjtGeom.mjGEOM_BOX
+            body.add_geom(name=name, type=kind, size=size, material=material, contype=2 * is_solid, conaffinity=0)
+
+
+class Doors(Leaves):
     """Some of a world's leaves, which swing at times of their own.
 
     The drive is known before they move. While robot or people are within reach of a leaf, it is at rest where the world
@@ -89,32 +130,22 @@ class Doors:
         settings: DoorSettings | None = None,
     ) -> None:
         settings = settings or DoorSettings()
-        self._boards = swinging(world, count, seed)
+        super().__init__(swinging(world, count, seed))
         start_s, end_s = (float(stamp_s) for stamp_s in drive.truth.stamps_s[[0, -1]])
         times_s = np.minimum(start_s + _STEP_S * np.arange(math.ceil((end_s - start_s) / _STEP_S) + 1), end_s)
         outlines, people = _outlines(drive, times_s, robot or Robot()), _people(passersby, times_s)
         rng = np.random.default_rng([seed, _STREAM, 1])
         self.starts, self.swings = [], []
         for board in self._boards:
-            is_busy = _is_near(board, outlines, people, settings.clearance_m)
+            is_busy = is_near(board.swept(), outlines, people, settings.clearance_m)
             start, swings = _swings(times_s, is_busy, settings, rng)
             self.starts.append(start)
             self.swings.append(swings)
-
-    @property
-    def leaves(self) -> tuple[Leaf, ...]:
-        """Those that move."""
-        return tuple(board.leaf for board in self._boards)
 
     def turns_at(self, stamp_s: float) -> FloatArray:
         """(N,) how far each leaf is turned from where the world has it, radians, anticlockwise."""
         shares = [_share(start, swings, stamp_s) for start, swings in zip(self.starts, self.swings, strict=True)]
         return np.array([share * board.leaf.turn_rad for share, board in zip(shares, self._boards, strict=True)])
-
-    def poses_at(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
-        """Middles (N, 3) of the leaves at a time, metres, and their yaws (N,), radians."""
-        turned = [board.turned(turn) for board, turn in zip(self._boards, self.turns_at(stamp_s), strict=True)]
-        return np.array([middle for middle, _ in turned]), np.array([yaw_rad for _, yaw_rad in turned])
 
     def to_csv(self) -> str:
         """When each leaf swings, and how far it is turned then from where truth/world.xml has it."""
@@ -129,21 +160,9 @@ class Doors:
                 share = swing.to_share
         return "\n".join(lines) + "\n"
 
-    def add_to(self, spec: Any) -> None:
-        """Put them as mocap bodies into a MuJoCo MjSpec, in place of the geoms of the same names."""
-        import mujoco
-
-        for board in self._boards:
-            name, geom = board.leaf.geom, spec.geom(board.leaf.geom)
-            material = geom.material
-            spec.delete(geom)
-            body = spec.worldbody.add_body(name=name, mocap=True, pos=board.middle_m.tolist())
-            size, kind = board.half_m.tolist(), mujoco.mjtGeom.mjGEOM_BOX
-            body.add_geom(name=name, type=kind, size=size, material=material, contype=0)
-
 
 @dataclass(frozen=True, eq=False)
-class _Board:
+class Board:
     """A leaf with its box: middle (3,), half lengths (3,), and yaw, where the world has it."""
 
     leaf: Leaf
@@ -157,6 +176,10 @@ class _Board:
         hinge = np.array(self.leaf.hinge_m)
         x, y = self.middle_m[:2] - hinge
         return np.array([hinge[0] + c * x - s * y, hinge[1] + s * x + c * y, self.middle_m[2]]), self.yaw_rad + turn_rad
+
+    def covers(self, turn_rad: float) -> shapely.Polygon:
+        """What it covers of the floor once it is turned about its hinge."""
+        return self._footprint(*self.turned(turn_rad), 0.0, 0.0)
 
     def swept(self, at_hinge_m: float = 0.0, at_end_m: float = 0.0) -> shapely.Geometry:
         """All that it covers of the floor as it swings, without so much of it at its hinge and its end."""
@@ -174,7 +197,7 @@ class _Board:
         return shapely.LineString([begin, end]).buffer(self.half_m[1], cap_style="flat")
 
 
-def swinging(world: World, count: int, seed: int) -> list[_Board]:
+def swinging(world: World, count: int, seed: int) -> list[Board]:
     """So many of a world's leaves with room to swing, by seed.
 
     Raises:
@@ -182,7 +205,7 @@ def swinging(world: World, count: int, seed: int) -> list[_Board]:
     """
     boards = _boards(world) if count else []
     rng = np.random.default_rng([seed, _STREAM, 0])
-    found: list[_Board] = []
+    found: list[Board] = []
     for k in rng.permutation(len(boards)):
         swept = boards[k].swept()
         if all(shapely.disjoint(swept, other.swept()) for other in found):
@@ -193,7 +216,7 @@ def swinging(world: World, count: int, seed: int) -> list[_Board]:
     return found[:count]
 
 
-def _boards(world: World) -> list[_Board]:
+def _boards(world: World) -> list[Board]:
     """The world's leaves, but for those that would swing into something."""
     import mujoco
 
@@ -210,7 +233,7 @@ def _boards(world: World) -> list[_Board]:
         g = model.geom(leaf.geom).id
         R = data.geom_xmat[g].reshape(3, 3)
         yaw_rad = math.atan2(R[1, 0], R[0, 0])
-        board = _Board(leaf, data.geom_xpos[g].copy(), model.geom_size[g].copy(), yaw_rad)
+        board = Board(leaf, data.geom_xpos[g].copy(), model.geom_size[g].copy(), yaw_rad)
         top_m = board.middle_m[2] + board.half_m[2] - _OVER_FLOOR_M
         others = [
             thing.polygon
@@ -224,9 +247,7 @@ def _boards(world: World) -> list[_Board]:
 
 def _outlines(drive: Drive, times_s: FloatArray, robot: Robot) -> list[shapely.Polygon]:
     """The robot's outline from above at these times."""
-    x = np.array([-_TAIL_M, robot.length_m - _TAIL_M])
-    corners = np.array([(x[0], -1), (x[1], -1), (x[1], 1), (x[0], 1)]) * [1, robot.width_m / 2]
-    return [shapely.Polygon(corners @ T[:2, :2].T + T[:2, 3]) for T in drive.truth.at(times_s)]
+    return [outline_at(robot, T) for T in drive.truth.at(times_s)]
 
 
 def _people(passersby: Passersby | None, times_s: FloatArray) -> list[shapely.Geometry]:
@@ -236,14 +257,13 @@ def _people(passersby: Passersby | None, times_s: FloatArray) -> list[shapely.Ge
     return [shapely.MultiPoint(passersby.positions_at(float(time_s))) for time_s in times_s]
 
 
-def _is_near(
-    board: _Board, outlines: list[shapely.Polygon], people: list[shapely.Geometry], clearance_m: float
+def is_near(
+    swept: shapely.Geometry, outlines: list[shapely.Polygon], people: list[shapely.Geometry], clearance_m: float
 ) -> BoolArray:
     """(N,) when somebody is too near to where a leaf sweeps."""
-    swept = board.swept()
     shapely.prepare(swept)
-    is_near = shapely.dwithin(outlines, swept, clearance_m) | shapely.dwithin(people, swept, RADIUS_M + clearance_m)
-    return np.asarray(is_near, bool)
+    near_robot = shapely.dwithin(outlines, swept, clearance_m)
+    return np.asarray(near_robot | shapely.dwithin(people, swept, RADIUS_M + clearance_m), bool)
 
 
 def _swings(

@@ -4,46 +4,36 @@ from __future__ import annotations
 
 import math
 import zlib
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d, label
-from scipy.spatial import cKDTree
 
 from wheelsight.errors import ConfigError
-from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.simulation import _walk_kernels as kernels
 from wheelsight.simulation.drive import Drive
+from wheelsight.simulation.outline import outline_m
 from wheelsight.simulation.robot import Robot
-from wheelsight.simulation.world import Surface, World
+from wheelsight.simulation.walking import (
+    CELL_M,
+    STEP_S,
+    Cylinders,
+    Ground,
+    Walkers,
+    reach_cells,
+    starts,
+    steps_within_reach,
+)
+from wheelsight.simulation.world import World
 
-RADIUS_M = 0.25
-HEIGHT_M = 1.70
 CLEARANCE_M = 0.6
 
-_STEP_S = 0.25
-_CELL_M = 0.1
-_WIDEST_M = 1.5
-_BEYOND_M = 6.0
-_CORNER_M = 0.4
-_WALK_M_S = (0.8, 1.3)
-_FASTEST_M_S = 1.6
 # Between two steps both go on straight, which can bring them nearer than at either end.
 _MARGIN_M = 0.1
-_GAP_TO_WALL_M = 0.05
-_PATIENCE_S = 3.0
-_APART_M = 0.8
-_START_AWAY_M = 3.0
-_TURNS_AFTER_S = (8.0, 40.0)
-_KEEPS_RIGHT_M = (0.2, 0.6)
-_TAIL_M = 0.3  # how far a wheelchair reaches behind its axle
 _STREAM = 0x9A55
-_CLOTHES = ((0.15, 0.17, 0.3), (0.45, 0.1, 0.12), (0.2, 0.35, 0.2), (0.5, 0.5, 0.48), (0.1, 0.1, 0.1), (0.6, 0.5, 0.3))
 
 
-class Passersby:
+class Passersby(Cylinders):
     """Upright cylinders the size of people, walking to and fro along the world's route at 0.8 to 1.3 m/s.
 
     The drive is known before they walk. Going back from its end, all places are found from which somebody can still
@@ -65,117 +55,23 @@ class Passersby:
     def __init__(self, world: World, drive: Drive, count: int, seed: int, robot: Robot | None = None) -> None:
         if count < 0:
             raise ConfigError(f"{count} passers-by", fix="0 or more")
-        self.count = count
         self._start_s = float(drive.truth.stamps_s[0])
         self._xy_m = np.zeros((1, 0, 2))
         if count:
             robot = robot or Robot()
-            outline_m = np.array([-_TAIL_M, robot.length_m - _TAIL_M, robot.width_m / 2])
-            times_s = np.arange(math.ceil(drive.duration_s / _STEP_S) + 1) * _STEP_S + self._start_s
+            times_s = np.arange(math.ceil(drive.duration_s / STEP_S) + 1) * STEP_S + self._start_s
             T = drive.truth.at(times_s.clip(None, drive.truth.stamps_s[-1]))
-            ground = _Ground(world)
-            safe = _safe_cells(ground, T, outline_m, world.name)
+            ground = Ground(world)
+            safe = _safe_cells(ground, T, outline_m(robot), world.name)
             self._xy_m = _walk(ground, safe, T[0, :2, 3], count, np.random.default_rng((seed, _STREAM)))
-
-    @property
-    def surfaces(self) -> dict[str, Surface]:
-        """What they wear: a material each."""
-        return {f"passerby{i}": _clothes(i) for i in range(self.count)}
+        super().__init__(self._xy_m[0])
 
     def positions_at(self, stamp_s: float) -> FloatArray:
         """(N, 2) where their axes stand at a time in seconds; before and after the drive, where they begin and end."""
-        step = min(max((stamp_s - self._start_s) / _STEP_S, 0.0), len(self._xy_m) - 1.0)
+        step = min(max((stamp_s - self._start_s) / STEP_S, 0.0), len(self._xy_m) - 1.0)
         before = int(step)
         after = min(before + 1, len(self._xy_m) - 1)
         return np.asarray(self._xy_m[before] + (step - before) * (self._xy_m[after] - self._xy_m[before]))
-
-    def add_to(self, spec: Any) -> None:
-        """Put them as mocap bodies into a MuJoCo MjSpec."""
-        import mujoco
-
-        for i, (x, y) in enumerate(self._xy_m[0]):
-            name = f"passerby{i}"
-            spec.add_material(name=name, rgba=[*_clothes(i).rgb, 1.0])
-            body = spec.worldbody.add_body(name=name, mocap=True, pos=[x, y, HEIGHT_M / 2])
-            cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
-            body.add_geom(name=name, type=cylinder, size=[RADIUS_M, HEIGHT_M / 2, 0], material=name, contype=0)
-
-
-class _Ground:
-    """A grid of cells 10 cm wide over the ground, and the route on it.
-
-    Attributes:
-        corner_m: (2,) centre of the cell (0, 0); columns go along x, rows along y.
-        is_free: (R, C) uint8, whether somebody can stand there and walk there from the route.
-        along_m: (R, C) way along the route to its point nearest to the cell.
-        left_m: (R, C) how far left of it the cell is.
-        lap_m: after which way the route starts anew.
-    """
-
-    def __init__(self, world: World) -> None:
-        line, ahead = _line(np.asarray(world.route, float), world.is_loop)
-        low, high = line.min(axis=0) - _WIDEST_M, line.max(axis=0) + _WIDEST_M
-        self.corner_m = np.floor(low / _CELL_M) * _CELL_M
-        columns, rows = (np.ceil((high - self.corner_m) / _CELL_M).astype(int) + 1).tolist()
-        xy_m = self.corner_m + _CELL_M * np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
-        away_m, nearest = cKDTree(line).query(xy_m)
-        apart = xy_m - line[nearest]
-        self.along_m = _CELL_M * nearest.astype(float)
-        self.left_m = ahead[nearest, 0] * apart[..., 1] - ahead[nearest, 1] * apart[..., 0]
-        self.lap_m = _CELL_M * len(line) if world.is_loop else 1e9
-        is_free = away_m <= _WIDEST_M
-        is_free[is_free] = _free(world, xy_m[is_free])
-        pieces, _ = label(is_free)
-        extra = 0 if world.is_loop else round(_BEYOND_M / _CELL_M)
-        on_route = np.round((line[extra : len(line) - extra] - self.corner_m) / _CELL_M).astype(int)
-        reached = np.unique(pieces[on_route[:, 1], on_route[:, 0]])
-        self.is_free = np.isin(pieces, reached[reached > 0]).astype(np.uint8)
-
-    def xy_of(self, cells: IntArray) -> FloatArray:
-        """Centres (..., 2) of cells (..., 2) of row and column."""
-        return np.asarray(self.corner_m + _CELL_M * cells[..., ::-1])
-
-
-def _line(points: FloatArray, is_loop: bool) -> tuple[FloatArray, FloatArray]:
-    """Points (N, 2) every 10 cm along a route with rounded corners, and its directions (N, 2).
-
-    Routes with two ends are made longer at both: people come from farther than where the robot begins.
-    """
-    if is_loop:
-        points = np.concatenate([points, points[:1]])
-    else:
-        first, last = points[0] - points[1], points[-1] - points[-2]
-        ends = points[0] + _BEYOND_M * first / np.hypot(*first), points[-1] + _BEYOND_M * last / np.hypot(*last)
-        points = np.concatenate([ends[0][None], points, ends[1][None]])
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    samples = np.linspace(0, along[-1], max(int(along[-1] / _CELL_M), 4), endpoint=not is_loop)
-    line = np.stack([np.interp(samples, along, column) for column in points.T], axis=-1)
-    line = gaussian_filter1d(line, _CORNER_M / _CELL_M, axis=0, mode="wrap" if is_loop else "nearest")
-    ahead = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0) if is_loop else np.gradient(line, axis=0)
-    return line, ahead / np.hypot(*ahead.T)[:, None]
-
-
-def _free(world: World, xy_m: FloatArray) -> BoolArray:
-    """(N,) whether somebody can stand at places (N, 2): nothing to bump into is nearer than 5 cm."""
-    import mujoco
-    import shapely
-
-    model = mujoco.MjModel.from_xml_string(world.mjcf)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
-    footprints = []
-    for g in np.flatnonzero((model.geom_contype != 0) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)):
-        box = model.geom_aabb[g, :3] + corners * model.geom_aabb[g, 3:]
-        box = data.geom_xpos[g] + box @ data.geom_xmat[g].reshape(3, 3).T
-        if box[:, 2].max() > _GAP_TO_WALL_M and box[:, 2].min() < HEIGHT_M:
-            footprints.append(shapely.MultiPoint(box[:, :2]).convex_hull)
-    is_free = np.ones(len(xy_m), bool)
-    if footprints:
-        reach_m = RADIUS_M + _GAP_TO_WALL_M
-        touched = shapely.STRtree(footprints).query(shapely.points(xy_m), "dwithin", distance=reach_m)
-        is_free[touched[0]] = False
-    return is_free
 
 
 class _SafeCells:
@@ -197,70 +93,26 @@ class _SafeCells:
         return np.unpackbits(bits, count=self._is_free.size).reshape(self._is_free.shape) ^ self._is_free
 
 
-def _safe_cells(ground: _Ground, T_world_robot: FloatArray, outline_m: FloatArray, world: str) -> _SafeCells:
+def _safe_cells(ground: Ground, T_world_robot: FloatArray, reach_m: FloatArray, world: str) -> _SafeCells:
     """Cells from which the robot at poses (N, 4, 4), a step apart, can be avoided until the last of them."""
-    reach = np.zeros((2 * _reach() + 1,) * 2, np.uint8)
-    reach[tuple((_steps() + _reach()).T)] = 1
+    reach = np.zeros((2 * reach_cells() + 1,) * 2, np.uint8)
+    reach[tuple((steps_within_reach() + reach_cells()).T)] = 1
     cells, safe = _SafeCells(ground.is_free), ground.is_free
     for T in T_world_robot[::-1]:
         near_safe = cv2.dilate(safe, reach, borderType=cv2.BORDER_CONSTANT, borderValue=0)
         safe = np.where(near_safe, ground.is_free, np.uint8(0))
         R, xy_m = np.ascontiguousarray(T[:2, :2]), np.ascontiguousarray(T[:2, 3])
-        kernels.keep_clear(safe, _CELL_M, ground.corner_m, xy_m, R, outline_m, CLEARANCE_M + _MARGIN_M)
+        kernels.keep_clear(safe, CELL_M, ground.corner_m, xy_m, R, reach_m, CLEARANCE_M + _MARGIN_M)
         cells.put_before(safe)
     if not safe.any():
         raise ConfigError(f"world {world} leaves no room for passers-by beside the robot", fix="--passers-by 0")
     return cells
 
 
-def _reach() -> int:
-    return int(_FASTEST_M_S * _STEP_S / _CELL_M + 1e-9)
-
-
-def _steps() -> NDArray[np.int64]:
-    """(K, 2) cells within a step's reach."""
-    side = np.arange(-_reach(), _reach() + 1)
-    steps: NDArray[np.int64] = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
-    return np.asarray(steps[np.hypot(*steps.T) <= _reach()])
-
-
-def _walk(
-    ground: _Ground, safe: _SafeCells, xy_robot_m: FloatArray, count: int, rng: np.random.Generator
-) -> FloatArray:
+def _walk(ground: Ground, safe: _SafeCells, xy_robot_m: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
     """(N, count, 2) positions, a step apart."""
-    cells = np.empty((len(safe), count, 2), np.int64)
-    cells[0] = _starts(ground, safe.at(0), xy_robot_m, count, rng)
-    heading = rng.choice([-1, 1], count)
-    stride_m = rng.uniform(*_WALK_M_S, count) * _STEP_S
-    right_m = rng.uniform(*_KEEPS_RIGHT_M, count)
-    turns_at_s = rng.uniform(*_TURNS_AFTER_S, count)
-    stuck_s = np.zeros(count)
-    steps = _steps()
-    route = kernels.Route(ground.along_m, ground.left_m, ground.lap_m)
+    walkers = Walkers(ground, starts(ground, safe.at(0), xy_robot_m, count, rng), rng)
+    cells = [walkers.cells]
     for k in range(1, len(safe)):
-        now = safe.at(k)
-        for i in range(count):
-            others = np.concatenate([cells[k, :i], cells[k - 1, i + 1 :]])
-            wish = kernels.Wish(heading[i] * stride_m[i], -heading[i] * right_m[i])
-            row, column = cells[k - 1, i]
-            cells[k, i] = kernels.best_step(now, route, steps, row, column, wish, others, _APART_M / _CELL_M)
-            moved_m = _CELL_M * float(np.hypot(*(cells[k, i] - cells[k - 1, i])))
-            stuck_s[i] = stuck_s[i] + _STEP_S if moved_m < 0.3 * stride_m[i] else 0.0
-            if stuck_s[i] > _PATIENCE_S or k * _STEP_S > turns_at_s[i]:
-                heading[i], stuck_s[i] = -heading[i], 0.0
-                turns_at_s[i] = k * _STEP_S + rng.uniform(*_TURNS_AFTER_S)
-    return ground.xy_of(cells)
-
-
-def _starts(
-    ground: _Ground, safe: ByteArray, xy_robot_m: FloatArray, count: int, rng: np.random.Generator
-) -> NDArray[np.int64]:
-    """(count, 2) safe cells, some metres from the robot where there are such."""
-    cells = np.argwhere(safe)
-    away_m = np.hypot(*(ground.xy_of(cells) - xy_robot_m).T)
-    far = cells[away_m > _START_AWAY_M]
-    return rng.choice(far if len(far) else cells, count)
-
-
-def _clothes(index: int) -> Surface:
-    return Surface("fabric", _CLOTHES[index % len(_CLOTHES)], scale_m=0.3, contrast=0.3, infrared=0.45)
+        cells.append(walkers.step([[safe.at(k)]] * count))
+    return ground.xy_of(np.array(cells))

@@ -8,28 +8,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.calibration import Gyro
 from wheelsight.errors import ConfigError
-from wheelsight.events import WheelTicks, YawRate
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray
 from wheelsight.simulation._chair import Chair
-from wheelsight.simulation._ground import Underfoot
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.drivers import COMMAND_PERIOD_S, Command, Driver
-from wheelsight.simulation.encoders import GYRO_PERIOD_S, Encoders, Gyroscope, Reckoning
+from wheelsight.simulation.encoders import Reckoning
 from wheelsight.simulation.realism import Realism
-from wheelsight.simulation.robot import TICK_PERIOD_S, Robot, WheelFaults
-from wheelsight.simulation.wheelchair import TIMESTEP_S
+from wheelsight.simulation.robot import Robot, WheelFaults
+from wheelsight.simulation.stepping import (
+    NO_FAULTS,
+    TRUTH_PERIOD_S,
+    Reading,
+    SteppedRobot,
+    floor_of,
+    poses_of,
+    start_of,
+    ticks_of,
+)
 from wheelsight.simulation.world import World
 from wheelsight.trajectory import Trajectory
 
-TRUTH_PERIOD_S = 0.005
-NO_FAULTS = WheelFaults()
 STUCK_AFTER_S = 10.0
 
-_SETTLING_S = 0.5
 _STUCK_M, _STUCK_RAD = 0.05, 0.05
-_STEPS = round(TRUTH_PERIOD_S / TIMESTEP_S)
 
 
 def simulate_drive(
@@ -64,14 +66,11 @@ def simulate_drive(
         ConfigError: a time limit that is none, or a world MuJoCo does not take.
     """
     _check_limit(time_limit_s)
-    chair_rng, encoder_rng, gyro_rng = (np.random.default_rng([seed, part]) for part in range(3))
-    start = driver.T_world_start if driver.T_world_start is not None else _start_of(world)
-    underfoot = _underfoot(world, realism, seed if floor_seed is None else floor_seed)
-    chair = Chair(world, robot, faults, start, slip=slip, rng=chair_rng, underfoot=underfoot)
-    chair.settle(_SETTLING_S)
-    gyroscope = Gyroscope(Gyro(), gyro_rng) if robot.has_gyro else None
-    log = _Log(chair, Encoders(robot, faults, encoder_rng), gyroscope, Reckoning(robot.nominal, start))
-    return log.drive(_drive(chair, driver, log, time_limit_s, on_progress))
+    start = driver.T_world_start if driver.T_world_start is not None else start_of(world)
+    floor = floor_of(world, realism, seed if floor_seed is None else floor_seed)
+    moving = SteppedRobot(world, robot, start, faults=faults, slip=slip, seed=seed, floor=floor)
+    log = _Log(moving, Reckoning(robot.nominal, start))
+    return log.drive(_drive(log, driver, time_limit_s, on_progress))
 
 
 def _check_limit(time_limit_s: float) -> None:
@@ -79,21 +78,16 @@ def _check_limit(time_limit_s: float) -> None:
         raise ConfigError(f"time_limit_s is {time_limit_s}", fix="give seconds above 0")
 
 
-def _underfoot(world: World, realism: Realism | None, seed: int) -> Underfoot | None:
-    return None if realism is None else Underfoot(realism.floor_of(world, seed), realism.tyres)
-
-
-def _drive(
-    chair: Chair, driver: Driver, log: _Log, time_limit_s: float, on_progress: Callable[[float], None] | None
-) -> str:
+def _drive(log: _Log, driver: Driver, time_limit_s: float, on_progress: Callable[[float], None] | None) -> str:
     """Steps to the end; why it ended before the driver had arrived, or nothing."""
-    watch = _Watch()
+    watch, robot = _Watch(), log.robot
+    chair = robot.chair
     for tick in range(math.ceil(time_limit_s / TRUTH_PERIOD_S) + 1):
-        stamp_s = tick * TRUTH_PERIOD_S
+        stamp_s = robot.time_s
         if chair.is_broken:
             return f"the physics became unstable at {stamp_s:.1f} s"
-        log.note(tick, stamp_s)
-        if tick % _every(COMMAND_PERIOD_S) == 0:
+        log.add(robot.read())
+        if tick % ticks_of(COMMAND_PERIOD_S) == 0:
             believed = log.T_world_believed()
             command = driver.command(stamp_s, believed if driver.is_blind else chair.T_world_base)
             if command is None:
@@ -102,46 +96,34 @@ def _drive(
             if reason:
                 return reason
             chair.obey(command.v_m_s, command.yaw_rate_rad_s)
-        if on_progress is not None and tick % _every(1.0) == 0:
+        if on_progress is not None and tick % ticks_of(1.0) == 0:
             on_progress(stamp_s)
-        chair.step(stamp_s, _STEPS)
+        robot.advance()
     return f"the time limit of {time_limit_s:g} s came before the end of the route"
 
 
 class _Log:
     """What is kept of a drive while it goes on."""
 
-    def __init__(self, chair: Chair, encoders: Encoders, gyroscope: Gyroscope | None, reckoning: Reckoning) -> None:
-        self._chair, self._encoders, self._gyroscope, self._reckoning = chair, encoders, gyroscope, reckoning
-        self._stamps_s: list[float] = []
-        self._positions: list[FloatArray] = []
-        self._quaternions: list[FloatArray] = []
-        self._ticks: list[WheelTicks] = []
-        self._yaw_rates: list[YawRate] = []
+    def __init__(self, robot: SteppedRobot, reckoning: Reckoning) -> None:
+        self.robot, self._reckoning = robot, reckoning
+        self._readings: list[Reading] = []
 
-    def note(self, tick: int, stamp_s: float) -> None:
-        """The pose, and each sensor whose turn it is."""
-        self._stamps_s.append(stamp_s)
-        position, quaternion_wxyz = self._chair.pose
-        self._positions.append(position)
-        self._quaternions.append(quaternion_wxyz)
-        self._encoders.turn(stamp_s, self._chair.wheels_rad)
-        if tick % _every(TICK_PERIOD_S) == 0:
-            reading = self._encoders.read(stamp_s)
-            self._ticks += [] if reading is None else [reading]
-        if self._gyroscope is not None and tick % _every(GYRO_PERIOD_S) == 0:
-            self._yaw_rates.append(self._gyroscope.read(stamp_s, self._chair.yaw_rate_rad_s))
+    def add(self, reading: Reading) -> None:
+        """Keep it."""
+        self._readings.append(reading)
 
     def T_world_believed(self) -> FloatArray:
         """(4, 4) by the wheels alone."""
-        return self._reckoning.update(*self._encoders.counts)
+        return self._reckoning.update(*self.robot.counts)
 
     def drive(self, reason: str) -> Drive:
         """All of it."""
-        quaternions_xyzw = np.roll(np.array(self._quaternions), -1, axis=1)
-        T_world_base = se3.from_quaternion(np.array(self._positions), quaternions_xyzw)
-        truth = Trajectory(np.array(self._stamps_s), T_world_base, body="base")
-        return Drive(truth, tuple(self._ticks), tuple(self._yaw_rates), not reason, reason)
+        stamps_s = np.array([reading.stamp_s for reading in self._readings])
+        T_world_base = poses_of(self._readings)
+        ticks = tuple(reading.ticks for reading in self._readings if reading.ticks is not None)
+        yaw_rates = tuple(reading.yaw_rate for reading in self._readings if reading.yaw_rate is not None)
+        return Drive(Trajectory(stamps_s, T_world_base, body="base"), ticks, yaw_rates, not reason, reason)
 
 
 @dataclass(slots=True)
@@ -167,13 +149,3 @@ class _Watch:
         if stamp_s - self.since_s >= STUCK_AFTER_S:
             return f"stuck at x = {x_m:.2f}, y = {y_m:.2f} m since {self.since_s:.1f} s"
         return ""
-
-
-def _start_of(world: World) -> FloatArray:
-    """At the route's first waypoint, heading for the second."""
-    (x, y), towards = world.route[0], world.route[1] - world.route[0]
-    return se3.from_plane(x, y, np.arctan2(towards[1], towards[0]))
-
-
-def _every(period_s: float) -> int:
-    return round(period_s / TRUTH_PERIOD_S)

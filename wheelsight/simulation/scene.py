@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,10 +19,6 @@ from wheelsight.simulation import _ray_kernels as kernels
 from wheelsight.simulation.view import Geoms, Outlines, View
 from wheelsight.simulation.world import Surface, World
 
-if TYPE_CHECKING:
-    from wheelsight.simulation.doors import Doors
-    from wheelsight.simulation.passersby import Passersby
-
 _KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
 _TILE_ROWS = 16
 _TILE_COLUMNS = 80
@@ -33,6 +29,34 @@ _FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 _FEWEST_TARGETS = 8
 # A row's own z axis may be turned from the tile's by as much as a shutter allows.
 _FAR_MARGIN = 1.05
+
+
+class People(Protocol):
+    """Who walks in a world."""
+
+    @property
+    def count(self) -> int:
+        """How many."""
+
+    @property
+    def surfaces(self) -> Mapping[str, Surface]:
+        """What they wear, by their materials' names."""
+
+    def positions_at(self, stamp_s: float) -> FloatArray:
+        """(N, 2) where their axes stand at a time, metres."""
+
+    def add_to(self, spec: Any) -> None:
+        """Put them as mocap bodies into a MuJoCo MjSpec."""
+
+
+class MovingLeaves(Protocol):
+    """Leaves of doors that swing in a world."""
+
+    def poses_at(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
+        """Middles (N, 3) of the leaves at a time, metres, and their yaws (N,), radians."""
+
+    def add_to(self, spec: Any) -> None:
+        """Put them as mocap bodies into a MuJoCo MjSpec, in place of the geoms of the same names."""
 
 
 class Scene:
@@ -63,9 +87,9 @@ class Scene:
     def __init__(
         self,
         world: World,
-        passersby: Passersby | None = None,
+        passersby: People | None = None,
         threads: int | None = None,
-        doors: Doors | None = None,
+        doors: MovingLeaves | None = None,
     ) -> None:
         import mujoco
 
@@ -251,7 +275,7 @@ def _rays(camera: PinholeCamera) -> FloatArray:
     return rays
 
 
-def _compile(world: World, passersby: Passersby | None, doors: Doors | None) -> Any:
+def _compile(world: World, passersby: People | None, doors: MovingLeaves | None) -> Any:
     import mujoco
 
     try:

@@ -66,11 +66,7 @@ class SimulatedRecording:
 
         Of a real robot whose wheels were given no errors, they are as a calibration has left them.
         """
-        robot, realism = self.settings.robot, realism_of(self.settings.realism)
-        wheels, T_base_camera = robot.nominal, Robot().T_base_camera
-        if realism is not None and robot.wheels == wheels:
-            wheels = as_calibrated(wheels, realism.wheel_sizes, stream(self.settings.seed, "wheel sizes"))
-        return calibration_of(wheels, T_base_camera, self.renderer.calibration, "nominal")
+        return as_owned(self.settings, self.renderer.calibration)
 
     @property
     def true_calibration(self) -> Calibration:
@@ -135,6 +131,15 @@ class SimulatedRecording:
         """The area in which the base truly was."""
         T_world_base = self.drive.truth.at(np.clip(stamp_s, *self.drive.truth.stamps_s[[0, -1]]))[0]
         return self.world.areas.name_at(float(T_world_base[0, 3]), float(T_world_base[1, 3]))
+
+
+def as_owned(settings: SimulationSettings, camera: Calibration) -> Calibration:
+    """What a robot's owner measured; `camera` is the calibration of the camera alone, as they have it."""
+    robot, realism = settings.robot, realism_of(settings.realism)
+    wheels, T_base_camera = robot.nominal, Robot().T_base_camera
+    if realism is not None and robot.wheels == wheels:
+        wheels = as_calibrated(wheels, realism.wheel_sizes, stream(settings.seed, "wheel sizes"))
+    return calibration_of(wheels, T_base_camera, camera, "nominal")
 
 
 def calibration_of(wheels: Wheels, T_base_camera: FloatArray, camera: Calibration, kind: str) -> Calibration:

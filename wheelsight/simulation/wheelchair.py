@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from wheelsight.errors import ConfigError
+from wheelsight.simulation.doors import Leaves
 from wheelsight.simulation.robot import Robot
 from wheelsight.simulation.world import World
 
@@ -49,7 +50,7 @@ _MJCF = """
     <body name="base">
       <freejoint name="base"/>
       <inertial pos="0.14 0 0.42" mass="{chassis_kg}" diaginertia="12 14 9"/>
-      <geom name="hull" type="box" conaffinity="1" class="touch" friction="0.3"
+      <geom name="hull" type="box" conaffinity="3" class="touch" friction="0.3"
             pos="{middle} 0 {hull_z}" size="{half_length} {half_width} {hull_half_z}"/>
       <geom name="jack" type="sphere" class="touch" size="0.02" pos="0 {left_y} {jack_z}"/>
       <geom name="frame" type="box" pos="0.2 0 0.28" size="0.32 0.2 0.06" rgba="0.2 0.2 0.25 1"/>
@@ -119,11 +120,11 @@ def wheelchair_mjcf(robot: Robot) -> str:
     )
 
 
-def scene(world: World, robot: Robot, *, slip: bool = True) -> mujoco.MjModel:
+def scene(world: World, robot: Robot, *, slip: bool = True, doors: Leaves | None = None) -> mujoco.MjModel:
     """The world's walls and furniture, a floor, and the wheelchair on it, ready to be stepped.
 
     Only the wheels and the floor touch (each as a pair with its own friction), and the wheelchair's hull and what
-    stands in the world; what is only to be seen is left out.
+    stands in the world; what is only to be seen is left out. `doors` swing, and are as solid as walls.
 
     Raises:
         ConfigError: MJCF that MuJoCo does not take.
@@ -132,6 +133,8 @@ def scene(world: World, robot: Robot, *, slip: bool = True) -> mujoco.MjModel:
 
     try:
         spec = mujoco.MjSpec.from_string(world.mjcf)
+        if doors is not None:
+            doors.add_to(spec, is_solid=True)
         for geom in list(spec.geoms):
             if geom.type == mujoco.mjtGeom.mjGEOM_PLANE or not geom.contype:
                 spec.delete(geom)

@@ -67,13 +67,13 @@ class BodyMotion:
         self._stamps_s = truth.stamps_s
         period_s = float(np.median(np.diff(self._stamps_s)))
         speed_m_s, turn_rad_s = _speeds(truth, period_s)
-        pitch, roll, self._up_m = _jolts(truth.T_frame_body, robot, floor)
+        pitch, roll, self._up_m = jolts(truth.T_frame_body, robot, floor)
         pitch -= settings.pitch_rad_s2_m * np.gradient(speed_m_s, period_s)
         roll += settings.roll_rad_s2_m * speed_m_s * turn_rad_s
         rim_m_s = np.abs(speed_m_s) + np.abs(turn_rad_s) * robot.track_width_m / 2
         strength = np.sqrt(rim_m_s / settings.speed_m_s)
         shakes = [
-            strength * _coloured(len(rim_m_s), period_s, settings.bands_hz, rates, rng)
+            strength * trembling(len(rim_m_s), period_s, settings.bands_hz, rates, rng)
             for rates in (settings.roll_rad_s, settings.pitch_rad_s, settings.yaw_rad_s)
         ]
         self._up_m = _sprung(self._up_m, settings, period_s)
@@ -101,7 +101,7 @@ def _speeds(truth: Trajectory, period_s: float) -> tuple[FloatArray, FloatArray]
     return gaussian_filter1d(forward, sigma), gaussian_filter1d(np.gradient(yaw_rad, period_s), sigma)
 
 
-def _jolts(T_world_base: FloatArray, robot: Robot, floor: Floor) -> tuple[FloatArray, FloatArray, FloatArray]:
+def jolts(T_world_base: FloatArray, robot: Robot, floor: Floor) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pitch, roll (N,) in radians and rise (N,) in metres of a stiff body whose wheels stand on the floor as it is."""
     half_m = robot.track_width_m / 2
     contacts = np.array(
@@ -120,7 +120,7 @@ def _sprung(goal: FloatArray, settings: BodySettings, period_s: float) -> FloatA
     return np.asarray(lfilter(b, a, goal - goal[0]) + goal[0], float)
 
 
-def _coloured(
+def trembling(
     count: int, period_s: float, bands_hz: tuple[float, ...], rates_rad_s: tuple[float, ...], rng: np.random.Generator
 ) -> FloatArray:
     """Angles (N,) in radians whose rates have the given root mean squares in the bands."""

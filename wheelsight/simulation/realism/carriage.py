@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,13 @@ from wheelsight.trajectory import Trajectory
 _TWIST_S = 0.01
 
 
+class MovingBody(Protocol):
+    """A body that moves against its base."""
+
+    def T_base_body(self, stamps_s: ArrayLike) -> FloatArray:
+        """(N, 4, 4) where it is at times (N,), from where it is on a level floor at rest."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Carriage:
     """A camera on a robot.
@@ -30,7 +38,11 @@ class Carriage:
 
     truth: Trajectory
     T_base_camera: FloatArray
-    body: BodyMotion | None = None
+    body: MovingBody | None = None
+
+    def T_world_base(self, stamp_s: float) -> FloatArray:
+        """(4, 4) at a time; before the drive begins and after it ends the robot stands."""
+        return np.asarray(self.truth.at(np.clip(stamp_s, *self.truth.stamps_s[[0, -1]]))[0])
 
     def T_world_camera(self, stamps_s: ArrayLike) -> FloatArray:
         """(N, 4, 4) at times (N,); before the drive begins and after it ends the robot stands."""

@@ -11,8 +11,8 @@ import numpy as np
 from wheelsight.events import WheelTicks, YawRate
 from wheelsight.geometry import FloatArray, IntArray
 
-_SHORTEST_S = 1e-4
-_DECIMALS = 6
+SHORTEST_S = 1e-4
+STAMP_DECIMALS = 6
 
 Reading = TypeVar("Reading", WheelTicks, YawRate)
 
@@ -60,7 +60,7 @@ class FrameTimes:
 
 def exact_times(count: int, rate_hz: float) -> FrameTimes:
     """Frames at their rate from 0 s on, stamped when they are taken."""
-    stamps_s = np.round(np.arange(count) / rate_hz, _DECIMALS)
+    stamps_s = np.round(np.arange(count) / rate_hz, STAMP_DECIMALS)
     return FrameTimes(stamps_s, stamps_s)
 
 
@@ -86,9 +86,9 @@ def as_stamped(readings: Sequence[Reading], settings: StampSettings, rng: np.ran
 
 
 def _growing(stamps_s: FloatArray) -> FloatArray:
-    """What is held back holds back what is behind it: each is at least `_SHORTEST_S` after the one before."""
-    steps_s = _SHORTEST_S * np.arange(len(stamps_s))
-    return np.asarray(np.round(np.maximum.accumulate(stamps_s - steps_s) + steps_s, _DECIMALS), float)
+    """What is held back holds back what is behind it: each is at least `SHORTEST_S` after the one before."""
+    steps_s = SHORTEST_S * np.arange(len(stamps_s))
+    return np.asarray(np.round(np.maximum.accumulate(stamps_s - steps_s) + steps_s, STAMP_DECIMALS), float)
 
 
 def _kept(count: int, settings: StampSettings, rng: np.random.Generator) -> IntArray:

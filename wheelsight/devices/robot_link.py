@@ -1,0 +1,176 @@
+"""LinkRobot: a robot on a wheel controller's serial line, whose motors take a voltage and know no speed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from types import TracebackType
+from typing import Protocol
+
+from wheelsight.calibration import Calibration
+from wheelsight.commands import VelocityCommand
+from wheelsight.devices.link import WheelLink
+from wheelsight.errors import ArgumentError, DeviceError
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.robot_limits import RobotLimits
+from wheelsight.robots import STOPPED
+from wheelsight.wheel_control import VelocityControl, WheelControlSettings
+
+PERIOD_S = 0.05
+
+
+class Frames(Protocol):
+    """A camera that is asked what it has."""
+
+    def take(self) -> Sequence[RgbdFrame | SkippedFrame]:
+        """Frames that came since the last call, in order, stamped by the link's clock; waits for none."""
+
+    def close(self) -> None:
+        """Give the camera back; may be called twice."""
+
+
+class LinkRobot:
+    """A `Robot`: commands become duties by a loop on each wheel's speed, closed over the encoders' ticks.
+
+    It only listens until it is first commanded to move. It stops by itself, and says why in `stop_reason`, where ticks
+    stay away or are old, a wheel does not do what it was told, the port vanishes, or the controller begins anew. Where
+    `step` is no longer called, the link stops the motors after `control.hold_s`; where the program is dead, the
+    firmware does after half a second.
+
+    Args:
+        link: to the wheel controller; closed with the robot.
+        calibration: with wheels.
+        limits: which commands are held to.
+        frames: the camera, closed with the robot; None for none.
+        control: of the wheels' loop.
+        period_s: of a step.
+
+    Raises:
+        ArgumentError: a calibration without wheels.
+    """
+
+    def __init__(
+        self,
+        link: WheelLink,
+        calibration: Calibration,
+        limits: RobotLimits | None = None,
+        *,
+        frames: Frames | None = None,
+        control: WheelControlSettings | None = None,
+        period_s: float = PERIOD_S,
+    ) -> None:
+        if calibration.wheels is None:
+            raise ArgumentError("the calibration has no wheels", fix="calibrate them: docs/wheel-calibration.md")
+        self._link, self._frames, self._calibration, self._period_s = link, frames, calibration, period_s
+        self._control = VelocityControl(calibration.wheels.never_rolling_over, limits, control)
+        self._restarts = link.report().restarts
+        self._quickest_s: float | None = None
+        self._has_driven = self._is_closed = False
+        self._stepping = threading.Lock()
+
+    @property
+    def calibration(self) -> Calibration:
+        """As it was given."""
+        return self._calibration
+
+    @property
+    def stop_reason(self) -> str:
+        """As `Robot` has it."""
+        return self._control.reason
+
+    def step(self, command: VelocityCommand) -> list[Event]:
+        """Obey for one control period; what came meanwhile, by stamps.
+
+        A frame may be stamped before ticks that an earlier step has answered: cameras deliver later than wheels.
+
+        Raises:
+            DeviceError: the robot is closed, or is stepped by somebody else at this moment; then it stops.
+        """
+        if self._is_closed:
+            raise DeviceError("the robot is closed", path=self._link.port)
+        if not self._stepping.acquire(blocking=False):
+            self._control.stop("two programs drive it at once")
+            raise DeviceError("the robot is driven by somebody else", path=self._link.port, fix="let one drive")
+        try:
+            return self._step(command)
+        finally:
+            self._stepping.release()
+
+    def _step(self, command: VelocityCommand) -> list[Event]:
+        ends_s = time.monotonic() + self._period_s
+        events: list[Event] = [*self._backlog()]
+        self._watch_controller()
+        self._obey(events[-1] if events and isinstance(events[-1], WheelTicks) else None, command)
+        while (left_s := ends_s - time.monotonic()) > 0:
+            ticks = self._link.read(left_s)
+            self._obey(ticks, command)
+            events += [] if ticks is None else [ticks]
+            if ticks is None and (left_s := ends_s - time.monotonic()) > 0:
+                time.sleep(left_s)  # the link is closed, and waits no more
+        events += [] if self._frames is None else self._frames.take()
+        return sorted(events, key=lambda event: event.stamp_s)
+
+    def stop(self) -> None:
+        """Stop both motors at once.
+
+        Raises:
+            DeviceError: the port is gone, or the controller does not confirm; then it stops by itself.
+        """
+        self._control.stop(STOPPED)
+        if self._has_driven:
+            self._link.stop()
+
+    def close(self) -> None:
+        """Stop, and close link and camera; may be called twice."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            with suppress(DeviceError):
+                self.stop()
+        finally:
+            self._link.close()
+            if self._frames is not None:
+                self._frames.close()
+
+    def __enter__(self) -> LinkRobot:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _backlog(self) -> list[WheelTicks]:
+        """What has come since the last step."""
+        found = []
+        while (ticks := self._link.read(0)) is not None:
+            found.append(ticks)
+        return found
+
+    def _watch_controller(self) -> None:
+        restarts = self._link.report().restarts
+        if restarts != self._restarts:
+            self._restarts = restarts
+            self._control.stop("the wheel controller began anew")
+
+    def _obey(self, ticks: WheelTicks | None, command: VelocityCommand) -> None:
+        now_s = time.monotonic()
+        if ticks is not None and self._age_s(ticks, now_s) > self._control.settings.silence_s:
+            ticks = None
+        duties = self._control.update(now_s, ticks, command)
+        if not self._has_driven and duties.left == duties.right == 0:
+            return
+        self._has_driven = True
+        try:
+            self._link.drive(duties.left, duties.right, self._control.settings.hold_s)
+        except DeviceError as error:
+            self._control.stop(error.problem)
+
+    def _age_s(self, ticks: WheelTicks, now_s: float) -> float:
+        """How much later than the quickest ones they came."""
+        after_s = now_s - ticks.stamp_s
+        self._quickest_s = after_s if self._quickest_s is None else min(self._quickest_s, after_s)
+        return after_s - self._quickest_s
