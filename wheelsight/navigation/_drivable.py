@@ -1,0 +1,109 @@
+"""Drivable: what is asked of a costmap, a footprint and settings along a way, in kernels' terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.geometry import Float32Array, FloatArray, IntArray
+from wheelsight.navigation import _drive_kernels as drive
+from wheelsight.navigation import _footprint_kernels as under
+from wheelsight.navigation.costmap import Costmap
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.planner_settings import PlannerSettings
+
+MOST_CLEARANCE_M = 1.0
+# Poses that one piece of a way may have: at 5 cm each, 400 m.
+_ROOM = 8192
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drivable:
+    """A costmap as kernels take it, with a footprint and what driving costs.
+
+    Attributes:
+        costmap, footprint: as given.
+        cells, shape, rules: of both, and of settings.
+    """
+
+    costmap: Costmap
+    footprint: Footprint
+    cells: under.Cells
+    shape: under.Shape
+    rules: drive.Rules
+
+    @classmethod
+    def of(cls, costmap: Costmap, footprint: Footprint, settings: PlannerSettings) -> Drivable:
+        """Of a costmap, a footprint and settings."""
+        sums = np.zeros((costmap.is_lethal.shape[0], costmap.is_lethal.shape[1] + 1), np.int32)
+        np.cumsum(costmap.is_lethal, axis=1, out=sums[:, 1:], dtype=np.int32)
+        metre_cost = _metre_cost(costmap, settings)
+        cells = under.Cells(
+            sums, costmap.distance_m, metre_cost, float(costmap.resolution_m), *map(float, costmap.origin)
+        )
+        least, wanted = footprint.padded(settings.margin_m), footprint.padded(settings.wanted_margin_m)
+        middle = (wanted.corners.min(axis=0) + wanted.corners.max(axis=0)) / 2
+        around_m = float(np.linalg.norm(wanted.corners - middle, axis=1).max())
+        corners = (np.ascontiguousarray(one.corners) for one in (least, wanted))
+        shape = under.Shape(
+            *corners, least.inscribed_m, float(middle[0]), float(middle[1]), around_m, least.circumscribed_m
+        )
+        return cls(costmap, footprint, cells, shape, _rules(costmap, least, settings))
+
+    def kinds(self, poses: FloatArray) -> IntArray:
+        """(N,) FREE, TIGHT or COLLIDING of poses (N, 3)."""
+        return np.array([under.pose_kind(self.cells, self.shape, x, y, yaw) for x, y, yaw in poses], np.int64)
+
+    def counts(self, poses: FloatArray, *, is_padded: bool) -> IntArray:
+        """(N,) how many lethal cells are under the footprint, with the least margin or without, at poses (N, 3)."""
+        found = np.empty(len(poses), np.int64)
+        corners = self.shape.least if is_padded else np.ascontiguousarray(self.footprint.corners)
+        under.counts_under(self.cells, corners, np.ascontiguousarray(poses), found)
+        return found
+
+    def cost(self, poses: FloatArray) -> float:
+        """Of driving along poses (N, 4) with their directions; infinite where one of them collides but the first."""
+        return float(drive.cost_of(self.cells, self.shape, self.rules, poses, 1, len(poses)))
+
+    def clearance_m(self, poses: FloatArray) -> float:
+        """Of the footprint at poses (N, 3), at most `MOST_CLEARANCE_M`."""
+        corners = np.ascontiguousarray(self.footprint.corners)
+        return float(under.least_clearance(self.cells, corners, np.ascontiguousarray(poses), MOST_CLEARANCE_M))
+
+    def arc(self, pose: FloatArray, way_m: float, turn: float) -> FloatArray:
+        """(N, 4) along an arc from a pose (4,), which is the first."""
+        out = np.empty((_ROOM, 4))
+        out[0] = pose
+        return out[: max(drive.write_arc(out, 1, (float(way_m), float(turn)), self.rules), 1)].copy()
+
+    def way(self, pose: FloatArray, to: FloatArray, way: int) -> FloatArray:
+        """(N, 4) from a pose (4,), which is the first, to another (3,) by one of the kernels' ways; empty: none."""
+        out = np.empty((_ROOM, 4))
+        out[0] = pose
+        return out[: drive.write_way(out, 1, np.ascontiguousarray(to[:3]), way, self.rules)].copy()
+
+
+def _rules(costmap: Costmap, least: Footprint, settings: PlannerSettings) -> drive.Rules:
+    return drive.Rules(
+        step_m=2 * settings.margin_m,
+        turn_m=settings.turn_m,
+        bend_m=settings.bend_m,
+        backward=settings.backward_cost,
+        switch_m=settings.switch_m,
+        tight=settings.tight_cost,
+        radius_m=settings.radius_m,
+        reach_m=least.circumscribed_m,
+        headings=settings.headings,
+        stride_m=max(settings.stride_m, 1.5 * costmap.resolution_m),
+        greed=settings.greed,
+        connect_m=settings.connect_m,
+        most_states=settings.most_states,
+    )
+
+
+def _metre_cost(costmap: Costmap, settings: PlannerSettings) -> Float32Array:
+    """(H, W) of a metre of the centre of rotation's way, where nothing says it cannot be there."""
+    metre = 1 + np.float32(settings.nearness_cost) * costmap.cost
+    slow = np.float32(settings.usual_m_s) / costmap.speed_m_s
+    return np.ascontiguousarray(metre * np.maximum(slow, 1), np.float32)

@@ -1,0 +1,127 @@
+"""Where plans begin and end: a start that gets out of what it stands in, and a goal at which the footprint fits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from wheelsight.geometry import Float32Array, FloatArray, Int32Array
+from wheelsight.navigation._drivable import Drivable
+from wheelsight.navigation._footprint_kernels import COLLIDING
+from wheelsight.navigation.costmap import CellState
+from wheelsight.navigation.plan_values import PlanFailure, PlanReason
+from wheelsight.navigation.planner_settings import PlannerSettings
+
+# Curvatures of ways out, 1/m, for both directions.
+_BENDS = (0.0, 0.5, -0.5, 1.5, -1.5)
+_TURN_STEPS = 3
+_ANY_HEADINGS = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Goal:
+    """Where a plan is to end: pose (3,), its heading NaN where any will do; and why it is not what was asked for."""
+
+    pose: FloatArray
+    change: str
+
+
+def passable(drivable: Drivable) -> Float32Array:
+    """(H, W) what a metre costs; infinite where the centre of rotation can be at no point of the cell."""
+    costmap, half_m = drivable.costmap, 0.5 * drivable.costmap.resolution_m
+    nearest_m = drivable.shape.inscribed_m + half_m - math.sqrt(2) * half_m
+    is_blocked = costmap.is_lethal | (costmap.distance_m < nearest_m)
+    return np.where(is_blocked, np.float32(np.inf), drivable.cells.metre_cost)
+
+
+def components(metre_cost: Float32Array) -> Int32Array:
+    """(H, W) from 1 on, of cells that are joined by their edges; 0 where blocked."""
+    _, labels = cv2.connectedComponents(np.isfinite(metre_cost).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+    return labels.astype(np.int32)
+
+
+def way_out(drivable: Drivable, start: FloatArray, settings: PlannerSettings) -> FloatArray | None:
+    """(N, 4) the shortest way on which the robot comes free of what it stands in or too near to; None where none does.
+
+    On the way it never stands in more than before, neither with the margin nor without. Where it stands free, the way
+    is that pose alone.
+    """
+    pose = np.array([*start, 1.0])
+    if drivable.kinds(pose[None, :3])[0] != COLLIDING:
+        return pose[None]
+    best, best_m = None, math.inf
+    reach_m = drivable.rules.reach_m
+    arcs = [(sense * settings.escape_m, sense * settings.escape_m * b) for sense in (1, -1) for b in _BENDS]
+    arcs += [(0.0, sense * math.pi) for sense in (1, -1)]
+    for way_m, turn in arcs:
+        poses = drivable.arc(pose, way_m, turn)
+        padded, bare = (drivable.counts(poses[:, :3], is_padded=is_padded) for is_padded in (True, False))
+        never_worse = (np.diff(padded) <= 0) & (np.diff(bare) <= 0)
+        free = np.flatnonzero(drivable.kinds(poses[:, :3]) != COLLIDING)
+        if len(free) and never_worse[: free[0]].all():
+            share = free[0] / (len(poses) - 1)
+            long_m = share * (abs(way_m) * (1 if way_m >= 0 else 1.5) + 0.5 * reach_m * abs(turn))
+            if long_m < best_m:
+                best, best_m = poses[: free[0] + 1], long_m
+    return best
+
+
+def goal_near(drivable: Drivable, goal: FloatArray, labels: Int32Array, label: int, settings: PlannerSettings) -> Goal | PlanFailure:
+    """The goal (3,), or where the footprint does not fit there, the nearest pose in a component of cells where it does.
+
+    Poses are tried on a grid of the costmap's cells, and three headings to each side; a heading's radian counts as a
+    metre.
+    """
+    costmap = drivable.costmap
+    row, column = costmap.cells_at(goal[:2]).tolist()
+    if not (0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]):
+        return PlanFailure(PlanReason.GOAL_OUTSIDE, f"({goal[0]:.2f}, {goal[1]:.2f}) m is beyond the map's edge")
+    if _fits(drivable, goal[None])[0]:
+        if labels[row, column] == label:
+            return Goal(goal, "")
+        where = f"({goal[0]:.2f}, {goal[1]:.2f}) m"
+        return PlanFailure(PlanReason.UNREACHABLE, f"{where} is free, and walls or things are all round it")
+    is_unknown = costmap.is_lethal[row, column] and costmap.state[row, column] == CellState.UNKNOWN
+    poses, off = _around(goal, costmap.resolution_m, settings)
+    cells = costmap.cells_at(poses[:, :2])
+    inside = ((cells >= 0) & (cells < labels.shape)).all(axis=1)
+    near = np.zeros(len(poses), bool)
+    near[inside] = labels[cells[inside, 0], cells[inside, 1]] == label
+    poses, off = poses[near], off[near]
+    for k in np.argsort(off, kind="stable"):
+        if _fits(drivable, poses[k][None])[0]:
+            away_m, turned = float(np.hypot(*(poses[k] - goal)[:2])), _turn(goal[2], poses[k, 2])
+            text = f"the robot does not fit at the goal: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it"
+            return Goal(poses[k], text)
+    reason = PlanReason.GOAL_UNKNOWN if is_unknown else PlanReason.GOAL_OCCUPIED
+    return PlanFailure(reason, f"nor does it fit within {settings.goal_tolerance_m:g} m that can be reached")
+
+
+def _turn(one: float, other: float) -> float:
+    return 0.0 if math.isnan(one) else abs(math.remainder(float(one - other), 2 * math.pi))
+
+
+def _fits(drivable: Drivable, poses: FloatArray) -> np.ndarray:
+    """(N,) whether the footprint does at poses (N, 3); of any heading, at one of some."""
+    any_heading = np.isnan(poses[:, 2])
+    fits = np.zeros(len(poses), bool)
+    for k, pose in enumerate(poses):
+        yaws = np.arange(_ANY_HEADINGS) * 2 * np.pi / _ANY_HEADINGS if any_heading[k] else pose[2:]
+        tried = np.stack([np.full(len(yaws), pose[0]), np.full(len(yaws), pose[1]), yaws], axis=-1)
+        fits[k] = (drivable.kinds(tried) != COLLIDING).any()
+    return fits
+
+
+def _around(goal: FloatArray, step_m: float, settings: PlannerSettings) -> tuple[FloatArray, FloatArray]:
+    """Poses (N, 3) within tolerance of a goal, and how far off each is (N,)."""
+    count = int(settings.goal_tolerance_m / step_m)
+    steps = step_m * np.arange(-count, count + 1)
+    shares = np.arange(-_TURN_STEPS, _TURN_STEPS + 1) / _TURN_STEPS
+    turns = np.zeros(1) if math.isnan(goal[2]) else settings.goal_tolerance_rad * shares
+    offsets = np.stack(np.meshgrid(steps, steps, turns, indexing="ij"), axis=-1).reshape(-1, 3)
+    away_m = np.hypot(offsets[:, 0], offsets[:, 1])
+    kept = away_m <= settings.goal_tolerance_m
+    return goal + offsets[kept], (away_m + np.abs(offsets[:, 2]))[kept]
