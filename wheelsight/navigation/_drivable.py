@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.geometry import Float32Array, FloatArray, IntArray
+from wheelsight.geometry import BoolArray, Float32Array, FloatArray, IntArray
 from wheelsight.navigation import _drive_kernels as drive
 from wheelsight.navigation import _footprint_kernels as under
 from wheelsight.navigation.costmap import Costmap
@@ -16,6 +16,8 @@ from wheelsight.navigation.planner_settings import PlannerSettings
 MOST_CLEARANCE_M = 1.0
 # Poses that one piece of a way may have: at 5 cm each, 400 m.
 _ROOM = 8192
+# Margins that are told apart, from the wanted one to the least.
+_OUTLINES = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,23 +44,28 @@ class Drivable:
         cells = under.Cells(
             sums, costmap.distance_m, metre_cost, float(costmap.resolution_m), *map(float, costmap.origin)
         )
-        least, wanted = footprint.padded(settings.margin_m), footprint.padded(settings.wanted_margin_m)
-        middle = (wanted.corners.min(axis=0) + wanted.corners.max(axis=0)) / 2
-        around_m = float(np.linalg.norm(wanted.corners - middle, axis=1).max())
-        corners = (np.ascontiguousarray(one.corners) for one in (least, wanted))
-        shape = under.Shape(
-            *corners, least.inscribed_m, float(middle[0]), float(middle[1]), around_m, least.circumscribed_m
-        )
-        return cls(costmap, footprint, cells, shape, _rules(costmap, least, settings))
+        margins_m = np.linspace(settings.wanted_margin_m, settings.margin_m, _OUTLINES)
+        outlines = [footprint.padded(float(margin_m)) for margin_m in margins_m]
+        middle = (outlines[0].corners.min(axis=0) + outlines[0].corners.max(axis=0)) / 2
+        around_m = float(np.linalg.norm(outlines[0].corners - middle, axis=1).max())
+        corners = np.ascontiguousarray([one.corners for one in outlines])
+        shape = under.Shape(corners, outlines[-1].inscribed_m, float(middle[0]), float(middle[1]), around_m)
+        return cls(costmap, footprint, cells, shape, _rules(outlines[-1], settings))
 
-    def kinds(self, poses: FloatArray) -> IntArray:
-        """(N,) FREE, TIGHT or COLLIDING of poses (N, 3)."""
-        return np.array([under.pose_kind(self.cells, self.shape, x, y, yaw) for x, y, yaw in poses], np.int64)
+    def tightness(self, poses: FloatArray) -> FloatArray:
+        """(N,) of poses (N, 3): 0 where the wanted margin is free, 1 where the least one alone is, infinite: none."""
+        found = np.empty(len(poses))
+        under.tightnesses(self.cells, self.shape, np.ascontiguousarray(poses), found)
+        return found
+
+    def is_free(self, poses: FloatArray) -> BoolArray:
+        """(N,) whether the footprint fits with the least margin at poses (N, 3)."""
+        return np.isfinite(self.tightness(poses))
 
     def counts(self, poses: FloatArray, *, is_padded: bool) -> IntArray:
         """(N,) how many lethal cells are under the footprint, with the least margin or without, at poses (N, 3)."""
         found = np.empty(len(poses), np.int64)
-        corners = self.shape.least if is_padded else np.ascontiguousarray(self.footprint.corners)
+        corners = self.shape.outlines[-1] if is_padded else np.ascontiguousarray(self.footprint.corners)
         under.counts_under(self.cells, corners, np.ascontiguousarray(poses), found)
         return found
 
@@ -84,7 +91,7 @@ class Drivable:
         return out[: drive.write_way(out, 1, np.ascontiguousarray(to[:3]), way, self.rules)].copy()
 
 
-def _rules(costmap: Costmap, least: Footprint, settings: PlannerSettings) -> drive.Rules:
+def _rules(least: Footprint, settings: PlannerSettings) -> drive.Rules:
     return drive.Rules(
         step_m=2 * settings.margin_m,
         turn_m=settings.turn_m,
@@ -95,7 +102,9 @@ def _rules(costmap: Costmap, least: Footprint, settings: PlannerSettings) -> dri
         radius_m=settings.radius_m,
         reach_m=least.circumscribed_m,
         headings=settings.headings,
-        stride_m=max(settings.stride_m, 1.5 * costmap.resolution_m),
+        place_m=settings.place_m,
+        narrow_m=least.inscribed_m + settings.narrow_m,
+        stride_m=max(settings.stride_m, 1.5 * settings.place_m),
         greed=settings.greed,
         connect_m=settings.connect_m,
         most_states=settings.most_states,

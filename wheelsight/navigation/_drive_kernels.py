@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.navigation._footprint_kernels import COLLIDING, TIGHT, Cells, Shape, cell_of, pose_kind
+from wheelsight.navigation._footprint_kernels import Cells, Shape, cell_of, tightness
 
 TURN_AND_DRIVE, BACK_AND_TURN, CURVE, CURVE_BACK = 0, 1, 2, 3
 WAYS = 4
@@ -31,6 +31,8 @@ class Rules(NamedTuple):
     radius_m: float
     reach_m: float
     headings: int
+    place_m: float
+    narrow_m: float
     stride_m: float
     greed: float
     connect_m: float
@@ -119,17 +121,18 @@ def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, en
     total = 0.0
     for k in range(begin, end):
         x, y, yaw = poses[k, 0], poses[k, 1], poses[k, 2]
-        kind = pose_kind(cells, shape, x, y, yaw)
-        if kind == COLLIDING:
+        tight = tightness(cells, shape, x, y, yaw)
+        if tight == np.inf:
             return np.inf
         row, column = cell_of(cells, x, y)
-        metre = float(cells.metre_cost[row, column]) + (rules.tight if kind == TIGHT else 0.0)
+        # By the square, so that what is a little too near hardly bends a way.
+        tight = rules.tight * tight * tight
         way_m = np.hypot(x - poses[k - 1, 0], y - poses[k - 1, 1])
         turn = abs(yaw - poses[k - 1, 2])
         if way_m < _EPSILON:
-            total += rules.turn_m * turn * (1.0 + (rules.tight if kind == TIGHT else 0.0))
+            total += rules.turn_m * turn * (1.0 + tight)
             continue
-        total += way_m * metre * (rules.backward if poses[k, 3] < 0 else 1.0) + rules.bend_m * turn
+        total += way_m * (cells.metre_cost[row, column] + tight) * (rules.backward if poses[k, 3] < 0 else 1.0) + rules.bend_m * turn
         if poses[k, 3] != poses[k - 1, 3]:
             total += rules.switch_m
     return total

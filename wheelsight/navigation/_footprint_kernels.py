@@ -15,7 +15,6 @@ from wheelsight.compiled import kernel
 # In cells: what only touches is not under it.
 _TOUCH = 1e-9
 OUTSIDE = 1 << 30
-FREE, TIGHT, COLLIDING = 0, 1, 2
 _HALF_DIAGONAL = 0.7071068
 
 
@@ -39,23 +38,19 @@ class Cells(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """A footprint with its two margins.
+    """A footprint with its margins.
 
     Attributes:
-        least: (N, 2) corners of the outline that has to be free.
-        wanted: (M, 2) of the one that is to be free, where there is room.
-        inscribed_m: of `least`.
-        middle_x, middle_y, around_m: of the disc in `base` that holds `wanted`.
-        reach_m: from the centre of rotation to the farthest corner of `least`.
+        outlines: (K, N, 2) corners, from the outline that is to be free where there is room, to the one that has to be.
+        inscribed_m: of the last.
+        middle_x, middle_y, around_m: of the disc in `base` that holds the first.
     """
 
-    least: Any
-    wanted: Any
+    outlines: Any
     inscribed_m: float
     middle_x: float
     middle_y: float
     around_m: float
-    reach_m: float
 
 
 @kernel(error_model="numpy")
@@ -110,23 +105,34 @@ def cell_of(cells: Cells, x: float, y: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def pose_kind(cells: Cells, shape: Shape, x: float, y: float, yaw: float) -> int:
-    """FREE with the wanted margin, TIGHT with the least one, or COLLIDING."""
+def tightness(cells: Cells, shape: Shape, x: float, y: float, yaw: float) -> float:
+    """0 where the widest outline is free, 1 where the narrowest alone is, between by which one is; infinite: none."""
     row, column = cell_of(cells, x, y)
     # From a point to the nearest occupied square it is this much less, or more, than from centre to centre.
     slack_m = _HALF_DIAGONAL * cells.resolution_m
     if row < 0 or cells.distance_m[row, column] < shape.inscribed_m + 0.5 * cells.resolution_m - slack_m:
-        return COLLIDING
+        return np.inf
     c, s = np.cos(yaw), np.sin(yaw)
     at_x, at_y = x + c * shape.middle_x - s * shape.middle_y, y + s * shape.middle_x + c * shape.middle_y
     row, column = cell_of(cells, at_x, at_y)
     if row >= 0 and cells.distance_m[row, column] > shape.around_m + 2 * slack_m:
         edge_m = min(row, column, cells.distance_m.shape[0] - 1 - row, cells.distance_m.shape[1] - 1 - column)
         if edge_m * cells.resolution_m > shape.around_m:
-            return FREE
-    if count_under(cells, shape.wanted, x, y, yaw) == 0:
-        return FREE
-    return TIGHT if count_under(cells, shape.least, x, y, yaw) == 0 else COLLIDING
+            return 0.0
+    last = len(shape.outlines) - 1
+    if count_under(cells, shape.outlines[last], x, y, yaw) > 0:
+        return np.inf
+    for k in range(last):
+        if count_under(cells, shape.outlines[k], x, y, yaw) == 0:
+            return k / last
+    return 1.0
+
+
+@kernel(error_model="numpy")
+def tightnesses(cells: Cells, shape: Shape, poses: Any, found: Any) -> None:
+    """`tightness` of each of poses (N, 3)."""
+    for k in range(len(poses)):
+        found[k] = tightness(cells, shape, poses[k, 0], poses[k, 1], poses[k, 2])
 
 
 @kernel(error_model="numpy")

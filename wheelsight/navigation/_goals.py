@@ -10,7 +10,6 @@ import numpy as np
 
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight.navigation._drivable import Drivable
-from wheelsight.navigation._footprint_kernels import COLLIDING
 from wheelsight.navigation.costmap import CellState
 from wheelsight.navigation.plan_values import PlanFailure, PlanReason
 from wheelsight.navigation.planner_settings import PlannerSettings
@@ -50,7 +49,7 @@ def way_out(drivable: Drivable, start: FloatArray, settings: PlannerSettings) ->
     is that pose alone.
     """
     pose = np.array([*start, 1.0])
-    if drivable.kinds(pose[None, :3])[0] != COLLIDING:
+    if drivable.is_free(pose[None, :3])[0]:
         return pose[None]
     best, best_m = None, math.inf
     reach_m = drivable.rules.reach_m
@@ -60,7 +59,7 @@ def way_out(drivable: Drivable, start: FloatArray, settings: PlannerSettings) ->
         poses = drivable.arc(pose, way_m, turn)
         padded, bare = (drivable.counts(poses[:, :3], is_padded=is_padded) for is_padded in (True, False))
         never_worse = (np.diff(padded) <= 0) & (np.diff(bare) <= 0)
-        free = np.flatnonzero(drivable.kinds(poses[:, :3]) != COLLIDING)
+        free = np.flatnonzero(drivable.is_free(poses[:, :3]))
         if len(free) and never_worse[: free[0]].all():
             share = free[0] / (len(poses) - 1)
             long_m = share * (abs(way_m) * (1 if way_m >= 0 else 1.5) + 0.5 * reach_m * abs(turn))
@@ -111,7 +110,7 @@ def _fits(drivable: Drivable, poses: FloatArray) -> np.ndarray:
     for k, pose in enumerate(poses):
         yaws = np.arange(_ANY_HEADINGS) * 2 * np.pi / _ANY_HEADINGS if any_heading[k] else pose[2:]
         tried = np.stack([np.full(len(yaws), pose[0]), np.full(len(yaws), pose[1]), yaws], axis=-1)
-        fits[k] = (drivable.kinds(tried) != COLLIDING).any()
+        fits[k] = drivable.is_free(tried).any()
     return fits
 
 

@@ -1,7 +1,7 @@
 """Compiled: the search over places and headings for a way that a footprint can drive (Hybrid A*, Dolgov et al. 2010).
 
-A base with two driven wheels goes ahead and back along arcs, and turns in place. States are told apart by cell and
-heading, and keep their exact place. What is left is guessed by the cost-to-go of the cells, which no footprint beats.
+A base with two driven wheels goes ahead and back along arcs, and turns in place. States are told apart by place
+and heading, in steps, and keep the exact ones. What is left is guessed by the cost-to-go of the cells, which no footprint beats.
 """
 
 from __future__ import annotations
@@ -142,9 +142,13 @@ def arc_of(rules: Rules, yaw: float, move: int) -> Any:
 
 @kernel(error_model="numpy")
 def _key(cells: Cells, rules: Rules, x: float, y: float, yaw: float) -> Any:
+    """Of a place and a heading; between narrow walls places are told apart twice as finely."""
     row, column = cell_of(cells, x, y)
+    is_narrow = row >= 0 and cells.distance_m[row, column] < rules.narrow_m
+    size_m = 0.5 * rules.place_m if is_narrow else rules.place_m
     heading = int(np.rint(yaw * rules.headings / (2 * np.pi))) % rules.headings
-    return (np.int64(row) * cells.distance_m.shape[1] + column) * rules.headings + heading
+    place = (np.int64((y - cells.y0) / size_m) << 22) + np.int64((x - cells.x0) / size_m)
+    return 2 * (place * rules.headings + heading) + is_narrow
 
 
 @kernel(error_model="numpy")

@@ -11,6 +11,9 @@ from wheelsight.navigation._drivable import Drivable
 # Metres before and after a corner at which a curve may begin and end; the first that is free is taken.
 _ROUNDINGS_M = (1.5, 1.0, 0.6, 0.35)
 _LEAST_GAIN = 1e-3
+# Of pieces whose middles are tried elsewhere: about two metres; and where: metres to the left, radians.
+_PIECE_POSES = 40
+_SHIFTS = [(a, t) for a in (0.0, 0.02, -0.02, 0.05, -0.05) for t in (0.0, 0.04, -0.04) if a or t]
 
 
 def any_angle(way: IntArray, known: FloatArray, drivable: Drivable, metre_cost: FloatArray) -> FloatArray:
@@ -123,6 +126,46 @@ def _shorter(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
         cost = drivable.cost(made)
         # The next piece begins in the direction in which this one ended, or pays for the change.
         cost += drivable.rules.switch_m if made[-1, 3] != piece[-1, 3] else 0.0
+        if cost < limit:
+            best, limit = made, cost
+    return best
+
+
+def centred(poses: FloatArray, drivable: Drivable, rounds: int) -> FloatArray:
+    """Poses (N, 4) shifted sideways and turned a little, piece by piece, where that costs less: away from obstacles.
+
+    Every half of a piece on, its middle is tried in other places, joined to both its ends by curves.
+    """
+    for _ in range(rounds):
+        at, has_changed = 0, False
+        while at + 4 < len(poses):
+            end = min(at + _PIECE_POSES, len(poses) - 1)
+            moved = _recentred(poses[at : end + 1], drivable)
+            if moved is not None:
+                poses, has_changed = np.concatenate([poses[:at], moved, poses[end + 1 :]]), True
+                end = at + len(moved) - 1
+            at += max((end - at) // 2, 1)
+        if not has_changed:
+            break
+    return poses
+
+
+def _recentred(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
+    """A piece with its middle elsewhere, where that gains anything; pieces that change direction stay."""
+    before = drivable.cost(piece)
+    if drivable.tightness(piece[:, :3]).max() == 0 or (piece[:, 3] != piece[-1, 3]).any():
+        return None
+    middle, best, limit = piece[len(piece) // 2], None, before * (1 - _LEAST_GAIN)
+    way = drive.CURVE if piece[-1, 3] > 0 else drive.CURVE_BACK
+    for aside_m, turn in _SHIFTS:
+        c, s = np.cos(middle[2]), np.sin(middle[2])
+        via = np.array([middle[0] - s * aside_m, middle[1] + c * aside_m, middle[2] + turn])
+        first = drivable.way(piece[0], via, way)
+        second = drivable.way(first[-1], piece[-1], way) if len(first) > 1 else first
+        if len(second) < 2:
+            continue
+        made = np.concatenate([first, second[1:]])
+        cost = drivable.cost(made)
         if cost < limit:
             best, limit = made, cost
     return best

@@ -18,14 +18,15 @@ from wheelsight.navigation import _cost_to_go_kernels as grid
 from wheelsight.navigation import _lattice_kernels as lattice
 from wheelsight.navigation import _smoothing as smoothing
 from wheelsight.navigation._drivable import Drivable
-from wheelsight.navigation._footprint_kernels import FREE
 from wheelsight.navigation._goals import Goal, components, goal_near, passable, way_out
+from wheelsight.navigation.cost_to_go import cost_to_go
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner_settings import PlannerSettings
 
 _DIMENSIONS = (2, 3)
+_ROUNDS = 4
 
 
 class Planner:
@@ -71,9 +72,8 @@ class Planner:
     def _way(self, drivable: Drivable, metre_cost: Float32Array, out: FloatArray, goal: Goal) -> Plan | PlanFailure:
         """From where a way out (N, 4) ends."""
         costmap = drivable.costmap
-        known = grid.cost_to_go(
-            metre_cost, float(costmap.resolution_m), costmap.cells_at(goal.pose[None, :2]), np.zeros(1)
-        )
+        goal_row, goal_column = costmap.cells_at(goal.pose[:2]).tolist()
+        known = cost_to_go(metre_cost, costmap.resolution_m, (goal_row, goal_column))
         row, column = costmap.cells_at(out[-1, :2]).tolist()
         if not np.isfinite(known[row, column]):
             return PlanFailure(PlanReason.UNREACHABLE, "walls or things are between")
@@ -83,7 +83,7 @@ class Planner:
             corners = np.repeat(corners, 2, axis=0)
         corners[0], corners[-1] = out[-1, :2], goal.pose[:2]
         poses, states = smoothing.driven(corners, out[-1], goal.pose, drivable), 0
-        if poses is None or (drivable.kinds(poses[:, :3]) != FREE).any():
+        if poses is None or drivable.tightness(poses[:, :3]).any():
             found = self._searched(drivable, known, out[-1], goal.pose)
             if isinstance(found, PlanFailure):
                 return found
@@ -91,7 +91,8 @@ class Planner:
             # Both may pass, where it is tight: then the cheaper one.
             if poses is None or drivable.cost(searched) < drivable.cost(poses):
                 poses = searched
-        poses = np.concatenate([out[:-1], smoothing.shortened(poses, drivable)])
+        poses = smoothing.centred(smoothing.shortened(poses, drivable), drivable, _ROUNDS)
+        poses = np.concatenate([out[:-1], poses])
         return _plan(drivable, poses, goal, states)
 
     def _searched(

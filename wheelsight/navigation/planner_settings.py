@@ -44,15 +44,22 @@ class PlannerSettings(Settings):
     headings: int = setting(
         72, "that the search tells apart: 5° each, over which the far end of a chair moves 7 cm", CHOSEN, ge=16, le=360
     )
+    place_m: float = setting(
+        0.1, "side of the squares in which the search tells places apart, metres; half of it in narrow places", CHOSEN,
+        gt=0.005, le=1,
+    )
+    narrow_m: float = setting(
+        0.2, "a place is narrow where obstacles are nearer to the robot's inscribed circle, metres", CHOSEN, ge=0, le=5
+    )
     stride_m: float = setting(
         0.1, "length of the search's arcs, metres; at least so long that they leave their cell", CHOSEN, gt=0, le=1
     )
     greed: float = setting(
-        1.2, "factor on what is guessed to be left: so many times the cheapest a way may cost", "Pohl 1970", ge=1, le=10
+        1.6, "factor on what is guessed to be left: so many times the cheapest a way may cost", "Pohl 1970", ge=1, le=10
     )
     connect_m: float = setting(4.0, "from where on the search tries to reach the goal in one go", CHOSEN, ge=0, le=50)
     most_states: int = setting(
-        1_000_000, "bound on time and memory of a search: 110 MB, some seconds", "reckoned", ge=1_000, le=50_000_000
+        400_000, "bound on time and memory of a search: 45 MB, some seconds", "reckoned", ge=1_000, le=50_000_000
     )
     goal_tolerance_m: float = setting(
         0.5, "how far from a goal that is occupied the plan may end, metres", CHOSEN, ge=0, le=5
