@@ -1,9 +1,9 @@
 """Navigation: costmap, planner, controller and collision monitor; from a map and a goal to velocity commands."""
 
-from wheelsight.navigation.cost_to_go import cost_to_go
 from wheelsight.navigation.costmap import CellState, Costmap, StaticLayer
 from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSettings
 from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.grid_search import cost_to_go
 from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.live_layer import LiveLayer, LiveObstacles
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason

@@ -57,7 +57,7 @@ def cost_to_go(metre_cost: Any, resolution_m: float, goals: Any, goal_costs: Any
 
 
 @kernel(error_model="numpy")
-def _put(cell: int, cost: float, known: Any, heads: Any, links: Any, width: float) -> int:
+def _put(cell: int, cost: float, known: Any, heads: Any, links: Any, width: float) -> Any:
     """Move a cell to the bucket of its new cost, which is lower; 1 where it was in none, else 0."""
     is_new = 1
     if known[cell] < np.inf:
@@ -84,9 +84,7 @@ def _take(cell: int, bucket: int, heads: Any, links: Any) -> None:
 
 
 @kernel(error_model="numpy")
-def _spread(
-    costs: Any, known: Any, heads: Any, links: Any, wide: int, resolution_m: float, waiting: int
-) -> None:
+def _spread(costs: Any, known: Any, heads: Any, links: Any, wide: int, resolution_m: float, waiting: int) -> None:
     """Settle all cells that wait, and those reached from them."""
     width = _WIDTH * resolution_m
     straight = np.array([1, -1, wide, -wide])
@@ -126,7 +124,11 @@ def descend(known: Any, metre_cost: Any, resolution_m: float, row: int, column: 
         best, next_row, next_column = np.inf, -1, -1
         for i in range(max(row - 1, 0), min(row + 2, rows)):
             for j in range(max(column - 1, 0), min(column + 2, columns)):
-                if metre_cost[i, column] == np.inf or metre_cost[row, j] == np.inf or not known[i, j] < known[row, column]:
+                if (
+                    metre_cost[i, column] == np.inf
+                    or metre_cost[row, j] == np.inf
+                    or not known[i, j] < known[row, column]
+                ):
                     continue
                 step = _DIAGONAL if i != row and j != column else 1.0
                 cost = known[i, j] + 0.5 * step * resolution_m * (metre_cost[i, j] + metre_cost[row, column])

@@ -6,18 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.geometry import BoolArray, Float32Array, FloatArray, IntArray
+from wheelsight.geometry import BoolArray, Float32Array, FloatArray
 from wheelsight.navigation import _drive_kernels as drive
 from wheelsight.navigation import _footprint_kernels as under
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.planner_settings import PlannerSettings
 
-MOST_CLEARANCE_M = 1.0
+MOST_CLEARANCE_M = 0.5
 # Poses that one piece of a way may have: at 5 cm each, 400 m.
 _ROOM = 8192
 # Margins that are told apart, from the wanted one to the least.
 _OUTLINES = 5
+DEPTH_STEP_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,11 +63,16 @@ class Drivable:
         """(N,) whether the footprint fits with the least margin at poses (N, 3)."""
         return np.isfinite(self.tightness(poses))
 
-    def counts(self, poses: FloatArray, *, is_padded: bool) -> IntArray:
-        """(N,) how many lethal cells are under the footprint, with the least margin or without, at poses (N, 3)."""
-        found = np.empty(len(poses), np.int64)
-        corners = self.shape.outlines[-1] if is_padded else np.ascontiguousarray(self.footprint.corners)
-        under.counts_under(self.cells, corners, np.ascontiguousarray(poses), found)
+    def depths(self, poses: FloatArray) -> FloatArray:
+        """(N,) how deep anything is in the footprint itself at poses (N, 3), in centimetres, rounded up; metres."""
+        found, counts = np.full(len(poses), np.inf), np.empty(len(poses), np.int64)
+        asked = np.ascontiguousarray(poses)
+        for depth_m in np.arange(0.0, self.footprint.inscribed_m, DEPTH_STEP_M):
+            corners = np.ascontiguousarray(self.footprint.padded(-float(depth_m)).corners)
+            under.counts_under(self.cells, corners, asked, counts)
+            found[np.isinf(found) & (counts == 0)] = depth_m
+            if np.isfinite(found).all():
+                break
         return found
 
     def cost(self, poses: FloatArray) -> float:

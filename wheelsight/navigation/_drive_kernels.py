@@ -40,13 +40,13 @@ class Rules(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def wrapped(angle: float) -> float:
+def wrapped(angle: float) -> Any:
     """An angle in [-π, π)."""
     return angle - _TWO_PI * np.floor((angle + np.pi) / _TWO_PI)
 
 
 @kernel(error_model="numpy")
-def write_arc(out: Any, at: int, arc: Any, rules: Rules) -> int:
+def write_arc(out: Any, at: int, arc: Any, rules: Rules) -> Any:
     """Write poses after pose `at - 1` along an arc of (way, turn), backward where the way is negative; how many then.
 
     A turn in place keeps the direction. Where there is no room it is 0.
@@ -67,7 +67,7 @@ def write_arc(out: Any, at: int, arc: Any, rules: Rules) -> int:
 
 
 @kernel(error_model="numpy")
-def write_way(out: Any, at: int, to: Any, way: int, rules: Rules) -> int:
+def write_way(out: Any, at: int, to: Any, way: int, rules: Rules) -> Any:
     """Write poses after pose `at - 1` to another (3,) by one of WAYS; how many there are then, 0 where it cannot be."""
     if way >= CURVE:
         return _write_curve(out, at, to, 1.0 if way == CURVE else -1.0, rules)
@@ -83,7 +83,7 @@ def write_way(out: Any, at: int, to: Any, way: int, rules: Rules) -> int:
 
 
 @kernel(error_model="numpy")
-def _write_curve(out: Any, at: int, to: Any, sense: float, rules: Rules) -> int:
+def _write_curve(out: Any, at: int, to: Any, sense: float, rules: Rules) -> Any:
     """A cubic curve (Hermite's) that begins and ends along both headings, nowhere narrower than `radius_m`."""
     x, y, yaw = out[at - 1, 0], out[at - 1, 1], out[at - 1, 2]
     length_m = np.hypot(to[0] - x, to[1] - y)
@@ -113,7 +113,7 @@ def _write_curve(out: Any, at: int, to: Any, sense: float, rules: Rules) -> int:
 
 
 @kernel(error_model="numpy")
-def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, end: int) -> float:
+def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, end: int) -> Any:
     """What it costs to drive from pose `begin - 1` over those up to `end`; infinite where one is not free.
 
     `begin` is at least 1.
@@ -132,7 +132,10 @@ def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, en
         if way_m < _EPSILON:
             total += rules.turn_m * turn * (1.0 + tight)
             continue
-        total += way_m * (cells.metre_cost[row, column] + tight) * (rules.backward if poses[k, 3] < 0 else 1.0) + rules.bend_m * turn
+        total += (
+            way_m * (cells.metre_cost[row, column] + tight) * (rules.backward if poses[k, 3] < 0 else 1.0)
+            + rules.bend_m * turn
+        )
         if poses[k, 3] != poses[k - 1, 3]:
             total += rules.switch_m
     return total

@@ -54,7 +54,7 @@ class Shape(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def count_under(cells: Cells, corners: Any, x: float, y: float, yaw: float) -> int:
+def count_under(cells: Cells, corners: Any, x: float, y: float, yaw: float) -> Any:
     """How many occupied cells lie under an outline (N, 2) at a pose; OUTSIDE where it reaches beyond the cells."""
     rows, columns = cells.distance_m.shape
     n, c, s = len(corners), np.cos(yaw), np.sin(yaw)
@@ -105,7 +105,7 @@ def cell_of(cells: Cells, x: float, y: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def tightness(cells: Cells, shape: Shape, x: float, y: float, yaw: float) -> float:
+def tightness(cells: Cells, shape: Shape, x: float, y: float, yaw: float) -> Any:
     """0 where the widest outline is free, 1 where the narrowest alone is, between by which one is; infinite: none."""
     row, column = cell_of(cells, x, y)
     # From a point to the nearest occupied square it is this much less, or more, than from centre to centre.
@@ -143,9 +143,10 @@ def counts_under(cells: Cells, corners: Any, poses: Any, found: Any) -> None:
 
 
 @kernel(error_model="numpy")
-def least_clearance(cells: Cells, corners: Any, poses: Any, most_m: float) -> float:
-    """Metres from an outline at any of poses (N, 3) to the nearest occupied square, at most `most_m`; 0 if it is in one."""
-    least, rows, columns, size_m = most_m, *cells.distance_m.shape, cells.resolution_m
+def least_clearance(cells: Cells, corners: Any, poses: Any, most_m: float) -> Any:
+    """Metres from an outline at any of poses (N, 3) to the nearest occupied square, at most `most_m`; 0 within."""
+    least, size_m = most_m, cells.resolution_m
+    rows, columns = cells.distance_m.shape
     n = len(corners)
     placed, reach_m = np.empty((n, 2)), 0.0
     for k in range(n):
@@ -170,7 +171,7 @@ def least_clearance(cells: Cells, corners: Any, poses: Any, most_m: float) -> fl
 
 
 @kernel(error_model="numpy")
-def _apart(placed: Any, left: int, low: int) -> float:
+def _apart(placed: Any, left: int, low: int) -> Any:
     """Cells from an outline to the unit square with that lower left corner, which are apart."""
     least, before = np.inf, len(placed) - 1
     for k in range(len(placed)):

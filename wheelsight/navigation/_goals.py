@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array
-from wheelsight.navigation._drivable import Drivable
+from wheelsight.navigation._drivable import DEPTH_STEP_M, Drivable
 from wheelsight.navigation.costmap import CellState
 from wheelsight.navigation.plan_values import PlanFailure, PlanReason
 from wheelsight.navigation.planner_settings import PlannerSettings
 
 # Curvatures of ways out, 1/m, for both directions.
-_BENDS = (0.0, 0.5, -0.5, 1.5, -1.5)
+_BENDS = (0.0, 0.1, -0.1, 0.2, -0.2, 0.5, -0.5, 1.5, -1.5)
+# Along them no margin covers what lies between two poses: metres from one to the next.
+_ESCAPE_STEP_M, _BACKWARD = 0.01, 1.5
 _TURN_STEPS = 3
 _ANY_HEADINGS = 16
 
@@ -45,40 +47,43 @@ def components(metre_cost: Float32Array) -> Int32Array:
 def way_out(drivable: Drivable, start: FloatArray, settings: PlannerSettings) -> FloatArray | None:
     """(N, 4) the shortest way on which the robot comes free of what it stands in or too near to; None where none does.
 
-    On the way it never stands in more than before, neither with the margin nor without. Where it stands free, the way
-    is that pose alone.
+    On the way nothing is deeper in it than before, as far as depths are told apart. Where it stands free, the way is that pose alone.
     """
     pose = np.array([*start, 1.0])
     if drivable.is_free(pose[None, :3])[0]:
         return pose[None]
+    dense = replace(drivable, rules=drivable.rules._replace(step_m=_ESCAPE_STEP_M))
     best, best_m = None, math.inf
-    reach_m = drivable.rules.reach_m
     arcs = [(sense * settings.escape_m, sense * settings.escape_m * b) for sense in (1, -1) for b in _BENDS]
     arcs += [(0.0, sense * math.pi) for sense in (1, -1)]
     for way_m, turn in arcs:
-        poses = drivable.arc(pose, way_m, turn)
-        padded, bare = (drivable.counts(poses[:, :3], is_padded=is_padded) for is_padded in (True, False))
-        never_worse = (np.diff(padded) <= 0) & (np.diff(bare) <= 0)
+        poses = dense.arc(pose, way_m, turn)
         free = np.flatnonzero(drivable.is_free(poses[:, :3]))
-        if len(free) and never_worse[: free[0]].all():
-            share = free[0] / (len(poses) - 1)
-            long_m = share * (abs(way_m) * (1 if way_m >= 0 else 1.5) + 0.5 * reach_m * abs(turn))
+        depths = dense.depths(poses[: free[0] + 1, :3]) if len(free) else np.array([np.inf])
+        # Beside a wall no way leads out on which a corner behind does not come some millimetres nearer.
+        allowed_m = depths[0] + (DEPTH_STEP_M if depths[0] > 0 else 0.0)
+        if (depths <= allowed_m).all() and depths[0] <= settings.escape_depth_m:
+            long_m = free[0] / (len(poses) - 1) * (abs(way_m) + drivable.rules.reach_m * abs(turn))
+            # Where it can go ahead, it does.
+            long_m *= _BACKWARD if way_m < 0 else 1.0
             if long_m < best_m:
                 best, best_m = poses[: free[0] + 1], long_m
     return best
 
 
-def goal_near(drivable: Drivable, goal: FloatArray, labels: Int32Array, label: int, settings: PlannerSettings) -> Goal | PlanFailure:
-    """The goal (3,), or where the footprint does not fit there, the nearest pose in a component of cells where it does.
+def goal_near(
+    drivable: Drivable, goal: FloatArray, labels: Int32Array, label: int, settings: PlannerSettings
+) -> Goal | PlanFailure:
+    """The goal (3,), or where the footprint does not fit there, the best pose in a component of cells where it does.
 
-    Poses are tried on a grid of the costmap's cells, and three headings to each side; a heading's radian counts as a
-    metre.
+    That is the nearest one, where clearance costs something, too. Poses are tried on a grid of the costmap's cells, and
+    three headings to each side; a heading's radian counts as a metre.
     """
     costmap = drivable.costmap
     row, column = costmap.cells_at(goal[:2]).tolist()
     if not (0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]):
         return PlanFailure(PlanReason.GOAL_OUTSIDE, f"({goal[0]:.2f}, {goal[1]:.2f}) m is beyond the map's edge")
-    if _fits(drivable, goal[None])[0]:
+    if np.isfinite(_tightness(drivable, goal[None])[0]):
         if labels[row, column] == label:
             return Goal(goal, "")
         where = f"({goal[0]:.2f}, {goal[1]:.2f}) m"
@@ -90,11 +95,14 @@ def goal_near(drivable: Drivable, goal: FloatArray, labels: Int32Array, label: i
     near = np.zeros(len(poses), bool)
     near[inside] = labels[cells[inside, 0], cells[inside, 1]] == label
     poses, off = poses[near], off[near]
-    for k in np.argsort(off, kind="stable"):
-        if _fits(drivable, poses[k][None])[0]:
-            away_m, turned = float(np.hypot(*(poses[k] - goal)[:2])), _turn(goal[2], poses[k, 2])
-            text = f"the robot does not fit at the goal: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it"
-            return Goal(poses[k], text)
+    tight = _tightness(drivable, poses)
+    # One that keeps clear is better than one that is nearer by a little, and hard to get to.
+    score = off + 2 * settings.wanted_margin_m * tight
+    if len(poses) and np.isfinite(score).any():
+        best = poses[int(np.argmin(score))]
+        away_m, turned = float(np.hypot(*(best - goal)[:2])), _turn(goal[2], best[2])
+        text = f"the robot does not fit at the goal: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it"
+        return Goal(best, text)
     reason = PlanReason.GOAL_UNKNOWN if is_unknown else PlanReason.GOAL_OCCUPIED
     return PlanFailure(reason, f"nor does it fit within {settings.goal_tolerance_m:g} m that can be reached")
 
@@ -103,15 +111,13 @@ def _turn(one: float, other: float) -> float:
     return 0.0 if math.isnan(one) else abs(math.remainder(float(one - other), 2 * math.pi))
 
 
-def _fits(drivable: Drivable, poses: FloatArray) -> np.ndarray:
-    """(N,) whether the footprint does at poses (N, 3); of any heading, at one of some."""
-    any_heading = np.isnan(poses[:, 2])
-    fits = np.zeros(len(poses), bool)
-    for k, pose in enumerate(poses):
-        yaws = np.arange(_ANY_HEADINGS) * 2 * np.pi / _ANY_HEADINGS if any_heading[k] else pose[2:]
-        tried = np.stack([np.full(len(yaws), pose[0]), np.full(len(yaws), pose[1]), yaws], axis=-1)
-        fits[k] = drivable.is_free(tried).any()
-    return fits
+def _tightness(drivable: Drivable, poses: FloatArray) -> FloatArray:
+    """(N,) as `Drivable.tightness` at poses (N, 3); of any heading, at the best of some."""
+    if not np.isnan(poses[:, 2]).any():
+        return drivable.tightness(poses)
+    yaws = np.arange(_ANY_HEADINGS) * 2 * np.pi / _ANY_HEADINGS
+    tried = np.stack([np.c_[poses[:, :2], np.full(len(poses), yaw)] for yaw in yaws])
+    return np.asarray(drivable.tightness(tried.reshape(-1, 3)).reshape(len(yaws), -1).min(axis=0))
 
 
 def _around(goal: FloatArray, step_m: float, settings: PlannerSettings) -> tuple[FloatArray, FloatArray]:

@@ -1,7 +1,8 @@
 """Compiled: the search over places and headings for a way that a footprint can drive (Hybrid A*, Dolgov et al. 2010).
 
-A base with two driven wheels goes ahead and back along arcs, and turns in place. States are told apart by place
-and heading, in steps, and keep the exact ones. What is left is guessed by the cost-to-go of the cells, which no footprint beats.
+A base with two driven wheels goes ahead and back along arcs, and turns in place. States are told apart by place and
+heading, in steps, and keep the exact ones. What is left is guessed by the cost-to-go of the cells, which no footprint
+beats.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def _push(heap: Heap, key: float, state: int) -> None:
 
 
 @kernel
-def _pop(heap: Heap) -> int:
+def _pop(heap: Heap) -> Any:
     top = heap.states[0]
     heap.count[0] -= 1
     last = heap.count[0]
@@ -121,7 +122,9 @@ def search(cells: Cells, shape: Shape, rules: Rules, known: Any, start: Any, goa
         if count + MOVES + WAYS >= most or heap.count[0] + MOVES + WAYS >= len(heap.keys):
             return TOO_MANY, -1, count
         left_m = np.hypot(tree.pose[state, 0] - goal[0], tree.pose[state, 1] - goal[1])
-        if left_m < rules.connect_m and (left_m < 2 * rules.stride_m or popped % 4 == 1 or state == 0):
+        # The farther it is, the more rarely that succeeds, and the longer it takes to see.
+        every = 1 + int(left_m / rules.stride_m)
+        if left_m < rules.connect_m and (popped % every == 0 or state == 0):
             count = _connect(cells, shape, rules, goal, tree, (state, count), heap, out)
         for move in range(MOVES):
             count = _expand(cells, shape, rules, known, tree, (state, move, count), heap, out)
@@ -152,7 +155,7 @@ def _key(cells: Cells, rules: Rules, x: float, y: float, yaw: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def _slot(tree: Tree, key: Any) -> int:
+def _slot(tree: Tree, key: Any) -> Any:
     """Where in the table a key is or belongs."""
     mask = len(tree.table) - 1
     slot = ((key * 0x9E3779B97F4A7C1) >> 11) & mask
@@ -162,7 +165,7 @@ def _slot(tree: Tree, key: Any) -> int:
 
 
 @kernel(error_model="numpy")
-def _expand(cells: Cells, shape: Shape, rules: Rules, known: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> int:
+def _expand(cells: Cells, shape: Shape, rules: Rules, known: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> Any:
     """Reach the state after a move, where that is free and cheaper than before; how many states there are then."""
     state, move, count = at
     for k in range(4):
@@ -195,7 +198,7 @@ def _expand(cells: Cells, shape: Shape, rules: Rules, known: Any, tree: Tree, at
 
 
 @kernel(error_model="numpy")
-def _connect(cells: Cells, shape: Shape, rules: Rules, goal: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> int:
+def _connect(cells: Cells, shape: Shape, rules: Rules, goal: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> Any:
     """Try to reach the goal from a state in one go; how many states there are then."""
     state, count = at
     best, chosen = np.inf, -1
@@ -217,7 +220,7 @@ def _connect(cells: Cells, shape: Shape, rules: Rules, goal: Any, tree: Tree, at
 
 
 @kernel(error_model="numpy")
-def write_to_goal(out: Any, at: int, goal: Any, way: int, rules: Rules) -> int:
+def write_to_goal(out: Any, at: int, goal: Any, way: int, rules: Rules) -> Any:
     """As `write_way`; where any heading will do, it is that in which the goal is reached without a turn there."""
     to = goal.copy()
     if np.isnan(to[2]):
@@ -230,7 +233,7 @@ def write_to_goal(out: Any, at: int, goal: Any, way: int, rules: Rules) -> int:
 
 
 @kernel(error_model="numpy")
-def way_to(rules: Rules, tree: Tree, last: int, goal: Any, out: Any) -> int:
+def way_to(rules: Rules, tree: Tree, last: int, goal: Any, out: Any) -> Any:
     """Write all poses from the start to a state into `out` (n, 4); how many, or 0 where there is no room."""
     length, state = 0, last
     while state >= 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.geometry import Float32Array, FloatArray, IntArray
 from wheelsight.navigation import _drive_kernels as drive
 from wheelsight.navigation._drivable import Drivable
 
@@ -16,8 +16,8 @@ _PIECE_POSES = 40
 _SHIFTS = [(a, t) for a in (0.0, 0.02, -0.02, 0.05, -0.05) for t in (0.0, 0.04, -0.04) if a or t]
 
 
-def any_angle(way: IntArray, known: FloatArray, drivable: Drivable, metre_cost: FloatArray) -> FloatArray:
-    """(N, 2) places of a way over cells (K, 2), joined by straight lines that cost no more than the cells they leave out."""
+def any_angle(way: IntArray, known: FloatArray, drivable: Drivable, metre_cost: Float32Array) -> FloatArray:
+    """(N, 2) places of a way over cells (K, 2), joined by straight lines that cost no more than the cells left out."""
     corners, at = [0], 0
     while at < len(way) - 1:
         # As far as doubling goes, then halving back: a line of sight mostly ends once.
@@ -39,7 +39,7 @@ def any_angle(way: IntArray, known: FloatArray, drivable: Drivable, metre_cost: 
 
 
 def _is_cheaper(
-    way: IntArray, begin: int, end: int, known: FloatArray, drivable: Drivable, metre_cost: FloatArray
+    way: IntArray, begin: int, end: int, known: FloatArray, drivable: Drivable, metre_cost: Float32Array
 ) -> bool:
     a, b = way[begin].astype(float), way[end].astype(float)
     steps = max(int(np.ceil(2 * np.hypot(*(b - a)))), 1)
@@ -74,15 +74,18 @@ def driven(corners: FloatArray, start: FloatArray, goal: FloatArray, drivable: D
             return None
         pieces.append(best[1:])
         pose = best[-1]
-    yaw = headings[-1] if np.isnan(goal[2]) else goal[2]
+    reached = headings[-1] if lengths[-1] > 0 else pose[2]
+    yaw = reached if np.isnan(goal[2]) else goal[2]
     last = drivable.way(pose, np.array([goal[0], goal[1], yaw]), drive.TURN_AND_DRIVE)
     if not len(last) or drivable.cost(last) == np.inf:
         return None
     return np.concatenate([*pieces, last[1:]])
 
 
-def _corner(pose: FloatArray, corner: FloatArray, headings: FloatArray, rounding_m: float, drivable: Drivable) -> FloatArray:
-    """(N, 4) from a pose up to behind a corner, which is left out by so much on both sides; empty where it cannot be."""
+def _corner(
+    pose: FloatArray, corner: FloatArray, headings: FloatArray, rounding_m: float, drivable: Drivable
+) -> FloatArray:
+    """(N, 4) from a pose to behind a corner, which is left out by so much on both sides; empty where it cannot be."""
     a, b = ((np.cos(h), np.sin(h)) for h in headings)
     to = np.array([*(corner - rounding_m * np.array(a)), headings[0]])
     line = drivable.way(pose, to, drive.TURN_AND_DRIVE)
@@ -116,10 +119,8 @@ def _shorter(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
     """The cheapest way between a piece's ends, where it gains anything."""
     before, best = drivable.cost(piece), None
     limit = before * (1 - _LEAST_GAIN)
-    ways = (drive.TURN_AND_DRIVE, drive.CURVE)
-    if (piece[1:, 3] < 0).any():
-        ways = (drive.TURN_AND_DRIVE, drive.BACK_AND_TURN, drive.CURVE, drive.CURVE_BACK)
-    for way in ways:
+    goes_back = bool((piece[1:, 3] < 0).any())
+    for way in range(drive.WAYS) if goes_back else (drive.TURN_AND_DRIVE, drive.CURVE):
         made = drivable.way(piece[0], piece[-1], way)
         if len(made) < 2:
             continue

@@ -48,7 +48,7 @@ class StaticLayer:
 
     @classmethod
     def of(cls, grid: OccupancyGrid, edits: MapEdits | None = None, T_map_keyframe: ArrayLike = ()) -> StaticLayer:
-        """Of a map and what people said of it; `T_map_keyframe` as `MapEdits.applied` takes it. Raises ArgumentError."""
+        """Of a map and what people said of it. `T_map_keyframe` and what it raises: as `MapEdits.applied`."""
         edits = edits or MapEdits()
         edited = edits.applied(grid, T_map_keyframe)
         occupancy = edited.occupancy
@@ -188,11 +188,11 @@ def distances_m(is_lethal: BoolArray, resolution_m: float) -> Float32Array:
     if not is_lethal.any():
         return np.full(is_lethal.shape, FARTHEST_M, np.float32)
     cells = cv2.distanceTransform((~is_lethal).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.minimum(cells * np.float32(resolution_m), np.float32(FARTHEST_M)).astype(np.float32)
+    return np.asarray(np.minimum(cells * resolution_m, FARTHEST_M), np.float32)
 
 
 def _put(live: LiveObstacles, T_map_live: FloatArray, static: StaticLayer, state: ByteArray) -> None:
-    """Mark live obstacles: all cells in which a quarter of a cell of theirs has its middle, or a corner, where turned."""
+    """Mark all cells in which any sixteenth of an occupied cell has its middle."""
     if T_map_live.shape != (3,) or not np.isfinite(T_map_live).all():
         raise ArgumentError(f"T_map_live is {T_map_live}", fix="x, y and yaw of the obstacles' frame in map, finite")
     cells = np.argwhere(live.is_occupied)

@@ -30,7 +30,11 @@ class LiveLayerSettings(Settings):
     """Obstacles that the newest depth images show."""
 
     size_m: float = setting(
-        14.0, "side of the square about the robot that is kept, metres: farther than the camera sees", CHOSEN, ge=2, le=60
+        14.0,
+        "side of the square about the robot that is kept, metres: farther than the camera sees",
+        CHOSEN,
+        ge=2,
+        le=60,
     )
     resolution_m: float = setting(0.05, "side of a cell, metres", "what Nav2's maps have", ge=0.01, le=0.5)
     floor_m: float = setting(
@@ -49,7 +53,11 @@ class LiveLayerSettings(Settings):
         0.1, "height of a layer, metres: a ray below a table says nothing about its top", _AS_OCCUPANCY, gt=0, le=5
     )
     far_m: float = setting(
-        4.5, "nothing farther along the floor is used, metres: a Kinect's depth errs by 3 cm there", "reckoned", gt=0, le=30
+        4.5,
+        "nothing farther along the floor is used, metres: a Kinect's depth errs by 3 cm there",
+        "reckoned",
+        gt=0,
+        le=30,
     )
     pixels: int = setting(
         4, "side of a block of pixels that clears as one ray, as far as the nearest of them says", CHOSEN, ge=1, le=32
@@ -60,12 +68,16 @@ class LiveLayerSettings(Settings):
     )  # fmt: skip
     passes: int = setting(
         2,
-        "images that have to see through a layer of a cell before what was met there is gone: one may look past a chair's "
-        "leg; at 5 images a second it is gone within half a second",
+        "images that have to see through a layer of a cell before what was met there is gone: one may look past a leg "
+        "of a chair; at 5 images a second it is gone within half a second",
         CHOSEN,
         ge=1,
         le=20,
     )
     margin_sigmas: float = setting(
-        3.0, "standard deviations of depth, and a cell, before a ray's end within which it clears nothing", CHOSEN, ge=0, le=20
+        3.0,
+        "standard deviations of depth, and a cell, before a ray's end within which it clears nothing",
+        CHOSEN,
+        ge=0,
+        le=20,
     )

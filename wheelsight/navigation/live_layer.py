@@ -108,7 +108,7 @@ class LiveLayer:
         """What is there by now."""
         size_m = self.settings.resolution_m
         y, x = (size_m * self._low).tolist()
-        return LiveObstacles(self._left.any(axis=2), size_m, (x, y), self.frame, self._stamp_s)
+        return LiveObstacles(np.asarray(self._left.any(axis=2)), size_m, (x, y), self.frame, self._stamp_s)
 
     def clear(self) -> None:
         """Forget all, as a person may ask for."""

@@ -47,7 +47,7 @@ class Plan:
             least margin. In a turn in place x and y stay as they are.
         directions: (N,) 1 where a pose is reached forward, -1 backward; in a turn in place as before it.
         length_m: of the way of the centre of rotation.
-        least_clearance_m: of the footprint, over all poses; at most 1 m. Where the robot had to get out of something, 0.
+        least_clearance_m: of the footprint, over all poses, at most 0.5 m; 0 where it had to get out.
         goal: (3,) where it ends.
         goal_change: why that is not the goal that was asked for; empty where it is.
         frame: of the poses: `map` or `odom`.

@@ -19,9 +19,9 @@ from wheelsight.navigation import _lattice_kernels as lattice
 from wheelsight.navigation import _smoothing as smoothing
 from wheelsight.navigation._drivable import Drivable
 from wheelsight.navigation._goals import Goal, components, goal_near, passable, way_out
-from wheelsight.navigation.cost_to_go import cost_to_go
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.grid_search import cost_to_go
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner_settings import PlannerSettings
 
@@ -113,7 +113,9 @@ class Planner:
             drivable.cells, drivable.shape, drivable.rules, known, np.ascontiguousarray(start[:3]), goal, tree
         )
         if how == lattice.NOTHING_LEFT:
-            detail = f"of {count} places and headings that can be reached none leads there: too narrow, or no room to turn"
+            detail = (
+                f"of {count} places and headings that can be reached none leads there: too narrow, or no room to turn"
+            )
             return PlanFailure(PlanReason.UNREACHABLE, detail)
         if how == lattice.TOO_MANY:
             return PlanFailure(PlanReason.GAVE_UP, f"after {count} places and headings")
