@@ -45,7 +45,7 @@ _SIDE, _REPEATS, _GOALS, _SEED = 1000, 5, 20, 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asked:
-    """One plan that was asked for; `shortest_m` is a way over the cells for the inscribed circle, some percent too long."""
+    """One plan that was asked for; `shortest_m` is a circle's way over the cells, some percent too long."""
 
     start: FloatArray
     goal: FloatArray

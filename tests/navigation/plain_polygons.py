@@ -44,9 +44,14 @@ def placed(corners: np.ndarray, pose: Sequence[float]) -> Points:
 
 
 def cells_under(
-    is_lethal: np.ndarray, resolution_m: float, origin: tuple[float, float], corners: np.ndarray, pose: Sequence[float]
+    is_lethal: np.ndarray,
+    resolution_m: float,
+    origin: tuple[float, float],
+    corners: np.ndarray,
+    pose: Sequence[float],
+    least_m2: float = 1e-8,
 ) -> int:
-    """How many lethal cells share more than a square millimetre's hundredth with an outline at a pose."""
+    """How many lethal cells share more than so much with an outline at a pose."""
     polygon = placed(corners, pose)
     xs, ys = zip(*polygon, strict=True)
     first = [int((min(values) - low) // resolution_m) for values, low in ((ys, origin[1]), (xs, origin[0]))]
@@ -56,5 +61,5 @@ def cells_under(
         for column in range(max(first[1], 0), min(last[1] + 1, is_lethal.shape[1])):
             if is_lethal[row, column]:
                 x, y = origin[0] + column * resolution_m, origin[1] + row * resolution_m
-                found += shared_m2(polygon, x, y, resolution_m) > 1e-8
+                found += shared_m2(polygon, x, y, resolution_m) > least_m2
     return found

@@ -31,7 +31,12 @@ def test_cells_under_a_footprint_are_those_that_clipping_finds(
 ) -> None:
     made = drivable(seed, 0.2)
     found = kernels.count_under(made.cells, footprint.corners, x, y, yaw)
-    assert found == cells_under(made.costmap.is_lethal, 0.05, (0.0, 0.0), footprint.corners, (x, y, yaw))
+    # Of slivers rounding decides.
+    outlines = footprint.padded(-1e-7).corners, footprint.padded(1e-7).corners
+    least, most = (
+        cells_under(made.costmap.is_lethal, 0.05, (0.0, 0.0), corners, (x, y, yaw), 1e-12) for corners in outlines
+    )
+    assert least <= found <= most
 
 
 def test_what_only_touches_is_not_under_it() -> None:

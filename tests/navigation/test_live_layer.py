@@ -56,8 +56,8 @@ def is_occupied_at(found: LiveLayer, x: float, y: float) -> bool:
 def test_what_stands_ahead_is_there_at_once_and_the_floor_is_free() -> None:
     found = layer()
     found.update(depth_of([AHEAD, WALL]), (0, 0, 0), 1.0)
-    for y in (-0.15, 0.0, 0.15):
-        assert is_occupied_at(found, 2.02, y)
+    for aside_m in (-0.15, 0.0, 0.15):
+        assert is_occupied_at(found, 2.02, aside_m)
     assert is_occupied_at(found, 4.0, 1.0)
     rows, columns = np.nonzero(found.obstacles().is_occupied)
     x, y = (0.05 * (at + 0.5) + low for at, low in zip((columns, rows), found.obstacles().origin, strict=True))

@@ -22,6 +22,7 @@ from wheelsight.navigation import (
     Planner,
     PlannerSettings,
     PlanReason,
+    RobotLimits,
     StaticLayer,
 )
 
@@ -281,3 +282,26 @@ def test_it_says_the_same_every_time() -> None:
 def test_margins_that_contradict_are_refused() -> None:
     with pytest.raises(ValidationError, match="wanted_margin_m"):
         PlannerSettings(margin_m=0.2, wanted_margin_m=0.1)
+
+
+def test_what_limits_of_zero_forbid_is_in_no_plan() -> None:
+    cells = np.ones((80, 100), bool)
+    cells[31:49, 5:40] = False
+    cells[10:70, 40:95] = False
+    ahead = Planner(CHAIR, limits=RobotLimits(backward_m_s=0)).plan(costmap_of(cells), (1.3, 2.0, np.pi), (3.5, 2, 0))
+    assert isinstance(ahead, PlanFailure)
+    assert ahead.reason == PlanReason.UNREACHABLE
+    free = costmap_of(room(8, 8))
+    straight = Planner(CHAIR, limits=RobotLimits(turn_rad_s=0))
+    along = straight.plan(free, (2, 4, 0), (6, 4, 0))
+    assert isinstance(along, Plan)
+    np.testing.assert_allclose(along.poses[:, 1:], [[4, 0]] * len(along.poses), atol=1e-9)
+    aside = straight.plan(free, (2, 4, 0), (6, 5, 0))
+    assert isinstance(aside, PlanFailure)
+    assert aside.reason == PlanReason.UNREACHABLE
+    behind = Planner(CHAIR, limits=RobotLimits(forward_m_s=0)).plan(free, (4, 4, 0), (2, 4, 0))
+    assert isinstance(behind, Plan)
+    assert (behind.directions[1:] == -1).all()
+    none = Planner(CHAIR, limits=RobotLimits(forward_m_s=0, backward_m_s=0)).plan(free, (2, 4, 0), (6, 4, 0))
+    assert isinstance(none, PlanFailure)
+    assert none.reason == PlanReason.STANDS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from wheelsight.navigation import _drive_kernels as drive
 from wheelsight.navigation import _footprint_kernels as under
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.planner_settings import PlannerSettings
 
 MOST_CLEARANCE_M = 0.5
@@ -27,18 +29,22 @@ class Drivable:
 
     Attributes:
         costmap, footprint: as given.
+        margins_m: (K,) of the outlines, from the wanted one to the least.
         cells, shape, rules: of both, and of settings.
     """
 
     costmap: Costmap
     footprint: Footprint
+    margins_m: FloatArray
     cells: under.Cells
     shape: under.Shape
     rules: drive.Rules
 
     @classmethod
-    def of(cls, costmap: Costmap, footprint: Footprint, settings: PlannerSettings) -> Drivable:
-        """Of a costmap, a footprint and settings."""
+    def of(
+        cls, costmap: Costmap, footprint: Footprint, settings: PlannerSettings, limits: RobotLimits | None = None
+    ) -> Drivable:
+        """Of a costmap, a footprint and settings; what limits of zero forbid costs infinitely much."""
         sums = np.zeros((costmap.is_lethal.shape[0], costmap.is_lethal.shape[1] + 1), np.int32)
         np.cumsum(costmap.is_lethal, axis=1, out=sums[:, 1:], dtype=np.int32)
         metre_cost = _metre_cost(costmap, settings)
@@ -51,7 +57,13 @@ class Drivable:
         around_m = float(np.linalg.norm(outlines[0].corners - middle, axis=1).max())
         corners = np.ascontiguousarray([one.corners for one in outlines])
         shape = under.Shape(corners, outlines[-1].inscribed_m, float(middle[0]), float(middle[1]), around_m)
-        return cls(costmap, footprint, cells, shape, _rules(outlines[-1], settings))
+        rules = _rules(outlines[-1], settings, limits or RobotLimits())
+        return cls(costmap, footprint, margins_m, cells, shape, rules)
+
+    def may(self, way_m: float, turn: float) -> bool:
+        """Whether limits of zero leave an arc."""
+        factor = self.rules.backward if way_m < 0 else self.rules.forward
+        return (way_m == 0 or math.isfinite(factor)) and (turn == 0 or math.isfinite(self.rules.turn_m))
 
     def tightness(self, poses: FloatArray) -> FloatArray:
         """(N,) of poses (N, 3): 0 where the wanted margin is free, 1 where the least one alone is, infinite: none."""
@@ -97,12 +109,13 @@ class Drivable:
         return out[: drive.write_way(out, 1, np.ascontiguousarray(to[:3]), way, self.rules)].copy()
 
 
-def _rules(least: Footprint, settings: PlannerSettings) -> drive.Rules:
+def _rules(least: Footprint, settings: PlannerSettings, limits: RobotLimits) -> drive.Rules:
     return drive.Rules(
         step_m=2 * settings.margin_m,
-        turn_m=settings.turn_m,
-        bend_m=settings.bend_m,
-        backward=settings.backward_cost,
+        turn_m=settings.turn_m if limits.turn_rad_s > 0 else math.inf,
+        bend_m=settings.bend_m if limits.turn_rad_s > 0 else math.inf,
+        forward=1.0 if limits.forward_m_s > 0 else math.inf,
+        backward=settings.backward_cost if limits.backward_m_s > 0 else math.inf,
         switch_m=settings.switch_m,
         tight=settings.tight_cost,
         radius_m=settings.radius_m,

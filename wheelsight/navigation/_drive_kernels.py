@@ -25,6 +25,7 @@ class Rules(NamedTuple):
     step_m: float
     turn_m: float
     bend_m: float
+    forward: float
     backward: float
     switch_m: float
     tight: float
@@ -130,12 +131,13 @@ def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, en
         way_m = np.hypot(x - poses[k - 1, 0], y - poses[k - 1, 1])
         turn = abs(yaw - poses[k - 1, 2])
         if way_m < _EPSILON:
-            total += rules.turn_m * turn * (1.0 + tight)
+            # What is not allowed costs infinitely much, and times nothing would be no number.
+            total += rules.turn_m * turn * (1.0 + tight) if turn > _EPSILON else 0.0
             continue
-        total += (
-            way_m * (cells.metre_cost[row, column] + tight) * (rules.backward if poses[k, 3] < 0 else 1.0)
-            + rules.bend_m * turn
-        )
+        factor = rules.backward if poses[k, 3] < 0 else rules.forward
+        total += way_m * (cells.metre_cost[row, column] + tight) * factor
+        if turn > _EPSILON:
+            total += rules.bend_m * turn
         if poses[k, 3] != poses[k - 1, 3]:
             total += rules.switch_m
     return total

@@ -31,11 +31,20 @@ class Goal:
 
 
 def passable(drivable: Drivable) -> Float32Array:
-    """(H, W) what a metre costs; infinite where the centre of rotation can be at no point of the cell."""
-    costmap, half_m = drivable.costmap, 0.5 * drivable.costmap.resolution_m
-    nearest_m = drivable.shape.inscribed_m + half_m - math.sqrt(2) * half_m
-    is_blocked = costmap.is_lethal | (costmap.distance_m < nearest_m)
-    return np.where(is_blocked, np.float32(np.inf), drivable.cells.metre_cost)
+    """(H, W) the least that a metre costs; infinite where the centre of rotation can be at no point of the cell.
+
+    Where the inscribed circle alone is tight, whatever the heading, that is counted, too.
+    """
+    costmap, rules = drivable.costmap, drivable.rules
+    slack_m = (0.5 - math.sqrt(0.5)) * costmap.resolution_m
+    metre_cost, last = drivable.cells.metre_cost.copy(), len(drivable.margins_m) - 1
+    for k, margin_m in enumerate(drivable.margins_m):
+        is_nearer = costmap.distance_m < drivable.footprint.inscribed_m + margin_m + slack_m
+        # The next outline may be free.
+        tight = math.inf if k == last else rules.tight * ((k + 1) / last) ** 2
+        metre_cost[is_nearer] = drivable.cells.metre_cost[is_nearer] + np.float32(tight)
+    metre_cost[costmap.is_lethal] = np.inf
+    return np.asarray(metre_cost, np.float32)
 
 
 def components(metre_cost: Float32Array) -> Int32Array:
@@ -47,7 +56,8 @@ def components(metre_cost: Float32Array) -> Int32Array:
 def way_out(drivable: Drivable, start: FloatArray, settings: PlannerSettings) -> FloatArray | None:
     """(N, 4) the shortest way on which the robot comes free of what it stands in or too near to; None where none does.
 
-    On the way nothing is deeper in it than before, as far as depths are told apart. Where it stands free, the way is that pose alone.
+    On the way nothing is deeper in it than before, as far as depths are told apart. Where it stands free, the way is
+    that pose alone.
     """
     pose = np.array([*start, 1.0])
     if drivable.is_free(pose[None, :3])[0]:
@@ -57,10 +67,12 @@ def way_out(drivable: Drivable, start: FloatArray, settings: PlannerSettings) ->
     arcs = [(sense * settings.escape_m, sense * settings.escape_m * b) for sense in (1, -1) for b in _BENDS]
     arcs += [(0.0, sense * math.pi) for sense in (1, -1)]
     for way_m, turn in arcs:
+        if not drivable.may(way_m, turn):
+            continue
         poses = dense.arc(pose, way_m, turn)
         free = np.flatnonzero(drivable.is_free(poses[:, :3]))
         depths = dense.depths(poses[: free[0] + 1, :3]) if len(free) else np.array([np.inf])
-        # Beside a wall no way leads out on which a corner behind does not come some millimetres nearer.
+        # Beside a wall no way leads out on which a corner behind comes not some millimetres nearer.
         allowed_m = depths[0] + (DEPTH_STEP_M if depths[0] > 0 else 0.0)
         if (depths <= allowed_m).all() and depths[0] <= settings.escape_depth_m:
             long_m = free[0] / (len(poses) - 1) * (abs(way_m) + drivable.rules.reach_m * abs(turn))

@@ -158,7 +158,8 @@ def _key(cells: Cells, rules: Rules, x: float, y: float, yaw: float) -> Any:
 def _slot(tree: Tree, key: Any) -> Any:
     """Where in the table a key is or belongs."""
     mask = len(tree.table) - 1
-    slot = ((key * 0x9E3779B97F4A7C1) >> 11) & mask
+    # The product stays below 2^63.
+    slot = (((key ^ (key >> 21)) & 0x7FFFFFFF) * 0x9E3779B1 >> 16) & mask
     while tree.table[slot] >= 0 and tree.keys[tree.table[slot]] != key:
         slot = (slot + 1) & mask
     return int(slot)

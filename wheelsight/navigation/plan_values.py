@@ -17,6 +17,7 @@ class PlanReason(StrEnum):
     GOAL_OUTSIDE = "the goal is outside the map"
     GOAL_UNKNOWN = "nobody has seen the floor at the goal"
     GOAL_OCCUPIED = "the robot does not fit at the goal, nor near to it"
+    STANDS = "its limits let the robot neither forward nor backward"
     UNREACHABLE = "no way leads to the goal"
     GAVE_UP = "no way was found within the bounds of the search"
 

@@ -22,6 +22,7 @@ from wheelsight.navigation._goals import Goal, components, goal_near, passable, 
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.grid_search import cost_to_go
+from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner_settings import PlannerSettings
 
@@ -35,10 +36,14 @@ class Planner:
     Args:
         footprint: of the robot.
         settings: or the defaults.
+        limits: of the robot: what one of zero forbids is in no plan.
     """
 
-    def __init__(self, footprint: Footprint, settings: PlannerSettings | None = None) -> None:
+    def __init__(
+        self, footprint: Footprint, settings: PlannerSettings | None = None, limits: RobotLimits | None = None
+    ) -> None:
         self.footprint, self.settings = footprint, settings or PlannerSettings()
+        self.limits = limits or RobotLimits()
 
     def plan(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> Plan | PlanFailure:
         """A way from where the robot stands to a goal.
@@ -54,10 +59,12 @@ class Planner:
         if len(begin) != 3 or len(end) not in _DIMENSIONS or not np.isfinite([*begin, *end]).all():
             return PlanFailure(PlanReason.INVALID, f"from {begin} to {end}")
         end = np.array([*end, math.nan][:3])
+        if self.limits.forward_m_s == 0 and self.limits.backward_m_s == 0:
+            return PlanFailure(PlanReason.STANDS, "forward_m_s and backward_m_s are 0")
         if not _is_inside(costmap, begin):
             return PlanFailure(PlanReason.START_OUTSIDE, f"({begin[0]:.2f}, {begin[1]:.2f}) m is beyond the map's edge")
         stood = costmap.standing_at(self.footprint.padded(self.settings.margin_m), begin)
-        drivable = Drivable.of(stood, self.footprint, self.settings)
+        drivable = Drivable.of(stood, self.footprint, self.settings, self.limits)
         out = way_out(drivable, begin, self.settings)
         if out is None:
             return PlanFailure(PlanReason.START_OCCUPIED, f"nor within {self.settings.escape_m:g} m")

@@ -75,7 +75,7 @@ class PlannerSettings(Settings):
     )
     connect_m: float = setting(4.0, "from where on the search tries to reach the goal in one go", CHOSEN, ge=0, le=50)
     most_states: int = setting(
-        400_000, "bound on time and memory of a search: 45 MB, some seconds", "reckoned", ge=1_000, le=50_000_000
+        800_000, "bound on time and memory of a search: 90 MB, ten seconds or more", "reckoned", ge=1_000, le=50_000_000
     )
     goal_tolerance_m: float = setting(
         0.5, "how far from a goal that is occupied the plan may end, metres", CHOSEN, ge=0, le=5
