@@ -198,6 +198,16 @@ def test_a_search_that_takes_too_long_gives_up() -> None:
     assert failed(costmap_of(cells, 0.02), (1.8, 1.5, 0.3), (4.2, 4.6, 2.0), most_states=1000) == PlanReason.GAVE_UP
 
 
+def test_where_the_search_gives_up_a_straight_way_that_is_tight_is_taken() -> None:
+    """Through a corridor 0.7 m wide, in which the wanted clearance cannot be kept."""
+    cells = np.ones((100, 200), bool)
+    cells[43:57, 5:195] = False
+    costmap, start, goal = costmap_of(cells), (1.0, 2.5, 0.0), (8.0, 2.5, 0.0)
+    plan = planned(costmap, start, goal, most_states=1000, connect_m=0.0)
+    assert plan.states == 0
+    assert plan.length_m == pytest.approx(7.0, abs=0.05)
+
+
 @pytest.mark.parametrize("start", [(1.0, 0.33, 0.0), (1.0, 0.345, 0.1), (7.2, 4.0, 0.0), (0.36, 4.0, 0.5)])
 def test_a_start_too_near_to_a_wall_gets_out_first(start: tuple[float, float, float]) -> None:
     """Never nearer to the wall than it stands, and free from then on."""

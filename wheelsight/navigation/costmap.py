@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 import cv2
@@ -155,10 +155,6 @@ class Costmap:
         """(..., 2) of the middles of cells (..., 2) of row and column."""
         return np.asarray((np.asarray(cells, float)[..., ::-1] + 0.5) * self.resolution_m + self.origin)
 
-    def limited(self, speed_m_s: Float32Array) -> Costmap:
-        """The same with other zones (H, W)."""
-        return replace(self, speed_m_s=speed_m_s)
-
 
 def _made(
     state: ByteArray,
@@ -178,9 +174,7 @@ def _made(
     cost = np.where(beyond_m <= settings.inflation_m, np.exp(-np.float32(settings.decay_per_m) * beyond_m), 0)
     cost = np.where(state == CellState.UNKNOWN, np.maximum(cost, settings.unknown_cost), cost)
     cost = np.where(is_lethal, 1, cost).astype(np.float32)
-    return Costmap(
-        state, is_lethal, distance_m, cost, speed_m_s, resolution_m, origin, frame, inscribed_m, settings
-    )  # fmt: skip
+    return Costmap(state, is_lethal, distance_m, cost, speed_m_s, resolution_m, origin, frame, inscribed_m, settings)
 
 
 def distances_m(is_lethal: BoolArray, resolution_m: float) -> Float32Array:

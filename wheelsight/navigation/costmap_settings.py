@@ -63,9 +63,12 @@ class LiveLayerSettings(Settings):
         4, "side of a block of pixels that clears as one ray, as far as the nearest of them says", CHOSEN, ge=1, le=32
     )
     measured: float = setting(
-        0.5, "least share of a block's pixels with a depth, else it clears nothing: black and glass have none", CHOSEN,
-        ge=0, le=1,
-    )  # fmt: skip
+        0.5,
+        "least share of a block's pixels with a depth, else it clears nothing: black and glass have none",
+        CHOSEN,
+        ge=0,
+        le=1,
+    )
     passes: int = setting(
         2,
         "images that have to see through a layer of a cell before what was met there is gone: one may look past a leg "

@@ -96,9 +96,7 @@ class LiveLayer:
         view = kernels.View(depth, self._slopes, self._matrix(at))
         names = kernels.Heights._fields
         heights = kernels.Heights(**{name: getattr(self.settings, name) for name in names})
-        noise = kernels.Noise(
-            self._noise.constant_m, self._noise.quadratic_per_m, self.settings.margin_sigmas
-        )  # fmt: skip
+        noise = kernels.Noise(self._noise.constant_m, self._noise.quadratic_per_m, self.settings.margin_sigmas)
         kernels.mark_met(view, heights, is_own, self._seen)
         kernels.mark_passed(view, heights, noise, self._seen)
         kernels.remember(self._seen, is_own, self._left, self.settings.passes)

@@ -93,11 +93,13 @@ class Planner:
         if poses is None or drivable.tightness(poses[:, :3]).any():
             found = self._searched(drivable, known, out[-1], goal.pose)
             if isinstance(found, PlanFailure):
-                return found
-            searched, states = found
-            # Both may pass, where it is tight: then the cheaper one.
-            if poses is None or drivable.cost(searched) < drivable.cost(poses):
-                poses = searched
+                if poses is None:
+                    return found
+            else:
+                searched, states = found
+                # Both may pass, where it is tight: then the cheaper one.
+                if poses is None or drivable.cost(searched) < drivable.cost(poses):
+                    poses = searched
         poses = smoothing.centred(smoothing.shortened(poses, drivable), drivable, _ROUNDS)
         poses = np.concatenate([out[:-1], poses])
         return _plan(drivable, poses, goal, states)
