@@ -1,0 +1,211 @@
+"""What a depth camera shows about a robot: made floors and boxes, by rays in plain numpy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from navigation.floors import CHAIR
+from odometry.plain_kernels import plain
+
+from wheelsight.calibration import Calibration, DepthNoise
+from wheelsight.errors import ArgumentError, CalibrationError, MapError
+from wheelsight.geometry import PinholeCamera
+from wheelsight.navigation import LiveLayer, LiveLayerSettings
+from wheelsight.navigation import _live_kernels as kernels
+
+CAMERA = PinholeCamera(160, 120, 138.0, 138.0, 79.5, 59.5)
+# 0.9 m high, 0.35 m ahead of the axle, level.
+T_BASE_CAMERA = np.array([[0, 0, 1, 0.35], [-1.0, 0, 0, 0], [0, -1.0, 0, 0.9], [0, 0, 0, 1]])
+CALIBRATION = Calibration.registered_camera(CAMERA, T_base_camera=T_BASE_CAMERA, depth_noise=DepthNoise(0.001, 0.001))
+Box = tuple[float, float, float, float, float, float]
+AHEAD: Box = (2.0, 2.2, -0.2, 0.2, 0.0, 1.7)
+WALL: Box = (4.0, 4.1, -5.0, 5.0, 0.0, 3.0)
+
+
+def depth_of(boxes: list[Box], pose: tuple[float, float, float] = (0, 0, 0), floor_until_m: float = 99.0) -> np.ndarray:
+    """Of boxes (x, x, y, y, z, z) in the layer's frame, and a floor up to some x, beyond which it is 1 m lower."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    begin = R @ T_BASE_CAMERA[:3, 3] + [pose[0], pose[1], 0]
+    rays = CAMERA.rays() @ (R @ T_BASE_CAMERA[:3, :3]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        floor = np.where(rays[..., 2] < 0, -begin[2] / rays[..., 2], np.inf)
+        beyond = begin[0] + floor * rays[..., 0] > floor_until_m
+        depth = np.where(beyond, (-1.0 - begin[2]) / rays[..., 2], floor)
+        depth = np.asarray(np.where(rays[..., 2] < 0, depth, np.inf))
+        for box in boxes:
+            ends = (np.array(box).reshape(3, 2) - begin[:, None])[None, None] / rays[..., None]
+            near, far = np.asarray(ends.min(axis=-1).max(axis=-1)), np.asarray(ends.max(axis=-1).min(axis=-1))
+            depth = np.where((near <= far) & (near > 0), np.minimum(depth, near), depth)
+    return np.where(np.isfinite(depth), depth, 0).astype(np.float32)
+
+
+def layer(**changes: Any) -> LiveLayer:
+    return LiveLayer(CALIBRATION, CHAIR, LiveLayerSettings(**changes))
+
+
+def is_occupied_at(found: LiveLayer, x: float, y: float) -> bool:
+    """Whether anything is within a cell of a place."""
+    obstacles = found.obstacles()
+    column, row = np.floor((np.array([x, y]) - obstacles.origin) / obstacles.resolution_m).astype(int)
+    return bool(obstacles.is_occupied[row - 1 : row + 2, column - 1 : column + 2].any())
+
+
+def test_what_stands_ahead_is_there_at_once_and_the_floor_is_free() -> None:
+    found = layer()
+    found.update(depth_of([AHEAD, WALL]), (0, 0, 0), 1.0)
+    for aside_m in (-0.15, 0.0, 0.15):
+        assert is_occupied_at(found, 2.02, aside_m)
+    assert is_occupied_at(found, 4.0, 1.0)
+    rows, columns = np.nonzero(found.obstacles().is_occupied)
+    x, y = (0.05 * (at + 0.5) + low for at, low in zip((columns, rows), found.obstacles().origin, strict=True))
+    at_box, at_wall = (np.abs(x - 2.0) < 0.1) & (np.abs(y) < 0.3), np.abs(x - 4.0) < 0.1
+    assert (at_box | at_wall).all()
+    assert found.obstacles().stamp_s == 1.0
+
+
+def test_a_ghost_is_gone_once_it_is_seen_through_and_not_before_its_passes() -> None:
+    found = layer(passes=3)
+    found.update(depth_of([AHEAD, WALL]), (0, 0, 0), 0.0)
+    left = []
+    for number in range(1, 5):
+        found.update(depth_of([WALL]), (0, 0, 0), 0.2 * number)
+        left.append(is_occupied_at(found, 2.02, 0.0))
+    assert left == [True, True, False, False]
+    assert is_occupied_at(found, 4.0, 1.0)
+
+
+def test_what_is_not_looked_at_is_not_forgotten() -> None:
+    found = layer()
+    found.update(depth_of([AHEAD, WALL]), (0, 0, 0), 0.0)
+    turned = (0.0, 0.0, np.pi)
+    for number in range(20):
+        found.update(depth_of([WALL], turned), turned, 1.0 + number)
+    assert is_occupied_at(found, 2.02, 0.0)
+    # Nor is what stands behind something else.
+    for number in range(20):
+        found.update(depth_of([(1.2, 1.3, -1.0, 1.0, 0.0, 2.0)]), (0, 0, 0), 30.0 + number)
+    assert is_occupied_at(found, 2.02, 0.0)
+
+
+def test_a_ray_below_a_table_leaves_its_top() -> None:
+    """At a height at which the camera sees its edge alone, and then only the floor below."""
+    top: Box = (2.0, 2.8, -0.6, 0.6, 0.7, 0.75)
+    found = layer()
+    found.update(depth_of([top, WALL]), (0, 0, 0), 0.0)
+    assert is_occupied_at(found, 2.02, 0.0)
+    below = depth_of([top, WALL])
+    # The upper part is measured by nothing any more; what passes under the table is.
+    below[:80] = 0
+    for number in range(10):
+        found.update(below, (0, 0, 0), 1.0 + number)
+    assert is_occupied_at(found, 2.02, 0.0)
+
+
+@pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf, -1.0])
+def test_an_image_of_nothing_changes_nothing(nothing: float) -> None:
+    found = layer()
+    found.update(depth_of([AHEAD]), (0, 0, 0), 0.0)
+    before = found.obstacles().is_occupied
+    for number in range(5):
+        found.update(np.full((120, 160), nothing), (0, 0, 0), 1.0 + number)
+    np.testing.assert_array_equal(found.obstacles().is_occupied, before)
+    assert before.any()
+
+
+def test_a_floor_that_is_missing_is_an_obstacle_until_it_is_seen() -> None:
+    found = layer()
+    found.update(depth_of([], floor_until_m=2.5), (0, 0, 0), 0.0)
+    assert is_occupied_at(found, 2.6, 0.0)
+    assert not is_occupied_at(found, 2.2, 0.0)
+    for number in range(3):
+        found.update(depth_of([]), (0, 0, 0), 1.0 + number)
+    assert not is_occupied_at(found, 2.6, 0.0)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (1.3, -0.8, 2.1), (-20.0, 31.0, -0.7)])
+def test_obstacles_stand_in_the_layers_frame(pose: tuple[float, float, float]) -> None:
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x, y = pose[0] + 2.5 * c, pose[1] + 2.5 * s
+    found = layer()
+    found.update(depth_of([(x - 0.1, x + 0.1, y - 0.1, y + 0.1, 0.0, 1.0)], pose), pose, 0.0)
+    assert is_occupied_at(found, x - 0.1 * c, y - 0.1 * s)
+    # It stays there while the robot goes on.
+    found.update(np.zeros((120, 160)), (pose[0] + 1.0, pose[1] - 0.5, 0.3), 1.0)
+    assert is_occupied_at(found, x - 0.1 * c, y - 0.1 * s)
+
+
+def test_far_behind_it_is_forgotten_and_where_the_robot_stands_there_is_nothing() -> None:
+    found = layer()
+    found.update(depth_of([AHEAD]), (0, 0, 0), 0.0)
+    found.update(np.zeros((120, 160)), (1.6, 0, 0), 1.0)
+    obstacles = found.obstacles()
+    rows, columns = np.nonzero(obstacles.is_occupied)
+    at = np.stack([columns, rows], axis=-1) * 0.05 + np.array(obstacles.origin) - [1.6, 0.0]
+    corners = at[:, None] + 0.05 * np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+    assert not CHAIR.contains(corners).all(axis=1).any()
+    found.update(np.zeros((120, 160)), (30.0, 0, 0), 2.0)
+    found.update(np.zeros((120, 160)), (0, 0, 0), 3.0)
+    assert not found.obstacles().is_occupied.any()
+
+
+def test_what_it_is_given_is_a_value_and_clear_forgets() -> None:
+    found = layer()
+    found.update(depth_of([AHEAD]), (0, 0, 0), 0.0)
+    before = found.obstacles()
+    found.clear()
+    assert before.is_occupied.any()
+    assert not found.obstacles().is_occupied.any()
+
+
+@pytest.mark.parametrize(
+    ("shape", "pose", "stamp_s"),
+    [
+        ((120, 161), (0.0, 0.0, 0.0), 0.0),
+        ((120, 160), (0.0, np.nan, 0.0), 0.0),
+        ((120, 160), (0.0, 0.0), 0.0),
+        ((120, 160), (0.0, 0.0, 0.0), np.inf),
+    ],
+)
+def test_what_is_no_view_is_refused_and_changes_nothing(shape: Any, pose: Any, stamp_s: float) -> None:
+    found = layer()
+    found.update(depth_of([AHEAD]), (0, 0, 0), 0.0)
+    before = found.obstacles()
+    with pytest.raises(ArgumentError):
+        found.update(np.ones(shape), pose, stamp_s)
+    np.testing.assert_array_equal(found.obstacles().is_occupied, before.is_occupied)
+    assert found.obstacles().stamp_s == 0.0
+
+
+def test_without_a_camera_or_its_place_there_is_no_layer() -> None:
+    with pytest.raises(MapError, match="where the camera sits"):
+        LiveLayer(Calibration.registered_camera(CAMERA), CHAIR)
+    with pytest.raises(CalibrationError):
+        LiveLayer(Calibration(T_base_camera=T_BASE_CAMERA), CHAIR)
+
+
+def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> None:
+    depth = depth_of([AHEAD, WALL])[::4, ::4] + rng.normal(0, 0.02, (30, 40)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.1] = 0
+    slopes = np.ascontiguousarray(CAMERA.rays()[::4, ::4, :2], np.float32)
+    M = T_BASE_CAMERA[:3].copy()
+    M[:2] *= 10
+    M[:2, 3] += 30
+    heights = kernels.Heights(0.1, 0.05, 0.1, 0.015, 0.1, 1.4, 4.5, 0.5, 4)
+    results = []
+    for module in (kernels, plain(kernels)):
+        seen, left = np.zeros((60, 80, 15), np.uint8), np.ones((60, 80, 15), np.uint8)
+        is_own = np.zeros((60, 80), bool)
+        is_own[28:32, 28:36] = True
+        view = kernels.View(depth, slopes, M)
+        module.mark_met(view, heights, is_own, seen)
+        module.mark_passed(view, heights, kernels.Noise(0.001, 0.001, 3.0), seen)
+        marked = seen.copy()
+        module.remember(seen, is_own, left, 3)
+        assert not seen.any()
+        results.append((marked, left))
+    for one, other in zip(*results, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert set(np.unique(results[0][1])) == {0, 1, 3}

@@ -1,0 +1,144 @@
+"""Where plans begin and end: a start that gets out of what it stands in, and a goal at which the footprint fits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from wheelsight.geometry import Float32Array, FloatArray, Int32Array
+from wheelsight.navigation._drivable import DEPTH_STEP_M, Drivable
+from wheelsight.navigation.costmap import CellState
+from wheelsight.navigation.plan_values import PlanFailure, PlanReason
+from wheelsight.navigation.planner_settings import PlannerSettings
+
+# Curvatures of ways out, 1/m, for both directions.
+_BENDS = (0.0, 0.1, -0.1, 0.2, -0.2, 0.5, -0.5, 1.5, -1.5)
+# Along them no margin covers what lies between two poses: metres from one to the next.
+_ESCAPE_STEP_M, _BACKWARD = 0.01, 1.5
+_TURN_STEPS = 3
+_ANY_HEADINGS = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Goal:
+    """Where a plan is to end: pose (3,), its heading NaN where any will do; and why it is not what was asked for."""
+
+    pose: FloatArray
+    change: str
+
+
+def passable(drivable: Drivable) -> Float32Array:
+    """(H, W) the least that a metre costs; infinite where the centre of rotation can be at no point of the cell.
+
+    Where the inscribed circle alone is tight, whatever the heading, that is counted, too.
+    """
+    costmap, rules = drivable.costmap, drivable.rules
+    slack_m = (0.5 - math.sqrt(0.5)) * costmap.resolution_m
+    metre_cost, last = drivable.cells.metre_cost.copy(), len(drivable.margins_m) - 1
+    for k, margin_m in enumerate(drivable.margins_m):
+        is_nearer = costmap.distance_m < drivable.footprint.inscribed_m + margin_m + slack_m
+        # The next outline may be free.
+        tight = math.inf if k == last else rules.tight * ((k + 1) / last) ** 2
+        metre_cost[is_nearer] = drivable.cells.metre_cost[is_nearer] + np.float32(tight)
+    metre_cost[costmap.is_lethal] = np.inf
+    return np.asarray(metre_cost, np.float32)
+
+
+def components(metre_cost: Float32Array) -> Int32Array:
+    """(H, W) from 1 on, of cells that are joined by their edges; 0 where blocked."""
+    _, labels = cv2.connectedComponents(np.isfinite(metre_cost).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+    return labels.astype(np.int32)
+
+
+def way_out(drivable: Drivable, start: FloatArray, settings: PlannerSettings) -> FloatArray | None:
+    """(N, 4) the shortest way on which the robot comes free of what it stands in or too near to; None where none does.
+
+    On the way nothing is deeper in it than before, as far as depths are told apart. Where it stands free, the way is
+    that pose alone.
+    """
+    pose = np.array([*start, 1.0])
+    if drivable.is_free(pose[None, :3])[0]:
+        return pose[None]
+    dense = replace(drivable, rules=drivable.rules._replace(step_m=_ESCAPE_STEP_M))
+    best, best_m = None, math.inf
+    arcs = [(sense * settings.escape_m, sense * settings.escape_m * b) for sense in (1, -1) for b in _BENDS]
+    arcs += [(0.0, sense * math.pi) for sense in (1, -1)]
+    for way_m, turn in arcs:
+        if not drivable.may(way_m, turn):
+            continue
+        poses = dense.arc(pose, way_m, turn)
+        free = np.flatnonzero(drivable.is_free(poses[:, :3]))
+        depths = dense.depths(poses[: free[0] + 1, :3]) if len(free) else np.array([np.inf])
+        # Beside a wall no way leads out on which a corner behind comes not some millimetres nearer.
+        allowed_m = depths[0] + (DEPTH_STEP_M if depths[0] > 0 else 0.0)
+        if (depths <= allowed_m).all() and depths[0] <= settings.escape_depth_m:
+            long_m = free[0] / (len(poses) - 1) * (abs(way_m) + drivable.rules.reach_m * abs(turn))
+            # Where it can go ahead, it does.
+            long_m *= _BACKWARD if way_m < 0 else 1.0
+            if long_m < best_m:
+                best, best_m = poses[: free[0] + 1], long_m
+    return best
+
+
+def goal_near(
+    drivable: Drivable, goal: FloatArray, labels: Int32Array, label: int, settings: PlannerSettings
+) -> Goal | PlanFailure:
+    """The goal (3,), or where the footprint does not fit there, the best pose in a component of cells where it does.
+
+    That is the nearest one, where clearance costs something, too. Poses are tried on a grid of the costmap's cells, and
+    three headings to each side; a heading's radian counts as a metre.
+    """
+    costmap = drivable.costmap
+    row, column = costmap.cells_at(goal[:2]).tolist()
+    if not (0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]):
+        return PlanFailure(PlanReason.GOAL_OUTSIDE, f"({goal[0]:.2f}, {goal[1]:.2f}) m is beyond the map's edge")
+    if np.isfinite(_tightness(drivable, goal[None])[0]):
+        if labels[row, column] == label:
+            return Goal(goal, "")
+        where = f"({goal[0]:.2f}, {goal[1]:.2f}) m"
+        return PlanFailure(PlanReason.UNREACHABLE, f"{where} is free, and walls or things are all round it")
+    is_unknown = costmap.is_lethal[row, column] and costmap.state[row, column] == CellState.UNKNOWN
+    poses, off = _around(goal, costmap.resolution_m, settings)
+    cells = costmap.cells_at(poses[:, :2])
+    inside = ((cells >= 0) & (cells < labels.shape)).all(axis=1)
+    near = np.zeros(len(poses), bool)
+    near[inside] = labels[cells[inside, 0], cells[inside, 1]] == label
+    poses, off = poses[near], off[near]
+    tight = _tightness(drivable, poses)
+    # One that keeps clear is better than one that is nearer by a little, and hard to get to.
+    score = off + 2 * settings.wanted_margin_m * tight
+    if len(poses) and np.isfinite(score).any():
+        best = poses[int(np.argmin(score))]
+        away_m, turned = float(np.hypot(*(best - goal)[:2])), _turn(goal[2], best[2])
+        text = f"the robot does not fit at the goal: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it"
+        return Goal(best, text)
+    reason = PlanReason.GOAL_UNKNOWN if is_unknown else PlanReason.GOAL_OCCUPIED
+    return PlanFailure(reason, f"nor does it fit within {settings.goal_tolerance_m:g} m that can be reached")
+
+
+def _turn(one: float, other: float) -> float:
+    return 0.0 if math.isnan(one) else abs(math.remainder(float(one - other), 2 * math.pi))
+
+
+def _tightness(drivable: Drivable, poses: FloatArray) -> FloatArray:
+    """(N,) as `Drivable.tightness` at poses (N, 3); of any heading, at the best of some."""
+    if not np.isnan(poses[:, 2]).any():
+        return drivable.tightness(poses)
+    yaws = np.arange(_ANY_HEADINGS) * 2 * np.pi / _ANY_HEADINGS
+    tried = np.stack([np.c_[poses[:, :2], np.full(len(poses), yaw)] for yaw in yaws])
+    return np.asarray(drivable.tightness(tried.reshape(-1, 3)).reshape(len(yaws), -1).min(axis=0))
+
+
+def _around(goal: FloatArray, step_m: float, settings: PlannerSettings) -> tuple[FloatArray, FloatArray]:
+    """Poses (N, 3) within tolerance of a goal, and how far off each is (N,)."""
+    count = int(settings.goal_tolerance_m / step_m)
+    steps = step_m * np.arange(-count, count + 1)
+    shares = np.arange(-_TURN_STEPS, _TURN_STEPS + 1) / _TURN_STEPS
+    turns = np.zeros(1) if math.isnan(goal[2]) else settings.goal_tolerance_rad * shares
+    offsets = np.stack(np.meshgrid(steps, steps, turns, indexing="ij"), axis=-1).reshape(-1, 3)
+    away_m = np.hypot(offsets[:, 0], offsets[:, 1])
+    kept = away_m <= settings.goal_tolerance_m
+    return goal + offsets[kept], (away_m + np.abs(offsets[:, 2]))[kept]

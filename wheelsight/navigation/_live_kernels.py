@@ -1,0 +1,153 @@
+"""Compiled: what a depth image shows about the robot, in cells and layers of height.
+
+Channel 0 of a cell is a floor that is missing, the others are layers of height. One matrix (3, 4) takes points of the
+camera to column and row in cells, and height over the floor in metres.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wheelsight.compiled import kernel
+
+PASSED, MET = 1, 2
+
+
+class View(NamedTuple):
+    """A depth image (h, w), 0 where nothing was measured, and its rays' slopes x / z and y / z (h, w, 2).
+
+    Attributes:
+        depth_m, slopes: of the image.
+        M: (3, 4) as above.
+    """
+
+    depth_m: Any
+    slopes: Any
+    M: Any
+
+
+class Heights(NamedTuple):
+    """By what things are told apart; see `LiveLayerSettings`."""
+
+    resolution_m: float
+    floor_m: float
+    drop_m: float
+    tilt_rad: float
+    layer_m: float
+    height_m: float
+    far_m: float
+    measured: float
+    pixels: int
+
+
+class Noise(NamedTuple):
+    """Standard deviation of a depth z: constant_m + quadratic_per_m · z²; and how many of them a ray ends before."""
+
+    constant_m: float
+    quadratic_per_m: float
+    margin_sigmas: float
+
+
+@kernel(error_model="numpy")
+def _end(view: View, v: int, u: int, z: float) -> Any:
+    """Column, row and height of the point at a depth."""
+    M, a, b = view.M, view.slopes[v, u, 0], view.slopes[v, u, 1]
+    x = M[0, 3] + z * (M[0, 0] * a + M[0, 1] * b + M[0, 2])
+    y = M[1, 3] + z * (M[1, 0] * a + M[1, 1] * b + M[1, 2])
+    return x, y, M[2, 3] + z * (M[2, 0] * a + M[2, 1] * b + M[2, 2])
+
+
+@kernel(error_model="numpy")
+def mark_met(view: View, heights: Heights, is_own: Any, seen: Any) -> None:
+    """Mark what each pixel shows in `seen` (rows, columns, channels), but where the robot itself is (rows, columns)."""
+    M, (height, width) = view.M, view.depth_m.shape
+    for v in range(height):
+        for u in range(width):
+            z = view.depth_m[v, u]
+            if not (z > 0 and z < np.inf):
+                continue
+            x, y, h = _end(view, v, u, z)
+            way_m = heights.resolution_m * np.hypot(x - M[0, 3], y - M[1, 3])
+            tilt_m = heights.tilt_rad * way_m
+            channel, what = 0, MET
+            if h < -heights.drop_m - tilt_m and M[2, 3] > 0:
+                share = M[2, 3] / (M[2, 3] - h)
+                x, y, way_m = M[0, 3] + share * (x - M[0, 3]), M[1, 3] + share * (y - M[1, 3]), way_m * share
+            elif abs(h) <= heights.floor_m + tilt_m:
+                what = PASSED
+            elif 0 < h < heights.height_m:
+                channel = _channel(h, heights, seen.shape[2])
+            else:
+                continue
+            row, column = int(np.floor(y)), int(np.floor(x))
+            if way_m > heights.far_m or not (0 <= row < seen.shape[0] and 0 <= column < seen.shape[1]):
+                continue
+            if not is_own[row, column]:
+                seen[row, column, channel] = max(seen[row, column, channel], what)
+
+
+@kernel(error_model="numpy")
+def _channel(h_m: float, heights: Heights, channels: int) -> int:
+    return min(1 + int(max(h_m - heights.floor_m, 0.0) / heights.layer_m), channels - 1)
+
+
+@kernel(error_model="numpy")
+def mark_passed(view: View, heights: Heights, noise: Noise, seen: Any) -> None:
+    """Mark the layers of cells that blocks of pixels see through, up to the nearest depth of each block."""
+    (height, width), size = view.depth_m.shape, heights.pixels
+    for v in range(0, height, size):
+        for u in range(0, width, size):
+            nearest, measured, count = np.inf, 0, 0
+            for i in range(v, min(v + size, height)):
+                for j in range(u, min(u + size, width)):
+                    z = float(view.depth_m[i, j])
+                    count += 1
+                    if z > 0 and z < np.inf:
+                        measured += 1
+                        nearest = min(nearest, z)
+            if measured == 0 or measured < heights.measured * count:
+                continue
+            i, j = min(v + size // 2, height - 1), min(u + size // 2, width - 1)
+            margin_m = noise.margin_sigmas * (noise.constant_m + noise.quadratic_per_m * nearest * nearest)
+            _pass(view, (i, j, nearest), margin_m + heights.resolution_m, heights, seen)
+
+
+@kernel(error_model="numpy")
+def _pass(view: View, ray: Any, margin_m: float, heights: Heights, seen: Any) -> None:
+    """Mark what a ray (row and column of its pixel, depth) passes until a margin before its end."""
+    M, channels = view.M, seen.shape[2]
+    x, y, h = _end(view, ray[0], ray[1], ray[2])
+    dx, dy, dh = x - M[0, 3], y - M[1, 3], h - M[2, 3]
+    way_m = heights.resolution_m * np.hypot(dx, dy)
+    if way_m <= margin_m:
+        return
+    until = min(1.0 - margin_m / way_m, heights.far_m / way_m)
+    steps = int(np.ceil(2.0 * np.hypot(dx, dy)))
+    for k in range(int(until * steps) + 1):
+        share = (k + 0.5) / steps
+        height = M[2, 3] + share * dh
+        if share > until or height < heights.floor_m:
+            return
+        row, column = int(np.floor(M[1, 3] + share * dy)), int(np.floor(M[0, 3] + share * dx))
+        if height >= heights.height_m or not (0 <= row < seen.shape[0] and 0 <= column < seen.shape[1]):
+            continue
+        channel = _channel(height, heights, channels)
+        seen[row, column, channel] = max(seen[row, column, channel], PASSED)
+
+
+@kernel
+def remember(seen: Any, is_own: Any, left: Any, passes: int) -> None:
+    """Bring `left` (rows, columns, channels), how often each must yet be seen through, up to date; empty `seen`."""
+    rows, columns, channels = left.shape
+    for i in range(rows):
+        for j in range(columns):
+            for channel in range(channels):
+                if is_own[i, j]:
+                    left[i, j, channel] = 0
+                elif seen[i, j, channel] == MET:
+                    left[i, j, channel] = passes
+                elif seen[i, j, channel] == PASSED and left[i, j, channel] > 0:
+                    left[i, j, channel] -= 1
+                seen[i, j, channel] = 0

@@ -1,0 +1,203 @@
+"""Costmap: where a robot may drive, how far obstacles are, and what driving near to them costs; as a value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.errors import ArgumentError
+from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from wheelsight.mapping.map_edits import MapEdits
+from wheelsight.mapping.occupancy import OccupancyGrid
+from wheelsight.navigation.costmap_settings import CostmapSettings
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.live_layer import LiveObstacles
+from wheelsight.ros_map import FREE, OCCUPIED
+
+# Where nothing is occupied, distances are so many metres; infinite ones turn into NaN between cells.
+FARTHEST_M = 100.0
+
+
+class CellState(IntEnum):
+    """What a cell is for a planner."""
+
+    FREE = 0
+    UNKNOWN = 1
+    OCCUPIED = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticLayer:
+    """What a map says with its edits, made once for a map.
+
+    Attributes:
+        state: (H, W) uint8 of `CellState`.
+        speed_m_s: (H, W) float32 fastest speed in zones, infinite elsewhere.
+        resolution_m: side of a cell.
+        origin: x and y in `map` of the corner of cell (0, 0).
+    """
+
+    state: ByteArray
+    speed_m_s: Float32Array
+    resolution_m: float
+    origin: tuple[float, float]
+
+    @classmethod
+    def of(cls, grid: OccupancyGrid, edits: MapEdits | None = None, T_map_keyframe: ArrayLike = ()) -> StaticLayer:
+        """Of a map and what people said of it. `T_map_keyframe` and what it raises: as `MapEdits.applied`."""
+        edits = edits or MapEdits()
+        edited = edits.applied(grid, T_map_keyframe)
+        occupancy = edited.occupancy
+        state = np.full(occupancy.shape, CellState.UNKNOWN, np.uint8)
+        state[occupancy == FREE] = CellState.FREE
+        # Between free and occupied nobody is sure: that is unknown.
+        state[occupancy >= OCCUPIED] = CellState.OCCUPIED
+        return cls(state, edits.limits_m_s(edited, T_map_keyframe), grid.resolution_m, grid.origin)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Costmap:
+    """The floor in square cells, along the axes of its frame. What lies outside of it is forbidden.
+
+    Attributes:
+        state: (H, W) uint8 of `CellState`; row 0 is the least y.
+        is_lethal: (H, W) no part of the robot may be there: occupied, or unknown where that is forbidden.
+        distance_m: (H, W) float32 from each cell's centre to that of the nearest lethal one; 0 in these.
+        cost: (H, W) float32 from 0, free, to 1, where the centre of rotation can never be; between, it falls with
+            distance to obstacles.
+        speed_m_s: (H, W) float32 fastest speed in zones, infinite elsewhere.
+        resolution_m: side of a cell.
+        origin: x and y in metres of the corner of cell (0, 0).
+        frame: `map` or `odom`.
+        inscribed_m: of the footprint that it was made for.
+        settings: by which it was made.
+    """
+
+    state: ByteArray
+    is_lethal: BoolArray
+    distance_m: Float32Array
+    cost: Float32Array
+    speed_m_s: Float32Array
+    resolution_m: float
+    origin: tuple[float, float]
+    frame: str
+    inscribed_m: float
+    settings: CostmapSettings
+
+    @classmethod
+    def of(
+        cls,
+        static: StaticLayer,
+        footprint: Footprint,
+        settings: CostmapSettings | None = None,
+        live: LiveObstacles | None = None,
+        T_map_live: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Costmap:
+        """In the frame `map`: of a map, and of what the camera sees by now.
+
+        Args:
+            static: of the map.
+            footprint: whose inscribed circle costs begin at.
+            settings: or the defaults.
+            live: obstacles; they add to the map's, and free none of them.
+            T_map_live: (3,) x, y, yaw of their frame in `map`.
+
+        Raises ArgumentError where that is not finite.
+        """
+        state = static.state
+        if live is not None:
+            state = state.copy()
+            _put(live, np.asarray(T_map_live, float), static, state)
+        place = static.resolution_m, static.origin, "map"
+        return _made(state, static.speed_m_s, place, footprint.inscribed_m, settings or CostmapSettings())
+
+    @classmethod
+    def of_live(cls, live: LiveObstacles, footprint: Footprint, settings: CostmapSettings | None = None) -> Costmap:
+        """In the frame of live obstacles, where no map is: what shows none is free."""
+        state = np.where(live.is_occupied, CellState.OCCUPIED, CellState.FREE).astype(np.uint8)
+        speed = np.full(state.shape, np.inf, np.float32)
+        place = live.resolution_m, live.origin, live.frame
+        return _made(state, speed, place, footprint.inscribed_m, settings or CostmapSettings())
+
+    def standing_at(self, footprint: Footprint, pose: ArrayLike) -> Costmap:
+        """The same where a robot stands at a pose (3,): floor below it that nobody has seen is there."""
+        corners = footprint.at(pose)
+        low = np.maximum(self.cells_at(corners.min(axis=0)), 0)
+        high = np.minimum(self.cells_at(corners.max(axis=0)) + 1, self.state.shape)
+        if (low >= high).any():
+            return self
+        rows, columns = (np.arange(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+        cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
+        away = self.middle_of(cells) - np.asarray(pose, float)[:2]
+        c, s = np.cos(np.asarray(pose, float)[2]), np.sin(np.asarray(pose, float)[2])
+        # Whatever the outline touches: a cell's corners are half a diagonal off its middle.
+        grown = footprint.padded(self.resolution_m * np.sqrt(0.5))
+        below = grown.contains(away @ np.array([[c, -s], [s, c]]))
+        cut = slice(low[0], high[0]), slice(low[1], high[1])
+        unknown = below & (self.state[cut] == CellState.UNKNOWN)
+        if not unknown.any():
+            return self
+        state = self.state.copy()
+        state[cut][unknown] = CellState.FREE
+        place = self.resolution_m, self.origin, self.frame
+        return _made(state, self.speed_m_s, place, self.inscribed_m, self.settings)
+
+    def cells_at(self, xy: ArrayLike) -> IntArray:
+        """(..., 2) row and column of points (..., 2); they may lie outside."""
+        cells = (np.asarray(xy, float) - self.origin) / self.resolution_m
+        return np.floor(cells[..., ::-1]).astype(np.int64)
+
+    def middle_of(self, cells: ArrayLike) -> FloatArray:
+        """(..., 2) of the middles of cells (..., 2) of row and column."""
+        return np.asarray((np.asarray(cells, float)[..., ::-1] + 0.5) * self.resolution_m + self.origin)
+
+
+def _made(
+    state: ByteArray,
+    speed_m_s: Float32Array,
+    place: tuple[float, tuple[float, float], str],
+    inscribed_m: float,
+    settings: CostmapSettings,
+) -> Costmap:
+    """Of the states of cells."""
+    resolution_m, origin, frame = place
+    is_lethal = state == CellState.OCCUPIED
+    if settings.unknown == "forbidden":
+        is_lethal |= state == CellState.UNKNOWN
+    distance_m = distances_m(is_lethal, resolution_m)
+    # To the nearest edge of a cell, as seen along a row or column.
+    beyond_m = np.maximum(distance_m - np.float32(0.5 * resolution_m + inscribed_m), 0)
+    cost = np.where(beyond_m <= settings.inflation_m, np.exp(-np.float32(settings.decay_per_m) * beyond_m), 0)
+    cost = np.where(state == CellState.UNKNOWN, np.maximum(cost, settings.unknown_cost), cost)
+    cost = np.where(is_lethal, 1, cost).astype(np.float32)
+    return Costmap(state, is_lethal, distance_m, cost, speed_m_s, resolution_m, origin, frame, inscribed_m, settings)
+
+
+def distances_m(is_lethal: BoolArray, resolution_m: float) -> Float32Array:
+    """(H, W) exact, from each cell's centre to that of the nearest of some cells; `FARTHEST_M` where there is none."""
+    if not is_lethal.any():
+        return np.full(is_lethal.shape, FARTHEST_M, np.float32)
+    cells = cv2.distanceTransform((~is_lethal).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(np.minimum(cells * resolution_m, FARTHEST_M), np.float32)
+
+
+def _put(live: LiveObstacles, T_map_live: FloatArray, static: StaticLayer, state: ByteArray) -> None:
+    """Mark all cells in which any sixteenth of an occupied cell has its middle."""
+    if T_map_live.shape != (3,) or not np.isfinite(T_map_live).all():
+        raise ArgumentError(f"T_map_live is {T_map_live}", fix="x, y and yaw of the obstacles' frame in map, finite")
+    cells = np.argwhere(live.is_occupied)
+    if not len(cells):
+        return
+    x, y, yaw = T_map_live
+    c, s = np.cos(yaw), np.sin(yaw)
+    offsets = (np.arange(4) + 0.5) / 4
+    inner = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 1, 2)
+    points = (cells[:, ::-1] + inner).reshape(-1, 2) * live.resolution_m + live.origin
+    places = points @ np.array([[c, s], [-s, c]]) + (x, y)
+    at = np.floor((places - static.origin) / static.resolution_m).astype(np.int64)[:, ::-1]
+    inside = ((at >= 0) & (at < state.shape)).all(axis=1)
+    state[at[inside, 0], at[inside, 1]] = CellState.OCCUPIED

@@ -1,0 +1,143 @@
+"""LiveLayer: obstacles that the newest depth images show about a robot, until they are seen through."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.calibration import Calibration
+from wheelsight.errors import ArgumentError, MapError
+from wheelsight.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.navigation import _live_kernels as kernels
+from wheelsight.navigation.costmap_settings import LiveLayerSettings
+from wheelsight.navigation.footprint import Footprint
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveObstacles:
+    """What stands about a robot.
+
+    Attributes:
+        is_occupied: (N, N) row 0 is the least y.
+        resolution_m: side of a cell.
+        origin: x and y in metres of the corner of cell (0, 0).
+        frame: in which its axes lie: `odom`, or `map`.
+        stamp_s: of the newest image; None before the first.
+    """
+
+    is_occupied: BoolArray
+    resolution_m: float
+    origin: tuple[float, float]
+    frame: str
+    stamp_s: float | None
+
+
+class LiveLayer:
+    """Cells about a robot with what its camera met there, layer by layer of height.
+
+    A cell is occupied from the image on that shows something there. It is free as soon as some images saw through
+    each layer in which there was something; what no image looks at stays as it was, until the robot is half the
+    layer's size away. Where the robot itself stands there is nothing else.
+
+    Args:
+        calibration: of the robot: its depth camera, and where that sits over the floor.
+        footprint: of the robot.
+        settings: or the defaults.
+        frame: in which poses are given.
+
+    Raises:
+        CalibrationError: there is no camera.
+        MapError: nobody knows where the camera sits.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        footprint: Footprint,
+        settings: LiveLayerSettings | None = None,
+        frame: str = "odom",
+    ) -> None:
+        if calibration.T_base_camera is None:
+            problem = "where the floor is nobody knows: the calibration does not say where the camera sits"
+            raise MapError(problem, fix="wheelsight calibrate base, or T_base_camera in the calibration")
+        _, self._camera = calibration.cameras
+        self._T_base_camera, self._noise = calibration.T_base_camera, calibration.depth_noise
+        self._slopes = np.ascontiguousarray(self._camera.rays()[..., :2], np.float32)
+        self.settings, self.frame, self._footprint = settings or LiveLayerSettings(), frame, footprint
+        side = math.ceil(self.settings.size_m / self.settings.resolution_m)
+        layers = max(1, math.ceil((self.settings.height_m - self.settings.floor_m) / self.settings.layer_m))
+        self._low: IntArray = np.zeros(2, np.int64)  # row and column of cell (0, 0), from the frame's origin
+        self._left = np.zeros((side, side, layers + 1), np.uint8)
+        self._seen = np.zeros_like(self._left)
+        self._stamp_s: float | None = None
+
+    def update(self, depth_m: ArrayLike, pose: ArrayLike, stamp_s: float) -> None:
+        """See a depth image.
+
+        Args:
+            depth_m: (H, W) metres; what is not finite and over 0 was not measured.
+            pose: (3,) x, y, yaw of `base` in the layer's frame, when it was taken.
+            stamp_s: when that was.
+
+        Raises:
+            ArgumentError: an image of another size, or a pose or stamp that is not finite; nothing changes then.
+        """
+        depth, at = np.ascontiguousarray(depth_m, np.float32), np.asarray(pose, float)
+        if depth.shape != (self._camera.height, self._camera.width):
+            fix = f"give {self._camera.height} rows of {self._camera.width}, as the calibration says"
+            raise ArgumentError(f"a depth image of shape {depth.shape}", fix=fix)
+        if at.shape != (3,) or not np.isfinite(at).all() or not math.isfinite(stamp_s):
+            raise ArgumentError(f"pose {at} at {stamp_s} s", fix="give x, y and yaw of the base, and when, finite")
+        self._move_to(at)
+        is_own = self._is_own(at)
+        view = kernels.View(depth, self._slopes, self._matrix(at))
+        names = kernels.Heights._fields
+        heights = kernels.Heights(**{name: getattr(self.settings, name) for name in names})
+        noise = kernels.Noise(self._noise.constant_m, self._noise.quadratic_per_m, self.settings.margin_sigmas)
+        kernels.mark_met(view, heights, is_own, self._seen)
+        kernels.mark_passed(view, heights, noise, self._seen)
+        kernels.remember(self._seen, is_own, self._left, self.settings.passes)
+        self._stamp_s = stamp_s
+
+    def obstacles(self) -> LiveObstacles:
+        """What is there by now."""
+        size_m = self.settings.resolution_m
+        y, x = (size_m * self._low).tolist()
+        return LiveObstacles(np.asarray(self._left.any(axis=2)), size_m, (x, y), self.frame, self._stamp_s)
+
+    def clear(self) -> None:
+        """Forget all, as a person may ask for."""
+        self._left[:] = 0
+
+    def _move_to(self, pose: FloatArray) -> None:
+        """Keep what is near a pose, by whole cells."""
+        side = len(self._left)
+        low = np.floor(pose[1::-1] / self.settings.resolution_m).astype(np.int64) - side // 2
+        if (low == self._low).all():
+            return
+        moved = np.zeros_like(self._left)
+        first, last = np.maximum(low, self._low), np.minimum(low, self._low) + side
+        if (first < last).all():
+            to, of = (tuple(slice(a, b) for a, b in zip(first - at, last - at, strict=True)) for at in (low, self._low))
+            moved[to] = self._left[of]
+        self._low, self._left = low, moved
+
+    def _is_own(self, pose: FloatArray) -> BoolArray:
+        """(N, N) cells that lie wholly under the robot."""
+        side, size_m = len(self._left), self.settings.resolution_m
+        corners = np.stack(np.meshgrid(np.arange(side + 1), np.arange(side + 1)), axis=-1) + self._low[::-1]
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        inside = self._footprint.contains((corners * size_m - pose[:2]) @ np.array([[c, -s], [s, c]]))
+        return np.asarray(inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:])
+
+    def _matrix(self, pose: FloatArray) -> FloatArray:
+        """(3, 4) from the camera to column and row in cells, and height."""
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        T_frame_base = np.array([[c, -s, 0, pose[0]], [s, c, 0, pose[1]], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+        M = np.asarray((T_frame_base @ self._T_base_camera)[:3])
+        M[:2] /= self.settings.resolution_m
+        M[:2, 3] -= self._low[::-1]
+        return np.ascontiguousarray(M)

@@ -1,0 +1,71 @@
+"""Plan and PlanFailure: what a planner answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from wheelsight.geometry import FloatArray, IntArray
+
+
+class PlanReason(StrEnum):
+    """Why there is no plan."""
+
+    INVALID = "start or goal is no pose"
+    START_OUTSIDE = "the robot is outside the map"
+    START_OCCUPIED = "the robot stands where something is, and finds no way out"
+    GOAL_OUTSIDE = "the goal is outside the map"
+    GOAL_UNKNOWN = "nobody has seen the floor at the goal"
+    GOAL_OCCUPIED = "the robot does not fit at the goal, nor near to it"
+    STANDS = "its limits let the robot neither forward nor backward"
+    UNREACHABLE = "no way leads to the goal"
+    GAVE_UP = "no way was found within the bounds of the search"
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFailure:
+    """That there is no plan: the robot is to stand.
+
+    Attributes:
+        reason: why.
+        detail: the same for people, with figures.
+    """
+
+    reason: PlanReason
+    detail: str
+
+    def __bool__(self) -> bool:
+        """False."""
+        return False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A way that the footprint can drive, from where the robot stands.
+
+    Attributes:
+        poses: (N, 3) x, y, yaw of `base`, dense: between two of them no point of the robot moves farther than twice the
+            least margin. In a turn in place x and y stay as they are.
+        directions: (N,) 1 where a pose is reached forward, -1 backward; in a turn in place as before it.
+        length_m: of the way of the centre of rotation.
+        least_clearance_m: of the footprint, over all poses, at most 0.5 m; 0 where it had to get out.
+        goal: (3,) where it ends.
+        goal_change: why that is not the goal that was asked for; empty where it is.
+        frame: of the poses: `map` or `odom`.
+        cost: in metres of free floor.
+        states: how many places and headings were searched; 0 where the way over the cells did.
+    """
+
+    poses: FloatArray
+    directions: IntArray
+    length_m: float
+    least_clearance_m: float
+    goal: FloatArray
+    goal_change: str
+    frame: str
+    cost: float
+    states: int
+
+    def __bool__(self) -> bool:
+        """True."""
+        return True

@@ -1,0 +1,158 @@
+"""Planner: a way that a footprint can drive, from a costmap, a start and a goal.
+
+First the cheapest way over the cells is made straight, rounded and held against the footprint. Where the footprint does
+not pass along it, places and headings are searched, guided by what is left to go over the cells; then that way is
+made shorter. So narrow doors cost time only where there are any.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.geometry.se2 import wrap_angle
+from wheelsight.navigation import _cost_to_go_kernels as grid
+from wheelsight.navigation import _lattice_kernels as lattice
+from wheelsight.navigation import _smoothing as smoothing
+from wheelsight.navigation._drivable import Drivable
+from wheelsight.navigation._goals import Goal, components, goal_near, passable, way_out
+from wheelsight.navigation.costmap import Costmap
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.grid_search import cost_to_go
+from wheelsight.navigation.limits import RobotLimits
+from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
+from wheelsight.navigation.planner_settings import PlannerSettings
+
+_DIMENSIONS = (2, 3)
+_ROUNDS = 4
+
+
+class Planner:
+    """Plans for one robot.
+
+    Args:
+        footprint: of the robot.
+        settings: or the defaults.
+        limits: of the robot: what one of zero forbids is in no plan.
+    """
+
+    def __init__(
+        self, footprint: Footprint, settings: PlannerSettings | None = None, limits: RobotLimits | None = None
+    ) -> None:
+        self.footprint, self.settings = footprint, settings or PlannerSettings()
+        self.limits = limits or RobotLimits()
+
+    def plan(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> Plan | PlanFailure:
+        """A way from where the robot stands to a goal.
+
+        What anybody may ask for is answered by a reason, and raises nothing.
+
+        Args:
+            costmap: in the frame of start and goal.
+            start: (3,) x, y, yaw of `base`.
+            goal: likewise; or (2,), where any heading will do.
+        """
+        begin, end = np.array(start, float).ravel(), np.array(goal, float).ravel()
+        if len(begin) != 3 or len(end) not in _DIMENSIONS or not np.isfinite([*begin, *end]).all():
+            return PlanFailure(PlanReason.INVALID, f"from {begin} to {end}")
+        end = np.array([*end, math.nan][:3])
+        if self.limits.forward_m_s == 0 and self.limits.backward_m_s == 0:
+            return PlanFailure(PlanReason.STANDS, "forward_m_s and backward_m_s are 0")
+        if not _is_inside(costmap, begin):
+            return PlanFailure(PlanReason.START_OUTSIDE, f"({begin[0]:.2f}, {begin[1]:.2f}) m is beyond the map's edge")
+        stood = costmap.standing_at(self.footprint.padded(self.settings.margin_m), begin)
+        drivable = Drivable.of(stood, self.footprint, self.settings, self.limits)
+        out = way_out(drivable, begin, self.settings)
+        if out is None:
+            return PlanFailure(PlanReason.START_OCCUPIED, f"nor within {self.settings.escape_m:g} m")
+        metre_cost = passable(drivable)
+        labels = components(metre_cost)
+        row, column = stood.cells_at(out[-1, :2]).tolist()
+        aim = goal_near(drivable, end, labels, int(labels[row, column]), self.settings)
+        if isinstance(aim, PlanFailure):
+            return aim
+        return self._way(drivable, metre_cost, out, aim)
+
+    def _way(self, drivable: Drivable, metre_cost: Float32Array, out: FloatArray, goal: Goal) -> Plan | PlanFailure:
+        """From where a way out (N, 4) ends."""
+        costmap = drivable.costmap
+        goal_row, goal_column = costmap.cells_at(goal.pose[:2]).tolist()
+        known = cost_to_go(metre_cost, costmap.resolution_m, (goal_row, goal_column))
+        row, column = costmap.cells_at(out[-1, :2]).tolist()
+        if not np.isfinite(known[row, column]):
+            return PlanFailure(PlanReason.UNREACHABLE, "walls or things are between")
+        way = grid.descend(known, metre_cost, float(costmap.resolution_m), row, column)
+        corners = smoothing.any_angle(way, known, drivable, metre_cost)
+        if len(corners) < 2:
+            corners = np.repeat(corners, 2, axis=0)
+        corners[0], corners[-1] = out[-1, :2], goal.pose[:2]
+        poses, states = smoothing.driven(corners, out[-1], goal.pose, drivable), 0
+        if poses is None or drivable.tightness(poses[:, :3]).any():
+            found = self._searched(drivable, known, out[-1], goal.pose)
+            if isinstance(found, PlanFailure):
+                if poses is None:
+                    return found
+            else:
+                searched, states = found
+                # Both may pass, where it is tight: then the cheaper one.
+                if poses is None or drivable.cost(searched) < drivable.cost(poses):
+                    poses = searched
+        poses = smoothing.centred(smoothing.shortened(poses, drivable), drivable, _ROUNDS)
+        poses = np.concatenate([out[:-1], poses])
+        return _plan(drivable, poses, goal, states)
+
+    def _searched(
+        self, drivable: Drivable, known: FloatArray, start: FloatArray, goal: FloatArray
+    ) -> tuple[FloatArray, int] | PlanFailure:
+        """Poses (N, 4) by the search over places and headings, and how many it looked at."""
+        most = self.settings.most_states
+        slots = 1 << math.ceil(math.log2(2 * most))
+        tree = lattice.Tree(
+            pose=np.empty((most, 4)),
+            cost=np.empty(most),
+            link=np.empty((most, 2), np.int32),
+            table=np.full(slots, -1, np.int32),
+            is_closed=np.empty(most, np.uint8),
+            keys=np.empty(most, np.int64),
+        )
+        how, last, count = lattice.search(
+            drivable.cells, drivable.shape, drivable.rules, known, np.ascontiguousarray(start[:3]), goal, tree
+        )
+        if how == lattice.NOTHING_LEFT:
+            detail = (
+                f"of {count} places and headings that can be reached none leads there: too narrow, or no room to turn"
+            )
+            return PlanFailure(PlanReason.UNREACHABLE, detail)
+        if how == lattice.TOO_MANY:
+            return PlanFailure(PlanReason.GAVE_UP, f"after {count} places and headings")
+        room = np.empty((1 << 16, 4))
+        end = lattice.way_to(drivable.rules, tree, last, goal, room)
+        if end == 0:
+            return PlanFailure(PlanReason.GAVE_UP, f"the way has more than {len(room)} poses")
+        return room[:end].copy(), count
+
+
+def _is_inside(costmap: Costmap, pose: FloatArray) -> bool:
+    cell = costmap.cells_at(pose[:2])
+    return bool(((cell >= 0) & (cell < costmap.state.shape)).all())
+
+
+def _plan(drivable: Drivable, poses: FloatArray, goal: Goal, states: int) -> Plan:
+    way = poses[:, :3].copy()
+    way[:, 2] = wrap_angle(way[:, 2])
+    steps = np.diff(way[:, :2], axis=0)
+    end = way[-1].copy()
+    return Plan(
+        poses=way,
+        directions=poses[:, 3].astype(np.int64),
+        length_m=float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
+        least_clearance_m=drivable.clearance_m(way),
+        goal=end,
+        goal_change=goal.change,
+        frame=drivable.costmap.frame,
+        cost=drivable.cost(poses),
+        states=states,
+    )
