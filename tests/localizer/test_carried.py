@@ -11,6 +11,7 @@ from wheelsight.geometry import se3
 from wheelsight.localizer._carried import Carried
 
 ANSWER = FusedEstimate(10.0, Status.TRACKING, np.eye(4), 1e-6 * np.eye(6), body="base")
+ANSWER_SPREAD = FusedEstimate(10.0, Status.TRACKING, np.eye(4), np.eye(6), body="base")
 AHEAD = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
 
 
@@ -111,3 +112,14 @@ def test_a_camera_that_began_again_waits_for_nothing() -> None:
     subject.unknown(10.03, AHEAD, np.eye(4))
     subject.scatter(np.eye(4), np.eye(6))
     assert not subject.waits(AHEAD)
+
+
+def test_loops_that_join_where_it_was_put_end_it_and_no_others_do() -> None:
+    subject = carried()
+    subject.scatter(np.eye(4), np.eye(6))
+    subject.found()  # loops have always been joined; no piece has begun here
+    assert subject.answered(ANSWER_SPREAD).status is Status.COASTING
+    subject.begin_piece()
+    assert subject.answered(ANSWER_SPREAD).status is Status.COASTING
+    subject.found()
+    assert subject.answered(ANSWER_SPREAD) is ANSWER_SPREAD

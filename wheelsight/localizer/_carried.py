@@ -35,7 +35,7 @@ class Carried:
         self._stands: tuple[float, FloatArray] | None = None  # since when the wheels stand, and where
         self._stood_s = 0.0  # for how long they had stood at the last known view
         self._from: FloatArray | None = None  # x, y where the wheels had it
-        self._is_scattered = False
+        self._is_scattered = self._is_apart = False
 
     @property
     def is_so(self) -> bool:
@@ -77,6 +77,15 @@ class Carried:
         if not self._is_scattered:
             self._from = None
 
+    def found(self) -> None:
+        """Loops have joined the piece of map that began where the robot was put, so it is known where that is."""
+        if self._is_apart:
+            self._from, self._is_scattered, self._is_apart = None, False, False
+
+    def begin_piece(self) -> None:
+        """Where the robot was put another piece of map begins, which loops are to join."""
+        self._is_apart = True
+
     def waits(self, T_last_now: FloatArray | None) -> bool:
         """Whether what hides the known view may go away: the wheels (4, 4) have not moved the camera from it yet."""
         return self.is_so and not self._is_scattered and self._shows_the_same(T_last_now)
@@ -94,7 +103,7 @@ class Carried:
         if not self._is_scattered:
             C = C + self._spread(T)
         elif C[5, 5] < self._settings.known_turn_rad**2:
-            self._from, self._is_scattered = None, False
+            self._from, self._is_scattered, self._is_apart = None, False, False
             return answer
         astray_m = _ASTRAY * float(np.linalg.norm(T[:2, 3] - self._from))
         C = C + np.diag(np.square([astray_m, astray_m, 0, 0, 0, 0]))

@@ -208,6 +208,8 @@ class ByFusion:
             self._map.moved(T_new_old)
             self._camera.moved(T_new_old)
             self._check.moved(T_new_old)
+        if self.loops is not None and self.loops.is_joined:
+            self._carried.found()
 
     def _measured(self, frame: RgbdFrame, seen: CameraEstimate, motion: MotionEstimate) -> FusedEstimate:
         """The answer to a frame that was tracked, by its motion against the anchor; the map grows if it is believed."""
@@ -259,12 +261,25 @@ class ByFusion:
         if self._carried.is_so:
             spread = self._carried.scatter(T_odom_base, wheels.covariance)
             self._go_on_by(self.filter.begun_at(T_odom_base, spread))
-        again = self._camera.restart(frame, self._map.camera_at(T_odom_base), wheels.covariance)
+        again = self._restarted(frame, self._map.camera_at(T_odom_base), wheels.covariance)
         if again.T_odom_body is None:
             return wheels
         self._unsure.begin(spread_m)
         self._carried.begin()
         return self._begun(frame, again, seen.reason)
+
+    def _restarted(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
+        """The camera's answer at a frame at which it starts, where it is believed to be.
+
+        Of a robot that was carried off nobody knows where it was put: it begins a piece of map that loops have to join.
+        """
+        if self.loops is None or not self._carried.is_so:
+            return self._camera.restart(frame, T_map_camera, covariance)
+        again = self._camera.restart(frame, self.loops.apart(T_map_camera), covariance)
+        if again.keyframe is not None:
+            self.loops.begin_piece(again.keyframe)
+            self._carried.begin_piece()
+        return again
 
     def _repeated(self) -> Estimate:
         """What is known, at an image that has come before: no measurement, and no failure of the camera."""
