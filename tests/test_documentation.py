@@ -51,8 +51,6 @@ _BRIEF = "--duration 6 --rate 4 --size 160x120"
 SHORTER = {
     "wheelsight simulate floor4 --out": _BRIEF,
     "wheelsight simulate --plan": _BRIEF,
-    "wheelsight simulate flat": _BRIEF,
-    "wheelsight simulate square --rate 8": _BRIEF,
 }
 # Only calibrations need all of RECORDING; its first seconds run alike.
 SHORT_RUN = ("wheelsight run RECORDING", "wheelsight run my_recording")
