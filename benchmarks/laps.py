@@ -21,9 +21,9 @@ from scipy.stats import chi2
 
 from benchmarks import machine
 from benchmarks.sequences import default_data_folder
-from benchmarks.session_starts import Building
+from benchmarks.session_starts import Building, drive_in
 from benchmarks.sessions import buildings_of
-from benchmarks.table import Sheet, targets_sheet
+from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
 from wheelsight.config import load_config
 from wheelsight.estimates import Status
@@ -31,7 +31,6 @@ from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.pipeline.loops import CorrectionRecord
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.runs import run_each
-from wheelsight.simulation import SimulationSettings, simulate
 from wheelsight.slam.graph import RelativePose
 
 MODES = {"camera alone": ("dense", "dense"), "joined": ("joined", "wheels,dense")}
@@ -89,9 +88,7 @@ class Laps:
 
 def driven(building: Building, mode: str, seed: int, laps: int, rate_hz: float) -> Laps:
     """Drive, map, and hold the loops against the truth."""
-    where = {"world": building.world} if building.plan is None else {"plan": building.plan}
-    settings = SimulationSettings(size=(320, 240), rate_hz=rate_hz, seed=seed, realism="real", laps=laps, **where)
-    source = simulate(settings)
+    source = drive_in(building, rate_hz, seed, laps=laps)
     name, odometry = MODES[mode]
     config = load_config(overrides={"odometry": odometry, "map": "surfels", "loops.source": "keyframes"})
     with TemporaryDirectory() as folder:
@@ -198,9 +195,7 @@ def main() -> None:
         what = f"--buildings {' '.join(arguments.buildings)} --seeds {arguments.seeds} --laps {arguments.laps} "
         what += f"--rate {arguments.rate:g} --way {arguments.way:g} --modes {' '.join(map(repr, arguments.modes))}"
         about |= {"Command": f"`python -m benchmarks.laps {what}`", "Images": "320×240"}
-        lines = "\n".join(f"- {topic}: {told}" for topic, told in about.items())
-        pages = [f"# Laps\n\n{__doc__}", f"{lines}\n", *(sheet.to_markdown() for sheet in sheets)]
-        arguments.out.write_text("\n".join(pages), encoding="utf-8")
+        write_page(arguments.out, "Laps", __doc__ or "", about, sheets)
 
 
 if __name__ == "__main__":

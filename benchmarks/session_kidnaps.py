@@ -56,9 +56,9 @@ def carried_off(events: Sequence[Event], from_s: float, to_s: float, dark_s: flo
     before = [event for event in events if event.stamp_s < from_s]
     after = [event for event in events if event.stamp_s >= to_s]
     yield from before
-    yield from _dark(before, from_s, dark_s)
-    shift_s = from_s + dark_s - to_s
     stood = next((event for event in reversed(before) if isinstance(event, WheelTicks)), None)
+    yield from _dark([event for event in before if event.stamp_s >= from_s - 1.0], stood, dark_s)
+    shift_s = from_s + dark_s - to_s
     first = next((event for event in after if isinstance(event, WheelTicks)), None)
     for event in after:
         if isinstance(event, WheelTicks) and stood is not None and first is not None:
@@ -68,10 +68,8 @@ def carried_off(events: Sequence[Event], from_s: float, to_s: float, dark_s: flo
             yield replace(event, stamp_s=event.stamp_s + shift_s)
 
 
-def _dark(before: Sequence[Event], from_s: float, dark_s: float) -> Iterator[Event]:
-    """What came in the last second before, again and again, with black images and standing wheels."""
-    last = [event for event in before if event.stamp_s >= from_s - 1.0]
-    stood = next((event for event in reversed(before) if isinstance(event, WheelTicks)), None)
+def _dark(last: Sequence[Event], stood: WheelTicks | None, dark_s: float) -> Iterator[Event]:
+    """What came in the last second, again and again, with black images and wheels that stand."""
     for second in range(int(dark_s)):
         for event in last:
             stamp_s = event.stamp_s + 1.0 + second

@@ -146,9 +146,16 @@ def second_day(building: Building, rate_hz: float) -> tuple[Calibration, SecondD
 
 
 def _driven(building: Building, rate_hz: float, *, day: int) -> SimulatedRecording:
-    of_day = {"day": day, "passersby": _PEOPLE if day else 0}
+    return drive_in(building, rate_hz, _SEED, day=day, passersby=_PEOPLE if day else 0)
+
+
+def drive_in(
+    building: Building, rate_hz: float, seed: int, *, day: int = 0, passersby: int = 0, laps: int = 1
+) -> SimulatedRecording:
+    """A simulated drive by real sensors; what it is given is as in `SimulationSettings`."""
     where = {"world": building.world} if building.plan is None else {"plan": building.plan}
-    settings = SimulationSettings(size=(320, 240), rate_hz=rate_hz, seed=_SEED, realism="real", **where, **of_day)  # type: ignore[arg-type]
+    how = {"size": (320, 240), "rate_hz": rate_hz, "seed": seed, "realism": "real"}
+    settings = SimulationSettings(day=day, passersby=passersby, laps=laps, **where, **how)  # type: ignore[arg-type]
     return simulate(settings)
 
 

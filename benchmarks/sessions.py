@@ -30,7 +30,7 @@ from benchmarks import machine
 from benchmarks.sequences import default_data_folder
 from benchmarks.session_kidnaps import Kidnapping, kidnappings
 from benchmarks.session_starts import MODES, Building, FirstDay, Start, first_day, moments_of, second_day, start_at
-from benchmarks.table import Sheet, targets_sheet
+from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
 from wheelsight.simulation import FloorPlan
 
@@ -217,9 +217,7 @@ def main() -> None:
         what = f"--buildings {' '.join(arguments.buildings)} --starts {arguments.starts} --kidnaps {arguments.kidnaps} "
         what += f"--rate {arguments.rate:g}"
         about |= {"Command": f"`python -m benchmarks.sessions {what} --way {arguments.way:g}`", "Images": "320×240"}
-        lines = "\n".join(f"- {topic}: {told}" for topic, told in about.items())
-        pages = [f"# Sessions\n\n{__doc__}", f"{lines}\n", *(sheet.to_markdown() for sheet in sheets)]
-        arguments.out.write_text("\n".join(pages), encoding="utf-8")
+        write_page(arguments.out, "Sessions", __doc__ or "", about, sheets)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from rich.markup import escape
@@ -147,6 +148,13 @@ def document(
             *([f"## Contenders\n\n{settings}\n"] if contenders else []),
         )
     )
+
+
+def write_page(path: Path, title: str, told: str, about: Mapping[str, str], sheets: Sequence[Sheet]) -> None:
+    """Keep the tables of one benchmark as Markdown, with what it measures and what it ran on."""
+    lines = "\n".join(f"- {topic}: {value}" for topic, value in about.items())
+    pages = [f"# {title}\n\n{told}", f"{lines}\n", *(sheet.to_markdown() for sheet in sheets)]
+    path.write_text("\n".join(pages), encoding="utf-8")
 
 
 def _cells(result: Result) -> tuple[str, ...]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks import laps
+from benchmarks.table import Sheet, write_page
 from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.slam.graph import RelativePose
@@ -52,3 +54,11 @@ def test_targets_count_all_drives() -> None:
     assert joined.measured == pytest.approx(0.5)
     assert DRIVE.row[0] == "flat, seed 1, joined"
     assert DRIVE.row[-1] == "6/8"
+
+
+def test_a_page_has_what_was_measured_on_what_and_the_tables(tmp_path: Path) -> None:
+    sheet = Sheet("Laps", ("drive", "closed"), (("flat", "6/8"),))
+    write_page(tmp_path / "page.md", "Two laps", "What they are.", {"Date": "today", "Images": "320×240"}, [sheet])
+    page = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert page.startswith("# Two laps\n\nWhat they are.\n- Date: today\n- Images: 320×240\n\n## Laps\n")
+    assert "| flat | 6/8 |" in page
