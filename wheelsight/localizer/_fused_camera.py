@@ -76,8 +76,7 @@ class FusedCamera:
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
         """T_map_camera at a frame that shows nothing known, from which the camera goes on where others have it."""
         self.unknown = 0
-        seen = self.odometry.restart(frame, T_map_camera, covariance)
-        return seen
+        return self.odometry.restart(frame, T_map_camera, covariance)
 
     def miss(self, seen: Estimate) -> bool:
         """Take a frame that gave no pose; whether it showed anything, which then is nothing known."""

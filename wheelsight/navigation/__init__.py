@@ -14,7 +14,6 @@ from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSet
 from wheelsight.navigation.fields import CostField
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.grid_search import cost_to_go
-from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.live_layer import LiveLayer, LiveObstacles
 from wheelsight.navigation.monitor_settings import MonitorSettings, WheelCheckSettings
 from wheelsight.navigation.mppi import MppiController
@@ -24,6 +23,7 @@ from wheelsight.navigation.planner_settings import PlannerSettings
 from wheelsight.navigation.pure_pursuit import PurePursuitController
 from wheelsight.navigation.surroundings import DepthView
 from wheelsight.navigation.velocity_ramp import VelocityRamp
+from wheelsight.robot_limits import RobotLimits
 
 __all__ = [
     "CellState",

@@ -12,8 +12,8 @@ from wheelsight.navigation import _drive_kernels as drive
 from wheelsight.navigation import _footprint_kernels as under
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.planner_settings import PlannerSettings
+from wheelsight.robot_limits import RobotLimits
 
 MOST_CLEARANCE_M = 0.5
 # Poses that one piece of a way may have: at 5 cm each, 400 m.

@@ -18,10 +18,10 @@ from wheelsight.geometry import FloatArray
 from wheelsight.navigation._sweep_kernels import Ground, all_outside_m, clear_share, deepest_m, seen_shares, zone_share
 from wheelsight.navigation.fields import Outline, outline_of
 from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.monitor_settings import MonitorSettings, WheelCheckSettings
 from wheelsight.navigation.surroundings import DepthView, Pose, Surroundings
 from wheelsight.navigation.wheel_check import WheelCheck
+from wheelsight.robot_limits import RobotLimits
 
 # Slower than these a base does not move; a command below them is a stop.
 _LEAST_M_S, _LEAST_RAD_S = 0.02, 0.02

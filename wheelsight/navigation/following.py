@@ -15,8 +15,8 @@ from wheelsight.navigation.control_settings import FollowSettings
 from wheelsight.navigation.control_values import ControlReason, ControlResult, DrivenPath, MotionState
 from wheelsight.navigation.fields import CostField, Outline, checked, outline_of
 from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.segments import Segment, cut, wrapped
+from wheelsight.robot_limits import RobotLimits
 
 _TURN_STEP_RAD = 0.05
 # How far along a segment its nearest point is looked for at first: a plan begins where the robot is.

@@ -22,9 +22,9 @@ from wheelsight.navigation._goals import Goal, components, goal_near, passable, 
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.grid_search import cost_to_go
-from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner_settings import PlannerSettings
+from wheelsight.robot_limits import RobotLimits
 
 _DIMENSIONS = (2, 3)
 _ROUNDS = 4

@@ -17,7 +17,7 @@ from wheelsight.navigation.control_values import ControlReason, ControlResult, D
 from wheelsight.navigation.fields import CostField, Outline, outline_of
 from wheelsight.navigation.following import PathFollower, Situation, clearances
 from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.limits import RobotLimits
+from wheelsight.robot_limits import RobotLimits
 
 
 class PurePursuitController:

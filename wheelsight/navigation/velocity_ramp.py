@@ -6,7 +6,7 @@ import math
 
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import ArgumentError
-from wheelsight.navigation.limits import RobotLimits
+from wheelsight.robot_limits import RobotLimits
 
 
 class VelocityRamp:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.navigation.limits import RobotLimits
 from wheelsight.navigation.monitor_settings import WheelCheckSettings
+from wheelsight.robot_limits import RobotLimits
 
 
 class WheelCheck:
