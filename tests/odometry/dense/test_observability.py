@@ -80,7 +80,9 @@ def test_a_plain_corridor_hides_the_way_along_it() -> None:
 
 def test_judge_keeps_an_alignment_that_shows_all() -> None:
     T = se3.exp([0.1, 0.2, 0.3, 0.1, 0.2, 0.3])
-    found = DenseAlignment(T, 1e9 * np.eye(6), 1000, 900, 1000, 1.0, grey_sigma=8.0, claimed=np.eye(6))
+    found = DenseAlignment(
+        T, 1e9 * np.eye(6), 1000, 900, 1000, 1.0, grey_sigma=8.0, claimed=np.eye(6), compared=np.zeros((6, 6))
+    )
     judged = judge(found, Prior(np.eye(4), 0.01), DenseSettings())
     np.testing.assert_array_equal(judged.T_reference_frame, T)
     assert judged.reason is None
@@ -98,7 +100,15 @@ def test_judge_keeps_an_alignment_that_shows_all() -> None:
 )
 def test_judge_says_why_not(planes: int, residual: float, strength: float, reason: Reason) -> None:
     found = DenseAlignment(
-        np.eye(4), strength * np.eye(6), 1000, planes, 1000, residual, grey_sigma=8.0, claimed=np.eye(6)
+        np.eye(4),
+        strength * np.eye(6),
+        1000,
+        planes,
+        1000,
+        residual,
+        grey_sigma=8.0,
+        claimed=np.eye(6),
+        compared=np.zeros((6, 6)),
     )
     assert judge(found, Prior(np.eye(4), 0.01), DenseSettings()).reason is reason
 
@@ -107,11 +117,42 @@ def test_judge_says_why_not(planes: int, residual: float, strength: float, reaso
 def test_what_is_hidden_is_left_to_the_expectation_that_fits_what_is_seen(first_off_m: float, is_kept: bool) -> None:
     """Wheels that slip expect too far a way ahead, which is seen, and aside, which is not."""
     information = np.diag([0.0, 1e9, 1e9, 1e9, 1e9, 1e9])
-    found = DenseAlignment(np.eye(4), information, 1000, 900, 1000, 1.0, grey_sigma=8.0, claimed=np.eye(6))
+    found = DenseAlignment(
+        np.eye(4), information, 1000, 900, 1000, 1.0, grey_sigma=8.0, claimed=np.eye(6), compared=np.zeros((6, 6))
+    )
     first, other = se3.exp([0.3, 0, first_off_m, 0, 0, 0]), se3.exp([0.01, 0, 0.001, 0, 0, 0])
     judged = judge(found, Prior(first, 0.05, (other,)), DenseSettings())
     assert judged.T_reference_frame[0, 3] == pytest.approx(0.3 if is_kept else 0.01)
     np.testing.assert_allclose(judged.T_reference_frame[1:3, 3], 0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("confirmed", "is_shown"), [(0.9, True), (0.2, False)])
+def test_a_direction_that_the_frame_does_not_confirm_is_not_shown(confirmed: float, is_shown: bool) -> None:
+    compared = 1e9 * np.eye(6)
+    information = np.diag([confirmed, 1, 1, 1, 1, 1]) @ compared
+    found = DenseAlignment(
+        se3.exp([0.1, 0, 0, 0, 0, 0]),
+        information,
+        1000,
+        900,
+        1000,
+        1.0,
+        grey_sigma=8.0,
+        claimed=np.eye(6),
+        compared=compared,
+    )
+    judged = judge(found, Prior(np.eye(4), 0.01), DenseSettings())
+    assert (len(judged.degenerate) == 0) is is_shown
+    assert judged.T_reference_frame[0, 3] == pytest.approx(0.1 if is_shown else 0.0)
+
+
+@pytest.mark.parametrize(("planes", "least", "most"), [(PAINTED_WALL, 0.7, 1.0), (WALL, -0.3, 0.3)])
+def test_a_frame_confirms_the_marks_that_it_shows(planes: list[Plane], least: float, most: float) -> None:
+    reference = frame_of(PAINTED_WALL, np.eye(4), 0.0, noise_seed=1)
+    found = bench().align(reference, frame_of(planes, np.eye(4), 0.0, noise_seed=2))
+    along = np.eye(6)[0]
+    share = float(along @ found.information @ along / (along @ found.compared @ along))
+    assert least < share < most
 
 
 def test_information_counts_independent_residuals_only() -> None:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # Columns of the sums of a row: upper triangle of the information, and how many points fell into the reference.
 POINTS = 21
 SHOWN = 22
+# Beyond them, of slopes alone: the upper triangle of what the reference's show by themselves.
+COMPARED = SHOWN + 21
 # What each entry of `how` is: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, Huber's
 # limit, weight of grey, σ of the colour camera's place in pixels.
 _GATE, _SCALE, _SIGMA, _GAIN, _HUBER, _WEIGHT, _MISPLACED = range(7)
@@ -50,7 +52,7 @@ def show_planes(both: BothViews, T: Any, noise: Any, how: Any, begin: int, end: 
         T: (4, 4) T_reference_frame.
         noise: depth's constant and quadratic σ, near and far limit in metres.
         how: see above.
-        sums: (h, SHOWN) float64, written row by row.
+        sums: (h, SHOWN or more) float64, written row by row.
     """
     depth_m, own, reference, grid = both.depth_m, both.own, both.reference, both.grid
     here, there = np.empty(6), np.empty(6)
@@ -80,7 +82,7 @@ def show_planes(both: BothViews, T: Any, noise: Any, how: Any, begin: int, end: 
 
 @kernel(error_model="numpy")
 def show_slopes(both: BothViews, T: Any, noise: Any, how: Any, begin: int, end: int, sums: Any) -> None:
-    """What slopes of grey tell in both views; arguments as of `show_planes`."""
+    """What slopes of grey tell in both views; arguments as of `show_planes`, but for `sums` (h, COMPARED)."""
     depth_m, own, reference, grid = both.depth_m, both.own, both.reference, both.grid
     here, there = np.empty(6), np.empty(6)
     fx, fy, gain = grid[0], grid[1], how[_GAIN]
@@ -105,6 +107,7 @@ def show_slopes(both: BothViews, T: Any, noise: Any, how: Any, begin: int, end: 
             hx, hy = eu * fx / z, ev * fy / z
             _turn(T, hx, hy, -(hx * x + hy * y), px, py, pz, here)
             _add(here, there, weight, sums[r])
+            _add(there, there, weight, sums[r, SHOWN:])
 
 
 @kernel(error_model="numpy", inline="always")

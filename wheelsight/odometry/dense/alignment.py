@@ -45,6 +45,8 @@ class DenseAlignment:
         residual: mean absolute plane residual in standard deviations of the sensor, 1 for a perfect fit.
         grey_sigma: spread of the grey residuals, in grey levels.
         claimed: (6, 6) information of the left perturbation that residuals had at the end, as if they were independent.
+        compared: (6, 6) the same, if the frame showed the slopes of grey that the reference does: alike where both lie
+            on each other.
         hinted: (6, 6) what keypoints would add to that if each erred by itself: which directions are shown goes by it.
     """
 
@@ -56,6 +58,7 @@ class DenseAlignment:
     residual: float
     grey_sigma: float
     claimed: FloatArray
+    compared: FloatArray
     hinted: FloatArray | None = None
 
 
@@ -228,19 +231,21 @@ class Aligner:
         planes, pairs = int(counted) * stride, int(total[kernels.PAIRS]) * stride
         mean_abs = total[kernels.PLANE_COUNT + 1] / counted if counted else np.inf
         points = int(np.count_nonzero(frame.levels[0].depth_m))
-        information = self._information(frame, reference, T, pairs, how)
+        information, compared = self._information(frame, reference, T, pairs, how)
         residual = float(how[steps.PLANE_SCALE] * mean_abs / steps.MEAN_ABS)
         T = se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
         claimed = _symmetric(total[:21] + total[kernels.GREY_SUMS : kernels.GREY_SUMS + 21])
-        return DenseAlignment(T, information, pairs, planes, points, residual, float(how[steps.GREY_SIGMA]), claimed)
+        grey_sigma = float(how[steps.GREY_SIGMA])
+        return DenseAlignment(T, information, pairs, planes, points, residual, grey_sigma, claimed, compared)
 
     def _information(
         self, frame: GridFrame, reference: Reference, T: FloatArray, pairs: int, how: FloatArray
-    ) -> FloatArray:
+    ) -> tuple[FloatArray, FloatArray]:
         """What so many pairs tell (6, 6), by normals of the coarsest level and slopes of grey of the second.
 
-        Only what both views show counts: else a plain wall's noise, or what a reference from a corridor's entrance
-        shows and its middle does not, would tell what is not there. It may have negative eigenvalues where nothing is.
+        And what they would tell if the frame's slopes were the reference's (6, 6). Only what both views show counts:
+        else a plain wall's noise, or what a reference from a corridor's entrance shows and its middle does not, would
+        tell what is not there. It may have negative eigenvalues where nothing is.
         """
         own = self._maker.shown_by(frame)
         rules = how[[steps.GATE, steps.PLANE_SCALE, steps.GREY_SIGMA, steps.GAIN, steps.HUBER, steps.GREY_WEIGHT]]
@@ -248,14 +253,16 @@ class Aligner:
         coarsest, second = self._settings.levels - 1, min(1, self._settings.levels - 1)
         planes = (frame.levels[coarsest], own.planes.pixels, reference.steep.pixels)
         slopes = (frame.levels[second], own.slopes.pixels, reference.levels[second].pixels)
-        information = np.zeros((6, 6))
+        information, compared = np.zeros((6, 6)), np.zeros((6, 6))
         for show, (level, here, there) in ((shown.show_planes, planes), (shown.show_slopes, slopes)):
-            sums = np.empty((len(level.depth_m), shown.SHOWN))
+            sums = np.empty((len(level.depth_m), shown.COMPARED))
             both = shown.BothViews(level.depth_m, here, there, level.intrinsics)
             self._rows.share(len(sums), partial(_in_rows, show, (both, *given), sums))
             total = sums.sum(axis=0)
-            information += _symmetric(total) * float(pairs / max(total[shown.POINTS], 1.0))
-        return information
+            share = float(pairs / max(total[shown.POINTS], 1.0))
+            information += share * _symmetric(total)
+            compared += share * _symmetric(total if show is shown.show_planes else total[shown.SHOWN :])
+        return information, compared
 
     def _placer(self, frame: GridFrame, number: int, step: Step | None) -> Callable[[FloatArray], Float32Array]:
         """Gives T_reference_frame (h, 3, 4) of each row of a level, for T_reference_frame (4, 4) of the middle one."""

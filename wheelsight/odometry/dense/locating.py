@@ -125,8 +125,10 @@ class Locator:
         correlation = self._settings.correlation
         joint = self.weight.meet(found.T_reference_frame, found.claimed / correlation, told)
         information = found.information / joint.factor + correlation * told.information
+        compared = found.compared / joint.factor + correlation * told.information
         hinted = (self._settings.verification.correlation - 1) * correlation * told.information
-        return replace(found, T_reference_frame=joint.T_reference_frame, information=information, hinted=hinted), joint
+        T = joint.T_reference_frame
+        return replace(found, T_reference_frame=T, information=information, compared=compared, hinted=hinted), joint
 
     def _tracked(
         self,

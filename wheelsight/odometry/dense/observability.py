@@ -54,6 +54,8 @@ def judge(found: DenseAlignment, prior: Prior, settings: DenseSettings) -> Judge
     shown = information if found.hinted is None else information + found.hinted / scale
     strength, directions = np.linalg.eigh(shown)
     weak = strength < settings.degenerate_sigma_m**-2
+    compared = found.compared / scale + (shown - information)
+    weak |= strength < settings.confirmed_share * (directions * (compared @ directions)).sum(axis=0)
     strength = np.maximum((directions * (information @ directions)).sum(axis=0), 0.0)
     variances = np.where(weak, prior.sigma_m**2, 1 / np.maximum(strength, 1e-12))
     covariance = (directions * variances) @ directions.T / np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE)
