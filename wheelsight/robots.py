@@ -32,6 +32,10 @@ class Robot(Protocol):
         that it does not set off again by itself.
         """
 
+    @property
+    def now_s(self) -> float:
+        """Now, by the clock of the events' stamps."""
+
     def step(self, command: VelocityCommand) -> list[Event]:
         """Obey a command for one control period; what the sensors said meanwhile, in the order of stamps.
 

@@ -76,6 +76,12 @@ class LinkRobot:
         return self._calibration
 
     @property
+    def now_s(self) -> float:
+        """As `Robot` has it; before the first ticks the host's time, of which stamps are late by the line's delay."""
+        after_s = self._quickest_s
+        return time.time() if after_s is None else time.monotonic() - after_s
+
+    @property
     def stop_reason(self) -> str:
         """As `Robot` has it."""
         return self._control.reason

@@ -95,6 +95,14 @@ class CollisionMonitor:
         self._are_wheels_off = False
         self._wheels.forget()
 
+    def trust_floor(self, radius_m: float) -> None:
+        """Somebody has looked: so far about the axle the floor is free, which the camera cannot see from where it is.
+
+        Things that a frame shows there count all the same. It holds for the floor about where the robot is now, and is
+        forgotten as what is seen is.
+        """
+        self._surroundings.trust(radius_m)
+
     def hear(self, stamp_s: float, forward_m_s: float, turn_rad_s: float) -> None:
         """The base's speeds, as its encoders measure them; each reading once, in order."""
         self._are_wheels_sound = bool(np.isfinite([stamp_s, forward_m_s, turn_rad_s]).all())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -14,6 +15,7 @@ from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, 
 from wheelsight.mapping.map_edits import MapEdits
 from wheelsight.mapping.occupancy import OccupancyGrid
 from wheelsight.navigation.costmap_settings import CostmapSettings
+from wheelsight.navigation.fields import CostField
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.live_layer import LiveObstacles
 from wheelsight.ros_map import FREE, OCCUPIED
@@ -57,6 +59,38 @@ class StaticLayer:
         # Between free and occupied nobody is sure: that is unknown.
         state[occupancy >= OCCUPIED] = CellState.OCCUPIED
         return cls(state, edits.limits_m_s(edited, T_map_keyframe), grid.resolution_m, grid.origin)
+
+    def window(self, xy: ArrayLike, size_m: float) -> StaticLayer:
+        """A square of it about a place (2,), metres; beyond its edges all is unknown."""
+        side = math.ceil(size_m / self.resolution_m)
+        column, row = np.floor((np.asarray(xy, float) - self.origin) / self.resolution_m).astype(int) - side // 2
+        low = np.clip([row, column], 0, self.state.shape)
+        high = np.clip([row + side, column + side], 0, self.state.shape)
+        state = np.full((side, side), CellState.UNKNOWN, np.uint8)
+        speed = np.full((side, side), np.inf, np.float32)
+        of = slice(low[0], high[0]), slice(low[1], high[1])
+        to = slice(low[0] - row, high[0] - row), slice(low[1] - column, high[1] - column)
+        state[to], speed[to] = self.state[of], self.speed_m_s[of]
+        origin = self.origin[0] + column * self.resolution_m, self.origin[1] + row * self.resolution_m
+        return StaticLayer(state, speed, self.resolution_m, (float(origin[0]), float(origin[1])))
+
+    def grown(self, bounds: ArrayLike) -> StaticLayer:
+        """By unknown cells until it holds the low and the high corner (2, 2) of a box, metres."""
+        size_m, (height, width) = self.resolution_m, self.state.shape
+        corners = (np.asarray(bounds, float) - self.origin) / size_m
+        left, bottom = np.maximum(-np.floor(corners[0]), 0).astype(int)
+        right, top = np.maximum(np.ceil(corners[1]) - (width, height), 0).astype(int)
+        around = (int(bottom), int(top)), (int(left), int(right))
+        state = np.pad(self.state, around, constant_values=int(CellState.UNKNOWN))
+        speed = np.pad(self.speed_m_s, around, constant_values=np.inf)
+        origin = float(self.origin[0] - left * size_m), float(self.origin[1] - bottom * size_m)
+        return StaticLayer(state, speed, size_m, origin)
+
+    def with_floor(self, is_floor: BoolArray) -> StaticLayer:
+        """The same, with cells (H, W) known to be free of which nothing else is known."""
+        state = self.state.copy()
+        state[is_floor & (state == CellState.UNKNOWN)] = CellState.FREE
+        return StaticLayer(state, self.speed_m_s, self.resolution_m, self.origin)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +148,11 @@ class Costmap:
             _put(live, np.asarray(T_map_live, float), static, state)
         place = static.resolution_m, static.origin, "map"
         return _made(state, static.speed_m_s, place, footprint.inscribed_m, settings or CostmapSettings())
+
+    @property
+    def field(self) -> CostField:
+        """As controllers take it."""
+        return CostField(self.distance_m, self.cost, self.resolution_m, self.origin, self.speed_m_s)
 
     @classmethod
     def of_live(cls, live: LiveObstacles, footprint: Footprint, settings: CostmapSettings | None = None) -> Costmap:

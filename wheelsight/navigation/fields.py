@@ -10,7 +10,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.navigation._field_kernels import ANY_SPEED, OVERHANG_M, CostField, Outline
 from wheelsight.navigation.footprint import Footprint
 
-__all__ = ["ANY_SPEED", "CostField", "Outline", "checked", "outline_of"]
+__all__ = ["ANY_SPEED", "CostField", "Outline", "checked", "outline_of", "sides_of"]
 
 # With fewer and larger steps a cover has more discs; a chair's has 14.
 _COVER_STEP_M = 0.02
@@ -31,12 +31,16 @@ def checked(field: CostField) -> CostField:
     return CostField(distance, cost, float(numbers[0]), (float(numbers[1]), float(numbers[2])), speed)
 
 
+def sides_of(footprint: Footprint) -> FloatArray:
+    """(N, 5) of a footprint: where each side begins, its direction and length."""
+    ways = np.roll(footprint.corners, -1, axis=0) - footprint.corners
+    lengths = np.linalg.norm(ways, axis=1, keepdims=True)
+    return np.ascontiguousarray(np.concatenate([footprint.corners, ways / lengths, lengths], axis=1))
+
+
 def outline_of(footprint: Footprint) -> Outline:
     """A footprint as kernels take it; the discs within are the largest about the middle of its corners and the axle."""
-    corners = footprint.corners
-    ways = np.roll(corners, -1, axis=0) - corners
-    lengths = np.linalg.norm(ways, axis=1, keepdims=True)
-    sides = np.ascontiguousarray(np.concatenate([corners, ways / lengths, lengths], axis=1))
+    corners, sides = footprint.corners, sides_of(footprint)
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     discs = np.array([[*at, _inside_m(sides, at)] for at in (middle, np.zeros(2))])
     radius = float(np.linalg.norm(corners - middle, axis=1).max())

@@ -84,3 +84,21 @@ class WheelCheckSettings(Settings):
     lag_s: float = setting(0.3, "the latest that a base answers a command", CHOSEN, ge=0, le=2)
     slow_share: float = setting(0.5, "of the limits' accelerations that the slowest base still has", CHOSEN, gt=0, le=1)
     fast_share: float = setting(1.5, "of them that the quickest has", CHOSEN, ge=1, le=10)
+
+
+class ViewSettings(Settings):
+    """What a collision monitor is told of a depth image."""
+
+    columns: int = setting(64, "bearings that the view is cut into: each is 0.9° of a Kinect's", CHOSEN, ge=8, le=1024)
+    cell_m: float = setting(0.05, "side of a cell in which pixels are one thing", CHOSEN, gt=0.005, le=0.5)
+    pixels: int = setting(
+        3, "least pixels of a thing in a cell: at edges single ones lie where nothing is", CHOSEN, ge=1, le=100
+    )
+    bin_m: float = setting(0.1, "of distance, in which floor was seen or not", CHOSEN, gt=0.01, le=1)
+    gap_m: float = setting(
+        0.3,
+        "without a floor, behind which floor is seen no more: nothing lower than the chair's step hides so little",
+        CHOSEN,
+        gt=0,
+        le=2,
+    )

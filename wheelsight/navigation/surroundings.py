@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.navigation._field_kernels import moved
 from wheelsight.navigation._surroundings_kernels import Memory, Sight, keep, look, mark_under, remembered, unseen
-from wheelsight.navigation.fields import Outline
+from wheelsight.navigation.fields import Outline, sides_of
+from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.monitor_settings import MonitorSettings
 
 Pose = tuple[float, float, float, float]
@@ -103,7 +104,7 @@ class Surroundings:
         self._outline, self._settings = outline, settings
         self._readings: deque[_Reading] = deque()
         self._newest = np.empty((0, 2))
-        self._newest_s = -np.inf
+        self._newest_s, self._trusted_m = -np.inf, 0.0
         self.forget()
 
     def forget(self) -> None:
@@ -121,6 +122,8 @@ class Surroundings:
         if not self._readings:
             pose = (0.0, 0.0, 1.0, 0.0)
             mark_under(self._memory, self._outline.sides, pose, stamp_s, -np.inf)
+            if self._trusted_m > 0:
+                mark_under(self._memory, _around(self._trusted_m), pose, stamp_s, -np.inf)
         else:
             last = self._readings[-1]
             step_s = stamp_s - last.stamp_s
@@ -129,6 +132,13 @@ class Surroundings:
         self._readings.append(_Reading(stamp_s, pose, forward_m_s, turn_rad_s))
         while len(self._readings) > 1 and self._readings[1].stamp_s < stamp_s - self._settings.history_s:
             self._readings.popleft()
+
+    def trust(self, radius_m: float) -> None:
+        """Count the floor so far about the axle as seen, where the robot is now or, before any reading, at the first."""
+        self._trusted_m = 0.0 if self._readings else radius_m
+        if self._readings and radius_m > 0:
+            last = self._readings[-1]
+            mark_under(self._memory, _around(radius_m), last.pose, last.stamp_s, -np.inf)
 
     def pose_at(self, stamp_s: float) -> Pose | None:
         """Where the base was, or will be soon; None where that is not known any more, or not yet."""
@@ -181,6 +191,11 @@ class Surroundings:
         never = np.ascontiguousarray(out[..., 0])
         deep = cv2.distanceTransform(never, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * s.cell_m
         return np.asarray(deep, np.float32), np.ascontiguousarray(out[..., 1]), first
+
+
+def _around(radius_m: float) -> FloatArray:
+    """Sides of a round patch about the axle."""
+    return sides_of(Footprint.circle(radius_m))
 
 
 def _placed(points: FloatArray, pose: Pose) -> FloatArray:

@@ -108,6 +108,11 @@ class Simulator:
         return self._robot.time_s
 
     @property
+    def now_s(self) -> float:
+        """As `Robot` has it: `time_s`."""
+        return self.time_s
+
+    @property
     def stop_reason(self) -> str:
         """As `Robot` has it."""
         return self._broken or self._drive.control.reason

@@ -1,0 +1,139 @@
+"""Behaviours: what a robot does that cannot go on, one after another; each is asked once a period."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.geometry import FloatArray
+from wheelsight.geometry.se2 import wrap_angle
+from wheelsight.navigation.navigator_settings import BehaviourSettings
+
+# Less than these is no way made, radians and metres.
+_LEAST_RAD, _LEAST_M = 0.02, 0.01
+
+
+class Behaviour(Protocol):
+    """Something to do, until it is done."""
+
+    @property
+    def name(self) -> str:
+        """In words, for the log."""
+
+    def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
+        """What to do now; None where it is done, or can make no more way.
+
+        Args:
+            now_s: by the clock of the stamps.
+            odom_pose: (3,) x, y, yaw in `odom`, or None while that is not known.
+        """
+
+
+@dataclass
+class Wait:
+    """Stand for a while."""
+
+    seconds: float
+    name: str = "wait"
+    _until_s: float = field(default=math.nan, init=False)
+
+    def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
+        """See `Behaviour`."""
+        if math.isnan(self._until_s):
+            self._until_s = now_s + self.seconds
+        return STOP if now_s < self._until_s else None
+
+
+@dataclass
+class Turn:
+    """Turn in place by angles, one after another; counter-clockwise where they are over 0."""
+
+    angles_rad: tuple[float, ...]
+    speed_rad_s: float
+    refused_s: float
+    name: str = "look about"
+    _watch: _Watch = field(init=False)
+    _left: list[float] = field(init=False)
+    _yaw: float | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self._watch, self._left = _Watch(self.refused_s, _LEAST_RAD), list(self.angles_rad)
+
+    def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
+        """See `Behaviour`."""
+        if odom_pose is None or not self._left:
+            return None
+        yaw = float(odom_pose[2])
+        turned = 0.0 if self._yaw is None else float(wrap_angle(yaw - self._yaw))
+        self._yaw = yaw
+        sign = math.copysign(1.0, self._left[0])
+        self._left[0] -= turned
+        if self._left[0] * sign <= 0 or self._watch.is_held(now_s, abs(self._left[0])):
+            self._left.pop(0)
+            self._watch = _Watch(self.refused_s, _LEAST_RAD)
+            return STOP if self._left else None
+        return VelocityCommand(0.0, sign * self.speed_rad_s)
+
+
+@dataclass
+class BackUp:
+    """Drive straight backward."""
+
+    way_m: float
+    speed_m_s: float
+    refused_s: float
+    name: str = "back up"
+    _watch: _Watch = field(init=False)
+    _from: FloatArray | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self._watch = _Watch(self.refused_s, _LEAST_M)
+
+    def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
+        """See `Behaviour`."""
+        if odom_pose is None:
+            return None
+        if self._from is None:
+            self._from = odom_pose
+        left_m = self.way_m - float(np.hypot(*(odom_pose[:2] - self._from[:2])))
+        if left_m <= 0 or self._watch.is_held(now_s, left_m):
+            return None
+        return VelocityCommand(-self.speed_m_s, 0.0)
+
+
+class _Watch:
+    """Whether what is left has become no less for too long."""
+
+    def __init__(self, held_s: float, least: float) -> None:
+        self._held_s, self._least = held_s, least
+        self._best, self._since_s = math.inf, math.nan
+
+    def is_held(self, now_s: float, left: float) -> bool:
+        if left < self._best - self._least or math.isnan(self._since_s):
+            self._best, self._since_s = left, now_s
+        return now_s - self._since_s > self._held_s
+
+
+def when_blocked(attempt: int, settings: BehaviourSettings) -> Behaviour:
+    """What to do at the first, second, ... attempt to get on: the gentlest first."""
+    s = settings
+    look = (s.look_rad, -2 * s.look_rad, s.look_rad)
+    ways: tuple[Behaviour, ...] = (
+        Wait(s.wait_s),
+        Turn(look, s.turn_rad_s, s.refused_s),
+        BackUp(s.back_m, s.back_m_s, s.refused_s),
+    )
+    return ways[attempt % len(ways)]
+
+
+def when_lost(attempt: int, settings: BehaviourSettings) -> Behaviour:
+    """What to do to find a place that is known: stand, then turn once around to one side, then to the other."""
+    s = settings
+    if attempt == 0:
+        return Wait(s.wait_s / 2, "wait to see where it is")
+    sign = 1.0 if attempt % 2 else -1.0
+    return Turn((sign * s.search_rad,), s.turn_rad_s, s.refused_s, "look for a known place")

@@ -1,0 +1,143 @@
+"""DepthViewer: makes of a depth image what a collision monitor goes by."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.calibration import Calibration
+from wheelsight.errors import ArgumentError, MapError
+from wheelsight.geometry import Float32Array, FloatArray, IntArray
+from wheelsight.navigation import _depth_view_kernels as kernels
+from wheelsight.navigation.costmap_settings import LiveLayerSettings
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.monitor_settings import ViewSettings
+from wheelsight.navigation.surroundings import DepthView
+
+# From bearing to bearing of a row its pixels lie closer than this, whatever the camera.
+_LEAST_COLUMNS = 8
+
+
+class DepthViewer:
+    """Things between the floor and the robot's height, where the floor ends, and how far it is seen.
+
+    Args:
+        calibration: of the robot: its depth camera, and where that sits over the floor.
+        footprint: of the robot: what lies within it is the robot itself.
+        settings: or the defaults.
+        heights: by which floor and things are told apart; or the defaults.
+
+    Attributes:
+        near_m: from the axle, the nearest floor that the camera sees at all its bearings.
+
+    Raises:
+        CalibrationError: there is no camera.
+        MapError: nobody knows where the camera sits, or it sees no floor.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        footprint: Footprint,
+        settings: ViewSettings | None = None,
+        heights: LiveLayerSettings | None = None,
+    ) -> None:
+        if calibration.T_base_camera is None:
+            problem = "where the floor is nobody knows: the calibration does not say where the camera sits"
+            raise MapError(problem, fix="wheelsight calibrate base, or T_base_camera in the calibration")
+        _, camera = calibration.cameras
+        self._settings, self._footprint = settings or ViewSettings(), footprint
+        self._shape = camera.height, camera.width
+        self._heights = _heights_of(heights or LiveLayerSettings())
+        ways = camera.rays() @ calibration.T_base_camera[:3, :3].T
+        self._first_rad, self._step_rad, columns = _bearings(ways, self._settings.columns)
+        where = np.ascontiguousarray(calibration.T_base_camera[:3, 3])
+        self._rays = kernels.Rays(np.ascontiguousarray(ways, np.float32), columns, where)
+        self._near_m = _near_floor_m(ways, columns, float(where[2]))
+        self.near_m = self._near_m + float(np.hypot(*where[:2]))
+
+    def view(self, depth_m: ArrayLike, stamp_s: float) -> DepthView:
+        """What a depth image (H, W) in metres shows; 0 or what is not finite was not measured.
+
+        Raises:
+            ArgumentError: an image of another size.
+        """
+        depth = np.ascontiguousarray(depth_m, np.float32)
+        if depth.shape != self._shape:
+            fix = f"give {self._shape[0]} rows of {self._shape[1]}, as the calibration says"
+            raise ArgumentError(f"a depth image of shape {depth.shape}", fix=fix)
+        s, far_m = self._settings, self._heights.far_m
+        side = 2 * int(np.ceil((far_m + np.hypot(*self._rays.camera[:2])) / s.cell_m) + 1)
+        floor = np.zeros((s.columns, int(np.ceil(far_m / s.bin_m))), np.uint8)
+        shown = kernels.Shown(
+            floor, np.zeros((side, side, 3), np.float32), np.zeros(s.columns, np.int64), s.bin_m, s.cell_m
+        )
+        kernels.look(depth, self._rays, self._heights, shown)
+        points = self._things(shown.cells)
+        seen_m = self._seen_m(shown, points)
+        camera = float(self._rays.camera[0]), float(self._rays.camera[1])
+        return DepthView(stamp_s, points, camera, self._first_rad, self._step_rad, seen_m, self._near_m)
+
+    def _things(self, cells: Float32Array) -> FloatArray:
+        """(N, 2) in the base, one a cell; what lies within the outline is the robot itself."""
+        some = cells[cells[..., 0] >= self._settings.pixels].astype(float)
+        points = some[:, 1:] / some[:, :1]
+        return np.asarray(points[~self._footprint.contains(points)])
+
+    def _seen_m(self, shown: kernels.Shown, points: FloatArray) -> FloatArray:
+        """(columns,) how far each sees: along floor without a long gap, or up to the nearest thing; 0 of nothing."""
+        s, far_m = self._settings, self._heights.far_m
+        floor_m = _floor_until_m(shown.floor, s.gap_m, s.bin_m, self._near_m)
+        apart = points - self._rays.camera[:2]
+        column = np.floor((np.arctan2(apart[:, 1], apart[:, 0]) - self._first_rad) / self._step_rad).astype(int)
+        inside = (column >= 0) & (column < s.columns)
+        thing_m = np.full(s.columns, np.inf)
+        np.minimum.at(thing_m, column[inside], np.hypot(*apart[inside].T))
+        # Up to a thing that stands on the last floor seen, or nearer than any floor is.
+        reached = thing_m <= np.maximum(floor_m, self._near_m) + s.gap_m
+        seen_m = np.where(reached, thing_m, np.minimum(floor_m, far_m))
+        return np.where(shown.measured >= s.pixels, seen_m, 0.0)
+
+
+def _heights_of(settings: LiveLayerSettings) -> kernels.Heights:
+    return kernels.Heights(**{name: getattr(settings, name) for name in kernels.Heights._fields})
+
+
+def _bearings(ways: FloatArray, count: int) -> tuple[float, float, IntArray]:
+    """First bearing and step of the view that all rows share, and the number (h, w) of each pixel's bearing."""
+    middle = float(np.arctan2(*ways.mean(axis=(0, 1))[1::-1]))
+    turned = np.arctan2(ways[..., 1], ways[..., 0]) - middle
+    bearing = (turned + np.pi) % (2 * np.pi) - np.pi
+    first, last = float(bearing.min(axis=1).max()), float(bearing.max(axis=1).min())
+    if last <= first or ways.shape[1] < _LEAST_COLUMNS:
+        raise MapError("the camera sees no floor ahead", fix="check T_base_camera in the calibration")
+    step = (last - first) / count
+    number = np.floor((bearing - first) / step)
+    number[(number < 0) | (number >= count)] = -1
+    return first + middle, step, number.astype(np.int16)
+
+
+def _near_floor_m(ways: FloatArray, columns: IntArray, height_m: float) -> float:
+    """From the camera, the nearest floor that it sees at all bearings."""
+    down = np.where(columns >= 0, -ways[..., 2], 0)
+    along = np.hypot(ways[..., 0], ways[..., 1])
+    with np.errstate(divide="ignore"):
+        way_m = np.where(down > 0, along * height_m / np.maximum(down, 1e-9), np.inf)
+    near_m = np.array([way_m[columns == number].min(initial=np.inf) for number in range(int(columns.max()) + 1)])
+    if not np.isfinite(near_m).all():
+        raise MapError("the camera sees no floor", fix="check T_base_camera in the calibration, or tilt the camera")
+    return float(near_m.max())
+
+
+def _floor_until_m(floor: IntArray, gap_m: float, bin_m: float, near_m: float) -> FloatArray:
+    """(columns,) where floor that begins at the nearest that can be seen ends; 0 where none begins there."""
+    gap = max(round(gap_m / bin_m), 1)
+    ends = np.zeros(len(floor))
+    for number, bins in enumerate(floor):
+        last = near_m / bin_m
+        for at in np.flatnonzero(bins):
+            if at - last > gap:
+                break
+            last = max(last, at + 1.0)
+        ends[number] = last * bin_m if last > near_m / bin_m else 0.0
+    return ends

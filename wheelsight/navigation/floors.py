@@ -1,0 +1,140 @@
+"""Floor: where a navigator has its static layer from: a map of before, or one that grows while it drives."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.calibration import Calibration
+from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.mapping import MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
+from wheelsight.navigation.costmap import StaticLayer
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.localization import Localization
+
+
+class Floor(Protocol):
+    """What is known of the floor by now."""
+
+    @property
+    def revision(self) -> int:
+        """Another number each time it has changed."""
+
+    @property
+    def layer(self) -> StaticLayer:
+        """In the frame `map`."""
+
+    def update(self, pose: FloatArray | None) -> None:
+        """Look whether more is known, of a robot at (3,) in the map; called once a period, and quick."""
+
+
+class KnownFloor:
+    """Of a map that stays as it is.
+
+    Args:
+        grid: of the map.
+        edits: what people said of it.
+        T_map_keyframe: (K, 4, 4) where keyframes are, where any edit is anchored.
+    """
+
+    def __init__(self, grid: OccupancyGrid, edits: MapEdits | None = None, T_map_keyframe: ArrayLike = ()) -> None:
+        self.layer, self.revision = StaticLayer.of(grid, edits, T_map_keyframe), 0
+
+    def update(self, pose: FloatArray | None) -> None:
+        """Nothing changes."""
+
+
+class GrowingFloor:
+    """Of the keyframes that a localization keeps; made anew where they moved.
+
+    Where the robot stood there is floor; and so far about where it began, for whoever began it looked.
+
+    Args:
+        localization: whose keyframes.
+        calibration: of the robot.
+        footprint: of the robot.
+        trusted_m: radius of floor about the begin that is free, which the camera cannot see from there.
+        settings: of occupancy, or the defaults.
+
+    Raises:
+        MapError: the calibration does not say where the camera sits on the base.
+    """
+
+    def __init__(
+        self,
+        localization: Localization,
+        calibration: Calibration,
+        footprint: Footprint,
+        trusted_m: float = 0.0,
+        settings: OccupancySettings | None = None,
+    ) -> None:
+        self._localization, self._footprint, self._trusted_m = localization, footprint, trusted_m
+        self._mapper = OccupancyMapper(calibration, settings)
+        self._stood: list[FloatArray] = []
+        self._stamped = 0
+        self._marked: tuple[BoolArray, tuple[float, float]] | None = None
+        self._count, self._store_revision = 0, -1
+        self.revision = 0
+        self.layer = StaticLayer.of(self._mapper.grid())
+
+    @property
+    def grid(self) -> OccupancyGrid:
+        """As the camera alone has it by now."""
+        return self._mapper.grid()
+
+    def update(self, pose: FloatArray | None) -> None:
+        """See `Floor`."""
+        store = self._localization.keyframes
+        has_moved = pose is not None and (not self._stood or _apart(pose, self._stood[-1]))
+        if pose is not None and has_moved:
+            self._stood.append(pose)
+        if store is not None and (len(store) != self._count or store.revision != self._store_revision):
+            self._count, self._store_revision = len(store), store.revision
+            self._mapper.update(store)
+        elif not has_moved:
+            return
+        static = StaticLayer.of(self._mapper.grid())
+        self.layer = static if not self._stood else self._with_stood(static.grown(self._bounds()))
+        self.revision += 1
+
+    def _bounds(self) -> FloatArray:
+        """(2, 2) low and high corner of all floor that is known by standing there."""
+        reach_m = max(self._footprint.circumscribed_m, self._trusted_m) + 0.1
+        places = np.array(self._stood)[:, :2]
+        return np.array([places.min(axis=0) - reach_m, places.max(axis=0) + reach_m])
+
+    def _with_stood(self, static: StaticLayer) -> StaticLayer:
+        """With the floor where the robot stood, and near to where it began."""
+        is_stood = np.zeros(static.state.shape, bool)
+        if self._marked is not None:
+            # Both lie on whole cells of one grid.
+            before, origin = self._marked
+            column, row = np.rint((np.array(origin) - static.origin) / static.resolution_m).astype(int)
+            is_stood[row : row + before.shape[0], column : column + before.shape[1]] = before
+        for number in range(self._stamped, len(self._stood)):
+            trusted_m = self._trusted_m if number == 0 else 0.0
+            _stamp(is_stood, static, self._stood[number], self._footprint, trusted_m)
+        self._stamped, self._marked = len(self._stood), (is_stood, static.origin)
+        return static.with_floor(is_stood)
+
+
+def _apart(pose: FloatArray, other: FloatArray) -> bool:
+    """Whether a robot that moved so stands on other floor."""
+    return bool(np.hypot(*(pose[:2] - other[:2])) > 0.05 or abs(np.angle(np.exp(1j * (pose[2] - other[2])))) > 0.1)
+
+
+def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: Footprint, trusted_m: float) -> None:
+    """Mark the cells under an outline at a pose, and so far about its axle."""
+    reach_m = max(footprint.circumscribed_m, trusted_m)
+    low = np.floor((pose[:2] - reach_m - static.origin) / static.resolution_m).astype(int)
+    high = np.ceil((pose[:2] + reach_m - static.origin) / static.resolution_m).astype(int)
+    (left, bottom), (right, top) = np.maximum(low, 0), np.minimum(high, static.state.shape[::-1])
+    x = (np.arange(left, right) + 0.5) * static.resolution_m + static.origin[0] - pose[0]
+    y = (np.arange(bottom, top) + 0.5) * static.resolution_m + static.origin[1] - pose[1]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    away = np.stack(np.meshgrid(x, y), axis=-1)
+    # A cell that the outline touches at all was stood on.
+    under = footprint.padded(0.7 * static.resolution_m).contains(away @ np.array([[c, -s], [s, c]]))
+    found[bottom:top, left:right] |= under | (np.hypot(*np.moveaxis(away, -1, 0)) <= trusted_m)

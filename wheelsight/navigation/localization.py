@@ -1,0 +1,163 @@
+"""Localization as navigation asks for it, and WhereNow: where the robot is between two of its answers."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from wheelsight.calibration import Wheels
+from wheelsight.errors import ArgumentError
+from wheelsight.estimates import Estimate, Status
+from wheelsight.events import Event, WheelSpeeds, WheelTicks
+from wheelsight.geometry import FloatArray, se2
+from wheelsight.keyframes import KeyframeStore
+from wheelsight.navigation.control_values import MotionState
+from wheelsight.odometry.wheels import WheelOdometry
+
+Answered = tuple[Event, Estimate | None]
+# How long the wheels' own way is kept: answers to frames come later than that only where nothing goes on.
+_TRACK_S = 3.0
+
+
+class Localization(Protocol):
+    """Says where the robot is. `localizer.LocalizerInStep` and `localizer.LocalizerBeside` are such."""
+
+    @property
+    def keyframes(self) -> KeyframeStore | None:
+        """What the camera remembers, and where; None of wheels alone."""
+
+    def hear(self, events: Sequence[Event]) -> Sequence[Answered]:
+        """Take what came, in order; what is answered by now, of this and of earlier calls, in order.
+
+        Raises what `Localizer.process` raises.
+        """
+
+    def close(self) -> None:
+        """End the threads that work for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSpeed:
+    """How a base moves by its encoders, at a stamp."""
+
+    stamp_s: float
+    forward_m_s: float
+    turn_rad_s: float
+
+
+class WhereNow:
+    """The last answer of the localization, carried on by the wheels' own way since.
+
+    Args:
+        wheels: of the calibration.
+    """
+
+    def __init__(self, wheels: Wheels) -> None:
+        self._wheels = WheelOdometry(wheels)
+        self._track: deque[tuple[float, FloatArray]] = deque()
+        self._answer: Estimate | None = None
+        self._known_sigma_m = 0.0
+        self._speed = WheelSpeed(-math.inf, 0.0, 0.0)
+
+    def roll(self, reading: WheelTicks | WheelSpeeds) -> WheelSpeed | None:
+        """Go on by a reading; the base's speed, or None where the reading tells none."""
+        try:
+            answer = self._wheels.process(reading)
+        except ArgumentError:
+            return None
+        if answer.reason is not None:
+            return None
+        self._track.append((answer.stamp_s, se2.from_parts(*self._wheels.pose)))
+        while len(self._track) > 2 and self._track[1][0] < answer.stamp_s - _TRACK_S:
+            self._track.popleft()
+        self._speed = WheelSpeed(answer.stamp_s, *self._wheels.twist)
+        return self._speed
+
+    def answer(self, estimate: Estimate) -> None:
+        """Take what the localization says."""
+        self._answer = estimate
+        if self.status is Status.TRACKING:
+            self._known_sigma_m = _sigma_m(estimate)
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """The last answer."""
+        return self._answer
+
+    @property
+    def speed(self) -> WheelSpeed:
+        """By the last reading."""
+        return self._speed
+
+    @property
+    def status(self) -> Status:
+        """Of the last answer; before any, `INITIALIZING`."""
+        return Status.INITIALIZING if self._answer is None else self._answer.status
+
+    @property
+    def is_rolling(self) -> bool:
+        """Whether it is known at least how the robot moves, be it not where in the map it is."""
+        return self._answer is not None and self._answer.T_odom_body is not None and self.status is not Status.LOST
+
+    @property
+    def grown_sigma_m(self) -> float:
+        """By how much the position became less certain since it was last tracked, metres."""
+        known, answer = self._known_sigma_m, self._answer
+        return 0.0 if answer is None else math.sqrt(max(_sigma_m(answer) ** 2 - known**2, 0.0))
+
+    @property
+    def odom_pose(self) -> FloatArray | None:
+        """(3,) x, y, yaw of the base in `odom` now; None while it is not known."""
+        answer = self._answer
+        if answer is None or answer.T_odom_body is None:
+            return None
+        return _pose(_planar(answer.T_odom_body) @ self._since(answer.stamp_s))
+
+    @property
+    def T_map_odom(self) -> FloatArray:
+        """(3,) x, y, yaw of `odom` in `map`."""
+        return np.zeros(3) if self._answer is None else _pose(_planar(self._answer.T_map_odom))
+
+    @property
+    def state(self) -> MotionState | None:
+        """In the map, now; None while it is not known where in the map the robot is."""
+        answer = self._answer
+        if answer is None or answer.T_map_body is None or self.status in (Status.LOST, Status.FAILING):
+            return None
+        pose = _pose(_planar(answer.T_map_body) @ self._since(answer.stamp_s))
+        return MotionState(pose, self._speed.forward_m_s, self._speed.turn_rad_s)
+
+    def _since(self, stamp_s: float) -> FloatArray:
+        """(3, 3) how the wheels moved the base since a stamp; the identity where that is not remembered."""
+        before = [T for track_s, T in self._track if track_s <= stamp_s]
+        return np.eye(3) if not before else np.linalg.inv(before[-1]) @ self._track[-1][1]
+
+
+def planar_pose(T: FloatArray) -> FloatArray:
+    """(3,) x, y, yaw of a rigid motion (4, 4)."""
+    return _pose(_planar(T))
+
+
+def _planar(T: FloatArray) -> FloatArray:
+    return se2.from_parts(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0]))
+
+
+def _pose(T: FloatArray) -> FloatArray:
+    return np.array(se2.to_parts(T), float)
+
+
+def _sigma_m(estimate: Estimate) -> float:
+    """Of the horizontal position, the larger one."""
+    if estimate.covariance is None or estimate.T_odom_body is None:
+        return 0.0
+    # The left perturbation moves the whole frame; the body's own uncertainty is about where it is.
+    lever = np.eye(6)
+    x, y, z = estimate.T_odom_body[:3, 3]
+    lever[:3, 3:] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    C = lever @ estimate.covariance @ lever.T
+    return float(np.sqrt(max(np.linalg.eigvalsh(C[:2, :2])[-1], 0.0)))

@@ -1,0 +1,349 @@
+"""Navigator: drives a robot to its goals, period by period. The whole of it on one screen: `step`.
+
+A small explicit state machine over planner, controller and behaviours. What it asks for passes a ramp and the collision
+monitor, which alone decides what the robot is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.errors import WheelsightError
+from wheelsight.estimates import Status
+from wheelsight.geometry import FloatArray
+from wheelsight.navigation.behaviours import when_blocked, when_lost
+from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
+from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult
+from wheelsight.navigation.floors import Floor
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.goals import Goals, Poses, Way
+from wheelsight.navigation.localization import Localization
+from wheelsight.navigation.mppi import MppiController
+from wheelsight.navigation.navigator_settings import NavigationSettings
+from wheelsight.navigation.navigator_values import (
+    Feedback,
+    NavigationReason,
+    NavigationResult,
+    NavigationState,
+    Transition,
+)
+from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
+from wheelsight.navigation.pure_pursuit import PurePursuitController
+from wheelsight.navigation.route_planner import RoutePlanner, to_go_m
+from wheelsight.navigation.senses import Senses
+from wheelsight.navigation.task import Task
+from wheelsight.navigation.velocity_ramp import VelocityRamp
+from wheelsight.robots import Robot
+
+_NOBODY = np.empty((0, 5))
+# Nothing that passes by itself makes a plan possible.
+_FOR_GOOD = (PlanReason.INVALID, PlanReason.GOAL_OUTSIDE, PlanReason.STANDS)
+
+
+class Navigator:
+    """Leads one robot; `step` once a period, or `run`.
+
+    Args:
+        robot: that is led; used in a `with` block by whoever made it.
+        localization: says where it is.
+        floor: what is known of the building.
+        settings: or the defaults.
+        trusted_m: so far about the axle the floor is free at the begin, as somebody says who looked: most cameras do
+            not see the floor next to the robot. Without it a robot whose camera does not will not set off.
+        on_transition: called with each change of state.
+
+    Attributes:
+        state: what it is about.
+        monitor: the collision monitor, which has the last word.
+
+    Raises:
+        ArgumentError, MapError, CalibrationError: as `Senses`.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        localization: Localization,
+        floor: Floor,
+        settings: NavigationSettings | None = None,
+        *,
+        trusted_m: float = 0.0,
+        on_transition: Callable[[Transition], None] = lambda transition: None,
+    ) -> None:
+        self.settings = s = settings or NavigationSettings()
+        self._footprint = Footprint.rectangle(s.footprint.front_m, s.footprint.back_m, s.footprint.width_m)
+        self._robot = robot
+        self.monitor = CollisionMonitor(self._footprint, s.limits, s.monitor, s.wheel_check)
+        self.monitor.trust_floor(trusted_m)
+        self._senses = Senses(robot.calibration, localization, floor, self.monitor, self._footprint, s)
+        self._planner, self._ramp = RoutePlanner(self._footprint, s), VelocityRamp(s.limits)
+        self._controller = _controller(self._footprint, s)
+        self._on_transition = on_transition
+        self.state = NavigationState.IDLE
+        self._task: Task | None = None
+        self._command, self._checked = STOP, MonitorResult(STOP, MonitorState.FREE)
+        self._predicted: FloatArray = np.empty((0, 3))
+        self._result: NavigationResult | None = None
+
+    @property
+    def senses(self) -> Senses:
+        """What it goes by."""
+        return self._senses
+
+    def go_to_pose(self, goal: ArrayLike, name: str = "") -> None:
+        """Begin to drive to x, y, yaw (3,) in the map, or to x and y (2,). Raises ArgumentError for what is no pose."""
+        self.begin(Poses([goal], name))
+
+    def go_through_poses(self, goals: Sequence[ArrayLike], name: str = "") -> None:
+        """Begin to drive to several, with a stop at each. Raises ArgumentError."""
+        self.begin(Poses(goals, name))
+
+    def follow_way(self, way: ArrayLike, name: str = "a recorded way") -> None:
+        """Begin to drive along a way (N, 3) that was driven before. Raises ArgumentError."""
+        self.begin(Way(way, self.settings.navigator.through_m, name))
+
+    def begin(self, goals: Goals) -> None:
+        """Begin a task; one that goes on is called off."""
+        if not self.is_task_complete():
+            self.cancel_task()
+        self._result = None
+        self._task = Task(goals, self._robot.now_s)
+        self._become(NavigationState.PLANNING, f"to {goals.name}")
+
+    def cancel_task(self) -> None:
+        """Stand; the robot brakes in the steps to come."""
+        if not self.is_task_complete():
+            self._fail(NavigationReason.CANCELED, "by whoever leads it")
+
+    def is_task_complete(self) -> bool:
+        """Whether there is nothing to do, or nothing more."""
+        return self.state in (NavigationState.IDLE, NavigationState.ARRIVED, NavigationState.FAILED)
+
+    @property
+    def result(self) -> NavigationResult | None:
+        """Of the last task, once it is complete."""
+        return self._result
+
+    def go_to(self, goal: ArrayLike, on_step: Callable[[Feedback], None] = lambda feedback: None) -> NavigationResult:
+        """Drive there and stand; called with each period's feedback. Raises as `go_to_pose` and the robot do."""
+        self.go_to_pose(goal)
+        return self.run(on_step)
+
+    def run(self, on_step: Callable[[Feedback], None] = lambda feedback: None) -> NavigationResult:
+        """Go on until the task is complete and the robot stands. Raises what the robot raises; ask for a task first."""
+        while not (self.is_task_complete() and self._stands()):
+            on_step(self.step())
+        assert self._result is not None
+        return self._result
+
+    def step(self) -> Feedback:
+        """One period: obey, sense, decide, and let the monitor check. Raises what the robot raises."""
+        events = self._robot.step(self._command)
+        now_s = self._robot.now_s
+        try:
+            self._senses.hear(events)
+        except WheelsightError as error:
+            self._fail(NavigationReason.LOCALIZATION, error.problem)
+        asked = self._decide(now_s)
+        ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, self.settings.follow.period_s)
+        self._checked = self.monitor.check(ramped, now_s, self._status_to_drive())
+        if self._checked.state is not MonitorState.FREE:
+            self._ramp.follow(self._checked.command)
+        self._command = self._checked.command
+        return self.feedback
+
+    @property
+    def feedback(self) -> Feedback:
+        """How the task goes on."""
+        where, task = self._senses.where, self._task
+        state = where.state
+        plan = task.plan if task is not None and not self.is_task_complete() else None
+        return Feedback(
+            stamp_s=self._robot.now_s,
+            state=self.state,
+            status=where.status,
+            pose=None if state is None else state.pose,
+            forward_m_s=where.speed.forward_m_s,
+            turn_rad_s=where.speed.turn_rad_s,
+            goal=None if plan is None else plan.goal,
+            to_go_m=None if plan is None or state is None else to_go_m(plan, state.pose),
+            plan=plan,
+            predicted=self._predicted,
+            monitor=self._checked,
+            doing="" if task is None else task.doing,
+            goals_left=0 if task is None else task.goals.left,
+        )
+
+    def _decide(self, now_s: float) -> VelocityCommand:
+        """What to ask for, by state."""
+        self._predicted = np.empty((0, 3))
+        task = self._task
+        if task is None or self.is_task_complete():
+            return STOP
+        task.roll(now_s, self._senses.where, self.settings.navigator.progress_m)
+        why_over = self._why_over(task, now_s)
+        if why_over is not None:
+            return self._fail(*why_over)
+        if self._robot.stop_reason:
+            return STOP
+        ways = {
+            NavigationState.PLANNING: self._plan,
+            NavigationState.DRIVING: self._drive,
+            NavigationState.RECOVERING: self._recover,
+        }
+        return ways[self.state](task, now_s)
+
+    def _why_over(self, task: Task, now_s: float) -> tuple[NavigationReason, str] | None:
+        """Why the task cannot go on, whatever it does now."""
+        s = self.settings.navigator
+        if self._checked.reason is MonitorReason.WHEELS_OFF:
+            return NavigationReason.DISOBEYS, "look at the wheels, then clear the fault"
+        if task.stopped_for_s(now_s, bool(self._robot.stop_reason)) > s.held_s:
+            return NavigationReason.ROBOT_STOPPED, self._robot.stop_reason
+        if now_s - task.known_s > s.lost_s:
+            return NavigationReason.LOST, f"for {s.lost_s:g} s"
+        return None
+
+    def _plan(self, task: Task, now_s: float) -> VelocityCommand:
+        """Plan, and drive; or get out of what makes it impossible."""
+        state = self._senses.where.state
+        if state is None:
+            return self._look_about(task, "it is not known where it is")
+        costmap = self._senses.costmap()
+        goals = task.goals.upcoming(state.pose, costmap)
+        if not goals:
+            return self._arrive(task)
+        found = self._planner.plan(costmap, state.pose, goals)
+        if isinstance(found, PlanFailure):
+            return self._without_plan(task, found)
+        task.take(found, now_s, self._senses.where.T_map_odom)
+        self._become(NavigationState.DRIVING, f"{found.length_m:.1f} m to go")
+        return STOP
+
+    def _without_plan(self, task: Task, failure: PlanFailure) -> VelocityCommand:
+        """There may be one when somebody has gone, or more is seen; of a goal that may be left out there is another."""
+        why = f"{failure.reason}: {failure.detail}"
+        if failure.reason not in _FOR_GOOD and task.tries < self.settings.navigator.tries:
+            return self._get_out(task, why)
+        if task.goals.missed():
+            task.tries = 0
+            return STOP
+        return self._fail(NavigationReason.NO_PLAN, why)
+
+    def _drive(self, task: Task, now_s: float) -> VelocityCommand:
+        """Follow the plan while it holds."""
+        s, where = self.settings.navigator, self._senses.where
+        state, local, plan = where.state, self._senses.local(), task.plan
+        if state is None or local is None or plan is None:
+            return self._look_about(task, "it is not known any more where it is")
+        if where.grown_sigma_m > s.unsure_m:
+            return self._look_about(task, f"its place is known to {where.grown_sigma_m:.1f} m only")
+        if now_s - task.checked_s >= s.check_s and now_s - task.planned_s >= s.anew_s:
+            task.checked_s = now_s
+            why = self._why_anew(task, plan)
+            if why:
+                self._become(NavigationState.PLANNING, why)
+                return self._plan(task, now_s)
+        result = self._controller.command(state, plan, local.field, _NOBODY)
+        self._predicted = result.predicted
+        return self._follow(task, result, now_s)
+
+    def _why_anew(self, task: Task, plan: Plan) -> str:
+        """Why another plan is needed; empty where it is not."""
+        where, local = self._senses.where, self._senses.local()
+        assert where.state is not None and local is not None
+        moved = where.T_map_odom - task.T_map_odom
+        if np.hypot(*moved[:2]) > self.settings.navigator.jump_m or abs(np.sin(moved[2] / 2)) > 0.03:
+            return "the map has moved below it"
+        if not self._planner.is_free(local, plan, where.state.pose):
+            return "something is in the way"
+        return ""
+
+    def _follow(self, task: Task, result: ControlResult, now_s: float) -> VelocityCommand:
+        """What comes of a controller's answer."""
+        if result.reason is ControlReason.ARRIVED:
+            task.goals.reached()
+            task.goal_change = task.plan.goal_change if task.plan is not None else ""
+            self._become(NavigationState.PLANNING, "a goal is reached")
+            return STOP
+        if result.reason in (ControlReason.MISSED, ControlReason.OFF_PATH, ControlReason.NO_PATH):
+            task.tries += 1
+            if task.tries > self.settings.navigator.tries:
+                return self._fail(NavigationReason.BLOCKED, str(result.reason))
+            self._become(NavigationState.PLANNING, str(result.reason))
+            return STOP
+        is_held = result.reason is not None or self._checked.state is MonitorState.STOPPED
+        if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
+            why = result.reason or self._checked.reason
+            return self._get_out(task, str(why))
+        return result.command
+
+    def _recover(self, task: Task, now_s: float) -> VelocityCommand:
+        """Do what was begun, then plan anew."""
+        where = self._senses.where
+        if task.is_lost and where.state is not None and where.grown_sigma_m <= self.settings.navigator.unsure_m:
+            self._become(NavigationState.PLANNING, "it knows where it is")
+            return STOP
+        assert task.behaviour is not None
+        command = task.behaviour.command(now_s, where.odom_pose)
+        if command is not None:
+            return command
+        if task.is_lost and where.state is None:
+            return self._look_about(task, "it is still not known where it is")
+        self._senses.clear()
+        self._become(NavigationState.PLANNING, f"after it has done so: {task.behaviour.name}")
+        return STOP
+
+    def _get_out(self, task: Task, why: str) -> VelocityCommand:
+        if task.tries >= self.settings.navigator.tries:
+            return self._fail(NavigationReason.BLOCKED, why)
+        task.recover(when_blocked(task.tries, self.settings.behaviours), is_lost=False)
+        self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
+        return STOP
+
+    def _look_about(self, task: Task, why: str) -> VelocityCommand:
+        task.recover(when_lost(task.searches, self.settings.behaviours), is_lost=True)
+        self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
+        return STOP
+
+    def _arrive(self, task: Task) -> VelocityCommand:
+        self._become(NavigationState.ARRIVED, task.goals.name)
+        self._result = task.result(True, None, task.goals.name, self._robot.now_s)
+        return STOP
+
+    def _fail(self, reason: NavigationReason, detail: str) -> VelocityCommand:
+        """Stand, and say why; the task is over."""
+        task = self._task
+        if task is not None and not self.is_task_complete():
+            self._become(NavigationState.FAILED, f"{reason}: {detail}")
+            self._result = task.result(False, reason, detail, self._robot.now_s)
+        return STOP
+
+    def _become(self, state: NavigationState, why: str) -> None:
+        transition = Transition(self._robot.now_s, self.state, state, why)
+        self.state = state
+        if self._task is not None:
+            self._task.transitions.append(transition)
+        self._on_transition(transition)
+
+    def _status_to_drive(self) -> Status:
+        """For the monitor: whoever does not know where in the map it is, but how it moves, may turn and look about."""
+        where = self._senses.where
+        is_searching = where.status is Status.INITIALIZING and where.is_rolling
+        return Status.COASTING if is_searching else where.status
+
+    def _stands(self) -> bool:
+        speed, follow = self._senses.where.speed, self.settings.follow
+        stands = abs(speed.forward_m_s) <= follow.standing_m_s and abs(speed.turn_rad_s) <= follow.standing_rad_s
+        return stands or not math.isfinite(speed.stamp_s)
+
+
+def _controller(footprint: Footprint, settings: NavigationSettings) -> Controller:
+    if settings.controller == "mppi":
+        return MppiController(footprint, settings.limits, settings.mppi, settings.follow)
+    return PurePursuitController(footprint, settings.limits, settings.pure_pursuit, settings.follow)

@@ -1,0 +1,95 @@
+"""NavigatorSettings and NavigationSettings: when a robot plans anew, gets itself out, or gives up."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from wheelsight.navigation.control_settings import FollowSettings, MppiSettings, PurePursuitSettings
+from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSettings
+from wheelsight.navigation.monitor_settings import MonitorSettings, ViewSettings, WheelCheckSettings
+from wheelsight.navigation.planner_settings import PlannerSettings
+from wheelsight.robot_limits import RobotLimits
+from wheelsight.settings import CHOSEN, Settings, setting
+
+
+class FootprintSettings(Settings):
+    """The robot's outline: a rectangle about the middle of its axle."""
+
+    front_m: float = setting(0.8, "from the axle to the foremost point", "Trinh, section II: 1.10 m", gt=0, le=5)
+    back_m: float = setting(0.3, "from the axle to the rearmost point", "Trinh, section II", gt=0, le=5)
+    width_m: float = setting(0.6, "of the whole robot", "Trinh, section II", gt=0, le=5)
+
+
+class BehaviourSettings(Settings):
+    """What a robot does that cannot go on."""
+
+    wait_s: float = setting(3.0, "time to wait for somebody to step aside", CHOSEN, ge=0, le=60)
+    look_rad: float = setting(
+        1.0, "turn to either side, to see what is there; the view of a Kinect is 1 rad wide", CHOSEN, gt=0, le=3.2
+    )
+    search_rad: float = setting(
+        6.4, "turn in which a lost robot looks for a place it knows: once around", CHOSEN, gt=0, le=20
+    )
+    turn_rad_s: float = setting(0.4, "speed of such turns; images blur beyond", CHOSEN, gt=0, le=2)
+    back_m: float = setting(0.3, "way back, where no camera looks", CHOSEN, gt=0, le=1)
+    back_m_s: float = setting(0.1, "speed of that", CHOSEN, gt=0, le=0.5)
+    refused_s: float = setting(
+        2.0, "time for which the collision monitor may hold a behaviour, before it is over", CHOSEN, gt=0, le=60
+    )
+
+
+class NavigatorSettings(Settings):
+    """When a plan is made anew, and when a task is given up."""
+
+    local_m: float = setting(
+        8.0, "side of the square about the robot that the controller goes by: twice its look ahead", CHOSEN, ge=3, le=40
+    )
+    check_s: float = setting(0.5, "time between two looks whether the way ahead is still free", CHOSEN, gt=0, le=10)
+    check_m: float = setting(
+        3.0, "of the way ahead that is looked at: what the camera sees surely", CHOSEN, gt=0, le=20
+    )
+    anew_s: float = setting(1.0, "least time between two plans, while it drives", CHOSEN, gt=0, le=60)
+    jump_m: float = setting(
+        0.1, "by which the map may move below the robot before it plans anew: a margin", CHOSEN, gt=0, le=5
+    )
+    held_s: float = setting(
+        4.0,
+        "time for which the collision monitor or the controller may hold it before it gets itself out",
+        CHOSEN,
+        gt=0,
+        le=60,
+    )
+    tries: int = setting(6, "times to get itself out, without a way made, before it gives up", CHOSEN, ge=0, le=100)
+    progress_m: float = setting(1.0, "way made after which its tries begin anew", CHOSEN, gt=0, le=20)
+    lost_s: float = setting(
+        60.0, "time without knowing where in the map it is, before it gives up", CHOSEN, gt=0, le=3600
+    )
+    unsure_m: float = setting(
+        0.3,
+        "standard deviation that a position may gain while wheels alone lead; then it stands and looks about",
+        "half a robot's width",
+        gt=0,
+        le=5,
+    )
+    through_m: float = setting(
+        1.5, "distance between the poses by which a recorded way is followed", CHOSEN, gt=0.2, le=20
+    )
+
+
+class NavigationSettings(Settings):
+    """How a robot drives by itself; see docs/navigation.md."""
+
+    footprint: FootprintSettings = FootprintSettings()
+    limits: RobotLimits = RobotLimits()
+    navigator: NavigatorSettings = NavigatorSettings()
+    behaviours: BehaviourSettings = BehaviourSettings()
+    costmap: CostmapSettings = CostmapSettings()
+    live: LiveLayerSettings = LiveLayerSettings()
+    planner: PlannerSettings = PlannerSettings()
+    controller: Literal["mppi", "pure_pursuit"] = setting("mppi", "which controller follows plans", CHOSEN)
+    follow: FollowSettings = FollowSettings()
+    mppi: MppiSettings = MppiSettings()
+    pure_pursuit: PurePursuitSettings = PurePursuitSettings()
+    monitor: MonitorSettings = MonitorSettings()
+    view: ViewSettings = ViewSettings()
+    wheel_check: WheelCheckSettings = WheelCheckSettings()

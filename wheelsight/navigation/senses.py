@@ -1,0 +1,122 @@
+"""Senses: hands what a robot's sensors say to all that go by it, and keeps the surroundings that come of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from wheelsight.calibration import Calibration
+from wheelsight.errors import ArgumentError
+from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks
+from wheelsight.navigation.collision_monitor import CollisionMonitor
+from wheelsight.navigation.costmap import Costmap
+from wheelsight.navigation.depth_viewer import DepthViewer
+from wheelsight.navigation.floors import Floor
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.live_layer import LiveLayer
+from wheelsight.navigation.localization import Localization, WhereNow, planar_pose
+from wheelsight.navigation.navigator_settings import NavigationSettings
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """Of what a costmap was made."""
+
+    frame_s: float | None
+    revision: int
+    cell: tuple[int, int]
+    T_map_odom: tuple[float, float, float]
+
+
+class Senses:
+    """See the module. The collision monitor hears and sees before anybody else has a say.
+
+    Args:
+        calibration: of the robot; with wheels and a depth camera that is mounted.
+        localization: says where it is.
+        floor: what is known of the building.
+        monitor: is told all.
+        footprint, settings: of the robot.
+
+    Attributes:
+        where: where the robot is.
+
+    Raises:
+        ArgumentError, MapError, CalibrationError: no wheels, no camera, or nobody knows where that sits.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        localization: Localization,
+        floor: Floor,
+        monitor: CollisionMonitor,
+        footprint: Footprint,
+        settings: NavigationSettings,
+    ) -> None:
+        if calibration.wheels is None:
+            raise ArgumentError("the calibration has no wheels", fix="calibrate them: docs/wheel-calibration.md")
+        self._localization, self._floor, self._monitor = localization, floor, monitor
+        self._footprint, self._settings = footprint, settings
+        self._viewer = DepthViewer(calibration, footprint, settings.view, settings.live)
+        self._live = LiveLayer(calibration, footprint, settings.live)
+        self.where = WhereNow(calibration.wheels)
+        self._local: tuple[_Made, Costmap] | None = None
+
+    @property
+    def near_m(self) -> float:
+        """From the axle, the nearest floor that the camera sees."""
+        return self._viewer.near_m
+
+    @property
+    def floor(self) -> Floor:
+        """As it was given."""
+        return self._floor
+
+    def hear(self, events: Sequence[Event]) -> None:
+        """All that came in a period. Raises what the localization raises."""
+        for event in events:
+            if isinstance(event, WheelTicks | WheelSpeeds):
+                speed = self.where.roll(event)
+                if speed is not None:
+                    self._monitor.hear(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s)
+            elif isinstance(event, RgbdFrame):
+                self._monitor.see(self._viewer.view(event.depth_m, event.stamp_s))
+        for event, estimate in self._localization.hear(events):
+            if estimate is None:
+                continue
+            self.where.answer(estimate)
+            if isinstance(event, RgbdFrame) and estimate.T_odom_body is not None:
+                self._live.update(event.depth_m, planar_pose(estimate.T_odom_body), event.stamp_s)
+        state = self.where.state
+        self._floor.update(None if state is None else state.pose)
+
+    def clear(self) -> None:
+        """Forget what stands about the robot; what is there is seen again."""
+        self._live.clear()
+
+    def costmap(self) -> Costmap:
+        """Of all the building, as it is known by now."""
+        live = self._live.obstacles()
+        return Costmap.of(self._floor.layer, self._footprint, self._settings.costmap, live, self.where.T_map_odom)
+
+    def local(self) -> Costmap | None:
+        """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed."""
+        state = self.where.state
+        if state is None:
+            return None
+        layer, side_m = self._floor.layer, self._settings.navigator.local_m
+        live, T_map_odom = self._live.obstacles(), self.where.T_map_odom
+        # A quarter of the window is soon enough: the controller looks ahead by half of it.
+        x, y = (int(round(float(at) / (side_m / 4))) for at in state.pose[:2])
+        made = _Made(live.stamp_s, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
+        if self._local is None or self._local[0] != made:
+            window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
+            costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
+            self._local = (
+                made,
+                costmap.standing_at(
+                    self._footprint.padded(self._settings.follow.margin_m + 2 * layer.resolution_m), state.pose
+                ),
+            )
+        return self._local[1]

@@ -1,0 +1,107 @@
+"""Task: what a navigator remembers of the task it has: goals, plan, tries, and since when something is so."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from wheelsight.geometry import FloatArray
+from wheelsight.navigation.behaviours import Behaviour
+from wheelsight.navigation.goals import Goals
+from wheelsight.navigation.localization import WhereNow
+from wheelsight.navigation.navigator_values import NavigationReason, NavigationResult, Transition
+from wheelsight.navigation.plan_values import Plan
+
+
+class Task:
+    """See the module.
+
+    Args:
+        goals: of it.
+        now_s: when it begins.
+
+    Attributes:
+        plan: that is driven.
+        planned_s, checked_s: when it was made, and when it was last held against the surroundings.
+        T_map_odom: (3,) of when it was made.
+        goal_change: of the last goal that was reached.
+        behaviour: that is done while it recovers.
+        is_lost: whether that is to find out where it is.
+        tries: to get itself out, since it last made way.
+        searches: to find out where it is, since it last knew.
+        known_s: when it last knew where it is.
+        transitions: all of them.
+    """
+
+    def __init__(self, goals: Goals, now_s: float) -> None:
+        self.goals = goals
+        self.plan: Plan | None = None
+        self.planned_s = self.checked_s = -math.inf
+        self.T_map_odom: FloatArray = np.zeros(3)
+        self.goal_change = ""
+        self.behaviour: Behaviour | None = None
+        self.is_lost = False
+        self.tries, self.searches = 0, 0
+        self.known_s = now_s
+        self.transitions: list[Transition] = []
+        self._begun_s = self._rolled_s = now_s
+        self._way_m = self._tried_m = 0.0
+        self._planned_m, self._plans, self._recoveries = 0.0, 0, 0
+        self._held_s: float | None = None
+        self._stopped_s: float | None = None
+
+    @property
+    def doing(self) -> str:
+        """In words."""
+        return self.goals.name if self.behaviour is None else self.behaviour.name
+
+    def roll(self, now_s: float, where: WhereNow, progress_m: float) -> None:
+        """Count the way made; after so much of it, tries begin anew."""
+        self._way_m += abs(where.speed.forward_m_s) * max(now_s - self._rolled_s, 0.0)
+        self._rolled_s = now_s
+        if self._way_m - self._tried_m > progress_m:
+            self._tried_m, self.tries = self._way_m, 0
+        if where.state is not None:
+            self.known_s, self.searches = now_s, 0
+
+    def take(self, plan: Plan, now_s: float, T_map_odom: FloatArray) -> None:
+        """Drive a plan from now on."""
+        self._plans += 1
+        self._planned_m = self._planned_m or plan.length_m
+        self.plan, self.planned_s, self.checked_s, self.T_map_odom = plan, now_s, now_s, T_map_odom
+        self.behaviour, self._held_s = None, None
+
+    def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
+        """Do something to get on."""
+        self.behaviour, self.is_lost, self._held_s = behaviour, is_lost, None
+        self._recoveries += 1
+        if is_lost:
+            self.searches += 1
+        else:
+            self.tries, self._tried_m = self.tries + 1, self._way_m
+
+    def held_for_s(self, now_s: float, is_held: bool) -> float:
+        """For how long it has been held; 0 where it is not."""
+        self._held_s = (self._held_s if self._held_s is not None else now_s) if is_held else None
+        return 0.0 if self._held_s is None else now_s - self._held_s
+
+    def stopped_for_s(self, now_s: float, is_stopped: bool) -> float:
+        """For how long the robot has stood by itself; 0 where it does not."""
+        self._stopped_s = (self._stopped_s if self._stopped_s is not None else now_s) if is_stopped else None
+        return 0.0 if self._stopped_s is None else now_s - self._stopped_s
+
+    def result(self, has_arrived: bool, reason: NavigationReason | None, detail: str, now_s: float) -> NavigationResult:
+        """What became of it."""
+        return NavigationResult(
+            has_arrived,
+            reason,
+            detail,
+            self.goal_change,
+            tuple(self.transitions),
+            now_s - self._begun_s,
+            self._way_m,
+            self._planned_m,
+            self._plans,
+            self._recoveries,
+        )
