@@ -198,7 +198,7 @@ def localizer_in(
 ) -> tuple[Localizer, Callable[[], None]]:
     """A localizer that begins somewhere in the map of the first day, and what closes the map."""
     config = load_config(overrides={"odometry": _ODOMETRY[mode], "known_map.path": str(known.folder)})
-    opened = open_known(day.source, config)
+    opened = open_known(day.source.calibration, config)
     assert opened is not None
     return Localizer(calibration, config, known=opened[0], waits=True), opened[1].close
 

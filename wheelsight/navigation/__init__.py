@@ -1,5 +1,6 @@
 """Navigation: costmap, planner, controller and collision monitor; from a map and a goal to velocity commands."""
 
+from wheelsight.navigation.behaviours import BackUp, Behaviour, Turn, Wait
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings, PurePursuitSettings
 from wheelsight.navigation.control_values import (
@@ -11,12 +12,30 @@ from wheelsight.navigation.control_values import (
 )
 from wheelsight.navigation.costmap import CellState, Costmap, StaticLayer
 from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSettings
+from wheelsight.navigation.depth_viewer import DepthViewer
 from wheelsight.navigation.fields import CostField
+from wheelsight.navigation.floors import Floor, GrowingFloor, KnownFloor
 from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.goals import Goals, Poses, Way
 from wheelsight.navigation.grid_search import cost_to_go
 from wheelsight.navigation.live_layer import LiveLayer, LiveObstacles
-from wheelsight.navigation.monitor_settings import MonitorSettings, WheelCheckSettings
+from wheelsight.navigation.localization import Localization, planar_pose
+from wheelsight.navigation.monitor_settings import MonitorSettings, ViewSettings, WheelCheckSettings
 from wheelsight.navigation.mppi import MppiController
+from wheelsight.navigation.navigator import Navigator
+from wheelsight.navigation.navigator_settings import (
+    BehaviourSettings,
+    FootprintSettings,
+    NavigationSettings,
+    NavigatorSettings,
+)
+from wheelsight.navigation.navigator_values import (
+    Feedback,
+    NavigationReason,
+    NavigationResult,
+    NavigationState,
+    Transition,
+)
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner import Planner
 from wheelsight.navigation.planner_settings import PlannerSettings
@@ -26,6 +45,9 @@ from wheelsight.navigation.velocity_ramp import VelocityRamp
 from wheelsight.robot_limits import RobotLimits
 
 __all__ = [
+    "BackUp",
+    "Behaviour",
+    "BehaviourSettings",
     "CellState",
     "CollisionMonitor",
     "ControlReason",
@@ -35,12 +57,20 @@ __all__ = [
     "Costmap",
     "CostmapSettings",
     "DepthView",
+    "DepthViewer",
     "DrivenPath",
+    "Feedback",
+    "Floor",
     "FollowSettings",
     "Footprint",
+    "FootprintSettings",
+    "Goals",
+    "GrowingFloor",
+    "KnownFloor",
     "LiveLayer",
     "LiveLayerSettings",
     "LiveObstacles",
+    "Localization",
     "MonitorReason",
     "MonitorResult",
     "MonitorSettings",
@@ -48,16 +78,29 @@ __all__ = [
     "MotionState",
     "MppiController",
     "MppiSettings",
+    "NavigationReason",
+    "NavigationResult",
+    "NavigationSettings",
+    "NavigationState",
+    "Navigator",
+    "NavigatorSettings",
     "Plan",
     "PlanFailure",
     "PlanReason",
     "Planner",
     "PlannerSettings",
+    "Poses",
     "PurePursuitController",
     "PurePursuitSettings",
     "RobotLimits",
     "StaticLayer",
+    "Transition",
+    "Turn",
     "VelocityRamp",
+    "ViewSettings",
+    "Wait",
+    "Way",
     "WheelCheckSettings",
     "cost_to_go",
+    "planar_pose",
 ]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
-from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.mapping import MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
 from wheelsight.navigation.costmap import StaticLayer
 from wheelsight.navigation.footprint import Footprint
@@ -111,13 +111,23 @@ class GrowingFloor:
         if self._marked is not None:
             # Both lie on whole cells of one grid.
             before, origin = self._marked
-            column, row = np.rint((np.array(origin) - static.origin) / static.resolution_m).astype(int)
-            is_stood[row : row + before.shape[0], column : column + before.shape[1]] = before
+            _paste(is_stood, before, np.rint((np.array(origin) - static.origin) / static.resolution_m).astype(int))
         for number in range(self._stamped, len(self._stood)):
             trusted_m = self._trusted_m if number == 0 else 0.0
             _stamp(is_stood, static, self._stood[number], self._footprint, trusted_m)
         self._stamped, self._marked = len(self._stood), (is_stood, static.origin)
         return static.with_floor(is_stood)
+
+
+def _paste(into: BoolArray, part: BoolArray, at: IntArray) -> None:
+    """Lay one grid into another, at column and row (2,), as far as it lies within."""
+    (column, row), (height, width) = at, part.shape
+    low = np.maximum([row, column], 0)
+    high = np.minimum([row + height, column + width], into.shape)
+    if (low < high).all():
+        into[low[0] : high[0], low[1] : high[1]] = part[
+            low[0] - row : high[0] - row, low[1] - column : high[1] - column
+        ]
 
 
 def _apart(pose: FloatArray, other: FloatArray) -> bool:

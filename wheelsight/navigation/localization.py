@@ -25,7 +25,7 @@ _TRACK_S = 3.0
 
 
 class Localization(Protocol):
-    """Says where the robot is. `localizer.LocalizerInStep` and `localizer.LocalizerBeside` are such."""
+    """Says where the robot is. `localizer.LocalizerInStep` and `LocalizerBeside` are such."""
 
     @property
     def keyframes(self) -> KeyframeStore | None:

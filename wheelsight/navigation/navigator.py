@@ -53,8 +53,8 @@ class Navigator:
         localization: says where it is.
         floor: what is known of the building.
         settings: or the defaults.
-        trusted_m: so far about the axle the floor is free at the begin, as somebody says who looked: most cameras do
-            not see the floor next to the robot. Without it a robot whose camera does not will not set off.
+        trusts_floor: whether the floor that the camera cannot see from where the robot is, next to it, is free at the
+            begin, as somebody says who looked. Without it a robot whose camera sees it only farther off stays.
         on_transition: called with each change of state.
 
     Attributes:
@@ -72,15 +72,15 @@ class Navigator:
         floor: Floor,
         settings: NavigationSettings | None = None,
         *,
-        trusted_m: float = 0.0,
+        trusts_floor: bool = False,
         on_transition: Callable[[Transition], None] = lambda transition: None,
     ) -> None:
         self.settings = s = settings or NavigationSettings()
         self._footprint = Footprint.rectangle(s.footprint.front_m, s.footprint.back_m, s.footprint.width_m)
         self._robot = robot
         self.monitor = CollisionMonitor(self._footprint, s.limits, s.monitor, s.wheel_check)
-        self.monitor.trust_floor(trusted_m)
         self._senses = Senses(robot.calibration, localization, floor, self.monitor, self._footprint, s)
+        self.monitor.trust_floor(self._senses.near_m if trusts_floor else 0.0)
         self._planner, self._ramp = RoutePlanner(self._footprint, s), VelocityRamp(s.limits)
         self._controller = _controller(self._footprint, s)
         self._on_transition = on_transition
@@ -148,7 +148,7 @@ class Navigator:
         try:
             self._senses.hear(events)
         except WheelsightError as error:
-            self._fail(NavigationReason.LOCALIZATION, error.problem)
+            self._fail(NavigationReason.LOCALIZATION, str(error))
         asked = self._decide(now_s)
         ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, self.settings.follow.period_s)
         self._checked = self.monitor.check(ramped, now_s, self._status_to_drive())
@@ -256,7 +256,8 @@ class Navigator:
     def _why_anew(self, task: Task, plan: Plan) -> str:
         """Why another plan is needed; empty where it is not."""
         where, local = self._senses.where, self._senses.local()
-        assert where.state is not None and local is not None
+        assert where.state is not None
+        assert local is not None
         moved = where.T_map_odom - task.T_map_odom
         if np.hypot(*moved[:2]) > self.settings.navigator.jump_m or abs(np.sin(moved[2] / 2)) > 0.03:
             return "the map has moved below it"

@@ -108,7 +108,7 @@ class Senses:
         layer, side_m = self._floor.layer, self._settings.navigator.local_m
         live, T_map_odom = self._live.obstacles(), self.where.T_map_odom
         # A quarter of the window is soon enough: the controller looks ahead by half of it.
-        x, y = (int(round(float(at) / (side_m / 4))) for at in state.pose[:2])
+        x, y = (round(float(at) / (side_m / 4)) for at in state.pose[:2])
         made = _Made(live.stamp_s, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
         if self._local is None or self._local[0] != made:
             window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)

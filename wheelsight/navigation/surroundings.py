@@ -134,7 +134,7 @@ class Surroundings:
             self._readings.popleft()
 
     def trust(self, radius_m: float) -> None:
-        """Count the floor so far about the axle as seen, where the robot is now or, before any reading, at the first."""
+        """Count the floor so far about the axle as seen, where the robot is now; before any reading, at the first."""
         self._trusted_m = 0.0 if self._readings else radius_m
         if self._readings and radius_m > 0:
             last = self._readings[-1]

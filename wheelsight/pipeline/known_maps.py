@@ -14,18 +14,17 @@ from wheelsight.keyframes import KeyframeId
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.sessions import MapFolder, find_map, lie_together
-from wheelsight.sources import EventSource
 
 
 def open_known(
-    source: EventSource, config: Config, on_keyframe: Callable[[int, int], None] = lambda done, total: None
+    calibration: Calibration, config: Config, on_keyframe: Callable[[int, int], None] = lambda done, total: None
 ) -> tuple[KnownMap, MapFolder] | None:
     """The map that settings name, and its folder; None where they name none.
 
     Keyframes that damage took, or of which nobody knows how they lie to the others, are not recognised.
 
     Args:
-        source: whose camera it has to be.
+        calibration: of the robot: its camera has to be the map's.
         config: of the run.
         on_keyframe: called with how many codes are made, and of how many, where their file is missing.
 
@@ -39,12 +38,12 @@ def open_known(
         return None
     folder = MapFolder.open(find_map(given.path), read_only=not given.extend, settings=config.sessions)
     try:
-        folder.check_camera(source.calibration, config.recording.depth_factor)
+        folder.check_camera(calibration, config.recording.depth_factor)
         together = lie_together(folder)
         if not together.any():
             raise MapError("has no keyframes", path=folder.path, fix="make a map by a run with --map surfels")
         recognizer = _of_these(folder.recognizer(config.recognition, on_keyframe), folder, together, config)
-        start = _start(source.calibration, config)
+        start = _start(calibration, config)
         edges = folder.edges if given.extend else ()
         return KnownMap(folder.store, recognizer, edges, *start), folder
     except BaseException:

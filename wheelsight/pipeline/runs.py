@@ -93,7 +93,7 @@ def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], No
     """
     _check_sensors(source, config)
     places, matches = places_of(source, config), matches_of_run(source, config)
-    known, folder = open_known(source, config, on_code) or (None, None)
+    known, folder = open_known(source.calibration, config, on_code) or (None, None)
     try:
         tracks = begin_all(source, config, None if places is None else places.places, known)
         _check_clocks(source, config)

@@ -1,0 +1,211 @@
+"""A robot that drives to goals in a map of the day before, by its own localization; judged by the simulator's truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.session_starts import Building, FirstDay
+from wheelsight.config import load_config
+from wheelsight.errors import ConfigError
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.localizer import Localizer, LocalizerInStep
+from wheelsight.mapping import OccupancyGrid
+from wheelsight.navigation import (
+    Costmap,
+    Feedback,
+    Footprint,
+    KnownFloor,
+    NavigationResult,
+    NavigationSettings,
+    Navigator,
+    StaticLayer,
+    planar_pose,
+)
+from wheelsight.navigation._drivable import Drivable
+from wheelsight.pipeline.known_maps import open_known
+from wheelsight.simulation import SimulationSettings
+from wheelsight.simulation.simulator import Simulator
+from wheelsight.slam.sessions import MapFolder, occupancy_of
+
+ARRIVED_M, ARRIVED_DEG = 0.15, 10.0
+_LONGEST_S = 240.0
+_HEADINGS = 8
+
+
+@dataclass(frozen=True)
+class Hardness:
+    """What the second day has that the first had not: people, things in the way."""
+
+    people: int = 0
+    rate_hz: float = 10.0
+    size: tuple[int, int] = (320, 240)
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What became of a goal.
+
+    Attributes:
+        building: where.
+        goal: (3,) in the map.
+        result: as the navigator tells it; None where it took too long.
+        off_m, off_deg: of the true pose from the goal, beside the map's nearest keyframe.
+        shortest_m: the plan by the map alone; NaN without one.
+        way_m: truly driven.
+        clearance_m: least true distance from outline to things.
+        contacts: what the robot touched by its own motion, in words.
+        time_s: simulated.
+    """
+
+    building: str
+    goal: FloatArray
+    result: NavigationResult | None
+    off_m: float
+    off_deg: float
+    shortest_m: float
+    way_m: float
+    clearance_m: float
+    contacts: tuple[str, ...]
+    time_s: float
+
+    @property
+    def has_arrived(self) -> bool:
+        """Truly, and by what it says."""
+        says = self.result is not None and self.result.has_arrived
+        return says and self.off_m <= ARRIVED_M and self.off_deg <= ARRIVED_DEG
+
+    @property
+    def spl(self) -> float:
+        """Success weighted by path length (Anderson et al. 2018)."""
+        if not self.has_arrived or not self.shortest_m > 0:
+            return 0.0
+        return self.shortest_m / max(self.shortest_m, self.way_m)
+
+    @property
+    def sentence(self) -> str:
+        """For the terminal."""
+        what = "took too long" if self.result is None else (self.result.detail or "arrived")
+        if self.has_arrived:
+            what = "arrived"
+        touched = f", touched {', '.join(self.contacts)}" if self.contacts else ""
+        return (
+            f"{self.building} ({self.goal[0]:.1f}, {self.goal[1]:.1f}): {what}, {self.off_m:.2f} m and"
+            f" {self.off_deg:.0f}° off, {self.way_m:.1f} m for {self.shortest_m:.1f}, {self.time_s:.0f} s,"
+            f" clearance {self.clearance_m:.2f} m{touched}"
+        )
+
+
+class KnownBuilding:
+    """The map of the first day, as a navigator takes it."""
+
+    def __init__(self, building: Building, day: FirstDay, settings: NavigationSettings) -> None:
+        self.building, self.day, self.settings = building, day, settings
+        with_folder = MapFolder.open(day.folder)
+        self.grid: OccupancyGrid = occupancy_of(with_folder)
+        with_folder.close()
+        s = settings.footprint
+        self.footprint = Footprint.rectangle(s.front_m, s.back_m, s.width_m)
+        self.costmap = Costmap.of(StaticLayer.of(self.grid), self.footprint, settings.costmap)
+        self._drivable = Drivable.of(self.costmap, self.footprint, settings.planner, settings.limits)
+
+    def world_pose(self, pose: FloatArray) -> FloatArray:
+        """(3,) where a pose of the map truly is, beside its nearest keyframe."""
+        T_map = se3.from_plane(*pose)
+        nearest = int(se3.view_shift_m(se3.invert(self.day.T_map_base) @ T_map).argmin())
+        return planar_pose(self.day.T_world_base[nearest] @ se3.invert(self.day.T_map_base[nearest]) @ T_map)
+
+    def map_pose(self, T_world_base: FloatArray) -> FloatArray:
+        """(3,) in the map of a true pose (4, 4), beside its nearest keyframe."""
+        nearest = int(se3.view_shift_m(se3.invert(self.day.T_world_base) @ T_world_base).argmin())
+        return planar_pose(self.day.T_map_base[nearest] @ se3.invert(self.day.T_world_base[nearest]) @ T_world_base)
+
+    def poses(self, rng: np.random.Generator, count: int) -> list[FloatArray]:
+        """Poses at which the outline fits with the wanted margin, that can be reached from each other's floor."""
+        near = self.costmap.distance_m > self.footprint.inscribed_m + self.settings.planner.wanted_margin_m
+        cells = np.argwhere(near & ~self.costmap.is_lethal)
+        found: list[FloatArray] = []
+        while len(found) < count:
+            xy = self.costmap.middle_of(cells[rng.integers(len(cells))])
+            yaws = rng.permutation(_HEADINGS) * 2 * np.pi / _HEADINGS - np.pi
+            tries = np.column_stack([np.tile(xy, (_HEADINGS, 1)), yaws])
+            free = np.flatnonzero(self._drivable.tightness(tries) == 0)
+            if len(free):
+                found.append(tries[free[0]])
+        return found
+
+
+def drives_in(
+    known: KnownBuilding, starts: int, goals: int, seed: int, hard: Hardness, on_drive: Callable[[Drive], None]
+) -> list[Drive]:
+    """So many starts, with so many goals one after another from each."""
+    rng = np.random.default_rng(seed)
+    done = []
+    for number in range(starts):
+        with _begun(known, rng, seed + number, hard) as simulator:
+            config = load_config(overrides={"odometry": "wheels,dense", "known_map.path": str(known.day.folder)})
+            opened = open_known(simulator.calibration, config)
+            assert opened is not None
+            localizer = Localizer(simulator.calibration, config, known=opened[0], waits=True)
+            navigator = _navigator(simulator, localizer, known)
+            for goal in known.poses(rng, goals):
+                done.append(_driven(known, simulator, navigator, goal))
+                on_drive(done[-1])
+            localizer.close()
+            opened[1].close()
+    return done
+
+
+def _begun(known: KnownBuilding, rng: np.random.Generator, seed: int, hard: Hardness) -> Simulator:
+    """A robot somewhere on free floor, on the second day."""
+    where = {"world": known.building.world} if known.building.plan is None else {"plan": known.building.plan}
+    settings = SimulationSettings(
+        **where, size=hard.size, rate_hz=hard.rate_hz, seed=5, day=1 + seed, realism="real", passersby=hard.people
+    )
+    while True:
+        x, y, yaw = known.world_pose(known.poses(rng, 1)[0])
+        try:
+            return Simulator(settings, start=(float(x), float(y), float(yaw)))
+        except ConfigError:
+            continue  # something stands there on this day
+
+
+def _navigator(simulator: Simulator, localizer: Localizer, known: KnownBuilding) -> Navigator:
+    floor = KnownFloor(known.grid)
+    return Navigator(simulator, LocalizerInStep(localizer), floor, known.settings, trusts_floor=True)
+
+
+def _driven(known: KnownBuilding, simulator: Simulator, navigator: Navigator, goal: FloatArray) -> Drive:
+    begin_s, way_m, clearance_m = simulator.time_s, 0.0, math.inf
+    touched, last, plan_m = len(simulator.contacts), simulator.T_world_base[:2, 3].copy(), math.nan
+    navigator.go_to_pose(goal)
+    feedback: Feedback | None = None
+    while not navigator.is_task_complete() and simulator.time_s - begin_s < _LONGEST_S:
+        feedback = navigator.step()
+        here = simulator.T_world_base[:2, 3].copy()
+        way_m, last = way_m + float(np.hypot(*(here - last))), here
+        clearance_m = min(clearance_m, simulator.clearance_m())
+        if math.isnan(plan_m) and feedback.plan is not None:
+            plan_m = feedback.plan.length_m
+    result = navigator.result
+    if not navigator.is_task_complete():
+        navigator.cancel_task()
+    for _ in range(20):
+        navigator.step()
+    off = known.map_pose(simulator.T_world_base) - goal
+    contacts = tuple(one.name for one in simulator.contacts[touched:] if one.is_by_robot)
+    return Drive(
+        known.building.name,
+        goal,
+        result,
+        float(np.hypot(*off[:2])),
+        float(np.degrees(abs(np.angle(np.exp(1j * off[2]))))),
+        plan_m,
+        way_m,
+        clearance_m,
+        contacts,
+        simulator.time_s - begin_s,
+    )
