@@ -16,12 +16,13 @@ from wheelsight.localizer import Localizer, LocalizerInStep
 from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import (
     Costmap,
-    Feedback,
     Footprint,
     KnownFloor,
     NavigationResult,
     NavigationSettings,
     Navigator,
+    Plan,
+    Planner,
     StaticLayer,
     planar_pose,
 )
@@ -34,6 +35,7 @@ from wheelsight.slam.sessions import MapFolder, occupancy_of
 ARRIVED_M, ARRIVED_DEG = 0.15, 10.0
 _LONGEST_S = 240.0
 _HEADINGS = 8
+_LEAST_WAY_M, _ROUND_M = 1.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,7 @@ class KnownBuilding:
         s = settings.footprint
         self.footprint = Footprint.rectangle(s.front_m, s.back_m, s.width_m)
         self.costmap = Costmap.of(StaticLayer.of(self.grid), self.footprint, settings.costmap)
+        self._planner = Planner(self.footprint, settings.planner, settings.limits)
         self._drivable = Drivable.of(self.costmap, self.footprint, settings.planner, settings.limits)
 
     def world_pose(self, pose: FloatArray) -> FloatArray:
@@ -123,19 +126,25 @@ class KnownBuilding:
         nearest = int(se3.view_shift_m(se3.invert(self.day.T_world_base) @ T_world_base).argmin())
         return planar_pose(self.day.T_map_base[nearest] @ se3.invert(self.day.T_world_base[nearest]) @ T_world_base)
 
-    def poses(self, rng: np.random.Generator, count: int) -> list[FloatArray]:
-        """Poses at which the outline fits with the wanted margin, that can be reached from each other's floor."""
-        near = self.costmap.distance_m > self.footprint.inscribed_m + self.settings.planner.wanted_margin_m
-        cells = np.argwhere(near & ~self.costmap.is_lethal)
-        found: list[FloatArray] = []
-        while len(found) < count:
+    def pose(self, rng: np.random.Generator, around_m: float = 0.0) -> FloatArray:
+        """A pose at which the outline fits with the wanted margin, and with so much room about the axle."""
+        least_m = max(self.footprint.inscribed_m + self.settings.planner.wanted_margin_m, around_m)
+        cells = np.argwhere((self.costmap.distance_m > least_m) & ~self.costmap.is_lethal)
+        while True:
             xy = self.costmap.middle_of(cells[rng.integers(len(cells))])
             yaws = rng.permutation(_HEADINGS) * 2 * np.pi / _HEADINGS - np.pi
             tries = np.column_stack([np.tile(xy, (_HEADINGS, 1)), yaws])
             free = np.flatnonzero(self._drivable.tightness(tries) == 0)
             if len(free):
-                found.append(tries[free[0]])
-        return found
+                return np.asarray(tries[free[0]])
+
+    def goal_from(self, start: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, Plan]:
+        """A goal that the map says can be reached from a pose, and the plan by the map alone."""
+        while True:
+            goal = self.pose(rng)
+            plan = self._planner.plan(self.costmap, start, goal)
+            if isinstance(plan, Plan) and not plan.goal_change and plan.length_m > _LEAST_WAY_M:
+                return goal, plan
 
 
 def drives_in(
@@ -151,8 +160,9 @@ def drives_in(
             assert opened is not None
             localizer = Localizer(simulator.calibration, config, known=opened[0], waits=True)
             navigator = _navigator(simulator, localizer, known)
-            for goal in known.poses(rng, goals):
-                done.append(_driven(known, simulator, navigator, goal))
+            for _ in range(goals):
+                goal, plan = known.goal_from(known.map_pose(simulator.T_world_base), rng)
+                done.append(_driven(known, simulator, navigator, goal, plan.length_m))
                 on_drive(done[-1])
             localizer.close()
             opened[1].close()
@@ -166,11 +176,15 @@ def _begun(known: KnownBuilding, rng: np.random.Generator, seed: int, hard: Hard
         **where, size=hard.size, rate_hz=hard.rate_hz, seed=5, day=1 + seed, realism="real", passersby=hard.people
     )
     while True:
-        x, y, yaw = known.world_pose(known.poses(rng, 1)[0])
+        x, y, yaw = known.world_pose(known.pose(rng, known.footprint.circumscribed_m + _ROUND_M)).tolist()
         try:
-            return Simulator(settings, start=(float(x), float(y), float(yaw)))
+            simulator = Simulator(settings, start=(x, y, yaw))
         except ConfigError:
             continue  # something stands there on this day
+        # Whoever starts it looks round first: it may turn on the spot.
+        turned = [se3.from_plane(x, y, yaw + turn) for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
+        if min(simulator.clearance_m(T) for T in turned) > _ROUND_M:
+            return simulator
 
 
 def _navigator(simulator: Simulator, localizer: Localizer, known: KnownBuilding) -> Navigator:
@@ -178,18 +192,15 @@ def _navigator(simulator: Simulator, localizer: Localizer, known: KnownBuilding)
     return Navigator(simulator, LocalizerInStep(localizer), floor, known.settings, trusts_floor=True)
 
 
-def _driven(known: KnownBuilding, simulator: Simulator, navigator: Navigator, goal: FloatArray) -> Drive:
+def _driven(known: KnownBuilding, simulator: Simulator, navigator: Navigator, goal: FloatArray, plan_m: float) -> Drive:
     begin_s, way_m, clearance_m = simulator.time_s, 0.0, math.inf
-    touched, last, plan_m = len(simulator.contacts), simulator.T_world_base[:2, 3].copy(), math.nan
+    touched, last = len(simulator.contacts), simulator.T_world_base[:2, 3].copy()
     navigator.go_to_pose(goal)
-    feedback: Feedback | None = None
     while not navigator.is_task_complete() and simulator.time_s - begin_s < _LONGEST_S:
-        feedback = navigator.step()
+        navigator.step()
         here = simulator.T_world_base[:2, 3].copy()
         way_m, last = way_m + float(np.hypot(*(here - last))), here
         clearance_m = min(clearance_m, simulator.clearance_m())
-        if math.isnan(plan_m) and feedback.plan is not None:
-            plan_m = feedback.plan.length_m
     result = navigator.result
     if not navigator.is_task_complete():
         navigator.cancel_task()

@@ -13,6 +13,7 @@ from wheelsight.navigation.control_values import (
 from wheelsight.navigation.costmap import CellState, Costmap, StaticLayer
 from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSettings
 from wheelsight.navigation.depth_viewer import DepthViewer
+from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.fields import CostField
 from wheelsight.navigation.floors import Floor, GrowingFloor, KnownFloor
 from wheelsight.navigation.footprint import Footprint
@@ -25,6 +26,7 @@ from wheelsight.navigation.mppi import MppiController
 from wheelsight.navigation.navigator import Navigator
 from wheelsight.navigation.navigator_settings import (
     BehaviourSettings,
+    ExplorationSettings,
     FootprintSettings,
     NavigationSettings,
     NavigatorSettings,
@@ -59,6 +61,8 @@ __all__ = [
     "DepthView",
     "DepthViewer",
     "DrivenPath",
+    "Exploration",
+    "ExplorationSettings",
     "Feedback",
     "Floor",
     "FollowSettings",

@@ -21,9 +21,10 @@ from wheelsight.robot_limits import RobotLimits
 _TURN_STEP_RAD = 0.05
 # How far along a segment its nearest point is looked for at first: a plan begins where the robot is.
 _FIRST_LOOK_M = 1.5
+# The axle's middle moves by so much a radian while the base turns in place, since one wheel is quicker than the other.
+_SWAY_M = 0.15
 # Metres, or radians, that are a way made.
 _LEAST_WAY = 0.02
-_NO_SEGMENT = Segment(0, np.empty((0, 5)), np.zeros(3))
 _NO_SEGMENT = Segment(0, np.empty((0, 5)), np.zeros(3))
 
 
@@ -187,7 +188,7 @@ class PathFollower:
         turns = abs(state.turn_rad_s) > s.standing_rad_s
         if abs(off) <= s.at_yaw_rad:
             return self._stand(None) if turns else None
-        if abs(state.forward_m_s) > s.standing_m_s:
+        if abs(state.forward_m_s) > s.standing_m_s + _SWAY_M * abs(state.turn_rad_s):
             return self._stand(None)
         for way in (off, off - np.copysign(2 * np.pi, off)):
             if self._turns_freely(situation, way):

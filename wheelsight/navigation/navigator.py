@@ -19,6 +19,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.navigation.behaviours import when_blocked, when_lost
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult
+from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.goals import Goals, Poses, Way
@@ -106,6 +107,10 @@ class Navigator:
     def follow_way(self, way: ArrayLike, name: str = "a recorded way") -> None:
         """Begin to drive along a way (N, 3) that was driven before. Raises ArgumentError."""
         self.begin(Way(way, self.settings.navigator.through_m, name))
+
+    def explore(self) -> None:
+        """Begin to look at all floor that can be reached, of a map that grows."""
+        self.begin(Exploration(self._footprint, self.settings, self._senses.near_m))
 
     def begin(self, goals: Goals) -> None:
         """Begin a task; one that goes on is called off."""

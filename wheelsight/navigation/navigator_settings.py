@@ -76,6 +76,21 @@ class NavigatorSettings(Settings):
     )
 
 
+class ExplorationSettings(Settings):
+    """Where a robot looks that is to see all floor it can reach."""
+
+    least_m: float = setting(
+        0.6, "width of a border to unknown floor that is worth a look: a robot fits through no less", CHOSEN, gt=0, le=5
+    )
+    far_m: float = setting(
+        3.5, "from where a border is looked at, at most: farther a Kinect's floor is rough", CHOSEN, gt=0.5, le=10
+    )
+    gain: float = setting(1.0, "metres of way that a metre of border is worth", CHOSEN, ge=0, le=100)
+    tries: int = setting(2, "looks at a border that stays, before it is left", CHOSEN, ge=1, le=20)
+    same_m: float = setting(0.7, "borders whose middles are nearer count as one for that", CHOSEN, gt=0, le=5)
+    turns: int = setting(3, "looks around at the begin, in a whole turn on the spot", CHOSEN, ge=0, le=12)
+
+
 class NavigationSettings(Settings):
     """How a robot drives by itself; see docs/navigation.md."""
 
@@ -83,6 +98,7 @@ class NavigationSettings(Settings):
     limits: RobotLimits = RobotLimits()
     navigator: NavigatorSettings = NavigatorSettings()
     behaviours: BehaviourSettings = BehaviourSettings()
+    exploration: ExplorationSettings = ExplorationSettings()
     costmap: CostmapSettings = CostmapSettings()
     live: LiveLayerSettings = LiveLayerSettings()
     planner: PlannerSettings = PlannerSettings()

@@ -132,9 +132,9 @@ class Simulator:
         """(N, 2) where people truly stand, metres, for judging."""
         return self._live.people_at(self.time_s)
 
-    def clearance_m(self) -> float:
-        """True distance from the robot's outline to the nearest thing; doors are things, people are not."""
-        return self._live.clearance_m(self.T_world_base, self.time_s)
+    def clearance_m(self, T_world_base: FloatArray | None = None) -> float:
+        """True distance from the robot's outline, here or at (4, 4), to the nearest thing, or door; not people."""
+        return self._live.clearance_m(self.T_world_base if T_world_base is None else T_world_base, self.time_s)
 
     def people_clearance_m(self) -> float:
         """True distance from the robot's outline to the nearest person's."""

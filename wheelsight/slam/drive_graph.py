@@ -105,6 +105,14 @@ class DriveGraph:
         self._graph.add_edges([edge])
         self._told = np.concatenate([self._told, self._told[-1:] @ edge.T_first_second])
 
+    def near(self, limit_m: float) -> tuple[KeyframeId, ...]:
+        """Keyframes next to the last one, of its piece, the nearest first; turns by a radian count as 1.5 m."""
+        poses, pieces = self._graph.poses, self._graph.pieces
+        apart_m = se3.view_shift_m(se3.invert(poses[:-1]) @ poses[-1])
+        apart_m[pieces[:-1] != pieces[-1]] = np.inf
+        order = np.argsort(apart_m)
+        return tuple(KeyframeId(int(number)) for number in order[: np.count_nonzero(apart_m < limit_m)])
+
     def _take(self, known: KnownMap) -> None:
         """Keyframes of an earlier drive, as nodes that are held where they are."""
         for prior in known.priors(ANCHOR_SIGMA, self._settings.known_sigma_m, self._settings.known_sigma_rad):

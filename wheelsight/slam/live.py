@@ -159,8 +159,11 @@ class LiveLoops:
     def _judge(self, keyframe: LivedKeyframe, has_time: bool) -> PoseUpdate | None:
         """The thread: one keyframe; where all are by now, if its loops have moved any."""
         started = time.perf_counter()
-        loops = self._watcher.look(keyframe.number) if has_time else self._watcher.pass_by(keyframe.number)
         self._graph.add(keyframe)
+        if has_time:
+            loops = self._watcher.look(keyframe.number, self._graph.near(self._settings.seen.near_m))
+        else:
+            loops = self._watcher.pass_by(keyframe.number)
         update = self._graph.close(loops)
         self._judged_s.append(time.perf_counter() - started)
         return update

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import MapError
@@ -11,7 +11,7 @@ from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.places.recognition import Recognizer
 from wheelsight.places.verification import PlaceVerifier, VerifiedPlace
-from wheelsight.places.views import ViewMaker
+from wheelsight.places.views import SeenView, ViewMaker
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.settings import SeenSettings
@@ -56,34 +56,47 @@ class PlaceWatcher:
         told = {str(reason): count for reason, count in self._verifier.refusals.items()}
         return told | ({_UNREAD: self._unread} if self._unread else {})
 
-    def look(self, number: KeyframeId) -> tuple[RelativePose, ...]:
+    def look(self, number: KeyframeId, near: Sequence[KeyframeId] = ()) -> tuple[RelativePose, ...]:
         """Where earlier keyframes show the place of one, which is known from now on.
 
-        Keyframes come in order of time.
+        Keyframes come in order of time. Those that lie `near`, the nearest first, are verified as if recognised.
         """
         keyframe = self._store[number]
         recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._settings.apart_s) :]
-        found = self.recognised(number, recent)
+        found = self.recognised(number, recent, near)
         self._learn(number, keyframe)
         return found
 
-    def recognised(self, number: KeyframeId, but: Collection[KeyframeId] = ()) -> tuple[RelativePose, ...]:
+    def recognised(
+        self, number: KeyframeId, but: Collection[KeyframeId] = (), near: Sequence[KeyframeId] = ()
+    ) -> tuple[RelativePose, ...]:
         """Where keyframes that the recognizer knows, `but` some, show the place of one, which is not known by that."""
         view = self._views.of_keyframe(self._store[number])
         found: list[RelativePose] = []
-        for candidate in self.recognizer.candidates(view, self._settings.candidates, but):
+        for candidate in self._candidates(view, but, near):
             try:
-                known = self._store.recalled(candidate.keyframe, number)
+                known = self._store.recalled(candidate, number)
             except MapError:  # the disk is gone, or damaged there: the drive goes on without
                 self._unread += 1
                 continue
-            answer = self._verifier.verify(view, candidate.keyframe, known)
+            answer = self._verifier.verify(view, candidate, known)
             if isinstance(answer, VerifiedPlace):
                 motion = answer.T_keyframe_camera, answer.covariance
-                found.append(RelativePose(candidate.keyframe, number, *motion, is_loop=True))
+                found.append(RelativePose(candidate, number, *motion, is_loop=True))
                 if len(found) == self._settings.most_places:
                     break
         return tuple(found)
+
+    def _candidates(
+        self, view: SeenView, but: Collection[KeyframeId], near: Sequence[KeyframeId]
+    ) -> tuple[KeyframeId, ...]:
+        """Those that look like a view, and some that lie near, each once."""
+        s = self._settings
+        alike = [one.keyframe for one in self.recognizer.candidates(view, s.candidates, but)]
+        known = set(self.recognizer.keyframes)
+        others = [one for one in near if one in known and one not in but and one not in alike]
+        left = max(s.candidates - min(s.near_candidates, len(others)), 0)
+        return (*alike[:left], *others[: s.candidates - min(left, len(alike))][: s.near_candidates])
 
     def pass_by(self, number: KeyframeId) -> tuple[RelativePose, ...]:
         """Know a keyframe from now on, without asking what it shows."""

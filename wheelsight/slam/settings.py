@@ -55,6 +55,14 @@ class SeenSettings(Settings):
         le=3600,
     )
     candidates: int = setting(5, "keyframes that are verified at most for each", CHOSEN, ge=1, le=1000)
+    near_candidates: int = setting(
+        2,
+        "of these, keyframes that are near by what is known of where it is: under another light they may look as others",
+        CHOSEN,
+        ge=0,
+        le=100,
+    )
+    near_m: float = setting(1.0, "how near, metres; a turn by a radian counts as 1.5 m", CHOSEN, gt=0, le=10)
     most_places: int = setting(5, "verified ones that are enough for each", CHOSEN, ge=1, le=100)
 
 
