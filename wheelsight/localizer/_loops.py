@@ -90,8 +90,17 @@ class LoopsBeside:
         for number in range(self._told, len(self._store)):
             T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(KeyframeId(number)))
             begins = number > 0 and number in self._pieces
-            self._live.add(LivedKeyframe(KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins))
+            T_before_now = self._laid_since(KeyframeId(number))
+            lived = LivedKeyframe(KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
+            self._live.add(lived)
         self._told = len(self._store)
+
+    def _laid_since(self, number: KeyframeId) -> FloatArray | None:
+        """(4, 4) from the keyframe before, as both lie in the store; None of the first."""
+        if number == 0:
+            return None
+        T_map_before, T_map_now = (self._store.pose(KeyframeId(one)) for one in (number - 1, number))
+        return np.asarray(se3.nearest(se3.invert(T_map_before) @ T_map_now))
 
     def called(self, answer: AnyEstimate) -> AnyEstimate:
         """The answer, by a status that says whether it is known where in the map it is."""

@@ -27,6 +27,7 @@ class LivedKeyframe:
         T_odom_keyframe: (4, 4).
         covariance: (6, 6) of the left perturbation (v, ω) of that; it grows along the way.
         begins: whether it is the first of a piece, of which nobody knows where it lies.
+        T_before_now: (4, 4) from the one before, as the camera by itself has laid it in its map; None: as odom has it.
     """
 
     number: KeyframeId
@@ -34,6 +35,7 @@ class LivedKeyframe:
     T_odom_keyframe: FloatArray
     covariance: FloatArray
     begins: bool = False
+    T_before_now: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +105,8 @@ class DriveGraph:
         edge = step_edge((before.number, keyframe.number), then, now, self._settings.matches)
         self._graph.add(se3.nearest(self._graph.poses[-1] @ edge.T_first_second), int(self._graph.pieces[-1]))
         self._graph.add_edges([edge])
-        self._told = np.concatenate([self._told, self._told[-1:] @ edge.T_first_second])
+        laid = edge.T_first_second if keyframe.T_before_now is None else keyframe.T_before_now
+        self._told = np.concatenate([self._told, self._told[-1:] @ laid])
 
     def near(self, limit_m: float) -> tuple[KeyframeId, ...]:
         """Keyframes next to the last one, of its piece, the nearest first; turns by a radian count as 1.5 m."""
@@ -140,10 +143,11 @@ class DriveGraph:
         self._told = np.concatenate([self._told, prior.T_map_keyframe[None]])
 
     def close(self, loops: Sequence[RelativePose]) -> PoseUpdate | None:
-        """Judge loops; where keyframes are by now, if that moves any or joins pieces."""
-        if not loops:
-            return None
-        has_joined = self._graph.close(loops)
+        """Judge loops; where keyframes are by now, if that moves any or joins pieces.
+
+        Without any loop, too: beside wheels odom knows better than the camera how keyframes lie to each other.
+        """
+        has_joined = bool(loops) and self._graph.close(loops)
         shift_m = se3.view_shift_m(se3.invert(self._told) @ self._graph.poses).max()
         if not has_joined and shift_m <= self._settings.least_shift_m:
             return None
