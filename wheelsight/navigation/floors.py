@@ -26,6 +26,10 @@ class Floor(Protocol):
     def layer(self) -> StaticLayer:
         """In the frame `map`."""
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it stays as it is, so that what is seen can be laid on it."""
+
     def update(self, pose: FloatArray | None) -> None:
         """Look whether more is known, of a robot at (3,) in the map; called once a period, and quick."""
 
@@ -38,6 +42,8 @@ class KnownFloor:
         edits: what people said of it.
         T_map_keyframe: (K, 4, 4) where keyframes are, where any edit is anchored.
     """
+
+    is_fixed = True
 
     def __init__(self, grid: OccupancyGrid, edits: MapEdits | None = None, T_map_keyframe: ArrayLike = ()) -> None:
         self.layer, self.revision = StaticLayer.of(grid, edits, T_map_keyframe), 0
@@ -61,6 +67,8 @@ class GrowingFloor:
     Raises:
         MapError: the calibration does not say where the camera sits on the base.
     """
+
+    is_fixed = False
 
     def __init__(
         self,

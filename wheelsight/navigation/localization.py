@@ -63,6 +63,11 @@ class WhereNow:
         self._answer: Estimate | None = None
         self._known_sigma_m = 0.0
         self._speed = WheelSpeed(-math.inf, 0.0, 0.0)
+        self._T_map_told: FloatArray = np.eye(3)
+
+    def correct(self, T_map_told: FloatArray) -> None:
+        """From now on, the robot is in the map where this (3, 3) carries what the localization says."""
+        self._T_map_told = T_map_told
 
     def roll(self, reading: WheelTicks | WheelSpeeds) -> WheelSpeed | None:
         """Go on by a reading; the base's speed, or None where the reading tells none."""
@@ -120,7 +125,12 @@ class WhereNow:
 
     @property
     def T_map_odom(self) -> FloatArray:
-        """(3,) x, y, yaw of `odom` in `map`."""
+        """(3,) x, y, yaw of `odom` in `map`, as corrected."""
+        return _pose(self._T_map_told @ se2.from_parts(*self.T_told_odom))
+
+    @property
+    def T_told_odom(self) -> FloatArray:
+        """(3,) the same, as the localization has it."""
         return np.zeros(3) if self._answer is None else _pose(_planar(self._answer.T_map_odom))
 
     @property
@@ -129,7 +139,7 @@ class WhereNow:
         answer = self._answer
         if answer is None or answer.T_map_body is None or self.status in (Status.LOST, Status.FAILING):
             return None
-        pose = _pose(_planar(answer.T_map_body) @ self._since(answer.stamp_s))
+        pose = _pose(self._T_map_told @ _planar(answer.T_map_body) @ self._since(answer.stamp_s))
         return MotionState(pose, self._speed.forward_m_s, self._speed.turn_rad_s)
 
     def _since(self, stamp_s: float) -> FloatArray:

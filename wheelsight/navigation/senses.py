@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.live_layer import LiveLayer
 from wheelsight.navigation.localization import Localization, WhereNow, planar_pose
+from wheelsight.navigation.map_match import MapMatch
 from wheelsight.navigation.navigator_settings import NavigationSettings
 
 
@@ -61,6 +63,8 @@ class Senses:
         self._viewer = DepthViewer(calibration, footprint, settings.view, settings.live)
         self._live = LiveLayer(calibration, footprint, settings.live)
         self.where = WhereNow(calibration.wheels)
+        self._match = MapMatch(floor.layer, settings.match) if floor.is_fixed else None
+        self._matched_s = -math.inf
         self._local: tuple[_Made, Costmap] | None = None
 
     @property
@@ -88,8 +92,20 @@ class Senses:
             self.where.answer(estimate)
             if isinstance(event, RgbdFrame) and estimate.T_odom_body is not None:
                 self._live.update(event.depth_m, planar_pose(estimate.T_odom_body), event.stamp_s)
+        self._lay_on_map()
         state = self.where.state
         self._floor.update(None if state is None else state.pose)
+
+    def _lay_on_map(self) -> None:
+        """Correct where the robot is by what stands about it, now and then, in a map of before."""
+        live, state = self._live.obstacles(), self.where.state
+        odom_pose, stamp_s = self.where.odom_pose, live.stamp_s
+        if self._match is None or state is None or odom_pose is None or stamp_s is None:
+            return
+        if stamp_s >= self._matched_s + self._settings.match.every_s:
+            self._matched_s = stamp_s
+            self._match.update(live, self.where.T_told_odom, odom_pose[:2])
+            self.where.correct(self._match.T_map_told)
 
     def clear(self) -> None:
         """Forget what stands about the robot; what is there is seen again."""

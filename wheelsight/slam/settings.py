@@ -57,7 +57,7 @@ class SeenSettings(Settings):
     candidates: int = setting(5, "keyframes that are verified at most for each", CHOSEN, ge=1, le=1000)
     near_candidates: int = setting(
         2,
-        "of these, keyframes that are near by what is known of where it is: under another light they may look as others",
+        "of these, keyframes that lie near by what is known: under another light they may look as others",
         CHOSEN,
         ge=0,
         le=100,
