@@ -11,7 +11,14 @@ from pathlib import Path
 import pytest
 
 from wheelsight.errors import OutputError
-from wheelsight.files import atomic_write, make_output_folder, output_error, write_bytes, write_text
+from wheelsight.files import (
+    atomic_write,
+    make_output_folder,
+    new_output_folder,
+    output_error,
+    write_bytes,
+    write_text,
+)
 
 
 def raising(code: int):
@@ -210,3 +217,33 @@ def test_an_output_folder_where_nobody_can_make_one() -> None:
 def test_an_unusual_error_keeps_the_systems_words(tmp_path: Path) -> None:
     error = output_error(OSError(errno.EIO, os.strerror(errno.EIO)), tmp_path)
     assert os.strerror(errno.EIO) in str(error)
+
+
+@pytest.mark.parametrize("holds", [False, True])
+def test_a_folder_of_refused_work_is_removed_as_far_as_it_was_made_and_is_empty(tmp_path: Path, holds: bool) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+
+    def refused() -> None:
+        with new_output_folder(mine / "new" / "out") as out:
+            assert out.is_dir()
+            if holds:
+                (out.parent / "note.txt").touch()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        refused()
+    assert [path.name for path in mine.rglob("*")] == (["new", "note.txt"] if holds else [])
+
+
+def test_a_folder_that_was_there_stays_whatever_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "note.txt").touch()
+    with pytest.raises(OutputError), new_output_folder(tmp_path):
+        pass
+    assert (tmp_path / "note.txt").is_file()
+
+
+def test_a_folder_of_work_that_is_done_stays(tmp_path: Path) -> None:
+    with new_output_folder(tmp_path / "new" / "out"):
+        pass
+    assert (tmp_path / "new" / "out").is_dir()

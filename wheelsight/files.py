@@ -94,6 +94,23 @@ def make_output_folder(folder: StrPath, force: bool = False) -> Path:
     return folder
 
 
+@contextmanager
+def new_output_folder(folder: StrPath, force: bool = False) -> Iterator[Path]:
+    """Make `folder` as `make_output_folder` does, before work that may be refused: refused work leaves none.
+
+    Where the block fails, `folder` and its parents are removed again, as far as they were made here and hold nothing.
+    """
+    folder = Path(folder)
+    made = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
+    try:
+        yield make_output_folder(folder, force)
+    except BaseException:
+        for place in made:
+            with suppress(OSError):
+                place.rmdir()
+        raise
+
+
 def refuse_full(folder: StrPath, fix: str = "choose another --out, or add --force to overwrite") -> None:
     """Raises OutputError, with what to do, for a folder that holds something; it makes none."""
     folder = Path(folder)

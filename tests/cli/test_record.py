@@ -125,6 +125,17 @@ def test_a_folder_in_use_is_refused_and_left_as_it_was(
     assert check(out) > 5
 
 
+def test_what_is_refused_leaves_nothing(
+    refusal: Callable[..., str], controller: SimulatedController, tmp_path: Path
+) -> None:
+    before, out = set(tmp_path.iterdir()), tmp_path / "new" / "out"
+    assert "absent" in refusal("record", "--wheels", tmp_path / "absent", "--out", out)
+    assert "absent.yaml" in refusal(
+        "record", "--wheels", controller.port, "--out", out, "--calibration", tmp_path / "absent.yaml"
+    )
+    assert set(tmp_path.iterdir()) == before
+
+
 def test_a_full_disk_is_one_line(
     wheelsight: Command, controller: SimulatedController, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

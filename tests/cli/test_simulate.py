@@ -151,6 +151,8 @@ def test_help_shows_examples(wheelsight: Command) -> None:
         (("square", "--left-radius", -0.1), "left_radius_m is -0.1, no wheelchair's ("),
         (("square", "--track", 20), "track_width_m is 20.0, no wheelchair's ("),
         (("square", "--drive", "absent.csv"), "absent.csv: is missing ("),
+        (("square", "--doors", 3), "--doors is 3; in world square there is room for 0 to swing (choose flat, or"),
+        (("square", "--duration", 1, "--cover", "5:6"), "--cover 5:6 never comes: the drive ends at 1.0 s ("),
         (("square", "--plan", "a.yaml"), "both the world square and a plan are given (leave one of them out)"),
         (("square", "--way", 30), "--way means nothing without a plan (--plan map.yaml)"),
         (("square", "--areas", "a.png"), "--areas means nothing without a plan (--plan map.yaml)"),
@@ -163,7 +165,13 @@ def test_help_shows_examples(wheelsight: Command) -> None:
 def test_what_cannot_be_is_refused(
     refusal: Refusal, tmp_path: Path, arguments: tuple[object, ...], problem: str
 ) -> None:
-    assert refusal("simulate", *arguments, "--out", tmp_path / "out").startswith(problem)
+    assert refusal("simulate", *arguments, "--out", tmp_path / "new" / "out").startswith(problem)
+    assert not any(tmp_path.iterdir())
+
+
+def test_what_is_refused_leaves_a_folder_of_mine_as_it_was(refusal: Refusal, tmp_path: Path) -> None:
+    refusal("simulate", "square", "--doors", 3, "--out", tmp_path)
+    assert tmp_path.is_dir()
 
 
 def test_a_folder_is_needed_and_must_be_free(refusal: Refusal, tmp_path: Path) -> None:
@@ -179,6 +187,7 @@ def test_a_way_into_a_wall_is_refused_with_a_picture(refusal: Refusal, tmp_path:
     assert text.startswith(f"{tmp_path / 'v.csv'}: the way runs into ")
     assert text.endswith(f" m (see {picture})")
     assert picture.is_file()
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_folder_is_not_in_the_way_of_a_second_try(wheelsight: Command, refusal: Refusal, tmp_path: Path) -> None:

@@ -106,16 +106,26 @@ def test_repeats_are_dropped_and_are_no_loss() -> None:
     assert (decoder.statistics.duplicates, decoder.statistics.lost) == (3, 0)
 
 
-def test_a_new_sequence_is_no_loss_once_a_restart_is_known() -> None:
+@pytest.mark.parametrize("more", [0, 1, 40])
+def test_a_new_sequence_is_no_loss_once_a_restart_is_known(more: int) -> None:
+    """However many frames a host that was late is handed with the one that tells of the restart."""
     decoder = FrameDecoder()
-    decoder.feed(b"".join(encoded(numbered(3, first=100) + numbered(2, first=105) + numbered(2))))
+    decoder.feed(b"".join(encoded(numbered(3, first=100) + numbered(2, first=105) + numbered(2 + more))))
     assert decoder.statistics.lost == 2 + 149
-    decoder.forgive_gap()
-    decoder.forgive_gap()
+    decoder.forgive_gap(1)
+    decoder.forgive_gap(1)
     assert decoder.statistics.lost == 2
     decoder.forget_sequence()
     decoder.feed(b"".join(encoded(numbered(5, first=200))))
-    decoder.forgive_gap()
+    decoder.forgive_gap(204)
+    assert decoder.statistics.lost == 2
+
+
+def test_a_gap_is_forgotten_once_its_number_comes_again() -> None:
+    decoder = FrameDecoder()
+    decoder.feed(b"".join(encoded(numbered(3, first=100) + numbered(256, first=105) + numbered(2, first=105))))
+    assert decoder.statistics.lost == 2
+    decoder.forgive_gap(106)
     assert decoder.statistics.lost == 2
 
 

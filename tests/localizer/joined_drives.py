@@ -109,6 +109,7 @@ class Eye:
         return self._tracking(frame.stamp_s, motion)
 
     def restart(self, frame: RgbdFrame, T_odom_camera: FloatArray, covariance: FloatArray) -> Estimate:
+        frame = replace(frame, stamp_s=self.taken_s.get(frame.index, frame.stamp_s))
         self.restarts[frame.stamp_s] = T_odom_camera
         self._place = self._sight(frame.stamp_s).place
         return self._begin(frame.stamp_s, T_odom_camera)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import synthetic
 from narrowing import not_none
 from room_drive import make_room_drive
 
+from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeStore
+from wheelsight.keyframes import Keyframe, KeyframeStore
 from wheelsight.localizer import Localizer
+from wheelsight.localizer._loops import LoopsBeside
 from wheelsight.recordings import Recording, open_recording
 from wheelsight.slam.drive_graph import PoseUpdate
 from wheelsight.slam.live import LiveLoops
@@ -55,7 +58,7 @@ class Told:
             return None
         self.known = max(len(self.store) - 1, 1)  # the newest it has not heard of yet
         T = np.asarray(FAR @ self.store.T_map_keyframe[: self.known])
-        return PoseUpdate(T, np.zeros(self.known, np.int64))
+        return PoseUpdate(T, np.zeros(self.known, np.int64), np.zeros((0, 2), np.int64))
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -92,3 +95,30 @@ def test_who_does_not_ask_for_loops_has_none(room: Recording) -> None:
         assert Localizer(room.calibration, load_config(overrides=WAYS[way])).loops is None
     wheels = load_config(overrides={"odometry": "wheels", "loops.source": "keyframes"})
     assert Localizer(room.calibration, wheels).loops is None
+
+
+@pytest.mark.parametrize(
+    ("ends", "ties"),
+    [
+        ([], False),
+        ([(0, 1), (0, 2), (3, 5)], False),  # on one side each
+        ([(0, 3), (1, 3)], False),  # of one view
+        ([(0, 3), (1, 4)], False),  # of two views side by side
+        ([(0, 3), (1, 5)], True),
+    ],
+)
+def test_loops_tie_keyframes_to_older_ones_where_they_are_seen_from_apart(
+    monkeypatch: pytest.MonkeyPatch, ends: list[tuple[int, int]], ties: bool
+) -> None:
+    store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
+    blank = np.ones((24, 32), np.float32)
+    for x_m in (0.0, 1.0, 2.0, 3.0, 3.1, 4.0):
+        store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
+    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+    loops = np.array(ends, np.int64).reshape(-1, 2)
+    told = PoseUpdate(np.array(store.T_map_keyframe), np.zeros(len(store), np.int64), loops)
+    monkeypatch.setattr(LiveLoops, "due", lambda live, stamp_s: told)
+    assert not beside.tie(3)
+    beside.move_keyframes(10.0, None)
+    assert beside.tie(3) == ties
+    beside.close()

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 import pytest
 from localizer.joined_drives import Drive, Eye, Sight, answers_to, drive, joined, of_frames, off_m, pushed, spread_m
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.fusion import FusedEstimate
+from wheelsight.geometry import FloatArray
+from wheelsight.keyframes import KeyframeId
+from wheelsight.localizer import by_fusion
 from wheelsight.simulation.scene_faults import Silence
 
 pytestmark = pytest.mark.slow  # one to three seconds each
@@ -67,6 +72,41 @@ def test_after_a_silence_of_all_sensors_an_unknown_view_is_of_a_doubtful_place(m
     assert all(answer.doubtful for answer in after[-40:])
     assert max(off_m(answer, made.truth) for answer in after) > 0.1
     assert all(off_m(answer, made.truth) < 3 * spread_m(answer) for answer in after)
+
+
+@dataclass
+class Loops:
+    """Stand in for LoopsBeside: asked so many times, they tie what is seen since to what was seen before."""
+
+    times: int
+    is_joined: bool = True
+    asked: list[int] = field(default_factory=list)
+
+    def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> None:
+        pass
+
+    def tie(self, number: int) -> bool:
+        self.asked.append(number)
+        return len(self.asked) >= self.times
+
+    def hand_over(self, stamp_s: float, T_odom_map: FloatArray, covariance: FloatArray | None) -> None:
+        pass
+
+    def called(self, answer: FusedEstimate) -> FusedEstimate:
+        return answer
+
+
+def test_after_a_silence_loops_tell_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive(ROUND_A_CORNER, lambda seconds: Sight(place=int(seconds >= SILENT_S[1])))
+    loops = Loops(30)
+    monkeypatch.setattr(by_fusion, "loops_beside", lambda *_, **__: loops)
+    after = said_after_silence(monkeypatch, made)
+    doubts = [answer.doubtful for answer in after]
+    begun = doubts.index(True)
+    known = doubts.index(False, begun)
+    assert known > begun + 10
+    assert {(answer.status, answer.doubtful) for answer in after[known:]} == {(Status.TRACKING, False)}
+    assert loops.asked == [0] * 30  # what stands in for odometry keeps no keyframes
 
 
 def test_after_a_silence_a_known_view_tells_the_place(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,7 +26,7 @@ def _about(T: FloatArray, sigma_m: float) -> FloatArray:
 def begun(spread_m: float | None) -> UnsureStart:
     subject = UnsureStart(JoiningSettings())
     subject.known(answer(0.1))
-    subject.begin(spread_m)
+    subject.begin(spread_m, 7)
     return subject
 
 
@@ -49,5 +49,14 @@ def test_where_wheels_knew_it_nothing_is_said(spread_m: float | None) -> None:
 def test_a_camera_that_begins_once_more_is_no_surer_for_it() -> None:
     subject = begun(0.5)
     subject.known(answer(0.5))
-    subject.begin(0.5)
+    subject.begin(0.5, 9)
     assert subject.answered(answer(0.5)).doubtful
+    assert subject.since == 7  # loops between its own keyframes tell nothing
+
+
+def test_loops_end_it_however_wide_the_answer_is_in_odom() -> None:
+    subject = begun(0.5)
+    assert subject.answered(answer(0.5)).doubtful
+    subject.found()
+    wide = answer(0.5)
+    assert subject.answered(wide) is wide

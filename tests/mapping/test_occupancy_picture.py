@@ -11,7 +11,7 @@ def test_the_picture_has_the_colours_of_its_kinds_and_y_up() -> None:
     kinds = np.full((40, 60), CellKind.FREE, np.uint8)
     kinds[:10, :10], kinds[-10:, -10:] = CellKind.OBSTACLE, CellKind.DROP_OFF
     grid = OccupancyGrid.of_kinds(kinds, np.ones(kinds.shape, bool), 0.05, (1.0, 2.0))
-    bare, image = picture_of(grid), picture_of(grid, [[1.2, 3.0], [3.8, 3.0]])
+    bare, image = picture_of(grid), picture_of(grid, [[[1.2, 3.0], [3.8, 3.0]]])
     assert bare.shape == image.shape
     scale = bare.shape[1] // 60
     assert tuple(bare[40 * scale - 2, 1]) == (40, 40, 40)
@@ -21,3 +21,16 @@ def test_the_picture_has_the_colours_of_its_kinds_and_y_up() -> None:
     assert rows.mean() == pytest.approx((40 - 20) * scale, abs=scale)
     one = OccupancyGrid.of_kinds(np.zeros((1, 1), np.uint8), np.zeros((1, 1), bool), 0.05, (0.0, 0.0))
     assert picture_of(one).shape[1] == 640
+
+
+def test_nothing_is_drawn_between_two_stretches_of_the_way() -> None:
+    kinds = np.full((40, 60), CellKind.FREE, np.uint8)
+    grid = OccupancyGrid.of_kinds(kinds, np.ones(kinds.shape, bool), 0.05, (0.0, 0.0))
+    first, second = [[0.5, 1.0], [1.0, 1.0]], [[2.0, 1.0], [2.5, 1.0]]
+    image = picture_of(grid, [first, [], second, [[1.5, 1.5]]])
+    px = picture_of(grid).shape[1] // 60
+    row = (image[20 * px] != 255).any(axis=-1)
+    assert row[int(0.5 / 0.05) * px : int(1.0 / 0.05) * px].all()
+    assert not row[int(1.2 / 0.05) * px : int(1.8 / 0.05) * px].any()
+    assert row[int(2.0 / 0.05) * px : int(2.5 / 0.05) * px].all()
+    assert (image[10 * px, 30 * px] != 255).any()  # a keyframe alone is a dot

@@ -123,7 +123,7 @@ def test_a_curve_is_judged_as_the_arc_that_it_is() -> None:
 speeds = st.floats(-2.0, 2.0)
 
 
-@examples(max_examples=150)
+@examples(max_examples=60)
 @given(
     asked=st.builds(VelocityCommand, speeds, speeds),
     measured=st.tuples(speeds, speeds),

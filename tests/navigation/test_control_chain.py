@@ -10,7 +10,9 @@ from wheelsight.estimates import Status
 from wheelsight.navigation import CollisionMonitor, ControlReason, MonitorState, MppiController, VelocityRamp
 
 
-@pytest.mark.parametrize("name", ["straight", "a narrow door", "a corridor", "a sharp corner"])
+@pytest.mark.parametrize(
+    "name", ["straight", "a narrow door", pytest.param("a corridor", marks=pytest.mark.slow), "a sharp corner"]
+)
 def test_a_monitor_lets_a_controller_arrive(name: str) -> None:
     cells, path = WAYS[name]
     points, field = centres_of(cells), field_of(cells)

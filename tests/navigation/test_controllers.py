@@ -148,8 +148,9 @@ def test_rollouts_go_around_people(person: tuple[float, ...]) -> None:
 
 
 def test_equal_input_gives_equal_commands() -> None:
-    cells, path = WAYS["a door"]
+    cells, path = WAYS["backward"]
     first, second = (drive(MppiController, cells, path) for _ in range(2))
+    assert len(first.commands) > 40
     assert first.commands == second.commands
 
 

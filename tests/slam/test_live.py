@@ -69,6 +69,9 @@ def test_keyframes_go_to_where_loops_have_them(keyframes: list[Keyframe]) -> Non
     assert moved
     assert len(moved[-1]) < len(WAY)
     assert off_m(moved[-1]).max() < 0.1
+    last = [update for update in told if update is not None][-1]
+    assert len(last.loops) > 1
+    assert (last.loops[:, 0] + 5 < last.loops[:, 1]).all()  # the first lap's, and the second's
 
 
 def test_what_is_due_is_waited_for_and_comes_as_late_each_time(keyframes: list[Keyframe]) -> None:

@@ -40,12 +40,12 @@ def record(
     from wheelsight.calibration import load_calibration
     from wheelsight.cli._console import print_note
     from wheelsight.devices import WheelLink
-    from wheelsight.files import make_output_folder
+    from wheelsight.files import new_output_folder
     from wheelsight.recordings import RecordingWriter
 
     known = None if calibration is None else load_calibration(calibration)
-    make_output_folder(out, force)  # refused before the port is touched, and empty if the port is refused
     with (
+        new_output_folder(out, force),  # refused before the port is touched
         until_stopped(seconds) as is_over,
         WheelLink(wheels, baud, note_status(wheels)) as link,
         RecordingWriter(out, known, force) as writer,

@@ -99,20 +99,20 @@ def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note, print_warning
     from wheelsight.extras import needed
-    from wheelsight.files import make_output_folder
+    from wheelsight.files import new_output_folder
 
     needed("mujoco")
-    make_output_folder(out, force)  # refused before the long work
-    recording = _drive(settings, out)
-    for warning in recording.warnings:
-        print_warning(warning)
-    compile_missing(("simulation",))  # after the drive, which may be refused and needs none
-    try:
-        writer = _render(recording, out)
-    except KeyboardInterrupt as interruption:
-        frames = _frames_listed(out)
-        print_note(f"interrupted; {out} holds the drive up to there, {frames} frames" if frames else "interrupted")
-        raise typer.Exit(INTERRUPTED) from interruption
+    with new_output_folder(out, force):  # refused before the long work
+        recording = _drive(settings, out)
+        for warning in recording.warnings:
+            print_warning(warning)
+        compile_missing(("simulation",))  # after the drive, which may be refused and needs none
+        try:
+            writer = _render(recording, out)
+        except KeyboardInterrupt as interruption:
+            frames = _frames_listed(out)
+            print_note(f"interrupted; {out} holds the drive up to there, {frames} frames" if frames else "interrupted")
+            raise typer.Exit(INTERRUPTED) from interruption
     print_note(f"{writer.frames} frames and {writer.readings} wheel readings are in {out}; plan: {out / 'plan.png'}")
 
 
@@ -128,7 +128,7 @@ def _render(recording: SimulatedRecording, out: Path) -> RecordingWriter:
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.simulation import write_simulation
 
-    # What make_output_folder has seen is the user's own wish, or empty.
+    # What new_output_folder has seen is the user's own wish, or empty.
     with FrameProgress("rendering", recording.frame_count) as progress:
         return write_simulation(recording, out, force=True, on_frame=lambda frame: progress.advance())
 

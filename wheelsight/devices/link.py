@@ -248,7 +248,7 @@ class WheelLink:
                     self._put(ticks)
                 if self._tracker.restarts > restarts:
                     self._commands.forget_drive()
-                    self._decoder.forgive_gap()
+                    self._decoder.forgive_gap(message.sequence)
             elif isinstance(message, Pulses):
                 self._put(self._tracker.add(message))
             elif isinstance(message, Ack) and self._commands.answered(message):

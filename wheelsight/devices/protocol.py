@@ -144,7 +144,7 @@ class FrameDecoder:
         self._sequence: int | None = None
         self._recent: deque[bytes] = deque(maxlen=_REPEATS_KNOWN)
         self._is_in_step = True
-        self._gap = self._gap_at = 0
+        self._gaps: dict[int, int] = {}  # frames missing before the last frame of each sequence number
 
     def feed(self, data: bytes) -> list[Message]:
         """The messages that `data` completes, in their order; damage never raises, it is counted."""
@@ -209,17 +209,23 @@ class FrameDecoder:
         if last is not None and (step := (sequence - last) & 0xFF) != 1:
             if frame in self._recent:
                 return False
-            self._gap, self._gap_at = (step - 1) & 0xFF, self.statistics.frames
-            self.statistics.lost += self._gap
+            self._gaps[sequence] = (step - 1) & 0xFF
+            self.statistics.lost += self._gaps[sequence]
+        else:
+            self._gaps.pop(sequence, None)
         self._sequence = sequence
         self._recent.append(frame)
         return True
 
-    def forgive_gap(self) -> None:
-        """Take back a loss counted at one of the last two frames: the controller had begun anew."""
-        if self.statistics.frames - self._gap_at < 2:
-            self.statistics.lost -= self._gap
-            self._gap = 0
+    def forgive_gap(self, sequence: int) -> None:
+        """Take back a loss counted at this frame, or at the one before it: the controller had begun anew.
+
+        By its number, since a host that is late is handed frames that came after it together with it.
+        """
+        for number in (sequence, (sequence - 1) & 0xFF):
+            if gap := self._gaps.pop(number, 0):
+                self.statistics.lost -= gap
+                return
 
     def forget_sequence(self) -> None:
         """Count no loss before the next frame: the port was opened anew."""

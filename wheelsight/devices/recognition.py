@@ -87,9 +87,9 @@ class LineDecoder:
         self._forget_pairs()
         self.format = None if self.format is Format.PAPER else self.format
 
-    def forgive_gap(self) -> None:
-        """Take back a loss just counted: the controller had begun anew."""
-        self._frames.forgive_gap()
+    def forgive_gap(self, sequence: int) -> None:
+        """Take back a loss counted at this frame, or at the one before it: the controller had begun anew."""
+        self._frames.forgive_gap(sequence)
 
     def _is_whole(self, now_s: float) -> bool:
         """Whether what is held can be no frame's beginning any more."""

@@ -124,31 +124,39 @@ class UnsureStart:
     """A camera that begins again where wheels have it knows that place no better than they, however well it tracks.
 
     After a silence of all sensors, or a long way in the dark, that may be half a metre. Its measurements are of
-    motions, so that tells nobody where the robot is; places and known views do.
+    motions, so that tells nobody where the robot is; places, known views and loops do.
+
+    Attributes:
+        since: the number of the first keyframe that the camera made since; None where the place is known.
     """
 
     def __init__(self, settings: JoiningSettings) -> None:
         self._settings = settings
         self._known: FusedEstimate | None = None
-        self._enough_m2: float | None = None  # below so much variance the place is known again
+        self.since: int | None = None
+        self._enough_m2 = 0.0  # below so much variance the place is known again
 
     def known(self, answer: FusedEstimate) -> None:
         """Take the answer to a frame that was believed."""
         self._known = answer
 
-    def begin(self, spread_m: float | None) -> None:
-        """The camera begins again, `spread_m` (σ, in the plane) from the last frame that was believed."""
-        if spread_m is None or spread_m <= self._settings.unsure_m or self._enough_m2 is not None:
+    def begin(self, spread_m: float | None, keyframe: int) -> None:
+        """The camera begins again with a keyframe, `spread_m` (σ, in the plane) from the last frame believed."""
+        if spread_m is None or spread_m <= self._settings.unsure_m or self.since is not None:
             return
         before_m2 = 0.0 if self._known is None else _variance_m2(self._known)
-        self._enough_m2 = before_m2 + self._settings.unsure_m**2
+        self._enough_m2, self.since = before_m2 + self._settings.unsure_m**2, keyframe
+
+    def found(self) -> None:
+        """Loops tie what the camera has seen since to what it saw before."""
+        self.since = None
 
     def answered(self, answer: FusedEstimate) -> FusedEstimate:
         """The answer, doubtful until it is known again where the robot is."""
-        if self._enough_m2 is None or answer.T_odom_body is None:
+        if self.since is None or answer.T_odom_body is None:
             return answer
         if _variance_m2(answer) < self._enough_m2:
-            self._enough_m2 = None
+            self.since = None
             return answer
         reason = answer.reason or Reason.NOT_RECOGNISED
         return replace(answer, status=Status.COASTING, doubtful=True, reason=reason)

@@ -43,10 +43,11 @@ class LoopsBeside:
         *,
         waits: bool,
     ) -> None:
-        self._store, self._settings = store, settings.loops.pieces
+        self._store, self._settings, self._apart_m = store, settings.loops.pieces, settings.loops.join_apart_m
         self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, known=known, waits=waits)
         self._told = len(store)
         self._closed: ClosedLoops | None = None
+        self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # by the numbers of their first keyframes
         self.is_joined, self._is_new = True, False
         if known is not None and len(store) and known.start is None:
@@ -71,6 +72,7 @@ class LoopsBeside:
         update = self._live.due(stamp_s)
         if update is None:
             return None
+        self._loops = update.loops
         T_known, T_old = self._laid(update), np.array(self._store.T_map_keyframe)
         count = len(T_known)
         T_newer = T_old[count:]
@@ -82,6 +84,18 @@ class LoopsBeside:
         self._store.move(list(self._store), T_new)
         at = count - 1 if keyframe is None else keyframe
         return np.asarray(se3.nearest(T_new[at] @ se3.invert(T_old[at])))
+
+    def tie(self, number: int) -> bool:
+        """Whether loops tie keyframes from `number` on to older ones, and were seen from apart as those between pieces.
+
+        Then it is known how they lie to each other, however little odometry knew.
+        """
+        older, newer = self._loops.T
+        ends = newer[(older < number) & (newer >= number)]
+        if not len(ends):
+            return False
+        T = self._store.T_map_keyframe[ends]
+        return bool((se3.view_shift_m(se3.invert(T[0]) @ T) >= self._apart_m).any())
 
     def hand_over(self, stamp_s: float, T_odom_map: FloatArray, covariance: FloatArray | None) -> None:
         """Keyframes that odometry has kept at a frame, where the camera's pose in odom is as uncertain as (6, 6)."""

@@ -208,6 +208,9 @@ class ByFusion:
             self._map.moved(T_new_old)
             self._camera.moved(T_new_old)
             self._check.moved(T_new_old)
+        since = self._unsure.since
+        if self.loops is not None and since is not None and self.loops.tie(since):
+            self._unsure.found()
         if self.loops is not None and self.loops.is_joined:
             self._carried.found()
 
@@ -261,10 +264,11 @@ class ByFusion:
         if self._carried.is_so:
             spread = self._carried.scatter(T_odom_base, wheels.covariance)
             self._go_on_by(self.filter.begun_at(T_odom_base, spread))
+        first = len(self.odometry.store)
         again = self._restarted(frame, self._map.camera_at(T_odom_base), wheels.covariance)
         if again.T_odom_body is None:
             return wheels
-        self._unsure.begin(spread_m)
+        self._unsure.begin(spread_m, first)
         self._carried.begin()
         return self._begun(frame, again, seen.reason)
 

@@ -75,7 +75,7 @@ class Steps(NamedTuple):
     most: int
 
 
-@kernel
+@kernel(error_model="numpy")
 def trace(rays: DepthRays, M: Any, bands: Bands, noise: Noise, window: Window) -> None:
     """Mark in a window what one keyframe sees.
 
@@ -104,10 +104,10 @@ def trace(rays: DepthRays, M: Any, bands: Bands, noise: Noise, window: Window) -
             _follow(window, begin, end, _needed_from(u, v, angle, bands) / z, margin_m, bands, above)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float, bands: Bands, above: Any) -> None:
     """Mark what a ray passes from a share of its way on, and what it ends at, which `above` is for the next one."""
-    way_m = bands.resolution_m * np.hypot(end[0] - begin[0], end[1] - begin[1])
+    way_m = bands.resolution_m * np.sqrt((end[0] - begin[0]) ** 2 + (end[1] - begin[1]) ** 2)
     tilt_m = bands.tilt_rad * min(way_m, bands.far_m)
     reach = 1.0 if way_m <= bands.far_m else bands.far_m / way_m
     is_drop = end[2] < -bands.drop_m - tilt_m and begin[2] > 0
@@ -131,12 +131,12 @@ def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float
         _mark(window, x, y, channel, MET)
         if needed < 1:
             _pass(window, begin, end, 1.0, 1 + bands.hidden_m * a_metre, bands, HIDDEN)
-        gap_m = bands.resolution_m * np.hypot(x - x_before, y - y_before)
+        gap_m = bands.resolution_m * np.sqrt((x - x_before) ** 2 + (y - y_before) ** 2)
         if before == _THING and gap_m <= bands.bridged_m and abs(end[2] - h_before) < bands.layer_m:
             _fill(window, x_before, y_before, x, y, channel, MET)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _needed_from(u: int, v: int, angle: float, bands: Bands) -> float:
     """The depth from which on a ray passes what its neighbours do not pass.
 
@@ -153,7 +153,7 @@ def _needed_from(u: int, v: int, angle: float, bands: Bands) -> float:
     return max(of_columns, of_rows)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _touch(window: Window, row: int, column: int) -> None:
     if not window.is_touched[row, column]:
         window.is_touched[row, column] = 1
@@ -162,7 +162,7 @@ def _touch(window: Window, row: int, column: int) -> None:
         window.count[0] = n + 1
 
 
-@kernel
+@kernel(error_model="numpy")
 def _mark(window: Window, x: float, y: float, channel: int, what: int) -> None:
     """What says more counts: a drop stays one, and so does what was met."""
     row, column, seen = int(np.floor(y)), int(np.floor(x)), window.seen
@@ -171,7 +171,7 @@ def _mark(window: Window, x: float, y: float, channel: int, what: int) -> None:
         seen[row, column, channel] = what
 
 
-@kernel
+@kernel(error_model="numpy")
 def _fill(window: Window, x: float, y: float, to_x: float, to_y: float, channel: int, what: int) -> None:
     """Between two neighbouring rays that meet the floor there is floor: what stands there would hide the farther.
 
@@ -183,20 +183,20 @@ def _fill(window: Window, x: float, y: float, to_x: float, to_y: float, channel:
         _mark(window, x + share * (to_x - x), y + share * (to_y - y), channel, what)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _channel_at(h_m: float, bands: Bands, channels: int) -> int:
     """Of a height over the floor; what is below `floor_m`, and yet no floor, is in the lowest layer."""
     top = (bands.height_m - bands.floor_m) / bands.layer_m
     return _channel(max((h_m - bands.floor_m) / bands.layer_m, 0.0), top, channels)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _channel(layer: float, top: float, channels: int) -> int:
     """Of a height in layers over `floor_m`, where the robot is `top` layers high."""
     return channels - 1 if layer >= top else min(1 + int(layer), channels - 2)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: Bands, what: int) -> None:
     """Mark what lies on a ray from one share of its way to another, cell by cell (Amanatides & Woo 1987)."""
     dx, dy, dh = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
@@ -207,7 +207,9 @@ def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: 
         at, until = max(at, (bands.overhang_m - begin[2]) / dh), min(until, (bands.floor_m - begin[2]) / dh)
     elif not bands.floor_m <= begin[2] < bands.overhang_m:
         return
-    seen, step_x, step_y = window.seen, 1 if dx > 0 else -1, 1 if dy > 0 else -1
+    if at >= until:
+        return
+    seen, is_touched, step_x, step_y = window.seen, window.is_touched, 1 if dx > 0 else -1, 1 if dy > 0 else -1
     x, y = begin[0] + at * dx, begin[1] + at * dy
     column, row = int(np.floor(x)), int(np.floor(y))
     a_cell_x = 1 / abs(dx) if dx != 0 else np.inf
@@ -223,9 +225,9 @@ def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: 
         at = min(next_x, next_y, until)
         there = _channel(max(base + at * climb, 0.0), top, channels)
         if 0 <= row < rows and 0 <= column < columns:
-            _touch(window, row, column)
-            for channel in range(min(here, there), max(here, there) + 1):
-                seen[row, column, channel] = max(seen[row, column, channel], what)
+            if not is_touched[row, column]:  # most are, and need no call
+                _touch(window, row, column)
+            _see(seen, row, column, here, there, what)
         here = there
         if next_x < next_y:
             column += step_x
@@ -235,7 +237,16 @@ def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: 
             next_y += a_cell_y
 
 
-@kernel
+@kernel(error_model="numpy")
+def _see(seen: Any, row: int, column: int, channel: int, last: int, what: int) -> None:
+    """From a channel of a cell to another."""
+    seen[row, column, channel] = max(seen[row, column, channel], what)
+    while channel != last:
+        channel += 1 if channel < last else -1
+        seen[row, column, channel] = max(seen[row, column, channel], what)
+
+
+@kernel(error_model="numpy")
 def stand(window: Window, x: float, y: float, radius: float) -> None:
     """Mark floor, and nothing above it, about where the robot stands; all in cells."""
     seen = window.seen
@@ -247,7 +258,7 @@ def stand(window: Window, x: float, y: float, radius: float) -> None:
                     _mark(window, column + 0.5, row + 0.5, channel, PASSED)
 
 
-@kernel
+@kernel(error_model="numpy")
 def add(window: Window, log_odds: Any, row: int, column: int, steps: Steps) -> None:
     """Add what one keyframe saw to a table, and clear the window.
 

@@ -73,6 +73,9 @@ class OccupancyMapper:
         self._seen: dict[KeyframeId, _Seen] = {}
         self._T_map_keyframe: dict[KeyframeId, FloatArray] = {}
         self._steps = _steps_of(self.settings)
+        self._bands = kernels.Bands(**{name: float(getattr(self.settings, name)) for name in kernels.Bands._fields})
+        n = self._noise
+        self._errs = kernels.Noise(n.constant_m, n.quadratic_per_m, self.settings.margin_sigmas)
         self._reach = math.ceil(self.settings.far_m / self.settings.resolution_m) + 1
         self._window = _window(2 * self._reach + 1, self._channels)
         self._clear()
@@ -115,7 +118,7 @@ class OccupancyMapper:
         if any(number >= len(table) for number in self._seen):
             raise ArgumentError(f"poses of {len(table)} keyframes", fix="give those of all that were added, by number")
         which = np.ones(len(table), bool) if shown is None else np.asarray(shown, bool)
-        now = {number: _checked(table[number], number) for number in self._seen if which[number]}
+        now = _all_checked(table, [number for number in self._seen if which[number]])
         was = self._T_map_keyframe
         if now.keys() == was.keys() and all((now[number] == was[number]).all() for number in now):
             return False
@@ -174,17 +177,11 @@ class OccupancyMapper:
         M[:2] = T_map_keyframe[:2] / size_m
         M[:2, 3] -= first[::-1]
         M[2] = self._T_base_camera[2]
-        n = self._noise
-        noise = kernels.Noise(n.constant_m, n.quadratic_per_m, self.settings.margin_sigmas)
-        kernels.trace(seen.rays(), M, self._bands, noise, self._window)
+        kernels.trace(seen.rays(), M, self._bands, self._errs, self._window)
         y, x = ((T_map_keyframe @ self._T_camera_base)[1::-1, 3] / size_m - first).tolist()
         kernels.stand(self._window, x, y, self.settings.stood_m / size_m)
         row, column = (first - self._low).tolist()
         kernels.add(self._window, self._log_odds, row, column, self._steps)
-
-    @property
-    def _bands(self) -> kernels.Bands:
-        return kernels.Bands(**{name: float(getattr(self.settings, name)) for name in kernels.Bands._fields})
 
     def _cell_at(self, T_map_keyframe: FloatArray) -> IntArray:
         """(..., 2) row and column, from the map's origin, of the cells in which cameras (..., 4, 4) are."""
@@ -242,6 +239,14 @@ def _log_odds(probability: float) -> int:
 
 def _steps_of(settings: OccupancySettings) -> kernels.Steps:
     return kernels.Steps(*map(_log_odds, (settings.hit, settings.passed, settings.least, settings.most)))
+
+
+def _all_checked(table: FloatArray, numbers: list[KeyframeId]) -> dict[KeyframeId, FloatArray]:
+    """Copies of poses (N, 4, 4) of a table, checked together; the first that is no rigid motion is named."""
+    T = table[numbers]
+    if T.shape[1:] != (4, 4) or not np.all(se3.is_valid(T)):
+        return {number: _checked(one, number) for number, one in zip(numbers, T, strict=True)}
+    return dict(zip(numbers, T, strict=True))
 
 
 def _checked(T_map_keyframe: ArrayLike, number: int) -> FloatArray:

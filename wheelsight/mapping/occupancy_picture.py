@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import ceil
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.geometry import ByteArray
+from wheelsight.geometry import ByteArray, FloatArray, Int32Array
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 
 _LONGER_SIDE_PX = 1100
@@ -28,33 +28,43 @@ _SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _STRIP_PX, _GAP_PX = 34, 10
 
 
-def picture_of(grid: OccupancyGrid, way: ArrayLike = ()) -> ByteArray:
+def picture_of(grid: OccupancyGrid, stretches: Sequence[ArrayLike] = ()) -> ByteArray:
     """The map (h, w, 3) uint8 red, green, blue, y up the page, with a legend below.
 
     Args:
         grid: as it is.
-        way: (N, 2) places in `map`, joined by a line: from a circle to a square.
+        stretches: of the way, (K, 2) places in `map` each: dots, joined by a line within a stretch. A circle is the
+            first of all, a square the last.
     """
     rows, columns = grid.kind.shape
     px = min(max(_LONGER_SIDE_PX // max(rows, columns), 1), _MOST_PX_A_CELL)
     colours = np.array([_COLOURS[kind] for kind in CellKind], np.uint8)
     image = colours[grid.kind[::-1]].repeat(px, axis=0).repeat(px, axis=1)
     image = np.ascontiguousarray(image)
-    _draw_way(image, grid, np.asarray(way, float).reshape(-1, 2), px)
+    _draw_way(image, grid, [np.asarray(stretch, float).reshape(-1, 2) for stretch in stretches], px)
     wide = np.full((image.shape[0], max(image.shape[1], _LEAST_WIDTH_PX), 3), _COLOURS[CellKind.UNKNOWN], np.uint8)
     left = (wide.shape[1] - image.shape[1]) // 2
     wide[:, left : left + image.shape[1]] = image
     return np.concatenate([wide, _legend(grid, px, wide.shape[1])])
 
 
-def _draw_way(image: ByteArray, grid: OccupancyGrid, way: Any, px: int) -> None:
-    if not len(way):
+def _draw_way(image: ByteArray, grid: OccupancyGrid, stretches: list[FloatArray], px: int) -> None:
+    if not sum(map(len, stretches)):
         return
-    cells = (way - grid.origin) / grid.resolution_m
-    at = np.rint(px * np.stack([cells[:, 0], len(grid.kind) - cells[:, 1]], axis=-1)).astype(np.int32)
-    cv2.polylines(image, [at], isClosed=False, color=_WAY, thickness=2, lineType=cv2.LINE_AA)
-    cv2.circle(image, at[0].tolist(), 6, _WAY, -1, cv2.LINE_AA)
-    cv2.rectangle(image, (at[-1] - 5).tolist(), (at[-1] + 5).tolist(), _WAY, -1)
+    for stretch in stretches:
+        at = _pixels(stretch, grid, px)
+        cv2.polylines(image, [at], isClosed=False, color=_WAY, thickness=2, lineType=cv2.LINE_AA)
+        for dot in at.tolist():
+            cv2.circle(image, dot, 3, _WAY, -1, cv2.LINE_AA)
+    ends = _pixels(np.concatenate(stretches)[[0, -1]], grid, px)
+    cv2.circle(image, ends[0].tolist(), 6, _WAY, -1, cv2.LINE_AA)
+    cv2.rectangle(image, (ends[1] - 5).tolist(), (ends[1] + 5).tolist(), _WAY, -1)
+
+
+def _pixels(p_map: FloatArray, grid: OccupancyGrid, px: int) -> Int32Array:
+    """(K, 2)."""
+    cells = (p_map - grid.origin) / grid.resolution_m
+    return np.rint(px * np.stack([cells[:, 0], len(grid.kind) - cells[:, 1]], axis=-1)).astype(np.int32)
 
 
 def _legend(grid: OccupancyGrid, px: int, width: int) -> ByteArray:

@@ -46,10 +46,12 @@ class PoseUpdate:
         T_map_keyframe: (K, 4, 4).
         piece: (K,) the number of the keyframe with which the piece begins that each is in; those that are joined have
             the older one's. Nobody knows how pieces lie to each other.
+        loops: (L, 2) the keyframes that each loop that is kept ties together, the older one first.
     """
 
     T_map_keyframe: FloatArray
     piece: IntArray
+    loops: IntArray
 
 
 class DriveGraph:
@@ -152,4 +154,5 @@ class DriveGraph:
         if not has_joined and shift_m <= self._settings.least_shift_m:
             return None
         self._told = self._graph.poses
-        return PoseUpdate(self._told, self.pieces)
+        ends = [sorted((edge.first, edge.second)) for edge in self.edges if edge.is_loop]
+        return PoseUpdate(self._told, self.pieces, np.array(ends, np.int64).reshape(-1, 2))

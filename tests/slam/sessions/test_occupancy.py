@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +66,9 @@ def test_a_drive_leaves_its_occupancy_map_when_it_is_finished(tmp_path: Path) ->
     told = info_of(folder)
     assert told.occupancy_bytes == sum((folder.path / name).stat().st_size for name in FILES)
     assert told.edits == 0
-    np.testing.assert_allclose(driven_way(folder)[0], [0.3, 0.0], atol=1e-9)
+    inner, outer = driven_way(folder)
+    assert len(inner) == len(outer) == len(WAY) / 2
+    np.testing.assert_allclose([inner[0], outer[0]], [[0.3, 0.0], [-0.9, 0.0]], atol=1e-9)
     discard_map(folder.path)
     assert not folder.path.exists()
 
@@ -147,6 +150,29 @@ def test_what_lies_nowhere_for_sure_is_not_in_it(tmp_path: Path) -> None:
     writer.close()
     grid = occupancy_of(MapFolder.open(tmp_path / "map"))
     assert grid.kind.shape[1] * grid.resolution_m < 8.0
+
+
+def test_the_way_is_cut_where_nobody_knows_how_the_robot_drove(tmp_path: Path) -> None:
+    """A long step, and a second drive that a loop joins to the first."""
+    east = se3.from_plane(2.0, 0.0, 0.0)
+    way = [*WAY[:2], *(east @ T for T in WAY[2:6])]
+    store = KeyframeStore()
+    writer = MapWriter(MapFolder.create(tmp_path / "map", ROBOT), store)
+    for number, T in enumerate(way):
+        store.add(view(WAY[number], float(number)), T)
+        writer.look(None)
+    loop = replace(step(way, 3), is_loop=True)
+    writer.add_edges([*(step(way, number) for number in (0, 1, 2, 4)), loop])
+    writer.close()
+    stretches = driven_way(MapFolder.open(tmp_path / "map"))
+    assert [len(stretch) for stretch in stretches] == [2, 2, 2]
+    T_map_base = np.array(way) @ np.linalg.inv(np.asarray(ROBOT.T_base_camera))
+    np.testing.assert_allclose(np.concatenate(stretches), T_map_base[:, :2, 3], atol=1e-9)
+
+
+def test_a_map_without_keyframes_has_no_way(tmp_path: Path) -> None:
+    MapFolder.create(tmp_path / "map", ROBOT).close()
+    assert driven_way(MapFolder.open(tmp_path / "map")) == ()
 
 
 def test_pruning_and_merging_carry_edits(tmp_path: Path) -> None:

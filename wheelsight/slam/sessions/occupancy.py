@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,11 +13,15 @@ from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeId
 from wheelsight.mapping import OccupancyGrid, OccupancyMapper, OccupancySettings
 from wheelsight.ros_map import write_ros_map
-from wheelsight.slam.sessions.hanging import lie_together
+from wheelsight.slam.sessions.hanging import is_sure, lie_together
 from wheelsight.slam.sessions.map_folder import OCCUPANCY_FILE, MapFolder
 from wheelsight.slam.sessions.parts import edits_as_known
 
 Progress = Callable[[int, int], None]
+
+# On a step of a metre in which the robot turned by 90 degrees it was 0.2 m beside the straight line, on a longer one it
+# may have been behind a wall.
+_STRAIGHT_M = 1.0
 
 
 def occupancy_of(
@@ -73,9 +78,24 @@ def with_occupancy(folder: MapFolder, on_keyframe: Callable[[str, int, int], Non
     return folder
 
 
-def driven_way(folder: MapFolder) -> FloatArray:
-    """(N, 2) where the base was at the keyframes of a map that lie together, in their order; of no base, the camera."""
-    T = folder.store.T_map_keyframe[lie_together(folder)]
+def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:
+    """Stretches (K, 2) of where the base was at the keyframes of a map that lie together; of no base, the camera.
+
+    Within a stretch the robot drove from each to the next, about straight. Between stretches nobody knows where it
+    drove, or it was another drive.
+    """
+    numbers = np.flatnonzero(lie_together(folder))
+    if not len(numbers):
+        return ()
+    T = folder.store.T_map_keyframe[numbers]
     if folder.calibration.T_base_camera is not None:
         T = T @ np.linalg.inv(folder.calibration.T_base_camera)
-    return T[:, :2, 3]
+    at = T[:, :2, 3]
+    driven = {
+        (int(edge.first), int(edge.second))
+        for edge in folder.edges
+        if not edge.is_loop and is_sure(edge, folder.settings)
+    }
+    is_step = [ends in driven for ends in pairwise(numbers.tolist())]
+    is_step &= np.linalg.norm(np.diff(at, axis=0), axis=1) <= _STRAIGHT_M
+    return tuple(np.split(at, np.flatnonzero(~is_step) + 1))
