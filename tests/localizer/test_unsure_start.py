@@ -51,3 +51,15 @@ def test_a_camera_that_begins_once_more_is_no_surer_for_it() -> None:
     subject.known(answer(0.5))
     subject.begin(0.5)
     assert subject.answered(answer(0.5)).doubtful
+
+
+def test_where_a_fault_took_the_place_it_is_doubtful_though_the_camera_tracks() -> None:
+    subject = UnsureStart(JoiningSettings())
+    for sigma_m in (0.1, 0.12, 0.14):
+        subject.known(answer(sigma_m))
+    assert not subject.answered(answer(0.14)).doubtful
+    subject.known(answer(1.3))
+    subject.known(answer(1.3))
+    told = subject.answered(answer(1.3))
+    assert (told.status, told.doubtful, told.reason) == (Status.COASTING, True, Reason.NOT_RECOGNISED)
+    assert not subject.answered(answer(0.2)).doubtful

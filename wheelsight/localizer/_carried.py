@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -123,8 +124,9 @@ class Carried:
 class UnsureStart:
     """A camera that begins again where wheels have it knows that place no better than they, however well it tracks.
 
-    After a silence of all sensors, or a long way in the dark, that may be half a metre. Its measurements are of
-    motions, so that tells nobody where the robot is; places and known views do.
+    After a silence of all sensors, or a long way in the dark, that may be half a metre; and so it may after a fault of
+    which nobody knows whose it was. Its measurements are of motions, so that tells nobody where the robot is; places
+    and known views do.
     """
 
     def __init__(self, settings: JoiningSettings) -> None:
@@ -133,11 +135,13 @@ class UnsureStart:
         self._enough_m2: float | None = None  # below so much variance the place is known again
 
     def known(self, answer: FusedEstimate) -> None:
-        """Take the answer to a frame that was believed."""
+        """Take the answer to a frame that was believed; from one to the next, much of it is lost by a fault alone."""
+        if self._known is not None:
+            self.begin(math.sqrt(max(_variance_m2(answer) - _variance_m2(self._known), 0.0)))
         self._known = answer
 
     def begin(self, spread_m: float | None) -> None:
-        """The camera begins again, `spread_m` (σ, in the plane) from the last frame that was believed."""
+        """The camera goes on `spread_m` (σ, in the plane) from the last frame that was believed."""
         if spread_m is None or spread_m <= self._settings.unsure_m or self._enough_m2 is not None:
             return
         before_m2 = 0.0 if self._known is None else _variance_m2(self._known)
