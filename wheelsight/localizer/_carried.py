@@ -124,9 +124,9 @@ class Carried:
 class UnsureStart:
     """A camera that begins again where wheels have it knows that place no better than they, however well it tracks.
 
-    After a silence of all sensors, or a long way in the dark, that may be half a metre; and so it may after a fault of
-    which nobody knows whose it was. Its measurements are of motions, so that tells nobody where the robot is; places
-    and known views do.
+    After a silence of all sensors, or a long way in the dark, that may be half a metre; and so it may where the camera
+    is followed after it was taken for failing. Its measurements are of motions, so that tells nobody where the robot
+    is; places and known views do.
     """
 
     def __init__(self, settings: JoiningSettings) -> None:
@@ -135,8 +135,8 @@ class UnsureStart:
         self._enough_m2: float | None = None  # below so much variance the place is known again
 
     def known(self, answer: FusedEstimate) -> None:
-        """Take the answer to a frame that was believed; from one to the next, much of it is lost by a fault alone."""
-        if self._known is not None:
+        """Take the answer to a frame that was believed; if wheels slip, it may be by a camera that failed for long."""
+        if self._known is not None and answer.slip:
             self.begin(math.sqrt(max(_variance_m2(answer) - _variance_m2(self._known), 0.0)))
         self._known = answer
 
