@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from narrowing import not_none
 
-from wheelsight.estimates import MotionEstimate
+from wheelsight.estimates import MotionEstimate, Reason
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer._camera_map import Anchor, is_far
+from wheelsight.geometry import motion_kernels as motions
+from wheelsight.localizer._camera_map import Anchor, is_far, strayed
 
 _SCALE = np.array([1.0, 1, 1, 2, 2, 2])  # of degenerate directions (v, ω · 2 m)
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
@@ -118,3 +119,22 @@ def test_a_pose_that_rounding_made_no_motion_becomes_one(rng: np.random.Generato
 )
 def test_the_next_anchor_is_due_after_a_way_or_a_turn(by: list[float], due: bool) -> None:
     assert is_far(motion(se3.exp(by), np.eye(6)), 0.3) is due
+
+
+def test_errors_of_views_add_up_along_the_way_in_the_frames_own_axes() -> None:
+    """Half a metre ahead and half a radian: by the closed form 0.5 m + 0.75 m of way."""
+    of_frame = np.diag(np.square([3e-3, 2e-3, 1e-3, 4e-3, 5e-3, 6e-3]))
+    T, before = se3.from_parts(np.eye(3), [0.0, 0.0, 0.5]), np.diag([1e-6] * 6)
+    T[:3, :3] = se3.exp(np.array([0, 0, 0, 0, 0.5, 0]))[:3, :3]
+    told = strayed(motion(T, before), of_frame, 25.0).covariance
+    Ad_back = np.linalg.inv(se3.adjoint(T))
+    walked = Ad_back @ (not_none(told) - before) @ Ad_back.T
+    np.testing.assert_allclose(walked, 25.0 * motions.view_shift_m(T) * of_frame, atol=1e-12)
+    np.testing.assert_allclose(motions.view_shift_m(T), 1.25, atol=1e-9)
+
+
+def test_a_camera_that_stands_or_saw_nothing_strays_nowhere() -> None:
+    of_frame, here = np.diag([1e-6] * 6), motion(np.eye(4), np.diag([1e-6] * 6))
+    np.testing.assert_array_equal(not_none(strayed(here, of_frame, 25.0).covariance), np.diag([1e-6] * 6))
+    nothing = MotionEstimate.failed(Reason.DEGENERATE)
+    assert strayed(nothing, of_frame, 25.0) is nothing

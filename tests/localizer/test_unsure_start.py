@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -60,3 +62,23 @@ def test_loops_end_it_however_wide_the_answer_is_in_odom() -> None:
     subject.found()
     wide = answer(0.5)
     assert subject.answered(wide) is wide
+
+
+
+def test_where_a_camera_is_followed_that_failed_it_is_doubtful_though_that_tracks() -> None:
+    subject = UnsureStart(JoiningSettings())
+    for sigma_m in (0.1, 0.12, 0.14):
+        subject.known(replace(answer(sigma_m), slip=True))
+    assert not subject.answered(answer(0.14)).doubtful
+    subject.known(replace(answer(1.3), slip=True))
+    subject.known(answer(1.3))
+    told = subject.answered(answer(1.3))
+    assert (told.status, told.doubtful, told.reason) == (Status.COASTING, True, Reason.NOT_RECOGNISED)
+    assert not subject.answered(answer(0.2)).doubtful
+
+
+def test_without_slip_a_wide_answer_says_itself_how_wide_it_is() -> None:
+    subject = UnsureStart(JoiningSettings())
+    for sigma_m in (0.1, 1.3):
+        subject.known(answer(sigma_m))
+    assert not subject.answered(answer(1.3)).doubtful

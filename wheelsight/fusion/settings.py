@@ -25,6 +25,14 @@ class JoiningSettings(Settings):
         gt=0,
         le=100,
     )
+    frame_walk_per_m: float = setting(
+        25.0,
+        "of the variance by which a frame errs as a whole, what a metre of the camera's way adds, a turn by 1 rad as "
+        "1.5 m: such errors add up as a view changes",
+        "freiburg1_desk against motion capture: docs/decisions/0065",
+        ge=0,
+        le=10_000,
+    )
     dark_s: float = setting(
         1.0,
         "after so long in the dark a measurement is believed only where it shows all directions: one that slides "

@@ -15,6 +15,7 @@ from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId
+from wheelsight.odometry.frame_error import with_frame_error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,3 +134,16 @@ def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) ->
         return motion
     apart = se3.adjoint(motion.T_reference_current) @ (twist * noise_s)
     return replace(motion, covariance=motion.covariance + np.outer(apart, apart))
+
+
+def strayed(motion: MotionEstimate, of_frame: FloatArray, walk_per_m: float) -> MotionEstimate:
+    """A motion of the camera, of whose view the errors `of_frame` (6, 6) change along the way.
+
+    What bent depth and a shutter do to one view they do to the next one, so between neighbours it does not show;
+    against a frame that is farther back it does.
+    """
+    T = motion.T_reference_current
+    if T is None or motion.covariance is None:
+        return motion
+    walk = of_frame * (walk_per_m * motions.view_shift_m(T))
+    return replace(motion, covariance=with_frame_error(motion.covariance, T, walk))

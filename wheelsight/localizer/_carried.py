@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -123,8 +124,9 @@ class Carried:
 class UnsureStart:
     """A camera that begins again where wheels have it knows that place no better than they, however well it tracks.
 
-    After a silence of all sensors, or a long way in the dark, that may be half a metre. Its measurements are of
-    motions, so that tells nobody where the robot is; places, known views and loops do.
+    After a silence of all sensors, or a long way in the dark, that may be half a metre; and so it may where the camera
+    is followed after it was taken for failing. Its measurements are of motions, so that tells nobody where the robot
+    is; places, known views and loops do.
 
     Attributes:
         since: the number of the first keyframe that the camera made since; None where the place is known.
@@ -136,12 +138,17 @@ class UnsureStart:
         self.since: int | None = None
         self._enough_m2 = 0.0  # below so much variance the place is known again
 
-    def known(self, answer: FusedEstimate) -> None:
-        """Take the answer to a frame that was believed."""
+    def known(self, answer: FusedEstimate, keyframe: int = 0) -> None:
+        """Take the answer to a frame that was believed; if wheels slip, it may be by a camera that failed for long.
+
+        `keyframe` is the number of the next one.
+        """
+        if self._known is not None and answer.slip:
+            self.begin(math.sqrt(max(_variance_m2(answer) - _variance_m2(self._known), 0.0)), keyframe)
         self._known = answer
 
     def begin(self, spread_m: float | None, keyframe: int) -> None:
-        """The camera begins again with a keyframe, `spread_m` (σ, in the plane) from the last frame believed."""
+        """The camera goes on with a keyframe, `spread_m` (σ, in the plane) from the last frame that was believed."""
         if spread_m is None or spread_m <= self._settings.unsure_m or self.since is not None:
             return
         before_m2 = 0.0 if self._known is None else _variance_m2(self._known)

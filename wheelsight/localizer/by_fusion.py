@@ -14,7 +14,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._base_sensors import BaseSensors
 from wheelsight.localizer._camera import mount_of
-from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far
+from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far, strayed
 from wheelsight.localizer._carried import Carried, UnsureStart
 from wheelsight.localizer._fused_camera import FusedCamera
 from wheelsight.localizer._loops import loops_beside
@@ -24,6 +24,7 @@ from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
 from wheelsight.odometry.extrinsics import Culprit
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
+from wheelsight.odometry.frame_error import frame_covariance
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.known import KnownMap
 
@@ -54,7 +55,7 @@ class ByFusion:
         self._base = BaseSensors(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
         self._camera = FusedCamera(calibration, settings, T_base_camera, known)
-        self._map = CameraMap(T_base_camera)
+        self._map, self._of_frame = CameraMap(T_base_camera), frame_covariance(calibration)
         self._places = None if places is None else PlaceSense(places, settings.fusion.areas)
         T_start, spread = (None, None) if self._places is None else self._places.start
         filter_settings = settings.fusion.error_state.with_wheels(calibration.wheels)
@@ -197,6 +198,7 @@ class ByFusion:
             return self._begun(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = blurred(motion, twist, self._base.noise_s)
+        motion = strayed(motion, self._of_frame, self._settings.frame_walk_per_m)
         if frame.stamp_s - self._map.seen_s > self._settings.dark_s and not motion.shows_all:
             return self._unseen(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measured(frame, seen, motion)
@@ -226,7 +228,7 @@ class ByFusion:
         if update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING:
             self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
             self._map.refer(seen)
-            self._unsure.known(answer)
+            self._unsure.known(answer, len(self.odometry.store))
             if self.mapper is not None and isinstance(seen, DenseEstimate):
                 self.mapper.fuse_tracked(frame, seen)
         if update.is_reference:

@@ -51,8 +51,10 @@ class FollowSettings(Settings):
     slowest_rad_s: float = setting(0.06, "the same of turns in place", CHOSEN, gt=0, le=0.5)
     at_end_m: float = setting(0.01, "before a segment's end where it counts as driven", CHOSEN, gt=0, le=0.2)
     at_yaw_rad: float = setting(0.015, "of a turn's end where it counts as turned", CHOSEN, gt=0, le=0.2)
-    goal_m: float = setting(0.05, "distance from the goal that is an arrival", "issue 32", gt=0, le=1)
-    goal_rad: float = setting(0.052, "heading beside the goal's that is one: 3°", "issue 32", gt=0, le=1)
+    goal_m: float = setting(
+        0.1, "distance from the goal that is an arrival; with what localization is off by, 0.15", "issue 32", gt=0, le=1
+    )
+    goal_rad: float = setting(0.087, "heading beside the goal's that is one: 5°", "issue 32", gt=0, le=1)
     off_path_m: float = setting(
         1.5,
         "distance from the path beyond which a plan is given up; detours around people are less",

@@ -10,6 +10,7 @@ import numpy as np
 from wheelsight.geometry import FloatArray
 
 _SAME_M, _SAME_RAD = 1e-3, 1e-3
+_MOST_TURN_RAD = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +62,7 @@ class _Cutter:
         self._nodes = [first[:2]]
         self._headings: list[float] = []
         self._direction = 0
+        self._turned = 0.0
 
     def drive(self, way: FloatArray, before: FloatArray, after: FloatArray, kink_rad: float) -> None:
         """A piece of a way; on with those before where it is as they are."""
@@ -75,10 +77,21 @@ class _Cutter:
         """End what is driven; and a turn to a pose's yaw, where that is another."""
         if self._headings:
             self.segments.append(_driven(np.array(self._nodes), self._headings, self._direction, self._spacing_m))
-        if abs(wrapped(float(pose[2]) - self._yaw)) > _SAME_RAD:
-            self.segments.append(Segment(0, np.empty((0, 5)), np.array([*self._nodes[-1], pose[2]])))
+        turn = wrapped(float(pose[2]) - self._yaw)
+        if abs(turn) > _SAME_RAD:
+            self._turn(turn, np.array([*self._nodes[-1], pose[2]]))
         self._yaw, self._nodes = float(pose[2]), [pose[:2]]
         self._headings, self._direction = [], 0
+
+
+    def _turn(self, turn: float, end: FloatArray) -> None:
+        """A turn, or more of the one before: of half a turn and more nobody could tell to which side it goes."""
+        goes_on = bool(self.segments) and not self.segments[-1].direction and not self._headings
+        if goes_on and turn * self._turned > 0 and abs(turn + self._turned) < _MOST_TURN_RAD:
+            self.segments.pop()
+            turn += self._turned
+        self._turned = turn
+        self.segments.append(Segment(0, np.empty((0, 5)), end))
 
 
 def wrapped(angle_rad: float) -> float:

@@ -130,6 +130,33 @@ def test_vision_out_of_the_floors_plane_is_never_slip():
     assert all(a.reason is Reason.CONTRADICTION and not a.slip for a in in_fault(steps, answers)[1:-1])
 
 
+def test_a_view_that_hides_a_direction_never_makes_it_slip():
+    """Before a bare wall a camera slides along it, and has wrong what it does see; wheels stay believed."""
+    along_wall = np.array([[1.0, 0, 0, 0, 0, 0]])
+
+    def before_a_wall(t, motion):
+        if not faulty(t):
+            return motion
+        return replace(shifted(motion, (0.3, 0.0, 0.2), FRAME_S), degenerate=along_wall)
+
+    steps, answers = drive_with(0, camera_fault=before_a_wall)
+    told = in_fault(steps, answers)
+    assert np.mean([a.reason is Reason.CONTRADICTION for a in told]) > 0.5
+    assert not any(a.slip for a in answers)
+    assert off_m(steps[-1], answers[-1]) < 0.2
+    assert covered(steps, answers) >= 0.95
+
+
+def test_vision_that_fails_for_long_is_followed_only_by_a_pose_that_covers_the_wheels():
+    """It looks just as slip that was taken for its failure at first, so that who is right stays open."""
+    steps, answers = drive_with(
+        0, camera_fault=lambda t, motion: shifted(motion, (0.6, 0.0, 0.4), FRAME_S) if faulty(t) else motion
+    )
+    step, answer = next((s, a) for s, a in zip(steps, answers, strict=True) if a.slip)
+    assert off_m(step, answer) > 0.3
+    assert within_three_sigma(answer, step.T_truth)
+
+
 def test_a_blackout_coasts_within_three_sigma():
     steps, answers = drive_with(0, camera_fault=lambda t, motion: blind(motion) if faulty(t) else motion)
     assert [a.status for a in in_fault(steps, answers)][15:-1] == [Status.COASTING] * 74

@@ -25,7 +25,7 @@ RIGHT = SETTINGS.model_copy(
 )
 STATED_SLIP = 0.004
 # Thirteen ratios from a sixteenth to four; one that is twice as large or small is less likely by half a nat.
-BEFORE = -0.25 * np.abs(np.arange(-8, 5))
+BEFORE = -0.25 * np.abs(np.arange(-16, 5))
 
 
 def remembering(memory_m: float) -> FilterParameters:
@@ -114,7 +114,7 @@ def test_no_single_ride_decides() -> None:
 
 def test_what_was_known_fades_along_the_way() -> None:
     preintegration, told, measurement, belief = ride_and_look(0.0, spread=1.0)  # which tells nothing
-    known = WheelNoise(nats=np.linspace(5.0, 0.0, 13), ratio=0.1)
+    known = WheelNoise(nats=np.linspace(5.0, 0.0, 21), ratio=0.1)
     kept, lost = (
         known.after(preintegration, told, measurement, belief, remembering(memory_m)).nats for memory_m in (1e9, 1e-3)
     )

@@ -180,29 +180,16 @@ def _remembered(
     detection: FaultDetection, name: str, stamp_s: float, spread: FloatArray | None, settings: FilterParameters
 ) -> FaultDetection:
     """With the pose now remembered; from it on the wheels are preintegrated, if the camera measures against it."""
-    measurement = (
-        None if detection.last is None or detection.last.measurement.name != name else detection.last.measurement
-    )
-    is_of_now = detection.last is not None and detection.last.stamp_s == stamp_s and detection.agreed > 0
-    agrees = (
-        measurement is not None
-        and is_of_now
-        and detection.fault is faults.Fault.NONE
-        and name in detection.primary.names
-    )
+    last = detection.last
+    measurement = None if last is None or last.measurement.name != name else last.measurement
+    is_known = name in detection.primary.names
     if measurement is not None or detection.preintegration is None or detection.preintegration.name == name:
-        noise = (
-            _noise_after(detection, measurement, stamp_s, settings)
-            if agrees and measurement is not None
-            else detection.noise
-        )
-        detection = changed(
-            detection,
-            noise=noise,
-            preintegration=Preintegration.of(name, stamp_s, detection.odometer, spread, detection.primary),
-        )
-    if agrees and measurement is not None and spread is not None and len(measurement.covariance) == 6:
-        return changed(detection, primary=detection.primary.chained(measurement, stamp_s, spread, settings))
+        is_of_now = last is not None and last.stamp_s == stamp_s and detection.agreed > 0
+        noise = detection.noise
+        if measurement is not None and is_of_now and is_known and detection.fault is faults.Fault.NONE:
+            noise = _noise_after(detection, measurement, stamp_s, settings)
+        begin = Preintegration.of(name, stamp_s, detection.odometer, spread, detection.primary)
+        detection = changed(detection, noise=noise, preintegration=begin)
     given = (name, stamp_s, settings.max_clones, spread)
     return _each(detection, lambda belief: belief.cloned(*given))
 

@@ -7,14 +7,15 @@ between them, in nats, sums up frame by frame (Wald 1945) until one is decided:
 - the one whose own speed changed more than a robot's can, at the onset or since, is the one that is wrong;
 - the gyroscope, where there is one, turns with one of both;
 - a camera with its usual share of inliers that goes on contradicting the wheels speaks for slip, since wheels cannot
-  notice that they slip; one with fewer, or that fails, against itself.
+  notice that they slip; one with fewer, or that fails, against itself. One that does not see all directions speaks for
+  neither: what it has wrong of these it mistakes for the others.
 
 A measurement that even slipping wheels could not explain, because it leaves the floor's plane, is refused and tells
 nothing of both. Until it is decided both hypotheses go on, and the answer lies between and covers both. Where both
 agree again before, the likelier one goes on, and covers the other. Decided for the wheels, the answer is theirs, and
 covers the camera's as long as that looks well. A fault is over after a row of measurements that agree; or slip is
-decided after all, when a camera has gone on looking well and contradicting for a second or two: what fails does not
-last.
+decided after all, when a camera has gone on looking well and contradicting for a second or two: what fails mostly does
+not last so long. As it may, the answer then covers the wheels'.
 """
 
 from __future__ import annotations
@@ -186,7 +187,7 @@ def updated(
     if detection.fault is Fault.WHEEL_SLIP:
         return _by_camera(heard, stamp_s, measurement, most, settings)
     seconds = 0.0 if detection.last is None else stamp_s - detection.last.stamp_s
-    if agreed == 0:
+    if agreed == 0 and _shows_all(measurement):
         log_ratio += min(seconds, settings.compared_s) * settings.contradiction_nats_per_s
     return _by_wheels(heard, stamp_s, measurement, log_ratio, settings)
 
@@ -246,7 +247,7 @@ def _undecided(
     by = detection.alternative.innovation(measurement, settings)
     fits = by.nis <= gate(settings, len(measurement.covariance))
     alternative = detection.alternative.corrected(by).vision_accepted() if fits else detection.alternative
-    if not agrees:
+    if not agrees and _shows_all(measurement):
         is_healthy = fits and _is_healthy(detection, measurement, settings)
         log_ratio += settings.contradiction_nats if is_healthy else -settings.poor_inliers_nats
     detection = changed(detection, alternative=alternative, log_ratio=detection.log_ratio + log_ratio)
@@ -293,7 +294,11 @@ def _settled(detection: FaultDetection, stamp_s: float, settings: FilterParamete
     """The detection, with one of both beliefs alone where the log_ratio is decisive."""
     if detection.log_ratio > settings.decision_nats:
         assert detection.alternative is not None
-        return changed(_with_fault(detection, Fault.WHEEL_SLIP, stamp_s), primary=detection.alternative, log_ratio=0.0)
+        camera = detection.alternative
+        if detection.fault is Fault.VISION:
+            # A camera that fails for long looks just so: whoever is right, the other has to be covered.
+            camera = covering(camera, detection.primary, detection.since_s, settings.covered_sigmas).vision_accepted()
+        return changed(_with_fault(detection, Fault.WHEEL_SLIP, stamp_s), primary=camera, log_ratio=0.0)
     if detection.log_ratio < -settings.decision_nats:
         return changed(
             _with_fault(detection, Fault.VISION, stamp_s),
@@ -362,6 +367,10 @@ def _since(
     # What both measurements have wrong adds up.
     T, spread = motions.between(last.measurement.Z, -last.measurement.spread, measurement.Z, measurement.spread)
     return T, spread[IN_PLANE]
+
+
+def _shows_all(measurement: RelativePose) -> bool:
+    return len(measurement.covariance) == 6
 
 
 def _is_healthy(detection: FaultDetection, measurement: RelativePose, settings: FilterParameters) -> bool:

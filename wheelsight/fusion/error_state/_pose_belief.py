@@ -30,7 +30,6 @@ from wheelsight.geometry import motion_kernels as motions
 
 PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 IN_PLANE = np.ix_(PLANE, PLANE)
-_IS_PLANE = np.array([1.0, 1, 0, 0, 0, 1])
 _SIX = np.arange(6)
 # Behind all poses stand, in this order: the twist, what is wrong with wheels and camera, and the gyroscope's bias.
 TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 15), 15, 16
@@ -211,32 +210,6 @@ class PoseBelief:
         place = self.names.index(name)
         without = self._selected(np.delete(np.arange(len(self.T)), place + 1))
         return changed(without, remembered=(*self.remembered[:place], *self.remembered[place + 1 :]))
-
-    def chained(
-        self, measurement: RelativePose, stamp_s: float, spread: FloatArray, settings: FilterParameters
-    ) -> PoseBelief:
-        """With the pose now, seen just so against a remembered one, remembered in that one's place.
-
-        The camera has both in the map, so in the plane what that has wrong of the one it has wrong of the
-        other: errors of single measurements do not add up along a way. What the map gains by error on the way is
-        `spread` (6, 6), in the base's own frame. Height, roll and pitch are those of now: the floor knows more of them.
-        """
-        at = self.reference(measurement.name)
-        rows, errors = slice(6 * at, 6 * at + 6), self.place(CAMERA_ERRORS)
-        T_imaged, T = relative.imaged_at(self.T[0], self.rest), self.T.copy()
-        _, B, _ = relative.expected(T_imaged, T[at], self.told - self.remembered[at - 1].told)
-        seen = self.T[at] @ motions.exp(B @ self.rest[CAMERA_ERRORS]) @ measurement.Z
-        Ad = motions.adjoint(self.T[0])
-        in_plane = (Ad * _IS_PLANE) @ motions.inverse_adjoint(self.T[0])
-        aside = np.eye(6) - in_plane
-        there = np.eye(len(self.covariance))
-        there[rows, rows], there[rows, :6], there[rows, errors] = in_plane, aside, in_plane @ motions.adjoint(T[at]) @ B
-        T[at] = motions.exp(aside @ motions.log(motions.times(T_imaged, motions.inverse(seen)))) @ seen
-        P = there @ self.covariance @ there.T
-        kept = Ad * np.array([1.0, 1, 1, 1, 1, settings.chain_yaw_share])
-        P[rows, rows] += kept @ spread @ kept.T
-        poses = (*self.remembered[: at - 1], self._as(measurement.name, stamp_s), *self.remembered[at:])
-        return changed(self, T=T, covariance=P, remembered=poses)
 
     def _as(self, name: str, stamp_s: float) -> Remembered:
         return Remembered(name, stamp_s, self.rest[TWIST].copy(), self.slip_covariance, self.told)

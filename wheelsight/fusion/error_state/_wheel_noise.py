@@ -24,7 +24,7 @@ from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 
-_VALUES = 13
+_VALUES = 21
 _WAY_AND_TURN = np.array([0, 5])
 _IN_THESE = np.ix_(_WAY_AND_TURN, _WAY_AND_TURN)
 _ERRORS = slice(ERRORS.start, LAG + 1)
@@ -119,7 +119,7 @@ class WheelNoise:
     """The ratio of the wheels' variance to the calibration's.
 
     Attributes:
-        nats: (13,) log of how likely each of `ratios` is, up to a constant; None before the first.
+        nats: (21,) log of how likely each of `ratios` is, up to a constant; None before the first.
         ratio: its mean.
     """
 

@@ -105,13 +105,6 @@ class ErrorStateSettings(Settings):
         gt=0,
         le=1e6,
     )
-    chain_yaw_share: float = setting(
-        0.4,
-        "of what alignments leave uncertain of turns, what adds up along a way: 3 to 18 m of ten simulated drives",
-        ON_SIMULATOR,
-        gt=0,
-        lt=1,
-    )
 
     # Noise of the wheels, and of what they do not tell.
     wheel_noise_memory_m: float = setting(
@@ -122,9 +115,9 @@ class ErrorStateSettings(Settings):
         le=1e9,
     )
     wheel_noise_least: float = setting(
-        0.0625,
-        "least ratio of their variance to the calibration's, a quarter of the σ: no floor is the next one",
-        CHOSEN,
+        0.00390625,
+        "least ratio of their variance to the calibration's, a sixteenth of the σ: so well wheels hold on a hard floor",
+        f"{ON_SIMULATOR}: docs/decisions/0065",
         gt=0,
         le=1,
     )
