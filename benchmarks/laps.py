@@ -38,6 +38,8 @@ FALSE_M, FALSE_DEG, BEYOND = 0.5, 10.0, 1e-4
 NEAR_M, ALIKE_DEG, OLDER_S = 1.0, 30.0, 20.0
 POSED = (Status.TRACKING, Status.COASTING)
 CLOSED_PERCENT, OF_LIVED = 80.0, 0.5
+_LOOPS = "kept", "false", "refused", "right", "closed"
+HEADER = ("drive", "way m", "posed", "as lived m", "at the end m", "share", *_LOOPS)
 
 
 @dataclass(frozen=True)
@@ -157,6 +159,11 @@ def judge(drives: list[Laps]) -> Iterator[Target]:
         )
 
 
+def sheets_of(drives: list[Laps]) -> list[Sheet]:
+    """What drives came to, and what must be reached."""
+    return [Sheet("Laps", HEADER, tuple(one.row for one in drives)), targets_sheet(list(judge(drives)))]
+
+
 def main() -> None:
     """Print what was measured, and write it where asked to."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.laps", description=__doc__)
@@ -169,33 +176,19 @@ def main() -> None:
     parser.add_argument("--modes", nargs="+", choices=list(MODES), default=list(MODES))
     parser.add_argument("--out", type=Path, help="Markdown to write")
     arguments = parser.parse_args()
-    console, about, drives = Console(width=150), machine.description(), []
+    what = f"--buildings {' '.join(arguments.buildings)} --seeds {arguments.seeds} --laps {arguments.laps} "
+    what += f"--rate {arguments.rate:g} --way {arguments.way:g} --modes {' '.join(map(repr, arguments.modes))}"
+    about = machine.description() | {"Command": f"`python -m benchmarks.laps {what}`", "Images": "320×240"}
+    console, drives = Console(width=150), list[Laps]()
     for building in buildings_of(arguments.buildings, arguments.data, arguments.way):
         for seed in range(1, arguments.seeds + 1):
             for mode in arguments.modes:
                 drives.append(driven(building, mode, seed, arguments.laps, arguments.rate))
                 console.print(" · ".join(drives[-1].row))
-    header = (
-        "drive",
-        "way m",
-        "posed",
-        "as lived m",
-        "at the end m",
-        "share",
-        "kept",
-        "false",
-        "refused",
-        "right",
-        "closed",
-    )
-    sheets = [Sheet("Laps", header, tuple(one.row for one in drives)), targets_sheet(list(judge(drives)))]
-    for sheet in sheets:
+                if arguments.out is not None:  # now, since hours of drives may be broken off
+                    write_page(arguments.out, "Laps", __doc__ or "", about, sheets_of(drives))
+    for sheet in sheets_of(drives):
         console.print(sheet.to_rich())
-    if arguments.out is not None:
-        what = f"--buildings {' '.join(arguments.buildings)} --seeds {arguments.seeds} --laps {arguments.laps} "
-        what += f"--rate {arguments.rate:g} --way {arguments.way:g} --modes {' '.join(map(repr, arguments.modes))}"
-        about |= {"Command": f"`python -m benchmarks.laps {what}`", "Images": "320×240"}
-        write_page(arguments.out, "Laps", __doc__ or "", about, sheets)
 
 
 if __name__ == "__main__":
