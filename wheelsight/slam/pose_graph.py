@@ -42,6 +42,9 @@ class GtsamPoseGraph(GraphContents):
     def update(self) -> None:
         """What is new goes into iSAM2; after edges were taken out, or poses found as a whole, it begins anew."""
         self._need_prior()
+        if self.unheld().any():
+            self.optimise()  # iSAM2 has no damping, and would hand out covariances of rounding errors
+            return
         if self._isam is None:
             parameters = self._gtsam.ISAM2Params()
             parameters.setRelinearizeThreshold(_RELINEARISE)
