@@ -10,8 +10,9 @@ keyframe that lies within 1 m and 30° of one that is at least 20 s older; it is
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -26,7 +27,9 @@ from benchmarks.sessions import buildings_of
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
 from wheelsight.config import load_config
+from wheelsight.errors import InputError
 from wheelsight.estimates import Status
+from wheelsight.files import write_text
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.pipeline.loops import CorrectionRecord
 from wheelsight.pipeline.run_record import RunRecord
@@ -38,6 +41,8 @@ FALSE_M, FALSE_DEG, BEYOND = 0.5, 10.0, 1e-4
 NEAR_M, ALIKE_DEG, OLDER_S = 1.0, 30.0, 20.0
 POSED = (Status.TRACKING, Status.COASTING)
 CLOSED_PERCENT, OF_LIVED = 80.0, 0.5
+_LOOPS = "kept", "false", "refused", "right", "closed"
+HEADER = ("drive", "way m", "posed", "as lived m", "at the end m", "share", *_LOOPS)
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,39 @@ class Laps:
             *loops,
             f"{self.closed}/{self.revisits}",
         )
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A folder of drives that were all measured in one way, so that hours of them can be broken off.
+
+    Attributes:
+        folder: of a file for each; None keeps nothing.
+        measured_with: what they depend on besides, which each file repeats.
+    """
+
+    folder: Path | None
+    measured_with: dict[str, float]
+
+    def of(self, building: str, mode: str, seed: int) -> Laps | None:
+        """What was measured before, if anything. Raises InputError for a file that was measured otherwise."""
+        if self.folder is None or not (path := self._path(building, mode, seed)).exists():
+            return None
+        record = json.loads(path.read_text(encoding="utf-8"))
+        if record.pop("measured_with") != self.measured_with:
+            raise InputError("was measured otherwise", path=path, fix="keep these in another folder")
+        return Laps(**record)
+
+    def keep(self, found: Laps) -> None:
+        """Write a file, whole or not at all."""
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            record = {**asdict(found), "measured_with": self.measured_with}
+            write_text(self._path(found.building, found.mode, found.seed), json.dumps(record, indent=1))
+
+    def _path(self, building: str, mode: str, seed: int) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{building}-{mode.replace(' ', '-')}-{seed}.json"
 
 
 def driven(building: Building, mode: str, seed: int, laps: int, rate_hz: float) -> Laps:
@@ -157,6 +195,11 @@ def judge(drives: list[Laps]) -> Iterator[Target]:
         )
 
 
+def sheets_of(drives: list[Laps]) -> list[Sheet]:
+    """What drives came to, and what must be reached."""
+    return [Sheet("Laps", HEADER, tuple(one.row for one in drives)), targets_sheet(list(judge(drives)))]
+
+
 def main() -> None:
     """Print what was measured, and write it where asked to."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.laps", description=__doc__)
@@ -168,34 +211,24 @@ def main() -> None:
     parser.add_argument("--way", type=float, default=40.0, help="metres of a lap through a plan")
     parser.add_argument("--modes", nargs="+", choices=list(MODES), default=list(MODES))
     parser.add_argument("--out", type=Path, help="Markdown to write")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps drives; those kept are not measured again")
     arguments = parser.parse_args()
-    console, about, drives = Console(width=150), machine.description(), []
+    what = f"--buildings {' '.join(arguments.buildings)} --seeds {arguments.seeds} --laps {arguments.laps} "
+    what += f"--rate {arguments.rate:g} --way {arguments.way:g} --modes {' '.join(map(repr, arguments.modes))}"
+    about = machine.description() | {"Command": f"`python -m benchmarks.laps {what}`", "Images": "320×240"}
+    kept = Kept(arguments.keep, {"laps": arguments.laps, "rate_hz": arguments.rate, "way_m": arguments.way})
+    console, drives = Console(width=150), list[Laps]()
     for building in buildings_of(arguments.buildings, arguments.data, arguments.way):
         for seed in range(1, arguments.seeds + 1):
             for mode in arguments.modes:
-                drives.append(driven(building, mode, seed, arguments.laps, arguments.rate))
+                found = kept.of(building.name, mode, seed)
+                drives.append(found or driven(building, mode, seed, arguments.laps, arguments.rate))
+                kept.keep(drives[-1])
                 console.print(" · ".join(drives[-1].row))
-    header = (
-        "drive",
-        "way m",
-        "posed",
-        "as lived m",
-        "at the end m",
-        "share",
-        "kept",
-        "false",
-        "refused",
-        "right",
-        "closed",
-    )
-    sheets = [Sheet("Laps", header, tuple(one.row for one in drives)), targets_sheet(list(judge(drives)))]
-    for sheet in sheets:
+                if arguments.out is not None:  # now, since hours of drives may be broken off
+                    write_page(arguments.out, "Laps", __doc__ or "", about, sheets_of(drives))
+    for sheet in sheets_of(drives):
         console.print(sheet.to_rich())
-    if arguments.out is not None:
-        what = f"--buildings {' '.join(arguments.buildings)} --seeds {arguments.seeds} --laps {arguments.laps} "
-        what += f"--rate {arguments.rate:g} --way {arguments.way:g} --modes {' '.join(map(repr, arguments.modes))}"
-        about |= {"Command": f"`python -m benchmarks.laps {what}`", "Images": "320×240"}
-        write_page(arguments.out, "Laps", __doc__ or "", about, sheets)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks import laps
 from benchmarks.table import Sheet, write_page
+from wheelsight.errors import InputError
 from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.slam.graph import RelativePose
@@ -62,3 +63,15 @@ def test_a_page_has_what_was_measured_on_what_and_the_tables(tmp_path: Path) -> 
     page = (tmp_path / "page.md").read_text(encoding="utf-8")
     assert page.startswith("# Two laps\n\nWhat they are.\n- Date: today\n- Images: 320×240\n\n## Laps\n")
     assert "| flat | 6/8 |" in page
+
+
+def test_a_drive_that_is_kept_is_not_measured_again_nor_taken_for_another(tmp_path: Path) -> None:
+    kept = laps.Kept(tmp_path / "drives", {"laps": 2, "rate_hz": 10.0, "way_m": 40.0})
+    assert kept.of("flat", "joined", 1) is None
+    kept.keep(DRIVE)
+    assert kept.of("flat", "joined", 1) == DRIVE
+    assert kept.of("flat", "joined", 2) is None
+    with pytest.raises(InputError, match="measured otherwise"):
+        laps.Kept(tmp_path / "drives", {"laps": 3, "rate_hz": 10.0, "way_m": 40.0}).of("flat", "joined", 1)
+    laps.Kept(None, {}).keep(DRIVE)
+    assert laps.Kept(None, {}).of("flat", "joined", 1) is None

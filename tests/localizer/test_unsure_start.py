@@ -64,7 +64,6 @@ def test_loops_end_it_however_wide_the_answer_is_in_odom() -> None:
     assert subject.answered(wide) is wide
 
 
-
 def test_where_a_camera_is_followed_that_failed_it_is_doubtful_though_that_tracks() -> None:
     subject = UnsureStart(JoiningSettings())
     for sigma_m in (0.1, 0.12, 0.14):

@@ -180,6 +180,23 @@ def test_all_that_stops_whatever_is_asked() -> None:
     assert reason(monitor, 0.06) is MonitorReason.INVALID
 
 
+def test_from_what_is_too_near_for_its_camera_it_backs_up_a_little() -> None:
+    ride = Ride(NOTHING)
+    ride.drive(STOP, 1.0)
+    dark = replace(ALL_AROUND.view(NOTHING, np.zeros(3), 0.0), seen_m=np.zeros(64))
+    for _ in range(20):
+        ride.monitor.see(replace(dark, stamp_s=ride.time_s))
+        assert ride.drive(STOP, 0.05, sees=False).command.is_stop
+    for asked in (FULL, VelocityCommand(-0.1, 0.2)):
+        assert ride.monitor.check(asked, ride.time_s, Status.TRACKING).reason is MonitorReason.NO_FRAME
+    begin_m = ride.base.pose[0]
+    for _ in range(160):
+        ride.monitor.see(replace(dark, stamp_s=ride.time_s))
+        ride.drive(VelocityCommand(-0.1, 0.0), 0.05, sees=False)
+    assert ride.base.stands
+    assert 0.2 < begin_m - ride.base.pose[0] < SETTINGS.blind_m + 0.05
+
+
 def test_wheels_alone_lead_slowly() -> None:
     result = checked(monitor_before(NOTHING), FULL, Status.COASTING)
     assert result.command.forward_m_s == pytest.approx(SETTINGS.coasting_m_s)

@@ -35,7 +35,9 @@ def marginal(edges: list[RelativePose], numbers: list[int], last: int) -> np.nda
     moved = [RelativePose(at[e.first], at[e.second], e.T_first_second, e.covariance, e.is_loop) for e in edges]
     graph.add_edges(moved)
     graph.optimise()
-    return graph.marginal(at[KeyframeId(last)])
+    C = graph.marginal(at[KeyframeId(last)])
+    assert C is not None
+    return C
 
 
 def test_an_edge_seen_from_the_other_end_is_the_same_when_turned_twice() -> None:

@@ -86,6 +86,7 @@ class CollisionMonitor:
         self._edge = _edge_points(self._outline, self._settings.cell_m)
         self._reach_m = float(np.linalg.norm(footprint.corners, axis=1).max())
         self._frame_s, self._wheels_s = -np.inf, -np.inf
+        self._any_frame_s, self._blind_way_m = -np.inf, 0.0
         self._measured = (0.0, 0.0)
         self._is_frame_sound, self._are_wheels_sound = True, True
         self._are_wheels_off = False
@@ -112,6 +113,7 @@ class CollisionMonitor:
             self._surroundings.forget()
             self._wheels.forget()
             self._frame_s = -np.inf
+        self._blind_way_m += abs(forward_m_s) * min(stamp_s - self._wheels_s, self._settings.gap_s)
         self._surroundings.hear(stamp_s, forward_m_s, turn_rad_s)
         self._wheels_s, self._measured = stamp_s, (forward_m_s, turn_rad_s)
         self._are_wheels_off |= self._wheels.is_off(forward_m_s, turn_rad_s, stamp_s)
@@ -119,10 +121,12 @@ class CollisionMonitor:
     def see(self, view: DepthView) -> None:
         """A depth frame, in order; one that shows too little is none."""
         self._is_frame_sound = view.is_sound
+        if view.is_sound:
+            self._any_frame_s = max(self._any_frame_s, view.stamp_s)
         if not view.is_sound or view.stamp_s <= self._frame_s or view.share < self._settings.seen_share:
             return
         if self._surroundings.see(view):
-            self._frame_s = view.stamp_s
+            self._frame_s, self._blind_way_m = view.stamp_s, 0.0
 
     def check(self, asked: VelocityCommand, now_s: float, status: Status) -> MonitorResult:
         """What becomes of a command; called once a period, also where it is a stop.
@@ -132,7 +136,7 @@ class CollisionMonitor:
             now_s: by the clock of the stamps.
             status: of the localization.
         """
-        reason = self._why_stand(now_s, status)
+        reason = self._why_stand(asked, now_s, status)
         if reason is not None:
             result = MonitorResult(STOP, MonitorState.STOPPED, reason)
         elif asked.is_stop:
@@ -142,7 +146,7 @@ class CollisionMonitor:
         self._wheels.tell(result.command, now_s)
         return result
 
-    def _why_stand(self, now_s: float, status: Status) -> MonitorReason | None:
+    def _why_stand(self, asked: VelocityCommand, now_s: float, status: Status) -> MonitorReason | None:
         """What is wrong whatever is asked."""
         s = self._settings
         newest_s = max(self._frame_s, self._wheels_s)
@@ -150,11 +154,17 @@ class CollisionMonitor:
             MonitorReason.INVALID: not (np.isfinite(now_s) and self._is_frame_sound and self._are_wheels_sound),
             MonitorReason.FROM_AHEAD: newest_s > now_s + s.ahead_s,
             MonitorReason.NO_WHEELS: now_s - self._wheels_s > s.encoder_age_s,
-            MonitorReason.NO_FRAME: now_s - self._frame_s > s.frame_age_s,
+            MonitorReason.NO_FRAME: now_s - self._frame_s > s.frame_age_s and not self._may_back_up(asked, now_s),
             MonitorReason.WHEELS_OFF: self._are_wheels_off,
             MonitorReason.STATUS: status in _STATUS_TO_STAND,
         }
         return next((reason for reason, is_so in wrong.items() if is_so), None)
+
+    def _may_back_up(self, asked: VelocityCommand, now_s: float) -> bool:
+        """Whether it goes back from what is too near for its camera: a little, while that gives frames."""
+        s = self._settings
+        is_alive = now_s - self._any_frame_s <= s.frame_age_s
+        return is_alive and asked.forward_m_s < 0 and asked.turn_rad_s == 0 and self._blind_way_m < s.blind_m
 
     def _share(self, asked: VelocityCommand, now_s: float, status: Status) -> tuple[float, MonitorReason | None]:
         """How much of a command may be driven, and what keeps it from being more."""

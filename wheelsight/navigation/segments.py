@@ -83,7 +83,6 @@ class _Cutter:
         self._yaw, self._nodes = float(pose[2]), [pose[:2]]
         self._headings, self._direction = [], 0
 
-
     def _turn(self, turn: float, end: FloatArray) -> None:
         """A turn, or more of the one before: of half a turn and more nobody could tell to which side it goes."""
         goes_on = bool(self.segments) and not self.segments[-1].direction and not self._headings

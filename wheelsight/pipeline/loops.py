@@ -77,6 +77,7 @@ class CorrectionRecord:
             "matches": self.matches,
             "kept": len(loops.kept),
             "refused": len(loops.refused),
+            "refused_by": loops.refusals,
             "not_judged": dict(self.found.unused),
             "not_verified": dict(self.refused),
             "not_compared": self.unseen,

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from wheelsight.errors import ArgumentError
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.geometry.motion_kernels import is_definite
 from wheelsight.keyframes import KeyframeId
 
@@ -88,17 +90,23 @@ class PoseGraph(Protocol):
     def remove_prior(self, prior: Prior) -> None:
         """Take out one that was added. Raises ArgumentError."""
 
+    def unheld(self, without: Sequence[RelativePose] = ()) -> IntArray:
+        """(N,) 0 of keyframes that edges, but some, join with one that a prior holds; else a number of their piece.
+
+        Where they are nothing tells, and no solver can.
+        """
+
     def update(self) -> None:
         """Take in what is new, from where the poses are: cheap, for use while driving."""
 
     def optimise(self, T_start: FloatArray | None = None) -> float:
         """The best poses, from (N, 4, 4) on or from the present ones; answers with half of the squared errors."""
 
-    def marginal(self, keyframe: KeyframeId) -> FloatArray:
-        """Covariance (6, 6) of a pose."""
+    def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
+        """Covariance (6, 6) of a pose; None where nothing holds it, or the graph's digits do not tell it."""
 
-    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray:
-        """Covariance (12, 12) of two poses, the first one's perturbation first."""
+    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
+        """Covariance (12, 12) of two poses, the first one's perturbation first; None as in `marginal`."""
 
 
 class GraphContents:
@@ -165,6 +173,16 @@ class GraphContents:
             raise ArgumentError("the graph has no such prior", fix="give one that was added")
         self._priors = kept
         self._changed()
+
+    def unheld(self, without: Sequence[RelativePose] = ()) -> IntArray:
+        """See `PoseGraph`."""
+        gone = {id(edge) for edge in without}
+        ends = np.array([(edge.first, edge.second) for edge in self._edges if id(edge) not in gone], np.int64)
+        first, second = ends.reshape(-1, 2).T
+        links = coo_array((np.ones(len(ends)), (first, second)), shape=(len(self), len(self)))
+        piece = 1 + np.asarray(connected_components(links, directed=False)[1], np.int64)
+        held = piece[[prior.keyframe for prior in self._priors]]
+        return np.where(np.isin(piece, held), 0, piece)
 
     @property
     def _T(self) -> FloatArray:

@@ -8,17 +8,27 @@ says itself. An honest odometry makes the gate right; where it states too little
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from scipy.special import gammaincinv
 
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
+from wheelsight.geometry.motion_kernels import is_definite
 from wheelsight.slam.clusters import clusters_of
 from wheelsight.slam.errors_of_edges import arrays_of, cauchy_loss, edge_errors, inverse_left_jacobian
 from wheelsight.slam.graph import PoseGraph, RelativePose
 from wheelsight.slam.settings import LoopSettings
+
+
+class Refusal(StrEnum):
+    """Why the graph does not go by a loop."""
+
+    CONTRADICTS = "it contradicts the rest"
+    UNKNOWN = "the graph does not tell how far off it may be"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +38,8 @@ class JudgedLoop:
     Attributes:
         loop: as offered.
         is_kept: whether the graph goes by it.
-        chi2: its squared error over what loop and poses leave open, when it was judged last.
+        chi2: its squared error over what loop and poses leave open, when it was judged last; infinite where the graph
+            did not tell what they leave open.
         limit: the largest chi2 that is kept.
         cluster: the number of the cluster of loops that it agrees with, as of the last review; -1 before one.
     """
@@ -38,6 +49,13 @@ class JudgedLoop:
     chi2: float
     limit: float
     cluster: int = -1
+
+    @property
+    def refusal(self) -> Refusal | None:
+        """Why it is not kept, or None."""
+        if self.is_kept:
+            return None
+        return Refusal.CONTRADICTS if np.isfinite(self.chi2) else Refusal.UNKNOWN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +79,13 @@ class LoopReport:
 
     @property
     def refused(self) -> tuple[RelativePose, ...]:
-        """Loops that contradict the rest."""
+        """Loops that contradict the rest, or that could not be judged."""
         return tuple(one.loop for one in self.judged if not one.is_kept)
+
+    @property
+    def refusals(self) -> dict[str, int]:
+        """How many were refused, by reason."""
+        return dict(Counter(str(one.refusal) for one in self.judged if one.refusal is not None))
 
 
 class LoopCloser:
@@ -174,11 +197,26 @@ class LoopCloser:
         limits = np.array(self._limits(self._loops))
         for _ in range(self.settings.most_rounds):
             self._chi2 = [chi_squared(self.graph, loop) for loop in self._loops]
-            kept = np.array(self._chi2) <= limits
+            kept = self._held_together(np.array(self._chi2) / limits)
             if (kept == np.array(self._kept)).all():
                 return
             self._keep(kept)
             self.graph.optimise()
+
+    def _held_together(self, ratio: FloatArray) -> BoolArray:
+        """(L,) loops that pass the gate by chi-square over limit; and of others those that the graph cannot do without.
+
+        Many that state too little of their errors fail all at once, and a piece that hangs by them alone would float:
+        those that fit best stay, no more of them than it takes, and the others are judged by these.
+        """
+        kept = ratio <= 1
+        going = [number for number in np.argsort(ratio, kind="stable") if self._kept[number] and not kept[number]]
+        piece = self.graph.unheld(without=[self._loops[number] for number in going])
+        for number in going if piece.any() else []:
+            ends = sorted(piece[[self._loops[number].first, self._loops[number].second]])
+            if ends[0] != ends[1]:
+                kept[number], piece[piece == ends[1]] = True, ends[0]
+        return kept
 
     def _stretches(self, first: IntArray) -> IntArray:
         """Over how many stretches of the way each cluster (C,) goes."""
@@ -201,11 +239,18 @@ class LoopCloser:
 
 
 def chi_squared(graph: PoseGraph, loop: RelativePose) -> float:
-    """A loop's squared error at the graph's poses over what these and its own covariance leave open."""
+    """A loop's squared error at the graph's poses over what these and its own covariance leave open.
+
+    Infinite where the graph does not tell what they leave open: such a loop passes no gate.
+    """
+    open_by_poses = graph.joint(loop.first, loop.second)
+    if open_by_poses is None:
+        return np.inf
     ends = graph.poses[[loop.first, loop.second]]
     T_first_second = se3.invert(ends[0]) @ ends[1]
     r = se3.log(T_first_second @ se3.invert(loop.T_first_second))
     A = inverse_left_jacobian(r) @ se3.adjoint(se3.invert(ends[0]))
     J = np.concatenate([-A, A], axis=1)
-    S = loop.covariance + J @ graph.joint(loop.first, loop.second) @ J.T
-    return float(r @ np.linalg.solve(S, r))
+    S = loop.covariance + J @ open_by_poses @ J.T
+    S = (S + S.T) / 2
+    return float(r @ np.linalg.solve(S, r)) if is_definite(S) else np.inf

@@ -48,7 +48,7 @@ class OwnPoseGraph(GraphContents):
 
     def __init__(self, cauchy_scale: float = 1.0) -> None:
         super().__init__(cauchy_scale)
-        self._factor: SuperLU | None = None
+        self._held_factor: tuple[SuperLU | None, IntArray] | None = None
         self._problem: _Problem | None = None
 
     def update(self) -> None:
@@ -61,22 +61,36 @@ class OwnPoseGraph(GraphContents):
             self._T = np.array(T_start, float).reshape(len(self), 4, 4)
         return self._descend(_MOST_STEPS)
 
-    def marginal(self, keyframe: KeyframeId) -> FloatArray:
+    def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
         """See `PoseGraph`."""
         return self._covariance([keyframe])
 
-    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray:
+    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
         """See `PoseGraph`."""
         return self._covariance([first, second])
 
-    def _covariance(self, keyframes: Sequence[KeyframeId]) -> FloatArray:
-        if self._factor is None:
-            self._factor = _factor(_linearised(self._T, self._as_arrays()).information)
-        rows = (6 * np.asarray(keyframes, np.int64)[:, None] + _SIDE).ravel()
-        unit = np.zeros((6 * len(self), len(rows)))
+    def _covariance(self, keyframes: Sequence[KeyframeId]) -> FloatArray | None:
+        if self._held_factor is None:
+            self._held_factor = self._factor_of_held()
+        factor, row = self._held_factor
+        if factor is None or (row[keyframes] < 0).any():
+            return None
+        rows = (6 * row[keyframes][:, None] + _SIDE).ravel()
+        unit = np.zeros((factor.shape[0], len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
-        C = self._factor.solve(unit)[rows]
-        return np.asarray((C + C.T) / 2)
+        C = factor.solve(unit)[rows]
+        is_told = np.isfinite(C).all() and (np.diag(C) > 0).all()
+        return np.asarray((C + C.T) / 2) if is_told else None
+
+    def _factor_of_held(self) -> tuple[SuperLU | None, IntArray]:
+        """Of the information of keyframes that a prior holds, and the row (N,) of each in it, or -1.
+
+        One that floats would make the whole matrix singular, and take from all others what is known of them.
+        """
+        information, is_held = _linearised(self._T, self._as_arrays()).information, self.unheld() == 0
+        rows = np.flatnonzero(np.repeat(is_held, 6))
+        row = np.where(is_held, np.cumsum(is_held) - 1, -1)
+        return _factor(information[rows][:, rows].tocsc()), row
 
     def _descend(self, most_steps: int) -> float:
         """Levenberg–Marquardt; answers with the cost that is left."""
@@ -86,15 +100,15 @@ class OwnPoseGraph(GraphContents):
             linear, gain = _linearised(self._T, problem), 0.0
             while damping < _MOST_DAMPING:
                 T_tried = _stepped(self._T, linear, damping)
-                cost_tried = _cost(T_tried, problem)
-                if cost_tried <= cost:
+                cost_tried = np.inf if T_tried is None else _cost(T_tried, problem)
+                if T_tried is not None and cost_tried <= cost:
                     gain, damping = cost - cost_tried, max(damping / 10, _LEAST_DAMPING)
                     self._T, cost = T_tried, cost_tried
                     break
                 damping *= 10
             if gain <= _LEAST_GAIN * cost:
                 break
-        self._factor = None
+        self._held_factor = None
         return cost
 
     def _as_arrays(self) -> _Problem:
@@ -104,18 +118,23 @@ class OwnPoseGraph(GraphContents):
         return self._problem
 
     def _changed(self) -> None:
-        self._factor = self._problem = None
+        self._held_factor = self._problem = None
 
 
-def _factor(information: sparse.csc_array) -> SuperLU:
-    # What is symmetric and positive definite needs no pivots, and fills up least so.
-    return splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+def _factor(information: sparse.csc_array) -> SuperLU | None:
+    """None where the matrix is singular, as far as its digits go."""
+    try:
+        # What is symmetric and positive definite needs no pivots, and fills up least so.
+        return splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:
+        return None
 
 
-def _stepped(T: FloatArray, linear: _Linear, damping: float) -> FloatArray:
+def _stepped(T: FloatArray, linear: _Linear, damping: float) -> FloatArray | None:
+    """Poses a step on, or None where more damping is needed to tell of one."""
     H = linear.information
-    damped = (H + sparse.diags_array(damping * H.diagonal())).tocsc()
-    return se3.exp(-_factor(damped).solve(linear.gradient).reshape(-1, 6)) @ T
+    factor = _factor((H + sparse.diags_array(damping * H.diagonal())).tocsc())
+    return None if factor is None else se3.exp(-factor.solve(linear.gradient).reshape(-1, 6)) @ T
 
 
 def _cost(T: FloatArray, problem: _Problem) -> float:

@@ -42,6 +42,9 @@ class GtsamPoseGraph(GraphContents):
     def update(self) -> None:
         """What is new goes into iSAM2; after edges were taken out, or poses found as a whole, it begins anew."""
         self._need_prior()
+        if self.unheld().any():
+            self.optimise()  # iSAM2 has no damping, and would hand out covariances of rounding errors
+            return
         if self._isam is None:
             parameters = self._gtsam.ISAM2Params()
             parameters.setRelinearizeThreshold(_RELINEARISE)
@@ -73,7 +76,7 @@ class GtsamPoseGraph(GraphContents):
         self._T, self._isam, self._marginals = self._poses_of(found), None, None
         return float(graph.error(found))
 
-    def marginal(self, keyframe: KeyframeId) -> FloatArray:
+    def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
         """See `PoseGraph`."""
         source = self._source()
         if isinstance(source, OwnPoseGraph):
@@ -82,7 +85,7 @@ class GtsamPoseGraph(GraphContents):
         C = np.asarray(source.marginalCovariance(int(keyframe)))[np.ix_(_SWAPPED, _SWAPPED)]
         return np.asarray(Ad @ C @ Ad.T)
 
-    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray:
+    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
         """See `PoseGraph`."""
         source = self._source()
         if isinstance(source, OwnPoseGraph):
@@ -103,12 +106,15 @@ class GtsamPoseGraph(GraphContents):
             return self._isam
         if self._marginals is None:
             self._need_prior()
-            try:
-                self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
-            except RuntimeError:
-                # Long ways whose loops have let go leave GTSAM's Cholesky factor short of digits; ours is LU.
-                self._marginals = self._own_copy()
+            self._marginals = self._own_copy() if self.unheld().any() else self._linearised()
         return self._marginals
+
+    def _linearised(self) -> Any:
+        try:
+            return self._gtsam.Marginals(self._factors(0, 0), self._values(0))
+        except RuntimeError:
+            # Long ways whose loops have let go leave GTSAM's Cholesky factor short of digits; ours is LU.
+            return self._own_copy()
 
     def _own_copy(self) -> OwnPoseGraph:
         other = OwnPoseGraph(self.cauchy_scale)
