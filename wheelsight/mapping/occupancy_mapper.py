@@ -125,17 +125,25 @@ class OccupancyMapper:
         self._make_anew(now)
         return True
 
-    def update(self, store: KeyframeStore) -> bool:
+    def update(self, store: KeyframeStore, least_shift_m: float = 0.0) -> bool:
         """Add a store's keyframes that are new, and make the map anew if others have moved; whether it did that.
+
+        Where none has moved by more than `least_shift_m`, a turn by a radian as 1.5 m, they stay where they were put.
 
         Raises as `add` does, and what a store raises where a keyframe cannot be read.
         """
         T = store.T_map_keyframe
-        has_moved = bool(len(self)) and self.move(T)
+        has_moved = bool(len(self)) and self._shift_m(T) > least_shift_m and self.move(T)
         for number in store:
             if number not in self:
                 self.add(number, store[number], T[number])
         return has_moved
+
+    def _shift_m(self, T_map_keyframe: FloatArray) -> float:
+        """By how much the farthest keyframe has moved since it was put."""
+        numbers = list(self._T_map_keyframe)
+        before = np.array([self._T_map_keyframe[number] for number in numbers])
+        return float(se3.view_shift_m(se3.invert(before) @ T_map_keyframe[numbers]).max()) if numbers else 0.0
 
     def grid(self) -> OccupancyGrid:
         """The map as it is by now, cut to what is known; one unknown cell where nothing is."""

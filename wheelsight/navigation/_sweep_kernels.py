@@ -48,31 +48,60 @@ def all_outside_m(sides: FloatArray, points: FloatArray) -> Any:
 
 
 @kernel
+def _steps_free(away_m: float, margin_m: float, stride_m: float) -> Any:
+    """For how many steps a thing stays beyond a margin, for in each it comes nearer by a stride at most."""
+    return 1 + int((away_m - margin_m) / stride_m) if away_m > margin_m and stride_m > 0 else 1
+
+
+@kernel
+def _strides_m(points: FloatArray, arc: Any, steps: int) -> Any:
+    """(N,) how far things move against the robot in a step of an arc, at most."""
+    strides = np.empty(len(points))
+    for k in range(len(points)):
+        lever = np.hypot(points[k, 0], points[k, 1]) + abs(arc[0])
+        strides[k] = (abs(arc[0]) + lever * abs(arc[1])) / steps
+    return strides
+
+
+@kernel
 def clear_share(sides: FloatArray, points: FloatArray, arc: Any, steps: int, margin_m: float) -> Any:
     """The share of an arc (way, turn) that an outline goes before a thing (N, 2) is nearer than a margin.
 
     Things that are nearer already count where they come nearer still.
     """
     before = all_outside_m(sides, points)
+    strides = _strides_m(points, arc, steps)
+    due = np.empty(len(points), np.int64)
+    for k in range(len(points)):
+        due[k] = _steps_free(before[k], margin_m, strides[k])
     for n in range(1, steps + 1):
         x, y, c, s = moved((0.0, 0.0, 1.0, 0.0), arc[0] * n / steps, arc[1] * n / steps)
         for k in range(len(points)):
+            if due[k] > n:
+                continue
             dx, dy = points[k, 0] - x, points[k, 1] - y
             away = outside_m(sides, c * dx + s * dy, -s * dx + c * dy)
             if away < margin_m and away < before[k] - 1e-6:
                 return (n - 1) / steps
+            due[k] = n + _steps_free(away, margin_m, strides[k])
     return 1.0
 
 
 @kernel
 def zone_share(sides: FloatArray, points: FloatArray, arc: Any, steps: int, zone_m: float) -> Any:
     """The share of an arc (way, turn) that an outline goes before a thing (N, 2) is within a zone."""
+    strides = _strides_m(points, arc, steps)
+    due = np.zeros(len(points), np.int64)
     for n in range(steps + 1):
         x, y, c, s = moved((0.0, 0.0, 1.0, 0.0), arc[0] * n / steps, arc[1] * n / steps)
         for k in range(len(points)):
+            if due[k] > n:
+                continue
             dx, dy = points[k, 0] - x, points[k, 1] - y
-            if outside_m(sides, c * dx + s * dy, -s * dx + c * dy) < zone_m:
+            away = outside_m(sides, c * dx + s * dy, -s * dx + c * dy)
+            if away < zone_m:
                 return max(n - 1, 0) / steps
+            due[k] = n + _steps_free(away, zone_m, strides[k])
     return 1.0
 
 

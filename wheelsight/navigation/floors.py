@@ -14,6 +14,9 @@ from wheelsight.navigation.costmap import StaticLayer
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.localization import Localization
 
+# Half a cell: keyframes that moved by less show the same cells.
+_LEAST_SHIFT_M = 0.025
+
 
 class Floor(Protocol):
     """What is known of the floor by now."""
@@ -100,7 +103,7 @@ class GrowingFloor:
             self._stood.append(pose)
         if store is not None and (len(store) != self._count or store.revision != self._store_revision):
             self._count, self._store_revision = len(store), store.revision
-            self._mapper.update(store)
+            self._mapper.update(store, _LEAST_SHIFT_M)
         elif not has_moved:
             return
         static = StaticLayer.of(self._mapper.grid())
