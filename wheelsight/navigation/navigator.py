@@ -92,6 +92,11 @@ class Navigator:
         self._result: NavigationResult | None = None
 
     @property
+    def footprint(self) -> Footprint:
+        """Of the robot."""
+        return self._footprint
+
+    @property
     def senses(self) -> Senses:
         """What it goes by."""
         return self._senses

@@ -1,0 +1,255 @@
+"""Navigator: it arrives, goes round what the map does not know, and stands with a reason whenever it cannot go on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from narrowing import not_none
+from navigation.rooms import Ride, Walls, is_near
+
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.errors import ArgumentError
+from wheelsight.estimates import Estimate, Status
+from wheelsight.navigation import (
+    BehaviourSettings,
+    NavigationReason,
+    NavigationSettings,
+    NavigationState,
+    NavigatorSettings,
+)
+
+SIZE_M = (8.0, 6.0)
+ROOM = (
+    ((0.0, 0.0), (8.0, 0.0)),
+    ((7.99, 0.0), (7.99, 6.0)),
+    ((8.0, 5.99), (0.0, 5.99)),
+    ((0.01, 6.0), (0.01, 0.0)),
+)
+BESIDE = (1.5, 3.0, 0.0)
+GOAL = (6.0, 3.0, 0.0)
+# A wall across with a door in its middle.
+DIVIDED = (*ROOM, ((4.0, 0.0), (4.0, 2.3)), ((4.0, 3.7), (4.0, 6.0)))
+SHUT = (*ROOM, ((4.0, 0.0), (4.0, 6.0)))
+HASTY = NavigationSettings(
+    controller="pure_pursuit",
+    navigator=NavigatorSettings(tries=1, held_s=1.0, lost_s=4.0),
+    behaviours=BehaviourSettings(wait_s=0.5, look_rad=0.2, search_rad=0.3),
+)
+
+
+def ride(walls: tuple = ROOM, mapped: tuple | None = None, settings: NavigationSettings | None = None) -> Ride:
+    known = None if mapped is None else Walls.of(*mapped)
+    return Ride.of(Walls.of(*walls), BESIDE, SIZE_M, known, settings)
+
+
+@pytest.mark.parametrize("controller", ["mppi", "pure_pursuit"])
+def test_it_arrives_and_says_how(controller: str) -> None:
+    subject = ride(DIVIDED, settings=NavigationSettings(controller=controller))
+    subject.navigator.go_to_pose((6.0, 4.0, np.pi / 2))
+    subject.go(60)
+    result = not_none(subject.navigator.result)
+    assert result
+    assert result.has_arrived
+    assert result.reason is None
+    assert is_near(subject.robot.base.pose, (6.0, 4.0, np.pi / 2))
+    assert subject.states[:2] == ["planning", "driving"]
+    assert subject.states[-1] == "arrived"
+    assert result.planned_m == pytest.approx(result.way_m, rel=0.15)
+    assert subject.clearance_m > 0.04
+    assert subject.robot.base.stands
+
+
+def test_what_the_map_does_not_know_is_gone_round() -> None:
+    box = (((3.6, 2.5), (3.6, 3.3)), ((4.2, 2.5), (4.2, 3.3)), ((3.6, 2.5), (4.2, 2.5)), ((3.6, 3.3), (4.2, 3.3)))
+    subject = ride((*ROOM, *box), mapped=ROOM)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(90)
+    assert not_none(subject.navigator.result).has_arrived
+    assert is_near(subject.robot.base.pose, GOAL)
+    assert subject.clearance_m > 0.02
+    assert not_none(subject.navigator.result).plans > 1
+
+
+def test_behind_a_shut_door_it_says_that_no_way_leads_there() -> None:
+    subject = ride(SHUT, mapped=SHUT, settings=HASTY)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(20)
+    result = not_none(subject.navigator.result)
+    assert not result
+    assert result.reason is NavigationReason.NO_PLAN
+    assert subject.robot.base.stands
+
+
+def test_a_door_that_the_map_has_open_and_somebody_shut_is_found_shut() -> None:
+    subject = ride(SHUT, mapped=DIVIDED, settings=HASTY)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(60)
+    result = not_none(subject.navigator.result)
+    assert result.reason in (NavigationReason.NO_PLAN, NavigationReason.BLOCKED)
+    assert result.recoveries > 0
+    assert subject.clearance_m > 0.02
+    assert subject.robot.base.pose[0] < 4.0
+
+
+@pytest.mark.parametrize("goal", [(np.nan, 1.0, 0.0), (1.0,), (1.0, 2.0, np.inf)])
+def test_no_pose_is_no_goal(goal: tuple[float, ...]) -> None:
+    subject = ride()
+    with pytest.raises(ArgumentError, match="goal"):
+        subject.navigator.go_to_pose(goal)
+    assert subject.navigator.state is NavigationState.IDLE
+
+
+def test_a_goal_outside_of_the_map_is_refused_at_once() -> None:
+    subject = ride()
+    subject.navigator.go_to_pose((20.0, 3.0))
+    subject.go(5)
+    result = not_none(subject.navigator.result)
+    assert result.reason is NavigationReason.NO_PLAN
+    assert "outside the map" in result.detail
+    assert result.time_s < 1
+
+
+def test_called_off_it_brakes_and_says_so() -> None:
+    subject = ride()
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(3)
+    assert subject.robot.base.forward_m_s > 0.3
+    subject.navigator.cancel_task()
+    subject.go(3)
+    assert not_none(subject.navigator.result).reason is NavigationReason.CANCELED
+    assert subject.robot.base.stands
+
+
+def test_another_goal_calls_off_the_one_before() -> None:
+    subject = ride()
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(2)
+    subject.navigator.go_to_pose((2.5, 3.0))
+    subject.go(40)
+    assert not_none(subject.navigator.result).has_arrived
+    assert np.hypot(*(subject.robot.base.pose[:2] - (2.5, 3.0))) < 0.12
+    assert subject.states.count("failed") == 1
+
+
+def test_lost_on_the_way_it_stands_and_goes_on_when_it_knows() -> None:
+    subject = ride(settings=HASTY)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(3)
+    lost_s = subject.robot.now_s
+
+    def says(estimate: Estimate) -> Estimate:
+        is_lost = estimate.stamp_s < lost_s + 3.0
+        return replace(estimate, status=Status.LOST, T_odom_body=None, covariance=None) if is_lost else estimate
+
+    subject.told.says = says
+    subject.go(2)
+    assert subject.robot.base.stands
+    assert subject.navigator.state is NavigationState.RECOVERING
+    subject.go(60)
+    assert not_none(subject.navigator.result).has_arrived
+
+
+def test_lost_for_good_it_gives_up() -> None:
+    subject = ride(settings=HASTY)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(2)
+    subject.told.says = lambda estimate: replace(estimate, status=Status.LOST, T_odom_body=None, covariance=None)
+    subject.go(30)
+    assert not_none(subject.navigator.result).reason is NavigationReason.LOST
+    assert subject.robot.base.stands
+
+
+def test_not_yet_in_the_map_it_turns_to_look() -> None:
+    subject = ride()
+    subject.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(6)
+    assert subject.navigator.state is NavigationState.RECOVERING
+    assert abs(subject.robot.base.pose[2]) > 0.5
+    assert np.hypot(*(subject.robot.base.pose[:2] - BESIDE[:2])) < 0.05
+    subject.told.says = lambda estimate: estimate
+    subject.go(60)
+    assert not_none(subject.navigator.result).has_arrived
+
+
+def test_wheels_that_do_something_else_end_it() -> None:
+    subject = ride()
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(2)
+    subject.robot.obeys = lambda command: VelocityCommand(command.forward_m_s, command.turn_rad_s + 0.8)
+    subject.go(6)
+    assert not_none(subject.navigator.result).reason is NavigationReason.DISOBEYS
+
+
+def test_a_robot_that_stops_by_itself_ends_it() -> None:
+    subject = ride(settings=HASTY)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(2)
+    subject.robot.stop_reason, subject.robot.obeys = "its battery is empty", lambda command: STOP
+    subject.go(10)
+    result = not_none(subject.navigator.result)
+    assert result.reason in (NavigationReason.ROBOT_STOPPED, NavigationReason.DISOBEYS)
+    assert subject.robot.base.stands
+
+
+def test_a_camera_that_dies_stops_it() -> None:
+    subject = ride(settings=HASTY)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(2)
+    subject.robot.has_camera = False
+    before = subject.robot.base.pose.copy()
+    subject.go(40)
+    assert not not_none(subject.navigator.result).has_arrived
+    assert np.hypot(*(subject.robot.base.pose - before)[:2]) < 1.2
+
+
+def test_a_localization_that_fails_ends_it() -> None:
+    subject = ride()
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(2)
+
+    def says(estimate: Estimate) -> Estimate:
+        raise ArgumentError("depth of another size", fix="give it")
+
+    subject.told.says = says
+    subject.go(5)
+    result = not_none(subject.navigator.result)
+    assert result.reason is NavigationReason.LOCALIZATION
+    assert "depth of another size" in result.detail
+    assert subject.robot.base.stands
+
+
+def test_several_goals_one_after_another() -> None:
+    subject = ride()
+    subject.navigator.go_through_poses([(3.0, 2.0), (5.0, 4.0), (3.0, 4.0)])
+    subject.go(90)
+    assert not_none(subject.navigator.result).has_arrived
+    assert np.hypot(*(subject.robot.base.pose[:2] - (3.0, 4.0))) < 0.12
+    assert sum("a goal is reached" in transition.why for transition in subject.transitions) == 3
+
+
+def test_a_recorded_way_is_followed_without_a_stop() -> None:
+    subject = ride()
+    turns = np.linspace(-np.pi / 2, np.pi / 2, 60)
+    way = np.column_stack([3.0 + 1.6 * np.cos(turns), 3.0 + 1.6 * np.sin(turns), turns + np.pi / 2])
+    subject.navigator.follow_way(way)
+    driven: list[np.ndarray] = []
+    subject.go(90, until=lambda: driven.append(subject.robot.base.pose.copy()) is not None)
+    assert not_none(subject.navigator.result).has_arrived
+    farthest = max(float(np.hypot(*(np.array(driven)[:, :2] - point).T).min()) for point in way[:, :2])
+    assert farthest < 0.35
+
+
+def test_feedback_tells_how_far_it_is() -> None:
+    subject = ride()
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(2)
+    first = subject.navigator.feedback
+    subject.go(2)
+    second = subject.navigator.feedback
+    assert not_none(second.to_go_m) < not_none(first.to_go_m) < 5
+    assert second.state is NavigationState.DRIVING
+    assert second.goals_left == 1
+    assert len(second.predicted)
