@@ -131,13 +131,9 @@ def _near_floor_m(ways: FloatArray, columns: IntArray, height_m: float) -> float
 
 def _floor_until_m(floor: IntArray, gap_m: float, bin_m: float, near_m: float) -> FloatArray:
     """(columns,) where floor that begins at the nearest that can be seen ends; 0 where none begins there."""
-    gap = max(round(gap_m / bin_m), 1)
-    ends = np.zeros(len(floor))
-    for number, bins in enumerate(floor):
-        last = near_m / bin_m
-        for at in np.flatnonzero(bins):
-            if at - last > gap:
-                break
-            last = max(last, at + 1.0)
-        ends[number] = last * bin_m if last > near_m / bin_m else 0.0
-    return ends
+    begin = near_m / bin_m
+    last, is_on = np.full(len(floor), begin), np.ones(len(floor), bool)
+    for at, is_seen in enumerate(floor.T.astype(bool)):
+        is_on &= ~is_seen | (at - last <= max(round(gap_m / bin_m), 1))
+        last = np.where(is_seen & is_on, np.maximum(last, at + 1.0), last)
+    return np.where(last > begin, last * bin_m, 0.0)

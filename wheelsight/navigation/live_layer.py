@@ -73,6 +73,7 @@ class LiveLayer:
         self._left = np.zeros((side, side, layers + 1), np.uint8)
         self._seen = np.zeros_like(self._left)
         self._stamp_s: float | None = None
+        self._known: LiveObstacles | None = None  # as it was asked last
 
     def update(self, depth_m: ArrayLike, pose: ArrayLike, stamp_s: float) -> None:
         """See a depth image.
@@ -100,17 +101,20 @@ class LiveLayer:
         kernels.mark_met(view, heights, is_own, self._seen)
         kernels.mark_passed(view, heights, noise, self._seen)
         kernels.remember(self._seen, is_own, self._left, self.settings.passes)
-        self._stamp_s = stamp_s
+        self._stamp_s, self._known = stamp_s, None
 
     def obstacles(self) -> LiveObstacles:
         """What is there by now."""
-        size_m = self.settings.resolution_m
-        y, x = (size_m * self._low).tolist()
-        return LiveObstacles(np.asarray(self._left.any(axis=2)), size_m, (x, y), self.frame, self._stamp_s)
+        if self._known is None:
+            size_m = self.settings.resolution_m
+            y, x = (size_m * self._low).tolist()
+            self._known = LiveObstacles(np.asarray(self._left.any(axis=2)), size_m, (x, y), self.frame, self._stamp_s)
+        return self._known
 
     def clear(self) -> None:
         """Forget all, as a person may ask for."""
         self._left[:] = 0
+        self._known = None
 
     def _move_to(self, pose: FloatArray) -> None:
         """Keep what is near a pose, by whole cells."""
@@ -128,10 +132,17 @@ class LiveLayer:
     def _is_own(self, pose: FloatArray) -> BoolArray:
         """(N, N) cells that lie wholly under the robot."""
         side, size_m = len(self._left), self.settings.resolution_m
-        corners = np.stack(np.meshgrid(np.arange(side + 1), np.arange(side + 1)), axis=-1) + self._low[::-1]
+        is_own = np.zeros((side, side), bool)
+        outline = self._footprint.at(pose) / size_m - self._low[::-1]
+        left, bottom = np.floor(outline.min(axis=0)).astype(int)
+        right, top = np.ceil(outline.max(axis=0)).astype(int)
+        corners = np.stack(np.meshgrid(np.arange(left, right + 1), np.arange(bottom, top + 1)), axis=-1)
         c, s = np.cos(pose[2]), np.sin(pose[2])
-        inside = self._footprint.contains((corners * size_m - pose[:2]) @ np.array([[c, -s], [s, c]]))
-        return np.asarray(inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:])
+        places = (corners + self._low[::-1]) * size_m - pose[:2]
+        inside = self._footprint.contains(places @ np.array([[c, -s], [s, c]]))
+        # The robot stands in the middle of the layer, which is wider than it.
+        is_own[bottom:top, left:right] = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
+        return is_own
 
     def _matrix(self, pose: FloatArray) -> FloatArray:
         """(3, 4) from the camera to column and row in cells, and height."""
