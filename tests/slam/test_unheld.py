@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from wheelsight.geometry import se3
@@ -130,6 +130,9 @@ def driven(rng, solver, count, off, false):
     st.sampled_from([1.0, 10.0, 1000.0]),
     st.sampled_from([0.0, 0.3, 0.9]),
 )
+# Well held, but of edges from 0.1 µm to 1 m: GTSAM's joint marginals, not its whole factor, are short of digits.
+@example(85, 18, 1.0, 0.9)
+@example(7, 23, 10.0, 0.9)
 def test_no_drive_ends_for_its_graph(solver, seed, count, off, false):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(piece_graph, "new_pose_graph", solver)

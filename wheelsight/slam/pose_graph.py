@@ -7,6 +7,7 @@ right; here they are turned into ours and back, exactly.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ class GtsamPoseGraph(GraphContents):
         self._isam: Any = None
         self._held = (0, 0, 0)  # keyframes, edges and priors that iSAM2 has
         self._marginals: Any = None
+        self._own: OwnPoseGraph | None = None  # tells covariances where GTSAM cannot
 
     def update(self) -> None:
         """What is new goes into iSAM2; after edges were taken out, or poses found as a whole, it begins anew."""
@@ -53,15 +55,15 @@ class GtsamPoseGraph(GraphContents):
         keyframes, edges, priors = self._held
         try:
             self._isam.update(self._factors(edges, priors), self._values(keyframes))
+            for _ in range(_STEPS_OF_UPDATE):
+                self._isam.update()
+            self._T = self._poses_of(self._isam.calculateEstimate())
         except RuntimeError:
             # What hangs by loops that have let go leaves its Cholesky factor short of digits; damped it is solved.
             self.optimise()
             return
         self._held = (len(self), len(self._edges), len(self._priors))
-        for _ in range(_STEPS_OF_UPDATE):
-            self._isam.update()
-        self._T = self._poses_of(self._isam.calculateEstimate())
-        self._marginals = None
+        self._marginals = self._own = None
 
     def optimise(self, T_start: FloatArray | None = None) -> float:
         """See `PoseGraph`."""
@@ -73,48 +75,47 @@ class GtsamPoseGraph(GraphContents):
         parameters.setMaxIterations(_MOST_STEPS)
         parameters.setRelativeErrorTol(_LEAST_GAIN)
         found = self._gtsam.LevenbergMarquardtOptimizer(graph, self._values(0), parameters).optimize()
-        self._T, self._isam, self._marginals = self._poses_of(found), None, None
+        self._T, self._isam = self._poses_of(found), None
+        self._marginals = self._own = None
         return float(graph.error(found))
 
     def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
         """See `PoseGraph`."""
-        source = self._source()
-        if isinstance(source, OwnPoseGraph):
-            return source.marginal(keyframe)
-        Ad = se3.adjoint(self._T[keyframe])
-        C = np.asarray(source.marginalCovariance(int(keyframe)))[np.ix_(_SWAPPED, _SWAPPED)]
-        return np.asarray(Ad @ C @ Ad.T)
+        return self._covariance([keyframe])
 
     def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
         """See `PoseGraph`."""
-        source = self._source()
-        if isinstance(source, OwnPoseGraph):
-            return source.joint(first, second)
-        keys = [int(first), int(second)]
-        found = source.jointMarginalCovariance(keys)
-        C = np.zeros((12, 12))
-        for a in (0, 1):
-            for b in (0, 1):
-                block = np.asarray(found.at(keys[a], keys[b]))[np.ix_(_SWAPPED, _SWAPPED)]
-                left, right = se3.adjoint(self._T[keys[a]]), se3.adjoint(self._T[keys[b]])
-                C[6 * a : 6 * a + 6, 6 * b : 6 * b + 6] = left @ block @ right.T
-        return C
+        return self._covariance([first, second])
+
+    def _covariance(self, keyframes: list[KeyframeId]) -> FloatArray | None:
+        self._need_prior()
+        if self._own is None:
+            # Long ways whose loops have let go leave GTSAM's Cholesky factors short of digits; ours is LU.
+            with suppress(RuntimeError):
+                source = self._source()
+                if source is not None:
+                    return self._by_gtsam(source, keyframes)
+            self._own = self._own_copy()
+        return self._own.marginal(*keyframes) if len(keyframes) == 1 else self._own.joint(*keyframes)
 
     def _source(self) -> Any:
-        """What tells covariances: iSAM2 where it holds all, else the graph linearised where the poses are."""
+        """What tells covariances: iSAM2 where it holds all, else the graph linearised; None where a piece floats."""
         if self._isam is not None and self._held == (len(self), len(self._edges), len(self._priors)):
             return self._isam
-        if self._marginals is None:
-            self._need_prior()
-            self._marginals = self._own_copy() if self.unheld().any() else self._linearised()
+        if self._marginals is None and not self.unheld().any():
+            self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
         return self._marginals
 
-    def _linearised(self) -> Any:
-        try:
-            return self._gtsam.Marginals(self._factors(0, 0), self._values(0))
-        except RuntimeError:
-            # Long ways whose loops have let go leave GTSAM's Cholesky factor short of digits; ours is LU.
-            return self._own_copy()
+    def _by_gtsam(self, source: Any, keyframes: list[KeyframeId]) -> FloatArray:
+        keys = [int(one) for one in keyframes]
+        if len(keys) == 1:
+            blocks = [[source.marginalCovariance(keys[0])]]
+        else:
+            found = source.jointMarginalCovariance(keys)
+            blocks = [[found.at(a, b) for b in keys] for a in keys]
+        Ad = se3.adjoint(self._T[keyframes])
+        ours = Ad[:, None] @ np.array(blocks)[:, :, _SWAPPED][..., _SWAPPED] @ np.swapaxes(Ad, 1, 2)
+        return np.concatenate(np.concatenate(ours, axis=1), axis=1)
 
     def _own_copy(self) -> OwnPoseGraph:
         other = OwnPoseGraph(self.cauchy_scale)
@@ -165,4 +166,4 @@ class GtsamPoseGraph(GraphContents):
         self._isam = None
 
     def _changed(self) -> None:
-        self._marginals = None
+        self._marginals = self._own = None
