@@ -65,7 +65,7 @@ def test_a_run_needs_the_parts_of_its_tracks(settings: dict[str, Any], parts: tu
 
 def test_what_needs_a_library_that_is_missing_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernels, "find_spec", lambda name: None)
-    assert kernels.usable_parts() == ("wheels", "features", "dense", "joined", "loops", "places")
+    assert kernels.usable_parts() == ("wheels", "features", "dense", "joined", "loops", "places", "navigation")
 
 
 def test_what_cannot_be_compiled_is_told_by_its_last_line() -> None:
