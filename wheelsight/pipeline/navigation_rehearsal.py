@@ -8,7 +8,7 @@ from types import TracebackType
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.commands import VelocityCommand
+from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame, WheelTicks
 from wheelsight.geometry import FloatArray, se3
@@ -24,6 +24,7 @@ from wheelsight.navigation import (
     StaticLayer,
 )
 from wheelsight.pipeline.rehearsal import HIGH, LOW, WHEELS, seen_from
+from wheelsight.robots import STOPPED
 
 _CELL_M, _READING_S, _READINGS_A_STEP = 0.05, 0.025, 2
 _STEPS_A_FRAME = 2
@@ -34,9 +35,9 @@ _STEPS = {"mppi": 160, "pure_pursuit": 20}
 def rehearse_navigation(calibration: Calibration) -> None:
     """Drive with each controller, and plan where there is hardly room."""
     for controller, steps in _STEPS.items():
-        robot = _DrawnRobot(calibration)
+        robot = DrawnRobot(calibration)
         settings = NavigationSettings().model_copy(update={"controller": controller})
-        navigator = Navigator(robot, _Known(robot), KnownFloor(_room()), settings, trusts_floor=True)
+        navigator = Navigator(robot, ToldPlace(robot), KnownFloor(drawn_room()), settings, trusts_floor=True)
         navigator.go_to_pose(_GOAL)
         for _ in range(steps):
             navigator.step()
@@ -46,17 +47,25 @@ def rehearse_navigation(calibration: Calibration) -> None:
     Planner(footprint).plan(corridor, (1.2, 1.5, 0.0), (1.2, 1.5, np.pi))
 
 
-class _DrawnRobot:
-    """A `Robot` in the rehearsal's room: it obeys at once, and frames are drawn."""
+class DrawnRobot:
+    """A `Robot` in the rehearsal's room: it obeys at once, and frames are drawn.
 
-    stop_reason = ""
+    Attributes:
+        calibration, stop_reason, now_s: as `Robot` has them.
+        pose: (3,) x, y, yaw of the base in the room.
+    """
 
     def __init__(self, calibration: Calibration) -> None:
-        self.calibration, self.now_s, self.pose = calibration, 0.0, np.array(_START)
+        self.calibration, self.stop_reason, self.now_s = calibration, "", 0.0
+        self.pose = np.array(_START)
         self._rolled_m = np.zeros(2)
         self._steps = 0
 
     def step(self, command: VelocityCommand) -> list[Event]:
+        """As `Robot` has it."""
+        if self.stop_reason:
+            self.stop_reason = "" if command.is_stop else self.stop_reason
+            command = STOP
         events: list[Event] = []
         for _ in range(_READINGS_A_STEP):
             self.now_s += _READING_S
@@ -69,6 +78,7 @@ class _DrawnRobot:
 
     @property
     def T_map_base(self) -> FloatArray:
+        """(4, 4) where it truly is."""
         return se3.from_plane(*self.pose)
 
     def _rolled(self, command: VelocityCommand) -> WheelTicks:
@@ -81,12 +91,13 @@ class _DrawnRobot:
         return WheelTicks(self.now_s, left, right)
 
     def stop(self) -> None:
-        """It stands between steps."""
+        """As `Robot` has it."""
+        self.stop_reason = STOPPED
 
     def close(self) -> None:
-        """Nothing is open."""
+        """As `Robot` has it; nothing is open."""
 
-    def __enter__(self) -> _DrawnRobot:
+    def __enter__(self) -> DrawnRobot:
         return self
 
     def __exit__(
@@ -95,15 +106,16 @@ class _DrawnRobot:
         self.close()
 
 
-class _Known:
+class ToldPlace:
     """A `Localization` that is told where the robot is."""
 
     keyframes: KeyframeStore | None = None
 
-    def __init__(self, robot: _DrawnRobot) -> None:
+    def __init__(self, robot: DrawnRobot) -> None:
         self._robot = robot
 
     def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
+        """As `Localization` has it."""
         T, C = self._robot.T_map_base, 1e-6 * np.eye(6)
         return [(event, Estimate(event.stamp_s, Status.TRACKING, T, C, body="base")) for event in events]
 
@@ -111,7 +123,7 @@ class _Known:
         """No thread works for it."""
 
 
-def _room() -> OccupancyGrid:
+def drawn_room() -> OccupancyGrid:
     """The rehearsal's room, with its walls."""
     low, high = LOW[:2] - _CELL_M, HIGH[:2] + _CELL_M
     width, height = np.rint((high - low) / _CELL_M).astype(int)
