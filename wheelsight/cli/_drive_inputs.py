@@ -148,6 +148,8 @@ def _simulator(simulated: Simulated, config: Config) -> Callable[[], Robot]:
 
     needed("mujoco")
     assert simulated.sim is not None
+    if not 0 <= simulated.people <= 100:
+        raise ConfigError(f"--people is {simulated.people}", fix="0 to 100")
     plan = _plan_of(simulated.sim, simulated.resolution)
     where: dict[str, Any] = {"world": simulated.sim} if plan is None else {"plan": plan}
     how: dict[str, Any] = {"seed": simulated.seed, "day": simulated.day, "passersby": simulated.people}

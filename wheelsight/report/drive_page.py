@@ -152,7 +152,7 @@ def _time_line(record: DriveRecord) -> str:
 def _film(record: DriveRecord) -> str:
     if not record.images:
         return ""
-    pictures = [_picture(image, image.stamp_s - record.begin_s) for image in record.images]
+    pictures = [_picture(image, max(image.stamp_s - record.begin_s, 0.0)) for image in record.images]
     return html.section("film", "What it saw", "Images of its camera on the way.", html.group("strip", pictures))
 
 
