@@ -24,6 +24,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.inputs import line_of, read_yaml
 from wheelsight.inputs.settings import Fault
 from wheelsight.mapping import SurfelSettings
+from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.extrinsics import ExtrinsicsSettings
 from wheelsight.odometry.features import FeatureSettings
@@ -248,6 +249,7 @@ class Config(Settings):
     recognition: RecognitionSettings = RecognitionSettings()
     sessions: SessionSettings = SessionSettings()
     known_map: KnownMapSettings = KnownMapSettings()
+    navigation: NavigationSettings = NavigationSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
     realtime: RealTimeSettings = RealTimeSettings()

@@ -128,9 +128,46 @@ def test_what_is_no_map_is_refused_in_a_line(refusal: Callable[..., str], kept: 
     assert "is of version 9, newer than 1" in refusal("map", "info", kept)
 
 
+def test_places_get_names_that_can_be_listed_and_forgotten(wheelsight: Command, kept: Path) -> None:
+    told = wheelsight("map", "name", kept, "kitchen", "--at", "0.5,0.2,90")
+    assert told.exit_code == 0, told.output
+    assert re.fullmatch(r"kitchen is at 0\.50, 0\.20 m, 90°, and moves with keyframe \d\n", told.stdout)
+    assert wheelsight("map", "name", kept / "map", "desk", "--at", "-1,0").exit_code == 0
+    listed = [line.split(maxsplit=1) for line in wheelsight("map", "name", kept, "--list").stdout.splitlines()]
+    assert [(name, where.strip()) for name, where in listed[1:]] == [
+        ("desk", "-1.00, 0.00 m, any heading"),
+        ("kitchen", "0.50, 0.20 m, 90°"),
+    ]
+    assert re.search(r"^places +desk, kitchen", wheelsight("map", "info", kept).stdout, re.MULTILINE)
+    assert wheelsight("map", "name", kept, "kitchen", "--remove").stdout == "forgotten: kitchen\n"
+    assert [one.name for one in MapFolder.open(kept / "map").named_poses()] == ["desk"]
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (("kitchen",), "one of --at, --remove and --list is needed"),
+        (("kitchen", "--at", "1,2", "--remove"), "one of --at, --remove and --list is needed"),
+        (("--at", "1,2"), "NAME is missing"),
+        (("kitchen", "--list"), "--list is of all names"),
+        (("kitchen", "--at", "1"), "--at is '1' (X,Y,YAW_DEG in metres and degrees"),
+        (("kitchen", "--at", "1,nan,3"), "--at is '1,nan,3'"),
+        (("a,b", "--at", "1,2"), "'a,b' is no name for a place"),
+        (("kichen", "--remove"), "no place of the map is called 'kichen'"),
+    ],
+)
+def test_names_that_mean_nothing_are_refused(
+    refusal: Callable[..., str], kept: Path, words: tuple[str, ...], problem: str
+) -> None:
+    assert refusal("map", "name", kept, *words).startswith(problem)
+    assert not (kept / "map" / "places.json").exists()
+
+
 def test_two_maps_are_merged_and_pruned(wheelsight: Command, tmp_path: Path) -> None:
     write_seen(tmp_path / "monday", RING[:4])
     write_seen(tmp_path / "tuesday", [aside(T, 0.03) for T in RING[:5]], begin_s=100.0)
+    for day in ("monday", "tuesday"):
+        assert wheelsight("map", "name", tmp_path / day, "here", "--at", "0,0").exit_code == 0
     result = wheelsight("map", "merge", tmp_path / "monday", tmp_path / "tuesday", "--out", tmp_path / "both")
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("4 keyframes and 5, joined by ")
@@ -140,6 +177,10 @@ def test_two_maps_are_merged_and_pruned(wheelsight: Command, tmp_path: Path) -> 
     count = len(MapFolder.open(tmp_path / "pruned").store)
     assert 5 <= count < 9
     assert result.stdout.startswith(f"{count} keyframes, {9 - count} left out: ")
+    for made in ("both", "pruned"):
+        poses = MapFolder.open(tmp_path / made).named_poses()
+        assert poses.names == ("here", "here 2")
+        assert all(one.keyframe is not None for one in poses)
 
 
 def test_maps_that_cannot_be_merged_are_refused_and_nothing_is_written(

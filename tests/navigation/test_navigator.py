@@ -236,7 +236,12 @@ def test_a_recorded_way_is_followed_without_a_stop() -> None:
     way = np.column_stack([3.0 + 1.6 * np.cos(turns), 3.0 + 1.6 * np.sin(turns), turns + np.pi / 2])
     subject.navigator.follow_way(way)
     driven: list[np.ndarray] = []
-    subject.go(90, until=lambda: driven.append(subject.robot.base.pose.copy()) is not None)
+
+    def goes_on() -> bool:
+        driven.append(subject.robot.base.pose.copy())
+        return False
+
+    subject.go(90, until=goes_on)
     assert not_none(subject.navigator.result).has_arrived
     farthest = max(float(np.hypot(*(np.array(driven)[:, :2] - point).T).min()) for point in way[:, :2])
     assert farthest < 0.35

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -65,7 +66,7 @@ def test_a_run_needs_the_parts_of_its_tracks(settings: dict[str, Any], parts: tu
 
 def test_what_needs_a_library_that_is_missing_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernels, "find_spec", lambda name: None)
-    assert kernels.usable_parts() == ("wheels", "features", "dense", "joined", "loops", "places")
+    assert kernels.usable_parts() == ("wheels", "features", "dense", "joined", "loops", "places", "navigation")
 
 
 def test_what_cannot_be_compiled_is_told_by_its_last_line() -> None:
@@ -152,6 +153,61 @@ def test_a_drive_with_mishaps_needs_nothing_more(tmp_path: Path) -> None:
     write_simulation(simulate(settings), tmp_path / "drive")
     told = subprocess.run(
         [sys.executable, "-c", COUNT, str(tmp_path)], capture_output=True, text=True, check=False, timeout=280
+    )
+    assert told.returncode == 0, told.stderr
+    assert told.stdout.strip() == ""
+
+
+COUNT_DRIVEN = """
+import sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from rehearsed_drive import CALIBRATION
+from wheelsight.estimates import Estimate, Status
+from wheelsight.geometry import se3
+from wheelsight.navigation import KnownFloor, Navigator
+from wheelsight.pipeline.navigation_rehearsal import drawn_room, rehearse_navigation
+from wheelsight.simulation import SimulationSettings
+from wheelsight.simulation.simulator import Simulator
+
+def loaded():
+    modules = [module for name, module in sys.modules.items() if name.startswith("wheelsight.navigation.")]
+    found = (kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher))
+    return {f"{one.py_func.__module__}.{one.py_func.__name__}{sign}" for one in found for sign in one.overloads}
+
+class Truth:
+    keyframes = None
+    def __init__(self, robot):
+        self.robot, self.T_map_world = robot, np.linalg.inv(robot.T_world_base)
+    def hear(self, events):
+        T = se3.nearest(self.T_map_world @ self.robot.T_world_base)
+        return [(event, Estimate(event.stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6), body="base")) for event in events]
+    def close(self):
+        pass
+
+rehearse_navigation(CALIBRATION)
+before = loaded()
+robot = Simulator(SimulationSettings("flat", size=(160, 120), rate_hz=10, seed=3, realism="real"))
+navigator = Navigator(robot, Truth(robot), KnownFloor(drawn_room()), trusts_floor=True)
+navigator.go_to_pose((1.0, 0.3, 0.5))
+for _ in range(80):
+    navigator.step()
+assert loaded(), "kernels are compiled"
+print(*(loaded() - before), sep="\\n")
+"""
+
+
+@pytest.mark.slow
+def test_a_drive_to_a_goal_needs_nothing_more(project_folder: Path) -> None:
+    """The first command of the first drive does not wait for a compiler."""
+    path = f"{project_folder}:{project_folder / 'tests'}"
+    told = subprocess.run(
+        [sys.executable, "-c", COUNT_DRIVEN],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=280,
+        env={**os.environ, "PYTHONPATH": path},
     )
     assert told.returncode == 0, told.stderr
     assert told.stdout.strip() == ""

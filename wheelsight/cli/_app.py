@@ -8,7 +8,20 @@ import typer
 import typer.core
 
 from wheelsight._version import __version__
-from wheelsight.cli import calibrate, evaluate, export, info, maps, places, record, run, simulate, warm_up, wheels
+from wheelsight.cli import (
+    calibrate,
+    drive,
+    evaluate,
+    export,
+    info,
+    maps,
+    places,
+    record,
+    run,
+    simulate,
+    warm_up,
+    wheels,
+)
 from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error, speak_any_encoding
 from wheelsight.errors import WheelsightError
 
@@ -45,6 +58,7 @@ app.command("run")(run.run)
 app.command("evaluate")(evaluate.evaluate)
 app.command("export")(export.export)
 app.command("record")(record.record)
+app.command("drive")(drive.drive)
 app.command("simulate")(simulate.simulate)
 app.command("warm-up")(warm_up.warm_up)
 app.add_typer(calibrate.app, name="calibrate")

@@ -30,6 +30,23 @@ def info(source: Path, as_json: bool) -> None:
         print_warning(note)
 
 
+def name(source: Path, called: str | None, at: str | None, *, show_list: bool, remove: bool) -> None:
+    """Name a place, forget a name, or print all."""
+    from wheelsight.cli._map_names import change, print_names
+    from wheelsight.errors import ConfigError
+
+    if sum((show_list, remove, at is not None)) != 1:
+        fix = "NAME --at X,Y,YAW_DEG, NAME --remove, or --list"
+        raise ConfigError("one of --at, --remove and --list is needed", fix=fix)
+    if (called is None) != show_list:
+        problem = "--list is of all names" if show_list else "NAME is missing"
+        raise ConfigError(problem, fix="--list alone, or NAME --at X,Y,YAW_DEG")
+    if called is None:
+        print_names(_opened(source))
+    else:
+        change(source, called, at)
+
+
 def export(source: Path, wanted: Exports, force: bool) -> None:
     """Write a map for other programs."""
     from wheelsight.cli._map_export import export
@@ -110,6 +127,8 @@ def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
     yield "occupancy", told if found.occupancy_bytes is None else f"{found.occupancy_bytes / 1e3:.0f} kB"
     if found.edits != 0:
         yield "edits", "cannot be read" if found.edits is None else f"{found.edits:,} zones and wiped places"
+    if found.places != ():
+        yield "places", "cannot be read" if found.places is None else ", ".join(found.places)
     yield "size", f"{found.bytes / _MB:.1f} MB"
     yield "health", "whole" if found.health.is_whole else "damaged, see below"
 

@@ -1,4 +1,4 @@
-"""`wheelsight map`: the map that a run leaves for the next drive: told, exported, made anew, merged and pruned."""
+"""`wheelsight map`: the map that a run leaves for the next drive: told, named, exported, rebuilt, merged, pruned."""
 
 from __future__ import annotations
 
@@ -7,29 +7,22 @@ from typing import Annotated
 
 import typer
 
+from wheelsight.cli import _map_options as options
 from wheelsight.cli import _maps as work
 from wheelsight.cli._map_export import Exports
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich")
 
-MapPath = Annotated[
-    Path, typer.Argument(metavar="DIR", help="The map's folder, or that of the run that left it.", show_default=False)
-]
-NewMap = Annotated[
-    Path,
-    typer.Option("--out", metavar="DIR", help="Folder of the new map; empty, or not there yet.", show_default=False),
-]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
-
 
 @app.callback()
 def _about() -> None:
-    """The map that a run leaves for the next drive: info, export, rebuild, merge, prune."""
+    """The map that a run leaves for the next drive: info, name, export, rebuild, merge, prune."""
 
 
 @app.command()
 def info(
-    source: MapPath, as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False
+    source: options.MapPath,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Tell what is in a map: keyframes, edges, loops, size, camera, and what is wrong with it, if anything.
 
@@ -43,28 +36,40 @@ def info(
 
 
 @app.command()
+def name(
+    source: options.MapPath,
+    called: options.Called = None,
+    at: options.At = None,
+    show_list: Annotated[bool, typer.Option("--list", help="Print all names and where they are by now.")] = False,
+    remove: Annotated[bool, typer.Option("--remove", help="Forget the name.")] = False,
+) -> None:
+    """Give a place of a map a name, by which wheelsight drive finds it.
+
+    Names are in the map's places.json. Each hangs on the nearest keyframe and moves with it, as where a loop closes;
+    rebuild, merge and prune carry them over.
+
+    [bold]Examples[/bold]
+
+    wheelsight map name home kitchen --at 3.2,1.5,90
+
+    wheelsight map name home --list
+
+    wheelsight map name home kitchen --remove
+    """
+    work.name(source, called, at, show_list=show_list, remove=remove)
+
+
+@app.command()
 def export(
-    source: MapPath,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="PLY file of the surfels to write.", show_default=False)
-    ] = None,
-    occupancy: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="YAML file of the occupancy map; its PGM stands beside it.", show_default=False
-        ),
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="PNG file: a picture of that.", show_default=False)
-    ] = None,
-    resolution: Annotated[
-        float | None,
-        typer.Option(metavar="METRES", min=0.01, max=1, help="Side of the occupancy map's cells.", show_default="0.05"),
-    ] = None,
+    source: options.MapPath,
+    out: options.Points = None,
+    occupancy: options.Occupancy = None,
+    picture: options.Picture = None,
+    resolution: options.Resolution = None,
     everything: Annotated[
         bool, typer.Option("--all", help="All surfels, and not only those seen often enough to be sure.")
     ] = False,
-    force: Force = False,
+    force: options.Force = False,
 ) -> None:
     """Write the map where its keyframes are by now: surfels as points, and what of the floor is free.
 
@@ -83,7 +88,7 @@ def export(
 
 
 @app.command()
-def rebuild(source: MapPath, out: NewMap) -> None:
+def rebuild(source: options.MapPath, out: options.NewMap) -> None:
     """Make a map anew of its keyframes, where they are by now: surfels are fused again, what is outdated is left out.
 
     The old map stays as it is. Keyframes keep no colour: the new surfels are grey.
@@ -103,7 +108,7 @@ def merge(
         Path, typer.Argument(metavar="A", help="A map, or the run that left it; its frame stays.", show_default=False)
     ],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another one of the same camera.", show_default=False)],
-    out: NewMap,
+    out: options.NewMap,
 ) -> None:
     """Make one map of two: keyframes of B are recognised in A, and a graph of both is solved.
 
@@ -120,7 +125,7 @@ def merge(
 
 
 @app.command()
-def prune(source: MapPath, out: NewMap) -> None:
+def prune(source: options.MapPath, out: options.NewMap) -> None:
     """Leave out keyframes whose view another one shows, so that a map that is extended daily does not grow for ever.
 
     The old map stays as it is. Edges are carried over to keyframes that stay, and so are surfels.

@@ -2,6 +2,7 @@
 
 from wheelsight.mapping.export import Mesh, mesh_of, write_mesh_ply, write_ply
 from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits
+from wheelsight.mapping.named_poses import NamedPose, NamedPoses
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 from wheelsight.mapping.occupancy_mapper import OccupancyMapper
 from wheelsight.mapping.occupancy_settings import OccupancySettings
@@ -19,6 +20,8 @@ __all__ = [
     "MapEdits",
     "MapStatus",
     "Mesh",
+    "NamedPose",
+    "NamedPoses",
     "OccupancyGrid",
     "OccupancyMapper",
     "OccupancySettings",

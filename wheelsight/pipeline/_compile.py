@@ -13,6 +13,7 @@ from wheelsight.config import load_config
 from wheelsight.events import RgbdFrame
 from wheelsight.mapping import mesh_of
 from wheelsight.pipeline.kernels import PARTS, mark_compiled
+from wheelsight.pipeline.navigation_rehearsal import rehearse_navigation
 from wheelsight.pipeline.rehearsal import floor_map, write_rehearsal
 from wheelsight.pipeline.runs import run_each
 from wheelsight.places import HistogramDescriber, LayoutDescriber
@@ -67,6 +68,8 @@ def _rehearse(part: str, recording: Recording, out: Path) -> None:
         frame = next(event for event in recording.events() if isinstance(event, RgbdFrame))
         for describer in (HistogramDescriber(), LayoutDescriber()):
             describer.describe(frame)
+    if part == "navigation":
+        rehearse_navigation(recording.calibration)
     if part == "mesh":
         mesh_of(floor_map(), 0.02)
     if part == "simulation":

@@ -23,8 +23,8 @@ from wheelsight.trajectory import Trajectory
 _CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0)
 _BENT = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0, (0.1, -0.1, 0.001, 0.001, 0.01))
 _MOUNT = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])
-_WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
-_LOW, _HIGH = np.array([-2.5, -2.0, 0.0]), np.array([2.5, 2.0, 2.6])
+WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
+LOW, HIGH = np.array([-2.5, -2.0, 0.0]), np.array([2.5, 2.0, 2.6])
 _CELL_M = 0.12  # corners for keypoints, and large enough to be seen at half resolution
 _STEP_S, _STEPS_A_FRAME = 0.02, 5
 _DEEPEST_M = 8.0
@@ -59,14 +59,14 @@ def write_rehearsal(folder: Path, *, is_registered: bool) -> None:
             writer.add(YawRate(stamp_s, leg.yaw_rate_rad_s))
             writer.add(WheelTicks(stamp_s, *ticks))
             if is_frame:
-                color, depth_m = _seen(T_odom_base @ _MOUNT, leg)
+                color, depth_m = _seen(T_odom_base, leg)
                 writer.add(RgbdFrame(stamp_s + 1e-3, color, depth_m, index // _STEPS_A_FRAME))
         writer.add_ground_truth(Trajectory(np.array(stamps_s), np.array(poses), body="base"))
 
 
 def _calibration(is_registered: bool) -> Calibration:
     robot: dict[str, Any] = {
-        "wheels": _WHEELS,
+        "wheels": WHEELS,
         "T_base_camera": _MOUNT,
         "rolling_shutter_s": 0.02,
         "source": "rehearsal",
@@ -83,22 +83,31 @@ def _steps() -> Iterator[tuple[float, FloatArray, _Leg, tuple[int, int], bool]]:
     for leg in _LEGS:
         y += leg.carried_m
         for _ in range(leg.frames * _STEPS_A_FRAME):
-            across_m_s = leg.yaw_rate_rad_s * _WHEELS.track_width_m / 2
+            across_m_s = leg.yaw_rate_rad_s * WHEELS.track_width_m / 2
             left_m += leg.slip * (leg.v_m_s - across_m_s) * _STEP_S
             right_m += (leg.v_m_s + across_m_s) * _STEP_S
             x, y = x + leg.v_m_s * _STEP_S * np.cos(yaw), y + leg.v_m_s * _STEP_S * np.sin(yaw)
             yaw += leg.yaw_rate_rad_s * _STEP_S
-            ticks = (round(left_m / _WHEELS.left_m_per_tick), round(right_m / _WHEELS.right_m_per_tick))
+            ticks = (round(left_m / WHEELS.left_m_per_tick), round(right_m / WHEELS.right_m_per_tick))
             yield index * _STEP_S, se3.from_plane(x, y, yaw), leg, ticks, index % _STEPS_A_FRAME == 0
             index += 1
 
 
-def _seen(T_odom_camera: FloatArray, leg: _Leg) -> tuple[ByteArray, Float32Array]:
-    """Colour (H, W, 3) and depth (H, W) of the box from inside."""
+def _seen(T_odom_base: FloatArray, leg: _Leg) -> tuple[ByteArray, Float32Array]:
+    """Colour (H, W, 3) and depth (H, W) on a leg."""
+    color, depth_m = seen_from(T_odom_base)
+    if leg.is_dark or leg.is_covered:
+        color = np.zeros_like(color)
+    return color, np.zeros_like(depth_m) if leg.is_covered else depth_m
+
+
+def seen_from(T_odom_base: FloatArray) -> tuple[ByteArray, Float32Array]:
+    """Colour (H, W, 3) and depth (H, W) of the box from inside, where the base is at (4, 4)."""
+    T_odom_camera = T_odom_base @ _MOUNT
     rays = _CAMERA.rays() @ T_odom_camera[:3, :3].T
     origin = T_odom_camera[:3, 3]
     rays = np.where(rays == 0, 1e-9, rays)
-    ways = np.where(rays > 0, (_HIGH - origin) / rays, (_LOW - origin) / rays)
+    ways = np.where(rays > 0, (HIGH - origin) / rays, (LOW - origin) / rays)
     axis = ways.argmin(axis=-1)
     depth_m = np.take_along_axis(ways, axis[..., None], axis=-1)[..., 0]
     points = origin + rays * depth_m[..., None]
@@ -106,10 +115,7 @@ def _seen(T_odom_camera: FloatArray, leg: _Leg) -> tuple[ByteArray, Float32Array
     np.put_along_axis(cells, axis[..., None], 40 * axis[..., None], axis=-1)  # a wall's own distance says nothing
     shade = (cells @ np.array([7919, 104729, 1299709])) % 1009
     color = np.stack([40 + shade % 97 * 2, 40 + shade % 89 * 2, 40 + shade % 101 * 2], axis=-1).astype(np.uint8)
-    if leg.is_dark or leg.is_covered:
-        color = np.zeros_like(color)
-    depth_m = np.zeros_like(depth_m) if leg.is_covered else depth_m.clip(max=_DEEPEST_M)
-    return color, depth_m.astype(np.float32)
+    return color, depth_m.clip(max=_DEEPEST_M).astype(np.float32)
 
 
 def floor_map() -> SurfelMap:

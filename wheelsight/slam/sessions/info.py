@@ -42,6 +42,7 @@ class MapInfo:
         keyframe_bytes: a keyframe, with its place, its edges and its moves.
         surfel_bytes, recognition_bytes, occupancy_bytes: of these files; None where they are missing.
         edits: zones and wiped obstacles; None where their file cannot be read.
+        places: names of poses; likewise.
         health: what is wrong.
     """
 
@@ -59,6 +60,7 @@ class MapInfo:
     recognition_bytes: int | None
     occupancy_bytes: int | None
     edits: int | None
+    places: tuple[str, ...] | None
     health: Health
 
     def to_dict(self) -> dict[str, Any]:
@@ -92,6 +94,7 @@ def info_of(folder: MapFolder) -> MapInfo:
         recognition_bytes=_size(path / RECOGNITION_FILE),
         occupancy_bytes=_occupancy_bytes(path),
         edits=_edits(folder),
+        places=_places(folder),
         health=folder.contents.health,
     )
 
@@ -118,6 +121,13 @@ def _occupancy_bytes(path: Path) -> int | None:
 def _edits(folder: MapFolder) -> int | None:
     try:
         return len(folder.map_edits())
+    except MapError:
+        return None
+
+
+def _places(folder: MapFolder) -> tuple[str, ...] | None:
+    try:
+        return folder.named_poses().names
     except MapError:
         return None
 

@@ -12,7 +12,7 @@ from wheelsight.files import StrPath, make_output_folder, output_error, refuse_f
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.inputs import is_there
 from wheelsight.keyframes import Keyframe
-from wheelsight.mapping import MapEdits, SurfelMap, load_map, save_map
+from wheelsight.mapping import MapEdits, NamedPoses, SurfelMap, load_map, save_map
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
@@ -36,6 +36,7 @@ from wheelsight.slam.sessions.settings import SessionSettings
 
 CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE = "calibration.yaml", "recognition.npz", "map.surfels"
 OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE = "occupancy.yaml", "occupancy.pgm", "edits.json"
+PLACES_FILE = "places.json"
 _READ_ONLY = "open it with read_only=False"
 NEW_FOLDER = "choose a folder that is empty or not there yet: no map is written over"
 
@@ -213,6 +214,16 @@ class MapFolder:
         self._need_lock()
         edits.save(self.path / EDITS_FILE)
 
+    def named_poses(self) -> NamedPoses:
+        """What people call poses of the map; none where no file of them is. Raises MapError."""
+        path = self.path / PLACES_FILE
+        return NamedPoses.load(path) if is_there(path) else NamedPoses()
+
+    def save_named_poses(self, poses: NamedPoses) -> None:
+        """Keep names of poses, in place of what it has. Raises OutputError."""
+        self._need_lock()
+        poses.save(self.path / PLACES_FILE)
+
     def close(self) -> None:
         """Flush, and let others write. Raises OutputError."""
         lock, self._lock = self._lock, None
@@ -331,7 +342,7 @@ def discard_map(path: StrPath) -> None:
     if not is_there(path / HEADER_FILE):
         return
     lock = MapLock(path)
-    made = (RECOGNITION_FILE, SURFELS_FILE, OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE)
+    made = (RECOGNITION_FILE, SURFELS_FILE, OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE, PLACES_FILE)
     names = (HEADER_FILE, CALIBRATION_FILE, *made)
     try:
         # What says that it is a map goes first: a kill in between leaves no map that lacks a part.

@@ -20,7 +20,7 @@ from wheelsight.slam.recognised import PlaceWatcher
 from wheelsight.slam.sessions.hanging import pieces_of
 from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
 from wheelsight.slam.sessions.occupancy import with_occupancy
-from wheelsight.slam.sessions.parts import MapParts, Progress, carried_edits, recognizer_of, write_map
+from wheelsight.slam.sessions.parts import MapParts, Progress, SaidOfMap, carried, recognizer_of, write_map
 from wheelsight.slam.sessions.rebuilding import fused_of
 from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.steps import anchor
@@ -82,15 +82,16 @@ def merge(
     parts = replace(pair.both, T_map_keyframe=graph.poses, edges=(*graph.edges, *_between(pair, first))).some(kept)
     surfel_map = fused_of(parts, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
     source = " and ".join(filter(None, (first.header.source, second.header.source)))
-    made = _knows_all(parts, pair, watcher, recognition, on_keyframe), surfel_map, _edits(first, second, kept, pair)
+    made = _knows_all(parts, pair, watcher, recognition, on_keyframe), surfel_map, _said(first, second, kept, pair)
     folder = with_occupancy(write_map(parts, out, first, made, on_keyframe, source), on_keyframe)
     return _told(folder, pair, kept, graph)
 
 
-def _edits(first: MapFolder, second: MapFolder, kept: IntArray, pair: _Pair) -> MapEdits:
+def _said(first: MapFolder, second: MapFolder, kept: IntArray, pair: _Pair) -> SaidOfMap:
     """Of both maps; the second's all hang on keyframes, whose frame goes."""
-    of_second = carried_edits(second, kept, len(pair.first), is_same_frame=False)
-    return MapEdits((*carried_edits(first, kept).edits, *of_second.edits))
+    of_first, of_second = carried(first, kept), carried(second, kept, len(pair.first), is_same_frame=False)
+    edits = MapEdits((*of_first.edits.edits, *of_second.edits.edits))
+    return SaidOfMap(edits, of_first.poses.beside(of_second.poses))
 
 
 def _told(folder: MapFolder, pair: _Pair, kept: IntArray, graph: PieceGraph) -> MergedMap:

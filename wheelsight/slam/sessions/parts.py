@@ -12,7 +12,7 @@ import numpy as np
 from wheelsight.files import StrPath
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.keyframes import KeyframeId
-from wheelsight.mapping import MapEdits, SurfelMap
+from wheelsight.mapping import MapEdits, NamedPoses, SurfelMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
@@ -78,17 +78,42 @@ def are_there(folder: MapFolder) -> BoolArray:
     return there
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SaidOfMap:
+    """What people said of a map: edits and names, which hang on its keyframes."""
+
+    edits: MapEdits
+    poses: NamedPoses
+
+    def save(self, folder: MapFolder) -> None:
+        """Keep them in a map that is open to write. Raises OutputError."""
+        if len(self.edits):
+            folder.save_edits(self.edits)
+        if len(self.poses):
+            folder.save_named_poses(self.poses)
+
+
 def edits_as_known(folder: MapFolder) -> MapEdits:
     """The edits of a map; one that hung on a keyframe that damage took is where it was drawn. Raises MapError."""
+    return folder.map_edits().carried(folder.store.T_map_keyframe, _own_numbers(folder))
+
+
+def names_as_known(folder: MapFolder) -> NamedPoses:
+    """The named poses of a map, likewise. Raises MapError."""
+    return folder.named_poses().carried(folder.store.T_map_keyframe, _own_numbers(folder))
+
+
+def _own_numbers(folder: MapFolder) -> IntArray:
+    """(K,) of keyframes that stay in a map; -1 of those that damage took."""
     there = are_there(folder)
-    return folder.map_edits().carried(folder.store.T_map_keyframe, np.where(there, np.arange(len(there)), -1))
+    return np.where(there, np.arange(len(there)), -1)
 
 
-def carried_edits(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame: bool = True) -> MapEdits:
-    """The edits of a map for one that is made of its parts, see `MapEdits.carried`. Raises MapError.
+def carried(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame: bool = True) -> SaidOfMap:
+    """What people said of a map for one that is made of its parts, see `MapEdits.carried`. Raises MapError.
 
     Args:
-        folder: whose edits they are.
+        folder: of which they said it.
         kept: rows of the new map's parts that are kept, in ascending order.
         first: row of the folder's first keyframe in these parts.
         is_same_frame: whether the new map has the folder's frame.
@@ -97,7 +122,9 @@ def carried_edits(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_
     numbers = np.full(len(folder.store), -1)
     of_kept = new_numbers(kept, max(int(kept.max(initial=-1)) + 1, first + len(there)))
     numbers[there] = of_kept[first : first + len(there)]
-    return folder.map_edits().carried(folder.store.T_map_keyframe, numbers, is_same_frame=is_same_frame)
+    T = folder.store.T_map_keyframe
+    edits = folder.map_edits().carried(T, numbers, is_same_frame=is_same_frame)
+    return SaidOfMap(edits, folder.named_poses().carried(T, numbers, is_same_frame=is_same_frame))
 
 
 def new_numbers(kept: IntArray, count: int) -> IntArray:
@@ -121,7 +148,7 @@ def write_map(
     parts: MapParts,
     out: StrPath,
     like: MapFolder,
-    made: tuple[Recognizer, SurfelMap | None, MapEdits],
+    made: tuple[Recognizer, SurfelMap | None, SaidOfMap],
     on_keyframe: Progress,
     source: str | None = None,
 ) -> MapFolder:
@@ -131,7 +158,7 @@ def write_map(
         parts: what to write.
         out: a folder that is empty or not there.
         like: of which calibration and settings it is.
-        made: of the keyframes: what recognises them, surfels that hang on them, and edits.
+        made: of the keyframes: what recognises them, surfels that hang on them, and what people said.
         on_keyframe: called with what is being done, how many keyframes are done, and of how many.
         source: its name; else as `like` has it.
 
@@ -139,7 +166,7 @@ def write_map(
     """
     name, factor = like.header.source if source is None else source, like.header.camera.depth_factor
     new = MapFolder.create(out, like.calibration, like.settings, source=name, depth_factor=factor)
-    recognizer, surfel_map, edits = made
+    recognizer, surfel_map, said = made
     try:
         store = parts.store(like.settings.memory_keyframes)
         for number, place in enumerate(parts.places):
@@ -149,8 +176,7 @@ def write_map(
         new.save_recognition(recognizer)
         if surfel_map is not None:
             new.save_surfels(surfel_map)
-        if len(edits):
-            new.save_edits(edits)
+        said.save(new)
     finally:
         new.close()
     return MapFolder.open(out, settings=like.settings)

@@ -25,7 +25,7 @@ from wheelsight.slam.sessions.parts import (
     MapParts,
     Progress,
     are_there,
-    carried_edits,
+    carried,
     new_numbers,
     recognizer_of,
     write_map,
@@ -77,7 +77,7 @@ def prune(
     left = replace(parts, edges=edges).some(kept)
     recognizer = recognizer_of(left, recognition, on_keyframe)
     hangs_on = new_numbers(kept, len(parts))[shown_by]
-    made = recognizer, _rehung(folder, left, hangs_on), carried_edits(folder, kept)
+    made = recognizer, _rehung(folder, left, hangs_on), carried(folder, kept)
     new = with_occupancy(write_map(left, out, folder, made, on_keyframe), on_keyframe)
     return PrunedMap(new, len(parts) - len(left))
 

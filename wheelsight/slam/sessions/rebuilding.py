@@ -15,7 +15,7 @@ from wheelsight.places.views import known_grey
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
 from wheelsight.slam.sessions.occupancy import with_occupancy
-from wheelsight.slam.sessions.parts import MapParts, Progress, edits_as_known
+from wheelsight.slam.sessions.parts import MapParts, Progress, SaidOfMap, edits_as_known, names_as_known
 from wheelsight.threads import Rows
 from wheelsight.views import Surface
 
@@ -45,7 +45,7 @@ def rebuild(
         OutputError: it cannot be written.
     """
     refuse_full(out, NEW_FOLDER)
-    edits = edits_as_known(folder)
+    said = SaidOfMap(edits_as_known(folder), names_as_known(folder))
     surfel_map = fused_anew(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
     source, factor = folder.header.source, folder.header.camera.depth_factor
     new = MapFolder.create(out, folder.calibration, folder.settings, source=source, depth_factor=factor)
@@ -55,8 +55,7 @@ def rebuild(
         found = folder.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
         new.save_recognition(found)
         new.save_surfels(surfel_map)
-        if len(edits):
-            new.save_edits(edits)
+        said.save(new)
     finally:
         new.close()
     return with_occupancy(MapFolder.open(out, settings=folder.settings), on_keyframe)

@@ -1,0 +1,228 @@
+"""`wheelsight drive`: what is refused before anything moves, and what is asked; and drives in a flat."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rehearsed_drive import CALIBRATION
+from sessions.kept_views import write_map
+from simulated_controller import SimulatedController
+from typer.testing import CliRunner, Result
+
+from wheelsight.calibration import save_calibration
+from wheelsight.cli import app
+from wheelsight.devices.cameras import LIVE_CAMERAS
+from wheelsight.devices.protocol import Command as Commanded
+from wheelsight.trajectory import read_tum
+
+Command = Callable[..., Result]
+Refusal = Callable[..., str]
+
+
+@pytest.fixture
+def kept(wheelsight: Command, tmp_path: Path) -> Path:
+    """A map with two names."""
+    write_map(tmp_path / "home", 5)
+    for name in ("kitchen", "desk"):
+        assert wheelsight("map", "name", tmp_path / "home", name, "--at", "0.5,0,90").exit_code == 0
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def calibration(tmp_path: Path) -> Path:
+    save_calibration(CALIBRATION, tmp_path / "robot.yaml")
+    return tmp_path / "robot.yaml"
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ((), "no robot is named (one of --sim WORLD and --robot PORT)"),
+        (("--sim", "flat", "--robot", "p"), "a robot is either simulated or real (one of --sim"),
+        (("--sim", "flat", "--yes"), "--yes is of a real robot"),
+        (("--sim", "flat", "--calibration", "c.yaml"), "--calibration is of a real robot"),
+        (("--robot", "p"), "--robot needs to know how the robot is built (--calibration FILE)"),
+        (("--robot", "p", "--calibration", "c.yaml", "--start", "1,2,3"), "--start is of a simulated robot"),
+        (("--sim", "nowhere"), "--sim is 'nowhere', no world and no file (floor4, flat,"),
+        (("--sim", "flat", "--resolution", "0.05"), "--resolution means nothing without a plan"),
+        (("--sim", "flat", "--start", "1,2"), "--start is '1,2' (X,Y,YAW_DEG"),
+        (("--sim", "flat", "--known-start", "1,2"), "--known-start is '1,2', which should be 3 numbers"),
+        (("--sim", "flat", "--set", "navigation"), "--set is 'navigation' (NAME=VALUE"),
+        (("--sim", "flat", "--set", "navigation.limits.forward_m_s=9"), "--set navigation.limits.forward_m_s is 9"),
+        (("--sim", "flat", "--set", "navigation.limit.forward_m_s=1"), "unknown setting navigation.limit"),
+        (("--sim", "flat", "--to", "3;4"), "no place of the map is called '3;4'"),
+        (("--sim", "flat", "--to", "3,x"), "--to is '3,x' (X,Y,YAW_DEG in metres and degrees"),
+        (("--sim", "flat", "--to", "nan,1"), "--to is 'nan,1'"),
+        (("--sim", "flat", "--realism", "false"), "the realism 'false' is unknown"),
+        (("--sim", "flat", "--people", "-1"), "--people is -1 (0 to 100)"),
+    ],
+)
+def test_what_means_nothing_is_refused_in_a_line(
+    refusal: Refusal, kept: Path, options: tuple[str, ...], problem: str
+) -> None:
+    told = refusal("drive", "--map", kept, "--to", "kitchen", *options)
+    assert problem in told
+
+
+def test_a_map_and_a_goal_are_needed(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
+    assert refusal("drive", "--sim", "flat", "--to", "kitchen").startswith("there is no map to drive in (--map DIR")
+    assert refusal("drive", "--sim", "flat", "--map", kept).startswith("there is no goal (--to NAME")
+    nowhere = refusal("drive", "--sim", "flat", "--map", tmp_path / "nowhere", "--to", "kitchen")
+    assert "there is no such folder" in nowhere
+
+
+def test_an_unknown_name_is_told_with_the_nearest_and_all(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    told = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--to", "kichen", "--out", out)
+    assert told == "no place of the map is called 'kichen' (did you mean kitchen?) (known: desk, kitchen)"
+    assert not out.exists()
+
+
+def test_a_folder_that_holds_something_is_refused(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
+    told = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--out", kept)
+    assert "is not empty" in told
+
+
+def test_a_real_robot_without_a_camera_is_refused(refusal: Refusal, kept: Path, calibration: Path) -> None:
+    asked = ("drive", "--robot", "/dev/null", "--calibration", calibration, "--map", kept, "--to", "kitchen")
+    assert refusal(*asked).startswith("no live camera can be read yet, and without one a robot would drive blind")
+    assert "(issue 33)" in " ".join(CliRunner().invoke(app, ["drive", "--help"]).stdout.split())
+
+
+class NoFrames:
+    """A camera that shows nothing."""
+
+    def __init__(self) -> None:
+        self.is_closed = False
+
+    def take(self):
+        return ()
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def test_nothing_moves_where_the_question_is_answered_with_no(
+    kept: Path, calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = NoFrames()
+    monkeypatch.setitem(LIVE_CAMERAS, "none", lambda: camera)
+    with SimulatedController(tmp_path) as controller:
+        asked = ("drive", "--robot", controller.port, "--calibration", calibration, "--map", kept, "--to", "kitchen")
+        result = CliRunner().invoke(app, [str(word) for word in asked], input="n\n")
+        assert result.exit_code == 1, result.output
+        assert "Is the floor around the robot free, and is somebody at the stop button? [y/N]" in result.output
+        assert "nothing moved" in result.stderr
+        assert camera.is_closed
+        assert Commanded.DRIVE not in [kind for kind, _ in controller.commands]
+
+
+# Back, so that the camera sees the floor that is driven over next; then ahead, and round.
+LEGS = """stamp_s,v_m_s,yaw_rate_rad_s
+0,0,0
+0.5,-0.4,0
+4.2,0,0
+4.7,0.5,0
+12.2,0,0
+12.7,0,0.5
+19.0,0,0
+19.4,0,0
+"""
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np.ndarray]:
+    """The map of a short drive; where that ended, in the map and in the world."""
+    folder = tmp_path_factory.mktemp("flat")
+    (folder / "legs.csv").write_text(LEGS)
+    how = ("--drive", folder / "legs.csv", "--rate", "5", "--seed", "5")
+    for words in (
+        ("simulate", "flat", *how, "--out", folder / "day"),
+        ("run", folder / "day", "--map", "surfels", "--out", folder / "map"),
+    ):
+        result = CliRunner().invoke(app, [str(word) for word in words])
+        assert result.exit_code == 0, result.output
+    truth = read_tum(folder / "day" / "groundtruth_base.txt", "base")
+    known = read_tum(folder / "map" / "joined" / "trajectory.txt", "base")
+    return folder / "map", planar(known.T_frame_body[-1]), planar(truth.T_frame_body[-1])
+
+
+def planar(T: np.ndarray) -> np.ndarray:
+    return np.array([T[0, 3], T[1, 3], np.degrees(np.arctan2(T[1, 0], T[0, 0]))])
+
+
+def ahead_of(pose: np.ndarray) -> np.ndarray:
+    """(2,) where the outline is still on floor that the first drive has seen."""
+    yaw = np.radians(pose[2])
+    return pose[:2] + 0.4 * np.array([np.cos(yaw), np.sin(yaw)])
+
+
+def words_of(pose: np.ndarray) -> str:
+    return ",".join(f"{value:.3f}" for value in pose)
+
+
+def begun(flat: tuple[Path, np.ndarray, np.ndarray]) -> list[str]:
+    folder, known, true = flat
+    where = ["--start", words_of(true), "--known-start", words_of(known)]
+    return ["drive", "--sim", "flat", "--seed", "5", "--rate", "5", "--map", str(folder), *where]
+
+
+@pytest.mark.slow
+def test_a_robot_drives_to_a_place_of_a_flat_that_was_mapped_before(
+    flat: tuple[Path, np.ndarray, np.ndarray], wheelsight: Command, drawn_pages: None, tmp_path: Path
+) -> None:
+    folder, known, _ = flat
+    assert wheelsight("map", "name", folder, "table", "--at", words_of(ahead_of(known))).exit_code == 0
+    result = wheelsight(*begun(flat), "--to", "table", "--out", tmp_path / "drive")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("arrived at table: ")
+    assert "idle → planning: to table" in result.stderr
+    assert "status: knows where it is" in result.stderr
+    told = json.loads((tmp_path / "drive" / "drive.json").read_text())
+    assert told["has_arrived"] is True
+    assert told["goals"][0]["off_m"] < 0.15
+    assert told["truth"]["contacts"] == []
+    assert told["truth"]["clearance_m"] > 0
+    assert 0.25 < told["way_m"] < 1.0
+    page = (tmp_path / "drive" / "drive.html").read_text()
+    assert "To table in map" in page
+    for name in ("drive.png", "trajectory.txt", "config.yaml"):
+        assert (tmp_path / "drive" / name).stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_ctrl_c_stops_the_robot_first_and_says_so(
+    flat: tuple[Path, np.ndarray, np.ndarray], wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from wheelsight.simulation.simulator import Simulator
+
+    stopped: list[float] = []
+    stop, step = Simulator.stop, Simulator.step
+
+    def note(robot: Simulator) -> None:
+        stopped.append(robot.time_s)
+        stop(robot)
+
+    monkeypatch.setattr(Simulator, "stop", note)
+    steps: list[int] = []
+
+    def press(robot: Simulator, command):
+        steps.append(1)
+        if len(steps) == 30:
+            os.kill(os.getpid(), signal.SIGINT)
+        return step(robot, command)
+
+    monkeypatch.setattr(Simulator, "step", press)
+    result = wheelsight(*begun(flat), "--to", words_of(ahead_of(flat[1])), "--out", tmp_path / "drive")
+    assert result.exit_code == 130, result.output
+    assert result.stderr.splitlines()[-1] == "interrupted; the robot was stopped first, and stands"
+    assert stopped[0] == pytest.approx(1.5, abs=0.06)
+    told = json.loads((tmp_path / "drive" / "drive.json").read_text())
+    assert told["interrupted"] is True
+    assert told["goals"][0]["reason"] == "it was called off"

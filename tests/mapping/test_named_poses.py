@@ -1,0 +1,116 @@
+"""Names of poses: kept, found, told of where they are missing, and moved with their keyframes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from wheelsight.errors import ArgumentError, MapError
+from wheelsight.geometry import se3
+from wheelsight.keyframes import KeyframeId
+from wheelsight.mapping import NamedPose, NamedPoses
+
+KITCHEN = NamedPose("kitchen", np.array([3.2, 1.5, 0.5]))
+DESK = NamedPose("desk", np.array([-1.0, 2.0]))
+TABLE = np.array([se3.from_plane(x, 0.0, 0.2) for x in (0.0, 2.0, 4.0)])
+
+
+def test_a_place_moves_with_its_keyframe() -> None:
+    hung = KITCHEN.hung_on_nearest(TABLE, np.arange(3))
+    assert hung.keyframe == 2
+    assert_allclose(hung.pose_now(TABLE), KITCHEN.pose, atol=1e-12)
+    moved = TABLE.copy()
+    T_new_old = se3.from_plane(0.3, -0.1, 0.1)
+    moved[2] = T_new_old @ TABLE[2]
+    expected = T_new_old @ se3.from_plane(*KITCHEN.pose)
+    assert_allclose(hung.pose_now(moved)[:2], expected[:2, 3])
+    assert_allclose(hung.pose_now(moved)[2], 0.6)
+    anywhere = DESK.hung_on_nearest(TABLE, np.arange(3)).pose_now(moved)
+    assert np.isnan(anywhere[2])
+    with pytest.raises(ArgumentError, match="there is no pose of keyframe 2"):
+        hung.pose_now(TABLE[:2])
+
+
+def test_names_are_written_and_read_again(tmp_path: Path) -> None:
+    poses = NamedPoses((KITCHEN.hung_on_nearest(TABLE, np.arange(2)), DESK, NamedPose("Büro  im Hof", np.zeros(3))))
+    poses.save(tmp_path / "places.json")
+    found = NamedPoses.load(tmp_path / "places.json")
+    assert found.names == ("Büro im Hof", "desk", "kitchen")
+    for before, after in zip(poses, found, strict=True):
+        assert_allclose(after.pose, before.pose)
+        assert after.keyframe == before.keyframe
+        assert_allclose(after.pose_now(TABLE), before.pose_now(TABLE))
+
+
+def test_a_name_that_is_unknown_is_told_with_the_nearest_and_all() -> None:
+    poses = NamedPoses((KITCHEN, DESK))
+    with pytest.raises(MapError) as told:
+        poses.named("Kichen")
+    assert "no place of the map is called 'Kichen' (did you mean kitchen?)" in str(told.value)
+    assert "known: desk, kitchen" in str(told.value)
+    with pytest.raises(MapError, match="the map has no names yet"):
+        NamedPoses().named("kitchen")
+    assert poses.without("desk").names == ("kitchen",)
+    assert len(poses.with_pose(NamedPose("desk", np.ones(3)))) == 2
+
+
+@pytest.mark.parametrize("name", ["", "  ", "1,2", "x" * 61, "a\x1bb", "-v", None])
+def test_what_is_no_name_is_refused(name: Any) -> None:
+    with pytest.raises(MapError, match="is no name for a place"):
+        NamedPose(name, np.zeros(3))
+
+
+@pytest.mark.parametrize("pose", [[1.0], [1.0, np.nan, 0.0], [1e9, 0.0, 0.0], [0.0, 0.0, np.inf], np.zeros((4, 4))])
+def test_what_is_no_pose_is_refused(pose: Any) -> None:
+    with pytest.raises(MapError, match="is at no place on earth"):
+        NamedPose("desk", pose)
+
+
+def test_names_are_carried_to_a_map_of_some_of_the_keyframes() -> None:
+    hung = [NamedPose(f"at {k}", TABLE[k, :2, 3]).hung_on_nearest(TABLE, np.array([k])) for k in range(3)]
+    astray = NamedPose("astray", np.array([0.1, 0.0]), KeyframeId(9), np.eye(4))
+    carried = NamedPoses((*hung, astray, DESK)).carried(TABLE, np.array([-1, 0, 1]))
+    numbers = {one.name: one.keyframe for one in carried}
+    assert numbers == {"at 0": 0, "at 1": 0, "at 2": 1, "astray": 0, "desk": None}
+    for one in carried:
+        before = next(pose for pose in (*hung, astray, DESK) if pose.name == one.name)
+        assert_allclose(one.pose_now(TABLE[1:])[:2], before.pose[:2], atol=1e-12)
+    elsewhere = NamedPoses((DESK,)).carried(TABLE, np.array([-1, 0, 1]), is_same_frame=False)
+    assert [one.keyframe for one in elsewhere] == [0]
+
+
+def test_of_two_maps_both_keep_their_names() -> None:
+    both = NamedPoses((KITCHEN,)).beside(NamedPoses((NamedPose("kitchen", np.zeros(3)), DESK)))
+    assert both.names == ("desk", "kitchen", "kitchen 2")
+    assert_allclose(both.named("kitchen").pose, KITCHEN.pose)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"format": "else"}, "is not of format"),
+        ({"version": 2}, "its version is 2"),
+        ({"places": {}}, "its places are no list"),
+        ({"places": [{"name": "a", "pose": [1, 2], "color": 3}]}, "a place is none"),
+        ({"places": [{"name": "a", "pose": [1, "x"]}]}, "is no pose"),
+        ({"places": [{"pose": [1, 2]}]}, "is no name for a place"),
+        ({"places": [{"name": "a", "pose": [1, 2], "keyframe": -1}]}, "is -1"),
+        ({"places": [{"name": "a", "pose": [1, 2], "keyframe": 1}]}, "an anchor is a keyframe and its pose"),
+        ({"places": [{"name": "a", "pose": [1, 2]}, {"name": "a", "pose": [1, 3]}]}, "is given twice"),
+    ],
+)
+def test_a_file_that_is_wrong_is_told_by_its_path(change: dict[str, Any], problem: str, tmp_path: Path) -> None:
+    path = tmp_path / "places.json"
+    NamedPoses((KITCHEN,)).save(path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(MapError, match=problem) as told:
+        NamedPoses.load(path)
+    assert told.value.path == path
+    path.write_text("{")
+    with pytest.raises(MapError, match="is no JSON"):
+        NamedPoses.load(path)

@@ -1,0 +1,118 @@
+"""Drives to goals: what is kept of them, and that whoever ends one stops the robot first."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rehearsed_drive import recorded, rehearsed_drive
+
+from wheelsight.config import load_config
+from wheelsight.errors import ConfigError, DeviceError
+from wheelsight.navigation import Feedback, NavigationReason, NavigationState
+from wheelsight.pipeline.drive_outputs import write_drive
+from wheelsight.pipeline.drives import Drive, Goal, drive_in_map
+from wheelsight.pipeline.navigation_rehearsal import DrawnRobot
+from wheelsight.trajectory import read_tum
+
+NEAR = Goal.of(np.array([-0.7, -0.4, np.nan]), "the middle")
+
+
+def test_a_goal_is_reached_and_all_of_it_is_told(tmp_path: Path) -> None:
+    drive, robot, config = rehearsed_drive()
+    begin = robot.pose.copy()
+    shown: list[Feedback] = []
+    assert drive.go_to(NEAR, shown.append)
+    assert drive.start is not None
+    assert np.hypot(*(drive.start - begin)[:2]) < 0.05
+    record = recorded(drive, config)
+    assert record.has_arrived
+    assert len(record.rows) == len(shown) > 20
+    (goal,) = record.goals
+    assert np.hypot(*(robot.pose - NEAR.pose)[:2]) < 0.15
+    assert goal.off_m == pytest.approx(np.hypot(*(robot.pose - NEAR.pose)[:2]), abs=0.03)
+    assert np.isnan(goal.off_deg)
+    # Least at the end or the begin: from the hindmost point to the wall behind, or a side to the nearer wall.
+    assert 0.5 < record.clearance_m < 1.3
+    assert 1 <= len(record.images) <= 24
+    write_drive(record, tmp_path)
+    told = json.loads((tmp_path / "drive.json").read_text())
+    assert told["goals"][0]["name"] == "the middle"
+    assert told["goals"][0]["goal"] == {"x_m": -0.7, "y_m": -0.4, "yaw_deg": None}
+    assert [one["after"] for one in told["transitions"]][-1] == "arrived"
+    assert told["way_m"] == pytest.approx(0.6, abs=0.1)
+    assert told["plans"][0]["poses"][0] == pytest.approx(begin, abs=0.05)
+    way = read_tum(tmp_path / "trajectory.txt", "base")
+    assert way.frame == "map"
+    assert np.hypot(*(way.positions_m[-1, :2] - robot.pose[:2])) < 0.05
+    assert load_config(tmp_path / "config.yaml") == config
+
+
+class EnoughError(Exception):
+    pass
+
+
+def test_whoever_ends_a_drive_stops_the_robot_first() -> None:
+    drive, robot, config = rehearsed_drive()
+    moved: list[float] = []
+
+    def end(feedback: Feedback) -> None:
+        if feedback.forward_m_s > 0.15:
+            moved.append(float(robot.pose[0]))
+            raise EnoughError
+
+    with pytest.raises(EnoughError):
+        drive.go_to(NEAR, end)
+    # It obeys at once: not even the command of the period before is driven.
+    assert robot.pose[0] == moved[0]
+    record = recorded(drive, config, is_interrupted=True)
+    (goal,) = record.goals
+    assert goal.result.reason is NavigationReason.CANCELED
+    assert drive.navigator.state is NavigationState.FAILED
+    assert not record.has_arrived
+    assert drive.go_to(NEAR, lambda feedback: None), "it can be led on"
+    assert recorded(drive, config, asked=2).goals[1].result.has_arrived
+
+
+def test_what_went_wrong_is_told_and_not_what_came_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = rehearsed_drive()[0]
+
+    def unplug(feedback: Feedback) -> None:
+        monkeypatch.setattr(DrawnRobot, "stop", refuse)
+        raise DeviceError("the port is gone")
+
+    def refuse(robot: DrawnRobot) -> None:
+        raise DeviceError("the controller does not confirm")
+
+    with pytest.raises(DeviceError, match="the port is gone"):
+        drive.go_to(NEAR, unplug)
+    assert drive.navigator.is_task_complete()
+
+
+def test_stops_of_the_monitor_are_kept_with_reason_and_place() -> None:
+    drive, robot, config = rehearsed_drive()
+    held_s = (1.0, 2.0)
+
+    def covered(command):  # no frames for a second
+        events = DrawnRobot.step(robot, command)
+        return [one for one in events if not (held_s[0] < robot.now_s < held_s[1] and hasattr(one, "depth_m"))]
+
+    robot.step = covered  # type: ignore[method-assign]
+    assert drive.go_to(NEAR, lambda feedback: None)
+    record = recorded(drive, config)
+    (stop,) = [one for one in record.stops if one.begin_s > held_s[0]]
+    assert stop.reason == "no fresh depth frame"
+    assert held_s[0] < stop.begin_s < stop.end_s < held_s[1] + 0.3
+    assert stop.pose is not None
+    assert np.hypot(*(stop.pose - NEAR.pose)[:2]) < 0.7
+
+
+def test_without_a_map_there_is_no_drive() -> None:
+    robot = rehearsed_drive()[1]
+    with (
+        pytest.raises(ConfigError, match="there is no map to drive in"),
+        drive_in_map(robot, load_config(), in_step=True) as drive,
+    ):
+        assert isinstance(drive, Drive)

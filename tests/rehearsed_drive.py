@@ -1,0 +1,35 @@
+"""A drive in the rehearsal's room: no simulator, no map folder; the robot is told where it is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wheelsight.calibration import Calibration, Wheels
+from wheelsight.config import Config, load_config
+from wheelsight.geometry import PinholeCamera
+from wheelsight.navigation import KnownFloor, Navigator
+from wheelsight.pipeline.drive_record import DriveRecord
+from wheelsight.pipeline.drive_recorder import DriveRecorder
+from wheelsight.pipeline.drives import Drive, WatchedRobot, footprint_of
+from wheelsight.pipeline.navigation_rehearsal import DrawnRobot, ToldPlace, drawn_room
+
+CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0)
+T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])
+CALIBRATION = Calibration.registered_camera(
+    CAMERA, wheels=Wheels(0.17, 0.17, 0.52, 3200.0), T_base_camera=T_BASE_CAMERA, source="test"
+)
+# The camera sees no floor nearer than 2.6 m: onto that it drives at the speed for floor that was not seen lately.
+QUICK = {"navigation.monitor.blind_m_s": 0.5}
+
+
+def rehearsed_drive() -> tuple[Drive, DrawnRobot, Config]:
+    robot, config = DrawnRobot(CALIBRATION), load_config(overrides=QUICK)
+    watched = WatchedRobot(robot, DriveRecorder(footprint_of(config)))
+    floor = KnownFloor(drawn_room())
+    navigator = Navigator(watched, ToldPlace(robot), floor, config.navigation, trusts_floor=True)
+    return Drive(watched, navigator, drawn_room(), "a room"), robot, config
+
+
+def recorded(drive: Drive, config: Config, asked: int = 1, *, is_interrupted: bool = False) -> DriveRecord:
+    truth = {"clearance_m": 0.2, "contacts": []}
+    return drive.record(asked, "a drawn robot", config, truth, is_interrupted=is_interrupted)

@@ -1,0 +1,102 @@
+"""The page and the picture of a drive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from html import unescape
+
+import numpy as np
+import pytest
+from rehearsed_drive import recorded, rehearsed_drive
+
+from wheelsight.mapping import CellKind
+from wheelsight.pipeline.drive_record import DriveRecord, StopRecord
+from wheelsight.pipeline.drives import Goal
+from wheelsight.report.drive_figures import apart, plan_figure, time_line_figure
+from wheelsight.report.drive_page import drive_picture, render_drive, verdict
+
+
+@pytest.fixture(scope="module")
+def record() -> DriveRecord:
+    drive, _, config = rehearsed_drive()
+    drive.go_to(Goal.of(np.array([-0.7, -0.4, np.nan]), "<the middle>"), lambda feedback: None)
+    found = recorded(drive, config)
+    return replace(found, stops=(StopRecord(1.0, 2.5, "something in the way", np.array([-1.0, -0.4, 0.0])),))
+
+
+def test_the_page_tells_where_it_went_what_held_it_and_what_it_saw(record: DriveRecord) -> None:
+    page = render_drive(record)
+    assert "To &lt;the middle&gt; in a room" in page
+    assert "<the middle>" not in page
+    told = unescape(page)
+    for part in ("Arrived", "Where it went", "What it did when", "What it saw", "something in the way", "1.50 s"):
+        assert part in told
+    assert page.count("data:image/jpeg;base64,") == len(record.images)
+    assert "http://" not in page.split("<script>")[0]
+
+
+def test_the_verdict_is_of_the_goals(record: DriveRecord) -> None:
+    assert verdict(record)[::2] == ("Arrived", "good")
+    assert verdict(replace(record, asked=2))[::2] == ("1 of 2 goals reached", "poor")
+    assert verdict(replace(record, asked=2, is_interrupted=True))[::2] == ("Interrupted", "fair")
+    helped = replace(record.goals[0], result=replace(record.goals[0].result, recoveries=2))
+    phrase, sentences, tone = verdict(replace(record, goals=(helped,)))
+    assert (phrase, tone) == ("Arrived", "fair")
+    assert "2 times it had to get itself out" in sentences
+
+
+def test_the_plan_shows_all_ways_in_metres(record: DriveRecord) -> None:
+    traces = {trace.name: trace for trace in plan_figure(record).data}
+    assert traces.keys() == {"planned", "driven", "start", "goal", "held"}
+    assert traces["driven"].x[-1] == pytest.approx(-0.7, abs=0.15)
+    assert (traces["held"].x, traces["held"].y) == pytest.approx((-1.0, -0.4))
+    image = plan_figure(record).layout.images[0]
+    assert (image.x, image.sizex) == pytest.approx((-2.55, 5.1))
+
+
+def test_the_time_line_has_each_moment_once(record: DriveRecord) -> None:
+    bars = [trace for trace in time_line_figure(record).data if trace.type == "bar"]
+    for band in ("navigator", "localization", "monitor"):
+        own = [trace for trace in bars if band in trace.y]
+        assert sum(float(np.sum(trace.x)) for trace in own) == pytest.approx(record.time_s)
+    assert {"driving", "planning"} <= {word for trace in bars for word in trace.customdata}
+
+
+def test_the_picture_has_map_ways_and_marks(record: DriveRecord) -> None:
+    image = drive_picture(record)
+    bare = drive_picture(replace(record, rows=empty(record), plans=(), stops=(), goals=()))
+    assert image.shape[1] == bare.shape[1]
+    for colour in ((230, 159, 0), (0, 114, 178), (213, 94, 0), (204, 121, 167), (0, 158, 115)):
+        assert (image == colour).all(axis=-1).sum() > 20
+        # The legend names nothing that is not there but the line of the way.
+        assert colour == (0, 114, 178) or not (bare == colour).all(axis=-1).any()
+    assert (record.grid.kind == CellKind.OBSTACLE).any()
+    assert (image == (40, 40, 40)).all(axis=-1).sum() > 1000
+
+
+def empty(record: DriveRecord):
+    rows = record.rows
+    none = np.empty(0)
+    return replace(
+        rows,
+        stamps_s=none,
+        poses=np.empty((0, 3)),
+        forward_m_s=none,
+        turn_rad_s=none,
+        states=(),
+        status=(),
+        monitor=(),
+        reasons=(),
+    )
+
+
+def test_a_drive_that_never_began_has_a_page(record: DriveRecord) -> None:
+    page = render_drive(replace(record, rows=empty(record), plans=(), stops=(), goals=(), images=()))
+    assert "0 of 1 goal reached" in unescape(page)
+    assert "The collision monitor held it nowhere." in page
+
+
+def test_poses_so_far_apart() -> None:
+    poses = np.column_stack([np.linspace(0, 1, 11), np.zeros(11), np.zeros(11)])
+    assert apart(poses, 0.45)[:, 0] == pytest.approx([0.0, 0.5, 1.0, 1.0])
+    assert apart(np.empty((0, 3)), 1.0).shape == (0, 3)

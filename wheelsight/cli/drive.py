@@ -1,0 +1,55 @@
+"""`wheelsight drive`: a robot goes to places of a map by itself."""
+
+from __future__ import annotations
+
+from wheelsight.cli import _drive_options as options
+
+
+def drive(
+    map_: options.MapPath = None,
+    to: options.To = None,
+    back: options.Back = False,
+    known_start: options.KnownStart = None,
+    out: options.Out = None,
+    config: options.SettingsFile = None,
+    set_: options.Set = None,
+    force: options.Force = False,
+    sim: options.Sim = None,
+    resolution: options.Resolution = None,
+    start: options.Start = None,
+    seed: options.Seed = 0,
+    day: options.Day = 0,
+    people: options.People = 0,
+    realism: options.Realism = "real",
+    camera: options.CameraName = "kinect-v1",
+    size: options.Size = "half",
+    rate: options.Rate = 10.0,
+    robot: options.RobotPort = None,
+    calibration: options.CalibrationFile = None,
+    baud: options.Baud = 115200,
+    yes: options.Yes = False,
+) -> None:
+    """Drive to places of a known map: simulated, or with a robot on a serial port.
+
+    The robot finds itself in the map, plans, drives around what is in its way, and stops where it must; docs/safety.md
+    says what stops it and what does not. A terminal shows plan, state, speed and why it does what it does; else a line
+    a second tells. Ctrl-C stops the robot first.
+
+    --robot asks once before anything moves. It needs a live camera, which is still to come (issue 33).
+
+    Exit code 0: arrived; 1: not, and why is said; 2: what was handed in is wrong; 130: interrupted.
+
+    [bold]Examples[/bold]
+
+    wheelsight drive --sim flat --map home --to kitchen --out drive
+
+    wheelsight drive --sim flat --day 1 --map home --to 3.2,1.5,90 --to desk --back
+
+    wheelsight drive --sim flat --map home --known-start 0,0,0 --to kitchen --set navigation.limits.forward_m_s=0.5
+    """
+    from wheelsight.cli._drive_inputs import Asked, Real, Simulated
+    from wheelsight.cli._driving import drive_there
+
+    asked = Asked(map_, tuple(to or ()), back, known_start, out, force, config, tuple(set_ or ()))
+    simulated = Simulated(sim, resolution, start, seed, day, people, realism, camera, size, rate)
+    drive_there(asked, simulated, Real(robot, calibration, baud, yes))

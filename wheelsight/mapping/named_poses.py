@@ -1,0 +1,239 @@
+"""NamedPoses: what people call poses of a map, such as "kitchen"; each moves with the keyframe that it hangs on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.errors import ArgumentError, MapError
+from wheelsight.files import StrPath, write_text
+from wheelsight.geometry import FloatArray, IntArray, se3
+from wheelsight.inputs import Kind, parse_json, read_text
+from wheelsight.keyframes import KeyframeId
+
+FORMAT, VERSION = "wheelsight-named-poses", 1
+_FILE = Kind("named poses of a map", most_mb=4, fix="give a file that NamedPoses.save wrote")
+_FIELDS = ("name", "pose", "keyframe", "T_map_keyframe")
+_LONGEST_NAME = 60
+_FARTHEST_M = 1e6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedPose:
+    """A pose of the base with a name.
+
+    Attributes:
+        name: up to 60 letters, digits, spaces and signs but commas, by which coordinates are told.
+        pose: (3,) x, y in metres and yaw in radians in `map`; a yaw of NaN is any heading.
+        keyframe: with which it moves, or None.
+        T_map_keyframe: (4, 4) where that was when the pose was named, or None.
+
+    Raises:
+        MapError: a name that is none, a pose that is no place on earth, a keyframe without its pose.
+    """
+
+    name: str
+    pose: FloatArray
+    keyframe: KeyframeId | None = None
+    T_map_keyframe: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", _checked_name(self.name))
+        object.__setattr__(self, "pose", _checked_pose(self.name, self.pose))
+        if (self.keyframe is None) != (self.T_map_keyframe is None):
+            raise MapError("an anchor is a keyframe and its pose", fix="give both, or neither")
+        if self.T_map_keyframe is not None and not se3.is_valid(self.T_map_keyframe):
+            raise MapError(f"the pose of keyframe {self.keyframe} is no rigid motion", fix="give SE(3), (4, 4)")
+
+    def pose_now(self, T_map_keyframe: ArrayLike) -> FloatArray:
+        """(3,) where it is by now, of poses (K, 4, 4) of keyframes by number.
+
+        Raises ArgumentError where that of its keyframe is missing.
+        """
+        if self.keyframe is None or self.T_map_keyframe is None:
+            return self.pose
+        table = np.asarray(T_map_keyframe, float)
+        if self.keyframe >= len(table) or not np.isfinite(table[self.keyframe]).all():
+            raise ArgumentError(f"there is no pose of keyframe {self.keyframe}", fix="give those of the pose's map")
+        T_new_old = table[self.keyframe] @ se3.invert(self.T_map_keyframe)
+        x, y, yaw = self.pose
+        at = T_new_old @ se3.from_plane(x, y, 0.0 if np.isnan(yaw) else yaw)
+        return np.array([at[0, 3], at[1, 3], np.nan if np.isnan(yaw) else np.arctan2(at[1, 0], at[0, 0])])
+
+    def hung_on_nearest(self, T_map_keyframe: ArrayLike, among: IntArray) -> NamedPose:
+        """The same, which from now on moves with the nearest of some keyframes (N,), of poses (K, 4, 4) of all."""
+        table = np.asarray(T_map_keyframe, float)
+        if not len(among):
+            return replace(self, keyframe=None, T_map_keyframe=None)
+        off_m = np.linalg.norm(table[among, :2, 3] - self.pose[:2], axis=1)
+        nearest = int(among[np.argmin(off_m)])
+        return replace(self, keyframe=KeyframeId(nearest), T_map_keyframe=table[nearest].copy())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedPoses:
+    """All named poses of a map, by name; each name once.
+
+    Raises:
+        MapError: a name twice.
+    """
+
+    poses: tuple[NamedPose, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [one.name for one in self.poses]
+        for name in names:
+            if names.count(name) > 1:
+                raise MapError(f"the name {name!r} is given twice", fix="each name once")
+        object.__setattr__(self, "poses", tuple(sorted(self.poses, key=lambda one: one.name)))
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def __iter__(self) -> Iterator[NamedPose]:
+        return iter(self.poses)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """In order."""
+        return tuple(one.name for one in self.poses)
+
+    def named(self, name: str) -> NamedPose:
+        """The one of a name. Raises MapError, which tells the nearest name and all that are known."""
+        found = next((one for one in self.poses if one.name == name), None)
+        if found is None:
+            raise MapError(f"no place of the map is called {name!r}{_meant(name, self.names)}", fix=_known(self.names))
+        return found
+
+    def with_pose(self, pose: NamedPose) -> NamedPoses:
+        """With one more, or another one in place of that of the same name."""
+        return NamedPoses((*(one for one in self.poses if one.name != pose.name), pose))
+
+    def without(self, name: str) -> NamedPoses:
+        """Without the one of a name. Raises MapError as `named`."""
+        gone = self.named(name)
+        return NamedPoses(tuple(one for one in self.poses if one is not gone))
+
+    def carried(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> NamedPoses:
+        """The poses for a map that is made of this one's keyframes; see `MapEdits.carried`, whose rules they follow."""
+        table, kept = np.asarray(T_map_keyframe, float), np.flatnonzero(numbers >= 0)
+        carried = []
+        for one in self.poses:
+            # A file may name keyframes that its map never had.
+            number = -1 if one.keyframe is None or one.keyframe >= len(numbers) else int(numbers[one.keyframe])
+            if one.keyframe is None and is_same_frame:
+                carried.append(one)
+            elif number >= 0:
+                carried.append(replace(one, keyframe=KeyframeId(number)))
+            elif len(kept):
+                is_lost = one.keyframe is not None and not np.isfinite(table[one.keyframe : one.keyframe + 1]).any()
+                now = replace(one, pose=one.pose if is_lost else one.pose_now(table))
+                hung = now.hung_on_nearest(table, kept)
+                assert hung.keyframe is not None
+                carried.append(replace(hung, keyframe=KeyframeId(int(numbers[hung.keyframe]))))
+        return NamedPoses(tuple(carried))
+
+    def beside(self, other: NamedPoses) -> NamedPoses:
+        """Both; where both have a name, this one's counts, and the other's gets a number behind it."""
+        found = self
+        for one in other.poses:
+            number, name = 2, one.name
+            while name in found.names:
+                name, number = f"{one.name[: _LONGEST_NAME - 4]} {number}", number + 1
+            found = found.with_pose(replace(one, name=name))
+        return found
+
+    def save(self, path: StrPath) -> None:
+        """Write them as JSON, atomically. Raises OutputError."""
+        document = {"format": FORMAT, "version": VERSION, "places": [_told(one) for one in self.poses]}
+        write_text(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+
+    @classmethod
+    def load(cls, path: StrPath) -> NamedPoses:
+        """Read what `save` wrote. Raises MapError: it is missing, no such file, newer, or a pose is wrong."""
+        path = Path(path)
+        try:
+            document = parse_json(read_text(path, _FILE, MapError))
+        except ValueError as error:
+            raise MapError(f"is no JSON: {error}", path=path, fix=_FILE.fix) from error
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            raise MapError(f"is not of format {FORMAT!r}", path=path, fix=_FILE.fix)
+        version = document.get("version")
+        if type(version) is not int or not 1 <= version <= VERSION:
+            problem = f"its version is {version!r}, and this wheelsight reads {VERSION}"
+            raise MapError(problem, path=path, fix="open it with the wheelsight that wrote it, or a newer one")
+        listed = document.get("places")
+        if not isinstance(listed, list):
+            raise MapError("its places are no list", path=path, fix=_FILE.fix)
+        try:
+            return cls(tuple(_pose(fields) for fields in listed))
+        except MapError as error:
+            raise MapError(error.problem, path=path, fix=error.fix) from error
+
+
+def _meant(name: str, names: tuple[str, ...]) -> str:
+    lower = {known.lower(): known for known in names}
+    near = get_close_matches(name.lower(), lower, n=1)
+    return f" (did you mean {lower[near[0]]}?)" if near else ""
+
+
+def _known(names: tuple[str, ...]) -> str:
+    if not names:
+        return "the map has no names yet: wheelsight map name MAP NAME --at X,Y,YAW_DEG"
+    return f"known: {', '.join(names)}"
+
+
+def _checked_name(name: Any) -> str:
+    """Raises MapError."""
+    text = " ".join(name.split()) if isinstance(name, str) else ""
+    if not text or "," in text or len(text) > _LONGEST_NAME or not text.isprintable() or text.startswith("-"):
+        problem = f"{name!r} is no name for a place"
+        raise MapError(problem, fix=f"up to {_LONGEST_NAME} letters, digits and spaces, without commas")
+    return text
+
+
+def _checked_pose(name: str, pose: ArrayLike) -> FloatArray:
+    """(3,), which cannot be changed. Raises MapError."""
+    at = np.array(pose, float).ravel()
+    at = np.array([*at, np.nan]) if len(at) == 2 else at
+    is_right = len(at) == 3 and bool((np.abs(at[:2]) < _FARTHEST_M).all()) and not np.isinf(at[2])
+    if not is_right:
+        raise MapError(f"{name} is at no place on earth", fix="x and y in metres in the frame map, and a heading")
+    at.setflags(write=False)
+    return at
+
+
+def _told(one: NamedPose) -> dict[str, Any]:
+    pose = one.pose.tolist() if np.isfinite(one.pose[2]) else one.pose[:2].tolist()
+    T = None if one.T_map_keyframe is None else one.T_map_keyframe.tolist()
+    values = (one.name, pose, one.keyframe, T)
+    return {field: value for field, value in zip(_FIELDS, values, strict=True) if value is not None}
+
+
+def _pose(fields: Any) -> NamedPose:
+    """Raises MapError."""
+    if not isinstance(fields, dict) or not set(fields) <= set(_FIELDS):
+        raise MapError("a place is none", fix=f"its fields are {', '.join(_FIELDS)}")
+    name, pose, keyframe, T = (fields.get(field) for field in _FIELDS)
+    if keyframe is not None and (type(keyframe) is not int or keyframe < 0):
+        raise MapError(f"keyframe of {name!r} is {keyframe!r}", fix="the number of a keyframe")
+    number = None if keyframe is None else KeyframeId(keyframe)
+    anchor = None if T is None else _numbers(T, f"T_map_keyframe of {name!r}", ((4, 4),))
+    return NamedPose(name if isinstance(name, str) else "", _numbers(pose, f"{name!r}", ((2,), (3,))), number, anchor)
+
+
+def _numbers(value: Any, name: str, shapes: tuple[tuple[int, ...], ...]) -> FloatArray:
+    try:
+        found = np.array(value, float)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape not in shapes or not np.isfinite(found).all():
+        raise MapError(f"{name} is no pose", fix="finite numbers: [x, y] or [x, y, yaw]; of a keyframe (4, 4)")
+    return found

@@ -1,0 +1,161 @@
+"""DriveRecord: what became of a drive to goals, period by period, as files and pages tell it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from wheelsight.geometry import ByteArray, FloatArray
+from wheelsight.mapping import OccupancyGrid
+from wheelsight.navigation import Footprint, NavigationResult
+from wheelsight.trajectory import Trajectory
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GoalRecord:
+    """A goal, and what became of it.
+
+    Attributes:
+        name: in words.
+        goal: (3,) x, y, yaw in the map as asked; a yaw of NaN is any heading.
+        result: of it.
+        end: (3,) where the robot then believed to be, or None where it did not know.
+        begin_s, end_s: stamps.
+    """
+
+    name: str
+    goal: FloatArray
+    result: NavigationResult
+    end: FloatArray | None
+    begin_s: float
+    end_s: float
+
+    @property
+    def off_m(self) -> float:
+        """From the goal, by its own localization; NaN where it did not know."""
+        return np.nan if self.end is None else float(np.hypot(*(self.end - self.goal)[:2]))
+
+    @property
+    def off_deg(self) -> float:
+        """Likewise of the heading; NaN where any was wanted."""
+        return np.nan if self.end is None else float(np.degrees(abs(np.angle(np.exp(1j * (self.end - self.goal)[2])))))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StopRecord:
+    """The collision monitor held the robot.
+
+    Attributes:
+        begin_s, end_s: stamps.
+        reason: in words.
+        pose: (3,) where that was, or None.
+    """
+
+    begin_s: float
+    end_s: float
+    reason: str
+    pose: FloatArray | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilmImage:
+    """A small image of what the camera saw on the way."""
+
+    stamp_s: float
+    color: ByteArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeriodRows:
+    """One row a control period.
+
+    Attributes:
+        stamps_s: (N,).
+        poses: (N, 3) in the map; NaN where not known.
+        forward_m_s, turn_rad_s: (N,) by the wheels.
+        states: of the navigator, in words.
+        status: of the localization, in words.
+        monitor: (N,) what the collision monitor made of it: "free", "slowed", "stopped".
+        reasons: why, in words; empty where it is free.
+    """
+
+    stamps_s: FloatArray
+    poses: FloatArray
+    forward_m_s: FloatArray
+    turn_rad_s: FloatArray
+    states: tuple[str, ...]
+    status: tuple[str, ...]
+    monitor: tuple[str, ...]
+    reasons: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.stamps_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveRecord:
+    """Everything about a drive.
+
+    Attributes:
+        map_name: of the map that it was in.
+        robot: in words.
+        goals: those that were begun, in order.
+        asked: how many there were to be.
+        rows: period by period.
+        way: as the localization told it, of the base in the map.
+        plans: stamp and poses (N, 3) of each plan.
+        stops: by the collision monitor.
+        clearance_m: least distance of the outline from what map and camera showed; infinite where nothing was near.
+        images: a few, in order.
+        grid: of the map.
+        footprint: of the robot.
+        config: all settings.
+        truth: what a simulator knows: contacts by the robot, least true clearance; empty of a real one.
+        is_interrupted: whether somebody ended it.
+        finished_at: when it ended.
+    """
+
+    map_name: str
+    robot: str
+    goals: tuple[GoalRecord, ...]
+    asked: int
+    rows: PeriodRows
+    way: Trajectory
+    plans: tuple[tuple[float, FloatArray], ...]
+    stops: tuple[StopRecord, ...]
+    clearance_m: float
+    images: tuple[FilmImage, ...]
+    grid: OccupancyGrid
+    footprint: Footprint
+    config: dict[str, Any]
+    truth: dict[str, Any] = field(default_factory=dict)
+    is_interrupted: bool = False
+    finished_at: datetime = field(default_factory=lambda: datetime.now(UTC))
+
+    @property
+    def has_arrived(self) -> bool:
+        """At all goals."""
+        return len(self.goals) == self.asked and all(one.result.has_arrived for one in self.goals)
+
+    @property
+    def begin_s(self) -> float:
+        """Stamp of the first period; 0 without any."""
+        return float(self.rows.stamps_s[0]) if len(self.rows) else 0.0
+
+    @property
+    def time_s(self) -> float:
+        """From the first period to the last."""
+        return float(self.rows.stamps_s[-1]) - self.begin_s if len(self.rows) else 0.0
+
+    @property
+    def way_m(self) -> float:
+        """Driven, by the wheels."""
+        return sum(one.result.way_m for one in self.goals)
+
+    @property
+    def planned_m(self) -> float:
+        """Of the first plan to each goal."""
+        return sum(one.result.planned_m for one in self.goals)

@@ -1,0 +1,246 @@
+"""A drive to goals in a known map: a robot, its localization and its navigator, put together and watched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.commands import VelocityCommand
+from wheelsight.config import Config
+from wheelsight.errors import ConfigError, WheelsightError
+from wheelsight.events import Event
+from wheelsight.geometry import FloatArray
+from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
+from wheelsight.mapping import OccupancyGrid
+from wheelsight.navigation import Feedback, Footprint, KnownFloor, NavigationResult, Navigator, Transition
+from wheelsight.navigation.goals import words_of
+from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord
+from wheelsight.pipeline.drive_recorder import DriveRecorder
+from wheelsight.pipeline.known_maps import open_known
+from wheelsight.robots import Robot
+from wheelsight.slam.sessions import MapFolder, occupancy_of
+from wheelsight.slam.sessions.parts import edits_as_known
+
+# How long a robot that was stopped is stepped on, until it stands.
+_STOPPING_S = 5.0
+
+OnStep = Callable[[Feedback], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Goal:
+    """Where to, and what it is called."""
+
+    pose: FloatArray
+    name: str
+
+    @classmethod
+    def of(cls, pose: FloatArray, name: str = "") -> Goal:
+        """Called by its coordinates where it has no name."""
+        return cls(pose, name or words_of(pose))
+
+
+class Drive:
+    """One after another to goals in a map; all of it is kept for `record`. `drive_in_map` makes one.
+
+    Args:
+        robot: that the navigator leads.
+        navigator: of it.
+        grid: of the map.
+        map_name: of the map.
+
+    Attributes:
+        navigator: as it was given.
+    """
+
+    def __init__(self, robot: WatchedRobot, navigator: Navigator, grid: OccupancyGrid, map_name: str) -> None:
+        self.navigator, self._grid, self._map_name = navigator, grid, map_name
+        self._robot, self._recorder = robot, robot.recorder
+        self._goals: list[GoalRecord] = []
+        self._start: FloatArray | None = None
+
+    @property
+    def start(self) -> FloatArray | None:
+        """(3,) in the map where it first knew where it was; None before."""
+        return self._start
+
+    def go_to(self, goal: Goal, on_step: OnStep) -> NavigationResult:
+        """Drive there and stand; `on_step` is called with each period's feedback, and may raise what ends it.
+
+        Raises what the robot raises, and ArgumentError for what is no goal.
+        """
+        pose = goal.pose[:2] if np.isnan(goal.pose[2]) else goal.pose
+        begin_s = self._robot.now_s
+        self.navigator.go_to_pose(pose, goal.name)
+        try:
+            return self.navigator.run(lambda feedback: self._step(feedback, on_step))
+        except BaseException:
+            # What went wrong is what whoever asked is to hear, and not what comes of it.
+            with suppress(WheelsightError):
+                self._stop()
+            raise
+        finally:
+            result, now = self.navigator.result, self.navigator.feedback
+            if result is not None:
+                self._goals.append(GoalRecord(goal.name, goal.pose, result, now.pose, begin_s, now.stamp_s))
+
+    def record(
+        self, asked: int, robot: str, config: Config, truth: dict[str, Any], is_interrupted: bool
+    ) -> DriveRecord:
+        """Everything so far.
+
+        Args:
+            asked: how many goals there were to be.
+            robot: in words.
+            config: all settings.
+            truth: what a simulator knows.
+            is_interrupted: whether somebody ended it.
+        """
+        kept = self._recorder
+        return DriveRecord(
+            map_name=self._map_name,
+            robot=robot,
+            goals=tuple(self._goals),
+            asked=asked,
+            rows=kept.rows,
+            way=kept.way,
+            plans=tuple(kept.plans),
+            stops=tuple(kept.stops),
+            clearance_m=kept.clearance_m,
+            images=kept.images,
+            grid=self._grid,
+            footprint=footprint_of(config),
+            config=config.to_dict(),
+            truth=truth,
+            is_interrupted=is_interrupted,
+        )
+
+    def _step(self, feedback: Feedback, on_step: OnStep) -> None:
+        self._recorder.step(feedback, self.navigator.senses)
+        if self._start is None and feedback.pose is not None:
+            self._start = feedback.pose
+        on_step(feedback)
+
+    def _stop(self) -> None:
+        """At once; then on until it stands."""
+        try:
+            self._robot.stop()
+        finally:
+            self.navigator.cancel_task()
+        follow, until_s = self.navigator.settings.follow, self._robot.now_s + _STOPPING_S
+        while self._robot.now_s < until_s:
+            feedback = self.navigator.step()
+            self._recorder.step(feedback, self.navigator.senses)
+            is_slow = abs(feedback.forward_m_s) <= follow.standing_m_s
+            if is_slow and abs(feedback.turn_rad_s) <= follow.standing_rad_s:
+                return
+
+
+@contextmanager
+def drive_in_map(
+    robot: Robot,
+    config: Config,
+    *,
+    in_step: bool,
+    trusts_floor: bool = False,
+    on_keyframe: Callable[[int, int], None] = lambda done, total: None,
+    on_transition: Callable[[Transition], None] = lambda transition: None,
+) -> Iterator[Drive]:
+    """A drive that can begin.
+
+    Args:
+        robot: that is led; whoever opened it closes it.
+        config: with a known map.
+        in_step: whether the localization answers before the robot goes on, as for simulators; else beside it.
+        trusts_floor: see `Navigator`.
+        on_keyframe: called with how many keyframes are read, and of how many.
+        on_transition: called with each change of state.
+
+    Raises:
+        ConfigError: no known map is named.
+        MapError, CalibrationError, ArgumentError: as `open_known` and `Navigator`.
+    """
+    opened = open_known(robot.calibration, config)
+    if opened is None:
+        raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels")
+    known, folder = opened
+    recorder = DriveRecorder(footprint_of(config))
+    try:
+        grid = occupancy_of(folder, on_keyframe=on_keyframe)
+        floor = KnownFloor(grid, edits_as_known(folder), folder.store.T_map_keyframe)
+        localizer = Localizer(robot.calibration, config, known=known, waits=in_step)
+        localization = LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)
+        try:
+            watched, how = WatchedRobot(robot, recorder), {"trusts_floor": trusts_floor}
+            navigator = Navigator(watched, localization, floor, config.navigation, on_transition=on_transition, **how)
+            yield Drive(watched, navigator, grid, _name_of(folder))
+        finally:
+            localization.close()
+    finally:
+        folder.close()
+
+
+def _name_of(folder: MapFolder) -> str:
+    """That of its run's folder, where it lies in one."""
+    parts = [part for part in folder.path.resolve().parts if part not in ("map", "joined", "dense", "features")]
+    return parts[-1] if parts else folder.path.name
+
+
+def footprint_of(config: Config) -> Footprint:
+    """Of the robot that settings tell. Raises ArgumentError."""
+    s = config.navigation.footprint
+    return Footprint.rectangle(s.front_m, s.back_m, s.width_m)
+
+
+class WatchedRobot:
+    """A `Robot` whose events a recorder hears, too.
+
+    Attributes:
+        recorder: as it was given.
+    """
+
+    def __init__(self, robot: Robot, recorder: DriveRecorder) -> None:
+        self._robot, self.recorder = robot, recorder
+
+    @property
+    def calibration(self) -> Calibration:
+        """As `Robot` has it."""
+        return self._robot.calibration
+
+    @property
+    def stop_reason(self) -> str:
+        """As `Robot` has it."""
+        return self._robot.stop_reason
+
+    @property
+    def now_s(self) -> float:
+        """As `Robot` has it."""
+        return self._robot.now_s
+
+    def step(self, command: VelocityCommand) -> list[Event]:
+        """As `Robot` has it."""
+        events = self._robot.step(command)
+        self.recorder.hear(events)
+        return events
+
+    def stop(self) -> None:
+        """As `Robot` has it."""
+        self._robot.stop()
+
+    def close(self) -> None:
+        """As `Robot` has it."""
+        self._robot.close()
+
+    def __enter__(self) -> WatchedRobot:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

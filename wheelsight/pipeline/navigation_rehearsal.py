@@ -1,0 +1,139 @@
+"""A small drive by navigation in the rehearsal's room, which calls whatever kernel a drive may need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.estimates import Estimate, Status
+from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import KeyframeStore
+from wheelsight.mapping import CellKind, OccupancyGrid
+from wheelsight.navigation import (
+    Costmap,
+    Footprint,
+    KnownFloor,
+    NavigationSettings,
+    Navigator,
+    Planner,
+    StaticLayer,
+)
+from wheelsight.pipeline.rehearsal import HIGH, LOW, WHEELS, seen_from
+from wheelsight.robots import STOPPED
+
+_CELL_M, _READING_S, _READINGS_A_STEP = 0.05, 0.025, 2
+_STEPS_A_FRAME = 2
+_START, _GOAL = (-1.3, -0.4, 0.0), (0.8, 0.6, 1.57)
+_STEPS = {"mppi": 160, "pure_pursuit": 20}
+
+
+def rehearse_navigation(calibration: Calibration) -> None:
+    """Drive with each controller, and plan where there is hardly room."""
+    for controller, steps in _STEPS.items():
+        robot = DrawnRobot(calibration)
+        settings = NavigationSettings().model_copy(update={"controller": controller})
+        navigator = Navigator(robot, ToldPlace(robot), KnownFloor(drawn_room()), settings, trusts_floor=True)
+        navigator.go_to_pose(_GOAL)
+        for _ in range(steps):
+            navigator.step()
+    footprint = Footprint.rectangle(0.8, 0.3, 0.6)
+    corridor = Costmap.of(StaticLayer.of(_corridor()), footprint)
+    # Turned round at its end: no straight way is free.
+    Planner(footprint).plan(corridor, (1.2, 1.5, 0.0), (1.2, 1.5, np.pi))
+
+
+class DrawnRobot:
+    """A `Robot` in the rehearsal's room: it obeys at once, and frames are drawn.
+
+    Attributes:
+        calibration, stop_reason, now_s: as `Robot` has them.
+        pose: (3,) x, y, yaw of the base in the room.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        self.calibration, self.stop_reason, self.now_s = calibration, "", 0.0
+        self.pose = np.array(_START)
+        self._rolled_m = np.zeros(2)
+        self._steps = 0
+
+    def step(self, command: VelocityCommand) -> list[Event]:
+        """As `Robot` has it."""
+        if self.stop_reason:
+            self.stop_reason = "" if command.is_stop else self.stop_reason
+            command = STOP
+        events: list[Event] = []
+        for _ in range(_READINGS_A_STEP):
+            self.now_s += _READING_S
+            events.append(self._rolled(command))
+        self._steps += 1
+        if self._steps % _STEPS_A_FRAME == 0:
+            color, depth_m = seen_from(self.T_map_base)
+            events.append(RgbdFrame(self.now_s, color, depth_m, self._steps // _STEPS_A_FRAME))
+        return events
+
+    @property
+    def T_map_base(self) -> FloatArray:
+        """(4, 4) where it truly is."""
+        return se3.from_plane(*self.pose)
+
+    def _rolled(self, command: VelocityCommand) -> WheelTicks:
+        across_m_s = command.turn_rad_s * WHEELS.track_width_m / 2
+        self._rolled_m += (np.array([-across_m_s, across_m_s]) + command.forward_m_s) * _READING_S
+        x, y, yaw = self.pose
+        way_m = command.forward_m_s * _READING_S
+        self.pose = np.array([x + way_m * np.cos(yaw), y + way_m * np.sin(yaw), yaw + command.turn_rad_s * _READING_S])
+        left, right = np.rint(self._rolled_m / (WHEELS.left_m_per_tick, WHEELS.right_m_per_tick)).astype(int).tolist()
+        return WheelTicks(self.now_s, left, right)
+
+    def stop(self) -> None:
+        """As `Robot` has it."""
+        self.stop_reason = STOPPED
+
+    def close(self) -> None:
+        """As `Robot` has it; nothing is open."""
+
+    def __enter__(self) -> DrawnRobot:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class ToldPlace:
+    """A `Localization` that is told where the robot is."""
+
+    keyframes: KeyframeStore | None = None
+
+    def __init__(self, robot: DrawnRobot) -> None:
+        self._robot = robot
+
+    def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
+        """As `Localization` has it."""
+        T, C = self._robot.T_map_base, 1e-6 * np.eye(6)
+        return [(event, Estimate(event.stamp_s, Status.TRACKING, T, C, body="base")) for event in events]
+
+    def close(self) -> None:
+        """No thread works for it."""
+
+
+def drawn_room() -> OccupancyGrid:
+    """The rehearsal's room, with its walls."""
+    low, high = LOW[:2] - _CELL_M, HIGH[:2] + _CELL_M
+    width, height = np.rint((high - low) / _CELL_M).astype(int)
+    kind = np.full((height, width), CellKind.FREE, np.uint8)
+    kind[[0, -1]] = kind[:, [0, -1]] = CellKind.OBSTACLE
+    return OccupancyGrid.of_kinds(kind, np.zeros(kind.shape, bool), _CELL_M, (float(low[0]), float(low[1])))
+
+
+def _corridor() -> OccupancyGrid:
+    """A corridor 1 m wide that leads from a dead end to a room."""
+    kind = np.full((60, 120), CellKind.OBSTACLE, np.uint8)
+    kind[20:40, 5:70] = kind[5:55, 65:115] = CellKind.FREE
+    return OccupancyGrid.of_kinds(kind, np.zeros(kind.shape, bool), _CELL_M, (0.0, 0.0))
