@@ -26,7 +26,6 @@ from wheelsight.navigation import (
     StaticLayer,
     planar_pose,
 )
-from wheelsight.navigation._drivable import Drivable
 from wheelsight.pipeline.known_maps import open_known
 from wheelsight.simulation import SimulationSettings
 from wheelsight.simulation.simulator import Simulator
@@ -113,7 +112,6 @@ class KnownBuilding:
         self.footprint = Footprint.rectangle(s.front_m, s.back_m, s.width_m)
         self.costmap = Costmap.of(StaticLayer.of(self.grid), self.footprint, settings.costmap)
         self._planner = Planner(self.footprint, settings.planner, settings.limits)
-        self._drivable = Drivable.of(self.costmap, self.footprint, settings.planner, settings.limits)
 
     def world_pose(self, pose: FloatArray) -> FloatArray:
         """(3,) where a pose of the map truly is, beside its nearest keyframe."""
@@ -134,7 +132,7 @@ class KnownBuilding:
             xy = self.costmap.middle_of(cells[rng.integers(len(cells))])
             yaws = rng.permutation(_HEADINGS) * 2 * np.pi / _HEADINGS - np.pi
             tries = np.column_stack([np.tile(xy, (_HEADINGS, 1)), yaws])
-            free = np.flatnonzero(self._drivable.tightness(tries) == 0)
+            free = np.flatnonzero(self._planner.has_room(self.costmap, tries))
             if len(free):
                 return np.asarray(tries[free[0]])
 

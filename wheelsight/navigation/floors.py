@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Calibration
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.mapping import MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
-from wheelsight.navigation.costmap import StaticLayer
+from wheelsight.navigation.costmap import CellState, StaticLayer
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.localization import Localization
 
@@ -123,11 +123,11 @@ class GrowingFloor:
             # Both lie on whole cells of one grid.
             before, origin = self._marked
             _paste(is_stood, before, np.rint((np.array(origin) - static.origin) / static.resolution_m).astype(int))
-        for number in range(self._stamped, len(self._stood)):
-            trusted_m = self._trusted_m if number == 0 else 0.0
-            _stamp(is_stood, static, self._stood[number], self._footprint, trusted_m)
+        for pose in self._stood[self._stamped :]:
+            _stamp(is_stood, static, pose, self._footprint)
         self._stamped, self._marked = len(self._stood), (is_stood, static.origin)
-        return static.with_floor(is_stood)
+        known = static.with_floor(is_stood)
+        return known.with_floor(_in_sight(known, self._stood[0][:2], self._trusted_m)) if self._trusted_m else known
 
 
 def _paste(into: BoolArray, part: BoolArray, at: IntArray) -> None:
@@ -146,16 +146,35 @@ def _apart(pose: FloatArray, other: FloatArray) -> bool:
     return bool(np.hypot(*(pose[:2] - other[:2])) > 0.05 or abs(np.angle(np.exp(1j * (pose[2] - other[2])))) > 0.1)
 
 
-def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: Footprint, trusted_m: float) -> None:
-    """Mark the cells under an outline at a pose, and so far about its axle."""
-    reach_m = max(footprint.circumscribed_m, trusted_m)
-    low = np.floor((pose[:2] - reach_m - static.origin) / static.resolution_m).astype(int)
-    high = np.ceil((pose[:2] + reach_m - static.origin) / static.resolution_m).astype(int)
-    (left, bottom), (right, top) = np.maximum(low, 0), np.minimum(high, static.state.shape[::-1])
-    x = (np.arange(left, right) + 0.5) * static.resolution_m + static.origin[0] - pose[0]
-    y = (np.arange(bottom, top) + 0.5) * static.resolution_m + static.origin[1] - pose[1]
+def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: Footprint) -> None:
+    """Mark the cells under an outline at a pose."""
+    cut, away = _about(static, pose[:2], footprint.circumscribed_m)
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    away = np.stack(np.meshgrid(x, y), axis=-1)
     # A cell that the outline touches at all was stood on.
-    under = footprint.padded(0.7 * static.resolution_m).contains(away @ np.array([[c, -s], [s, c]]))
-    found[bottom:top, left:right] |= under | (np.hypot(*np.moveaxis(away, -1, 0)) <= trusted_m)
+    found[cut] |= footprint.padded(0.7 * static.resolution_m).contains(away @ np.array([[c, -s], [s, c]]))
+
+
+def _in_sight(static: StaticLayer, xy: FloatArray, reach_m: float) -> BoolArray:
+    """(H, W) unknown cells that near to a place, with nothing known between."""
+    found = np.zeros(static.state.shape, bool)
+    cut, away = _about(static, xy, reach_m)
+    is_asked = (np.hypot(*np.moveaxis(away, -1, 0)) <= reach_m) & (static.state[cut] == CellState.UNKNOWN)
+    ways = away[is_asked]
+    shares = np.linspace(0, 1, 2 + int(2 * reach_m / static.resolution_m))
+    at = np.floor((xy + shares[:, None, None] * ways - static.origin) / static.resolution_m).astype(int)
+    is_hidden = (static.state[at[..., 1], at[..., 0]] == CellState.OCCUPIED).any(axis=0)
+    found[cut][is_asked] = ~is_hidden
+    return found
+
+
+def _about(static: StaticLayer, xy: FloatArray, reach_m: float) -> tuple[tuple[slice, slice], FloatArray]:
+    """The cells about a place, and where their middles are from it (h, w, 2)."""
+    low = np.maximum(np.floor((xy - reach_m - static.origin) / static.resolution_m).astype(int), 0)
+    high = np.ceil((xy + reach_m - static.origin) / static.resolution_m).astype(int)
+    right, top = np.minimum(high, static.state.shape[::-1]).tolist()
+    left, bottom = low.tolist()
+    x, y = (
+        (np.arange(a, b) + 0.5) * static.resolution_m + origin - at
+        for a, b, origin, at in zip((left, bottom), (right, top), static.origin, xy, strict=True)
+    )
+    return (slice(bottom, top), slice(left, right)), np.stack(np.meshgrid(x, y), axis=-1)

@@ -109,7 +109,7 @@ class ExplorationSettings(Settings):
     far_m: float = setting(
         3.5, "from where a border is looked at, at most: farther a Kinect's floor is rough", CHOSEN, gt=0.5, le=10
     )
-    gain: float = setting(1.0, "metres of way that a metre of border is worth", CHOSEN, ge=0, le=100)
+    gain: float = setting(2.0, "metres of way that a metre of border is worth", CHOSEN, ge=0, le=100)
     tries: int = setting(2, "looks at a border that stays, before it is left", CHOSEN, ge=1, le=20)
     same_m: float = setting(0.7, "borders whose middles are nearer count as one for that", CHOSEN, gt=0, le=5)
     turns: int = setting(3, "looks around at the begin, in a whole turn on the spot", CHOSEN, ge=0, le=12)

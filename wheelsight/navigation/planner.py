@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.geometry import BoolArray, Float32Array, FloatArray
 from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.navigation import _cost_to_go_kernels as grid
 from wheelsight.navigation import _lattice_kernels as lattice
@@ -44,6 +44,11 @@ class Planner:
     ) -> None:
         self.footprint, self.settings = footprint, settings or PlannerSettings()
         self.limits = limits or RobotLimits()
+
+    def has_room(self, costmap: Costmap, poses: ArrayLike) -> BoolArray:
+        """(N,) whether the footprint fits at poses (N, 3) with the wanted margin."""
+        drivable = Drivable.of(costmap, self.footprint, self.settings, self.limits)
+        return np.asarray(drivable.tightness(np.asarray(poses, float)) == 0)
 
     def plan(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> Plan | PlanFailure:
         """A way from where the robot stands to a goal.

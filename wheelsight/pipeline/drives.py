@@ -158,9 +158,8 @@ def drive_in_map(
         robot: that is led; whoever opened it closes it.
         config: with a known map.
         in_step: whether the localization answers before the robot goes on, as for simulators; else beside it.
-        trusts_floor: see `Navigator`.
+        trusts_floor, on_transition: see `Navigator`.
         on_keyframe: called with how many keyframes are read, and of how many.
-        on_transition: called with each change of state.
 
     Raises:
         ConfigError: no known map is named.
