@@ -44,7 +44,8 @@ class Exploration:
     def __init__(self, footprint: Footprint, settings: NavigationSettings, near_m: float) -> None:
         self._footprint, self._settings, self._near_m = footprint, settings, near_m
         self._looked: list[FloatArray] = []
-        self._aim: FloatArray | None = None
+        self._views: list[FloatArray] = []  # (3,) from where it looked; a yaw of NaN is all around
+        self._aim: tuple[FloatArray, FloatArray] | None = None  # middle of a border, and from where it is looked at
         self._turns = settings.exploration.turns
         self.left = 1
         self.name = "explore"
@@ -53,6 +54,7 @@ class Exploration:
         """See `Goals`: first once around, then the border that is worth most."""
         if self._turns > 0:
             step = 2 * np.pi / self._settings.exploration.turns
+            self._aim = pose[:2], np.array([pose[0], pose[1], np.nan])
             return (np.array([pose[0], pose[1], np.angle(np.exp(1j * (pose[2] + step)))]),)
         free_m = self._ways_m(pose, costmap)
         found = [one for one in frontiers(costmap, self._settings.exploration.least_m) if not self._is_done(one)]
@@ -63,22 +65,24 @@ class Exploration:
             return ()
         _, best, view = min(worth, key=lambda item: item[0])
         assert view is not None
-        self._aim = best.middle
+        self._aim = best.middle, view
         return (view,)
 
     def reached(self) -> None:
         """See `Goals`."""
+        if self._aim is not None:
+            self._views.append(self._aim[1])
         if self._turns > 0:
             self._turns -= 1
         elif self._aim is not None:
-            self._looked.append(self._aim)
+            self._looked.append(self._aim[0])
 
     def missed(self) -> bool:
         """See `Goals`: there are others."""
         if self._turns > 0:
             self._turns = 0
         elif self._aim is not None:
-            self._looked += [self._aim] * self._settings.exploration.tries
+            self._looked += [self._aim[0]] * self._settings.exploration.tries
         return True
 
     def _is_done(self, frontier: Frontier) -> bool:
@@ -102,11 +106,18 @@ class Exploration:
         for group in (cells[in_sight], cells[apart_m < self._near_m]):
             order = np.argsort(ways_m[group[:, 0], group[:, 1]])[:_MOST_PLACES]
             for cell in group[order]:
-                if _sees(costmap, costmap.middle_of(cell), frontier.middle):
-                    xy = costmap.middle_of(cell)
-                    away = frontier.middle - xy
-                    return np.array([*xy, np.arctan2(away[1], away[0])])
+                xy = costmap.middle_of(cell)
+                away = frontier.middle - xy
+                view = np.array([*xy, np.arctan2(away[1], away[0])])
+                if not self._is_old(view) and _sees(costmap, xy, frontier.middle):
+                    return view
         return None
+
+    def _is_old(self, view: FloatArray) -> bool:
+        """Whether it looked from there before, in that direction."""
+        s = self._settings.exploration
+        near = [old for old in self._views if np.hypot(*(old[:2] - view[:2])) < s.same_m]
+        return any(np.isnan(old[2]) or np.cos(old[2] - view[2]) > np.cos(s.same_rad) for old in near)
 
     def _cost(self, frontier: Frontier, view: FloatArray, ways_m: FloatArray, costmap: Costmap) -> float:
         row, column = costmap.cells_at(view[:2]).tolist()

@@ -111,7 +111,8 @@ class ExplorationSettings(Settings):
     )
     gain: float = setting(2.0, "metres of way that a metre of border is worth", CHOSEN, ge=0, le=100)
     tries: int = setting(2, "looks at a border that stays, before it is left", CHOSEN, ge=1, le=20)
-    same_m: float = setting(0.7, "borders whose middles are nearer count as one for that", CHOSEN, gt=0, le=5)
+    same_m: float = setting(0.7, "borders whose middles are nearer, and places, count as one", CHOSEN, gt=0, le=5)
+    same_rad: float = setting(0.5, "and directions from there: half a Kinect's view", CHOSEN, gt=0, le=3.2)
     turns: int = setting(3, "looks around at the begin, in a whole turn on the spot", CHOSEN, ge=0, le=12)
 
 

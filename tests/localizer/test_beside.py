@@ -1,0 +1,86 @@
+"""LocalizerBeside and LocalizerInStep: every reading is answered in order, frames that wait give way to newer ones."""
+
+from __future__ import annotations
+
+import threading
+from typing import cast
+
+import numpy as np
+import pytest
+
+from wheelsight.errors import ArgumentError
+from wheelsight.estimates import Estimate, Status
+from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
+
+
+class Slow:
+    """A localizer whose frames take until somebody lets them go."""
+
+    keyframes = None
+
+    def __init__(self) -> None:
+        self.may_go, self.begun = threading.Event(), threading.Event()
+        self.closed = 0
+
+    def process(self, event: Event) -> Estimate | None:
+        if isinstance(event, RgbdFrame):
+            self.begun.set()
+            assert self.may_go.wait(10)
+        if event.stamp_s == 13:
+            raise ArgumentError("an unlucky event")
+        return Estimate(event.stamp_s, Status.TRACKING)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def frame(stamp_s: float) -> RgbdFrame:
+    return RgbdFrame(stamp_s, np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.float32))
+
+
+def answers_of(subject: LocalizerBeside, count: int) -> list[float]:
+    told: list[float] = []
+    waiting = threading.Event()
+    for _ in range(1000):
+        told += [event.stamp_s for event, _ in subject.hear([])]
+        if len(told) >= count:
+            return told
+        waiting.wait(0.01)
+    raise AssertionError(f"only {told}")
+
+
+def test_a_frame_that_takes_long_keeps_nobody_waiting_and_older_frames_give_way() -> None:
+    slow = Slow()
+    subject = LocalizerBeside(cast(Localizer, slow))
+    told = [event.stamp_s for event, _ in subject.hear([WheelTicks(0.0, 0, 0), frame(0.1)])]
+    assert slow.begun.wait(10)
+    told += [
+        event.stamp_s
+        for event, _ in subject.hear([WheelTicks(0.2, 0, 0), frame(0.3), WheelTicks(0.4, 0, 0), frame(0.5)])
+    ]
+    slow.may_go.set()
+    assert told + answers_of(subject, 5 - len(told)) == [0.0, 0.1, 0.2, 0.4, 0.5]
+    assert subject.dropped == 1
+    subject.close()
+    subject.close()
+    assert slow.closed == 2
+
+
+def test_what_goes_wrong_beside_is_raised_to_who_asks() -> None:
+    subject = LocalizerBeside(cast(Localizer, Slow()))
+    subject.hear([WheelTicks(13.0, 0, 0)])
+    with pytest.raises(ArgumentError, match="unlucky"):
+        answers_of(subject, 1)
+    subject.close()
+
+
+def test_in_step_each_event_has_its_answer_at_once() -> None:
+    slow = Slow()
+    slow.may_go.set()
+    subject = LocalizerInStep(cast(Localizer, slow))
+    told = subject.hear([WheelTicks(0.0, 0, 0), frame(0.1)])
+    assert [event.stamp_s for event, _ in told] == [0.0, 0.1]
+    assert all(estimate is not None for _, estimate in told)
+    subject.close()
+    assert slow.closed == 1

@@ -1,0 +1,107 @@
+"""Floors: where the robot stood there is floor, and near to where it began as far as it sees past nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from narrowing import not_none
+from navigation.rooms import CALIBRATION, Walls
+from numpy.testing import assert_array_equal
+
+from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.navigation import Footprint, GrowingFloor, StaticLayer
+from wheelsight.navigation.costmap import CellState
+
+CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
+CAMERA = not_none(CALIBRATION.depth)
+WALLS = Walls.of(((3.0, -3.0), (3.0, 3.0)), ((-3.0, 1.2), (3.0, 1.2)))
+
+
+class Seen:
+    """A localization that has keyframes."""
+
+    def __init__(self) -> None:
+        self.keyframes = KeyframeStore()
+
+    def look(self, pose: tuple[float, float, float]) -> None:
+        T_map_camera = se3.from_plane(*pose) @ not_none(CALIBRATION.T_base_camera)
+        depth = WALLS.depth_m(T_map_camera).astype(np.float32)
+        intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
+        self.keyframes.add(Keyframe.of_images(0.0, intrinsics, depth, np.zeros_like(depth)), T_map_camera)
+
+    def hear(self, events: object) -> list[object]:
+        return []
+
+    def close(self) -> None:
+        """Nothing to end."""
+
+
+def state_at(layer: StaticLayer, x: float, y: float) -> CellState:
+    column, row = np.floor((np.array([x, y]) - layer.origin) / layer.resolution_m).astype(int)
+    inside = 0 <= row < layer.state.shape[0] and 0 <= column < layer.state.shape[1]
+    return CellState(int(layer.state[row, column])) if inside else CellState.UNKNOWN
+
+
+def floor_at(pose: tuple[float, float, float], trusted_m: float = 0.0) -> tuple[Seen, GrowingFloor]:
+    seen = Seen()
+    seen.look(pose)
+    floor = GrowingFloor(seen, CALIBRATION, CHAIR, trusted_m)  # type: ignore[arg-type]
+    floor.update(np.array(pose))
+    return seen, floor
+
+
+def test_it_knows_what_the_camera_sees_and_where_it_stands() -> None:
+    _, floor = floor_at((0.0, 0.0, 0.0))
+    assert state_at(floor.layer, 2.0, 0.0) is CellState.FREE
+    assert state_at(floor.layer, 3.02, 0.0) is CellState.OCCUPIED
+    assert state_at(floor.layer, -0.25, 0.2) is CellState.FREE
+    assert state_at(floor.layer, -1.0, 0.0) is CellState.UNKNOWN
+
+
+def test_trusted_floor_ends_at_walls() -> None:
+    seen, floor = floor_at((0.0, 0.0, 1.2), trusted_m=2.0)
+    assert state_at(floor.layer, 0.0, -1.5) is CellState.FREE
+    assert state_at(floor.layer, 0.6, 1.6) is CellState.UNKNOWN
+    assert floor.is_fixed is False
+    assert len(seen.keyframes) == 1
+
+
+def test_it_grows_with_keyframes_and_says_so() -> None:
+    seen, floor = floor_at((0.0, 0.0, 0.0))
+    before = floor.revision
+    floor.update(np.zeros(3))
+    assert floor.revision == before
+    seen.look((-2.0, -1.0, np.pi))
+    floor.update(np.zeros(3))
+    assert floor.revision > before
+    assert state_at(floor.layer, -4.0, -1.0) is CellState.FREE
+
+
+def test_where_it_stood_stays_floor_when_the_map_grows() -> None:
+    seen, floor = floor_at((0.0, 0.0, 0.0))
+    for x in (-0.5, -1.0, -1.5):
+        floor.update(np.array([x, 0.0, 0.0]))
+    seen.look((-1.5, 0.0, -2.0))
+    floor.update(np.array([-1.5, 0.0, -2.0]))
+    for x in (0.0, -0.5, -1.5):
+        assert state_at(floor.layer, x, 0.0) is CellState.FREE
+
+
+def test_keyframes_that_moved_are_where_they_are_now() -> None:
+    seen, floor = floor_at((0.0, 0.0, 0.0))
+    moved = seen.keyframes.pose(KeyframeId(0)).copy()
+    moved[0, 3] -= 1.0
+    seen.keyframes.move([KeyframeId(0)], moved[None])
+    floor.update(np.zeros(3))
+    assert state_at(floor.layer, 2.02, 0.0) is CellState.OCCUPIED
+    assert state_at(floor.layer, 3.02, 0.0) is not CellState.OCCUPIED
+
+
+@pytest.mark.parametrize("middle", [(0.0, 0.0), (2.9, -1.3), (40.0, 0.0)])
+def test_a_window_has_the_cells_of_the_whole(middle: tuple[float, float]) -> None:
+    _, floor = floor_at((0.0, 0.0, 0.0))
+    window = floor.layer.window(middle, 3.0)
+    places: FloatArray = np.random.default_rng(0).uniform(-1.4, 1.4, (50, 2)) + middle
+    told = [state_at(window, *place) for place in places.tolist()]
+    assert_array_equal(told, [state_at(floor.layer, *place) for place in places.tolist()])
