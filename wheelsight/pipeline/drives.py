@@ -24,11 +24,13 @@ from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord
 from wheelsight.pipeline.drive_recorder import DriveRecorder
 from wheelsight.pipeline.known_maps import open_known
 from wheelsight.robots import Robot
-from wheelsight.slam.sessions import MapFolder, occupancy_of
+from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, occupancy_of
 from wheelsight.slam.sessions.parts import edits_as_known
 
 # How long a robot that was stopped is stepped on, until it stands.
 _STOPPING_S = 5.0
+# Folders of a run that follows several sensors.
+_TRACKS = ("joined", "dense", "features")
 
 OnStep = Callable[[Feedback], None]
 
@@ -188,8 +190,11 @@ def drive_in_map(
 
 def _name_of(folder: MapFolder) -> str:
     """That of its run's folder, where it lies in one."""
-    parts = [part for part in folder.path.resolve().parts if part not in ("map", "joined", "dense", "features")]
-    return parts[-1] if parts else folder.path.name
+    path = folder.path.resolve()
+    if path.name == MAP_FOLDER:
+        path = path.parent
+        path = path.parent if path.name in _TRACKS else path
+    return path.name or str(path)
 
 
 def footprint_of(config: Config) -> Footprint:
