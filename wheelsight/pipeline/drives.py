@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -172,20 +172,15 @@ def drive_in_map(
     if opened is None:
         raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels")
     known, folder = opened
-    recorder = DriveRecorder(footprint_of(config))
-    try:
+    watched = WatchedRobot(robot, DriveRecorder(footprint_of(config)))
+    with closing(folder):
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
         floor = KnownFloor(grid, edits_as_known(folder), folder.store.T_map_keyframe)
         localizer = Localizer(robot.calibration, config, known=known, waits=in_step)
-        localization = LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)
-        try:
-            watched, how = WatchedRobot(robot, recorder), {"trusts_floor": trusts_floor}
-            navigator = Navigator(watched, localization, floor, config.navigation, on_transition=on_transition, **how)
+        how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
+        with closing(LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)) as localization:
+            navigator = Navigator(watched, localization, floor, config.navigation, **how)
             yield Drive(watched, navigator, grid, _name_of(folder))
-        finally:
-            localization.close()
-    finally:
-        folder.close()
 
 
 def _name_of(folder: MapFolder) -> str:
