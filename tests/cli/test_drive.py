@@ -59,7 +59,7 @@ def calibration(tmp_path: Path) -> Path:
         (("--sim", "flat", "--to", "3;4"), "no place of the map is called '3;4'"),
         (("--sim", "flat", "--to", "3,x"), "--to is '3,x' (X,Y,YAW_DEG in metres and degrees"),
         (("--sim", "flat", "--to", "nan,1"), "--to is 'nan,1'"),
-        (("--sim", "flat", "--realism", "false"), "the realism 'false' is unknown"),
+        (("--sim", "flat", "--realism", "false"), "--realism is false"),
         (("--sim", "flat", "--people", "-1"), "--people is -1 (0 to 100)"),
     ],
 )
@@ -174,6 +174,7 @@ def begun(flat: tuple[Path, np.ndarray, np.ndarray]) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_a_robot_drives_to_a_place_of_a_flat_that_was_mapped_before(
     flat: tuple[Path, np.ndarray, np.ndarray], wheelsight: Command, drawn_pages: None, tmp_path: Path
 ) -> None:
@@ -197,6 +198,7 @@ def test_a_robot_drives_to_a_place_of_a_flat_that_was_mapped_before(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_ctrl_c_stops_the_robot_first_and_says_so(
     flat: tuple[Path, np.ndarray, np.ndarray], wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -20,7 +20,7 @@ from wheelsight.geometry import ByteArray
 from wheelsight.navigation import Feedback, Footprint, MonitorState, Navigator, Transition
 
 _VIEWS_A_S, _LINES_A_S = 5, 1
-_CELL_M = 0.15
+_ACROSS_M = 8.0
 _FACTS_WIDTH, _MOST_COLUMNS, _LEAST_COLUMNS, _LINES_BELOW = 44, 64, 20, 9
 _TRANSITIONS = 5
 _STATUS = {
@@ -84,7 +84,7 @@ class DriveView:
         columns = max(min(on.width - _FACTS_WIDTH, _MOST_COLUMNS), _LEAST_COLUMNS)
         rows = max(min(columns, 2 * (on.height - _LINES_BELOW)), _LEAST_COLUMNS) // 2 * 2
         floor = navigator.senses.local() or navigator.senses.floor.layer
-        return plan_signs(floor, feedback, self._footprint, (rows, columns), _CELL_M)
+        return plan_signs(floor, feedback, self._footprint, (rows, columns), _ACROSS_M / columns)
 
 
 def line_of(feedback: Feedback) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -24,11 +24,13 @@ from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord
 from wheelsight.pipeline.drive_recorder import DriveRecorder
 from wheelsight.pipeline.known_maps import open_known
 from wheelsight.robots import Robot
-from wheelsight.slam.sessions import MapFolder, occupancy_of
+from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, occupancy_of
 from wheelsight.slam.sessions.parts import edits_as_known
 
 # How long a robot that was stopped is stepped on, until it stands.
 _STOPPING_S = 5.0
+# Folders of a run that follows several sensors.
+_TRACKS = ("joined", "dense", "features")
 
 OnStep = Callable[[Feedback], None]
 
@@ -169,26 +171,24 @@ def drive_in_map(
     if opened is None:
         raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels")
     known, folder = opened
-    recorder = DriveRecorder(footprint_of(config))
-    try:
+    watched = WatchedRobot(robot, DriveRecorder(footprint_of(config)))
+    with closing(folder):
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
         floor = KnownFloor(grid, edits_as_known(folder), folder.store.T_map_keyframe)
         localizer = Localizer(robot.calibration, config, known=known, waits=in_step)
-        localization = LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)
-        try:
-            watched, how = WatchedRobot(robot, recorder), {"trusts_floor": trusts_floor}
-            navigator = Navigator(watched, localization, floor, config.navigation, on_transition=on_transition, **how)
+        how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
+        with closing(LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)) as localization:
+            navigator = Navigator(watched, localization, floor, config.navigation, **how)
             yield Drive(watched, navigator, grid, _name_of(folder))
-        finally:
-            localization.close()
-    finally:
-        folder.close()
 
 
 def _name_of(folder: MapFolder) -> str:
     """That of its run's folder, where it lies in one."""
-    parts = [part for part in folder.path.resolve().parts if part not in ("map", "joined", "dense", "features")]
-    return parts[-1] if parts else folder.path.name
+    path = folder.path.resolve()
+    if path.name == MAP_FOLDER:
+        path = path.parent
+        path = path.parent if path.name in _TRACKS else path
+    return path.name or str(path)
 
 
 def footprint_of(config: Config) -> Footprint:

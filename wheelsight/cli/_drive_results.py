@@ -1,0 +1,68 @@
+"""What `wheelsight drive` leaves and says at the end, and what a simulator knows of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from wheelsight.cli._console import INTERRUPTED, print_error, print_note
+
+if TYPE_CHECKING:
+    from wheelsight.pipeline.drive_record import DriveRecord
+    from wheelsight.robots import Robot
+
+_FAILED = 1
+
+
+class Truth:
+    """What the simulator knows of a drive."""
+
+    def __init__(self, robot: Robot) -> None:
+        from wheelsight.simulation.simulator import Simulator
+
+        assert isinstance(robot, Simulator)
+        self._simulator, self._clearance_m = robot, float("inf")
+
+    def look(self) -> None:
+        """A period is over."""
+        self._clearance_m = min(self._clearance_m, self._simulator.clearance_m())
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """For the record."""
+        contacts = [
+            {"stamp_s": one.time_s, "with": one.name, "by_the_robot": bool(one.is_by_robot)}
+            for one in self._simulator.contacts
+        ]
+        return {"clearance_m": round(self._clearance_m, 4), "contacts": contacts}
+
+
+def write(record: DriveRecord, out: Path) -> None:
+    """All files of --out."""
+    from wheelsight.cli._outputs import can_draw
+    from wheelsight.pipeline.drive_outputs import write_drive
+    from wheelsight.report.drive_page import write_drive_page, write_drive_picture
+
+    write_drive(record, out)
+    write_drive_picture(record, out / "drive.png")
+    if can_draw():
+        write_drive_page(record, out / "drive.html")
+    print_note(f"results are in {out}")
+
+
+def tell(record: DriveRecord) -> None:
+    """What became of each goal, on stdout; raises Exit where any was not reached."""
+    for goal in record.goals:
+        result = goal.result
+        if result.has_arrived:
+            change = f"; {result.goal_change}" if result.goal_change else ""
+            typer.echo(f"arrived at {goal.name}: {result.way_m:.1f} m in {result.time_s:.0f} s{change}")
+        elif not record.is_interrupted:
+            print_error(f"{goal.name} was not reached: {result.reason} ({result.detail})")
+    if record.is_interrupted:
+        print_note("interrupted; the robot was stopped first, and stands")
+        raise typer.Exit(INTERRUPTED)
+    if not record.has_arrived:
+        raise typer.Exit(_FAILED)

@@ -1,0 +1,105 @@
+"""The robot that `wheelsight drive` leads: in the simulator, or at a serial port."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from wheelsight.errors import ConfigError
+
+if TYPE_CHECKING:
+    from wheelsight.cli._drive_inputs import Real, Simulated
+    from wheelsight.config import Config
+    from wheelsight.robots import Robot
+    from wheelsight.simulation import FloorPlan
+
+_QUESTION = "Is the floor around the robot free, and is somebody at the stop button?"
+
+
+@contextmanager
+def robot_of(simulated: Simulated, real: Real, config: Config) -> Iterator[Robot]:
+    """The robot, closed at the end; a real one once somebody has said that it may move.
+
+    Raises ConfigError, CalibrationError, DeviceError; Exit where it may not.
+    """
+    made = _simulator(simulated, config) if real.port is None else _linked(real, config)
+    with made() as robot:
+        yield robot
+
+
+def robot_words(simulated: Simulated, real: Real) -> str:
+    """Which robot, for records."""
+    if real.port is not None:
+        return f"a robot at {real.port}"
+    people = f", {simulated.people} people" if simulated.people else ""
+    return f"simulated in {simulated.sim}, seed {simulated.seed}, day {simulated.day}, {simulated.realism}{people}"
+
+
+def _simulator(simulated: Simulated, config: Config) -> Callable[[], Robot]:
+    from wheelsight.cli._simulation_inputs import size_of
+    from wheelsight.extras import needed
+    from wheelsight.simulation import SimulationSettings
+    from wheelsight.simulation.simulator import Simulator
+
+    needed("mujoco")
+    assert simulated.sim is not None
+    if not 0 <= simulated.people <= 100:
+        raise ConfigError(f"--people is {simulated.people}", fix="0 to 100")
+    plan = _plan_of(simulated.sim, simulated.resolution)
+    where: dict[str, Any] = {"world": simulated.sim} if plan is None else {"plan": plan}
+    how: dict[str, Any] = {"seed": simulated.seed, "day": simulated.day, "passersby": simulated.people}
+    how |= {"realism": simulated.realism, "rate_hz": simulated.rate, "camera": simulated.camera}
+    settings = SimulationSettings(**where, **how, size=size_of(simulated.size, simulated.camera))
+    start = _start_of(simulated.start)
+    return lambda: Simulator(settings, start=start, limits=config.navigation.limits)
+
+
+def _plan_of(sim: str, resolution: float | None) -> FloorPlan | None:
+    """None where a world is named. Raises ConfigError for what is neither."""
+    from wheelsight.simulation import FloorPlan, world_names
+
+    if sim in world_names():
+        if resolution is not None:
+            raise ConfigError("--resolution means nothing without a plan", fix="--sim flat.png --resolution 0.05")
+        return None
+    if not Path(sim).is_file():
+        worlds = ", ".join(world_names())
+        raise ConfigError(f"--sim is {sim!r}, no world and no file", fix=f"{worlds}, or the file of a floor plan")
+    return FloorPlan(sim, resolution)
+
+
+def _start_of(text: str | None) -> tuple[float, float, float] | None:
+    from wheelsight.cli._map_names import pose_of
+
+    if text is None:
+        return None
+    x_m, y_m, yaw = pose_of("--start", text).tolist()
+    if yaw != yaw:
+        raise ConfigError(f"--start is {text!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90")
+    return x_m, y_m, yaw
+
+
+def _linked(real: Real, config: Config) -> Callable[[], Robot]:
+    from wheelsight.calibration import load_calibration
+    from wheelsight.devices import LinkRobot, WheelLink
+    from wheelsight.devices.cameras import open_live_camera
+
+    assert real.port is not None
+    assert real.calibration is not None
+    calibration, frames = load_calibration(real.calibration), open_live_camera()
+    try:
+        link = WheelLink(real.port, real.baud)
+    except BaseException:
+        frames.close()
+        raise
+    # Asked as late as can be: what can go wrong before anything moves has not.
+    if not (real.yes or typer.confirm(_QUESTION)):
+        link.close()
+        frames.close()
+        typer.echo("nothing moved", err=True)
+        raise typer.Exit(1)
+    return lambda: LinkRobot(link, calibration, config.navigation.limits, frames=frames)
