@@ -27,7 +27,7 @@ def rehearsed_drive() -> tuple[Drive, DrawnRobot, Config]:
     watched = WatchedRobot(robot, DriveRecorder(footprint_of(config)))
     floor = KnownFloor(drawn_room())
     navigator = Navigator(watched, ToldPlace(robot), floor, config.navigation, trusts_floor=True)
-    return Drive(watched, navigator, drawn_room(), "a room"), robot, config
+    return Drive(watched, navigator, drawn_room, "a room"), robot, config
 
 
 def recorded(drive: Drive, config: Config, asked: int = 1, *, is_interrupted: bool = False) -> DriveRecord:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from typing import cast
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import pytest
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
+from wheelsight.localizer import LocalizerBeside, LocalizerInStep
 
 
 class Slow:
@@ -52,7 +51,7 @@ def answers_of(subject: LocalizerBeside, count: int) -> list[float]:
 
 def test_a_frame_that_takes_long_keeps_nobody_waiting_and_older_frames_give_way() -> None:
     slow = Slow()
-    subject = LocalizerBeside(cast(Localizer, slow))
+    subject = LocalizerBeside(slow)
     told = [event.stamp_s for event, _ in subject.hear([WheelTicks(0.0, 0, 0), frame(0.1)])]
     assert slow.begun.wait(10)
     told += [
@@ -68,7 +67,7 @@ def test_a_frame_that_takes_long_keeps_nobody_waiting_and_older_frames_give_way(
 
 
 def test_what_goes_wrong_beside_is_raised_to_who_asks() -> None:
-    subject = LocalizerBeside(cast(Localizer, Slow()))
+    subject = LocalizerBeside(Slow())
     subject.hear([WheelTicks(13.0, 0, 0)])
     with pytest.raises(ArgumentError, match="unlucky"):
         answers_of(subject, 1)
@@ -78,7 +77,7 @@ def test_what_goes_wrong_beside_is_raised_to_who_asks() -> None:
 def test_in_step_each_event_has_its_answer_at_once() -> None:
     slow = Slow()
     slow.may_go.set()
-    subject = LocalizerInStep(cast(Localizer, slow))
+    subject = LocalizerInStep(slow)
     told = subject.hear([WheelTicks(0.0, 0, 0), frame(0.1)])
     assert [event.stamp_s for event, _ in told] == [0.0, 0.1]
     assert all(estimate is not None for _, estimate in told)

@@ -22,6 +22,7 @@ class Asked:
     map_path: Path | None
     to: tuple[str, ...]
     back: bool
+    explore: bool
     known_start: str | None
     out: Path | None
     force: bool
@@ -60,10 +61,7 @@ def check(asked: Asked, simulated: Simulated, real: Real) -> None:
     if (simulated.sim is None) == (real.port is None):
         problem = "no robot is named" if real.port is None else "a robot is either simulated or real"
         raise ConfigError(problem, fix="one of --sim WORLD and --robot PORT")
-    if asked.map_path is None:
-        raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels")
-    if not asked.to:
-        raise ConfigError("there is no goal", fix="--to NAME, or --to X,Y,YAW_DEG")
+    _check_task(asked)
     if real.port is None and (real.calibration is not None or real.yes):
         option = "--yes" if real.calibration is None else "--calibration"
         raise ConfigError(f"{option} is of a real robot", fix="--robot PORT, or leave it out")
@@ -74,12 +72,27 @@ def check(asked: Asked, simulated: Simulated, real: Real) -> None:
             raise ConfigError("--start is of a simulated robot", fix="--known-start X,Y,YAW_DEG")
 
 
+def _check_task(asked: Asked) -> None:
+    if asked.explore:
+        if asked.map_path is not None or asked.to:
+            raise ConfigError("--explore begins without a map and goals", fix="no --map and no --to; those come next")
+        if asked.out is None:
+            raise ConfigError("--explore leaves a map", fix="--out DIR")
+    elif asked.map_path is None:
+        raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels; or --explore")
+    elif not asked.to:
+        raise ConfigError("there is no goal", fix="--to NAME, or --to X,Y,YAW_DEG")
+
+
 def settings_of(asked: Asked) -> Config:
     """The configuration of the drive. Raises ConfigError."""
     from wheelsight.config import is_named, load_config
 
     changes = dict(_setting(text) for text in asked.settings)
-    given: dict[str, Any] = {"known_map.path": str(asked.map_path), "known_map.start": asked.known_start}
+    path = None if asked.map_path is None else str(asked.map_path)
+    given: dict[str, Any] = {"known_map.path": path, "known_map.start": asked.known_start}
+    if asked.explore:
+        given["loops.source"] = "keyframes"
     if not is_named("odometry", asked.config):
         given["odometry"] = "wheels,dense"
     overrides = {name: value for name, value in given.items() if value is not None} | changes
@@ -92,7 +105,8 @@ def goals_of(asked: Asked) -> list[Goal]:
     from wheelsight.pipeline.drives import Goal
     from wheelsight.slam.sessions import MapFolder, find_map
 
-    assert asked.map_path is not None
+    if asked.map_path is None:
+        return []
     folder = MapFolder.open(find_map(asked.map_path))
     try:
         return [Goal.of(goal_of(word, folder), "" if "," in word else word) for word in asked.to]

@@ -23,6 +23,12 @@ To = Annotated[
     ),
 ]
 Back = Annotated[bool, typer.Option("--back", help="Return to where the drive began, at the end.")]
+Explore = Annotated[
+    bool,
+    typer.Option(
+        "--explore", help="Look at all floor that can be reached, and leave a map of it in the folder of --out."
+    ),
+]
 KnownStart = Annotated[
     str | None,
     typer.Option(

@@ -56,28 +56,36 @@ def _driven(
     from wheelsight.cli._drive_view import DriveView
     from wheelsight.pipeline.drives import footprint_of
 
-    with DriveView(footprint_of(config)) as view, _in_map(robot, config, view, in_step=is_simulated) as drive:
+    with DriveView(footprint_of(config)) as view, _begun(robot, config, view, asked, in_step=is_simulated) as drive:
         truth = Truth(robot) if is_simulated else None
-        is_interrupted = _through(drive, goals, asked.back, _on_step(drive, view, truth))
-        told = truth.told if truth else {}
-        return drive.record(len(goals) + asked.back, words, config, told, is_interrupted=is_interrupted)
+        is_interrupted = _through(drive, goals, asked, _on_step(drive, view, truth))
+        told, tasks = truth.told if truth else {}, len(goals) + asked.back + asked.explore
+        return drive.record(tasks, words, config, told, is_interrupted=is_interrupted)
 
 
 @contextmanager
-def _in_map(robot: Robot, config: Config, view: DriveView, *, in_step: bool) -> Iterator[Drive]:
+def _begun(robot: Robot, config: Config, view: DriveView, asked: Asked, *, in_step: bool) -> Iterator[Drive]:
     """Whoever is asked about a real robot's floor has looked at it; a simulated one begins on free floor."""
     from wheelsight.pipeline.drives import drive_in_map
+    from wheelsight.pipeline.exploring import exploring
+    from wheelsight.slam.sessions import MAP_FOLDER, discard_map
 
     def code(done: int, total: int) -> None:
         if done == 1:
             print_note(f"reading {total:,} keyframes of the map")
 
-    how: dict[str, Any] = {"in_step": in_step, "trusts_floor": True, "on_keyframe": code}
-    with drive_in_map(robot, config, on_transition=view.note, **how) as drive:
-        yield drive
+    how: dict[str, Any] = {"in_step": in_step, "trusts_floor": True, "on_transition": view.note}
+    if asked.explore:
+        assert asked.out is not None
+        discard_map(asked.out / MAP_FOLDER)
+        with exploring(robot, config, asked.out / MAP_FOLDER, **how) as drive:
+            yield drive
+    else:
+        with drive_in_map(robot, config, on_keyframe=code, **how) as drive:
+            yield drive
 
 
-def _through(drive: Drive, goals: Sequence[Goal], back: bool, on_step: Callable[[Feedback], None]) -> bool:
+def _through(drive: Drive, goals: Sequence[Goal], asked: Asked, on_step: Callable[[Feedback], None]) -> bool:
     """Through all goals, up to the first that is not reached; whether somebody stopped it."""
     from wheelsight.pipeline.drives import Goal
 
@@ -89,10 +97,12 @@ def _through(drive: Drive, goals: Sequence[Goal], back: bool, on_step: Callable[
                 raise _ToldToStop
 
         try:
+            if asked.explore and not drive.explore(step):
+                return False
             for goal in goals:
                 if not drive.go_to(goal, step):
                     return False
-            if back and drive.start is not None:
+            if asked.back and drive.start is not None:
                 drive.go_to(Goal(drive.start, "the start"), step)
         except _ToldToStop:
             return True

@@ -9,6 +9,7 @@ def drive(
     map_: options.MapPath = None,
     to: options.To = None,
     back: options.Back = False,
+    explore: options.Explore = False,
     known_start: options.KnownStart = None,
     out: options.Out = None,
     config: options.SettingsFile = None,
@@ -29,7 +30,7 @@ def drive(
     baud: options.Baud = 115200,
     yes: options.Yes = False,
 ) -> None:
-    """Drive to places of a known map: simulated, or with a robot on a serial port.
+    """Drive to places of a known map, or explore: simulated, or with a robot on a serial port.
 
     The robot finds itself in the map, plans, drives around what is in its way, and stops where it must; docs/safety.md
     says what stops it and what does not. A terminal shows plan, state, speed and why it does what it does; else a line
@@ -41,6 +42,8 @@ def drive(
 
     [bold]Examples[/bold]
 
+    wheelsight drive --sim flat --explore --out home
+
     wheelsight drive --sim flat --map home --to kitchen --out drive
 
     wheelsight drive --sim flat --day 1 --map home --to 3.2,1.5,90 --to desk --back
@@ -50,6 +53,6 @@ def drive(
     from wheelsight.cli._drive_inputs import Asked, Real, Simulated
     from wheelsight.cli._driving import drive_there
 
-    asked = Asked(map_, tuple(to or ()), back, known_start, out, force, config, tuple(set_ or ()))
+    asked = Asked(map_, tuple(to or ()), back, explore, known_start, out, force, config, tuple(set_ or ()))
     simulated = Simulated(sim, resolution, start, seed, day, people, realism, camera, size, rate)
     drive_there(asked, simulated, Real(robot, calibration, baud, yes))

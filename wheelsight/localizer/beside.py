@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.keyframes import KeyframeStore
-from wheelsight.localizer.localizer import Localizer
+from wheelsight.localizer.in_step import Answering
 
 
 class LocalizerBeside:
@@ -24,7 +24,7 @@ class LocalizerBeside:
         dropped: frames that were left out.
     """
 
-    def __init__(self, localizer: Localizer) -> None:
+    def __init__(self, localizer: Answering) -> None:
         self.localizer, self.dropped = localizer, 0
         self._waiting: deque[Event] = deque()
         self._answered: deque[tuple[Event, Estimate | None]] = deque()

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event
 from wheelsight.keyframes import KeyframeStore
-from wheelsight.localizer.localizer import Localizer
+
+
+class Answering(Protocol):
+    """What answers events one by one: a `Localizer`, or what writes a map beside it."""
+
+    @property
+    def keyframes(self) -> KeyframeStore | None:
+        """What the camera remembers; None of wheels alone."""
+
+    def process(self, event: Event) -> Estimate | None:
+        """The estimate at an event that is answered, None at any other; raises as `Localizer.process`."""
+
+    def close(self) -> None:
+        """End the threads that work for it."""
 
 
 class LocalizerInStep:
@@ -17,7 +31,7 @@ class LocalizerInStep:
         localizer: that answers; closed with this.
     """
 
-    def __init__(self, localizer: Localizer) -> None:
+    def __init__(self, localizer: Answering) -> None:
         self.localizer = localizer
 
     @property

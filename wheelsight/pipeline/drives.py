@@ -54,14 +54,16 @@ class Drive:
     Args:
         robot: that the navigator leads.
         navigator: of it.
-        grid: of the map.
+        grid: of the map, as it is by now.
         map_name: of the map.
 
     Attributes:
         navigator: as it was given.
     """
 
-    def __init__(self, robot: WatchedRobot, navigator: Navigator, grid: OccupancyGrid, map_name: str) -> None:
+    def __init__(
+        self, robot: WatchedRobot, navigator: Navigator, grid: Callable[[], OccupancyGrid], map_name: str
+    ) -> None:
         self.navigator, self._grid, self._map_name = navigator, grid, map_name
         self._robot, self._recorder = robot, robot.recorder
         self._goals: list[GoalRecord] = []
@@ -78,8 +80,15 @@ class Drive:
         Raises what the robot raises, and ArgumentError for what is no goal.
         """
         pose = goal.pose[:2] if np.isnan(goal.pose[2]) else goal.pose
+        return self._through(goal, lambda: self.navigator.go_to_pose(pose, goal.name), on_step)
+
+    def explore(self, on_step: OnStep) -> NavigationResult:
+        """Look at all floor that can be reached, and stand. Raises what the robot raises."""
+        return self._through(Goal(np.full(3, np.nan), "explore"), self.navigator.explore, on_step)
+
+    def _through(self, goal: Goal, begin: Callable[[], None], on_step: OnStep) -> NavigationResult:
         begin_s = self._robot.now_s
-        self.navigator.go_to_pose(pose, goal.name)
+        begin()
         try:
             return self.navigator.run(lambda feedback: self._step(feedback, on_step))
         except BaseException:
@@ -116,7 +125,7 @@ class Drive:
             stops=tuple(kept.stops),
             clearance_m=kept.clearance_m,
             images=kept.images,
-            grid=self._grid,
+            grid=self._grid(),
             footprint=footprint_of(config),
             config=config.to_dict(),
             truth=truth,
@@ -179,7 +188,7 @@ def drive_in_map(
         how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
         with closing(LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)) as localization:
             navigator = Navigator(watched, localization, floor, config.navigation, **how)
-            yield Drive(watched, navigator, grid, _name_of(folder))
+            yield Drive(watched, navigator, lambda: grid, _name_of(folder))
 
 
 def _name_of(folder: MapFolder) -> str:

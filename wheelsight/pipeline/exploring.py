@@ -1,0 +1,113 @@
+"""An exploration: a robot looks at all floor that it can reach, and leaves a map of it for the next drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from wheelsight.config import Config
+from wheelsight.errors import ConfigError
+from wheelsight.estimates import Estimate
+from wheelsight.events import Event, RgbdFrame
+from wheelsight.keyframes import KeyframeStore
+from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
+from wheelsight.navigation import DepthViewer, Footprint, GrowingFloor, Navigator, Transition
+from wheelsight.pipeline.drive_recorder import DriveRecorder
+from wheelsight.pipeline.drives import Drive, WatchedRobot, footprint_of
+from wheelsight.robots import Robot
+from wheelsight.slam.sessions import MapFolder, MapWriter
+from wheelsight.slam.settings import FROM_KEYFRAMES
+
+
+class MappingLocalizer:
+    """A localizer whose keyframes are written to a map as they come.
+
+    Args:
+        localizer: that closes loops by keyframes.
+        writer: of the map; closed with the localizer, once all loops are known.
+    """
+
+    def __init__(self, localizer: Localizer, writer: MapWriter) -> None:
+        self._localizer, self._writer = localizer, writer
+        self._is_closed = False
+
+    @property
+    def keyframes(self) -> KeyframeStore | None:
+        """Of the localizer."""
+        return self._localizer.keyframes
+
+    def process(self, event: Event) -> Estimate | None:
+        """As `Localizer.process`."""
+        answer = self._localizer.process(event)
+        if isinstance(event, RgbdFrame):
+            self._writer.look(answer)
+        return answer
+
+    def close(self) -> None:
+        """Judge all loops once more, and write what is left of the map; may be called twice."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        loops = self._localizer.loops
+        assert loops is not None
+        try:
+            closed = loops.finish()
+            self._writer.add_edges(closed.edges)
+        finally:
+            self._writer.close(self._localizer.map, loops.recognizer)
+            self._localizer.close()
+
+
+@contextmanager
+def exploring(
+    robot: Robot,
+    config: Config,
+    path: Path,
+    *,
+    in_step: bool,
+    trusts_floor: bool = False,
+    on_transition: Callable[[Transition], None] = lambda transition: None,
+) -> Iterator[Drive]:
+    """A drive that can begin to explore; however it ends, what was seen is a map.
+
+    Args:
+        robot: that is led; whoever opened it closes it.
+        config: with loops by keyframes, and no known map.
+        path: folder of the map, empty or not there.
+        in_step: whether the localization answers before the robot goes on, as for simulators; else beside it.
+        trusts_floor: see `Navigator`.
+        on_transition: called with each change of state.
+
+    Raises:
+        ConfigError: loops are not closed, or a known map is named.
+        OutputError, MapError, CalibrationError, ArgumentError: as `MapFolder.create` and `Navigator`.
+    """
+    _check(config)
+    footprint, calibration = footprint_of(config), robot.calibration
+    near_m = _near_m(robot, config, footprint) if trusts_floor else 0.0
+    localizer = Localizer(calibration, config, waits=in_step)
+    store = localizer.keyframes
+    assert store is not None
+    folder = MapFolder.create(path, calibration, config.sessions, source="an exploration")
+    mapping = MappingLocalizer(localizer, MapWriter(folder, store, config.recognition))
+    localization = LocalizerInStep(mapping) if in_step else LocalizerBeside(mapping)
+    try:
+        floor = GrowingFloor(localization, calibration, footprint, near_m, config.sessions.occupancy)
+        watched, how = WatchedRobot(robot, DriveRecorder(footprint)), {"trusts_floor": trusts_floor}
+        navigator = Navigator(watched, localization, floor, config.navigation, on_transition=on_transition, **how)
+        yield Drive(watched, navigator, lambda: floor.grid, path.parent.name or path.name)
+    finally:
+        localization.close()
+
+
+def _check(config: Config) -> None:
+    if config.known_map.path is not None:
+        raise ConfigError("an exploration begins without a map", fix="no --map, or --to a place of it")
+    if config.loops.source != FROM_KEYFRAMES:
+        raise ConfigError("an exploration closes loops", fix='load_config(overrides={"loops.source": "keyframes"})')
+
+
+def _near_m(robot: Robot, config: Config, footprint: Footprint) -> float:
+    """From the axle, the nearest floor that the camera sees."""
+    return DepthViewer(robot.calibration, footprint, config.navigation.view, config.navigation.live).near_m
