@@ -1,6 +1,6 @@
 """Navigation: costmap, planner, controller and collision monitor; from a map and a goal to velocity commands."""
 
-from wheelsight.navigation.behaviours import BackUp, Behaviour, Turn, Wait
+from wheelsight.navigation.behaviours import Behaviour, Straight, Turn, Wait
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings, PurePursuitSettings
 from wheelsight.navigation.control_values import (
@@ -47,7 +47,6 @@ from wheelsight.navigation.velocity_ramp import VelocityRamp
 from wheelsight.robot_limits import RobotLimits
 
 __all__ = [
-    "BackUp",
     "Behaviour",
     "BehaviourSettings",
     "CellState",
@@ -98,6 +97,7 @@ __all__ = [
     "PurePursuitSettings",
     "RobotLimits",
     "StaticLayer",
+    "Straight",
     "Transition",
     "Turn",
     "VelocityRamp",

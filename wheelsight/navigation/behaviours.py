@@ -80,13 +80,13 @@ class Turn:
 
 
 @dataclass
-class BackUp:
-    """Drive straight backward."""
+class Straight:
+    """Drive straight on, or backward where the way is below 0."""
 
     way_m: float
     speed_m_s: float
     refused_s: float
-    name: str = "back up"
+    name: str
     _watch: _Watch = field(init=False)
     _from: FloatArray | None = field(default=None, init=False)
 
@@ -99,10 +99,10 @@ class BackUp:
             return None
         if self._from is None:
             self._from = odom_pose
-        left_m = self.way_m - float(np.hypot(*(odom_pose[:2] - self._from[:2])))
+        left_m = abs(self.way_m) - float(np.hypot(*(odom_pose[:2] - self._from[:2])))
         if left_m <= 0 or self._watch.is_held(now_s, left_m):
             return None
-        return VelocityCommand(-self.speed_m_s, 0.0)
+        return VelocityCommand(math.copysign(self.speed_m_s, self.way_m), 0.0)
 
 
 class _Watch:
@@ -125,15 +125,18 @@ def when_blocked(attempt: int, settings: BehaviourSettings) -> Behaviour:
     ways: tuple[Behaviour, ...] = (
         Wait(s.wait_s),
         Turn(look, s.turn_rad_s, s.refused_s),
-        BackUp(s.back_m, s.back_m_s, s.refused_s),
+        Straight(-s.back_m, s.back_m_s, s.refused_s, "back up"),
     )
     return ways[attempt % len(ways)]
 
 
 def when_lost(attempt: int, settings: BehaviourSettings) -> Behaviour:
-    """What to do to find a place that is known: stand, then turn once around to one side, then to the other."""
+    """What to do to find a place that is known: stand, turn once around, go on a little where it looks, and so on."""
     s = settings
     if attempt == 0:
         return Wait(s.wait_s / 2, "wait to see where it is")
-    sign = 1.0 if attempt % 2 else -1.0
-    return Turn((sign * s.search_rad,), s.turn_rad_s, s.refused_s, "look for a known place")
+    if attempt % 2:
+        sign = 1.0 if attempt % 4 == 1 else -1.0
+        # Not all around, so that it looks elsewhere afterwards than before.
+        return Turn((sign * (s.search_rad + (attempt > 1)),), s.turn_rad_s, s.refused_s, "look for a known place")
+    return Straight(s.search_m, s.search_m_s, s.refused_s, "go on to look from elsewhere")

@@ -1,0 +1,71 @@
+"""Behaviours: they end when they are done, and when the collision monitor lets them make no more way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wheelsight.commands import VelocityCommand
+from wheelsight.navigation import Behaviour, BehaviourSettings, Straight, Turn, Wait
+from wheelsight.navigation.behaviours import when_blocked, when_lost
+
+PERIOD_S = 0.05
+
+
+def done_by(behaviour: Behaviour, obeys: float = 1.0, longest_s: float = 60.0) -> tuple[np.ndarray, float]:
+    """Pose and time of a base that obeys exactly, or by a share, until a behaviour is done."""
+    pose = np.array([1.0, 2.0, 3.0])
+    for n in range(round(longest_s / PERIOD_S)):
+        command = behaviour.command(n * PERIOD_S, pose.copy())
+        if command is None:
+            return pose, n * PERIOD_S
+        pose[2] = np.angle(np.exp(1j * (pose[2] + obeys * command.turn_rad_s * PERIOD_S)))
+        way_m = obeys * command.forward_m_s * PERIOD_S
+        pose[:2] += way_m * np.cos(pose[2]), way_m * np.sin(pose[2])
+    raise AssertionError("it never ends")
+
+
+def test_waiting_takes_its_time() -> None:
+    _, spent_s = done_by(Wait(2.0))
+    assert spent_s == pytest.approx(2.0, abs=PERIOD_S)
+
+
+@pytest.mark.parametrize("way_m", [0.5, -0.3])
+def test_straight_on_and_back(way_m: float) -> None:
+    pose, _ = done_by(Straight(way_m, 0.1, 2.0, "go"))
+    expected = np.array([1.0, 2.0]) + way_m * np.array([np.cos(3.0), np.sin(3.0)])
+    assert pose[:2] == pytest.approx(expected, abs=0.01)
+
+
+def test_a_turn_of_more_than_once_around_is_one() -> None:
+    behaviour, turned, yaw = Turn((6.5,), 0.4, 2.0), 0.0, 0.0
+    for n in range(2000):
+        command = behaviour.command(n * PERIOD_S, np.array([0.0, 0.0, yaw]))
+        if command is None:
+            break
+        turned += command.turn_rad_s * PERIOD_S
+        yaw = float(np.angle(np.exp(1j * turned)))
+    assert turned == pytest.approx(6.5, abs=0.05)
+
+
+def test_to_one_side_and_to_the_other_and_back() -> None:
+    pose, _ = done_by(Turn((1.0, -2.0, 1.0), 0.4, 2.0))
+    assert pose[2] == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize("behaviour", [Straight(-0.3, 0.1, 2.0, "back"), Turn((1.0,), 0.4, 2.0)])
+def test_what_is_held_ends(behaviour: Behaviour) -> None:
+    _, spent_s = done_by(behaviour, obeys=0.0)
+    assert 2.0 <= spent_s < 3.0
+
+
+def test_without_a_pose_nothing_is_driven() -> None:
+    assert Straight(0.3, 0.1, 2.0, "go").command(0.0, None) is None
+    assert Turn((1.0,), 0.4, 2.0).command(0.0, None) is None
+    assert Wait(1.0).command(0.0, None) == VelocityCommand()
+
+
+def test_the_gentlest_first() -> None:
+    settings = BehaviourSettings()
+    assert [when_blocked(n, settings).name for n in range(4)] == ["wait", "look about", "back up", "wait"]
+    assert [type(when_lost(n, settings)) for n in range(5)] == [Wait, Turn, Straight, Turn, Straight]
