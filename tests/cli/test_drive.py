@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -228,3 +229,31 @@ def test_ctrl_c_stops_the_robot_first_and_says_so(
     told = json.loads((tmp_path / "drive" / "drive.json").read_text())
     assert told["interrupted"] is True
     assert told["goals"][0]["reason"] == "it was called off"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_real_robot_stands_while_its_camera_shows_nothing(
+    flat: tuple[Path, np.ndarray, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, known, _ = flat
+    camera, asked_s = NoFrames(), []
+
+    def take():
+        asked_s.append(time.monotonic())
+        if asked_s[-1] - asked_s[0] > 3.0 and len(asked_s) > 20:
+            os.kill(os.getpid(), signal.SIGINT)
+        return ()
+
+    monkeypatch.setattr(camera, "take", take)
+    monkeypatch.setitem(LIVE_CAMERAS, "none", lambda: camera)
+    with SimulatedController(tmp_path) as controller:
+        words = ["drive", "--robot", controller.port, "--calibration", folder.parent / "day" / "calibration.yaml"]
+        words += ["--map", folder, "--known-start", words_of(known), "--to", words_of(ahead_of(known))]
+        result = CliRunner().invoke(app, [str(word) for word in words], input="y\n")
+        assert result.exit_code == 130, result.output
+        assert "holds it: no fresh depth frame" in result.stderr
+        assert result.stderr.splitlines()[-1] == "interrupted; the robot was stopped first, and stands"
+        driven = [body for kind, body in controller.commands if kind == Commanded.DRIVE]
+        assert not any(int.from_bytes(body, "little") for body in driven)
+        assert camera.is_closed

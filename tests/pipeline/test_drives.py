@@ -10,14 +10,14 @@ import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError, DeviceError
+from wheelsight.errors import ArgumentError, ConfigError, DeviceError
 from wheelsight.navigation import Feedback, NavigationReason, NavigationState
 from wheelsight.pipeline.drive_outputs import write_drive
 from wheelsight.pipeline.drives import Drive, Goal, drive_in_map
 from wheelsight.pipeline.navigation_rehearsal import DrawnRobot
 from wheelsight.trajectory import read_tum
 
-NEAR = Goal.of(np.array([-0.7, -0.4, np.nan]), "the middle")
+NEAR = Goal.of((-0.7, -0.4), "the middle")
 
 
 def test_a_goal_is_reached_and_all_of_it_is_told(tmp_path: Path) -> None:
@@ -107,6 +107,19 @@ def test_stops_of_the_monitor_are_kept_with_reason_and_place() -> None:
     assert held_s[0] < stop.begin_s < stop.end_s < held_s[1] + 0.3
     assert stop.pose is not None
     assert np.hypot(*(stop.pose - NEAR.pose)[:2]) < 0.7
+
+
+def test_a_goal_without_a_name_is_called_by_its_coordinates() -> None:
+    assert Goal.of((1.0, -2.0)).name == "(1.00, -2.00) m"
+    assert Goal.of(np.array([1.0, -2.0, np.pi / 2])).name == "(1.00, -2.00) m, 90°"
+
+
+@pytest.mark.parametrize("pose", [(1.0,), (np.inf, 0.0, 0.0)])
+def test_what_is_no_goal_is_refused_and_the_robot_stands(pose: tuple[float, ...]) -> None:
+    drive, robot, _ = rehearsed_drive()
+    with pytest.raises(ArgumentError, match="a goal of"):
+        drive.go_to(Goal(np.array(pose), "nowhere"), lambda feedback: None)
+    assert robot.now_s == 0.0
 
 
 def test_without_a_map_there_is_no_drive() -> None:

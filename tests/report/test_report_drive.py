@@ -62,6 +62,26 @@ def test_the_time_line_has_each_moment_once(record: DriveRecord) -> None:
     assert {"driving", "planning"} <= {word for trace in bars for word in trace.customdata}
 
 
+def test_a_single_strange_reading_does_not_flatten_the_speeds(record: DriveRecord) -> None:
+    rows, times = record.rows, 8  # a hundredth of the drive is less than a reading
+    forward_m_s = np.tile(rows.forward_m_s, times)
+    forward_m_s[len(rows)] = -50.0
+    many = replace(
+        rows,
+        stamps_s=np.arange(len(forward_m_s)) * 0.05,
+        poses=np.tile(rows.poses, (times, 1)),
+        forward_m_s=forward_m_s,
+        turn_rad_s=np.tile(rows.turn_rad_s, times),
+        states=rows.states * times,
+        status=rows.status * times,
+        monitor=rows.monitor * times,
+        reasons=rows.reasons * times,
+    )
+    low, high = time_line_figure(replace(record, rows=many)).layout.yaxis2.range
+    assert -0.2 < low <= 0
+    assert high > 0.9 * rows.forward_m_s.max()
+
+
 def test_the_picture_has_map_ways_and_marks(record: DriveRecord) -> None:
     image = drive_picture(record)
     bare = drive_picture(replace(record, rows=empty(record), plans=(), stops=(), goals=()))

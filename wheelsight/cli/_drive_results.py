@@ -43,7 +43,7 @@ def write(record: DriveRecord, out: Path) -> None:
     """All files of --out."""
     from wheelsight.cli._outputs import can_draw
     from wheelsight.pipeline.drive_outputs import write_drive
-    from wheelsight.report.drive_page import write_drive_page, write_drive_picture
+    from wheelsight.report import write_drive_page, write_drive_picture
 
     write_drive(record, out)
     write_drive_picture(record, out / "drive.png")

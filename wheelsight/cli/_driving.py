@@ -56,7 +56,9 @@ def _driven(
     from wheelsight.cli._drive_view import DriveView
     from wheelsight.pipeline.drives import footprint_of
 
-    with DriveView(footprint_of(config)) as view, _begun(robot, config, view, asked, in_step=is_simulated) as drive:
+    view = DriveView(footprint_of(config))
+    # What is said while the map is read would run into a screen that is drawn already.
+    with _begun(robot, config, view, asked, in_step=is_simulated) as drive, view:
         truth = Truth(robot) if is_simulated else None
         is_interrupted = _through(drive, goals, asked, _on_step(drive, view, truth))
         told, tasks = truth.told if truth else {}, len(goals) + asked.back + asked.explore

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
 from wheelsight.commands import VelocityCommand
@@ -37,15 +38,16 @@ OnStep = Callable[[Feedback], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Goal:
-    """Where to, and what it is called."""
+    """Where to: (3,) x, y, yaw in the map, a yaw of NaN is any heading; and what it is called."""
 
     pose: FloatArray
     name: str
 
     @classmethod
-    def of(cls, pose: FloatArray, name: str = "") -> Goal:
-        """Called by its coordinates where it has no name."""
-        return cls(pose, name or words_of(pose))
+    def of(cls, pose: ArrayLike, name: str = "") -> Goal:
+        """Of x, y, yaw (3,), or of x and y (2,); called by its coordinates where it has no name."""
+        at = np.array([*np.asarray(pose, float).ravel(), np.nan][:3])
+        return cls(at, name or words_of(at))
 
 
 class Drive:
@@ -79,7 +81,7 @@ class Drive:
 
         Raises what the robot raises, and ArgumentError for what is no goal.
         """
-        pose = goal.pose[:2] if np.isnan(goal.pose[2]) else goal.pose
+        pose = goal.pose[:2] if np.isnan(goal.pose[2:]).any() else goal.pose
         return self._through(goal, lambda: self.navigator.go_to_pose(pose, goal.name), on_step)
 
     def explore(self, on_step: OnStep) -> NavigationResult:

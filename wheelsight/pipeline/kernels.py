@@ -47,7 +47,7 @@ PARTS: dict[str, tuple[dict[str, Any], ...]] = {
 _NEEDS = {"simulation": "mujoco", "mesh": "skimage"}
 # On two cores of 2023, nothing being compiled yet; for words such as "about a minute" alone.
 SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "loops": 5, "places": 5}
-SECONDS |= {"navigation": 60, "simulation": 40, "mesh": 5}
+SECONDS |= {"navigation": 50, "simulation": 40, "mesh": 5}
 _KERNEL_FILES = ("*_kernels.py", "compiled.py", "geometry/arrays.py")
 _MARK = "wheelsight-{}.compiled.json"
 

@@ -3,6 +3,7 @@
 from wheelsight.report._rectification import ERROR_HEAD, error_rows
 from wheelsight.report.comparison import comparison_rows, write_comparison
 from wheelsight.report.comparison_figures import bands_figure, errors_figure, overlay_figure
+from wheelsight.report.drive_page import write_drive_page, write_drive_picture
 from wheelsight.report.figures import (
     certainty_figure,
     error_figure,
@@ -49,6 +50,8 @@ __all__ = [
     "trust_figure",
     "why_no_page",
     "write_comparison",
+    "write_drive_page",
+    "write_drive_picture",
     "write_page",
     "write_report",
 ]

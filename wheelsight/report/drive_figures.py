@@ -112,8 +112,19 @@ def _add_speeds(figure: go.Figure, record: DriveRecord, seconds: FloatArray) -> 
     ):
         line = {"color": colour, "width": 1.6}
         drawing.add_line(figure, seconds, values, name=name, line=line, hover="%{y:.2f}", row=row)
+        figure.update_yaxes(range=_usual(values), row=row, col=1)
         axis = figure.layout[f"yaxis{row}"]
         drawing.panel_title(figure, name, y=axis.domain[1])
+
+
+def _usual(values: FloatArray) -> list[float] | None:
+    """Bounds of all values but the strangest hundredth, with 0 and some air: single readings would flatten the rest."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return None
+    low, high = np.minimum(np.percentile(known, 0.5), 0.0), np.maximum(np.percentile(known, 99.5), 0.0)
+    air = 0.1 * max(float(high - low), 0.1)
+    return [float(low) - air, float(high) + air]
 
 
 def _add_map(figure: go.Figure, grid: OccupancyGrid) -> None:

@@ -142,7 +142,7 @@ def _plan(record: DriveRecord) -> str:
 def _time_line(record: DriveRecord) -> str:
     sentence = (
         "Above, what the navigator was about, where the localization stood, and what the collision monitor made of "
-        "the commands; below, the speeds that the wheels measured."
+        "the commands; below, the speeds that the wheels measured. Single readings may run off an axis."
     )
     alt = f"States and speeds over {words.duration(record.time_s)}."
     plot = html.plot("time-line", figures.time_line_figure(record), "States and speeds", sentence, alt)
