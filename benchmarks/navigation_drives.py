@@ -13,7 +13,6 @@ from wheelsight.config import load_config
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer import Localizer, LocalizerInStep
-from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import (
     Costmap,
     Footprint,
@@ -23,13 +22,12 @@ from wheelsight.navigation import (
     Navigator,
     Plan,
     Planner,
-    StaticLayer,
     planar_pose,
 )
 from wheelsight.pipeline.known_maps import open_known
 from wheelsight.simulation import SimulationSettings
 from wheelsight.simulation.simulator import Simulator
-from wheelsight.slam.sessions import MapFolder, occupancy_of
+from wheelsight.slam.sessions import MapFolder, driven_way, occupancy_of
 
 ARRIVED_M, ARRIVED_DEG = 0.15, 10.0
 _LONGEST_S = 240.0
@@ -106,11 +104,11 @@ class KnownBuilding:
     def __init__(self, building: Building, day: FirstDay, settings: NavigationSettings) -> None:
         self.building, self.day, self.settings = building, day, settings
         with_folder = MapFolder.open(day.folder)
-        self.grid: OccupancyGrid = occupancy_of(with_folder)
-        with_folder.close()
         s = settings.footprint
         self.footprint = Footprint.rectangle(s.front_m, s.back_m, s.width_m)
-        self.costmap = Costmap.of(StaticLayer.of(self.grid), self.footprint, settings.costmap)
+        self.floor = KnownFloor(occupancy_of(with_folder), driven=driven_way(with_folder), footprint=self.footprint)
+        with_folder.close()
+        self.costmap = Costmap.of(self.floor.layer, self.footprint, settings.costmap)
         self._planner = Planner(self.footprint, settings.planner, settings.limits)
 
     def world_pose(self, pose: FloatArray) -> FloatArray:
@@ -186,8 +184,7 @@ def _begun(known: KnownBuilding, rng: np.random.Generator, seed: int, hard: Hard
 
 
 def _navigator(simulator: Simulator, localizer: Localizer, known: KnownBuilding) -> Navigator:
-    floor = KnownFloor(known.grid)
-    return Navigator(simulator, LocalizerInStep(localizer), floor, known.settings, trusts_floor=True)
+    return Navigator(simulator, LocalizerInStep(localizer), known.floor, known.settings, trusts_floor=True)
 
 
 def _driven(known: KnownBuilding, simulator: Simulator, navigator: Navigator, goal: FloatArray, plan_m: float) -> Drive:

@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.navigation import Footprint, GrowingFloor, StaticLayer
+from wheelsight.navigation import Footprint, GrowingFloor, KnownFloor, StaticLayer
 from wheelsight.navigation.costmap import CellState
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
@@ -105,3 +105,16 @@ def test_a_window_has_the_cells_of_the_whole(middle: tuple[float, float]) -> Non
     places: FloatArray = np.random.default_rng(0).uniform(-1.4, 1.4, (50, 2)) + middle
     told = [state_at(window, *place) for place in places.tolist()]
     assert_array_equal(told, [state_at(floor.layer, *place) for place in places.tolist()])
+
+
+def test_where_a_robot_drove_there_is_floor_and_things_stay_things() -> None:
+    _, seen = floor_at((0.0, 0.0, 0.0))
+    grid = seen.grid
+    driven = np.array([[-0.2, 0.0, 0.0], [0.4, 0.0, 0.0], [0.8, 0.1, 0.3]])
+    floor = KnownFloor(grid, driven=[driven], footprint=CHAIR)
+    before = KnownFloor(grid)
+    assert floor.is_fixed
+    assert state_at(before.layer, 0.5, 0.25) is CellState.UNKNOWN
+    assert state_at(floor.layer, 0.5, 0.25) is CellState.FREE
+    assert state_at(floor.layer, 0.5, 0.6) is state_at(before.layer, 0.5, 0.6)
+    assert state_at(floor.layer, 3.02, 0.0) is CellState.OCCUPIED

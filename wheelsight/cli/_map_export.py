@@ -108,7 +108,7 @@ def _write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
     from wheelsight.mapping.occupancy_picture import picture_of
     from wheelsight.slam.sessions import driven_way
 
-    image = picture_of(grid, driven_way(folder))
+    image = picture_of(grid, [stretch[:, :2] for stretch in driven_way(folder)])
     written, code = cv2.imencode(".png", image[..., ::-1])
     assert written
     write_bytes(out, code.tobytes())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +18,8 @@ from wheelsight.navigation.localization import Localization
 
 # Half a cell: keyframes that moved by less show the same cells.
 _LEAST_SHIFT_M = 0.025
+# From one outline to the next where a robot drove.
+_STAMP_M, _STAMP_RAD = 0.05, 0.1
 
 
 class Floor(Protocol):
@@ -44,12 +48,27 @@ class KnownFloor:
         grid: of the map.
         edits: what people said of it.
         T_map_keyframe: (K, 4, 4) where keyframes are, where any edit is anchored.
+        driven: stretches (K, 3) of x, y, yaw at which a robot stood, about straight from each to the next: what lies
+            under its outline is floor where nothing else is known.
+        footprint: that robot's.
     """
 
     is_fixed = True
 
-    def __init__(self, grid: OccupancyGrid, edits: MapEdits | None = None, T_map_keyframe: ArrayLike = ()) -> None:
-        self.layer, self.revision = StaticLayer.of(grid, edits, T_map_keyframe), 0
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        edits: MapEdits | None = None,
+        T_map_keyframe: ArrayLike = (),
+        driven: Sequence[FloatArray] = (),
+        footprint: Footprint | None = None,
+    ) -> None:
+        static, self.revision = StaticLayer.of(grid, edits, T_map_keyframe), 0
+        is_stood = np.zeros(static.state.shape, bool)
+        if footprint is not None:
+            for pose in (pose for stretch in driven for pose in _densely(stretch)):
+                _stamp(is_stood, static, pose, footprint)
+        self.layer = static.with_floor(is_stood)
 
     def update(self, pose: FloatArray | None) -> None:
         """Nothing changes."""
@@ -130,6 +149,16 @@ class GrowingFloor:
         return known.with_floor(_in_sight(known, self._stood[0][:2], self._trusted_m)) if self._trusted_m else known
 
 
+def _densely(stretch: FloatArray) -> FloatArray:
+    """(N, 3) poses of a way with others between them, a cell and some degrees apart."""
+    poses = [stretch[:1]]
+    for before, after in pairwise(stretch):
+        turn = float(np.angle(np.exp(1j * (after[2] - before[2]))))
+        count = 1 + int(max(np.hypot(*(after - before)[:2]) / _STAMP_M, abs(turn) / _STAMP_RAD))
+        poses.append(before + np.linspace(0, 1, count + 1)[1:, None] * [*(after - before)[:2], turn])
+    return np.concatenate(poses)
+
+
 def _paste(into: BoolArray, part: BoolArray, at: IntArray) -> None:
     """Lay one grid into another, at column and row (2,), as far as it lies within."""
     (column, row), (height, width) = at, part.shape
@@ -143,7 +172,9 @@ def _paste(into: BoolArray, part: BoolArray, at: IntArray) -> None:
 
 def _apart(pose: FloatArray, other: FloatArray) -> bool:
     """Whether a robot that moved so stands on other floor."""
-    return bool(np.hypot(*(pose[:2] - other[:2])) > 0.05 or abs(np.angle(np.exp(1j * (pose[2] - other[2])))) > 0.1)
+    return bool(
+        np.hypot(*(pose[:2] - other[:2])) > _STAMP_M or abs(np.angle(np.exp(1j * (pose[2] - other[2])))) > _STAMP_RAD
+    )
 
 
 def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: Footprint) -> None:

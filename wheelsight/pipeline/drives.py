@@ -25,7 +25,7 @@ from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord
 from wheelsight.pipeline.drive_recorder import DriveRecorder
 from wheelsight.pipeline.known_maps import open_known
 from wheelsight.robots import Robot
-from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, occupancy_of
+from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, driven_way, occupancy_of
 from wheelsight.slam.sessions.parts import edits_as_known
 
 # How long a robot that was stopped is stepped on, until it stands.
@@ -185,7 +185,9 @@ def drive_in_map(
     watched = WatchedRobot(robot, DriveRecorder(footprint_of(config)))
     with closing(folder):
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
-        floor = KnownFloor(grid, edits_as_known(folder), folder.store.T_map_keyframe)
+        floor = KnownFloor(
+            grid, edits_as_known(folder), folder.store.T_map_keyframe, driven_way(folder), footprint_of(config)
+        )
         localizer = Localizer(robot.calibration, config, known=known, waits=in_step)
         how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
         with closing(LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)) as localization:

@@ -79,7 +79,7 @@ def with_occupancy(folder: MapFolder, on_keyframe: Callable[[str, int, int], Non
 
 
 def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:
-    """Stretches (K, 2) of where the base was at the keyframes of a map that lie together; of no base, the camera.
+    """Stretches (K, 3) of x, y, yaw of the base at the keyframes of a map that lie together; of no base, the camera.
 
     Within a stretch the robot drove from each to the next, about straight. Between stretches nobody knows where it
     drove, or it was another drive.
@@ -90,12 +90,12 @@ def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:
     T = folder.store.T_map_keyframe[numbers]
     if folder.calibration.T_base_camera is not None:
         T = T @ np.linalg.inv(folder.calibration.T_base_camera)
-    at = T[:, :2, 3]
+    at = np.column_stack([T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0])])
     driven = {
         (int(edge.first), int(edge.second))
         for edge in folder.edges
         if not edge.is_loop and is_sure(edge, folder.settings)
     }
     is_step = [ends in driven for ends in pairwise(numbers.tolist())]
-    is_step &= np.linalg.norm(np.diff(at, axis=0), axis=1) <= _STRAIGHT_M
+    is_step &= np.linalg.norm(np.diff(at[:, :2], axis=0), axis=1) <= _STRAIGHT_M
     return tuple(np.split(at, np.flatnonzero(~is_step) + 1))
