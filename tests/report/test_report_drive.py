@@ -68,7 +68,7 @@ def test_a_single_strange_reading_does_not_flatten_the_speeds(record: DriveRecor
     forward_m_s[len(rows)] = -50.0
     many = replace(
         rows,
-        stamps_s=np.arange(len(forward_m_s)) * 0.05,
+        stamps_s=np.array(np.arange(len(forward_m_s)) * 0.05, float),
         poses=np.tile(rows.poses, (times, 1)),
         forward_m_s=forward_m_s,
         turn_rad_s=np.tile(rows.turn_rad_s, times),
