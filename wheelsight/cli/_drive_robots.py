@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,8 +26,7 @@ def robot_of(simulated: Simulated, real: Real, config: Config) -> Iterator[Robot
 
     Raises ConfigError, CalibrationError, DeviceError; Exit where it may not.
     """
-    made = _simulator(simulated, config) if real.port is None else _linked(real, config)
-    with made() as robot:
+    with _simulator(simulated, config) if real.port is None else _linked(real, config) as robot:
         yield robot
 
 
@@ -39,7 +38,7 @@ def robot_words(simulated: Simulated, real: Real) -> str:
     return f"simulated in {simulated.sim}, seed {simulated.seed}, day {simulated.day}, {simulated.realism}{people}"
 
 
-def _simulator(simulated: Simulated, config: Config) -> Callable[[], Robot]:
+def _simulator(simulated: Simulated, config: Config) -> Robot:
     from wheelsight.cli._simulation_inputs import size_of
     from wheelsight.extras import needed
     from wheelsight.simulation import SimulationSettings
@@ -55,7 +54,7 @@ def _simulator(simulated: Simulated, config: Config) -> Callable[[], Robot]:
     how |= {"realism": simulated.realism, "rate_hz": simulated.rate, "camera": simulated.camera}
     settings = SimulationSettings(**where, **how, size=size_of(simulated.size, simulated.camera))
     start = _start_of(simulated.start)
-    return lambda: Simulator(settings, start=start, limits=config.navigation.limits)
+    return Simulator(settings, start=start, limits=config.navigation.limits)
 
 
 def _plan_of(sim: str, resolution: float | None) -> FloorPlan | None:
@@ -83,23 +82,23 @@ def _start_of(text: str | None) -> tuple[float, float, float] | None:
     return x_m, y_m, yaw
 
 
-def _linked(real: Real, config: Config) -> Callable[[], Robot]:
+@contextmanager
+def _linked(real: Real, config: Config) -> Iterator[Robot]:
     from wheelsight.calibration import load_calibration
     from wheelsight.devices import LinkRobot, WheelLink
     from wheelsight.devices.cameras import open_live_camera
 
     assert real.port is not None
     assert real.calibration is not None
-    calibration, frames = load_calibration(real.calibration), open_live_camera()
-    try:
+    calibration = load_calibration(real.calibration)
+    with ExitStack() as opened:
+        frames = open_live_camera()
+        opened.callback(frames.close)
         link = WheelLink(real.port, real.baud)
-    except BaseException:
-        frames.close()
-        raise
-    # Asked as late as can be: what can go wrong before anything moves has not.
-    if not (real.yes or typer.confirm(_QUESTION)):
-        link.close()
-        frames.close()
-        typer.echo("nothing moved", err=True)
-        raise typer.Exit(1)
-    return lambda: LinkRobot(link, calibration, config.navigation.limits, frames=frames)
+        opened.callback(link.close)
+        robot = opened.enter_context(LinkRobot(link, calibration, config.navigation.limits, frames=frames))
+        # Asked as late as can be: what can go wrong before anything moves has not.
+        if not (real.yes or typer.confirm(_QUESTION)):
+            typer.echo("nothing moved", err=True)
+            raise typer.Exit(1)
+        yield robot
