@@ -65,10 +65,11 @@ def calibration(tmp_path: Path) -> Path:
     ],
 )
 def test_what_means_nothing_is_refused_in_a_line(
-    refusal: Refusal, kept: Path, options: tuple[str, ...], problem: str
+    refusal: Refusal, kept: Path, tmp_path: Path, options: tuple[str, ...], problem: str
 ) -> None:
-    told = refusal("drive", "--map", kept, "--to", "kitchen", *options)
+    told = refusal("drive", "--map", kept, "--to", "kitchen", "--out", tmp_path / "out", *options)
     assert problem in told
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_map_and_a_goal_are_needed(refusal: Refusal, kept: Path, tmp_path: Path) -> None:

@@ -34,15 +34,17 @@ def drive_there(asked: Asked, simulated: Simulated, real: Real) -> None:
     Raises what was handed in wrong, before anything moves.
     """
     from wheelsight.cli._compiling import compile_missing
-    from wheelsight.files import make_output_folder
+    from wheelsight.files import make_output_folder, refuse_full
 
     check(asked, simulated, real)
     config = settings_of(asked)
     goals = goals_of(asked)
-    if asked.out is not None:
-        make_output_folder(asked.out, asked.force)
+    if asked.out is not None and not asked.force:
+        refuse_full(asked.out)  # before the long work; made once there is a robot
     compile_missing((*_PARTS, *(("simulation",) if real.port is None else ())))
     with robot_of(simulated, real, config) as robot:
+        if asked.out is not None:
+            make_output_folder(asked.out, asked.force)
         words = robot_words(simulated, real)
         record = _driven(robot, config, goals, asked, words, is_simulated=real.port is None)
     if asked.out is not None:
