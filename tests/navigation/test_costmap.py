@@ -19,17 +19,29 @@ SQUARE = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]])
 
 def grid() -> OccupancyGrid:
     kind = np.full((60, 80), CellKind.FREE, np.uint8)
-    kind[10, 10], kind[10, 20], kind[10, 30], kind[10, 40] = (
-        CellKind.OBSTACLE,
-        CellKind.DROP_OFF,
-        CellKind.UNKNOWN,
-        CellKind.OVERHANG,
-    )
+    kind[10, 10], kind[10, 20], kind[10, 40] = CellKind.OBSTACLE, CellKind.DROP_OFF, CellKind.OVERHANG
+    kind[9:13, 29:33] = CellKind.UNKNOWN
     return OccupancyGrid.of_kinds(kind, kind == CellKind.OVERHANG, 0.05, (0.0, 0.0))
 
 
 def live(is_occupied: np.ndarray, origin: tuple[float, float] = (0.0, 0.0)) -> LiveObstacles:
     return LiveObstacles(is_occupied, 0.05, origin, "odom", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("side", "neighbour", "expected"),
+    [
+        (2, CellKind.FREE, CellState.FREE),
+        (4, CellKind.FREE, CellState.UNKNOWN),
+        (2, CellKind.OBSTACLE, CellState.UNKNOWN),
+    ],
+)
+def test_holes_too_small_for_anything_are_floor(side: int, neighbour: CellKind, expected: CellState) -> None:
+    kind = np.full((20, 20), CellKind.FREE, np.uint8)
+    kind[8 : 8 + side, 8 : 8 + side] = CellKind.UNKNOWN
+    kind[7, 8] = neighbour
+    layer = StaticLayer.of(OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, 0.05, (0.0, 0.0)))
+    assert (layer.state[8 : 8 + side, 8 : 8 + side] == expected).all()
 
 
 def test_the_static_layer_says_what_the_map_and_its_edits_say() -> None:

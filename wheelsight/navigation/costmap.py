@@ -22,6 +22,8 @@ from wheelsight.ros_map import FREE, OCCUPIED
 
 # Where nothing is occupied, distances are so many metres; infinite ones turn into NaN between cells.
 FARTHEST_M = 100.0
+# A caster's print: what stood on so little floor would have been met by rays.
+_HOLE_M2 = 0.02
 
 
 class CellState(IntEnum):
@@ -58,6 +60,7 @@ class StaticLayer:
         state[occupancy == FREE] = CellState.FREE
         # Between free and occupied nobody is sure: that is unknown.
         state[occupancy >= OCCUPIED] = CellState.OCCUPIED
+        _fill_holes(state, grid.resolution_m)
         return cls(state, edits.limits_m_s(edited, T_map_keyframe), grid.resolution_m, grid.origin)
 
     def window(self, xy: ArrayLike, size_m: float) -> StaticLayer:
@@ -214,6 +217,20 @@ def _made(
     cost = np.where(state == CellState.UNKNOWN, np.maximum(cost, settings.unknown_cost), cost)
     cost = np.where(is_lethal, 1, cost).astype(np.float32)
     return Costmap(state, is_lethal, distance_m, cost, speed_m_s, resolution_m, origin, frame, inscribed_m, settings)
+
+
+def _fill_holes(state: ByteArray, resolution_m: float) -> None:
+    """Count as free what is unknown, has only free floor about it, and is too small for anything that hides from view.
+
+    Rays miss single cells, of which each would keep a robot away by its own width.
+    """
+    is_unknown = (state == CellState.UNKNOWN).astype(np.uint8)
+    _, labels, about, _ = cv2.connectedComponentsWithStats(is_unknown, connectivity=8)
+    is_small = np.asarray(about)[:, cv2.CC_STAT_AREA] * resolution_m**2 <= _HOLE_M2
+    beside = cv2.dilate((state == CellState.OCCUPIED).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    is_small[np.unique(np.asarray(labels)[beside])] = False
+    is_small[0] = False
+    state[is_small[np.asarray(labels)]] = CellState.FREE
 
 
 def distances_m(is_lethal: BoolArray, resolution_m: float) -> Float32Array:

@@ -22,6 +22,8 @@ from wheelsight.odometry.wheels import WheelOdometry
 Answered = tuple[Event, Estimate | None]
 # How long the wheels' own way is kept: answers to frames come later than that only where nothing goes on.
 _TRACK_S = 3.0
+# Speeds are taken over so much time; of the first readings over what there is, and of less than the second over none.
+_SPEED_S, _LEAST_S = 0.04, 0.01
 
 
 class Localization(Protocol):
@@ -80,8 +82,18 @@ class WhereNow:
         self._track.append((answer.stamp_s, se2.from_parts(*self._wheels.pose)))
         while len(self._track) > 2 and self._track[1][0] < answer.stamp_s - _TRACK_S:
             self._track.popleft()
-        self._speed = WheelSpeed(answer.stamp_s, *self._wheels.twist)
+        self._speed = self._speed_now()
         return self._speed
+
+    def _speed_now(self) -> WheelSpeed:
+        """Over a little time: stamps jitter, and two readings may be told a tenth of a millisecond apart."""
+        stamp_s, T_now = self._track[-1]
+        before = [(then_s, T) for then_s, T in self._track if then_s <= stamp_s - _SPEED_S]
+        then_s, T_then = before[-1] if before else self._track[0]
+        if stamp_s - then_s < _LEAST_S:
+            return WheelSpeed(stamp_s, 0.0, 0.0)
+        forward, _, turn = se2.log(np.linalg.inv(T_then) @ T_now) / (stamp_s - then_s)
+        return WheelSpeed(stamp_s, float(forward), float(turn))
 
     def answer(self, estimate: Estimate) -> None:
         """Take what the localization says."""
