@@ -1,6 +1,7 @@
 # Each target sets up what it needs in .venv from a bare python3 with venv; a fresh clone needs nothing else.
 #
-#   make demo                      simulate two laps with mishaps, join wheels and camera, close the loop, map, report against truth
+#   make demo                      simulate two laps with mishaps, join wheels and camera, close the loop, map, report against truth;
+#                                  then a robot finds itself in that map on another day, and drives to a goal around a person
 #   make demo RECORDING=folder     the same of a recording you have; ODOMETRY=wheels where it has no images
 #   make test [SLOW=1] [WORKERS=n] all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
@@ -24,11 +25,14 @@ QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 ifeq ($(RECORDING),)
 # Two laps of a square of 4 m at 320×240 by a wheelchair whose wheels are not quite what its owner measured, as wheels
 # never are. On the way something lies on the camera, and a wheel is lifted. On the second lap the first is recognised.
+# Then a robot finds itself in that map on another day, and drives to a goal around a person who walks there.
 demo: $(VENV)/.installed-sim,report
 	$(BIN)/wheelsight simulate square --laps 2 --rate 10 --right-radius 0.171 --track 0.525 --cover 10:13 --lift 19:22 \
 		--out "$(OUT)/drive" --force
 	$(BIN)/wheelsight run "$(OUT)/drive" --odometry wheels,dense --map surfels --loops keyframes \
 		--out "$(OUT)/results" --force
+	-$(BIN)/wheelsight drive --sim square --day 1 --people 1 --map "$(OUT)/results" --to 4,0.5,90 \
+		--out "$(OUT)/driven" --force
 	@echo
 	@echo 'The loop is in the report, before and after. This finds the robot in that map again, on a recording of your own'
 	@echo 'or on the same one:'

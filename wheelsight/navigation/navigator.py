@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import WheelsightError
 from wheelsight.estimates import Status
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se2
 from wheelsight.navigation.behaviours import when_blocked, when_lost
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult
@@ -268,8 +268,10 @@ class Navigator:
         where, local = self._senses.where, self._senses.local()
         assert where.state is not None
         assert local is not None
-        moved = where.T_map_odom - task.T_map_odom
-        if np.hypot(*moved[:2]) > self.settings.navigator.jump_m or abs(np.sin(moved[2] / 2)) > 0.03:
+        assert where.odom_pose is not None
+        now, then = (se2.from_parts(*T) @ se2.from_parts(*where.odom_pose) for T in (where.T_map_odom, task.T_map_odom))
+        x, y, turn = se2.to_parts(se2.invert(then) @ now)
+        if np.hypot(x, y) > self.settings.navigator.jump_m or abs(turn) > self.settings.navigator.jump_rad:
             return "the map has moved below it"
         if not self._planner.is_free(local, plan, where.state.pose):
             return "something is in the way"

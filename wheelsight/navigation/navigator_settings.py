@@ -54,6 +54,7 @@ class NavigatorSettings(Settings):
     jump_m: float = setting(
         0.1, "by which the map may move below the robot before it plans anew: a margin", CHOSEN, gt=0, le=5
     )
+    jump_rad: float = setting(0.06, "likewise, a turn", CHOSEN, gt=0, le=3)
     held_s: float = setting(
         4.0,
         "time for which the collision monitor or the controller may hold it before it gets itself out",
