@@ -91,14 +91,14 @@ class RoomRobot:
         self.now_s, self._period, self.stop_reason = 0.0, 0, ""
         self.calibration = CALIBRATION
         self.obeys: Callable[[VelocityCommand], VelocityCommand] = lambda command: command
-        self.has_camera = True
+        self.has_camera = self.has_wheels = True
 
     def step(self, command: VelocityCommand) -> list[Event]:
         self.base.step(self.obeys(command))
         self._period, self.now_s = self._period + 1, self.now_s + 0.05
         half = self.base.turn_rad_s * WHEELS.track_width_m / 2
         rims = (self.base.forward_m_s - half) / 0.17, (self.base.forward_m_s + half) / 0.17
-        events: list[Event] = [WheelSpeeds(self.now_s, *rims)]
+        events: list[Event] = [WheelSpeeds(self.now_s, *rims)] if self.has_wheels else []
         if self.has_camera and self._period % 2 == 0:
             depth = self.walls.depth_m(self.T_map_base @ mounted()).astype(np.float32)
             events.append(RgbdFrame(self.now_s, np.zeros((*depth.shape, 3), np.uint8), depth, self._period))

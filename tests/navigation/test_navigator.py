@@ -205,6 +205,16 @@ def test_a_camera_that_dies_stops_it() -> None:
     assert np.hypot(*(subject.robot.base.pose - before)[:2]) < 1.2
 
 
+def test_where_encoders_died_it_does_not_wait_for_ever() -> None:
+    subject = ride(settings=HASTY)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(2)
+    subject.robot.has_wheels = False
+    result = subject.navigator.run()
+    assert not result.has_arrived
+    assert subject.robot.base.stands
+
+
 def test_a_localization_that_fails_ends_it() -> None:
     subject = ride()
     subject.navigator.go_to_pose(GOAL)

@@ -42,6 +42,7 @@ from wheelsight.navigation.velocity_ramp import VelocityRamp
 from wheelsight.robots import Robot
 
 _NOBODY = np.empty((0, 5))
+_STOPPING_S = 5.0
 # Nothing that passes by itself makes a plan possible.
 _FOR_GOOD = (PlanReason.INVALID, PlanReason.GOAL_OUTSIDE, PlanReason.STANDS)
 
@@ -145,8 +146,14 @@ class Navigator:
         return self.run(on_step)
 
     def run(self, on_step: Callable[[Feedback], None] = lambda feedback: None) -> NavigationResult:
-        """Go on until the task is complete and the robot stands. Raises what the robot raises; ask for a task first."""
-        while not (self.is_task_complete() and self._stands()):
+        """Go on until the task is complete and the robot stands. Raises what the robot raises; ask for a task first.
+
+        Where nothing tells that it stands, as with encoders that died, that is waited for no longer than a stop takes.
+        """
+        while not self.is_task_complete():
+            on_step(self.step())
+        until_s = self._robot.now_s + _STOPPING_S
+        while not self._stands() and self._robot.now_s < until_s:
             on_step(self.step())
         assert self._result is not None
         return self._result

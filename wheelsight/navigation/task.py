@@ -58,8 +58,11 @@ class Task:
 
     def roll(self, now_s: float, where: WhereNow, progress_m: float) -> None:
         """Count the way made; after so much of it, tries begin anew."""
-        self._way_m += abs(where.speed.forward_m_s) * max(now_s - self._rolled_s, 0.0)
-        self._rolled_s = now_s
+        # By readings: wheels that are not heard any more made no way.
+        speed = where.speed
+        if speed.stamp_s > self._rolled_s:
+            self._way_m += abs(speed.forward_m_s) * (speed.stamp_s - self._rolled_s)
+            self._rolled_s = speed.stamp_s
         if self._way_m - self._tried_m > progress_m:
             self._tried_m, self.tries = self._way_m, 0
         if where.state is not None:
