@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings, PurePursuitSettings
 from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSettings
 from wheelsight.navigation.monitor_settings import MonitorSettings, ViewSettings, WheelCheckSettings
 from wheelsight.navigation.planner_settings import PlannerSettings
 from wheelsight.robot_limits import RobotLimits
-from wheelsight.settings import CHOSEN, Settings, setting
+from wheelsight.settings import CHOSEN, Settings, bounds, setting
 
 
 class FootprintSettings(Settings):
@@ -95,7 +95,7 @@ class MatchSettings(Settings):
         0.05, "by how much the localization drifts between two matches, at most", CHOSEN, gt=0, le=1
     )
     hold_rad: float = setting(0.02, "likewise, radians", CHOSEN, gt=0, le=1)
-    starts_rad: tuple[float, ...] = setting(
+    starts_rad: tuple[Annotated[float, bounds(ge=-1, le=1)], ...] = setting(
         (0.0, -0.06, 0.06), "turns at which the search begins", CHOSEN, min_length=1, max_length=100
     )
     rounds: int = setting(12, "steps of Gauss-Newton, at most", CHOSEN, ge=1, le=100)

@@ -13,7 +13,7 @@ class PlannerSettings(Settings):
     """How ways to a goal are planned."""
 
     margin_m: float = setting(
-        0.05,
+        0.025,
         "clearance that every pose of a plan keeps, metres; from one to the next no point of the robot moves more than "
         "twice as far, hence it is free between them, too",
         CHOSEN,

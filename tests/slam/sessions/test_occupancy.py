@@ -68,7 +68,7 @@ def test_a_drive_leaves_its_occupancy_map_when_it_is_finished(tmp_path: Path) ->
     assert told.edits == 0
     inner, outer = driven_way(folder)
     assert len(inner) == len(outer) == len(WAY) / 2
-    np.testing.assert_allclose([inner[0], outer[0]], [[0.3, 0.0], [-0.9, 0.0]], atol=1e-9)
+    np.testing.assert_allclose([inner[0, :2], outer[0, :2]], [[0.3, 0.0], [-0.9, 0.0]], atol=1e-9)
     discard_map(folder.path)
     assert not folder.path.exists()
 
@@ -167,7 +167,9 @@ def test_the_way_is_cut_where_nobody_knows_how_the_robot_drove(tmp_path: Path) -
     stretches = driven_way(MapFolder.open(tmp_path / "map"))
     assert [len(stretch) for stretch in stretches] == [2, 2, 2]
     T_map_base = np.array(way) @ np.linalg.inv(np.asarray(ROBOT.T_base_camera))
-    np.testing.assert_allclose(np.concatenate(stretches), T_map_base[:, :2, 3], atol=1e-9)
+    found = np.concatenate(stretches)
+    np.testing.assert_allclose(found[:, :2], T_map_base[:, :2, 3], atol=1e-9)
+    np.testing.assert_allclose(found[:, 2], np.arctan2(T_map_base[:, 1, 0], T_map_base[:, 0, 0]), atol=1e-9)
 
 
 def test_a_map_without_keyframes_has_no_way(tmp_path: Path) -> None:
