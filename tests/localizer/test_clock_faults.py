@@ -41,10 +41,11 @@ AT_S = 102.0
 
 @SEEDS
 @pytest.mark.parametrize("apart_s", [1e-6, 1e-4, 1e-3, 5e-3])
-def test_readings_that_arrive_together_cost_no_accuracy(
+def test_readings_that_arrive_together_cost_little_accuracy(
     monkeypatch: pytest.MonkeyPatch, apart_s: float, seed: int
 ) -> None:
-    assert worst_m(monkeypatch, lambda _: ReadingsTogether(apart_s=apart_s), seed) < 0.02
+    # 0.036 since cameras' errors add up along the way (docs/decisions/0065); 0.02 before.
+    assert worst_m(monkeypatch, lambda _: ReadingsTogether(apart_s=apart_s), seed) < 0.04
 
 
 @SEEDS

@@ -25,7 +25,7 @@ from wheelsight.fusion.error_state import _relative_pose_kernels as relative
 from wheelsight.fusion.error_state._changed import changed
 from wheelsight.fusion.error_state._measurements import Innovation, RelativePose, WheelStep
 from wheelsight.fusion.error_state.settings import FilterParameters
-from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.geometry import motion_kernels as motions
 
 PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
@@ -292,10 +292,11 @@ class PoseBelief:
 
     def moved(self, x: FloatArray, covariance: FloatArray) -> PoseBelief:
         """All poses perturbed, and the rest shifted, by x (n,). Raises ValueError for another number."""
-        if len(x) != len(self.covariance):  # the kernel would read what lies behind x in memory
+        if len(x) != len(self.covariance):
             raise ValueError(f"a shift of {len(x)} numbers for a belief of {len(self.covariance)}")
-        T, rest = kernels.perturb(self.T, self.rest, x)
-        return changed(self, T=T, rest=rest, covariance=covariance)
+        poses = 6 * len(self.T)
+        T = np.ascontiguousarray(se3.exp(x[:poses].reshape(-1, 6)) @ self.T)
+        return changed(self, T=T, rest=self.rest + x[poses:], covariance=covariance)
 
     def slipped(self, seconds: float, settings: FilterParameters) -> PoseBelief:
         """As if wheels had slipped for so long; a wheel that is lifted tilts the base, too."""

@@ -97,7 +97,7 @@ class DenseSettings(Settings):
         0.01, "a direction less certain than this after one frame is left to the prior", CHOSEN, gt=0, le=10
     )
     confirmed_share: float = setting(
-        0.5,
+        0.4,
         "of what a reference shows of a direction, the share that the frame must show too: where both lie on each "
         "other, slopes of grey are alike; where an alignment has slipped along a wall, they are not",
         ON_SIMULATOR,
