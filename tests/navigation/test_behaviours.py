@@ -68,4 +68,4 @@ def test_without_a_pose_nothing_is_driven() -> None:
 def test_the_gentlest_first() -> None:
     settings = BehaviourSettings()
     assert [when_blocked(n, settings).name for n in range(4)] == ["wait", "look about", "back up", "wait"]
-    assert [type(when_lost(n, settings)) for n in range(5)] == [Wait, Turn, Straight, Turn, Straight]
+    assert [type(when_lost(n, settings)) for n in range(4)] == [Wait, Turn, Turn, Turn]

@@ -30,8 +30,6 @@ class BehaviourSettings(Settings):
     search_rad: float = setting(
         6.4, "turn in which a lost robot looks for a place it knows: once around", CHOSEN, gt=0, le=20
     )
-    search_m: float = setting(1.0, "way that it goes on to look from elsewhere", CHOSEN, gt=0, le=10)
-    search_m_s: float = setting(0.3, "speed of that", CHOSEN, gt=0, le=1)
     turn_rad_s: float = setting(0.4, "speed of such turns; images blur beyond", CHOSEN, gt=0, le=2)
     back_m: float = setting(0.3, "way back, where no camera looks", CHOSEN, gt=0, le=1)
     back_m_s: float = setting(0.1, "speed of that", CHOSEN, gt=0, le=0.5)
