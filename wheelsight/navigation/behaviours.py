@@ -133,7 +133,7 @@ def when_blocked(attempt: int, settings: BehaviourSettings) -> Behaviour:
 def when_lost(attempt: int, settings: BehaviourSettings) -> Behaviour:
     """What to do to find a place that is known: stand, then turn once around to one side, then to the other.
 
-    Nothing else: the floor ahead of a robot that was just begun is trusted, not seen, and a bed's frame was driven into.
+    Nothing else: floor ahead of a robot that was just begun is trusted, not seen; a bed's frame was driven into there.
     """
     s = settings
     if attempt == 0:
