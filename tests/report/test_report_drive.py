@@ -120,3 +120,12 @@ def test_poses_so_far_apart() -> None:
     poses = np.column_stack([np.linspace(0, 1, 11), np.zeros(11), np.zeros(11)])
     assert apart(poses, 0.45)[:, 0] == pytest.approx([0.0, 0.5, 1.0, 1.0])
     assert apart(np.empty((0, 3)), 1.0).shape == (0, 3)
+
+
+def test_an_exploration_is_drawn_without_a_goal(record: DriveRecord) -> None:
+    explored = replace(record.goals[0], name="explore", goal=np.full(3, np.nan))
+    told = replace(record, goals=(explored,))
+    assert not explored.is_place
+    assert drive_picture(told).shape[2] == 3
+    assert "explore" in render_drive(told)
+    assert ">nan" not in render_drive(told)

@@ -34,6 +34,11 @@ class GoalRecord:
     end_s: float
 
     @property
+    def is_place(self) -> bool:
+        """Whether it is one: an exploration is none."""
+        return bool(np.isfinite(self.goal[:2]).all())
+
+    @property
     def off_m(self) -> float:
         """From the goal, by its own localization; NaN where it did not know."""
         return np.nan if self.end is None else float(np.hypot(*(self.end - self.goal)[:2]))

@@ -48,7 +48,7 @@ def drive_picture(record: DriveRecord) -> ByteArray:
         if stop.pose is not None
     ]
     marks += [PlanMark(known[0, :2], "circle", _START, "start")] if len(known) else []
-    marks += [PlanMark(goal.goal[:2], "square", _GOAL, "goal", goal.name) for goal in record.goals]
+    marks += [PlanMark(goal.goal[:2], "square", _GOAL, "goal", goal.name) for goal in record.goals if goal.is_place]
     return picture_of(record.grid, lines=lines, marks=marks)
 
 

@@ -32,7 +32,9 @@ def goal_rows(record: DriveRecord) -> list[list[str]]:
         heading = words.angle(goal.off_deg) if math.isfinite(goal.off_deg) else "any"
         numbers = (words.duration(result.time_s), words.length(result.way_m), words.length(result.planned_m))
         counts = (str(result.plans), str(result.recoveries))
-        rows.append([goal.name, place(goal.goal), became, words.length(goal.off_m), heading, *numbers, *counts])
+        where = place(goal.goal) if goal.is_place else "—"
+        off = words.length(goal.off_m) if goal.is_place else "—"
+        rows.append([goal.name, where, became, off, heading if goal.is_place else "—", *numbers, *counts])
     return rows
 
 
