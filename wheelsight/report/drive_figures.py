@@ -44,9 +44,9 @@ def plan_figure(record: DriveRecord) -> go.Figure:
     known = record.rows.poses[np.isfinite(record.rows.poses).all(axis=1)]
     if len(known):
         _add_marks(figure, known[:1, :2], ["start"], "start", {"symbol": "circle", "color": GREEN})
-    places = [goal for goal in record.goals if goal.is_place]
-    goals = np.array([goal.goal[:2] for goal in places]).reshape(-1, 2)
-    _add_marks(figure, goals, [goal.name for goal in places], "goal", {"symbol": "square", "color": PURPLE})
+    aims = [goal for goal in record.goals if goal.is_place]
+    goals = np.array([goal.goal[:2] for goal in aims]).reshape(-1, 2)
+    _add_marks(figure, goals, [goal.name for goal in aims], "goal", {"symbol": "square", "color": PURPLE})
     held = [stop for stop in record.stops if stop.pose is not None]
     places = np.array([stop.pose[:2] for stop in held if stop.pose is not None]).reshape(-1, 2)
     _add_marks(figure, places, [stop.reason for stop in held], "held", {"symbol": "x", "color": VERMILLION})
