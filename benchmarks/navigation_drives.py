@@ -12,10 +12,10 @@ from benchmarks.session_starts import Building, FirstDay
 from wheelsight.config import load_config
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.localizer import Localizer, LocalizerInStep
 from wheelsight.navigation import (
     Costmap,
-    Footprint,
     KnownFloor,
     NavigationResult,
     NavigationSettings,
@@ -104,8 +104,7 @@ class KnownBuilding:
     def __init__(self, building: Building, day: FirstDay, settings: NavigationSettings) -> None:
         self.building, self.day, self.settings = building, day, settings
         with_folder = MapFolder.open(day.folder)
-        s = settings.footprint
-        self.footprint = Footprint.rectangle(s.front_m, s.back_m, s.width_m)
+        self.footprint = settings.footprint.outline
         self.floor = KnownFloor(occupancy_of(with_folder), driven=driven_way(with_folder), footprint=self.footprint)
         with_folder.close()
         self.costmap = Costmap.of(self.floor.layer, self.footprint, settings.costmap)
@@ -208,7 +207,7 @@ def _driven(known: KnownBuilding, simulator: Simulator, navigator: Navigator, go
         goal,
         result,
         float(np.hypot(*off[:2])),
-        float(np.degrees(abs(np.angle(np.exp(1j * off[2]))))),
+        float(np.degrees(abs(wrap_angle(off[2])))),
         plan_m,
         way_m,
         clearance_m,

@@ -10,7 +10,7 @@ from wheelsight.geometry import PinholeCamera
 from wheelsight.navigation import KnownFloor, Navigator
 from wheelsight.pipeline.drive_record import DriveRecord
 from wheelsight.pipeline.drive_recorder import DriveRecorder
-from wheelsight.pipeline.drives import Drive, WatchedRobot, footprint_of
+from wheelsight.pipeline.drives import Drive, WatchedRobot
 from wheelsight.pipeline.navigation_rehearsal import DrawnRobot, ToldPlace, drawn_room
 
 CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0)
@@ -24,7 +24,7 @@ QUICK = {"navigation.monitor.blind_m_s": 0.5}
 
 def rehearsed_drive() -> tuple[Drive, DrawnRobot, Config]:
     robot, config = DrawnRobot(CALIBRATION), load_config(overrides=QUICK)
-    watched = WatchedRobot(robot, DriveRecorder(footprint_of(config)))
+    watched = WatchedRobot(robot, DriveRecorder(config.navigation.footprint.outline))
     floor = KnownFloor(drawn_room())
     navigator = Navigator(watched, ToldPlace(robot), floor, config.navigation, trusts_floor=True)
     return Drive(watched, navigator, drawn_room, "a room"), robot, config

@@ -17,6 +17,7 @@ from wheelsight.geometry import BoolArray, FloatArray, PinholeCamera, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Transition
+from wheelsight.simulation.robot import Robot
 
 CELL_M = 0.05
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
@@ -25,16 +26,8 @@ CAMERA = PinholeCamera(64, 48, 52.0, 52.0, 31.5, 23.5)
 HEIGHT_M, AHEAD_M, PITCH_RAD, SENSES_M = 0.9, 0.35, 0.4, (0.4, 6.0)
 
 
-def mounted() -> FloatArray:
-    """T_base_camera (4, 4)."""
-    c, s = np.cos(PITCH_RAD), np.sin(PITCH_RAD)
-    T = np.eye(4)
-    T[:3, 0], T[:3, 1], T[:3, 2] = (0, -1, 0), (-s, 0, -c), (c, 0, -s)
-    T[:3, 3] = AHEAD_M, 0.0, HEIGHT_M
-    return T
-
-
-CALIBRATION = Calibration.registered_camera(CAMERA, T_base_camera=mounted(), wheels=WHEELS)
+MOUNT = Robot(camera_height_m=HEIGHT_M, camera_forward_m=AHEAD_M, camera_pitch_rad=PITCH_RAD).T_base_camera
+CALIBRATION = Calibration.registered_camera(CAMERA, T_base_camera=MOUNT, wheels=WHEELS)
 
 
 @dataclass
@@ -100,7 +93,7 @@ class RoomRobot:
         rims = (self.base.forward_m_s - half) / 0.17, (self.base.forward_m_s + half) / 0.17
         events: list[Event] = [WheelSpeeds(self.now_s, *rims)] if self.has_wheels else []
         if self.has_camera and self._period % 2 == 0:
-            depth = self.walls.depth_m(self.T_map_base @ mounted()).astype(np.float32)
+            depth = self.walls.depth_m(self.T_map_base @ MOUNT).astype(np.float32)
             events.append(RgbdFrame(self.now_s, np.zeros((*depth.shape, 3), np.uint8), depth, self._period))
         return events
 

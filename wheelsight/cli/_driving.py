@@ -56,9 +56,8 @@ def _driven(
     robot: Robot, config: Config, goals: Sequence[Goal], asked: Asked, words: str, *, is_simulated: bool
 ) -> DriveRecord:
     from wheelsight.cli._drive_view import DriveView
-    from wheelsight.pipeline.drives import footprint_of
 
-    view = DriveView(footprint_of(config))
+    view = DriveView(config.navigation.footprint.outline)
     # What is said while the map is read would run into a screen that is drawn already.
     with _begun(robot, config, view, asked, in_step=is_simulated) as drive, view:
         truth = Truth(robot) if is_simulated else None

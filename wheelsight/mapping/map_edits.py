@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike
 from wheelsight.errors import ArgumentError, MapError
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import BoolArray, Float32Array, FloatArray, IntArray, se3
-from wheelsight.inputs import Kind, parse_json, read_text
+from wheelsight.inputs import Kind
 from wheelsight.keyframes import KeyframeId
+from wheelsight.mapping.json_lists import read_list
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 
 FORMAT, VERSION = "wheelsight-map-edits", 1
@@ -166,19 +167,7 @@ class MapEdits:
     def load(cls, path: StrPath) -> MapEdits:
         """Read what `save` wrote. Raises MapError: it is missing, no such file, newer, or an edit is wrong."""
         path = Path(path)
-        try:
-            document = parse_json(read_text(path, _FILE, MapError))
-        except ValueError as error:
-            raise MapError(f"is no JSON: {error}", path=path, fix=_FILE.fix) from error
-        if not isinstance(document, dict) or document.get("format") != FORMAT:
-            raise MapError(f"is not of format {FORMAT!r}", path=path, fix=_FILE.fix)
-        version = document.get("version")
-        if type(version) is not int or not 1 <= version <= VERSION:
-            problem = f"its version is {version!r}, and this wheelsight reads {VERSION}"
-            raise MapError(problem, path=path, fix="open it with the wheelsight that wrote it, or a newer one")
-        listed = document.get("edits")
-        if not isinstance(listed, list):
-            raise MapError("its edits are no list", path=path, fix=_FILE.fix)
+        listed = read_list(path, _FILE, (FORMAT, VERSION), "edits")
         edits = []
         for number, fields in enumerate(listed):
             try:

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 from wheelsight.errors import ArgumentError, MapError
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import FloatArray, IntArray, se3
-from wheelsight.inputs import Kind, parse_json, read_text
+from wheelsight.inputs import Kind
 from wheelsight.keyframes import KeyframeId
+from wheelsight.mapping.json_lists import read_list
 
 FORMAT, VERSION = "wheelsight-named-poses", 1
 _FILE = Kind("named poses of a map", most_mb=4, fix="give a file that NamedPoses.save wrote")
@@ -159,19 +160,7 @@ class NamedPoses:
     def load(cls, path: StrPath) -> NamedPoses:
         """Read what `save` wrote. Raises MapError: it is missing, no such file, newer, or a pose is wrong."""
         path = Path(path)
-        try:
-            document = parse_json(read_text(path, _FILE, MapError))
-        except ValueError as error:
-            raise MapError(f"is no JSON: {error}", path=path, fix=_FILE.fix) from error
-        if not isinstance(document, dict) or document.get("format") != FORMAT:
-            raise MapError(f"is not of format {FORMAT!r}", path=path, fix=_FILE.fix)
-        version = document.get("version")
-        if type(version) is not int or not 1 <= version <= VERSION:
-            problem = f"its version is {version!r}, and this wheelsight reads {VERSION}"
-            raise MapError(problem, path=path, fix="open it with the wheelsight that wrote it, or a newer one")
-        listed = document.get("places")
-        if not isinstance(listed, list):
-            raise MapError("its places are no list", path=path, fix=_FILE.fix)
+        listed = read_list(path, _FILE, (FORMAT, VERSION), "places")
         try:
             return cls(tuple(_pose(fields) for fields in listed))
         except MapError as error:

@@ -13,6 +13,7 @@ from wheelsight.errors import ArgumentError, MapError
 from wheelsight.geometry import BoolArray, Float32Array, FloatArray, IntArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import _occupancy_kernels as kernels
+from wheelsight.mapping.mount import camera_over_floor
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 from wheelsight.mapping.occupancy_settings import OccupancySettings
 
@@ -64,12 +65,10 @@ class OccupancyMapper:
     """
 
     def __init__(self, calibration: Calibration, settings: OccupancySettings | None = None) -> None:
-        if calibration.T_base_camera is None:
-            problem = "where the floor is nobody knows: the calibration does not say where the camera sits"
-            raise MapError(problem, fix="wheelsight calibrate base, or T_base_camera in the calibration")
+        T_base_camera = camera_over_floor(calibration)
         self.settings = settings or OccupancySettings()
-        self._T_base_camera, self._noise = calibration.T_base_camera, calibration.depth_noise
-        self._T_camera_base = se3.invert(calibration.T_base_camera)
+        self._T_base_camera, self._noise = T_base_camera, calibration.depth_noise
+        self._T_camera_base = se3.invert(T_base_camera)
         self._seen: dict[KeyframeId, _Seen] = {}
         self._T_map_keyframe: dict[KeyframeId, FloatArray] = {}
         self._steps = _steps_of(self.settings)

@@ -6,10 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
-from wheelsight.errors import ArgumentError, MapError
+from wheelsight.errors import MapError
 from wheelsight.geometry import Float32Array, FloatArray, IntArray
+from wheelsight.mapping.mount import camera_over_floor
 from wheelsight.navigation import _depth_view_kernels as kernels
 from wheelsight.navigation.costmap_settings import LiveLayerSettings
+from wheelsight.navigation.depth_images import checked_depth
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.monitor_settings import ViewSettings
 from wheelsight.navigation.surroundings import DepthView
@@ -42,16 +44,13 @@ class DepthViewer:
         settings: ViewSettings | None = None,
         heights: LiveLayerSettings | None = None,
     ) -> None:
-        if calibration.T_base_camera is None:
-            problem = "where the floor is nobody knows: the calibration does not say where the camera sits"
-            raise MapError(problem, fix="wheelsight calibrate base, or T_base_camera in the calibration")
-        _, camera = calibration.cameras
+        T_base_camera = camera_over_floor(calibration)
+        _, self._camera = calibration.cameras
         self._settings, self._footprint = settings or ViewSettings(), footprint
-        self._shape = camera.height, camera.width
         self._heights = _heights_of(heights or LiveLayerSettings())
-        ways = camera.rays() @ calibration.T_base_camera[:3, :3].T
+        ways = self._camera.rays() @ T_base_camera[:3, :3].T
         self._first_rad, self._step_rad, columns = _bearings(ways, self._settings.columns)
-        where = np.ascontiguousarray(calibration.T_base_camera[:3, 3])
+        where = np.ascontiguousarray(T_base_camera[:3, 3])
         self._rays = kernels.Rays(np.ascontiguousarray(ways, np.float32), columns, where)
         self._near_m = _near_floor_m(ways, columns, float(where[2]))
         self.near_m = self._near_m + float(np.hypot(*where[:2]))
@@ -62,10 +61,7 @@ class DepthViewer:
         Raises:
             ArgumentError: an image of another size.
         """
-        depth = np.ascontiguousarray(depth_m, np.float32)
-        if depth.shape != self._shape:
-            fix = f"give {self._shape[0]} rows of {self._shape[1]}, as the calibration says"
-            raise ArgumentError(f"a depth image of shape {depth.shape}", fix=fix)
+        depth = checked_depth(depth_m, self._camera)
         s, far_m = self._settings, self._heights.far_m
         side = 2 * int(np.ceil((far_m + np.hypot(*self._rays.camera[:2])) / s.cell_m) + 1)
         floor = np.zeros((s.columns, int(np.ceil(far_m / s.bin_m))), np.uint8)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.navigation.costmap import CellState, Costmap
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.grid_search import cost_to_go
@@ -55,7 +56,7 @@ class Exploration:
         if self._turns > 0:
             step = 2 * np.pi / self._settings.exploration.turns
             self._aim = pose[:2], np.array([pose[0], pose[1], np.nan])
-            return (np.array([pose[0], pose[1], np.angle(np.exp(1j * (pose[2] + step)))]),)
+            return (np.array([pose[0], pose[1], wrap_angle(pose[2] + step)]),)
         free_m = self._ways_m(pose, costmap)
         found = [one for one in frontiers(costmap, self._settings.exploration.least_m) if not self._is_done(one)]
         views = [(one, self._view(one, free_m, costmap)) for one in found]

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.mapping import MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
 from wheelsight.navigation.costmap import CellState, StaticLayer
 from wheelsight.navigation.footprint import Footprint
@@ -107,7 +108,7 @@ class GrowingFloor:
         self._marked: tuple[BoolArray, tuple[float, float]] | None = None
         self._count, self._store_revision = 0, -1
         self.revision = 0
-        self.layer = StaticLayer.of(self._mapper.grid())
+        self._seen = self.layer = StaticLayer.of(self._mapper.grid())
 
     @property
     def grid(self) -> OccupancyGrid:
@@ -123,10 +124,10 @@ class GrowingFloor:
         if store is not None and (len(store) != self._count or store.revision != self._store_revision):
             self._count, self._store_revision = len(store), store.revision
             self._mapper.update(store, _LEAST_SHIFT_M)
+            self._seen = StaticLayer.of(self._mapper.grid())
         elif not has_moved:
             return
-        static = StaticLayer.of(self._mapper.grid())
-        self.layer = static if not self._stood else self._with_stood(static.grown(self._bounds()))
+        self.layer = self._seen if not self._stood else self._with_stood(self._seen.grown(self._bounds()))
         self.revision += 1
 
     def _bounds(self) -> FloatArray:
@@ -153,7 +154,7 @@ def _densely(stretch: FloatArray) -> FloatArray:
     """(N, 3) poses of a way with others between them, a cell and some degrees apart."""
     poses = [stretch[:1]]
     for before, after in pairwise(stretch):
-        turn = float(np.angle(np.exp(1j * (after[2] - before[2]))))
+        turn = float(wrap_angle(after[2] - before[2]))
         count = 1 + int(max(np.hypot(*(after - before)[:2]) / _STAMP_M, abs(turn) / _STAMP_RAD))
         poses.append(before + np.linspace(0, 1, count + 1)[1:, None] * [*(after - before)[:2], turn])
     return np.concatenate(poses)
@@ -172,9 +173,7 @@ def _paste(into: BoolArray, part: BoolArray, at: IntArray) -> None:
 
 def _apart(pose: FloatArray, other: FloatArray) -> bool:
     """Whether a robot that moved so stands on other floor."""
-    return bool(
-        np.hypot(*(pose[:2] - other[:2])) > _STAMP_M or abs(np.angle(np.exp(1j * (pose[2] - other[2])))) > _STAMP_RAD
-    )
+    return bool(np.hypot(*(pose[:2] - other[:2])) > _STAMP_M or abs(wrap_angle(pose[2] - other[2])) > _STAMP_RAD)
 
 
 def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: Footprint) -> None:

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
-from wheelsight.errors import ArgumentError, MapError
+from wheelsight.errors import ArgumentError
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.mapping.mount import camera_over_floor
 from wheelsight.navigation import _live_kernels as kernels
 from wheelsight.navigation.costmap_settings import LiveLayerSettings
+from wheelsight.navigation.depth_images import checked_depth
 from wheelsight.navigation.footprint import Footprint
 
 
@@ -60,11 +62,8 @@ class LiveLayer:
         settings: LiveLayerSettings | None = None,
         frame: str = "odom",
     ) -> None:
-        if calibration.T_base_camera is None:
-            problem = "where the floor is nobody knows: the calibration does not say where the camera sits"
-            raise MapError(problem, fix="wheelsight calibrate base, or T_base_camera in the calibration")
+        self._T_base_camera, self._noise = camera_over_floor(calibration), calibration.depth_noise
         _, self._camera = calibration.cameras
-        self._T_base_camera, self._noise = calibration.T_base_camera, calibration.depth_noise
         self._slopes = np.ascontiguousarray(self._camera.rays()[..., :2], np.float32)
         self.settings, self.frame, self._footprint = settings or LiveLayerSettings(), frame, footprint
         side = math.ceil(self.settings.size_m / self.settings.resolution_m)
@@ -86,10 +85,7 @@ class LiveLayer:
         Raises:
             ArgumentError: an image of another size, or a pose or stamp that is not finite; nothing changes then.
         """
-        depth, at = np.ascontiguousarray(depth_m, np.float32), np.asarray(pose, float)
-        if depth.shape != (self._camera.height, self._camera.width):
-            fix = f"give {self._camera.height} rows of {self._camera.width}, as the calibration says"
-            raise ArgumentError(f"a depth image of shape {depth.shape}", fix=fix)
+        depth, at = checked_depth(depth_m, self._camera), np.asarray(pose, float)
         if at.shape != (3,) or not np.isfinite(at).all() or not math.isfinite(stamp_s):
             raise ArgumentError(f"pose {at} at {stamp_s} s", fix="give x, y and yaw of the base, and when, finite")
         self._move_to(at)

@@ -14,7 +14,7 @@ from wheelsight.calibration import Wheels
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, WheelSpeeds, WheelTicks
-from wheelsight.geometry import FloatArray, se2
+from wheelsight.geometry import FloatArray, se2, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.navigation.control_values import MotionState
 from wheelsight.odometry.wheels import WheelOdometry
@@ -177,9 +177,5 @@ def _sigma_m(estimate: Estimate) -> float:
     """Of the horizontal position, the larger one."""
     if estimate.covariance is None or estimate.T_odom_body is None:
         return 0.0
-    # The left perturbation moves the whole frame; the body's own uncertainty is about where it is.
-    lever = np.eye(6)
-    x, y, z = estimate.T_odom_body[:3, 3]
-    lever[:3, 3:] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    C = lever @ estimate.covariance @ lever.T
+    C = se3.position_covariance(estimate.T_odom_body, estimate.covariance)
     return float(np.sqrt(max(np.linalg.eigvalsh(C[:2, :2])[-1], 0.0)))

@@ -78,7 +78,7 @@ class Navigator:
         on_transition: Callable[[Transition], None] = lambda transition: None,
     ) -> None:
         self.settings = s = settings or NavigationSettings()
-        self._footprint = Footprint.rectangle(s.footprint.front_m, s.footprint.back_m, s.footprint.width_m)
+        self._footprint = s.footprint.outline
         self._robot = robot
         self.monitor = CollisionMonitor(self._footprint, s.limits, s.monitor, s.wheel_check)
         self._senses = Senses(robot.calibration, localization, floor, self.monitor, self._footprint, s)

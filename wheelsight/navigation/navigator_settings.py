@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings, PurePursuitSettings
 from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSettings
+from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.monitor_settings import MonitorSettings, ViewSettings, WheelCheckSettings
 from wheelsight.navigation.planner_settings import PlannerSettings
 from wheelsight.robot_limits import RobotLimits
@@ -18,6 +19,11 @@ class FootprintSettings(Settings):
     front_m: float = setting(0.8, "from the axle to the foremost point", "Trinh, section II: 1.10 m", gt=0, le=5)
     back_m: float = setting(0.3, "from the axle to the rearmost point", "Trinh, section II", gt=0, le=5)
     width_m: float = setting(0.6, "of the whole robot", "Trinh, section II", gt=0, le=5)
+
+    @property
+    def outline(self) -> Footprint:
+        """As planner, controller and collision monitor take it."""
+        return Footprint.rectangle(self.front_m, self.back_m, self.width_m)
 
 
 class BehaviourSettings(Settings):

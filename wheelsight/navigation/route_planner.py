@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.navigation._drivable import Drivable
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
@@ -76,7 +77,7 @@ def ahead_of(plan: Plan, pose: FloatArray, reach_m: float) -> FloatArray:
 def _nearest(plan: Plan, pose: FloatArray) -> int:
     """Of places alike, as where a way crosses itself, the one whose heading is nearer, and then the later one."""
     apart = np.hypot(*(plan.poses[:, :2] - pose[:2]).T)
-    off = np.abs(np.angle(np.exp(1j * (plan.poses[:, 2] - pose[2]))))
+    off = np.abs(wrap_angle(plan.poses[:, 2] - pose[2]))
     # A half turn counts as much as a metre.
     score = apart + off / np.pi
     return int(len(score) - 1 - score[::-1].argmin())

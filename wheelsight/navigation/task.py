@@ -48,8 +48,7 @@ class Task:
         self._begun_s = self._rolled_s = now_s
         self._way_m = self._tried_m = 0.0
         self._planned_m, self._plans, self._recoveries = 0.0, 0, 0
-        self._held_s: float | None = None
-        self._stopped_s: float | None = None
+        self._held, self._stopped = _Stopwatch(), _Stopwatch()
 
     @property
     def doing(self) -> str:
@@ -73,11 +72,11 @@ class Task:
         self._plans += 1
         self._planned_m = self._planned_m or plan.length_m
         self.plan, self.planned_s, self.checked_s, self.T_map_odom = plan, now_s, now_s, T_map_odom
-        self.behaviour, self._held_s = None, None
+        self.behaviour, self._held = None, _Stopwatch()
 
     def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
         """Do something to get on."""
-        self.behaviour, self.is_lost, self._held_s = behaviour, is_lost, None
+        self.behaviour, self.is_lost, self._held = behaviour, is_lost, _Stopwatch()
         self._recoveries += 1
         if is_lost:
             self.searches += 1
@@ -86,13 +85,11 @@ class Task:
 
     def held_for_s(self, now_s: float, is_held: bool) -> float:
         """For how long it has been held; 0 where it is not."""
-        self._held_s = (self._held_s if self._held_s is not None else now_s) if is_held else None
-        return 0.0 if self._held_s is None else now_s - self._held_s
+        return self._held.for_s(now_s, is_held)
 
     def stopped_for_s(self, now_s: float, is_stopped: bool) -> float:
         """For how long the robot has stood by itself; 0 where it does not."""
-        self._stopped_s = (self._stopped_s if self._stopped_s is not None else now_s) if is_stopped else None
-        return 0.0 if self._stopped_s is None else now_s - self._stopped_s
+        return self._stopped.for_s(now_s, is_stopped)
 
     def result(self, has_arrived: bool, reason: NavigationReason | None, detail: str, now_s: float) -> NavigationResult:
         """What became of it."""
@@ -108,3 +105,17 @@ class Task:
             self._plans,
             self._recoveries,
         )
+
+
+class _Stopwatch:
+    """For how long something has been so without a break."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+
+    def for_s(self, now_s: float, is_so: bool) -> float:
+        if not is_so:
+            self._since_s = None
+        elif self._since_s is None:
+            self._since_s = now_s
+        return 0.0 if self._since_s is None else now_s - self._since_s

@@ -13,6 +13,7 @@ import yaml
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord, StopRecord
 from wheelsight.trajectory import write_tum
 
@@ -101,7 +102,7 @@ def _thinned(poses: FloatArray) -> FloatArray:
     kept = [0]
     for row in range(1, len(poses)):
         way_m = float(np.hypot(*(poses[row] - poses[kept[-1]])[:2]))
-        turned = abs(np.angle(np.exp(1j * (poses[row, 2] - poses[kept[-1], 2]))))
+        turned = abs(wrap_angle(poses[row, 2] - poses[kept[-1], 2]))
         if way_m >= _PLAN_STEP_M or turned >= 0.3 or row == len(poses) - 1:
             kept.append(row)
     return poses[kept]

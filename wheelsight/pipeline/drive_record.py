@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.geometry import ByteArray, FloatArray
+from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import Footprint, NavigationResult
 from wheelsight.trajectory import Trajectory
@@ -46,7 +47,7 @@ class GoalRecord:
     @property
     def off_deg(self) -> float:
         """Likewise of the heading; NaN where any was wanted."""
-        return np.nan if self.end is None else float(np.degrees(abs(np.angle(np.exp(1j * (self.end - self.goal)[2])))))
+        return np.nan if self.end is None else float(np.degrees(abs(wrap_angle((self.end - self.goal)[2]))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -128,7 +128,7 @@ class Drive:
             clearance_m=kept.clearance_m,
             images=kept.images,
             grid=self._grid(),
-            footprint=footprint_of(config),
+            footprint=config.navigation.footprint.outline,
             config=config.to_dict(),
             truth=truth,
             is_interrupted=is_interrupted,
@@ -182,17 +182,20 @@ def drive_in_map(
     if opened is None:
         raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels")
     known, folder = opened
-    watched = WatchedRobot(robot, DriveRecorder(footprint_of(config)))
+    watched = WatchedRobot(robot, DriveRecorder(config.navigation.footprint.outline))
     with closing(folder):
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
-        floor = KnownFloor(
-            grid, edits_as_known(folder), folder.store.T_map_keyframe, driven_way(folder), footprint_of(config)
-        )
+        floor = _floor_of(folder, grid, config.navigation.footprint.outline)
         localizer = Localizer(robot.calibration, config, known=known, waits=in_step)
         how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
         with closing(LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)) as localization:
             navigator = Navigator(watched, localization, floor, config.navigation, **how)
             yield Drive(watched, navigator, lambda: grid, _name_of(folder))
+
+
+def _floor_of(folder: MapFolder, grid: OccupancyGrid, footprint: Footprint) -> KnownFloor:
+    """With edits, and where the robot of the map drove."""
+    return KnownFloor(grid, edits_as_known(folder), folder.store.T_map_keyframe, driven_way(folder), footprint)
 
 
 def _name_of(folder: MapFolder) -> str:
@@ -202,12 +205,6 @@ def _name_of(folder: MapFolder) -> str:
         path = path.parent
         path = path.parent if path.name in _TRACKS else path
     return path.name or str(path)
-
-
-def footprint_of(config: Config) -> Footprint:
-    """Of the robot that settings tell. Raises ArgumentError."""
-    s = config.navigation.footprint
-    return Footprint.rectangle(s.front_m, s.back_m, s.width_m)
 
 
 class WatchedRobot:

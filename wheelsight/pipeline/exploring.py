@@ -14,7 +14,7 @@ from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
 from wheelsight.navigation import DepthViewer, Footprint, GrowingFloor, Navigator, Transition
 from wheelsight.pipeline.drive_recorder import DriveRecorder
-from wheelsight.pipeline.drives import Drive, WatchedRobot, footprint_of
+from wheelsight.pipeline.drives import Drive, WatchedRobot
 from wheelsight.robots import Robot
 from wheelsight.slam.sessions import MapFolder, MapWriter
 from wheelsight.slam.settings import FROM_KEYFRAMES
@@ -84,7 +84,7 @@ def exploring(
         OutputError, MapError, CalibrationError, ArgumentError: as `MapFolder.create` and `Navigator`.
     """
     _check(config)
-    footprint, calibration = footprint_of(config), robot.calibration
+    footprint, calibration = config.navigation.footprint.outline, robot.calibration
     near_m = _near_m(robot, config, footprint) if trusts_floor else 0.0
     localizer = Localizer(calibration, config, waits=in_step)
     store = localizer.keyframes
