@@ -23,6 +23,7 @@ from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
 from wheelsight.estimates import Status
 from wheelsight.events import Event, RgbdFrame
+from wheelsight.localizer import Localizer
 from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
 from wheelsight.simulation.robot import TICK_PERIOD_S
 
@@ -51,19 +52,23 @@ class Quarter:
 def drive_long(minutes: float, odometry: str = "dense") -> None:
     """Drive, and print what events took and what the process held, by quarters."""
     keep_to(2)
-    seconds = 60 * minutes
-    laps = int(seconds / _LAP_S) + 1
-    drive = SimulationSettings("floor4", size=SIZE, rate_hz=_RATE_HZ, laps=laps, duration_s=seconds, seed=_SEED)
-    recording = simulate(replace(drive, robot=robot_of(_SEED), realism="real"))
-    quarters = quarters_of(recording, odometry)
+    recording = hour_recording(minutes)
+    quarters = quarters_of(recording, localizer_of(JOINED, recording.calibration, odometry))
     console = Console(width=130)
     console.print(hour_sheet(quarters, minutes).to_rich())
     console.print(targets_sheet(judge_hour(quarters, minutes)).to_rich())
 
 
-def quarters_of(recording: SimulatedRecording, odometry: str = "dense") -> list[Quarter]:
+def hour_recording(minutes: float) -> SimulatedRecording:
+    """Laps of `floor4`."""
+    seconds = 60 * minutes
+    laps = int(seconds / _LAP_S) + 1
+    drive = SimulationSettings("floor4", size=SIZE, rate_hz=_RATE_HZ, laps=laps, duration_s=seconds, seed=_SEED)
+    return simulate(replace(drive, robot=robot_of(_SEED), realism="real"))
+
+
+def quarters_of(recording: SimulatedRecording, localizer: Localizer) -> list[Quarter]:
     """What the localizer's work took; rendering is not counted."""
-    localizer = localizer_of(JOINED, recording.calibration, odometry)
     borders_s = recording.drive.duration_s * np.arange(1, _QUARTERS + 1) / _QUARTERS
     quarters: list[Quarter] = []
     frames_s: list[float] = []

@@ -11,6 +11,7 @@ from narrowing import as_frame
 from benchmarks.joined_cases import CASES, Way, drive_of
 from benchmarks.joined_hour import Quarter, hour_sheet, judge_hour, memory_mb, quarters_of
 from benchmarks.joined_images import kept_events
+from benchmarks.joined_runs import JOINED, localizer_of
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.simulation import SimulatedRecording
@@ -83,7 +84,7 @@ def _seen_x_m(recording: SimulatedRecording, index: int) -> FloatArray:
 
 @pytest.mark.slow
 def test_every_quarter_is_measured(recording: SimulatedRecording) -> None:
-    quarters = quarters_of(recording, "features")
+    quarters = quarters_of(recording, localizer_of(JOINED, recording.calibration, "features"))
     assert len(quarters) == 4
     assert all(q.frame_ms > q.reading_ms > 0 for q in quarters)
     assert 10 < memory_mb() < 1e5
