@@ -89,6 +89,30 @@ def test_it_arrives_and_touches_nothing(make: Callable[..., Controller], name: s
     assert np.abs(speeds[:, 1]).max() <= limits.turn_rad_s + 1e-6
 
 
+def walled(low: int, left: int) -> BoolArray:
+    """With a wall to the right, y < low cells, and one ahead, from x = left cells on."""
+    cells = room().copy()
+    cells[:low] = True
+    cells[:, left:] = True
+    return cells
+
+
+@both
+@pytest.mark.parametrize(
+    ("cells", "way_m"),
+    [(walled(92, 200), 0.5), (walled(92, 200), 1.0), (walled(0, 118), 3.0), (walled(0, 68), 0.5)],
+    ids=["beside a wall, 0.5 m", "beside a wall, 1 m", "up to a wall, 3 m", "up to a wall, 0.5 m"],
+)
+def test_walls_near_the_goal_do_not_hold_it_off(
+    make: Callable[..., Controller], cells: BoolArray, way_m: float
+) -> None:
+    path = Path.of((2, 5, 0), (2 + way_m, 5, 0))
+    drove = drive(make, cells, path)
+    assert drove.reason is ControlReason.ARRIVED
+    assert drove.off_goal(path)[0] < 0.05
+    assert len(drove.commands) * 0.05 < 3.0 + 2.5 * way_m
+
+
 @pytest.mark.slow
 @both
 @pytest.mark.parametrize("lag_s", [0.0, 0.3])

@@ -16,9 +16,12 @@ SETTINGS = NavigationSettings(exploration=ExplorationSettings(turns=0))
 MIDDLE = np.array([4.0, 4.0, 0.0])
 
 
+def layer_of(state: np.ndarray) -> StaticLayer:
+    return StaticLayer(state, np.full(state.shape, np.inf, np.float32), CELL_M, (0.0, 0.0))
+
+
 def costmap_of(state: np.ndarray) -> Costmap:
-    layer = StaticLayer(state, np.full(state.shape, np.inf, np.float32), CELL_M, (0.0, 0.0))
-    return Costmap.of(layer, CHAIR)
+    return Costmap.of(layer_of(state), CHAIR)
 
 
 def room() -> np.ndarray:
@@ -104,3 +107,29 @@ def test_first_it_turns_once_around() -> None:
     steps = np.angle(np.exp(1j * np.diff(yaws)))
     assert steps.sum() == pytest.approx(2 * np.pi)
     assert explorer.upcoming(MIDDLE, costmap) == ()
+
+
+def test_a_border_is_looked_at_from_near_its_view_and_no_nearer() -> None:
+    explorer = Exploration(CHAIR, SETTINGS, NEAR_M)
+    costmap, layer = costmap_of(open_to(room(), 3.0, 4.5)), layer_of(open_to(room(), 3.0, 4.5))
+    (view,) = explorer.upcoming(MIDDLE, costmap)
+    assert explorer.is_met(view + [0.2, 0.0, 0.2], layer)
+    assert not explorer.is_met(view + [0.5, 0.0, 0.0], layer)
+    assert not explorer.is_met(view + [0.0, 0.0, 0.5], layer)
+
+
+def test_a_border_that_was_seen_on_the_way_needs_no_look() -> None:
+    explorer = Exploration(CHAIR, SETTINGS, NEAR_M)
+    before = open_to(room(), 3.0, 4.5)
+    explorer.upcoming(MIDDLE, costmap_of(before))
+    after = before.copy()
+    after[20:60, 79:100] = CellState.FREE
+    assert not explorer.is_met(MIDDLE, layer_of(before))
+    assert explorer.is_met(MIDDLE, layer_of(after))
+    assert not explorer.is_met(MIDDLE, layer_of(before[:, :81]))
+
+
+def test_first_it_turns_all_around_exactly() -> None:
+    explorer = Exploration(CHAIR, NavigationSettings(exploration=ExplorationSettings(turns=3)), NEAR_M)
+    (view,) = explorer.upcoming(MIDDLE, costmap_of(room()))
+    assert not explorer.is_met(view, layer_of(room()))

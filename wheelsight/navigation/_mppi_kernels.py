@@ -78,6 +78,9 @@ class Dynamics(NamedTuple):
 class Weights(NamedTuple):
     """What counts how much, for a second of a rollout where nothing else is said.
 
+    What is near counts by the way that leads past it, not by the time: else a robot creeps, or stands, before a goal
+    beside a wall.
+
     Attributes:
         aside: half a square metre beside the way; beyond `aside_m` it grows as the distance.
         heading: heading against the way's, 1 - cosine.
@@ -85,11 +88,11 @@ class Weights(NamedTuple):
         beyond: a square metre beyond the way's end.
         wrong_way: a metre a second against the way's direction.
         too_fast: a metre a second above a zone's limit.
-        cost: the field's cost.
-        near: of an obstacle, from 0 at `near_m` to all at `margin_m`, as a square.
+        cost: a metre through the field's cost.
+        near: a metre along an obstacle, from 0 at `near_m` to all at `margin_m`, as a square.
         change_forward, change_turn: the square of a command's change in one step.
         contact: of coming nearer than `margin_m`, once.
-        people: as `near`, of people, within `people_m`.
+        people: a second near people, as `near`, within `people_m`.
     """
 
     aside: float
@@ -181,13 +184,13 @@ def roll_out(
         if touches:
             return total + weights.contact * (2.0 - t / steps), t
         cost = _of_way(way, point, pose, v, weights) + _of_changes(commands, t, weights)
-        total += (cost + around[1] + close + weights.too_fast * max(abs(v) - around[2], 0.0)) * dynamics.step_s
+        total += (cost + abs(v) * around[1] + close + weights.too_fast * max(abs(v) - around[2], 0.0)) * dynamics.step_s
     return total + _of_end(way, begin.point, point, pose, weights), steps
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _look(field: CostField, pose: Any, clearance: float, weights: Weights) -> Any:
-    """Clearance, what being there costs a second, and the fastest speed there."""
+    """Clearance, what a metre there costs, and the fastest speed there."""
     share = max(weights.near_m - clearance, 0.0) / (weights.near_m - weights.margin_m)
     floor, fastest = cost_and_speed_at(field, pose[0], pose[1])
     return clearance, weights.near * share * share + weights.cost * floor, fastest

@@ -107,7 +107,7 @@ class MppiSettings(Settings):
         gt=0,
         le=100,
     )
-    aside: float = setting(40.0, "weight of half a square metre beside the path", _KINEMATIC, ge=0, le=1e4)
+    aside: float = setting(80.0, "weight of half a square metre beside the path", _KINEMATIC, ge=0, le=1e4)
     aside_m: float = setting(
         0.1, "distance from the path from which it counts as such and no more as a square", _KINEMATIC, gt=0, le=10
     )
@@ -116,8 +116,8 @@ class MppiSettings(Settings):
     beyond: float = setting(200.0, "weight of a square metre beyond the segment's end", _KINEMATIC, ge=0, le=1e5)
     wrong_way: float = setting(20.0, "weight of a metre a second against the segment's direction", CHOSEN, ge=0, le=1e4)
     too_fast: float = setting(50.0, "weight of a metre a second above a zone's limit", CHOSEN, ge=0, le=1e4)
-    cost: float = setting(2.0, "weight of the field's cost", CHOSEN, ge=0, le=1e4)
-    near: float = setting(3.0, "weight of obstacles, whole at the margin", _KINEMATIC, ge=0, le=1e4)
+    cost: float = setting(1.0, "weight of a metre through the field's cost", CHOSEN, ge=0, le=1e4)
+    near: float = setting(1.5, "weight of a metre along obstacles, whole at the margin", _KINEMATIC, ge=0, le=1e4)
     near_m: float = setting(0.3, "clearance from which obstacles count", CHOSEN, gt=0, le=2)
     people: float = setting(8.0, "weight of people, whole at their margin", CHOSEN, ge=0, le=1e4)
     people_m: float = setting(0.6, "distance from which people count: a step", CHOSEN, gt=0, le=5)

@@ -12,7 +12,7 @@ import numpy as np
 
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.geometry.se2 import wrap_angle
-from wheelsight.navigation.costmap import CellState, Costmap
+from wheelsight.navigation.costmap import CellState, Costmap, StaticLayer
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.grid_search import cost_to_go
 from wheelsight.navigation.navigator_settings import NavigationSettings
@@ -68,6 +68,15 @@ class Exploration:
         assert view is not None
         self._aim = best.middle, view
         return (view,)
+
+    def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
+        """See `Goals`: a border was looked at from near enough, or is none any more."""
+        if self._turns > 0 or self._aim is None:
+            return False
+        border, view = self._aim
+        s = self._settings.exploration
+        is_near = np.hypot(*(view[:2] - pose[:2])) <= s.there_m and np.cos(view[2] - pose[2]) >= np.cos(s.there_rad)
+        return bool(is_near or not _is_border(layer, border, s.least_m / 2))
 
     def reached(self) -> None:
         """See `Goals`."""
@@ -140,6 +149,14 @@ def _frontier(is_part: BoolArray, costmap: Costmap) -> Frontier:
     middle = places[np.hypot(*(places - places.mean(axis=0)).T).argmin()]
     extent = places.max(axis=0) - places.min(axis=0) + costmap.resolution_m
     return Frontier(middle, float(np.hypot(*extent)))
+
+
+def _is_border(layer: StaticLayer, xy: FloatArray, reach_m: float) -> bool:
+    """Whether there is floor so near to a place that nobody has seen; beyond a map's edges nobody has."""
+    reach = int(np.ceil(reach_m / layer.resolution_m))
+    column, row = np.floor((xy - layer.origin) / layer.resolution_m).astype(int).tolist()
+    about = layer.state[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1]
+    return bool(about.size < (2 * reach + 1) ** 2 or (about == CellState.UNKNOWN).any())
 
 
 def _sees(costmap: Costmap, xy: FloatArray, to: FloatArray) -> bool:

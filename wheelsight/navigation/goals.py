@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.errors import ArgumentError
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.costmap import Costmap
+from wheelsight.navigation.costmap import Costmap, StaticLayer
 
 _DIMENSIONS = (2, 3)
 # A pose of a recorded way is passed that is nearer than this.
@@ -33,6 +33,9 @@ class Goals(Protocol):
 
         Asked each time a plan is made, also for the same goal again. A yaw of NaN is any heading.
         """
+
+    def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
+        """Whether the next one asks for no more driving, wherever the robot is by now."""
 
     def reached(self) -> None:
         """The last of them was reached."""
@@ -66,6 +69,10 @@ class Poses:
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """See `Goals`."""
         return tuple(self._left[:1])
+
+    def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
+        """See `Goals`: a pose is driven to."""
+        return False
 
     def reached(self) -> None:
         """See `Goals`."""
@@ -110,6 +117,10 @@ class Way:
         while len(self._left) > 1 and np.hypot(*(self._left[0][:2] - pose[:2])) < _PASSED_M:
             self._left.pop(0)
         return tuple(self._left)
+
+    def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
+        """See `Goals`: its end is driven to."""
+        return False
 
     def reached(self) -> None:
         """See `Goals`."""

@@ -262,6 +262,8 @@ class Navigator:
             return self._look_about(task, f"its place is known to {where.grown_sigma_m:.1f} m only")
         if now_s - task.checked_s >= s.check_s and now_s - task.planned_s >= s.anew_s:
             task.checked_s = now_s
+            if task.goals.is_met(state.pose, self._senses.floor.layer):
+                return self._reached(task)
             why = self._why_anew(task, plan)
             if why:
                 self._become(NavigationState.PLANNING, why)
@@ -287,10 +289,7 @@ class Navigator:
     def _follow(self, task: Task, result: ControlResult, now_s: float) -> VelocityCommand:
         """What comes of a controller's answer."""
         if result.reason is ControlReason.ARRIVED:
-            task.goals.reached()
-            task.goal_change = task.plan.goal_change if task.plan is not None else ""
-            self._become(NavigationState.PLANNING, "a goal is reached")
-            return STOP
+            return self._reached(task)
         if result.reason in (ControlReason.MISSED, ControlReason.OFF_PATH, ControlReason.NO_PATH):
             task.tries += 1
             if task.tries > self.settings.navigator.tries:
@@ -302,6 +301,12 @@ class Navigator:
             why = result.reason or self._checked.reason
             return self._get_out(task, str(why))
         return result.command
+
+    def _reached(self, task: Task) -> VelocityCommand:
+        task.goals.reached()
+        task.goal_change = task.plan.goal_change if task.plan is not None else ""
+        self._become(NavigationState.PLANNING, "a goal is reached")
+        return STOP
 
     def _recover(self, task: Task, now_s: float) -> VelocityCommand:
         """Do what was begun, then plan anew."""

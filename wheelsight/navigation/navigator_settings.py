@@ -120,6 +120,8 @@ class ExplorationSettings(Settings):
     tries: int = setting(2, "looks at a border that stays, before it is left", CHOSEN, ge=1, le=20)
     same_m: float = setting(0.7, "borders whose middles are nearer, and places, count as one", CHOSEN, gt=0, le=5)
     same_rad: float = setting(0.5, "and directions from there: half a Kinect's view", CHOSEN, gt=0, le=3.2)
+    there_m: float = setting(0.3, "from where a border is to be looked at, that is near enough", CHOSEN, ge=0, le=2)
+    there_rad: float = setting(0.3, "likewise, the direction: a quarter of a Kinect's view", CHOSEN, ge=0, le=3)
     turns: int = setting(3, "looks around at the begin, in a whole turn on the spot", CHOSEN, ge=0, le=12)
 
 

@@ -26,7 +26,7 @@ from wheelsight.geometry import se3
 SETTINGS = FilterParameters()
 _STEPS = 2000
 # A camera whose focal length is hardly known.
-COARSE = {"camera_turn_sigma": 0.005, "camera_turn_walk": 0.0005}
+COARSE = {"camera_turn_walk": 0.0005}
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
 
 
