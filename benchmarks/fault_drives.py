@@ -111,6 +111,8 @@ class StraightOn:
             self.reason, is_sound = str(error), False
         goes = is_sound and self._robot.now_s > STRAIGHT_ON_FROM_S and not self._robot.stop_reason
         asked_m_s = self._settings.limits.forward_m_s if goes else 0.0
+        if self._robot.stop_reason:
+            self._ramp.follow(STOP)  # as the navigator does
         ramped = self._ramp.step(asked_m_s, 0.0, self._settings.follow.period_s)
         checked = self._monitor.check(ramped, self._robot.now_s, self._senses.where.status)
         if checked.state is not MonitorState.FREE:
