@@ -19,6 +19,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.navigation import planar_pose
 from wheelsight.simulation import SimulatedRecording
 from wheelsight.simulation.simulator import PERIOD_S
+from wheelsight.trajectory import Trajectory
 
 _AHEAD = 8
 
@@ -73,24 +74,42 @@ class PlayedDrive:
 
 
 def rendered(recording: SimulatedRecording, folder: Path) -> PlayedDrive:
-    """Render a recording into a folder, but for what is there already."""
-    folder.mkdir(parents=True, exist_ok=True)
-    truth, events = recording.ground_truth, list[Event]()
+    """Render a recording into a folder, if it is not there already."""
+    index = folder / "events.npz"
+    if not index.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        events = [
+            _put_aside(event, folder) for event in recording.events() if isinstance(event, RgbdFrame | WheelTicks)
+        ]
+        frames = [(event.stamp_s, event.index) for event in events if isinstance(event, RgbdFrame)]
+        ticks = [(event.stamp_s, event.left, event.right) for event in events if isinstance(event, WheelTicks)]
+        # Last, so that what was broken off is rendered again.
+        np.savez(index, frames=np.array(frames), ticks=np.array(ticks))
+    return played_of(recording.ground_truth, recording.calibration, folder)
+
+
+def _put_aside(event: RgbdFrame | WheelTicks, folder: Path) -> RgbdFrame | WheelTicks:
+    """Without its images, which are written."""
+    if isinstance(event, WheelTicks):
+        return event
+    np.savez(folder / f"{event.index}.npz", color=event.color, depth_m=event.depth_m)
+    return replace(event, color=event.color[:0], depth_m=event.depth_m[:0])
+
+
+def played_of(truth: Trajectory, calibration: Calibration, folder: Path) -> PlayedDrive:
+    """What was rendered before, from the truth's begin on."""
     begin_s = float(truth.stamps_s[0])
-    for event in recording.events():
-        if isinstance(event, RgbdFrame):
-            path = folder / f"{event.index}.npz"
-            if not path.exists():
-                np.savez(path.with_suffix(".part.npz"), color=event.color, depth_m=event.depth_m)
-                path.with_suffix(".part.npz").rename(path)
-            nothing = np.zeros((0, 0), np.float32)
-            event = RgbdFrame(event.stamp_s, np.zeros((0, 0, 3), np.uint8), nothing, event.index)
-        if isinstance(event, RgbdFrame | WheelTicks) and event.stamp_s >= begin_s:
-            events.append(replace(event, stamp_s=event.stamp_s - begin_s))
-    T_first_base = np.linalg.inv(truth.T_frame_body[0]) @ truth.T_frame_body
-    way = np.array([planar_pose(T) for T in T_first_base])
-    seconds = float(truth.stamps_s[-1]) - begin_s
-    return PlayedDrive(folder, tuple(events), seconds, way, np.asarray(truth.stamps_s) - begin_s, recording.calibration)
+    with np.load(folder / "events.npz") as kept:
+        frames, ticks = kept["frames"], kept["ticks"]
+    nothing, black = np.zeros((0, 0), np.float32), np.zeros((0, 0, 3), np.uint8)
+    events: list[Event] = [RgbdFrame(stamp_s - begin_s, black, nothing, int(number)) for stamp_s, number in frames]
+    events += [WheelTicks(stamp_s - begin_s, int(left), int(right)) for stamp_s, left, right in ticks]
+    ordered = sorted((event for event in events if event.stamp_s >= 0), key=lambda event: event.stamp_s)
+    way = np.array([planar_pose(T) for T in np.linalg.inv(truth.T_frame_body[0]) @ truth.T_frame_body])
+    way_s = np.asarray(truth.stamps_s) - begin_s
+    # No event lies beyond where it turns.
+    seconds = max(float(way_s[-1]), ordered[-1].stamp_s)
+    return PlayedDrive(folder, tuple(ordered), seconds, way, way_s, calibration)
 
 
 @dataclass
@@ -99,10 +118,12 @@ class Timing:
 
     Attributes:
         worked_s: what each took from its sensors' readings to its command.
+        processor_s: of that, what this thread reckoned, which other work on the machine does not make longer.
         late_s: how much later than due each began.
     """
 
     worked_s: list[float] = field(default_factory=list)
+    processor_s: list[float] = field(default_factory=list)
     late_s: list[float] = field(default_factory=list)
 
 
@@ -122,7 +143,7 @@ class PlayedRobot:
         self._is_closed = threading.Event()
         self._reader = threading.Thread(target=self._run, args=(drive,), name="played", daemon=True)
         self._reader.start()
-        self._begin_s = self._released_s = self._due_s = time.monotonic()
+        self.begin()
 
     @property
     def now_s(self) -> float:
@@ -132,15 +153,18 @@ class PlayedRobot:
     def begin(self) -> None:
         """Time begins now."""
         self._begin_s = self._released_s = self._due_s = time.monotonic()
+        self._reckoned_s = time.thread_time()
 
     def step(self, command: VelocityCommand) -> list[Event]:
         """As `Robot` has it; a period that took too long is followed by the next at once."""
         asked_s = time.monotonic()
         self.timing.worked_s.append(asked_s - self._released_s)
+        self.timing.processor_s.append(time.thread_time() - self._reckoned_s)
         self._due_s = max(self._due_s + PERIOD_S, asked_s)
         time.sleep(max(self._due_s - asked_s, 0.0))
         self._released_s = time.monotonic()
         self.timing.late_s.append(self._released_s - self._due_s)
+        self._reckoned_s = time.thread_time()
         return self._until(self.now_s)
 
     def stop(self) -> None:

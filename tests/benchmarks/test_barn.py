@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,7 +90,7 @@ def test_the_score_is_the_challenges(time_s: float, score: float, old: float) ->
 
 
 @pytest.mark.parametrize("changed", [{"contacts": ("box7",)}, {"off_m": 1.01}, {"time_s": barn.LONGEST_S + 1}])
-def test_who_touches_or_does_not_come_there_in_time_has_no_score(changed: dict) -> None:
+def test_who_touches_or_does_not_come_there_in_time_has_no_score(changed: dict[str, Any]) -> None:
     assert replace(CROSSED, **changed).score(1.0) == 0.0
 
 

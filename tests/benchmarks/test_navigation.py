@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ LOST = replace(ARRIVED, says_arrived=False, detail="it does not know where it is
         ({"off_deg": 10.5}, False),
     ],
 )
-def test_it_has_arrived_by_the_truth_and_by_what_it_says(changed: dict, has_arrived: bool) -> None:
+def test_it_has_arrived_by_the_truth_and_by_what_it_says(changed: dict[str, Any], has_arrived: bool) -> None:
     assert replace(ARRIVED, **changed).has_arrived is has_arrived
 
 
