@@ -8,31 +8,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.session_starts import Building, FirstDay
+from benchmarks.box_worlds import with_boxes
+from benchmarks.navigation_courses import ROUND_M, Course, KnownBuilding
 from wheelsight.config import load_config
 from wheelsight.errors import ConfigError
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.localizer import Localizer, LocalizerInStep
-from wheelsight.navigation import (
-    Costmap,
-    KnownFloor,
-    NavigationResult,
-    NavigationSettings,
-    Navigator,
-    Plan,
-    Planner,
-    planar_pose,
-)
+from wheelsight.navigation import Navigator
 from wheelsight.pipeline.known_maps import open_known
 from wheelsight.simulation import SimulationSettings
+from wheelsight.simulation.simulate import world_of
 from wheelsight.simulation.simulator import Simulator
-from wheelsight.slam.sessions import MapFolder, driven_way, occupancy_of
 
 ARRIVED_M, ARRIVED_DEG = 0.15, 10.0
 _LONGEST_S = 240.0
-_HEADINGS = 8
-_LEAST_WAY_M, _ROUND_M = 1.0, 0.05
+_MOST_COURSES = 50
 
 
 @dataclass(frozen=True)
@@ -40,20 +31,23 @@ class Hardness:
     """What the second day has that the first had not: people, things in the way."""
 
     people: int = 0
+    things: int = 0
     rate_hz: float = 10.0
     size: tuple[int, int] = (320, 240)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Drive:
     """What became of a goal.
 
     Attributes:
         building: where.
-        goal: (3,) in the map.
-        result: as the navigator tells it; None where it took too long.
+        goal: x, y, yaw in the map.
+        says_arrived: as the navigator tells it; None where it took too long.
+        detail: in its words.
+        plans: how many it made; None where it took too long.
         off_m, off_deg: of the true pose from the goal, beside the map's nearest keyframe.
-        shortest_m: the plan by the map alone; NaN without one.
+        shortest_m: the plan of one who knows map and things.
         way_m: truly driven.
         clearance_m: least true distance from outline to things.
         contacts: what the robot touched by its own motion, in words.
@@ -61,8 +55,10 @@ class Drive:
     """
 
     building: str
-    goal: FloatArray
-    result: NavigationResult | None
+    goal: tuple[float, float, float]
+    says_arrived: bool | None
+    detail: str
+    plans: int | None
     off_m: float
     off_deg: float
     shortest_m: float
@@ -74,8 +70,7 @@ class Drive:
     @property
     def has_arrived(self) -> bool:
         """Truly, and by what it says."""
-        says = self.result is not None and self.result.has_arrived
-        return says and self.off_m <= ARRIVED_M and self.off_deg <= ARRIVED_DEG
+        return bool(self.says_arrived) and self.off_m <= ARRIVED_M and self.off_deg <= ARRIVED_DEG
 
     @property
     def spl(self) -> float:
@@ -87,7 +82,7 @@ class Drive:
     @property
     def sentence(self) -> str:
         """For the terminal."""
-        what = "took too long" if self.result is None else (self.result.detail or "arrived")
+        what = "took too long" if self.says_arrived is None else (self.detail or "arrived")
         if self.has_arrived:
             what = "arrived"
         touched = f", touched {', '.join(self.contacts)}" if self.contacts else ""
@@ -98,92 +93,51 @@ class Drive:
         )
 
 
-class KnownBuilding:
-    """The map of the first day, as a navigator takes it."""
-
-    def __init__(self, building: Building, day: FirstDay, settings: NavigationSettings) -> None:
-        self.building, self.day, self.settings = building, day, settings
-        with_folder = MapFolder.open(day.folder)
-        self.footprint = settings.footprint.outline
-        self.floor = KnownFloor(occupancy_of(with_folder), driven=driven_way(with_folder), footprint=self.footprint)
-        with_folder.close()
-        self.costmap = Costmap.of(self.floor.layer, self.footprint, settings.costmap)
-        self._planner = Planner(self.footprint, settings.planner, settings.limits)
-
-    def world_pose(self, pose: FloatArray) -> FloatArray:
-        """(3,) where a pose of the map truly is, beside its nearest keyframe."""
-        T_map = se3.from_plane(*pose)
-        nearest = int(se3.view_shift_m(se3.invert(self.day.T_map_base) @ T_map).argmin())
-        return planar_pose(self.day.T_world_base[nearest] @ se3.invert(self.day.T_map_base[nearest]) @ T_map)
-
-    def map_pose(self, T_world_base: FloatArray) -> FloatArray:
-        """(3,) in the map of a true pose (4, 4), beside its nearest keyframe."""
-        nearest = int(se3.view_shift_m(se3.invert(self.day.T_world_base) @ T_world_base).argmin())
-        return planar_pose(self.day.T_map_base[nearest] @ se3.invert(self.day.T_world_base[nearest]) @ T_world_base)
-
-    def pose(self, rng: np.random.Generator, around_m: float = 0.0) -> FloatArray:
-        """A pose at which the outline fits with the wanted margin, and with so much room about the axle."""
-        least_m = max(self.footprint.inscribed_m + self.settings.planner.wanted_margin_m, around_m)
-        cells = np.argwhere((self.costmap.distance_m > least_m) & ~self.costmap.is_lethal)
-        while True:
-            xy = self.costmap.middle_of(cells[rng.integers(len(cells))])
-            yaws = rng.permutation(_HEADINGS) * 2 * np.pi / _HEADINGS - np.pi
-            tries = np.column_stack([np.tile(xy, (_HEADINGS, 1)), yaws])
-            free = np.flatnonzero(self._planner.has_room(self.costmap, tries))
-            if len(free):
-                return np.asarray(tries[free[0]])
-
-    def goal_from(self, start: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, Plan]:
-        """A goal that the map says can be reached from a pose, and the plan by the map alone."""
-        while True:
-            goal = self.pose(rng)
-            plan = self._planner.plan(self.costmap, start, goal)
-            if isinstance(plan, Plan) and not plan.goal_change and plan.length_m > _LEAST_WAY_M:
-                return goal, plan
-
-
-def drives_in(
-    known: KnownBuilding, starts: int, goals: int, seed: int, hard: Hardness, on_drive: Callable[[Drive], None]
+def drives_from(
+    known: KnownBuilding, number: int, goals: int, seed: int, hard: Hardness, on_drive: Callable[[Drive], None]
 ) -> list[Drive]:
-    """So many starts, with so many goals one after another from each."""
-    rng = np.random.default_rng(seed)
+    """From a start by its number, goals one after another."""
+    rng = np.random.default_rng([seed, number])
+    simulator, course = _begun(known, rng, goals, seed + number, hard)
+    config = load_config(overrides={"odometry": "wheels,dense", "known_map.path": str(known.day.folder)})
     done = []
-    for number in range(starts):
-        with _begun(known, rng, seed + number, hard) as simulator:
-            config = load_config(overrides={"odometry": "wheels,dense", "known_map.path": str(known.day.folder)})
-            opened = open_known(simulator.calibration, config)
-            assert opened is not None
-            localizer = Localizer(simulator.calibration, config, known=opened[0], waits=True)
-            navigator = _navigator(simulator, localizer, known)
-            for _ in range(goals):
-                goal, plan = known.goal_from(known.map_pose(simulator.T_world_base), rng)
-                done.append(_driven(known, simulator, navigator, goal, plan.length_m))
-                on_drive(done[-1])
-            localizer.close()
-            opened[1].close()
+    with simulator:
+        opened = open_known(simulator.calibration, config)
+        assert opened is not None
+        localization = LocalizerInStep(Localizer(simulator.calibration, config, known=opened[0], waits=True))
+        navigator = Navigator(simulator, localization, known.floor, known.settings, trusts_floor=True)
+        costmap = known.costmap_with(course.things)
+        for goal, way_m in zip(course.goals, course.ways_m, strict=True):
+            plan = known.way(costmap, known.map_pose(simulator.T_world_base), goal)
+            done.append(_driven(known, simulator, navigator, goal, way_m if plan is None else plan.length_m))
+            on_drive(done[-1])
+        localization.close()
+        opened[1].close()
     return done
 
 
-def _begun(known: KnownBuilding, rng: np.random.Generator, seed: int, hard: Hardness) -> Simulator:
-    """A robot somewhere on free floor, on the second day."""
+def _begun(
+    known: KnownBuilding, rng: np.random.Generator, goals: int, seed: int, hard: Hardness
+) -> tuple[Simulator, Course]:
+    """A robot somewhere on free floor, on the second day, and its course."""
     where = {"world": known.building.world} if known.building.plan is None else {"plan": known.building.plan}
     settings = SimulationSettings(
         **where, size=hard.size, rate_hz=hard.rate_hz, seed=5, day=1 + seed, realism="real", passersby=hard.people
     )
-    while True:
-        x, y, yaw = known.world_pose(known.pose(rng, known.footprint.circumscribed_m + _ROUND_M)).tolist()
+    world = world_of(settings)
+    for _ in range(_MOST_COURSES):
+        course = known.course(rng, goals, hard.things)
+        x, y, yaw = known.world_pose(course.start).tolist()
+        things = [known.world_box(thing) for thing in course.things]
         try:
-            simulator = Simulator(settings, start=(x, y, yaw))
+            simulator = Simulator(settings, world=with_boxes(world, things, seed), start=(x, y, yaw))
         except ConfigError:
             continue  # something stands there on this day
         # Whoever starts it looks round first: it may turn on the spot.
         turned = [se3.from_plane(x, y, yaw + turn) for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
-        if min(simulator.clearance_m(T) for T in turned) > _ROUND_M:
-            return simulator
-
-
-def _navigator(simulator: Simulator, localizer: Localizer, known: KnownBuilding) -> Navigator:
-    return Navigator(simulator, LocalizerInStep(localizer), known.floor, known.settings, trusts_floor=True)
+        if len(things) == hard.things and min(simulator.clearance_m(T) for T in turned) > ROUND_M:
+            return simulator, course
+    raise ConfigError(f"{known.building.name} has no room for a course with {hard.things} things", fix="--things 0")
 
 
 def _driven(known: KnownBuilding, simulator: Simulator, navigator: Navigator, goal: FloatArray, plan_m: float) -> Drive:
@@ -201,16 +155,18 @@ def _driven(known: KnownBuilding, simulator: Simulator, navigator: Navigator, go
     for _ in range(20):
         navigator.step()
     off = known.map_pose(simulator.T_world_base) - goal
-    contacts = tuple(one.name for one in simulator.contacts[touched:] if one.is_by_robot)
+    x, y, yaw = goal.tolist()
     return Drive(
         known.building.name,
-        goal,
-        result,
+        (x, y, yaw),
+        None if result is None else result.has_arrived,
+        "" if result is None else result.detail,
+        None if result is None else result.plans,
         float(np.hypot(*off[:2])),
         float(np.degrees(abs(wrap_angle(off[2])))),
         plan_m,
         way_m,
         clearance_m,
-        contacts,
+        tuple(one.name for one in simulator.contacts[touched:] if one.is_by_robot),
         simulator.time_s - begin_s,
     )

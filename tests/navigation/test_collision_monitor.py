@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -311,6 +312,28 @@ def test_wheels_that_do_not_obey_stop_it_until_somebody_has_looked() -> None:
     assert monitor.check(FULL, 2.95, Status.TRACKING).command == STOP
     monitor.clear_fault()
     assert monitor.check(FULL, 2.95, Status.TRACKING).state is MonitorState.FREE
+
+
+def off_after_silence(measured_m_s: Callable[[float], float], seconds: float) -> bool:
+    """Whether a base counts as off that drove at 0.8 m/s, and moves so for a time in which it is told nothing."""
+    check, found = WheelCheck(RobotLimits(), WheelCheckSettings()), False
+    for n in range(60):
+        check.tell(VelocityCommand(0.8, 0.0), 0.05 * n)
+        found |= check.is_off(min(0.5 * 0.05 * n, 0.8), 0.0, 0.05 * n)
+    assert not found
+    for n in range(1, round(seconds / 0.05) + 1):
+        found |= check.is_off(measured_m_s(0.05 * n), 0.0, 2.95 + 0.05 * n)
+    return found
+
+
+@pytest.mark.parametrize("kept_s", [0.2, 0.5])
+def test_a_base_that_stopped_because_nothing_was_said_has_obeyed(kept_s: float) -> None:
+    """A program that stood still for a second hears then what came meanwhile."""
+    assert not off_after_silence(lambda after_s: max(0.8 - 1.5 * max(after_s - kept_s, 0.0), 0.0), 1.0)
+
+
+def test_a_base_that_goes_on_though_nothing_is_said_is_found() -> None:
+    assert off_after_silence(lambda after_s: 0.8, 2.5)
 
 
 @pytest.mark.parametrize("fault", ["runs away", "one wheel hangs", "turns the wrong way"])

@@ -118,3 +118,16 @@ def test_where_a_robot_drove_there_is_floor_and_things_stay_things() -> None:
     assert state_at(floor.layer, 0.5, 0.25) is CellState.FREE
     assert state_at(floor.layer, 0.5, 0.6) is state_at(before.layer, 0.5, 0.6)
     assert state_at(floor.layer, 3.02, 0.0) is CellState.OCCUPIED
+
+
+def test_it_holds_a_goal_that_nobody_has_seen() -> None:
+    seen = Seen()
+    seen.look((0.0, 0.0, 0.0))
+    floor = GrowingFloor(seen, CALIBRATION, CHAIR, holds=[(12.0, -7.0)])  # type: ignore[arg-type]
+    floor.update(np.zeros(3))
+    layer = floor.layer
+    far = np.array(layer.origin) + layer.resolution_m * np.array(layer.state.shape[::-1])
+    assert (np.array(layer.origin) < (0.0, -7.0)).all()
+    assert (far > (12.0, 0.0)).all()
+    assert state_at(layer, 12.0, -7.0) is CellState.UNKNOWN
+    assert state_at(layer, 2.0, 0.0) is CellState.FREE

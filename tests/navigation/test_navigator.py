@@ -194,6 +194,26 @@ def test_a_robot_that_stops_by_itself_ends_it() -> None:
     assert subject.robot.base.stands
 
 
+def test_a_robot_that_stopped_by_itself_for_a_moment_goes_on() -> None:
+    subject = ride(settings=HASTY)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(10, until=lambda: subject.robot.base.forward_m_s > 0.8)
+    assert subject.robot.base.forward_m_s > 0.8
+
+    def stands_until_told(command: VelocityCommand) -> VelocityCommand:
+        if command.is_stop:
+            subject.robot.stop_reason = ""
+        if not subject.robot.stop_reason:
+            return command
+        # At twice its limits' braking, as without the motors' voltage.
+        subject.robot.base.forward_m_s = max(subject.robot.base.forward_m_s - 0.05, 0.0)
+        return STOP
+
+    subject.robot.stop_reason, subject.robot.obeys = "no wheel readings come", stands_until_told
+    subject.go(60)
+    assert not_none(subject.navigator.result).has_arrived
+
+
 def test_a_camera_that_dies_stops_it() -> None:
     subject = ride(settings=HASTY)
     subject.navigator.go_to_pose(GOAL)

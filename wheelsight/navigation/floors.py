@@ -86,6 +86,8 @@ class GrowingFloor:
         footprint: of the robot.
         trusted_m: radius of floor about the begin that is free, which the camera cannot see from there.
         settings: of occupancy, or the defaults.
+        holds: (N, 2) places that the layer holds, though nobody may have seen them: a goal that lies beyond all that
+            is known would else be outside of the map.
 
     Raises:
         MapError: the calibration does not say where the camera sits on the base.
@@ -100,8 +102,10 @@ class GrowingFloor:
         footprint: Footprint,
         trusted_m: float = 0.0,
         settings: OccupancySettings | None = None,
+        holds: ArrayLike = (),
     ) -> None:
         self._localization, self._footprint, self._trusted_m = localization, footprint, trusted_m
+        self._holds = np.asarray(holds, float).reshape(-1, 2)
         self._mapper = OccupancyMapper(calibration, settings)
         self._stood: list[FloatArray] = []
         self._stamped = 0
@@ -131,9 +135,9 @@ class GrowingFloor:
         self.revision += 1
 
     def _bounds(self) -> FloatArray:
-        """(2, 2) low and high corner of all floor that is known by standing there."""
+        """(2, 2) low and high corner of all floor that is known by standing there, and of what it is to hold."""
         reach_m = max(self._footprint.circumscribed_m, self._trusted_m) + 0.1
-        places = np.array(self._stood)[:, :2]
+        places = np.concatenate([np.array(self._stood)[:, :2], self._holds])
         return np.array([places.min(axis=0) - reach_m, places.max(axis=0) + reach_m])
 
     def _with_stood(self, static: StaticLayer) -> StaticLayer:

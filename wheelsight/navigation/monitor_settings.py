@@ -87,6 +87,14 @@ class WheelCheckSettings(Settings):
     off_rad_s: float = setting(0.3, "turn beyond that likewise", CHOSEN, gt=0, le=4)
     off_s: float = setting(0.3, "for so long", "issue 32", gt=0, le=5)
     lag_s: float = setting(0.3, "the latest that a base answers a command", CHOSEN, ge=0, le=2)
+    held_s: float = setting(
+        0.2,
+        "for which a base keeps a command at least, before it stands by itself",
+        "as wheel_control.hold_s",
+        gt=0,
+        le=5,
+    )
+    watchdog_s: float = setting(0.5, "and at most", "the firmware's watchdog: docs/serial-link.md", gt=0, le=5)
     slow_share: float = setting(0.5, "of the limits' accelerations that the slowest base still has", CHOSEN, gt=0, le=1)
     fast_share: float = setting(1.5, "of them that the quickest has", CHOSEN, ge=1, le=10)
 

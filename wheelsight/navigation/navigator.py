@@ -167,6 +167,9 @@ class Navigator:
         except WheelsightError as error:
             self._fail(NavigationReason.LOCALIZATION, str(error))
         asked = self._decide(now_s)
+        if self._robot.stop_reason:
+            # Told less and less while it stands by itself, it would seem not to obey, and would not be told to stand.
+            self._ramp.follow(STOP)
         ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, self.settings.follow.period_s)
         self._checked = self.monitor.check(ramped, now_s, self._status_to_drive())
         if self._checked.state is not MonitorState.FREE:

@@ -39,21 +39,24 @@ class WheelCheck:
             self._stamp_s = stamp_s
             return False
         step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
-        self._quick = self._next(self._quick, self._told_at(stamp_s), s.fast_share * step_s)
-        self._slow = self._next(self._slow, self._told_at(stamp_s - s.lag_s), s.slow_share * step_s)
+        self._quick = self._next(self._quick, self._told_at(stamp_s, s.held_s), s.fast_share * step_s)
+        self._slow = self._next(self._slow, self._told_at(stamp_s - s.lag_s, s.watchdog_s), s.slow_share * step_s)
         bounds = zip(self._quick, self._slow, strict=True)
         off = [max(min(pair) - value, value - max(pair), 0.0) for pair, value in zip(bounds, measured, strict=True)]
         is_off = off[0] > s.off_m_s or off[1] > s.off_rad_s
         self._off_s = self._off_s + step_s if is_off else 0.0
         return self._off_s >= s.off_s
 
-    def _told_at(self, stamp_s: float) -> VelocityCommand:
-        """The command that was the last then."""
+    def _told_at(self, stamp_s: float, kept_s: float) -> VelocityCommand:
+        """The command that was the last then; to stand where it was older than a base keeps it.
+
+        Whoever commands may itself have stood still, and the base has stopped by itself, as it should.
+        """
         oldest_s = stamp_s - self._settings.lag_s
         while len(self._told) > 1 and self._told[1][0] <= oldest_s:
             self._told.popleft()
-        before = [command for told_s, command in self._told if told_s <= stamp_s]
-        return before[-1] if before else STOP
+        before = [(told_s, command) for told_s, command in self._told if told_s <= stamp_s]
+        return before[-1][1] if before and stamp_s - before[-1][0] <= kept_s else STOP
 
     def _next(self, speeds: tuple[float, float], told: VelocityCommand, weighted_s: float) -> tuple[float, float]:
         most = self._limits
