@@ -38,6 +38,8 @@ from wheelsight.navigation.navigator_values import (
     NavigationState,
     Transition,
 )
+from wheelsight.navigation.people import PeopleTracker, Person
+from wheelsight.navigation.people_settings import PeopleSettings
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner import Planner
 from wheelsight.navigation.planner_settings import PlannerSettings
@@ -87,6 +89,9 @@ __all__ = [
     "NavigationState",
     "Navigator",
     "NavigatorSettings",
+    "PeopleSettings",
+    "PeopleTracker",
+    "Person",
     "Plan",
     "PlanFailure",
     "PlanReason",

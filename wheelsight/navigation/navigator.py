@@ -33,6 +33,7 @@ from wheelsight.navigation.navigator_values import (
     NavigationState,
     Transition,
 )
+from wheelsight.navigation.people import discs_of
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.pure_pursuit import PurePursuitController
 from wheelsight.navigation.route_planner import RoutePlanner, to_go_m
@@ -41,7 +42,6 @@ from wheelsight.navigation.task import Task
 from wheelsight.navigation.velocity_ramp import VelocityRamp
 from wheelsight.robots import Robot
 
-_NOBODY = np.empty((0, 5))
 _STOPPING_S = 5.0
 # Nothing that passes by itself makes a plan possible.
 _FOR_GOOD = (PlanReason.INVALID, PlanReason.GOAL_OUTSIDE, PlanReason.STANDS)
@@ -266,7 +266,7 @@ class Navigator:
             if why:
                 self._become(NavigationState.PLANNING, why)
                 return self._plan(task, now_s)
-        result = self._controller.command(state, plan, local.field, _NOBODY)
+        result = self._controller.command(state, plan, local.field, discs_of(self._senses.people(now_s)))
         self._predicted = result.predicted
         return self._follow(task, result, now_s)
 

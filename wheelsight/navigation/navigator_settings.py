@@ -8,6 +8,7 @@ from wheelsight.navigation.control_settings import FollowSettings, MppiSettings,
 from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSettings
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.monitor_settings import MonitorSettings, ViewSettings, WheelCheckSettings
+from wheelsight.navigation.people_settings import PeopleSettings
 from wheelsight.navigation.planner_settings import PlannerSettings
 from wheelsight.robot_limits import RobotLimits
 from wheelsight.settings import CHOSEN, Settings, bounds, setting
@@ -134,6 +135,7 @@ class NavigationSettings(Settings):
     exploration: ExplorationSettings = ExplorationSettings()
     costmap: CostmapSettings = CostmapSettings()
     live: LiveLayerSettings = LiveLayerSettings()
+    people: PeopleSettings = PeopleSettings()
     planner: PlannerSettings = PlannerSettings()
     controller: Literal["mppi", "pure_pursuit"] = setting("mppi", "which controller follows plans", CHOSEN)
     follow: FollowSettings = FollowSettings()
