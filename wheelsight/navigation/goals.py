@@ -31,11 +31,15 @@ class Goals(Protocol):
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """The poses (3,) that the next plan leads through, without a stop but at the last; none: all is done.
 
-        Asked each time a plan is made, also for the same goal again. A yaw of NaN is any heading.
+        Asked each time a plan is made, also for the same goal again, and maybe by another thread; nothing else is
+        asked until it answers. A yaw of NaN is any heading.
         """
 
+    def taken(self) -> None:
+        """The robot goes by what was made for them: a plan, or that no way leads there."""
+
     def reached(self) -> None:
-        """The last of them was reached."""
+        """The last of those that were taken was reached."""
 
     def missed(self) -> bool:
         """No way led there; whether the task goes on without it."""
@@ -66,6 +70,9 @@ class Poses:
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """See `Goals`."""
         return tuple(self._left[:1])
+
+    def taken(self) -> None:
+        """See `Goals`: they are the same each time."""
 
     def reached(self) -> None:
         """See `Goals`."""
@@ -110,6 +117,9 @@ class Way:
         while len(self._left) > 1 and np.hypot(*(self._left[0][:2] - pose[:2])) < _PASSED_M:
             self._left.pop(0)
         return tuple(self._left)
+
+    def taken(self) -> None:
+        """See `Goals`: its end is the same each time."""
 
     def reached(self) -> None:
         """See `Goals`."""

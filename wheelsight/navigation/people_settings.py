@@ -13,7 +13,7 @@ class PeopleSettings(Settings):
     )
     gap_m: float = setting(
         0.4,
-        "between points of one thing, at most: a step's legs, and the points of a wall that is seen along itself, whose "
+        "between points of one thing, at most: legs that step, and points of a wall that is seen along itself, whose "
         "gaps move as the camera does",
         CHOSEN,
         gt=0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -90,8 +90,8 @@ class Senses:
         """As it was given."""
         return self._floor
 
-    def hear(self, events: Sequence[Event]) -> None:
-        """All that came in a period. Raises what the localization raises."""
+    def hear(self, events: Sequence[Event], now_s: float) -> None:
+        """All that came in a period, which ends now. Raises what the localization raises."""
         for event in events:
             if isinstance(event, WheelTicks | WheelSpeeds):
                 speed = self.where.roll(event)
@@ -111,7 +111,7 @@ class Senses:
                 self._follow_people(event.stamp_s, pose)
         self._lay_on_map()
         state = self.where.state
-        self._floor.update(None if state is None else state.pose)
+        self._floor.update(None if state is None else state.pose, now_s)
 
     def _lay_on_map(self) -> None:
         """Correct where the robot is by what stands about it, now and then, in a map of before."""
@@ -165,10 +165,10 @@ class Senses:
         self._live.clear()
         self._standing = None
 
-    def costmap(self) -> Costmap:
-        """Of all the building, as it is known by now."""
-        live = self._obstacles()
-        return Costmap.of(self._floor.layer, self._footprint, self._settings.costmap, live, self.where.T_map_odom)
+    def costmap_of(self) -> Callable[[], Costmap]:
+        """What makes a costmap of all the building, as it is known now, in whichever thread."""
+        of = self._floor.layer, self._footprint, self._settings.costmap, self._obstacles(), self.where.T_map_odom
+        return lambda: Costmap.of(*of)
 
     def local(self) -> Costmap | None:
         """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed."""

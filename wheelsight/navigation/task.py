@@ -24,7 +24,8 @@ class Task:
     Attributes:
         plan: that is driven.
         planned_s, checked_s: when it was made, and when it was last held against the surroundings.
-        T_map_odom: (3,) of when it was made.
+        T_map_odom: (3,) of when it was asked for.
+        why_anew: why another was asked for, while it is driven.
         goal_change: of the last goal that was reached.
         behaviour: that is done while it recovers.
         is_lost: whether that is to find out where it is.
@@ -39,7 +40,7 @@ class Task:
         self.plan: Plan | None = None
         self.planned_s = self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
-        self.goal_change = ""
+        self.why_anew = self.goal_change = ""
         self.behaviour: Behaviour | None = None
         self.is_lost = False
         self.tries, self.searches = 0, 0
