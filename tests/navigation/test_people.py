@@ -13,9 +13,9 @@ from navigation.unicycle import Camera
 from scipy.stats import chi2
 
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation import LiveObstacles, PeopleSettings, PeopleTracker, Person
+from wheelsight.navigation import PeopleSettings, PeopleTracker, Person
 from wheelsight.navigation.constant_velocity import Track
-from wheelsight.navigation.people import discs_of, without_people
+from wheelsight.navigation.people import discs_of
 from wheelsight.navigation.surroundings import DepthView
 
 FRAME_S = 0.1
@@ -181,15 +181,3 @@ def test_in_another_frame_all_of_it_is_turned() -> None:
     np.testing.assert_allclose(discs_of([other]), [[-1.0, 0.0, 0.0, 0.5, 0.3]], atol=1e-12)
     np.testing.assert_allclose(np.diag(other.covariance), [2.0, 1.0, 4.0, 3.0], atol=1e-12)
     assert discs_of([]).shape == (0, 5)
-
-
-def test_obstacles_without_people_keep_what_stands() -> None:
-    is_occupied = np.zeros((80, 80), bool)
-    is_occupied[20:26, 38:42] = True  # who walks along y, and where he was: x 2.0, y 1.0 to 1.3 m
-    is_occupied[60:64, 38:42] = True  # a box at y = 3.1 m
-    live = LiveObstacles(is_occupied, 0.05, (0.0, 0.0), "odom", 1.0)
-    person = Person(np.array([2.0, 1.25]), np.array([0.0, 1.0]), np.eye(4), BODY_M)
-    left = without_people(live, [person], PeopleSettings())
-    assert not left.is_occupied[:50].any()
-    np.testing.assert_array_equal(left.is_occupied[60:64, 38:42], True)
-    assert without_people(live, [], PeopleSettings()) is live

@@ -15,7 +15,6 @@ from scipy.stats import chi2
 
 from wheelsight.geometry import BoolArray, FloatArray, se2
 from wheelsight.navigation.constant_velocity import Track
-from wheelsight.navigation.live_layer import LiveObstacles
 from wheelsight.navigation.people_settings import PeopleSettings
 from wheelsight.navigation.surroundings import DepthView
 from wheelsight.navigation.things import Thing, things_in
@@ -126,23 +125,6 @@ class _Followed:
 def discs_of(people: Sequence[Person]) -> FloatArray:
     """(P, 5) x, y, vx, vy, radius, as controllers take them."""
     return np.array([[*one.position, *one.velocity, one.radius_m] for one in people]).reshape(-1, 5)
-
-
-def without_people(live: LiveObstacles, people: Sequence[Person], settings: PeopleSettings) -> LiveObstacles:
-    """Obstacles but for who walks, and for what he left behind where no image has seen through yet; in one frame."""
-    if not people or not live.is_occupied.any():
-        return live
-    cells = np.argwhere(live.is_occupied)
-    places = (cells[:, ::-1] + 0.5) * live.resolution_m + live.origin
-    is_left = np.ones(len(cells), bool)
-    for person in people:
-        apart, back = places - person.position, -person.velocity * settings.trail_s
-        share = np.clip(apart @ back / max(float(back @ back), 1e-9), 0, 1)
-        reach_m = person.radius_m + settings.gap_m
-        is_left &= np.hypot(*(apart - share[:, None] * back).T) > reach_m
-    is_occupied = np.zeros_like(live.is_occupied)
-    is_occupied[cells[is_left, 0], cells[is_left, 1]] = True
-    return LiveObstacles(is_occupied, live.resolution_m, live.origin, live.frame, live.stamp_s)
 
 
 def _placed(thing: Thing, pose: FloatArray) -> Thing:

@@ -56,5 +56,11 @@ class PeopleSettings(Settings):
     )
     unseen_s: float = setting(1.0, "time out of sight after which somebody is forgotten", "issue 32", gt=0, le=10)
     trail_s: float = setting(
-        0.5, "time for which obstacles stay behind who walks: two images have to see through", "reckoned", ge=0, le=5
+        1.0,
+        "time for which who walks is taken out of the costmap's obstacles: as long as it takes to know that he walks; "
+        "heights at which he was seen from afar no image sees through from nearby",
+        "reckoned",
+        ge=0,
+        le=5,
     )
+    trail_m: float = setting(0.15, "about his circle, as far as that goes: cells and errors", CHOSEN, ge=0, le=1)

@@ -19,11 +19,11 @@ from wheelsight.navigation.costmap import CellState, Costmap
 from wheelsight.navigation.depth_viewer import DepthViewer
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.live_layer import LiveLayer, LiveObstacles
+from wheelsight.navigation.live_layer import LiveLayer
 from wheelsight.navigation.localization import Localization, WhereNow, planar_pose
 from wheelsight.navigation.map_match import MapMatch
 from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.navigation.people import PeopleTracker, Person, without_people
+from wheelsight.navigation.people import PeopleTracker, Person
 from wheelsight.navigation.surroundings import DepthView
 
 # Views that wait for the localization to say where they were taken: two seconds of a Kinect's.
@@ -77,7 +77,6 @@ class Senses:
         self._matched_s = -math.inf
         self._people = PeopleTracker(settings.people, settings.live.far_m)
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
-        self._standing: LiveObstacles | None = None
         self._local: tuple[_Made, Costmap] | None = None
 
     @property
@@ -107,7 +106,6 @@ class Senses:
             if isinstance(event, RgbdFrame) and estimate.T_odom_body is not None:
                 pose = planar_pose(estimate.T_odom_body)
                 self._live.update(event.depth_m, pose, event.stamp_s)
-                self._standing = None
                 self._follow_people(event.stamp_s, pose)
         self._lay_on_map()
         state = self.where.state
@@ -135,6 +133,10 @@ class Senses:
             return
         view = self._views[0]
         self._people.update(view, pose, self._is_on_floor(view, se2.from_parts(*pose)))
+        s = self._settings.people
+        for person in self._people.people(stamp_s):
+            behind = person.position - s.trail_s * person.velocity
+            self._live.wipe([person.position, behind], person.radius_m + s.trail_m)
 
     def _is_on_floor(self, view: DepthView, T_odom_base: FloatArray) -> BoolArray:
         """(N,) whether the map has free floor where a view's points lie, and no obstacle close by."""
@@ -152,22 +154,13 @@ class Senses:
         T_map_odom = self.where.T_map_odom
         return tuple(person.carried(T_map_odom) for person in self._people.people(now_s))
 
-    def _obstacles(self) -> LiveObstacles:
-        """What stands about the robot, by the newest frame, but for who walks."""
-        if self._standing is None:
-            live = self._live.obstacles()
-            people = () if live.stamp_s is None else self._people.people(live.stamp_s)
-            self._standing = without_people(live, people, self._settings.people)
-        return self._standing
-
     def clear(self) -> None:
         """Forget what stands about the robot; what is there is seen again."""
         self._live.clear()
-        self._standing = None
 
     def costmap_of(self) -> Callable[[], Costmap]:
         """What makes a costmap of all the building, as it is known now, in whichever thread."""
-        of = self._floor.layer, self._footprint, self._settings.costmap, self._obstacles(), self.where.T_map_odom
+        of = self._floor.layer, self._footprint, self._settings.costmap, self._live.obstacles(), self.where.T_map_odom
         return lambda: Costmap.of(*of)
 
     def local(self) -> Costmap | None:
@@ -176,7 +169,7 @@ class Senses:
         if state is None:
             return None
         layer, side_m = self._floor.layer, self._settings.navigator.local_m
-        live, T_map_odom = self._obstacles(), self.where.T_map_odom
+        live, T_map_odom = self._live.obstacles(), self.where.T_map_odom
         # A quarter of the window is soon enough: the controller looks ahead by half of it.
         x, y = (round(float(at) / (side_m / 4)) for at in state.pose[:2])
         made = _Made(live.stamp_s, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
