@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, is_near
-from navigation.test_floors import CALIBRATION, CHAIR, Seen
+from navigation.rooms import CALIBRATION, Ride, Walls, is_near
+from navigation.test_floors import CHAIR, Seen
 
 from wheelsight.errors import MapError
 from wheelsight.estimates import Estimate
@@ -90,7 +90,7 @@ def test_in_step_the_time_that_it_takes_goes_by() -> None:
     subject.ask(lambda: 2, 2.1)
     assert subject.answer(2.2) is None
     assert subject.answer(2.25) == 2
-    assert not subject.is_asked
+    assert subject.answer(2.3) is None
     subject.ask(lambda: 3, 3.0)
     subject.drop()
     assert subject.answer(9.0) is None
