@@ -4,7 +4,7 @@ Each building is driven once by the simulator with `realism="real"`, and mapped 
 days, which have other light, and chairs and bins elsewhere, the chair begins somewhere on free floor where it may turn
 on the spot; nobody says where. It finds itself in the map, and drives to goals drawn at random among the poses that the
 map says can be reached. Localization, map, planner, controller and collision monitor are those of `wheelsight drive`:
-no truth in the loop. Simulated time stands still while it plans.
+no truth in the loop. A plan takes `navigation.navigator.planning_s` of simulated time.
 
 "Arrived" is by the truth: within 0.15 m and 10° of the goal beside the map's nearest keyframe, and it says so itself.
 "Touched" is what the chair drove into; somebody who walks into a chair that stands is not counted. "SPL" is success

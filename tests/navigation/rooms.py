@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from navigation.unicycle import Unicycle
@@ -16,7 +17,7 @@ from wheelsight.events import Event, RgbdFrame, WheelSpeeds
 from wheelsight.geometry import BoolArray, FloatArray, PinholeCamera, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.mapping import CellKind, OccupancyGrid
-from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Transition
+from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Planned, Transition, Worker
 from wheelsight.simulation.robot import Robot
 
 CELL_M = 0.05
@@ -155,13 +156,15 @@ class Ride:
         size_m: tuple[float, float],
         mapped: Walls | None = None,
         settings: NavigationSettings | None = None,
+        planning: Worker[Planned] | None = None,
     ) -> Ride:
         """In a room of a size, whose map has other walls where `mapped` is given."""
         robot, transitions = RoomRobot(walls, pose), list[Transition]()
         told = Told(robot)
         floor = KnownFloor((mapped or walls).grid(*size_m))
         chosen = settings or NavigationSettings(controller="pure_pursuit")
-        navigator = Navigator(robot, told, floor, chosen, trusts_floor=True, on_transition=transitions.append)
+        how: dict[str, Any] = {"trusts_floor": True, "on_transition": transitions.append}
+        navigator = Navigator(robot, told, floor, chosen, planning=planning, **how)
         return cls(robot, told, navigator, transitions)
 
     def go(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:

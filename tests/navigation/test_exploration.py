@@ -81,6 +81,7 @@ def test_a_border_that_stays_is_left_in_the_end() -> None:
     views = []
     for _ in range(SETTINGS.exploration.tries):
         views.append(explorer.upcoming(MIDDLE, costmap)[0])
+        explorer.taken()
         explorer.reached()
     assert explorer.upcoming(MIDDLE, costmap) == ()
     # The second look is another: from there it saw no more.
@@ -92,6 +93,7 @@ def test_one_that_no_way_leads_to_is_left_at_once() -> None:
     explorer = Exploration(CHAIR, SETTINGS, NEAR_M)
     costmap = costmap_of(open_to(room(), 3.0, 4.5))
     explorer.upcoming(MIDDLE, costmap)
+    explorer.taken()
     assert explorer.missed()
     assert explorer.upcoming(MIDDLE, costmap) == ()
 
@@ -103,6 +105,7 @@ def test_first_it_turns_once_around() -> None:
         (goal,) = explorer.upcoming(np.array([4.0, 4.0, yaws[-1]]), costmap)
         assert goal[:2] == pytest.approx((4.0, 4.0))
         yaws.append(float(goal[2]))
+        explorer.taken()
         explorer.reached()
     steps = np.angle(np.exp(1j * np.diff(yaws)))
     assert steps.sum() == pytest.approx(2 * np.pi)

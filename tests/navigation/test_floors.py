@@ -47,7 +47,7 @@ def floor_at(pose: tuple[float, float, float], trusted_m: float = 0.0) -> tuple[
     seen = Seen()
     seen.look(pose)
     floor = GrowingFloor(seen, CALIBRATION, CHAIR, trusted_m)  # type: ignore[arg-type]
-    floor.update(np.array(pose))
+    floor.update(np.array(pose), 0.0)
     return seen, floor
 
 
@@ -70,10 +70,10 @@ def test_trusted_floor_ends_at_walls() -> None:
 def test_it_grows_with_keyframes_and_says_so() -> None:
     seen, floor = floor_at((0.0, 0.0, 0.0))
     before = floor.revision
-    floor.update(np.zeros(3))
+    floor.update(np.zeros(3), 0.0)
     assert floor.revision == before
     seen.look((-2.0, -1.0, np.pi))
-    floor.update(np.zeros(3))
+    floor.update(np.zeros(3), 0.0)
     assert floor.revision > before
     assert state_at(floor.layer, -4.0, -1.0) is CellState.FREE
 
@@ -81,9 +81,9 @@ def test_it_grows_with_keyframes_and_says_so() -> None:
 def test_where_it_stood_stays_floor_when_the_map_grows() -> None:
     seen, floor = floor_at((0.0, 0.0, 0.0))
     for x in (-0.5, -1.0, -1.5):
-        floor.update(np.array([x, 0.0, 0.0]))
+        floor.update(np.array([x, 0.0, 0.0]), 0.0)
     seen.look((-1.5, 0.0, -2.0))
-    floor.update(np.array([-1.5, 0.0, -2.0]))
+    floor.update(np.array([-1.5, 0.0, -2.0]), 0.0)
     for x in (0.0, -0.5, -1.5):
         assert state_at(floor.layer, x, 0.0) is CellState.FREE
 
@@ -93,7 +93,7 @@ def test_keyframes_that_moved_are_where_they_are_now() -> None:
     moved = seen.keyframes.pose(KeyframeId(0)).copy()
     moved[0, 3] -= 1.0
     seen.keyframes.move([KeyframeId(0)], moved[None])
-    floor.update(np.zeros(3))
+    floor.update(np.zeros(3), 0.0)
     assert state_at(floor.layer, 2.02, 0.0) is CellState.OCCUPIED
     assert state_at(floor.layer, 3.02, 0.0) is not CellState.OCCUPIED
 
@@ -124,7 +124,7 @@ def test_it_holds_a_goal_that_nobody_has_seen() -> None:
     seen = Seen()
     seen.look((0.0, 0.0, 0.0))
     floor = GrowingFloor(seen, CALIBRATION, CHAIR, holds=[(12.0, -7.0)])  # type: ignore[arg-type]
-    floor.update(np.zeros(3))
+    floor.update(np.zeros(3), 0.0)
     layer = floor.layer
     far = np.array(layer.origin) + layer.resolution_m * np.array(layer.state.shape[::-1])
     assert (np.array(layer.origin) < (0.0, -7.0)).all()

@@ -209,3 +209,13 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
     for one, other in zip(*results, strict=True):
         np.testing.assert_array_equal(one, other)
     assert set(np.unique(results[0][1])) == {0, 1, 3}
+
+
+def test_what_is_wiped_is_gone_until_it_is_seen_again() -> None:
+    found = layer()
+    found.update(depth_of([AHEAD, (2.0, 2.2, 0.8, 1.0, 0.0, 1.7)]), (0, 0, 0), 1.0)
+    found.wipe([(2.0, -0.3), (2.1, 0.3)], 0.3)
+    assert not is_occupied_at(found, 2.02, 0.0)
+    assert is_occupied_at(found, 2.02, 0.9)
+    found.update(depth_of([AHEAD]), (0, 0, 0), 1.1)
+    assert is_occupied_at(found, 2.02, 0.0)

@@ -131,9 +131,10 @@ class OccupancyMapper:
 
         Raises as `add` does, and what a store raises where a keyframe cannot be read.
         """
-        T = store.T_map_keyframe
+        # Others may come, and move, in the meantime: they are for the next time.
+        T = np.array(store.T_map_keyframe)
         has_moved = bool(len(self)) and self._shift_m(T) > least_shift_m and self.move(T)
-        for number in store:
+        for number in map(KeyframeId, range(len(T))):
             if number not in self:
                 self.add(number, store[number], T[number])
         return has_moved

@@ -15,7 +15,7 @@ from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSet
 from wheelsight.navigation.depth_viewer import DepthViewer
 from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.fields import CostField
-from wheelsight.navigation.floors import Floor, GrowingFloor, KnownFloor
+from wheelsight.navigation.floors import Floor, GrowingFloor, KnownFloor, SeenFloor
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.goals import Goals, Poses, Way
 from wheelsight.navigation.grid_search import cost_to_go
@@ -38,12 +38,16 @@ from wheelsight.navigation.navigator_values import (
     NavigationState,
     Transition,
 )
+from wheelsight.navigation.people import PeopleTracker, Person
+from wheelsight.navigation.people_settings import PeopleSettings
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner import Planner
 from wheelsight.navigation.planner_settings import PlannerSettings
+from wheelsight.navigation.planning import Planned, Planning
 from wheelsight.navigation.pure_pursuit import PurePursuitController
 from wheelsight.navigation.surroundings import DepthView
 from wheelsight.navigation.velocity_ramp import VelocityRamp
+from wheelsight.navigation.workers import Worker, WorkerBeside, WorkerInStep
 from wheelsight.robot_limits import RobotLimits
 
 __all__ = [
@@ -87,15 +91,21 @@ __all__ = [
     "NavigationState",
     "Navigator",
     "NavigatorSettings",
+    "PeopleSettings",
+    "PeopleTracker",
+    "Person",
     "Plan",
     "PlanFailure",
     "PlanReason",
+    "Planned",
     "Planner",
     "PlannerSettings",
+    "Planning",
     "Poses",
     "PurePursuitController",
     "PurePursuitSettings",
     "RobotLimits",
+    "SeenFloor",
     "StaticLayer",
     "Straight",
     "Transition",
@@ -105,6 +115,9 @@ __all__ = [
     "Wait",
     "Way",
     "WheelCheckSettings",
+    "Worker",
+    "WorkerBeside",
+    "WorkerInStep",
     "cost_to_go",
     "planar_pose",
 ]

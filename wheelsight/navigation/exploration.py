@@ -46,7 +46,9 @@ class Exploration:
         self._footprint, self._settings, self._near_m = footprint, settings, near_m
         self._looked: list[FloatArray] = []
         self._views: list[FloatArray] = []  # (3,) from where it looked; a yaw of NaN is all around
-        self._aim: tuple[FloatArray, FloatArray] | None = None  # middle of a border, and from where it is looked at
+        # Middle of a border, and from where it is looked at: of the plan that is driven, and of the one to come.
+        self._aim: tuple[FloatArray, FloatArray] | None = None
+        self._next: tuple[FloatArray, FloatArray] | None = None
         self._turns = settings.exploration.turns
         self.left = 1
         self.name = "explore"
@@ -55,7 +57,7 @@ class Exploration:
         """See `Goals`: first once around, then the border that is worth most."""
         if self._turns > 0:
             step = 2 * np.pi / self._settings.exploration.turns
-            self._aim = pose[:2], np.array([pose[0], pose[1], np.nan])
+            self._next = pose[:2], np.array([pose[0], pose[1], np.nan])
             return (np.array([pose[0], pose[1], wrap_angle(pose[2] + step)]),)
         free_m = self._ways_m(pose, costmap)
         found = [one for one in frontiers(costmap, self._settings.exploration.least_m) if not self._is_done(one)]
@@ -66,7 +68,7 @@ class Exploration:
             return ()
         _, best, view = min(worth, key=lambda item: item[0])
         assert view is not None
-        self._aim = best.middle, view
+        self._next = best.middle, view
         return (view,)
 
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
@@ -78,6 +80,10 @@ class Exploration:
         is_near = np.hypot(*(view[:2] - pose[:2])) <= s.there_m and np.cos(view[2] - pose[2]) >= np.cos(s.there_rad)
         return bool(is_near or not _is_border(layer, border, s.least_m / 2))
 
+    def taken(self) -> None:
+        """See `Goals`."""
+        self._aim = self._next
+
     def reached(self) -> None:
         """See `Goals`."""
         if self._aim is not None:
@@ -88,11 +94,12 @@ class Exploration:
             self._looked.append(self._aim[0])
 
     def missed(self) -> bool:
-        """See `Goals`: there are others."""
+        """See `Goals`: there are others, and another view of the same."""
         if self._turns > 0:
             self._turns = 0
         elif self._aim is not None:
-            self._looked += [self._aim[0]] * self._settings.exploration.tries
+            self._looked.append(self._aim[0])
+            self._views.append(self._aim[1])
         return True
 
     def _is_done(self, frontier: Frontier) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
 
@@ -12,10 +13,12 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Calibration
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.geometry.se2 import wrap_angle
+from wheelsight.keyframes import KeyframeStore
 from wheelsight.mapping import MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
 from wheelsight.navigation.costmap import CellState, StaticLayer
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.localization import Localization
+from wheelsight.navigation.workers import Worker, WorkerInStep
 
 # Half a cell: keyframes that moved by less show the same cells.
 _LEAST_SHIFT_M = 0.025
@@ -38,7 +41,7 @@ class Floor(Protocol):
     def is_fixed(self) -> bool:
         """Whether it stays as it is, so that what is seen can be laid on it."""
 
-    def update(self, pose: FloatArray | None) -> None:
+    def update(self, pose: FloatArray | None, now_s: float) -> None:
         """Look whether more is known, of a robot at (3,) in the map; called once a period, and quick."""
 
 
@@ -71,8 +74,16 @@ class KnownFloor:
                 _stamp(is_stood, static, pose, footprint)
         self.layer = static.with_floor(is_stood)
 
-    def update(self, pose: FloatArray | None) -> None:
+    def update(self, pose: FloatArray | None, now_s: float) -> None:
         """Nothing changes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFloor:
+    """What a camera has seen of the floor: as a map, and as a costmap takes it."""
+
+    grid: OccupancyGrid
+    layer: StaticLayer
 
 
 class GrowingFloor:
@@ -88,6 +99,10 @@ class GrowingFloor:
         settings: of occupancy, or the defaults.
         holds: (N, 2) places that the layer holds, though nobody may have seen them: a goal that lies beyond all that
             is known would else be outside of the map.
+        worker: that makes the grid; None: at once. Whoever made it closes it.
+
+    Attributes:
+        grid: as the camera alone has it by now.
 
     Raises:
         MapError: the calibration does not say where the camera sits on the base.
@@ -103,36 +118,48 @@ class GrowingFloor:
         trusted_m: float = 0.0,
         settings: OccupancySettings | None = None,
         holds: ArrayLike = (),
+        worker: Worker[SeenFloor] | None = None,
     ) -> None:
         self._localization, self._footprint, self._trusted_m = localization, footprint, trusted_m
         self._holds = np.asarray(holds, float).reshape(-1, 2)
         self._mapper = OccupancyMapper(calibration, settings)
+        self._worker: Worker[SeenFloor] = worker or WorkerInStep()
         self._stood: list[FloatArray] = []
         self._stamped = 0
         self._marked: tuple[BoolArray, tuple[float, float]] | None = None
         self._count, self._store_revision = 0, -1
         self.revision = 0
-        self._seen = self.layer = StaticLayer.of(self._mapper.grid())
+        self.grid = self._mapper.grid()
+        self._seen = self.layer = StaticLayer.of(self.grid)
 
-    @property
-    def grid(self) -> OccupancyGrid:
-        """As the camera alone has it by now."""
-        return self._mapper.grid()
-
-    def update(self, pose: FloatArray | None) -> None:
-        """See `Floor`."""
-        store = self._localization.keyframes
+    def update(self, pose: FloatArray | None, now_s: float) -> None:
+        """See `Floor`: keyframes that moved may take a second, and come when they are ready."""
         has_moved = pose is not None and (not self._stood or _apart(pose, self._stood[-1]))
         if pose is not None and has_moved:
             self._stood.append(pose)
-        if store is not None and (len(store) != self._count or store.revision != self._store_revision):
-            self._count, self._store_revision = len(store), store.revision
-            self._mapper.update(store, _LEAST_SHIFT_M)
-            self._seen = StaticLayer.of(self._mapper.grid())
+        self._look(now_s)
+        seen = self._worker.answer(now_s)
+        if seen is not None:
+            self.grid, self._seen = seen.grid, seen.layer
         elif not has_moved:
             return
         self.layer = self._seen if not self._stood else self._with_stood(self._seen.grown(self._bounds()))
         self.revision += 1
+
+    def _look(self, now_s: float) -> None:
+        """Have the grid made anew where there are other keyframes, one time after another."""
+        store = self._localization.keyframes
+        if store is None or self._worker.is_asked:
+            return
+        if len(store) == self._count and store.revision == self._store_revision:
+            return
+        self._count, self._store_revision = len(store), store.revision
+        self._worker.ask(lambda: self._made_of(store), now_s)
+
+    def _made_of(self, store: KeyframeStore) -> SeenFloor:
+        self._mapper.update(store, _LEAST_SHIFT_M)
+        grid = self._mapper.grid()
+        return SeenFloor(grid, StaticLayer.of(grid))
 
     def _bounds(self) -> FloatArray:
         """(2, 2) low and high corner of all floor that is known by standing there, and of what it is to hold."""

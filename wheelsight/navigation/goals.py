@@ -31,14 +31,18 @@ class Goals(Protocol):
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """The poses (3,) that the next plan leads through, without a stop but at the last; none: all is done.
 
-        Asked each time a plan is made, also for the same goal again. A yaw of NaN is any heading.
+        Asked each time a plan is made, also for the same goal again, and maybe by another thread; nothing else is
+        asked until it answers. A yaw of NaN is any heading.
         """
 
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
         """Whether the next one asks for no more driving, wherever the robot is by now."""
 
+    def taken(self) -> None:
+        """The robot goes by what was made for them: a plan, or that no way leads there."""
+
     def reached(self) -> None:
-        """The last of them was reached."""
+        """The last of those that were taken was reached."""
 
     def missed(self) -> bool:
         """No way led there; whether the task goes on without it."""
@@ -73,6 +77,9 @@ class Poses:
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
         """See `Goals`: a pose is driven to."""
         return False
+
+    def taken(self) -> None:
+        """See `Goals`: they are the same each time."""
 
     def reached(self) -> None:
         """See `Goals`."""
@@ -121,6 +128,9 @@ class Way:
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
         """See `Goals`: its end is driven to."""
         return False
+
+    def taken(self) -> None:
+        """See `Goals`: its end is the same each time."""
 
     def reached(self) -> None:
         """See `Goals`."""

@@ -112,6 +112,16 @@ class LiveLayer:
         self._left[:] = 0
         self._known = None
 
+    def wipe(self, ends: ArrayLike, radius_m: float) -> None:
+        """Forget what is so near to a line from one place to another, (2, 2); what is there is seen again."""
+        a, b = np.asarray(ends, float)
+        cells = np.argwhere(self._left.any(axis=2))
+        places = ((cells + self._low)[:, ::-1] + 0.5) * self.settings.resolution_m
+        share = np.clip((places - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-9), 0, 1)
+        near = cells[np.hypot(*(places - a - share[:, None] * (b - a)).T) <= radius_m]
+        self._left[near[:, 0], near[:, 1]] = 0
+        self._known = None
+
     def _move_to(self, pose: FloatArray) -> None:
         """Keep what is near a pose, by whole cells."""
         side = len(self._left)

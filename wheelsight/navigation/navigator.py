@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import WheelsightError
 from wheelsight.estimates import Status
-from wheelsight.geometry import FloatArray, se2
+from wheelsight.geometry import FloatArray
 from wheelsight.navigation.behaviours import when_blocked, when_lost
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult
@@ -33,18 +33,23 @@ from wheelsight.navigation.navigator_values import (
     NavigationState,
     Transition,
 )
+from wheelsight.navigation.people import discs_of
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
+from wheelsight.navigation.planning import Planned, Planning
 from wheelsight.navigation.pure_pursuit import PurePursuitController
-from wheelsight.navigation.route_planner import RoutePlanner, to_go_m
+from wheelsight.navigation.route_planner import to_go_m
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.task import Task
 from wheelsight.navigation.velocity_ramp import VelocityRamp
+from wheelsight.navigation.workers import Worker
 from wheelsight.robots import Robot
 
-_NOBODY = np.empty((0, 5))
 _STOPPING_S = 5.0
 # Nothing that passes by itself makes a plan possible.
 _FOR_GOOD = (PlanReason.INVALID, PlanReason.GOAL_OUTSIDE, PlanReason.STANDS)
+# Of one goal. So many are left out one after another before it is the robot that has to get out of something.
+_OF_GOAL = (PlanReason.GOAL_UNKNOWN, PlanReason.GOAL_OCCUPIED, PlanReason.UNREACHABLE, PlanReason.GAVE_UP)
+_SKIPS = 2
 
 
 class Navigator:
@@ -55,6 +60,7 @@ class Navigator:
         localization: says where it is.
         floor: what is known of the building.
         settings: or the defaults.
+        planning: what makes its plans: in step, for simulators, or beside; None: in step. Whoever made it closes it.
         trusts_floor: whether the floor that the camera cannot see from where the robot is, next to it, is free at the
             begin, as somebody says who looked. Without it a robot whose camera sees it only farther off stays.
         on_transition: called with each change of state.
@@ -74,6 +80,7 @@ class Navigator:
         floor: Floor,
         settings: NavigationSettings | None = None,
         *,
+        planning: Worker[Planned] | None = None,
         trusts_floor: bool = False,
         on_transition: Callable[[Transition], None] = lambda transition: None,
     ) -> None:
@@ -83,7 +90,8 @@ class Navigator:
         self.monitor = CollisionMonitor(self._footprint, s.limits, s.monitor, s.wheel_check)
         self._senses = Senses(robot.calibration, localization, floor, self.monitor, self._footprint, s)
         self.monitor.trust_floor(self._senses.near_m if trusts_floor else 0.0)
-        self._planner, self._ramp = RoutePlanner(self._footprint, s), VelocityRamp(s.limits)
+        self._planning = Planning(self._senses, self._footprint, s, planning)
+        self._ramp = VelocityRamp(s.limits)
         self._controller = _controller(self._footprint, s)
         self._on_transition = on_transition
         self.state = NavigationState.IDLE
@@ -123,6 +131,7 @@ class Navigator:
         if not self.is_task_complete():
             self.cancel_task()
         self._result = None
+        self._planning.drop()
         self._task = Task(goals, self._robot.now_s)
         self._become(NavigationState.PLANNING, f"to {goals.name}")
 
@@ -163,7 +172,7 @@ class Navigator:
         events = self._robot.step(self._command)
         now_s = self._robot.now_s
         try:
-            self._senses.hear(events)
+            self._senses.hear(events, now_s)
         except WheelsightError as error:
             self._fail(NavigationReason.LOCALIZATION, str(error))
         asked = self._decide(now_s)
@@ -231,23 +240,30 @@ class Navigator:
 
     def _plan(self, task: Task, now_s: float) -> VelocityCommand:
         """Plan, and drive; or get out of what makes it impossible."""
-        state = self._senses.where.state
-        if state is None:
+        if self._senses.where.state is None:
             return self._look_about(task, "it is not known where it is")
-        costmap = self._senses.costmap()
-        goals = task.goals.upcoming(state.pose, costmap)
-        if not goals:
+        if not self._planning.is_asked:
+            self._planning.ask(task.goals, now_s)
+        planned = self._planning.answer(now_s)
+        return STOP if planned is None else self._take(task, planned, now_s)
+
+    def _take(self, task: Task, planned: Planned, now_s: float) -> VelocityCommand:
+        """Go by what came of a plan."""
+        task.goals.taken()
+        if planned.found is None:
             return self._arrive(task)
-        found = self._planner.plan(costmap, state.pose, goals)
-        if isinstance(found, PlanFailure):
-            return self._without_plan(task, found)
-        task.take(found, now_s, self._senses.where.T_map_odom)
-        self._become(NavigationState.DRIVING, f"{found.length_m:.1f} m to go")
+        if isinstance(planned.found, PlanFailure):
+            return self._without_plan(task, planned.found)
+        task.take(planned.found, now_s, planned.T_map_odom)
+        self._become(NavigationState.DRIVING, f"{planned.found.length_m:.1f} m to go")
         return STOP
 
     def _without_plan(self, task: Task, failure: PlanFailure) -> VelocityCommand:
         """There may be one when somebody has gone, or more is seen; of a goal that may be left out there is another."""
         why = f"{failure.reason}: {failure.detail}"
+        if failure.reason in _OF_GOAL and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
+            task.skips += 1
+            return STOP
         if failure.reason not in _FOR_GOOD and task.tries < self.settings.navigator.tries:
             return self._get_out(task, why)
         if task.goals.missed():
@@ -263,31 +279,35 @@ class Navigator:
             return self._look_about(task, "it is not known any more where it is")
         if where.grown_sigma_m > s.unsure_m:
             return self._look_about(task, f"its place is known to {where.grown_sigma_m:.1f} m only")
-        if now_s - task.checked_s >= s.check_s and now_s - task.planned_s >= s.anew_s:
+        if now_s - task.checked_s >= s.check_s:
             task.checked_s = now_s
             if task.goals.is_met(state.pose, self._senses.floor.layer):
                 return self._reached(task)
-            why = self._why_anew(task, plan)
-            if why:
-                self._become(NavigationState.PLANNING, why)
-                return self._plan(task, now_s)
-        result = self._controller.command(state, plan, local.field, _NOBODY)
+            if not self._may_go_on(task, plan, now_s):
+                self._become(NavigationState.PLANNING, task.why_anew)
+                return STOP
+        planned = self._planning.answer(now_s) if self._planning.is_asked else None
+        if planned is not None:
+            self._become(NavigationState.PLANNING, task.why_anew)
+            command = self._take(task, planned, now_s)
+            if self.state is not NavigationState.DRIVING or task.plan is None:
+                return command
+        people = discs_of(self._senses.people(now_s))
+        result = self._controller.command(state, task.plan or plan, local.field, people)
         self._predicted = result.predicted
         return self._follow(task, result, now_s)
 
-    def _why_anew(self, task: Task, plan: Plan) -> str:
-        """Why another plan is needed; empty where it is not."""
-        where, local = self._senses.where, self._senses.local()
-        assert where.state is not None
-        assert local is not None
-        assert where.odom_pose is not None
-        now, then = (se2.from_parts(*T) @ se2.from_parts(*where.odom_pose) for T in (where.T_map_odom, task.T_map_odom))
-        x, y, turn = se2.to_parts(se2.invert(then) @ now)
-        if np.hypot(x, y) > self.settings.navigator.jump_m or abs(turn) > self.settings.navigator.jump_rad:
-            return "the map has moved below it"
-        if not self._planner.is_free(local, plan, where.state.pose):
-            return "something is in the way"
-        return ""
+    def _may_go_on(self, task: Task, plan: Plan, now_s: float) -> bool:
+        """Ask for another plan where one is needed; whether the one that is driven is free until that has come."""
+        s = self.settings.navigator
+        if not self._planning.is_asked:
+            if now_s - task.planned_s < s.anew_s:
+                return True
+            task.why_anew = self._planning.why_anew(plan, task.T_map_odom)
+            if not task.why_anew:
+                return True
+            self._planning.ask(task.goals, now_s)
+        return self._planning.is_free(plan, s.onward_m)
 
     def _follow(self, task: Task, result: ControlResult, now_s: float) -> VelocityCommand:
         """What comes of a controller's answer."""
@@ -306,6 +326,9 @@ class Navigator:
         return result.command
 
     def _reached(self, task: Task) -> VelocityCommand:
+        self._planning.drop()
+        if self._planning.is_busy:
+            return STOP
         task.goals.reached()
         task.goal_change = task.plan.goal_change if task.plan is not None else ""
         self._become(NavigationState.PLANNING, "a goal is reached")
@@ -330,11 +353,13 @@ class Navigator:
     def _get_out(self, task: Task, why: str) -> VelocityCommand:
         if task.tries >= self.settings.navigator.tries:
             return self._fail(NavigationReason.BLOCKED, why)
+        self._planning.drop()
         task.recover(when_blocked(task.tries, self.settings.behaviours), is_lost=False)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 
     def _look_about(self, task: Task, why: str) -> VelocityCommand:
+        self._planning.drop()
         task.recover(when_lost(task.searches, self.settings.behaviours), is_lost=True)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP

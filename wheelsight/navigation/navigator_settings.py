@@ -8,6 +8,7 @@ from wheelsight.navigation.control_settings import FollowSettings, MppiSettings,
 from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSettings
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.monitor_settings import MonitorSettings, ViewSettings, WheelCheckSettings
+from wheelsight.navigation.people_settings import PeopleSettings
 from wheelsight.navigation.planner_settings import PlannerSettings
 from wheelsight.robot_limits import RobotLimits
 from wheelsight.settings import CHOSEN, Settings, bounds, setting
@@ -55,6 +56,28 @@ class NavigatorSettings(Settings):
         3.0, "of the way ahead that is looked at: what the camera sees surely", CHOSEN, gt=0, le=20
     )
     anew_s: float = setting(1.0, "least time between two plans, while it drives", CHOSEN, gt=0, le=60)
+    onward_m: float = setting(
+        1.5,
+        "of the way ahead that must be free for it to drive on while another plan is made: to a stop from 1 m/s, and "
+        "what it drives until the plan is there",
+        "reckoned",
+        ge=0,
+        le=20,
+    )
+    planning_s: float = setting(
+        0.15,
+        "simulated time that a plan takes, where time stands still else: of 1000 × 1000 cells",
+        "issue 32",
+        ge=0,
+        le=10,
+    )
+    mapping_s: float = setting(
+        0.3,
+        "simulated time likewise that a floor takes whose keyframes moved: of 300 keyframes",
+        "docs/occupancy.md: 1.0 s for 1000",
+        ge=0,
+        le=10,
+    )
     jump_m: float = setting(
         0.1, "by which the map may move below the robot before it plans anew: a margin", CHOSEN, gt=0, le=5
     )
@@ -136,6 +159,7 @@ class NavigationSettings(Settings):
     exploration: ExplorationSettings = ExplorationSettings()
     costmap: CostmapSettings = CostmapSettings()
     live: LiveLayerSettings = LiveLayerSettings()
+    people: PeopleSettings = PeopleSettings()
     planner: PlannerSettings = PlannerSettings()
     controller: Literal["mppi", "pure_pursuit"] = setting("mppi", "which controller follows plans", CHOSEN)
     follow: FollowSettings = FollowSettings()

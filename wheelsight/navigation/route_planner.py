@@ -46,10 +46,10 @@ class RoutePlanner:
                 return found
         return plans[0] if len(plans) == 1 else _joined(plans)
 
-    def is_free(self, costmap: Costmap, plan: Plan, pose: FloatArray) -> bool:
-        """Whether the footprint passes what is next of a plan, from (3,) on."""
+    def is_free(self, costmap: Costmap, plan: Plan, pose: FloatArray, reach_m: float) -> bool:
+        """Whether the footprint passes so much of a plan, from (3,) on."""
         drivable = Drivable.of(costmap, self._footprint, self._rules, self._settings.limits)
-        ahead = ahead_of(plan, pose, self._settings.navigator.check_m)
+        ahead = ahead_of(plan, pose, reach_m)
         inside = ((costmap.cells_at(ahead[:, :2]) >= 0) & (costmap.cells_at(ahead[:, :2]) < costmap.state.shape)).all(1)
         return bool(drivable.is_free(ahead[inside]).all())
 

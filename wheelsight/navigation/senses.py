@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+import cv2
+import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import ArgumentError
 from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks
+from wheelsight.geometry import BoolArray, FloatArray, se2
 from wheelsight.navigation.collision_monitor import CollisionMonitor
-from wheelsight.navigation.costmap import Costmap
+from wheelsight.navigation.costmap import CellState, Costmap
 from wheelsight.navigation.depth_viewer import DepthViewer
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
@@ -18,6 +23,11 @@ from wheelsight.navigation.live_layer import LiveLayer
 from wheelsight.navigation.localization import Localization, WhereNow, planar_pose
 from wheelsight.navigation.map_match import MapMatch
 from wheelsight.navigation.navigator_settings import NavigationSettings
+from wheelsight.navigation.people import PeopleTracker, Person
+from wheelsight.navigation.surroundings import DepthView
+
+# Views that wait for the localization to say where they were taken: two seconds of a Kinect's.
+_VIEWS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +75,8 @@ class Senses:
         self.where = WhereNow(calibration.wheels)
         self._match = MapMatch(floor.layer, settings.match) if floor.is_fixed else None
         self._matched_s = -math.inf
+        self._people = PeopleTracker(settings.people, settings.live.far_m)
+        self._views: deque[DepthView] = deque(maxlen=_VIEWS)
         self._local: tuple[_Made, Costmap] | None = None
 
     @property
@@ -77,24 +89,27 @@ class Senses:
         """As it was given."""
         return self._floor
 
-    def hear(self, events: Sequence[Event]) -> None:
-        """All that came in a period. Raises what the localization raises."""
+    def hear(self, events: Sequence[Event], now_s: float) -> None:
+        """All that came in a period, which ends now. Raises what the localization raises."""
         for event in events:
             if isinstance(event, WheelTicks | WheelSpeeds):
                 speed = self.where.roll(event)
                 if speed is not None:
                     self._monitor.hear(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s)
             elif isinstance(event, RgbdFrame):
-                self._monitor.see(self._viewer.view(event.depth_m, event.stamp_s))
+                self._views.append(self._viewer.view(event.depth_m, event.stamp_s))
+                self._monitor.see(self._views[-1])
         for event, estimate in self._localization.hear(events):
             if estimate is None:
                 continue
             self.where.answer(estimate)
             if isinstance(event, RgbdFrame) and estimate.T_odom_body is not None:
-                self._live.update(event.depth_m, planar_pose(estimate.T_odom_body), event.stamp_s)
+                pose = planar_pose(estimate.T_odom_body)
+                self._live.update(event.depth_m, pose, event.stamp_s)
+                self._follow_people(event.stamp_s, pose)
         self._lay_on_map()
         state = self.where.state
-        self._floor.update(None if state is None else state.pose)
+        self._floor.update(None if state is None else state.pose, now_s)
 
     def _lay_on_map(self) -> None:
         """Correct where the robot is by what stands about it, now and then, in a map of before."""
@@ -107,14 +122,46 @@ class Senses:
             self._match.update(live, self.where.T_told_odom, odom_pose[:2])
             self.where.correct(self._match.T_map_told)
 
+    def _follow_people(self, stamp_s: float, pose: FloatArray) -> None:
+        """Look who walks, of a frame that was taken at (3,) in `odom`."""
+        while self._views and self._views[0].stamp_s < stamp_s:
+            self._views.popleft()
+        if not self._settings.people.is_predicted or not self._views or self._views[0].stamp_s != stamp_s:
+            return
+        if self.where.state is None:
+            self._people.forget()
+            return
+        view = self._views[0]
+        self._people.update(view, pose, self._is_on_floor(view, se2.from_parts(*pose)))
+        s = self._settings.people
+        for person in self._people.people(stamp_s):
+            behind = person.position - s.trail_s * person.velocity
+            self._live.wipe([person.position, behind], person.radius_m + s.trail_m)
+
+    def _is_on_floor(self, view: DepthView, T_odom_base: FloatArray) -> BoolArray:
+        """(N,) whether the map has free floor where a view's points lie, and no obstacle close by."""
+        T = se2.from_parts(*self.where.T_map_odom) @ T_odom_base
+        near = self._floor.layer.window(T[:2, 2], 2 * self._settings.live.size_m)
+        reach = math.ceil(self._settings.people.beside_m / near.resolution_m)
+        beside = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        is_thing = cv2.dilate((near.state == CellState.OCCUPIED).astype(np.uint8), beside) > 0
+        cells = (view.points @ T[:2, :2].T + T[:2, 2] - near.origin) / near.resolution_m
+        column, row = np.clip(np.floor(cells).astype(int), 0, len(near.state) - 1).T
+        return np.asarray((near.state == CellState.FREE)[row, column] & ~is_thing[row, column])
+
+    def people(self, now_s: float) -> tuple[Person, ...]:
+        """Who walks about the robot, in the map, where he is now."""
+        T_map_odom = self.where.T_map_odom
+        return tuple(person.carried(T_map_odom) for person in self._people.people(now_s))
+
     def clear(self) -> None:
         """Forget what stands about the robot; what is there is seen again."""
         self._live.clear()
 
-    def costmap(self) -> Costmap:
-        """Of all the building, as it is known by now."""
-        live = self._live.obstacles()
-        return Costmap.of(self._floor.layer, self._footprint, self._settings.costmap, live, self.where.T_map_odom)
+    def costmap_of(self) -> Callable[[], Costmap]:
+        """What makes a costmap of all the building, as it is known now, in whichever thread."""
+        of = self._floor.layer, self._footprint, self._settings.costmap, self._live.obstacles(), self.where.T_map_odom
+        return lambda: Costmap.of(*of)
 
     def local(self) -> Costmap | None:
         """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed."""

@@ -24,11 +24,13 @@ class Task:
     Attributes:
         plan: that is driven.
         planned_s, checked_s: when it was made, and when it was last held against the surroundings.
-        T_map_odom: (3,) of when it was made.
+        T_map_odom: (3,) of when it was asked for.
+        why_anew: why another was asked for, while it is driven.
         goal_change: of the last goal that was reached.
         behaviour: that is done while it recovers.
         is_lost: whether that is to find out where it is.
         tries: to get itself out, since it last made way.
+        skips: goals left out, since it last had a plan or got itself out.
         searches: to find out where it is, since it last knew.
         known_s: when it last knew where it is.
         transitions: all of them.
@@ -39,10 +41,10 @@ class Task:
         self.plan: Plan | None = None
         self.planned_s = self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
-        self.goal_change = ""
+        self.why_anew = self.goal_change = ""
         self.behaviour: Behaviour | None = None
         self.is_lost = False
-        self.tries, self.searches = 0, 0
+        self.tries, self.skips, self.searches = 0, 0, 0
         self.known_s = now_s
         self.transitions: list[Transition] = []
         self._begun_s = self._rolled_s = now_s
@@ -72,11 +74,11 @@ class Task:
         self._plans += 1
         self._planned_m = self._planned_m or plan.length_m
         self.plan, self.planned_s, self.checked_s, self.T_map_odom = plan, now_s, now_s, T_map_odom
-        self.behaviour, self._held = None, _Stopwatch()
+        self.behaviour, self.skips, self._held = None, 0, _Stopwatch()
 
     def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
         """Do something to get on."""
-        self.behaviour, self.is_lost, self._held = behaviour, is_lost, _Stopwatch()
+        self.behaviour, self.is_lost, self._held, self.skips = behaviour, is_lost, _Stopwatch(), 0
         self._recoveries += 1
         if is_lost:
             self.searches += 1

@@ -19,7 +19,18 @@ from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
 from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
 from wheelsight.mapping import OccupancyGrid
-from wheelsight.navigation import Feedback, Footprint, KnownFloor, NavigationResult, Navigator, Transition
+from wheelsight.navigation import (
+    Feedback,
+    Footprint,
+    KnownFloor,
+    NavigationResult,
+    Navigator,
+    Planned,
+    Transition,
+    Worker,
+    WorkerBeside,
+    WorkerInStep,
+)
 from wheelsight.navigation.goals import words_of
 from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord
 from wheelsight.pipeline.drive_recorder import DriveRecorder
@@ -170,7 +181,7 @@ def drive_in_map(
     Args:
         robot: that is led; whoever opened it closes it.
         config: with a known map.
-        in_step: whether the localization answers before the robot goes on, as for simulators; else beside it.
+        in_step: whether localization and plans answer before the robot goes on, as for simulators; else beside it.
         trusts_floor, on_transition: see `Navigator`.
         on_keyframe: called with how many keyframes are read, and of how many.
 
@@ -188,9 +199,17 @@ def drive_in_map(
         floor = _floor_of(folder, grid, config.navigation.footprint.outline)
         localizer = Localizer(robot.calibration, config, known=known, waits=in_step)
         how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
-        with closing(LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)) as localization:
-            navigator = Navigator(watched, localization, floor, config.navigation, **how)
+        with (
+            closing(LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)) as localization,
+            closing(planning_worker(config, in_step=in_step)) as planning,
+        ):
+            navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
             yield Drive(watched, navigator, lambda: grid, _name_of(folder))
+
+
+def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:
+    """What makes a robot's plans; closed by whoever asks for it."""
+    return WorkerInStep(config.navigation.navigator.planning_s) if in_step else WorkerBeside("planning")
 
 
 def _floor_of(folder: MapFolder, grid: OccupancyGrid, footprint: Footprint) -> KnownFloor:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
@@ -12,9 +13,19 @@ from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
-from wheelsight.navigation import DepthViewer, Footprint, GrowingFloor, Navigator, Transition
+from wheelsight.navigation import (
+    DepthViewer,
+    Footprint,
+    GrowingFloor,
+    Navigator,
+    SeenFloor,
+    Transition,
+    Worker,
+    WorkerBeside,
+    WorkerInStep,
+)
 from wheelsight.pipeline.drive_recorder import DriveRecorder
-from wheelsight.pipeline.drives import Drive, WatchedRobot
+from wheelsight.pipeline.drives import Drive, WatchedRobot, planning_worker
 from wheelsight.robots import Robot
 from wheelsight.slam.sessions import MapFolder, MapWriter
 from wheelsight.slam.settings import FROM_KEYFRAMES
@@ -75,7 +86,7 @@ def exploring(
         robot: that is led; whoever opened it closes it.
         config: with loops by keyframes, and no known map.
         path: folder of the map, empty or not there.
-        in_step: whether the localization answers before the robot goes on, as for simulators; else beside it.
+        in_step: whether localization, map and plans answer before the robot goes on, as for simulators; else beside it.
         trusts_floor: see `Navigator`.
         on_transition: called with each change of state.
 
@@ -92,13 +103,19 @@ def exploring(
     folder = MapFolder.create(path, calibration, config.sessions, source="an exploration")
     mapping = MappingLocalizer(localizer, MapWriter(folder, store, config.recognition))
     localization = LocalizerInStep(mapping) if in_step else LocalizerBeside(mapping)
-    try:
-        floor = GrowingFloor(localization, calibration, footprint, near_m, config.sessions.occupancy)
-        watched, how = WatchedRobot(robot, DriveRecorder(footprint)), {"trusts_floor": trusts_floor}
-        navigator = Navigator(watched, localization, floor, config.navigation, on_transition=on_transition, **how)
+    planning, growing = planning_worker(config, in_step=in_step), _growing_worker(config, in_step=in_step)
+    how: dict[str, Any] = {"planning": planning, "trusts_floor": trusts_floor, "on_transition": on_transition}
+    # The localization last: others look at its keyframes.
+    with closing(localization), closing(growing), closing(planning):
+        floor = GrowingFloor(localization, calibration, footprint, near_m, config.sessions.occupancy, worker=growing)
+        watched = WatchedRobot(robot, DriveRecorder(footprint))
+        navigator = Navigator(watched, localization, floor, config.navigation, **how)
         yield Drive(watched, navigator, lambda: floor.grid, path.parent.name or path.name)
-    finally:
-        localization.close()
+
+
+def _growing_worker(config: Config, *, in_step: bool) -> Worker[SeenFloor]:
+    """What makes the floor of what keyframes see."""
+    return WorkerInStep(config.navigation.navigator.mapping_s) if in_step else WorkerBeside("floor")
 
 
 def _check(config: Config) -> None:
