@@ -251,7 +251,9 @@ class Navigator:
         """Go by what came of a plan."""
         task.goals.taken()
         if planned.found is None:
-            return self._arrive(task)
+            self._become(NavigationState.ARRIVED, task.goals.name)
+            self._result = task.result(True, None, task.goals.name, self._robot.now_s)
+            return STOP
         if isinstance(planned.found, PlanFailure):
             return self._without_plan(task, planned.found)
         task.take(planned.found, now_s, planned.T_map_odom)
@@ -342,7 +344,7 @@ class Navigator:
             return STOP
         assert task.behaviour is not None
         command = task.behaviour.command(now_s, where.odom_pose)
-        if command is not None:
+        if command is not None and self._senses.keeps_clear(command):
             return command
         if task.is_lost and where.state is None:
             return self._look_about(task, "it is still not known where it is")
@@ -362,11 +364,6 @@ class Navigator:
         self._planning.drop()
         task.recover(when_lost(task.searches, self.settings.behaviours), is_lost=True)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
-        return STOP
-
-    def _arrive(self, task: Task) -> VelocityCommand:
-        self._become(NavigationState.ARRIVED, task.goals.name)
-        self._result = task.result(True, None, task.goals.name, self._robot.now_s)
         return STOP
 
     def _fail(self, reason: NavigationReason, detail: str) -> VelocityCommand:

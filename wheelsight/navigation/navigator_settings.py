@@ -43,6 +43,10 @@ class BehaviourSettings(Settings):
     refused_s: float = setting(
         2.0, "time for which the collision monitor may hold a behaviour, before it is over", CHOSEN, gt=0, le=60
     )
+    clear_m: float = setting(
+        0.05, "nearer to what the map has no behaviour leads: a cell, as far as maps are right", CHOSEN, ge=0, le=1
+    )
+    clear_s: float = setting(0.8, "so far ahead that is looked at: it has stopped by then", CHOSEN, gt=0, le=5)
 
 
 class NavigatorSettings(Settings):

@@ -11,16 +11,19 @@ import cv2
 import numpy as np
 
 from wheelsight.calibration import Calibration
+from wheelsight.commands import VelocityCommand
 from wheelsight.errors import ArgumentError
 from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks
 from wheelsight.geometry import BoolArray, FloatArray, se2
 from wheelsight.navigation.collision_monitor import CollisionMonitor
 from wheelsight.navigation.costmap import CellState, Costmap
 from wheelsight.navigation.depth_viewer import DepthViewer
+from wheelsight.navigation.fields import outline_of
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.live_layer import LiveLayer
 from wheelsight.navigation.localization import Localization, WhereNow, planar_pose
+from wheelsight.navigation.map_clearance import keeps_clear
 from wheelsight.navigation.map_match import MapMatch
 from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.navigation.people import PeopleTracker, Person
@@ -69,7 +72,7 @@ class Senses:
         if calibration.wheels is None:
             raise ArgumentError("the calibration has no wheels", fix="calibrate them: docs/wheel-calibration.md")
         self._localization, self._floor, self._monitor = localization, floor, monitor
-        self._footprint, self._settings = footprint, settings
+        self._footprint, self._settings, self._outline = footprint, settings, outline_of(footprint)
         self._viewer = DepthViewer(calibration, footprint, settings.view, settings.live)
         self._live = LiveLayer(calibration, footprint, settings.live)
         self.where = WhereNow(calibration.wheels)
@@ -153,6 +156,13 @@ class Senses:
         """Who walks about the robot, in the map, where he is now."""
         T_map_odom = self.where.T_map_odom
         return tuple(person.carried(T_map_odom) for person in self._people.people(now_s))
+
+    def keeps_clear(self, command: VelocityCommand) -> bool:
+        """Whether a command leads to nothing that the map has, as far as it is known where the robot is."""
+        local, state = self.local(), self.where.state
+        if local is None or state is None:
+            return True
+        return keeps_clear(local, self._outline, state.pose, command, self._settings.behaviours)
 
     def clear(self) -> None:
         """Forget what stands about the robot; what is there is seen again."""

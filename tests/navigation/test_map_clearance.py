@@ -1,0 +1,56 @@
+"""Behaviours keep clear of what the map has, whatever the camera sees of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.geometry import FloatArray
+from wheelsight.navigation import Costmap, Footprint, StaticLayer
+from wheelsight.navigation.costmap import CellState
+from wheelsight.navigation.fields import outline_of
+from wheelsight.navigation.map_clearance import keeps_clear
+from wheelsight.navigation.navigator_settings import BehaviourSettings
+
+CELL_M, SETTINGS = 0.05, BehaviourSettings()
+CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
+LEFT, RIGHT, BACK, ON = (VelocityCommand(*one) for one in ((0.0, 0.4), (0.0, -0.4), (-0.1, 0.0), (0.3, 0.0)))
+
+
+def beside_a_counter(away_m: float, state: CellState = CellState.OCCUPIED) -> tuple[Costmap, FloatArray]:
+    """The chair looks along x; to its right, so far from its side, all is a counter."""
+    cells = np.full((160, 160), CellState.FREE, np.uint8)
+    cells[:60] = state
+    layer = StaticLayer(cells, np.full(cells.shape, np.inf, np.float32), CELL_M, (0.0, 0.0))
+    return Costmap.of(layer, CHAIR), np.array([4.0, 3.0 + away_m + 0.3, 0.0])
+
+
+def clear(away_m: float, command: VelocityCommand, state: CellState = CellState.OCCUPIED) -> bool:
+    costmap, pose = beside_a_counter(away_m, state)
+    return keeps_clear(costmap, outline_of(CHAIR), pose, command, SETTINGS)
+
+
+@pytest.mark.parametrize("command", [LEFT, RIGHT])
+def test_beside_a_counter_it_turns_to_no_side(command: VelocityCommand) -> None:
+    assert not clear(0.1, command)
+    assert clear(0.6, command)
+
+
+def test_along_it_goes_on() -> None:
+    assert clear(0.1, ON)
+    assert clear(0.1, BACK)
+
+
+def test_nearer_than_it_should_be_it_may_stay_and_leave_but_come_no_nearer() -> None:
+    costmap, pose = beside_a_counter(0.03)
+    away = pose + [0.0, 0.0, np.pi / 2]
+    away[1] = 3.0 + 0.03 + 0.3  # its back to the counter
+    outline = outline_of(CHAIR)
+    assert clear(0.03, STOP)
+    assert keeps_clear(costmap, outline, away, ON, SETTINGS)
+    assert not keeps_clear(costmap, outline, away, BACK, SETTINGS)
+
+
+def test_floor_that_nobody_has_seen_is_no_obstacle() -> None:
+    assert clear(0.1, LEFT, CellState.UNKNOWN)
