@@ -11,6 +11,7 @@ from synthetic import CAMERA
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3, so3
 from wheelsight.keyframes import KeyframeFeatures, KeyframeId
+from wheelsight.odometry.dense.observability import judge as real_judge
 from wheelsight.places.verification import PlaceVerifier, Refusal, RefusedPlace, VerifiedPlace
 from wheelsight.places.views import SeenView
 
@@ -141,3 +142,17 @@ def test_a_single_wall_is_no_place(verifier, rng):
     answer = verifier.verify(first, ID, second)
     assert isinstance(answer, RefusedPlace)
     assert answer.reason is Refusal.DEGENERATE
+
+
+def test_a_variance_that_hides_all_others_by_rounding_is_a_direction_that_is_not_known(verifier, monkeypatch):
+    along = np.array([0.6, 0.3, -0.5, 0.2, 0.4, -0.1])
+
+    def judge(*arguments):
+        found = real_judge(*arguments)
+        return replace(found, covariance=found.covariance + 1e16 * np.outer(along, along))
+
+    monkeypatch.setattr("wheelsight.places.verification.judge", judge)
+    answer = verifier.verify(seen(standing(-1.0, 0.3, -0.15)), ID, kept(seen(HOME)))
+    assert isinstance(answer, RefusedPlace)
+    assert answer.reason is Refusal.DEGENERATE
+    assert verifier.refusals == {Refusal.DEGENERATE: 1}

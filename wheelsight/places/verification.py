@@ -11,6 +11,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import Reason
 from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.geometry.motion_kernels import is_definite
 from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment
 from wheelsight.odometry.dense.joint import SurfaceWeight, Told
@@ -150,6 +151,10 @@ class PlaceVerifier:
             return self._refused(candidate, Refusal.INTRUDES, *counts)
         shared = with_frame_error(np.zeros((6, 6)), T_keyframe_camera, self._of_frame)
         covariance = judged.covariance + self._of_frame + self._of_registration + shared
+        covariance = (covariance + covariance.T) / 2
+        if not (np.isfinite(covariance).all() and is_definite(covariance)):
+            # A direction that surfaces hardly show has a variance so large that rounding it hides all others.
+            return self._refused(candidate, Refusal.DEGENERATE, *counts)
         return VerifiedPlace(candidate, T_keyframe_camera, covariance, shared, judged.degenerate, *counts, space.share)
 
     def _refused(self, candidate: KeyframeId, reason: Refusal, matches: int, inliers: int = 0) -> RefusedPlace:
