@@ -127,6 +127,7 @@ class GrowingFloor:
         self._stood: list[FloatArray] = []
         self._stamped = 0
         self._marked: tuple[BoolArray, tuple[float, float]] | None = None
+        self._trusted: tuple[tuple[StaticLayer, tuple[float, float], tuple[int, ...]], BoolArray] | None = None
         self._count, self._store_revision = 0, -1
         self.revision = 0
         self.grid = self._mapper.grid()
@@ -178,7 +179,14 @@ class GrowingFloor:
             _stamp(is_stood, static, pose, self._footprint)
         self._stamped, self._marked = len(self._stood), (is_stood, static.origin)
         known = static.with_floor(is_stood)
-        return known.with_floor(_in_sight(known, self._stood[0][:2], self._trusted_m)) if self._trusted_m else known
+        return known.with_floor(self._trusted_floor(static)) if self._trusted_m else known
+
+    def _trusted_floor(self, static: StaticLayer) -> BoolArray:
+        """(H, W) floor near to where the robot began; kept while the same was seen, since it takes 16 ms."""
+        of = self._seen, static.origin, static.state.shape
+        if self._trusted is None or self._trusted[0][0] is not self._seen or self._trusted[0][1:] != of[1:]:
+            self._trusted = of, _in_sight(static, self._stood[0][:2], self._trusted_m)
+        return self._trusted[1]
 
 
 def _densely(stretch: FloatArray) -> FloatArray:
