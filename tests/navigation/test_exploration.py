@@ -141,3 +141,12 @@ def test_first_it_turns_all_around_exactly() -> None:
     explorer = Exploration(CHAIR, NavigationSettings(exploration=ExplorationSettings(turns=3)), NEAR_M)
     (view,) = explorer.upcoming(MIDDLE, costmap_of(room()))
     assert not explorer.is_met(view, layer_of(room()))
+
+
+def test_of_two_alike_it_looks_at_the_one_before_it_first() -> None:
+    state = open_to(room(), 3.2, 4.8)
+    state[32:48, :2] = CellState.FREE  # alike, behind
+    for yaw in (0.0, np.pi):
+        explorer = Exploration(CHAIR, SETTINGS, NEAR_M)
+        (view,) = explorer.upcoming(np.array([4.0, 4.0, yaw]), costmap_of(state))
+        assert np.cos(view[2] - yaw) > 0.8

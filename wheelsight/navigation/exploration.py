@@ -62,7 +62,7 @@ class Exploration:
         free_m = self._ways_m(pose, costmap)
         found = [one for one in frontiers(costmap, self._settings.exploration.least_m) if not self._is_done(one)]
         views = [(one, self._view(one, free_m, costmap)) for one in found]
-        worth = [(self._cost(one, view, free_m, costmap), one, view) for one, view in views if view is not None]
+        worth = [(self._cost(one, view, free_m, costmap, pose), one, view) for one, view in views if view is not None]
         self.left = len(worth)
         if not worth:
             return ()
@@ -136,9 +136,13 @@ class Exploration:
         near = [old for old in self._views if np.hypot(*(old[:2] - view[:2])) < s.same_m]
         return any(np.isnan(old[2]) or np.cos(old[2] - view[2]) > np.cos(s.same_rad) for old in near)
 
-    def _cost(self, frontier: Frontier, view: FloatArray, ways_m: FloatArray, costmap: Costmap) -> float:
+    def _cost(
+        self, frontier: Frontier, view: FloatArray, ways_m: FloatArray, costmap: Costmap, pose: FloatArray
+    ) -> float:
+        s = self._settings.exploration
         row, column = costmap.cells_at(view[:2]).tolist()
-        return float(ways_m[row, column]) - self._settings.exploration.gain * frontier.size_m
+        turn_rad = abs(float(wrap_angle(view[2] - pose[2])))
+        return float(ways_m[row, column]) + s.turn_m * turn_rad - s.gain * frontier.size_m
 
 
 def frontiers(costmap: Costmap, least_m: float) -> list[Frontier]:

@@ -144,6 +144,13 @@ class ExplorationSettings(Settings):
         3.5, "from where a border is looked at, at most: farther a Kinect's floor is rough", CHOSEN, gt=0.5, le=10
     )
     gain: float = setting(2.0, "metres of way that a metre of border is worth", CHOSEN, ge=0, le=100)
+    turn_m: float = setting(
+        0.6,
+        "metres of way that a radian of turn costs: as long as both take at 0.3 m/s and 0.5 rad/s",
+        "reckoned",
+        ge=0,
+        le=10,
+    )
     tries: int = setting(2, "looks at a border that stays, before it is left", CHOSEN, ge=1, le=20)
     same_m: float = setting(0.7, "borders whose middles are nearer, and places, count as one", CHOSEN, gt=0, le=5)
     same_rad: float = setting(0.5, "and directions from there: half a Kinect's view", CHOSEN, gt=0, le=3.2)
