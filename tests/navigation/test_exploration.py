@@ -144,9 +144,9 @@ def test_first_it_turns_all_around_exactly() -> None:
 
 
 def test_of_two_alike_it_looks_at_the_one_before_it_first() -> None:
-    state = open_to(room(), 3.2, 4.8)
-    state[32:48, :2] = CellState.FREE  # alike, behind
+    state = np.pad(open_to(room(), 3.2, 4.8), ((0, 0), (40, 0)), constant_values=CellState.UNKNOWN)
+    state[32:48, 40:42] = CellState.FREE  # another opening, in the wall at x = 4 m
     for yaw in (0.0, np.pi):
         explorer = Exploration(CHAIR, SETTINGS, NEAR_M)
-        (view,) = explorer.upcoming(np.array([4.0, 4.0, yaw]), costmap_of(state))
+        (view,) = explorer.upcoming(np.array([8.0, 4.0, yaw]), costmap_of(state))
         assert np.cos(view[2] - yaw) > 0.8
