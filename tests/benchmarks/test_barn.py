@@ -57,7 +57,7 @@ def test_sides_are_closed_and_more_fill_leaves_more() -> None:
 
 
 def test_the_grid_is_the_world() -> None:
-    field = field_of(3, 1, COSTLY)
+    field = field_of(1, 1, COSTLY)
     grid, solid = grid_of(field.filled), obstacles(field.world)
     assert solid.intersection(shapely.box(0, -4, WAY_M, 4)).area == pytest.approx(
         field.filled[1:-1].sum() * CELL_M**2, rel=0.1

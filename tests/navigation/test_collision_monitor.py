@@ -370,10 +370,10 @@ def test_a_base_that_obeys_is_never_accused(seed: int, lag_s: float, every: int)
 
 @pytest.mark.slow
 def test_nobody_who_asks_for_full_speed_hits_a_wall() -> None:
-    """500 walls, at all distances and bearings, full speed along all curves; the camera is the chair's."""
+    """200 walls, at all distances and bearings, full speed along all curves; the camera is the chair's."""
     rng, monitor = np.random.default_rng(8), CollisionMonitor(CHAIR)
     results = []
-    for n in range(500):
+    for n in range(200):
         points = wall(rng.uniform(1.7, 3.0), rng.uniform(-0.6, 0.6))
         ride = Ride(points, Camera(), monitor)
         # After such a gap between readings the monitor begins anew.
@@ -381,7 +381,7 @@ def test_nobody_who_asks_for_full_speed_hits_a_wall() -> None:
         results.append(ride.drive(VelocityCommand(1.0, rng.uniform(-0.6, 0.6)), 3.0))
         ride.clearance_m = min(ride.clearance_m, clearance_m(CHAIR, ride.base.pose, points))
         assert ride.clearance_m > 0
-    assert sum(result.state is not MonitorState.FREE for result in results) > 400
+    assert sum(result.state is not MonitorState.FREE for result in results) > 160
 
 
 def test_speeds_of_a_ride_follow_from_what_was_commanded() -> None:
