@@ -41,6 +41,7 @@ NOT_RUN = {
     "wheelsight record ": "needs a wheel controller; tests/cli/test_record.py",
     "wheelsight run corridor ": "of the recording that the controller made",
     "wheelsight drive ": "needs the map of a building that the simulator has; tests/cli/test_drive.py",
+    "wheelsight map info home": "of the map that an exploration leaves after minutes",
     "wheelsight map name ": "names a place of that map; tests/cli/test_maps.py",
     "wheelsight simulate flat --laps 2": "a minute of driving, for that map",
     "wheelsight run monday --map surfels --loops keyframes --out home": "of that drive",
