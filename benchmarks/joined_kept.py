@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -11,8 +10,7 @@ from typing import Any
 
 from benchmarks.joined_cases import CASES, Case
 from benchmarks.joined_figures import Accuracy, JoinedFigures
-from wheelsight.errors import InputError
-from wheelsight.files import write_text
+from benchmarks.kept_records import KeptRecords
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,23 +30,20 @@ class KeptFigures:
 
         Raises InputError for a file that was measured otherwise.
         """
-        if self.folder is None or not self._path(case, seed).exists():
-            return None
-        record = json.loads(self._path(case, seed).read_text())
-        if record.pop("measured_with") != dict(self.measured_with):
-            raise InputError("was measured otherwise", path=self._path(case, seed), fix="keep these in another folder")
-        return _read(record)
+        record = self._records.of(_name_of(case, seed))
+        return None if record is None else _read(record)
 
     def keep(self, figures: JoinedFigures) -> None:
         """Write a file, whole or not at all."""
-        if self.folder is not None:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            record = {**asdict(figures), "case": figures.case.name, "measured_with": dict(self.measured_with)}
-            write_text(self._path(figures.case, figures.seed), json.dumps(record, indent=1))
+        self._records.keep(_name_of(figures.case, figures.seed), {**asdict(figures), "case": figures.case.name})
 
-    def _path(self, case: Case, seed: int) -> Path:
-        assert self.folder is not None
-        return self.folder / f"{re.sub('[^a-z0-9]+', '-', case.name.lower())}-{seed}.json"
+    @property
+    def _records(self) -> KeptRecords:
+        return KeptRecords(self.folder, dict(self.measured_with))
+
+
+def _name_of(case: Case, seed: int) -> str:
+    return f"{re.sub('[^a-z0-9]+', '-', case.name.lower())}-{seed}"
 
 
 def _read(record: dict[str, Any]) -> JoinedFigures:

@@ -10,7 +10,6 @@ keyframe that lies within 1 m and 30° of one that is at least 20 s older; it is
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,15 +20,14 @@ from rich.console import Console
 from scipy.stats import chi2
 
 from benchmarks import machine
+from benchmarks.kept_records import KeptRecords
 from benchmarks.sequences import default_data_folder
 from benchmarks.session_starts import Building, drive_in
 from benchmarks.sessions import buildings_of
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
 from wheelsight.config import load_config
-from wheelsight.errors import InputError
 from wheelsight.estimates import Status
-from wheelsight.files import write_text
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.pipeline.loops import CorrectionRecord
 from wheelsight.pipeline.run_record import RunRecord
@@ -105,23 +103,20 @@ class Kept:
 
     def of(self, building: str, mode: str, seed: int) -> Laps | None:
         """What was measured before, if anything. Raises InputError for a file that was measured otherwise."""
-        if self.folder is None or not (path := self._path(building, mode, seed)).exists():
-            return None
-        record = json.loads(path.read_text(encoding="utf-8"))
-        if record.pop("measured_with") != self.measured_with:
-            raise InputError("was measured otherwise", path=path, fix="keep these in another folder")
-        return Laps(**record)
+        found = self._records.of(_name_of(building, mode, seed))
+        return None if found is None else Laps(**found)
 
     def keep(self, found: Laps) -> None:
         """Write a file, whole or not at all."""
-        if self.folder is not None:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            record = {**asdict(found), "measured_with": self.measured_with}
-            write_text(self._path(found.building, found.mode, found.seed), json.dumps(record, indent=1))
+        self._records.keep(_name_of(found.building, found.mode, found.seed), asdict(found))
 
-    def _path(self, building: str, mode: str, seed: int) -> Path:
-        assert self.folder is not None
-        return self.folder / f"{building}-{mode.replace(' ', '-')}-{seed}.json"
+    @property
+    def _records(self) -> KeptRecords:
+        return KeptRecords(self.folder, self.measured_with)
+
+
+def _name_of(building: str, mode: str, seed: int) -> str:
+    return f"{building}-{mode.replace(' ', '-')}-{seed}"
 
 
 def driven(building: Building, mode: str, seed: int, laps: int, rate_hz: float) -> Laps:

@@ -38,10 +38,10 @@ class Person:
 
     def carried(self, T: FloatArray) -> Person:
         """The same in another frame, by the motion (3,) x, y, yaw that carries points there."""
-        c, s = np.cos(T[2]), np.sin(T[2])
-        R = np.array([[c, -s], [s, c]])
+        M = se2.from_parts(*T)
+        R = M[:2, :2]
         both = np.kron(np.eye(2), R)
-        return Person(R @ self.position + T[:2], R @ self.velocity, both @ self.covariance @ both.T, self.radius_m)
+        return Person(R @ self.position + M[:2, 2], R @ self.velocity, both @ self.covariance @ both.T, self.radius_m)
 
 
 class PeopleTracker:
