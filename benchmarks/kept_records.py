@@ -28,7 +28,7 @@ class KeptRecords:
         if self.folder is None or not (path := self.folder / f"{name}.json").exists():
             return None
         record = json.loads(path.read_text(encoding="utf-8"))
-        if record["measured_with"] != self.measured_with:
+        if record["measured_with"] != self.measured_with or "found" not in record:
             raise InputError("was measured otherwise", path=path, fix="keep these in another folder")
         return record["found"]
 

@@ -39,5 +39,8 @@ def test_what_is_kept_is_not_taken_for_what_was_measured_otherwise(tmp_path: Pat
     assert kept.of("world-2") is None
     with pytest.raises(InputError, match="measured otherwise"):
         KeptRecords(tmp_path / "kept", {"rate_hz": 5.0}).of("world-1")
+    (tmp_path / "kept" / "old.json").write_text('{"measured_with": {"rate_hz": 10.0}, "score": 1}')
+    with pytest.raises(InputError, match="measured otherwise"):
+        kept.of("old")
     KeptRecords(None, {}).keep("world-1", {})
     assert KeptRecords(None, {}).of("world-1") is None
