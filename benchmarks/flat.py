@@ -81,7 +81,7 @@ def measure_flat(seconds: float = _SECONDS) -> FlatFigures:
         surfels.fuse(noisy, poses)
         if volume is not None:
             volume.fuse(noisy, poses)
-        builder.add(exact, poses.at(exact.stamp_s), (noisy.depth_m > 0) & (exact.depth_m < SEEN_M))
+        builder.add(exact.depth_m, poses.at(exact.stamp_s), (noisy.depth_m > 0) & (exact.depth_m < SEEN_M))
         count += 1
     surface = builder.surface()
     stable, every = (surfels.map.surfels(which).position.astype(float) for which in ("stable", "all"))

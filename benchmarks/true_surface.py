@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import BoolArray, FloatArray, PinholeCamera
+from wheelsight.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera
 
 CELL_M = 0.02
 _STRIDE_PX = 4
@@ -56,27 +55,27 @@ class TrueSurface:
 
 
 class SurfaceBuilder:
-    """Collects the true surface from frames of an ideal camera."""
+    """Collects the true surface from what a camera without error would see."""
 
     def __init__(self, camera: PinholeCamera) -> None:
         self._rays = camera.rays()
         self._focal_px = camera.fx
         self._parts: list[FloatArray] = []
 
-    def add(self, ideal: RgbdFrame, T_odom_camera: FloatArray, was_measured: BoolArray) -> None:
-        """What an ideal frame shows from a pose (4, 4), and at which pixels (H, W) the sensor measured."""
-        points = self._rays * ideal.depth_m[..., None].astype(float)
+    def add(self, true_depth_m: Float32Array, T_world_camera: FloatArray, was_measured: BoolArray) -> None:
+        """What is seen without error, (H, W), from a pose (4, 4), and at which pixels (H, W) the sensor measured."""
+        points = self._rays * true_depth_m[..., None].astype(float)
         right, down = points[:, 1:] - points[:, :-1], points[1:] - points[:-1]
         normal = np.cross(right[:-1], down[:, :-1])
-        depth_m = ideal.depth_m[:-1, :-1]
+        depth_m = true_depth_m[:-1, :-1]
         # The neighbour that spans an edge lies farther off than any surface seen at less than 80°.
         step_m = np.maximum(np.linalg.norm(right[:-1], axis=-1), np.linalg.norm(down[:, :-1], axis=-1))
-        there = (depth_m > 0) & (ideal.depth_m[1:, :-1] > 0) & (ideal.depth_m[:-1, 1:] > 0)
+        there = (depth_m > 0) & (true_depth_m[1:, :-1] > 0) & (true_depth_m[:-1, 1:] > 0)
         there &= step_m < 6 * depth_m / self._focal_px
         pick = np.zeros_like(there)
         pick[::_STRIDE_PX, ::_STRIDE_PX] = True
         pick &= there
-        R, t = T_odom_camera[:3, :3], T_odom_camera[:3, 3]
+        R, t = T_world_camera[:3, :3], T_world_camera[:3, 3]
         normals = normal[pick] / np.linalg.norm(normal[pick], axis=-1, keepdims=True)
         reach_m = _REACH * depth_m[pick] / self._focal_px
         where = points[:-1, :-1][pick] @ R.T + t

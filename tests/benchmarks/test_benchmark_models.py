@@ -20,7 +20,6 @@ from benchmarks.run import Figures, Result
 from benchmarks.sequences import Accuracy
 from benchmarks.table import Sheet
 from benchmarks.true_surface import SurfaceBuilder, TrueSurface
-from wheelsight.events import RgbdFrame
 from wheelsight.geometry import PinholeCamera, se3, so3
 from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
 
@@ -105,12 +104,11 @@ def wall(depth_m: float = 2.0) -> TrueSurface:
     """What a camera turned about its axis and moved sees of the plane one side of it: z = 2 m of the world."""
     T = se3.from_parts(so3.exp(np.array([0.0, 0.0, 0.7])), np.array([0.3, -0.2, 2.0 - depth_m]))
     builder = SurfaceBuilder(CAMERA)
-    image = np.zeros((48, 64, 3), np.uint8)
     was_measured = np.ones((48, 64), bool)
     was_measured[:, :32] = False
     for shift_m in (0.0, 0.011):
         T[0, 3] += shift_m
-        builder.add(RgbdFrame(0.0, image, np.full((48, 64), depth_m, np.float32)), T, was_measured)
+        builder.add(np.full((48, 64), depth_m, np.float32), T, was_measured)
     return builder.surface()
 
 
@@ -150,7 +148,7 @@ def test_maps_fed_with_true_poses_lie_on_the_true_surface(recording: SimulatedRe
     poses, builder = TruePoses(recording), SurfaceBuilder(recording.calibration.cameras[1])
     surfels, volume = KnownSurfels(recording.calibration), volume_of(recording)
     for frame in recording.renderer.frames():
-        builder.add(frame, poses.at(frame.stamp_s), frame.depth_m < 3.5)
+        builder.add(frame.depth_m, poses.at(frame.stamp_s), frame.depth_m < 3.5)
         for each in (surfels, volume):
             if each is not None:
                 each.fuse(frame, poses)

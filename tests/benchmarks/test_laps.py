@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks import laps
+from benchmarks.laps_surface import share_within, surface_of
 from benchmarks.table import Sheet, write_page
 from wheelsight.errors import InputError
 from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeId
+from wheelsight.simulation import SimulationSettings, simulate
 from wheelsight.slam.graph import RelativePose
 
 # x of a camera that looks along z is to its right; it stands upright in a world whose z is up.
@@ -54,7 +56,8 @@ def test_targets_count_all_drives() -> None:
     assert alone.measured == pytest.approx(1.5)
     assert joined.measured == pytest.approx(0.5)
     assert DRIVE.row[0] == "flat, seed 1, joined"
-    assert DRIVE.row[-1] == "6/8"
+    assert DRIVE.row[-2:] == ("6/8", "—")
+    assert replace(DRIVE, surfels_near=0.9).row[-1] == "90.0 %"
 
 
 def test_a_page_has_what_was_measured_on_what_and_the_tables(tmp_path: Path) -> None:
@@ -75,3 +78,16 @@ def test_a_drive_that_is_kept_is_not_measured_again_nor_taken_for_another(tmp_pa
         laps.Kept(tmp_path / "drives", {"laps": 3, "rate_hz": 10.0, "way_m": 40.0}).of("flat", "joined", 1)
     laps.Kept(None, {}).keep(DRIVE)
     assert laps.Kept(None, {}).of("flat", "joined", 1) is None
+
+
+def test_surfels_are_held_against_what_the_camera_truly_saw() -> None:
+    source = simulate(SimulationSettings(world="square", size=(64, 48), rate_hz=3.0, duration_s=2.0))
+    surface = surface_of(source)
+    T_world_map = se3.from_plane(1.0, 2.0, 0.5)
+    R, t = T_world_map[:3, :3], T_world_map[:3, 3]
+    seen = (surface.points[surface.was_seen] - t) @ R
+    assert share_within(seen, T_world_map, surface) == 1.0
+    assert share_within(seen, np.eye(4), surface) < 0.5
+    off = seen + 0.05 * surface.normals[surface.was_seen] @ R
+    assert share_within(off, T_world_map, surface) < 0.1
+    assert np.isnan(share_within(seen[:0], T_world_map, surface))
