@@ -4,6 +4,8 @@ A loop passes a chi-square gate by the joint marginal of its keyframes, and is t
 refused is reviewed from time to time: all loops under the kernel, and each refused cluster that agrees with itself, are
 hypotheses beside the present one; that wins by which all measurements are explained best, a cluster never by what it
 says itself. An honest odometry makes the gate right; where it states too little of its errors, the review finds out.
+Where two pieces hang together by loops alone, no odometry speaks for those that came first: there a refused cluster is
+heard as they are.
 """
 
 from __future__ import annotations
@@ -88,6 +90,21 @@ class LoopReport:
         return dict(Counter(str(one.refusal) for one in self.judged if one.refusal is not None))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hypothesis:
+    """Loops that poses may go by.
+
+    Attributes:
+        own: the cluster that must not speak for it, or -1.
+        kept: (L,) the loops.
+        T_start: (N, 4, 4) whence the poses are sought.
+    """
+
+    own: int
+    kept: BoolArray
+    T_start: FloatArray
+
+
 class LoopCloser:
     """Judges loops, and has the graph go by those that are kept.
 
@@ -141,13 +158,13 @@ class LoopCloser:
         self._settle()
         T_now, kept_now = self.graph.poses, np.array(self._kept, bool)
         best, gain = (T_now, kept_now), settings.least_gain
-        for own, tried in self._hypotheses(kept_now):
-            self._keep(tried)
-            self.graph.optimise(T_start)
+        for one in self._hypotheses(kept_now, T_start):
+            self._keep(one.kept)
+            self.graph.optimise(one.T_start)
             T = self.graph.poses
-            found = self._cost(T_now, own) - self._cost(T, own)
+            found = self._cost(T_now, one.own) - self._cost(T, one.own)
             if found > gain:
-                best, gain = (T, tried), found
+                best, gain = (T, one.kept), found
         has_won = best[0] is not T_now
         self._keep(best[1])
         self.graph.optimise(best[0])
@@ -172,15 +189,35 @@ class LoopCloser:
         freedom = np.array([loop.freedom for loop in loops])
         return [float(limit) for limit in 2 * gammaincinv(freedom / 2, self.settings.gate_probability)]
 
-    def _hypotheses(self, kept: BoolArray) -> Iterator[tuple[int, BoolArray]]:
-        """Loops (L,) that each goes by, and the cluster that must not speak for it, or -1."""
-        yield -1, np.ones(len(kept), bool)
+    def _hypotheses(self, kept: BoolArray, T: FloatArray) -> Iterator[_Hypothesis]:
+        """All loops, and each of the largest refused clusters (L,)."""
+        yield _Hypothesis(-1, np.ones(len(kept), bool), T)
         if kept.all():
             return
         numbers, counts = np.unique(self._clusters[~kept], return_counts=True)
         largest = np.argsort(-counts, kind="stable")[: self.settings.most_appeals]
         for number in numbers[largest[counts[largest] >= self.settings.least_members]]:
-            yield int(number), kept | (self._clusters == number)
+            cluster = self._clusters == number
+            yield self._in_place_of_others(cluster, kept, T) or _Hypothesis(int(number), kept | cluster, T)
+
+    def _in_place_of_others(self, cluster: BoolArray, kept: BoolArray, T: FloatArray) -> _Hypothesis | None:
+        """By a cluster (L,) where nothing but loops tells how its two ends lie; None where odometry tells."""
+        first, second = (np.array([getattr(loop, end) for loop in self._loops]) for end in ("first", "second"))
+        piece = self.graph.unheld(without=self._loops)
+        ends = np.sort(np.column_stack([piece[first], piece[second]]), axis=1)
+        older, newer = ends[np.flatnonzero(cluster)[0]]
+        if older == newer:
+            return None
+        rivals = kept & (ends == (older, newer)).all(axis=1)
+        return _Hypothesis(-1, (kept & ~rivals) | cluster, self._laid(piece == newer, cluster, T))
+
+    def _laid(self, moving: BoolArray, cluster: BoolArray, T: FloatArray) -> FloatArray:
+        """Poses (N, 4, 4) with a piece (N,) where the middle one of a cluster's loops (L,) has it."""
+        loop = self._loops[np.flatnonzero(cluster)[np.count_nonzero(cluster) // 2]]
+        X = T[loop.first] @ loop.T_first_second @ se3.invert(T[loop.second])
+        laid = T.copy()
+        laid[moving] = se3.nearest((X if moving[loop.second] else se3.invert(X)) @ T[moving])
+        return laid
 
     def _keep(self, kept: BoolArray) -> None:
         """Have the graph go by these loops (L,)."""
