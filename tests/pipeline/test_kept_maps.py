@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from full_disk import FullDisk
 from numpy.testing import assert_allclose
 from pipeline.made import FILES, metrics_in, names_in
+from pipeline.two_days import CALIBRATION, FIRST_DAY, at, frames_of
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 from synthetic import make_tum_recording
@@ -136,3 +138,24 @@ def test_a_map_with_loops_has_the_edges_by_which_its_graph_hangs_together(tmp_pa
     steps = [(edge.first, edge.second) for edge in found.edges if not edge.is_loop]
     assert sorted(steps) == [(k, k + 1) for k in range(len(found.store) - 1)]
     assert len(found.store) >= 3
+
+
+def test_a_map_lies_where_the_corrected_way_has_it_even_after_a_piece_that_nobody_could_place(tmp_path: Path) -> None:
+    """Behind a cover the camera is turned back; what it sees then is kept far off until it is recognised."""
+    back = [at(step, 0.15) for step in range(75, 5, -1)]
+    before, after = frames_of(FIRST_DAY, 10.0), frames_of(back, 20.0)
+    dark = [replace(frame, color=np.zeros_like(frame.color), depth_m=np.zeros_like(frame.depth_m)) for frame in before]
+    covered = [replace(frame, stamp_s=14.0 + 0.2 * k, index=100 + k) for k, frame in enumerate(dark[:15])]
+    beyond = [replace(frame, index=200 + frame.index) for frame in after]
+    with_loops = {"odometry": "dense", "map": "surfels", "loops.source": "keyframes"}
+    source = MemoryRecording([*before, *covered, *beyond], None, CALIBRATION)
+    record = run(source, load_config(overrides=with_loops), tmp_path)
+    assert record.correction is not None
+    corrected, found = record.correction.found.corrected, MapFolder.open(find_map(tmp_path))
+    stamps_s = np.array([found.store[number].stamp_s for number in found.store])
+    assert (stamps_s > 20.0).any()
+    rows = np.searchsorted(corrected.stamps_s, stamps_s)
+    off = se3.invert(corrected.T_frame_body[rows]) @ found.store.T_map_keyframe
+    assert se3.view_shift_m(off).max() < 1e-6
+    assert record.map is not None
+    assert all(np.mean(picture.rendered > 0) > 0.5 for picture in record.map.pictures)

@@ -17,6 +17,9 @@ from wheelsight.mapping import SurfelMap
 from wheelsight.mapping.plan import Plan, plan_of
 from wheelsight.mapping.upright import upward
 from wheelsight.pipeline.map_record import MapPicture, MapRecord
+from wheelsight.slam.correction import corrected_by
+from wheelsight.slam.live import ClosedLoops
+from wheelsight.trajectory import Trajectory
 
 MAP_FILE = "map.surfels"
 _WIDTHS_PX = (640, 320, 160)
@@ -42,12 +45,14 @@ class Stops:
     Attributes:
         due: indices.
         found: the frames.
-        T_map_body: poses (4, 4) in the map of all frames that have one.
+        stamps_s: of all frames that have a pose.
+        T_map_body: their poses (4, 4) in the map.
         T_odom_map: (4, 4) where the map lay at each of these frames, by what was known then.
     """
 
     due: list[int]
     found: list[Stop] = field(default_factory=list)
+    stamps_s: list[float] = field(default_factory=list)
     T_map_body: list[FloatArray] = field(default_factory=list)
     T_odom_map: list[FloatArray] = field(default_factory=list)
 
@@ -58,6 +63,7 @@ class Stops:
         if estimate.T_odom_body is None:
             return
         T_map_body = se3.invert(T_odom_map) @ estimate.T_odom_body
+        self.stamps_s.append(frame.stamp_s)
         self.T_map_body.append(T_map_body)
         self.T_odom_map.append(T_odom_map)
         if not self.due or frame.index < self.due[0]:
@@ -78,6 +84,25 @@ class Stops:
         self.T_map_body = [T_new_old @ T for T in self.T_map_body]
         self.found = [replace(stop, T_map_camera=T_new_old @ stop.T_map_camera) for stop in self.found]
         self.T_odom_map = [np.eye(4)] * len(self.T_map_body)
+
+    def follow(self, closed: ClosedLoops) -> None:
+        """Put all poses to where loops have them at the end, as the map is; those drop out that lie nobody knows where.
+
+        The map itself stays: its keyframes lie where the corrected trajectory has them.
+        """
+        if not (self.stamps_s and len(closed.stamps_s)):
+            return
+        T_odom_body = np.array(self.T_odom_map) @ np.array(self.T_map_body)
+        corrected = corrected_by(closed, Trajectory(np.array(self.stamps_s), T_odom_body)).corrected
+        old = dict(zip(self.stamps_s, self.T_map_body, strict=True))
+        new = dict(zip(corrected.stamps_s.tolist(), corrected.T_frame_body, strict=True))
+        self.found = [
+            replace(stop, T_map_camera=new[stop.stamp_s] @ se3.invert(old[stop.stamp_s]) @ stop.T_map_camera)
+            for stop in self.found
+            if stop.stamp_s in new
+        ]
+        self.stamps_s, self.T_map_body = list(new), list(new.values())
+        self.T_odom_map = [np.eye(4)] * len(new)
 
 
 def _mean_motion(T_odom_map: FloatArray, T_map_body: FloatArray) -> FloatArray:

@@ -106,7 +106,10 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
 def _map(track: Track, passage: Passage, source: EventSource) -> MapRecord | None:
     if track.localizer.map is None or passage.is_torn:
         return None
-    track.stops.lay(track.localizer.map)
+    if track.localizer.loops is None:
+        track.stops.lay(track.localizer.map)
+    else:
+        track.stops.follow(track.localizer.loops.finish())
     way = (track.stops.found, np.array(track.stops.T_map_body, float).reshape(-1, 4, 4))
     return map_record_of(track.localizer.map, *way, source.calibration)
 
