@@ -13,6 +13,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry.motion_kernels import is_definite
 from wheelsight.keyframes import KeyframeFeatures
 from wheelsight.odometry._lens import maps_without_lens
 from wheelsight.odometry.dense.keypoint_pose import KeypointPose
@@ -106,8 +107,9 @@ class KeypointTracker:
             view = self._view(keyframe)
             if view is not None:
                 found = self._by_view.track(features, view, self._in_color(twist), None, self._asked)
-                if isinstance(found, Fix):
-                    return self._pose(found)
+                told = self._pose(found) if isinstance(found, Fix) else None
+                if told is not None:
+                    return told
         return None
 
     def remember(self, tracked: Tracked, features: Features) -> None:
@@ -142,7 +144,8 @@ class KeypointTracker:
     def _in_color(self, twist: FloatArray) -> FloatArray:
         return np.asarray(se3.adjoint(self._T_color_camera) @ twist)
 
-    def _pose(self, found: Fix) -> KeypointPose:
+    def _pose(self, found: Fix) -> KeypointPose | None:
+        """None where keypoints lie so that they do not tell all of the motion, and rounding hides how sure it is."""
         motion, view = found.motion, found.view
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
@@ -152,6 +155,9 @@ class KeypointTracker:
         own = np.asarray(Ad @ motion.covariance @ Ad.T)
         alike = self._settings.correlation
         covariance = view.covariance + (alike - 1) * own
+        covariance = (covariance + covariance.T) / 2
+        if not (np.isfinite(covariance).all() and is_definite(covariance)):
+            return None
         return KeypointPose(T_map_camera, covariance, *counts, self._settings, alike * own, view)
 
     def _view(self, keyframe: KnownView) -> View | None:
