@@ -26,6 +26,9 @@ from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker
 from wheelsight.odometry.stopwatch import Stopwatch
 
+# A variance that is a smaller share of all is what rounding left.
+_LEAST_SHARE, _ALL = 1e-12, np.eye(6)
+
 
 class KeypointTracker:
     """Finds frames by ORB keypoints: against the frame before, then against the landmarks of near keyframes (Zhang, 3).
@@ -156,7 +159,7 @@ class KeypointTracker:
         alike = self._settings.correlation
         covariance = view.covariance + (alike - 1) * own
         covariance = (covariance + covariance.T) / 2
-        if not (np.isfinite(covariance).all() and is_definite(covariance)):
+        if not (np.isfinite(covariance).all() and is_definite(covariance - _LEAST_SHARE * np.trace(covariance) * _ALL)):
             return None
         return KeypointPose(T_map_camera, covariance, *counts, self._settings, alike * own, view)
 
