@@ -5,8 +5,7 @@ the trajectory while driving, in `odom`; "at the end" is the corrected one. A lo
 10° off, and farther than its covariance allows (in a corridor it tells nothing of the way along). A revisit is a
 keyframe that lies within 1 m and 30° of one that is at least 20 s older; it is closed where a kept loop ends at it.
 "Right" are loops that were refused all the same. "In 2 cm" are stable surfels of the map at the end that lie within
-2 cm of a true surface, by the alignment of the trajectory; errors of depth, of which nobody has told the robot, are in
-it too.
+2 cm of a true surface, the map laid where it fits best; errors of depth, of which nobody has told the robot, are in it.
 """
 
 from __future__ import annotations
