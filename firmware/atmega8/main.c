@@ -45,7 +45,7 @@ int main(void)
         look();
         protocol_report(&sample);
         protocol_watch(sample.ticks);
-        if (uart_receive(&byte))
+        if (line_receive(&byte))
             protocol_receive(byte, &sample);
     }
 }

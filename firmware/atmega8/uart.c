@@ -33,7 +33,7 @@ ISR(USART_RXC_vect)
     in_head = next;
 }
 
-bool uart_send(const uint8_t *bytes, uint8_t length)
+bool line_send(const uint8_t *bytes, uint8_t length)
 {
     uint8_t head = out_head;
     const uint8_t room = (out_tail - head - 1) & (OUT_SIZE - 1);
@@ -48,7 +48,7 @@ bool uart_send(const uint8_t *bytes, uint8_t length)
     return true;
 }
 
-bool uart_receive(uint8_t *byte)
+bool line_receive(uint8_t *byte)
 {
     const uint8_t tail = in_tail;
     if (tail == in_head)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from firmware.simulation.simulated_chip import Chip, build, missing_tools
+from firmware.simulation.simulated_stm32 import Stm32, missing_stm32_tools
 
 AVR_PACKAGES = "gcc gcc-avr avr-libc libsimavr-dev"
 ARDUINO_CORE = Path("/usr/share/arduino/hardware/arduino/avr/cores")
@@ -65,3 +66,21 @@ def built_sketch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     build("simulation", folder, "CHIP=atmega328p", "HZ=16000000")
     (folder / "size.txt").write_text(build("arduino", folder))
     return folder
+
+
+@pytest.fixture(scope="session")
+def built_stm32(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the STM32F4's program, controller.bin."""
+    need_tools(missing_stm32_tools(), "gcc-arm-none-eabi; by pip: unicorn")
+    folder = tmp_path_factory.mktemp("stm32f4")
+    (folder / "size.txt").write_text(build("stm32f4", folder))
+    return folder
+
+
+@pytest.fixture
+def board(built_stm32: Path) -> Iterator[Stm32]:
+    """A board, a tenth of a second after power came on, whose line is empty."""
+    with Stm32(built_stm32 / "controller.bin") as board:
+        board.run(0.1)
+        board.messages()
+        yield board

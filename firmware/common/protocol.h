@@ -11,7 +11,8 @@ struct sample {
     uint32_t right;
 };
 
-/* `reset_cause` is told to the host with the version: MCUCSR as it was at the start. */
+/* `reset_cause` is told to the host with the version: 1 power-on, 2 the reset pin, 4 brown-out,
+ * 8 the watchdog. */
 void protocol_init(uint8_t reset_cause);
 
 /* Sends the sample where, by the format in use, it is time to. */
