@@ -14,6 +14,7 @@
 #include <util/atomic.h>
 
 static struct sample sample;
+static struct frame_reader reader;
 
 static void look(void)
 {
@@ -45,7 +46,7 @@ int main(void)
         look();
         protocol_report(&sample);
         protocol_watch(sample.ticks);
-        if (line_receive(&byte))
-            protocol_receive(byte, &sample);
+        if (uart_receive(&byte))
+            protocol_receive(&reader, byte, &sample);
     }
 }

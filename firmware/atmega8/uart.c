@@ -1,6 +1,7 @@
 #include "uart.h"
 
 #include "config.h"
+#include "line.h"
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
@@ -48,7 +49,7 @@ bool line_send(const uint8_t *bytes, uint8_t length)
     return true;
 }
 
-bool line_receive(uint8_t *byte)
+bool uart_receive(uint8_t *byte)
 {
     const uint8_t tail = in_tail;
     if (tail == in_head)

@@ -2,8 +2,12 @@
 #ifndef UART_H
 #define UART_H
 
-#include "line.h"
+#include <stdbool.h>
+#include <stdint.h>
 
 void uart_init(void);
+
+/* Takes the next received byte; false where there is none. */
+bool uart_receive(uint8_t *byte);
 
 #endif

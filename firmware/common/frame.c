@@ -48,21 +48,18 @@ static const struct frame *check(uint8_t *bytes, uint8_t length)
     return &frame;
 }
 
-const struct frame *frame_receive(uint8_t byte)
+const struct frame *frame_receive(struct frame_reader *reader, uint8_t byte)
 {
-    static uint8_t bytes[16], length;
-    static bool is_too_long;
-
-    if (byte && length < sizeof bytes) {
-        bytes[length++] = byte;
+    if (byte && reader->length < sizeof reader->bytes) {
+        reader->bytes[reader->length++] = byte;
         return NULL;
     }
     if (byte) {
-        is_too_long = true;
+        reader->is_too_long = true;
         return NULL;
     }
-    const struct frame *frame = is_too_long ? NULL : check(bytes, length);
-    length = 0;
-    is_too_long = false;
+    const struct frame *frame = reader->is_too_long ? NULL : check(reader->bytes, reader->length);
+    reader->length = 0;
+    reader->is_too_long = false;
     return frame;
 }

@@ -1,4 +1,4 @@
-/* The serial line, as each board's own file makes it. */
+/* Where frames are sent: each board's own file says how. */
 #ifndef LINE_H
 #define LINE_H
 
@@ -7,8 +7,5 @@
 
 /* Queues all of the bytes, or none and answers false where they would not fit. */
 bool line_send(const uint8_t *bytes, uint8_t length);
-
-/* Takes the next received byte; false where there is none. */
-bool line_receive(uint8_t *byte);
 
 #endif

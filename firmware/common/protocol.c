@@ -2,7 +2,6 @@
 
 #include "clock.h"
 #include "config.h"
-#include "frame.h"
 #include "pwm.h"
 #include "line.h"
 
@@ -139,9 +138,9 @@ static enum status obey(const struct frame *frame, struct sample *sample)
     return DONE;
 }
 
-void protocol_receive(uint8_t byte, struct sample *sample)
+void protocol_receive(struct frame_reader *reader, uint8_t byte, struct sample *sample)
 {
-    const struct frame *frame = frame_receive(byte);
+    const struct frame *frame = frame_receive(reader, byte);
     if (!frame)
         return;
     const enum format before = format;

@@ -20,7 +20,11 @@ from wheelsight.devices.protocol import Ack, Command, Counts, FrameDecoder, Mess
 
 FLASH_BEGIN, FLASH_SIZE = 0x08000000, 1 << 20
 RAM_BEGIN, RAM_SIZE = 0x20000000, 128 << 10
+DATA_SIZE = 4096  # more than the program's data take
 IO_BEGIN, IO_SIZE = 0x40000000, 0x40000
+USB_BEGIN, USB_SIZE = 0x50000000, 0x40000
+UNIQUE_ID = 0x1FFF7A10
+SERIAL_NUMBER = bytes(range(0x31, 0x3D))
 SLICE_S, INSTRUCTIONS = 40e-6, 100
 _SLICE = round(SLICE_S * CORE_HZ)
 _GARBAGE = b"\xa5"
@@ -53,7 +57,10 @@ class Stm32:
         self._processor: Any = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         self._processor.mem_map(FLASH_BEGIN, FLASH_SIZE)
         self._processor.mem_map(RAM_BEGIN, RAM_SIZE)
-        self._processor.mmio_map(IO_BEGIN, IO_SIZE, self._read, None, self._write, None)
+        self._processor.mem_map(UNIQUE_ID & ~0xFFF, 0x1000)
+        self._processor.mem_write(UNIQUE_ID, SERIAL_NUMBER)
+        for begin, size in ((IO_BEGIN, IO_SIZE), (USB_BEGIN, USB_SIZE)):
+            self._processor.mmio_map(begin, size, self._read, begin, self._write, begin)
         self._processor.mem_write(FLASH_BEGIN, program.read_bytes())
         self.peripherals = Peripherals(self._write_memory, has_crystal)
         self.resets = 0
@@ -171,8 +178,8 @@ class Stm32:
         self._processor.mem_write(address, (word & 0xFFFFFFFF).to_bytes(4, "little"))
 
     def stack_used(self) -> int:
-        """Bytes from the end of memory that were ever written, its first kilobyte aside, where the data are."""
-        memory = bytes(self._processor.mem_read(RAM_BEGIN + 1024, RAM_SIZE - 1024))
+        """Bytes from the end of memory that were ever written, its first kilobytes aside, where the data are."""
+        memory = bytes(self._processor.mem_read(RAM_BEGIN + DATA_SIZE, RAM_SIZE - DATA_SIZE))
         return len(memory.lstrip(_GARBAGE))
 
     def _boot(self) -> None:
@@ -191,16 +198,16 @@ class Stm32:
             self.peripherals.bite()
             self._boot()
 
-    def _read(self, processor: Any, offset: int, size: int, data: Any) -> int:
+    def _read(self, processor: Any, offset: int, size: int, begin: int) -> int:
         try:
-            return self.peripherals.read(IO_BEGIN + offset)
+            return self.peripherals.read(begin + offset)
         except Exception as error:
             self._stop(error)
             return 0
 
-    def _write(self, processor: Any, offset: int, size: int, value: int, data: Any) -> None:
+    def _write(self, processor: Any, offset: int, size: int, value: int, begin: int) -> None:
         try:
-            self.peripherals.write(IO_BEGIN + offset, value)
+            self.peripherals.write(begin + offset, value)
         except Exception as error:
             self._stop(error)
 

@@ -10,6 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from firmware.simulation.stm32_usb import UsbCore
+
 CORE_HZ = 168_000_000
 HSE_HZ = 8_000_000
 LSI_HZ = 32_000  # of the watchdog; 17 000 to 47 000 on real chips
@@ -17,8 +19,11 @@ BAUD = 115_200
 
 RCC, FLASH, IWDG, DMA1, USART2 = 0x40023800, 0x40023C00, 0x40003000, 0x40026000, 0x40004400
 TIM1, TIM2, TIM3, TIM5 = 0x40010000, 0x40000000, 0x40000400, 0x40000C00
+USB = 0x50000000
 GPIOA, GPIOB, GPIOD, GPIOE = 0x40020000, 0x40020400, 0x40020C00, 0x40021000
-_RCC_CR, _PLLCFGR, _CFGR, _AHB1ENR, _APB1ENR, _APB2ENR, _CSR = (RCC + at for at in (0, 4, 8, 0x30, 0x40, 0x44, 0x74))
+_RCC_CR, _PLLCFGR, _CFGR, _AHB1ENR, _AHB2ENR, _APB1ENR, _APB2ENR, _CSR = (
+    RCC + at for at in (0, 4, 8, 0x30, 0x34, 0x40, 0x44, 0x74)
+)
 _STREAM5 = DMA1 + 0x10 + 5 * 0x18
 # Which bit of which register gives a peripheral its clock.
 _CLOCKS = {
@@ -31,6 +36,7 @@ _CLOCKS = {
     TIM3: (_APB1ENR, 1),
     TIM5: (_APB1ENR, 3),
     USART2: (_APB1ENR, 17),
+    USB: (_AHB2ENR, 7),
     TIM1: (_APB2ENR, 0),
 }
 _ALWAYS = (RCC, FLASH, IWDG)
@@ -96,6 +102,7 @@ class Peripherals:
 
     Attributes:
         cycle: now.
+        usb: the USB core.
         sent: bytes on the line from the chip, each with the second at which it began.
         is_bitten: whether the watchdog has just bitten.
         garbled: bytes that the wrong baud rate made noise, or that were lost for another reason.
@@ -111,6 +118,7 @@ class Peripherals:
             "left": Encoder(TIM2, 32, ((GPIOA, 15), (GPIOB, 3)), 1),
             "right": Encoder(TIM3, 16, ((GPIOB, 4), (GPIOB, 5)), 2),
         }
+        self.usb = UsbCore(lambda: all(self._has_pin(GPIOA, pin, 10) for pin in (11, 12)))
         self._write_memory, self._has_crystal = write_memory, has_crystal
         self._coming: deque[tuple[float, int]] = deque()
         self._line_free_s = 0.0
@@ -125,6 +133,7 @@ class Peripherals:
         """All registers as after a reset; wheels and what is on the line stay as they are."""
         self._registers: dict[int, int] = {_CSR: cause, TIM1 + 0x2C: 0xFFFF, IWDG + 8: 0xFFF}
         self._registers |= {TIM3 + 0x2C: 0xFFFF, TIM2 + 0x2C: 0xFFFFFFFF, TIM5 + 0x2C: 0xFFFFFFFF}
+        self.usb.reset()
         self.is_bitten, self._is_watched, self._is_unlocked, self._bites_s = False, False, False, 0.0
         self._clock_zero_s, self._ring = self.now_s, 0
         self._wiring: dict[str, tuple[bool, float]] = {}  # of each encoder: whether it counts, and its filter
@@ -158,6 +167,8 @@ class Peripherals:
         """What the program reads there."""
         if not self._is_clocked(address):
             return 0
+        if address >= USB:
+            return self.usb.read(address - USB)
         value = self._registers.get(address, 0)
         if address == _RCC_CR:
             return value | (value & 1 << 16 and self._has_crystal) << 17 | (value & 1 << 24) << 1
@@ -183,7 +194,9 @@ class Peripherals:
         """What the program writes there."""
         if not self._is_clocked(address):
             return
-        if address & ~0x3FF == IWDG:
+        if address >= USB:
+            self.usb.write(address - USB, value)
+        elif address & ~0x3FF == IWDG:
             self._watch(address - IWDG, value)
         elif address == _CSR:
             self._registers[_CSR] = 0 if value & 1 << 24 else self._registers[_CSR]
@@ -221,7 +234,7 @@ class Peripherals:
         return self._filter_s(self.encoders[wheel])
 
     def _is_clocked(self, address: int) -> bool:
-        base = address & ~0x3FF
+        base = address & ~0x3FF if address < USB else USB
         if base in _ALWAYS:
             return True
         if base not in _CLOCKS:

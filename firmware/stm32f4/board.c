@@ -44,6 +44,7 @@ void board_start_clocks(void)
     while ((RCC->CFGR & CFGR_SWS) != CFGR_SWS_PLL)
         ;
     RCC->AHB1ENR |= AHB1ENR_GPIOA | AHB1ENR_GPIOB | AHB1ENR_GPIOD | AHB1ENR_GPIOE | AHB1ENR_DMA1;
+    RCC->AHB2ENR |= AHB2ENR_OTGFS;
     RCC->APB1ENR |= APB1ENR_TIM2 | APB1ENR_TIM3 | APB1ENR_TIM5 | APB1ENR_USART2;
     RCC->APB2ENR |= APB2ENR_TIM1;
     (void)RCC->APB2ENR; /* a peripheral is ready two of its clocks after it was given one */
@@ -64,6 +65,8 @@ void board_connect_pins(void)
     connect(GPIOB, 5, 2, PULL_UP);
     connect(GPIOA, 2, 7, NO_PULL); /* USART2: TX, and RX */
     connect(GPIOA, 3, 7, PULL_UP);
+    connect(GPIOA, 11, 10, NO_PULL); /* USB: D−, and D+ */
+    connect(GPIOA, 12, 10, NO_PULL);
     connect(GPIOE, 9, 1, NO_PULL); /* TIM1: left motor, and right */
     connect(GPIOE, 11, 1, NO_PULL);
     GPIOD->MODER |= 1UL << 2 * GREEN_LED;

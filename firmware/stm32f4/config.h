@@ -15,6 +15,10 @@
  * one channel that come 5 µs apart, as 400 000 counts a second make them, pass; spikes do not. */
 #define ENCODER_FILTER 9
 
+/* pid.codes' number for trials at home. Whoever gives boards away needs one of their own. */
+#define USB_VENDOR 0x1209
+#define USB_PRODUCT 0x0001
+
 #define FRAME_MS 20
 #define DRIVE_TIMEOUT_MS 250
 

@@ -42,6 +42,8 @@ struct iwdg {
 #define TIM5 ((struct timer *)0x40000C00)
 #define USART2 ((struct usart *)0x40004400)
 #define DMA1_STREAM5 ((struct dma_stream *)0x40026088)
+#define USB_AT(offset) (*(volatile uint32_t *)(0x50000000 + (offset)))
+#define UNIQUE_ID ((const volatile uint32_t *)0x1FFF7A10)
 #define IWDG ((struct iwdg *)0x40003000)
 
 #define BIT(number) (1UL << (number))
@@ -62,6 +64,7 @@ struct iwdg {
 #define AHB1ENR_GPIOD BIT(3)
 #define AHB1ENR_GPIOE BIT(4)
 #define AHB1ENR_DMA1 BIT(21)
+#define AHB2ENR_OTGFS BIT(7)
 #define APB1ENR_TIM2 BIT(0)
 #define APB1ENR_TIM3 BIT(1)
 #define APB1ENR_TIM5 BIT(3)

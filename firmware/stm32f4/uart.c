@@ -20,7 +20,7 @@ void uart_poll(void)
     out_tail = (out_tail + 1) & (OUT_SIZE - 1);
 }
 
-bool line_send(const uint8_t *bytes, uint8_t length)
+bool uart_send(const uint8_t *bytes, uint8_t length)
 {
     const unsigned room = (out_tail - out_head - 1) & (OUT_SIZE - 1);
     if (length > room)
@@ -32,7 +32,7 @@ bool line_send(const uint8_t *bytes, uint8_t length)
     return true;
 }
 
-bool line_receive(uint8_t *byte)
+bool uart_receive(uint8_t *byte)
 {
     const unsigned head = (IN_SIZE - DMA1_STREAM5->NDTR) & (IN_SIZE - 1);
     if (in_tail == head)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from firmware.simulation.simulated_chip import WATCHDOG_RESET
-from firmware.simulation.simulated_stm32 import RAM_SIZE, Stm32
+from firmware.simulation.simulated_stm32 import DATA_SIZE, RAM_SIZE, Stm32
 from wheelsight.devices.continuity import TickTracker
 from wheelsight.devices.link import LinkStatus, WheelLink
 from wheelsight.devices.protocol import Command, drive_body, encode_frame
@@ -42,7 +42,7 @@ def address_of(folder: Path, symbol: str) -> int:
 def test_the_build_prints_a_size_that_leaves_room(built_stm32: Path, board: Stm32) -> None:
     text, data, bss = map(int, re.findall(r"\d+", (built_stm32 / "size.txt").read_text().splitlines()[-1])[:3])
     assert 0 < text < 32 << 10
-    assert 0 < data + bss < 1024
+    assert 0 < data + bss < DATA_SIZE
     board.command(Command.DRIVE, drive_body(0.1, 0.1))
     board.run(0.1)
     assert 0 < board.stack_used() < RAM_SIZE // 64
