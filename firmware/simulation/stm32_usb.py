@@ -188,6 +188,8 @@ class UsbHost:
         self._until(lambda: self._core.is_connected or None)
         self._core.reset_bus()
         self._run(0.01)
+        if self._core.address != 0:
+            raise UsbError("the device keeps its address")
         device = self.control(0x80, 6, 0x0100, 0, 64)
         self.control(0x00, 5, 42, 0, 0)
         if self._core.address != 42:
