@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ _WORD = 1 << 32
 _SIGNED, _UNSIGNED = (-(1 << 15), (1 << 15) - 1), (0, (1 << 16) - 1)
 _EARLIEST_S = 0.03
 _LONGEST_DELAY_S = 1.0
+_EARLY_WINDOW_S, _EARLY_LINES = 1.0, 3  # found on damaged lines alone
 _DRIFT = 0.02
 FASTEST_COUNTS_PER_S = 500_000  # an encoder of 5000 lines at 20 turns a second makes 400 000
 
@@ -69,6 +71,10 @@ class PlainTracker:
         self._speeds = (0.0, 0.0)
         self._range: list[Pair] = [(0, 0), (0, 0)]  # the smallest and largest count of each wheel
         self._was_replugged = False
+        self._early: deque[tuple[float, float]] = deque(
+            maxlen=1024
+        )  # arrivals, and by how much before the map they came
+        self._has_map = False
         self._stamp_s = -float("inf")
 
     def follow(self, told: PlainReading) -> list[PlainStep]:
@@ -93,6 +99,10 @@ class PlainTracker:
 
     def forget(self) -> None:
         """Other formats came between: what was counted meanwhile is in them."""
+        if self._last is not None:
+            self.clock.restart()
+            self._has_map = False
+            self._early.clear()
         self._last = None
         self._waiting.clear()
 
@@ -220,6 +230,8 @@ class PlainTracker:
         self._waiting.clear()
         self.restarts += 1
         self.clock.restart()
+        self._has_map = False
+        self._early.clear()
         passed_s = first.arrival_s - last.arrival_s
         counts = first.counts
         if first.shown_us is not None and first.booted_since(last):
@@ -233,14 +245,31 @@ class PlainTracker:
 
     def _take(self, now: _Reading, steps: Pair) -> PlainStep:
         self._last, self._was_replugged = now, False
+        stamp_s = self._stamp_of(now)
         for i, (least, most) in enumerate(self._range):
             self._range[i] = min(least, now.counts[i]), max(most, now.counts[i])
-        stamp_s = now.arrival_s
-        if now.clock_us is not None:
-            self.clock.update(1e-6 * now.clock_us, now.arrival_s)
-            stamp_s = self.clock.stamp_s(1e-6 * now.clock_us)
         self._stamp_s = max(stamp_s, self._stamp_s + 1e-6)
         return PlainStep(self._stamp_s, *steps)
+
+    def _stamp_of(self, now: _Reading) -> float:
+        if now.clock_us is None:
+            return now.arrival_s
+        self.clock.update(1e-6 * now.clock_us, self._believed_arrival_s(now.clock_us, now.arrival_s))
+        self._has_map = True
+        return self.clock.stamp_s(1e-6 * now.clock_us)
+
+    def _believed_arrival_s(self, clock_us: int, arrival_s: float) -> float:
+        """The arrival, or later where too few lines of the last second came as early: a digit of the time may be wrong.
+
+        The map goes by the earliest line of a minute, so that one wrong time would shift all stamps for as long.
+        """
+        early_s = self.clock.host_s(1e-6 * clock_us) - arrival_s
+        self._early.append((arrival_s, early_s))
+        while self._early[0][0] < arrival_s - _EARLY_WINDOW_S:
+            self._early.popleft()
+        earliest = sorted((early for _, early in self._early), reverse=True)[:_EARLY_LINES]
+        allowed_s = max(earliest[-1], 0.0) if len(earliest) == _EARLY_LINES else 0.0
+        return arrival_s + max(early_s - allowed_s, 0.0) if self._has_map else arrival_s
 
 
 def _first(told: PlainReading) -> _Reading:
