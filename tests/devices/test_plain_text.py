@@ -274,6 +274,41 @@ def test_a_restart_is_told_and_is_no_motion(unit_s: float | None, is_moving: boo
     assert host.last == (far[0] + moved[0], far[1] + moved[1])
 
 
+@pytest.mark.parametrize("has_time", [True, False])
+@pytest.mark.parametrize("begins_anew", [True, False])
+def test_a_board_that_was_unplugged(has_time: bool, begins_anew: bool) -> None:
+    """Most boards begin anew when their port is opened; one that is fed by the robot may count on."""
+
+    def line(n: int, left: int, begun_s: float) -> bytes:
+        time = f"{int(1e3 * (PERIOD_S * n + begun_s))}," if has_time else ""
+        return f"{time}{left},{-left}\n".encode()
+
+    host = Host()
+    host.listen([line(n, 50 * n, 3.0) for n in range(100)])
+    assert host.last == (4950, -4950)
+    host.decoder.restart()
+    host.tracker.replugged()
+    away_s = 5.0
+    begun_s, left = (1.0, 300) if begins_anew else (3.0 + 100 * PERIOD_S + away_s, 5500)
+    host.listen([line(n, left + 2 * n, begun_s) for n in range(100)], 100.0 + 100 * PERIOD_S + away_s)
+    assert host.tracker.restarts == begins_anew
+    expected = 4950 + 300 + 198 if begins_anew else 5500 + 198
+    assert host.last == (expected, -expected)
+
+
+@pytest.mark.parametrize("has_time", [True, False])
+def test_two_lines_a_second_are_enough(has_time: bool) -> None:
+    host = Host()
+    for n in range(40):
+        left = 10 * max(0, n - 10) ** 2  # it sets off after five seconds, and gains speed
+        line = f"{500 * n + 3000},{left},{left}\n" if has_time else f"{left},{left}\n"
+        host.hear(line.encode(), 100 + 0.5 * n)
+    assert host.format is Format.PLAIN
+    assert len(host.ticks) > 30
+    assert host.last == (10 * 29**2, 10 * 29**2)
+    assert host.tracker.restarts == 0
+
+
 def test_stamps_are_the_printed_times_beneath_the_delays(rng: np.random.Generator) -> None:
     host = Host()
     lines = printed(3000, unit_s=1e-6, start_s=2.0)

@@ -30,7 +30,7 @@ class PlainTextSettings(Settings):
 
     evidence_s: float = setting(0.5, "for which lines must have come before they are counts, seconds", CHOSEN, gt=0)
     longest_evidence_s: float = setting(5.0, "within which they must have come, seconds", CHOSEN, gt=0)
-    fewest_lines: int = setting(5, "lines of counts that are enough; a line a second is the slowest", CHOSEN, ge=3)
+    fewest_lines: int = setting(5, "lines of counts that are enough; two a second are the slowest", CHOSEN, ge=3)
     fewest_share: float = setting(
         0.5, "of all lines, so that a sketch may print a line of other text for each of counts", CHOSEN, gt=0, le=1
     )
