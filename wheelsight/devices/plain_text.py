@@ -96,7 +96,7 @@ class PlainReading(NamedTuple):
 
 def parse_line(line: bytes, arrival_s: float) -> PlainReading | None:
     """The counts of a line without its end, or None where it is none."""
-    match = _LINE.fullmatch(line)
+    match = _LINE.fullmatch(line) if len(line) <= _LONGEST_LINE else None
     if match is None:
         return None
     clock, left, right = (None if field is None else int(field) for field in match.groups())
