@@ -6,7 +6,7 @@
 #   make test [SLOW=1] [WORKERS=n] all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
 #   make bench                     side by side with OpenCV and Open3D on the real recordings; kept in BENCHMARKS.md
-#   make firmware                  the wheel controller's program, and its size
+#   make firmware                  the wheel controllers' programs, for the ATmega8 and the STM32F4, and their sizes
 #   make docs | wheel | clean
 
 PYTHON ?= python3
@@ -61,7 +61,9 @@ docs: $(VENV)/.installed-docs
 
 firmware:
 	@command -v avr-gcc >/dev/null || { echo 'avr-gcc is missing; on Debian: apt-get install gcc-avr avr-libc' >&2; exit 1; }
+	@command -v arm-none-eabi-gcc >/dev/null || { echo 'arm-none-eabi-gcc is missing; on Debian: apt-get install gcc-arm-none-eabi' >&2; exit 1; }
 	$(MAKE) --no-print-directory -C firmware/atmega8
+	$(MAKE) --no-print-directory -C firmware/stm32f4
 
 wheel: $(VENV)/.installed-core
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .

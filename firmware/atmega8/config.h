@@ -27,6 +27,7 @@
 
 /* The paper's frame holds ±127 pulses a wheel; one is sent early when a count reaches this. */
 #define PAPER_FULL 100
+#define HAS_PAPER 1
 
 #define VERSION_MAJOR 1
 #define VERSION_MINOR 0

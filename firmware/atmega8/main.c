@@ -14,6 +14,7 @@
 #include <util/atomic.h>
 
 static struct sample sample;
+static struct frame_reader reader;
 
 static void look(void)
 {
@@ -46,6 +47,6 @@ int main(void)
         protocol_report(&sample);
         protocol_watch(sample.ticks);
         if (uart_receive(&byte))
-            protocol_receive(byte, &sample);
+            protocol_receive(&reader, byte, &sample);
     }
 }

@@ -1,6 +1,7 @@
 #include "uart.h"
 
 #include "config.h"
+#include "line.h"
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
@@ -33,7 +34,7 @@ ISR(USART_RXC_vect)
     in_head = next;
 }
 
-bool uart_send(const uint8_t *bytes, uint8_t length)
+bool line_send(const uint8_t *bytes, uint8_t length)
 {
     uint8_t head = out_head;
     const uint8_t room = (out_tail - head - 1) & (OUT_SIZE - 1);

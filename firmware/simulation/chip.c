@@ -33,10 +33,15 @@ static avr_io_t *find(const char *kind, char name)
     for (avr_io_t *io = chip->io_port; io; io = io->next) {
         if (strcmp(io->kind, kind) != 0)
             continue;
-        if (name == '\0' || ((avr_timer_t *)io)->name == name)
+        if (name == '\0' || ((avr_timer_t *)io)->name == name) /* a port's name is in the same place */
             return io;
     }
     return NULL;
+}
+
+static bool is_atmega8(void)
+{
+    return strcmp(CHIP, "atmega8") == 0;
 }
 
 /* simavr shares one description among chips of the ATmega8's kind, and it is another's in two points: the pins of
@@ -60,13 +65,18 @@ avr_irq_t *chip_pin(char port, int pin)
     return avr_io_getirq(chip, AVR_IOCTL_IOPORT_GETIRQ(port), pin);
 }
 
+avr_io_addr_t chip_pins_address(char port)
+{
+    return ((avr_ioport_t *)find("port", port))->r_pin;
+}
+
 bool chip_start(const char *program)
 {
     elf_firmware_t firmware = {0};
     avr_global_logger_set(log_errors);
     if (elf_read_firmware(program, &firmware) != 0)
         return false;
-    chip = avr_make_mcu_by_name("atmega8");
+    chip = avr_make_mcu_by_name(CHIP);
     avr_init(chip);
     chip->frequency = CHIP_HZ;
     chip->sleep = no_sleep;
@@ -75,7 +85,8 @@ bool chip_start(const char *program)
 
     uart = (avr_uart_t *)find("uart", '\0');
     uart->flags = 0; /* no printing, no sleeping */
-    correct_timer1();
+    if (is_atmega8())
+        correct_timer1();
     paint_begin = 0x60 + firmware.datasize + firmware.bsssize;
     memset(chip->data + paint_begin, PAINT, chip->ramend + 1 - paint_begin);
     chip_reset();
@@ -93,7 +104,8 @@ bool chip_run(avr_cycle_count_t until)
         const int state = avr_run(chip);
         if (state == cpu_Done || state == cpu_Crashed)
             return false;
-        correct_byte_time();
+        if (is_atmega8())
+            correct_byte_time();
     }
     return true;
 }

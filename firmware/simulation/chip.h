@@ -1,11 +1,9 @@
-/* The simulated ATmega8 and its simulated time. */
+/* The simulated chip, CHIP of simavr's names, and its simulated time, CHIP_HZ cycles a second (both of the Makefile). */
 #ifndef CHIP_H
 #define CHIP_H
 
 #include <simavr/sim_avr.h>
 #include <stdbool.h>
-
-#define CHIP_HZ 14745600UL
 
 extern avr_t *chip;
 
@@ -23,6 +21,9 @@ void chip_hang(void);
 
 /* The line of a port's pin (port 'B', pin 1 for PB1). */
 avr_irq_t *chip_pin(char port, int pin);
+
+/* Where the program reads the levels of a port's pins. */
+avr_io_addr_t chip_pins_address(char port);
 
 /* Bytes of memory that the stack has never reached. */
 unsigned chip_untouched_memory(void);

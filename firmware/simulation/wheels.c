@@ -6,7 +6,6 @@
 #include <stdlib.h>
 
 #define QUEUE 4096
-#define PIND_ADDRESS 0x30
 
 struct turn {
     long quarters;
@@ -52,7 +51,7 @@ void wheels_connect(void)
     }
     /* simavr would let a pull-up win over the encoder, and forgets the pins' levels when it resets. */
     avr_ioctl(chip, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &external);
-    chip->data[PIND_ADDRESS] = external.value;
+    chip->data[chip_pins_address('D')] = external.value;
 }
 
 static avr_cycle_count_t step(avr_t *avr, avr_cycle_count_t when, void *parameter)

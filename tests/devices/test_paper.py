@@ -7,10 +7,10 @@ import pytest
 
 from wheelsight.devices.paper import PaperDecoder, Pulses
 from wheelsight.devices.protocol import Ack, Counts, Message, encode_message
-from wheelsight.devices.recognition import Format, LineDecoder
+from wheelsight.devices.recognition import Format, LineDecoder, Told
 
 PERIOD_S = 0.02
-Got = list[Message | Pulses]
+Got = list[Told]
 
 
 def pair(left: int, right: int) -> bytes:

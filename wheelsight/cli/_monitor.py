@@ -81,6 +81,8 @@ def _facts(look: Look) -> Iterator[tuple[str, str]]:
         yield name, "—" if ticks is None else f"{ticks} ticks, {_speed(speed, look.unit)}"
     yield "frames", f"{line.frames}, {'—' if look.frames_per_s is None else f'{look.frames_per_s:.1f}'} a second"
     yield "lost", f"{line.lost}; {line.crc_errors} damaged, {line.malformed} garbled, {line.duplicates} repeated"
+    if report.other_line:
+        yield "other text", report.other_line
     yield "controller", f"{report.restarts} restarts; its clock {report.drift_ppm:+.0f} ppm fast"
     yield "port", f"{line.bytes} bytes, {report.reconnects} times plugged in again"
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from wheelsight.devices.clock import ClockMap
 from wheelsight.devices.pair_clock import PairClock
 from wheelsight.devices.paper import FULL_PULSES, Pulses
+from wheelsight.devices.plain_continuity import FASTEST_COUNTS_PER_S, PlainStep, PlainTracker
+from wheelsight.devices.plain_text import PlainReading
 from wheelsight.devices.protocol import Counts
 from wheelsight.events import WheelTicks
 
-FASTEST_PULSES_PER_S = 50_000
 _FEWEST_PULSES = 10
 _EARLIEST_S = 0.1
 _LATEST_AFTER_REPLUG_S = 1.0
@@ -40,26 +41,34 @@ class TickTracker:
     restarts, its counters begin at zero: what they show then is added, and nothing else.
 
     Attributes:
-        clock: the controller's clock against the host's.
+        clock: the controller's clock against the host's, as frames tell it.
         restarts: how often the controller, or its counters, began anew.
-        refused: frames taken for damaged although their checksum was right.
+        refused: frames taken for damaged although their checksum was right, and lines of text that have none.
     """
 
     def __init__(self) -> None:
         self.clock = ClockMap()
         self._pairs = PairClock()
+        self._plain = PlainTracker()
         self.restarts = self.refused = 0
         self._left = self._right = 0
-        self._has_begun = False
+        self._has_begun = self._is_plain = False
         self._last: _Reading | None = None
         self._held: _Reading | None = None
         self._was_replugged = self._reset_is_due = False
         self._stamp_s = -float("inf")
 
+    @property
+    def drift_ppm(self) -> float:
+        """How much faster than the host's the controller's clock runs; 0 where its lines have no time."""
+        return (self._plain.clock if self._is_plain else self.clock).drift_ppm
+
     def follow(self, counts: Counts, arrival_s: float) -> list[WheelTicks]:
         """The ticks that a frame, arrived at `arrival_s` seconds, makes certain: none, one, or two after a restart."""
         last, held = self._last, self._held
         self._pairs.restart()  # pairs between which there are frames were not counted
+        self._plain.forget()
+        self._is_plain = False
         if last is None:
             return [self._begin(_Reading(counts, counts.clock_us, arrival_s))]
         last = self._last = self._as_if_reset(last, counts)
@@ -80,6 +89,7 @@ class TickTracker:
     def add(self, pulses: Pulses) -> WheelTicks:
         """The ticks after a pair of the paper's format, stamped by the number of pairs: the format has no clock."""
         self._has_begun = True
+        self._plain.forget()
         if self._last is not None:  # the controller's counters, should they come again, hold these pulses too
             self._last = _advanced(self._last, pulses)
         self._left += pulses.left
@@ -88,6 +98,22 @@ class TickTracker:
         sent_s = self._pairs.stamp_s(pulses.arrival_s, pulses.following, is_early)
         self._stamp_s = max(sent_s, self._stamp_s + 1e-6)
         return WheelTicks(self._stamp_s, self._left, self._right)
+
+    def read(self, reading: PlainReading) -> list[WheelTicks]:
+        """The ticks that a line of plain text makes certain: none, one, or two."""
+        plain = self._plain
+        if self._last is not None:  # what comes in frames later is of another program
+            self._last = self._held = None
+            self.clock.restart()
+        self._pairs.restart()
+        self._is_plain = True
+        restarts, refused = plain.restarts, plain.refused
+        steps = plain.follow(reading)
+        self.restarts += plain.restarts - restarts
+        self.refused += plain.refused - refused
+        if steps and not self._has_begun:
+            self._has_begun, self._left, self._right = True, reading.left, reading.right
+        return [self._moved(step) for step in steps]
 
     def expect_reset(self, is_due: bool) -> None:
         """Whether the controller was told to set its counters to zero, which is no motion."""
@@ -102,7 +128,14 @@ class TickTracker:
     def replugged(self) -> None:
         """The port was opened anew: what comes is fresh, so a clock that lags shows a restart."""
         self._was_replugged = True
+        self._plain.replugged()
         self._pairs.restart()
+
+    def _moved(self, step: PlainStep) -> WheelTicks:
+        self._left += step.left
+        self._right += step.right
+        self._stamp_s = max(step.stamp_s, self._stamp_s + 1e-6)
+        return WheelTicks(self._stamp_s, self._left, self._right)
 
     def _as_if_reset(self, last: _Reading, counts: Counts) -> _Reading:
         """`last`, with zero counts if a reset is due and `counts` are nearer to zero than to what they were."""
@@ -164,7 +197,7 @@ def _is_possible(last: _Reading, reading: _Reading) -> bool:
 
 
 def _can_count(pulses: tuple[int, int], seconds: float) -> bool:
-    return max(map(abs, pulses)) <= _FEWEST_PULSES + FASTEST_PULSES_PER_S * seconds
+    return max(map(abs, pulses)) <= _FEWEST_PULSES + FASTEST_COUNTS_PER_S * seconds
 
 
 def _steps(last: Counts, counts: Counts) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from wheelsight.devices._commands import Commands
 from wheelsight.devices._port import open_port
 from wheelsight.devices.continuity import TickTracker
 from wheelsight.devices.paper import Pulses
+from wheelsight.devices.plain_text import PlainReading
 from wheelsight.devices.protocol import Ack, Counts, LineStatistics, Version
 from wheelsight.devices.recognition import Format, LineDecoder
 from wheelsight.errors import DeviceError
@@ -35,6 +36,7 @@ class LinkStatus(StrEnum):
     CONNECTED = "connected"
     NO_DATA = "no data: is the controller powered and wired?"
     NOISE = "noise: wrong baud rate?"
+    TEXT = "text without counts: print left,right or time,left,right, one line a reading"
     VANISHED = "the port vanished: waiting for it"
     CLOSED = "closed"
 
@@ -52,6 +54,7 @@ class LinkReport:
         drift_ppm: how much faster than the host's the controller's clock runs.
         last: the newest ticks, or None.
         version: what the controller said it is, or None.
+        other_line: the last line of text that was no counts; empty where there was none.
     """
 
     status: LinkStatus
@@ -64,6 +67,7 @@ class LinkReport:
     drift_ppm: float
     last: WheelTicks | None
     version: Version | None
+    other_line: str = ""
 
 
 class WheelLink:
@@ -128,20 +132,23 @@ class WheelLink:
             hold_s: stop after so many seconds unless driven again, for programs that may hang; None for never.
 
         Raises:
-            DeviceError: a duty beyond -1 to 1, or the port is gone.
+            DeviceError: a duty beyond -1 to 1, the port is gone, or the controller prints text and takes no commands.
         """
+        self._need_commands()
         self._commands.drive(left, right, hold_s)
 
     def stop(self) -> None:
         """Stop both motors at once; confirmed by the controller, save in the paper's format, which has no answers.
 
         Raises:
-            DeviceError: the port is gone, or the controller does not confirm.
+            DeviceError: the port is gone, or the controller does not confirm, or takes no commands.
         """
+        self._need_commands()
         self._commands.stop(self._is_answering)
 
     def ask_version(self) -> Version:
         """What the controller's program calls itself. Raises DeviceError where it does not answer."""
+        self._need_commands()
         if not self._is_answering:
             raise DeviceError(
                 "the controller speaks the paper's format, which has no answers",
@@ -152,6 +159,7 @@ class WheelLink:
 
     def reset_counts(self) -> None:
         """Set the controller's counters to zero; the ticks go on as they were. Raises DeviceError as `stop`."""
+        self._need_commands()
         self._tracker.expect_reset(True)
         try:
             self._commands.reset_counts(self._is_answering)
@@ -164,6 +172,11 @@ class WheelLink:
 
         Raises DeviceError as `stop`.
         """
+        self._need_commands()
+        if wanted is Format.PLAIN:
+            raise DeviceError(
+                "no controller changes to plain text", path=self.port, fix="write a sketch that prints it"
+            )
         is_paper = wanted is Format.PAPER
         self._decoder.expect_frames(not is_paper)
         try:
@@ -172,6 +185,14 @@ class WheelLink:
             self._decoder.expect_frames(False)
             if not (is_paper and self._decoder.format is wanted and self._status is LinkStatus.CONNECTED):
                 raise  # else it spoke so already, found out meanwhile, and had nothing to answer
+
+    def _need_commands(self) -> None:
+        if self._decoder.format is Format.PLAIN:
+            raise DeviceError(
+                "the controller prints plain text, and takes no commands",
+                path=self.port,
+                fix="give it a program with frames: docs/firmware.md",
+            )
 
     @property
     def _is_answering(self) -> bool:
@@ -193,9 +214,10 @@ class WheelLink:
             refused=tracker.refused,
             reconnects=self._reconnects,
             overrun=self._overrun,
-            drift_ppm=tracker.clock.drift_ppm,
+            drift_ppm=tracker.drift_ppm,
             last=self._last,
             version=self._commands.version,
+            other_line=self._decoder.other_line,
         )
 
     def close(self) -> None:
@@ -251,6 +273,9 @@ class WheelLink:
                     self._decoder.forgive_gap(message.sequence)
             elif isinstance(message, Pulses):
                 self._put(self._tracker.add(message))
+            elif isinstance(message, PlainReading):
+                for ticks in self._tracker.read(message):
+                    self._put(ticks)
             elif isinstance(message, Ack) and self._commands.answered(message):
                 self._tracker.reset_done()
             elif isinstance(message, Version):
@@ -261,7 +286,7 @@ class WheelLink:
         if now_s - self._heard_s > _QUIET_S:
             self._tell(LinkStatus.NO_DATA)
         elif now_s - self._understood_s > _QUIET_S:
-            self._tell(LinkStatus.NOISE)
+            self._tell(LinkStatus.TEXT if self._decoder.is_text else LinkStatus.NOISE)
         elif self._understood_s > self._opened_s:
             self._tell(LinkStatus.CONNECTED)
 

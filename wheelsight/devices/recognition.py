@@ -1,4 +1,4 @@
-"""Which of the two wire formats a controller speaks, found out by listening."""
+"""Which of the three wire formats a controller speaks, found out by listening."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from enum import StrEnum
 
 from wheelsight.devices.paper import SILENCE_S, PaperDecoder, Pulses
+from wheelsight.devices.plain_text import PlainReading, PlainText, PlainTextSettings, is_plain_line
 from wheelsight.devices.protocol import FrameDecoder, LineStatistics, Message
 
 EVIDENCE_S = 0.5
@@ -28,25 +29,35 @@ class Format(StrEnum):
 
     FRAMED = "framed"
     PAPER = "paper"
+    PLAIN = "plain text"
+
+
+Told = Message | Pulses | PlainReading
 
 
 class LineDecoder:
-    """Decodes either format, and changes over when the controller does.
+    """Decodes any of the formats, and changes over when the controller does.
 
     One frame with a right checksum means framed. Half a second of bytes in pairs (three, where there are few), each
     after a silence and with no more pulses than make a controller send early, means paper; those pulses are handed on
-    with it, so none is lost. Everything else is noise, and framed stays framed.
+    with it, so none is lost. Lines of text with two or three whole numbers, for as long, mean plain text (`PlainText`).
+    Everything else is noise, and framed stays framed.
 
     Bytes are read as pairs only after the silence behind them, since they might be the beginning of a frame: of what
     came without a silence, pairs are what lies before the first frame. Once recognised, the paper's format is given up
     for a frame, or for what delays cannot make of pairs (pulses beyond belief, or too many pairs): after a busy host or
-    a slow line they only come later, and together.
+    a slow line they only come later, and together. Plain text is given up for a frame, or where lines are no counts for
+    seconds.
+
+    Args:
+        plain: when lines of text are counts.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, plain: PlainTextSettings | None = None) -> None:
         self.format: Format | None = None
         self._frames = FrameDecoder()
         self._paper = PaperDecoder()
+        self._text = PlainText(plain)
         self._held: list[tuple[bytes, float]] = []  # runs of bytes between silences, and when the last of each came
         self._heard_s = -float("inf")
         self._expects_frames = False
@@ -57,10 +68,22 @@ class LineDecoder:
     @property
     def statistics(self) -> LineStatistics:
         """Of the format that was recognised; of frames as long as none was."""
+        if self.format is Format.PLAIN:
+            return self._text.statistics
         return self._paper.statistics if self.format is Format.PAPER else self._frames.statistics
 
-    def feed(self, data: bytes, arrival_s: float, lay_waiting: bool = False) -> Sequence[Message | Pulses]:
-        """What `data` completes: messages or pulses. Raises nothing, whatever comes.
+    @property
+    def is_text(self) -> bool:
+        """Whether nothing was recognised, and what comes is lines of text that are no counts."""
+        return self._text.is_text
+
+    @property
+    def other_line(self) -> str:
+        """The last line of text that was no counts; empty where there was none."""
+        return self._text.other if self.format in (None, Format.PLAIN) else ""
+
+    def feed(self, data: bytes, arrival_s: float, lay_waiting: bool = False) -> Sequence[Told]:
+        """What `data` completes: messages, pulses or readings. Raises nothing, whatever comes.
 
         Args:
             data: empty where nothing came for `SILENCE_S`, so that a pair need not wait for the next.
@@ -74,18 +97,28 @@ class LineDecoder:
             return pulses
         self._hold(data, arrival_s, lay_waiting)
         messages = self._frames.feed(data)
-        return [*pulses, *self._before_frames(data), *messages] if messages else pulses
+        if messages:
+            return [*pulses, *self._before_frames(data), *messages]
+        readings = self._text.feed(data, arrival_s)
+        if self._text.is_recognised:
+            self.format = Format.PLAIN
+            self._held.clear()
+            self._forget_pairs()
+        elif self.format is Format.PLAIN:
+            self.format = None
+        return [*pulses, *readings] if readings else pulses
 
     def expect_frames(self, is_so: bool) -> None:
         """Whether the controller was told to change to frames: then nothing is read as pairs until they come."""
         self._expects_frames = is_so
 
     def restart(self) -> None:
-        """Forget what is half-read, and that the format was the paper's: the port was opened anew."""
+        """Forget what is half-read, and the format if it was another than frames: the port was opened anew."""
         self._frames.forget_sequence()
+        self._text.restart()
         self._held.clear()
         self._forget_pairs()
-        self.format = None if self.format is Format.PAPER else self.format
+        self.format = Format.FRAMED if self.format is Format.FRAMED else None
 
     def forgive_gap(self, sequence: int) -> None:
         """Take back a loss counted at this frame, or at the one before it: the controller had begun anew."""
@@ -102,7 +135,9 @@ class LineDecoder:
         pairs: list[Pulses] = []
         if self.format is Format.PAPER:
             pairs = self._take_pairs(self._frames.begun + 1)  # and the zero that parts frames from pairs
+        if self.format in (Format.PAPER, Format.PLAIN):
             self._frames.statistics = LineStatistics(self._frames.begun, 1)
+        self._text.restart()
         self.format, self._expects_frames = Format.FRAMED, False
         self._held.clear()
         if self._frames.ended:
@@ -122,7 +157,7 @@ class LineDecoder:
         pairs: list[Pulses] = []
         count = sum(len(run) for run, _ in held) - but_last
         for run, arrival_s in held:
-            if count > 0:
+            if count > 0 and not is_plain_line(run):
                 torn = self._paper.torn + self._paper.statistics.malformed
                 pairs += self._paper.feed(run[:count], arrival_s)
                 if self._paper.torn + self._paper.statistics.malformed > torn:

@@ -13,7 +13,7 @@ from wheelsight.events import WheelTicks
 from wheelsight.pipeline.playing import Clock, MonotonicClock
 
 THREAD = "wheelsight-wheels"
-_SILENT = (LinkStatus.VANISHED, LinkStatus.NO_DATA, LinkStatus.NOISE)
+_SILENT = (LinkStatus.VANISHED, LinkStatus.NO_DATA, LinkStatus.NOISE, LinkStatus.TEXT)
 
 
 class RecordedWheels:

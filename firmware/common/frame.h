@@ -21,8 +21,15 @@ bool frame_send(uint8_t type, const void *body, uint8_t length);
 /* Ends what was sent before in another format, so that it does not spoil the next frame. */
 void frame_end(void);
 
-/* Takes the next byte of the line; answers the frame it ends, which lasts until the next call, or a null pointer.
+/* What of a frame has come over one line; all zero at first. */
+struct frame_reader {
+    uint8_t bytes[16];
+    uint8_t length;
+    bool is_too_long;
+};
+
+/* Takes the next byte of a line; answers the frame it ends, which lasts until the next call, or a null pointer.
  * Whatever is no frame is passed over in silence. */
-const struct frame *frame_receive(uint8_t byte);
+const struct frame *frame_receive(struct frame_reader *reader, uint8_t byte);
 
 #endif

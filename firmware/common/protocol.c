@@ -2,9 +2,8 @@
 
 #include "clock.h"
 #include "config.h"
-#include "frame.h"
 #include "pwm.h"
-#include "uart.h"
+#include "line.h"
 
 #include <stdbool.h>
 #include <string.h>
@@ -41,7 +40,7 @@ static int8_t fit(int16_t pulses)
 static void report_paper(int16_t left, int16_t right)
 {
     const int8_t bytes[] = {fit(right), fit(left)};
-    if (!uart_send((const uint8_t *)bytes, sizeof bytes))
+    if (!line_send((const uint8_t *)bytes, sizeof bytes))
         return;
     reported_right += bytes[0];
     reported_left += bytes[1];
@@ -93,7 +92,7 @@ static enum status set_format(const struct frame *frame, const struct sample *sa
 {
     if (frame->length != 1)
         return BAD_LENGTH;
-    if (frame->body[0] > PAPER)
+    if (frame->body[0] > (HAS_PAPER ? PAPER : FRAMED))
         return OUT_OF_RANGE;
     if (frame->body[0] == format)
         return DONE;
@@ -139,9 +138,9 @@ static enum status obey(const struct frame *frame, struct sample *sample)
     return DONE;
 }
 
-void protocol_receive(uint8_t byte, struct sample *sample)
+void protocol_receive(struct frame_reader *reader, uint8_t byte, struct sample *sample)
 {
-    const struct frame *frame = frame_receive(byte);
+    const struct frame *frame = frame_receive(reader, byte);
     if (!frame)
         return;
     const enum format before = format;

@@ -2,6 +2,8 @@
 #ifndef PROTOCOL_H
 #define PROTOCOL_H
 
+#include "frame.h"
+
 #include <stdint.h>
 
 /* Both wheels at one instant: its time in clock ticks, and the pulses since the counts were last reset. */
@@ -11,14 +13,15 @@ struct sample {
     uint32_t right;
 };
 
-/* `reset_cause` is told to the host with the version: MCUCSR as it was at the start. */
+/* `reset_cause` is told to the host with the version: 1 power-on, 2 the reset pin, 4 brown-out,
+ * 8 the watchdog. */
 void protocol_init(uint8_t reset_cause);
 
 /* Sends the sample where, by the format in use, it is time to. */
 void protocol_report(const struct sample *sample);
 
-/* Takes one byte from the host and obeys where it ends a frame. The sample's counts begin anew if the host says so. */
-void protocol_receive(uint8_t byte, struct sample *sample);
+/* Takes one byte from a host, over the line of that reader, and obeys where it ends a frame. The sample's counts begin anew if the host says so. */
+void protocol_receive(struct frame_reader *reader, uint8_t byte, struct sample *sample);
 
 /* Brings both motors to rest where the host has not driven for DRIVE_TIMEOUT_MS. */
 void protocol_watch(uint16_t ticks);

@@ -2,7 +2,7 @@
 
 #include "cobs.h"
 #include "crc.h"
-#include "uart.h"
+#include "line.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -15,7 +15,7 @@ static bool send_zero_ended(const uint8_t *bytes, uint8_t length)
     uint8_t encoded[HEADER + FRAME_BODY_MAX + CRC + 2];
     cobs_encode(bytes, length, encoded);
     encoded[length + 1] = 0;
-    return uart_send(encoded, length + 2);
+    return line_send(encoded, length + 2);
 }
 
 bool frame_send(uint8_t type, const void *body, uint8_t length)
@@ -25,14 +25,14 @@ bool frame_send(uint8_t type, const void *body, uint8_t length)
     memcpy(bytes + HEADER, body, length);
     length += HEADER;
     const uint16_t crc = crc16(bytes, length);
-    memcpy(bytes + length, &crc, CRC); /* this chip is little-endian, as the line is */
+    memcpy(bytes + length, &crc, CRC); /* both chips are little-endian, as the line is */
     return send_zero_ended(bytes, length + CRC);
 }
 
 void frame_end(void)
 {
     static const uint8_t zero;
-    uart_send(&zero, 1);
+    line_send(&zero, 1);
 }
 
 static const struct frame *check(uint8_t *bytes, uint8_t length)
@@ -48,21 +48,18 @@ static const struct frame *check(uint8_t *bytes, uint8_t length)
     return &frame;
 }
 
-const struct frame *frame_receive(uint8_t byte)
+const struct frame *frame_receive(struct frame_reader *reader, uint8_t byte)
 {
-    static uint8_t bytes[16], length;
-    static bool is_too_long;
-
-    if (byte && length < sizeof bytes) {
-        bytes[length++] = byte;
+    if (byte && reader->length < sizeof reader->bytes) {
+        reader->bytes[reader->length++] = byte;
         return NULL;
     }
     if (byte) {
-        is_too_long = true;
+        reader->is_too_long = true;
         return NULL;
     }
-    const struct frame *frame = is_too_long ? NULL : check(bytes, length);
-    length = 0;
-    is_too_long = false;
+    const struct frame *frame = reader->is_too_long ? NULL : check(reader->bytes, reader->length);
+    reader->length = 0;
+    reader->is_too_long = false;
     return frame;
 }
