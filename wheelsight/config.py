@@ -30,6 +30,7 @@ from wheelsight.odometry.extrinsics import ExtrinsicsSettings
 from wheelsight.odometry.features import FeatureSettings
 from wheelsight.odometry.wheels import WheelSettings
 from wheelsight.recordings import OpenOptions
+from wheelsight.recordings.rosbag.settings import BagSettings
 from wheelsight.settings import (
     ASKED,
     CHOSEN,
@@ -76,9 +77,15 @@ class RecordingSettings(Settings):
         le=1e9,
     )
 
+    topics: Annotated[tuple[str, ...], BeforeValidator(_listed), PlainSerializer(_unlisted)] = setting(
+        (), "which topics of a bag are what, such as color=/camera/color/image_raw", ASKED
+    )
+    bag: BagSettings = setting(BagSettings(), "how bags are read", ASKED)
+
     def open_options(self) -> OpenOptions:
         """The same, as `open_recording` takes it."""
-        return OpenOptions(self.camera, self.max_gap_s, self.depth_factor, self.calibration, self.rate_hz)
+        of_images = (self.camera, self.max_gap_s, self.depth_factor, self.calibration, self.rate_hz)
+        return OpenOptions(*of_images, self.topics, self.bag)
 
 
 def _numbers(text: str, names: tuple[str, ...]) -> list[float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,13 +15,14 @@ from wheelsight.cli._options import (
     MaxGap,
     RateHz,
     RecordingPath,
+    Topics,
     open_source,
     settings_from,
 )
 
 if TYPE_CHECKING:
     from wheelsight.evaluation import SequenceStatistics
-    from wheelsight.recordings import AssociationReport
+    from wheelsight.recordings import AssociationReport, RecordedTopic
     from wheelsight.recordings.inspection import Inspection
     from wheelsight.recordings.registration import RegistrationOffset
 
@@ -35,6 +36,7 @@ def info(
     depth_factor: DepthFactor = None,
     max_gap: MaxGap = None,
     rate_hz: RateHz = None,
+    topic: Topics = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Tell what is in a recording, and what to know before trusting results made from it.
@@ -46,6 +48,8 @@ def info(
     wheelsight info rgbd_dataset_freiburg1_desk
 
     wheelsight info my_recording --camera my_camera.yaml --json
+
+    wheelsight info robot.bag --topic depth=/camera/depth/image_raw
     """
     from wheelsight.cli._console import console, facts_table, print_json, print_warning
     from wheelsight.cli._progress import FrameProgress
@@ -53,7 +57,7 @@ def info(
     from wheelsight.recordings.inspection import inspect_recording
 
     of_cameras = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
-    config = settings_from({**of_cameras, "--max-gap": max_gap, "--rate-hz": rate_hz})
+    config = settings_from({**of_cameras, "--max-gap": max_gap, "--rate-hz": rate_hz, "--topic": topic})
     source = open_source(recording, config)
     with FrameProgress("reading", source.frame_count or source.wheel_count) as progress:
         inspection = inspect_recording(source, progress.advance)
@@ -63,6 +67,9 @@ def info(
         return
     stdout = console()
     stdout.print(facts_table(inspection.name, _facts(inspection)))
+    if inspection.topics:
+        stdout.print()
+        stdout.print(facts_table("Topics", _topic_facts(inspection.topics)))
     if inspection.ground_truth is not None:
         stdout.print()
         stdout.print(facts_table("Ground truth", _truth_facts(inspection.ground_truth)))
@@ -89,6 +96,12 @@ def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
         yield from _image_facts(inspection)
     if inspection.ground_truth is None:
         yield "ground truth", "none"
+
+
+def _topic_facts(topics: Sequence[RecordedTopic]) -> Iterator[tuple[str, str]]:
+    for topic in topics:
+        used = f", used as {topic.used_as}" if topic.used_as else ""
+        yield topic.name, f"{topic.count:,} × {topic.type.rpartition('/')[2]}{used}"
 
 
 def _image_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
