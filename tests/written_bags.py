@@ -52,9 +52,7 @@ class Messages:
         rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(height, -1)
         rows = np.pad(rows, ((0, 0), (0, max(0, step - rows.shape[1]))), constant_values=255)
         header = self.header(seconds, frame)
-        return self.types["sensor_msgs/msg/Image"](
-            header, height, width, encoding, 0, rows.shape[1], rows.reshape(-1)
-        )
+        return self.types["sensor_msgs/msg/Image"](header, height, width, encoding, 0, rows.shape[1], rows.reshape(-1))
 
     def compressed(self, seconds: float, frame: str, format_: str, data: bytes) -> Any:
         """A CompressedImage of encoded bytes."""
@@ -72,9 +70,7 @@ class Messages:
         matrices = (np.array(D, float), K, np.eye(3).ravel(), P)
         return self.types["sensor_msgs/msg/CameraInfo"](*sizes, *matrices, binning, binning, region)
 
-    def odometry(
-        self, seconds: float, pose: Sequence[float], twist: Sequence[float], child: str = "base_link"
-    ) -> Any:
+    def odometry(self, seconds: float, pose: Sequence[float], twist: Sequence[float], child: str = "base_link") -> Any:
         """An Odometry of a pose x, y, yaw and a twist v, ω, with variances of these."""
         types, (x, y, yaw), (v, w) = self.types, pose, twist
         position = types["geometry_msgs/msg/Point"](float(x), float(y), 0.0)
@@ -82,7 +78,9 @@ class Messages:
         vector = types["geometry_msgs/msg/Vector3"]
         speeds = types["geometry_msgs/msg/Twist"](vector(float(v), 0.0, 0.0), vector(0.0, 0.0, float(w)))
         covariance = np.diag([1e-3, 1e-3, 0, 0, 0, 0.03]).ravel()
-        posed = types["geometry_msgs/msg/PoseWithCovariance"](types["geometry_msgs/msg/Pose"](position, turn), covariance)
+        posed = types["geometry_msgs/msg/PoseWithCovariance"](
+            types["geometry_msgs/msg/Pose"](position, turn), covariance
+        )
         moving = types["geometry_msgs/msg/TwistWithCovariance"](speeds, covariance)
         return types["nav_msgs/msg/Odometry"](self.header(seconds, "odom"), child, posed, moving)
 
@@ -154,10 +152,13 @@ def depth_mm(number: int) -> np.ndarray:
 
 
 def camera_drive(is_ros1: bool = False, frames: int = FRAMES, late_s: float = 0.05) -> Drive:
-    """Colour and registered depth 30 times a second, CameraInfo, and the mount in /tf_static; received `late_s` late."""
+    """Colour and registered depth at 30 Hz, CameraInfo, the mount in /tf_static; images received `late_s` late."""
     drive = Drive(is_ros1)
     make = drive.make
-    static = [("base_link", "camera_link", (0.1, 0.0, 0.4), (0, 0, 0, 1)), ("camera_link", OPTICAL, (0, 0, 0), LOOKS_AHEAD)]
+    static = [
+        ("base_link", "camera_link", (0.1, 0.0, 0.4), (0, 0, 0, 1)),
+        ("camera_link", OPTICAL, (0, 0, 0), LOOKS_AHEAD),
+    ]
     drive.add(0.0, "/tf_static", make.tf(*static))
     for number in range(frames):
         taken_s = 0.1 + number / 30

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -65,7 +65,9 @@ def in_order(arrivals: Iterable[Arrival], wait_s: float, late: Counter[str]) -> 
 
 
 class Pairing:
-    """Pairs colour with depth as they come: of the stamps within `wait_s`, as `associate` does of all.
+    """Pairs colour with depth as they come: of those that wait, as `associate` does of all.
+
+    A pair is let go of once nothing nearer can come: younger images of both kinds are there, or `wait_s` has gone by.
 
     Attributes:
         pairs: how many were made.
@@ -75,34 +77,35 @@ class Pairing:
     def __init__(self, max_gap_s: float, wait_s: float) -> None:
         self.pairs, self.largest_gap_s = 0, 0.0
         self._max_gap_s, self._wait_s = max_gap_s, wait_s
-        self._waiting: dict[str, deque[tuple[float, Message]]] = {"color": deque(), "depth": deque()}
+        self._color: list[_Waiting] = []
+        self._depth: list[_Waiting] = []
 
-    def add(self, kind: str, stamp_s: float, message: Message) -> Iterator[RawFrame]:
-        """Count in an image, "color" or "depth"; frames of which nothing that is still to come can be a part."""
-        self._waiting[kind].append((stamp_s, message))
-        color, depth = self._waiting.values()
-        if color and depth:
-            yield from self._settle(min(color[-1][0], depth[-1][0]) - self._max_gap_s)
-        for images in (color, depth):
-            while images and images[0][1].receipt_s < message.receipt_s - self._wait_s:
-                images.popleft()
+    def add(self, kind: str, stamp_s: float, message: Message) -> None:
+        """Count in an image, "color" or "depth"."""
+        (self._color if kind == "color" else self._depth).append((stamp_s, message))
 
-    def end(self) -> Iterator[RawFrame]:
-        """Frames of what is left."""
-        yield from self._settle(np.inf)
+    def settled(self, now_s: float) -> Iterator[RawFrame]:
+        """Frames that are complete at a time of receipt, infinite for the end; what stayed alone is let go of."""
+        due_s = now_s - self._wait_s
+        if self._color and self._depth:
+            until_s = min(max(stamp_s for stamp_s, _ in images) for images in (self._color, self._depth))
+            yield from self._pairs(until_s - self._max_gap_s, due_s)
+        for images in (self._color, self._depth):
+            images[:] = [image for image in images if image[1].receipt_s >= due_s]
 
-    def _settle(self, until_s: float) -> Iterator[RawFrame]:
-        """Pair what is waiting, and let go of pairs up to a stamp: later ones may find nearer partners."""
-        color, depth = (sorted(images, key=lambda image: image[0]) for images in self._waiting.values())
-        if not color or not depth or min(color[0][0], depth[0][0]) > until_s:
-            return
+    def _pairs(self, until_s: float, due_s: float) -> Iterator[RawFrame]:
+        color, depth = (sorted(images, key=lambda image: image[0]) for images in (self._color, self._depth))
         color_stamps_s, depth_stamps_s = ([stamp_s for stamp_s, _ in images] for images in (color, depth))
         for i, j in associate(color_stamps_s, depth_stamps_s, self._max_gap_s).tolist():
             (color_s, color_message), (depth_s, depth_message) = color[i], depth[j]
-            if max(color_s, depth_s) > until_s:
-                break
+            received_s = max(color_message.receipt_s, depth_message.receipt_s)
+            if max(color_s, depth_s) > until_s and received_s > due_s:
+                continue
             self.pairs += 1
             self.largest_gap_s = max(self.largest_gap_s, abs(depth_s - color_s))
-            self._waiting["color"].remove(color[i])
-            self._waiting["depth"].remove(depth[j])
+            self._color = [image for image in self._color if image[1] is not color_message]
+            self._depth = [image for image in self._depth if image[1] is not depth_message]
             yield RawFrame(color_s, color_message, depth_message, depth_s - color_s)
+
+
+_Waiting = tuple[float, Message]

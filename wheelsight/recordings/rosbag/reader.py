@@ -65,19 +65,19 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     wheels, of_wheels, variances = _wheels(bag, roles)
     plan = BagPlan(roles, clocks, wheels, up, _wait_s(bag, roles, options), options)
     ends = _ends(bag, roles, clocks)
-    topics = {name: role for role, name in roles.used.items()}
+    used_as = {name: " and ".join(r for r, n in roles.used.items() if n == name) for name in roles.used.values()}
     recording = BagRecording(
         bag.path,
         _calibrated(bag.path, robot, options),
         plan,
-        tuple(RecordedTopic(topic.name, topic.type, topic.count, topics.get(topic.name, "")) for topic in bag.topics),
+        tuple(RecordedTopic(topic.name, topic.type, topic.count, used_as.get(topic.name, "")) for topic in bag.topics),
         ends,
         (*roles.warnings, *warnings, *robot.warnings, *of_gravity, *of_wheels, *stamp_warnings(_outer(ends))),
         variances,
     )
     if roles.color is not None and roles.depth is not None:
         begins_ns = max(bag.first(image.name)[0].receipt_ns for image in (roles.color, roles.depth))
-        recording.try_frames(begins_ns + round(1e9 * settings.first_frames_s))
+        recording.try_frames(bag, begins_ns + round(1e9 * settings.first_frames_s))
     return recording
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -76,7 +77,8 @@ class _Pass:
 
     def __post_init__(self) -> None:
         self.clocks = {topic: clock.anew() for topic, clock in self.plan.clocks.items()}
-        self.pairing = Pairing(self.plan.options.max_gap_s, self.plan.wait_s)
+        # An image that came alone waits half as long as an event, so that its frame still comes in order.
+        self.pairing = Pairing(self.plan.options.max_gap_s, self.plan.options.bag.order_s / 2)
         self.speeds = None if self.plan.speed_reader is None else self.plan.speed_reader()
 
     def items(self, images: bool, stop_ns: int | None = None) -> Iterator[Event | RawFrame]:
@@ -87,27 +89,27 @@ class _Pass:
         receipt_s = -math.inf
         for message in self.bag.messages(self.plan.topics(images), stop_ns=stop_ns):
             receipt_s = max(receipt_s, message.receipt_s)
-            for item in self._items_of(message):
+            event = self._event_of(message)
+            for item in (*self.pairing.settled(receipt_s), *(() if event is None else (event,))):
                 yield Arrival(receipt_s, item)
         last = None if self.speeds is None else self.speeds.end()
-        for item in (*self.pairing.end(), *(() if last is None else (last,))):
+        for item in (*self.pairing.settled(math.inf), *(() if last is None else (last,))):
             yield Arrival(receipt_s, item)
 
-    def _items_of(self, message: Message) -> Iterator[Event | RawFrame]:
+    def _event_of(self, message: Message) -> Event | None:
+        """A reading; None where there is none yet, and for an image, which waits to be paired."""
         roles, topic = self.plan.roles, message.topic
         try:
             header_s = header_of(message.data, self.bag.is_ros1).stamp_s
             stamp_s = self.clocks[topic].stamp_s(header_s, message.receipt_s)
             for kind, image in (("color", roles.color), ("depth", roles.depth)):
                 if image is not None and topic == image.name:
-                    yield from self.pairing.add(kind, stamp_s, message)
-                    return
-            event = self._reading(topic, stamp_s, self.bag.decode(message))
-        except (RecordingError, ValueError, ArithmeticError):  # of struct and text too; the rest goes on
+                    self.pairing.add(kind, stamp_s, message)
+                    return None
+            return self._reading(topic, stamp_s, self.bag.decode(message))
+        except (RecordingError, ValueError, struct.error):  # one damaged message; the rest goes on
             self.unusable += 1
-            return
-        if event is not None:
-            yield event
+            return None
 
     def _reading(self, topic: str, stamp_s: float, decoded: Any) -> Event | None:
         if topic == self.plan.roles.gyro:
@@ -219,17 +221,16 @@ class BagRecording:
                 yield item
         yield from _let_go(held, math.inf)
 
-    def try_frames(self, stop_ns: int) -> None:
+    def try_frames(self, bag: OpenBag, stop_ns: int) -> None:
         """Raise the error of the first frame received before `stop_ns`, unless one of them can be read."""
         first: RecordingError | None = None
-        with open_bag(self.path) as bag:
-            for item in _Pass(bag, self._plan).items(images=True, stop_ns=stop_ns):
-                try:
-                    if isinstance(item, RawFrame):
-                        self._read(bag, item)
-                        return
-                except RecordingError as error:
-                    first = first or error
+        for item in _Pass(bag, self._plan).items(images=True, stop_ns=stop_ns):
+            try:
+                if isinstance(item, RawFrame):
+                    self._read(bag, item)
+                    return
+            except RecordingError as error:
+                first = first or error
         if first is not None:
             raise first
         problem = f"no depth image lies within {self._plan.options.max_gap_s:g} s of a colour image where both begin"

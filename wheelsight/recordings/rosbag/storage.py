@@ -14,12 +14,14 @@ from typing import Any
 from wheelsight.errors import RecordingError
 from wheelsight.extras import needed
 from wheelsight.recordings.rosbag.files import parts_of
+from wheelsight.recordings.rosbag.ros1 import Ros1Reader
 
 _ZSTD = b"\x28\xb5\x2f\xfd"  # begins what is compressed message by message; plain CDR begins with a zero
 _FIRST_S, _LAST_S = 2.0, 2.0
 _IDL_RULE = "=" * 80 + "\n"
 # What rosbags says, and what to do about it; in order: the first that is found in its words.
 _FIXES = (
+    ("files are missing", "files that metadata.yaml names are missing", "remove metadata.yaml to read those there are"),
     ("not indexed", "has no index: its recorder did not end it", "rosbag reindex FILE"),
     ("index looks damaged", "is cut off: its index is not where it should be", "rosbag reindex FILE"),
     ("File end magic", "is cut off: it has no end", "mcap recover FILE -o whole.mcap"),
@@ -28,7 +30,6 @@ _FIXES = (
     ("database", "is no sqlite3 database, or a damaged one", "sqlite3 FILE .recover"),
     ("malformed", "is a damaged sqlite3 database", "sqlite3 FILE .recover"),
     ("metadata", "metadata.yaml does not fit", "remove metadata.yaml: the files beside it are read without it"),
-    ("files are missing", "files that metadata.yaml names are missing", "remove metadata.yaml to read those there are"),
     ("seems to be empty", "is empty", "record again"),
     ("magic is invalid", "is no bag", "check what wrote it"),
     ("encryption", "is encrypted", "decrypt it first"),
@@ -72,6 +73,7 @@ class OpenBag:
         self.path, self.is_ros1 = path, is_ros1
         self._readers = sorted(readers, key=lambda reader: reader.start_time)
         self._stores: dict[str, Any] = {}
+        self._firsts: dict[str, Message] = {}
         connections = [connection for reader in readers for connection in reader.connections]
         counts: dict[str, int] = {}
         for connection in connections:
@@ -100,9 +102,14 @@ class OpenBag:
 
     def first(self, topic: str, count: int = 1) -> list[Message]:
         """The first messages of a topic, fewer where there are fewer."""
+        if count == 1 and topic in self._firsts:
+            return [self._firsts[topic]]
         # A reader of MCAP looks at every chunk that it may need before it answers: most topics begin at once.
         begun = list(islice(self.messages([topic], stop_ns=self.start_ns + round(1e9 * _FIRST_S)), count))
-        return begun if len(begun) == count else list(islice(self.messages([topic]), count))
+        found = begun if len(begun) == count else list(islice(self.messages([topic]), count))
+        if found:
+            self._firsts[topic] = found[0]
+        return found
 
     def last(self, topic: str) -> Message:
         """The last message of a topic that has any, found by halving the time in which it lies."""
@@ -158,7 +165,7 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     """
     parts = parts_of(path)
     is_ros1 = parts[0].suffix == ".bag"
-    reader = needed("rosbags.rosbag1" if is_ros1 else "rosbags.rosbag2").Reader
+    reader = Ros1Reader if is_ros1 else needed("rosbags.rosbag2").Reader
     with ExitStack() as stack:
         try:
             readers = [stack.enter_context(reader(part)) for part in parts]

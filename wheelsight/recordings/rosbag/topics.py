@@ -118,13 +118,12 @@ def roles_of(bag: OpenBag, choices: Choices) -> Roles:
     filled = [topic for topic in bag.topics if topic.count]
     warnings: list[str] = []
     color, depth = _cameras(bag, filled, chosen, warnings)
-    if color is None or depth is None:
-        warnings += _half_a_camera(color, depth)
-        color = depth = None
     infos = [topic.name for topic in filled if topic.type == INFO]
     frames = {name: header_of(bag.first(name)[0].data, bag.is_ros1).frame for name in infos}
     color_info = None if color is None else chosen.get("color_info") or _info_of(color, frames)
-    depth_info = None if depth is None else chosen.get("depth_info") or _info_of(depth, frames)
+    # Registered depth has the colour camera's pixels.
+    own_depth = None if depth is None or depth.says_registered else depth
+    depth_info = None if own_depth is None else chosen.get("depth_info") or _info_of(own_depth, frames)
     wheels, joints = _wheels(bag, filled, chosen, choices, warnings)
     gyro = _gyro(filled, chosen, warnings)
     return Roles(color, depth, color_info, depth_info, wheels, joints, gyro, tuple(warnings))
@@ -165,9 +164,11 @@ def _cameras(
         colors = [by_name[chosen["color"]]]
     if "depth" in chosen:
         depths = [by_name[chosen["depth"]]]
-    pairs = sorted((_unlikely(color, depth), color.name, depth.name) for color in colors for depth in depths)
+    both = [(color, depth) for color in colors for depth in depths if color is not depth]
+    pairs = sorted((_unlikely(color, depth), color.name, depth.name) for color, depth in both)
     if not pairs:
-        return next(iter(colors), None), next(iter(depths), None)
+        warnings += _half_a_camera(colors, depths)
+        return None, None
     (best, color, depth), others = pairs[0], pairs[1:]
     rivals = [f"{c} with {d}" for unlikely, c, d in others if unlikely == best and _base(d) != _base(depth)]
     if rivals:
@@ -199,13 +200,12 @@ def _base(name: str) -> str:
     return _TRANSPORT.sub("", name)
 
 
-def _half_a_camera(color: ImageTopic | None, depth: ImageTopic | None) -> list[str]:
-    if color is None and depth is None:
+def _half_a_camera(colors: Sequence[ImageTopic], depths: Sequence[ImageTopic]) -> list[str]:
+    """What to say of images that are not used, since they are of one kind alone."""
+    names = ", ".join(image.name for image in (*colors, *depths))
+    if not names:
         return []
-    if depth is None:
-        assert color is not None
-        return [f"{color.name} is not used: no topic of depth images goes with it."]
-    return [f"{depth.name} is not used: no topic of colour images goes with it."]
+    return [f"Not used, for want of {'depth' if colors else 'colour'} images that go with them: {names}."]
 
 
 def _info_of(image: ImageTopic, frames: Mapping[str, str]) -> str | None:
