@@ -181,6 +181,16 @@ def odometry_drive(is_ros1: bool = False, seconds: float = 3.0, rate_hz: float =
     return drive
 
 
+def robot_drive() -> Drive:
+    """A robot of ROS 1 with camera, odometry, joints of wheels and an IMU."""
+    drive = odometry_drive(is_ros1=True)
+    drive.messages += camera_drive(is_ros1=True).messages
+    for at_s in np.arange(0, 3, 0.05).tolist():
+        drive.add(at_s, "/joint_states", drive.make.joints(at_s, ["motor_a", "motor_b"], [2.2 * at_s, 2.8 * at_s]))
+        drive.add(at_s, "/imu", drive.make.imu(at_s, "base_link", (0, 0, 0.3), (0, 0, 9.81)))
+    return drive
+
+
 def write_bag(path: Path, drive: Drive, **how: Any) -> Path:
     """Write a drive: of ROS 1 as a .bag at `path`, of ROS 2 as a folder there.
 

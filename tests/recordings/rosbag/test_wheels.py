@@ -23,7 +23,7 @@ def end_of(recording) -> tuple[float, float, float]:
     """x, y, yaw where our own integration of a recording's wheels ends."""
     odometry = WheelOdometry(not_none(recording.calibration.wheels))
     estimates = [odometry.process(event) for event in recording.events() if isinstance(event, WheelSpeeds)]
-    T = estimates[-1].T_odom_body
+    T = not_none(estimates[-1].T_odom_body)
     return float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0])
 
 
