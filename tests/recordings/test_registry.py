@@ -26,6 +26,7 @@ def test_names_are_sorted():
     assert reader_names() == [
         "measurement_lines",
         "openloris",
+        "rosbag",
         "seven_scenes",
         "skid_steer",
         "tum",

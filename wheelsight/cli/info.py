@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,10 +19,10 @@ from wheelsight.cli._options import (
     open_source,
     settings_from,
 )
+from wheelsight.cli._recording_facts import topic_facts, truth_facts
 
 if TYPE_CHECKING:
-    from wheelsight.evaluation import SequenceStatistics
-    from wheelsight.recordings import AssociationReport, RecordedTopic
+    from wheelsight.recordings import AssociationReport
     from wheelsight.recordings.inspection import Inspection
     from wheelsight.recordings.registration import RegistrationOffset
 
@@ -69,10 +69,10 @@ def info(
     stdout.print(facts_table(inspection.name, _facts(inspection)))
     if inspection.topics:
         stdout.print()
-        stdout.print(facts_table("Topics", _topic_facts(inspection.topics)))
+        stdout.print(facts_table("Topics", topic_facts(inspection.topics)))
     if inspection.ground_truth is not None:
         stdout.print()
-        stdout.print(facts_table("Ground truth", _truth_facts(inspection.ground_truth)))
+        stdout.print(facts_table("Ground truth", truth_facts(inspection.ground_truth)))
     for warning in inspection.warnings:
         print_warning(warning)
 
@@ -96,12 +96,6 @@ def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
         yield from _image_facts(inspection)
     if inspection.ground_truth is None:
         yield "ground truth", "none"
-
-
-def _topic_facts(topics: Sequence[RecordedTopic]) -> Iterator[tuple[str, str]]:
-    for topic in topics:
-        used = f", used as {topic.used_as}" if topic.used_as else ""
-        yield topic.name, f"{topic.count:,} × {topic.type.rpartition('/')[2]}{used}"
 
 
 def _image_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
@@ -138,14 +132,3 @@ def _registration(offset: RegistrationOffset | None, is_registered: bool) -> str
     if not offset.is_clear:
         return f"{said}; the images agree with shared pixels"
     return f"{said}; {offset}"
-
-
-def _truth_facts(truth: SequenceStatistics) -> Iterator[tuple[str, str]]:
-    from math import degrees
-
-    yield "duration", f"{truth.duration_s:.2f} s"
-    yield "with poses", f"{truth.posed_duration_s:.2f} s"
-    yield "length", f"{truth.length_m:.3f} m; in steps of {truth.window_s:g} s {truth.windowed_length_m:.3f} m"
-    yield "mean speed", f"{truth.mean_speed_m_per_s:.3f} m/s"
-    yield "mean turning", f"{degrees(truth.mean_angular_speed_rad_per_s):.2f} °/s"
-    yield "extent", " × ".join(f"{side:.2f}" for side in truth.extent_m) + " m"

@@ -34,7 +34,7 @@ class BagReader:
     """ROS 1 `.bag`, ROS 2 `.mcap` and `.db3`, compressed or split, as files or folders; see docs/bags.md."""
 
     name = "rosbag"
-    needs = "a .bag, .mcap or .db3 file, or a folder of its parts"
+    needs = "a .bag, .mcap or .db3"
 
     def recognises(self, folder: Path) -> bool:
         """Whether a file is called as bags are, or a folder holds the parts of one."""

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import heapq
 import struct
-from collections import Counter
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from io import BytesIO
+from itertools import accumulate
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +21,8 @@ from wheelsight.extras import needed
 
 _CHUNK_INFO, _MESSAGE = 6, 2
 _U32 = struct.Struct("<I")
-_TIME = struct.Struct("<II")
+_U64 = struct.Struct("<Q")
+_TIME = struct.Struct("<II")  # as the pairs of a connection and its count are
 
 
 class _Chunk(NamedTuple):
@@ -39,6 +42,7 @@ class Ros1Reader:
         self._rosbags = self._format.Reader(path)
         self.connections: list[Any] = []
         self._chunks: list[_Chunk] = []
+        self._ended_ns: list[int] = []  # the latest end of each chunk and those before it
 
     def __enter__(self) -> Ros1Reader:
         self._file = self._rosbags.bio = self._rosbags.path.open("rb")
@@ -75,8 +79,11 @@ class Ros1Reader:
         start_ns, stop_ns = start or 0, 1 << 63 if stop is None else stop
         waiting: list[tuple[int, int, int, bytes]] = []
         number = 0
-        for chunk in self._chunks:
-            if chunk.end_ns < start_ns or chunk.start_ns >= stop_ns or not wanted.keys() & chunk.counts.keys():
+        for at in range(bisect_left(self._ended_ns, start_ns), len(self._chunks)):
+            chunk = self._chunks[at]
+            if chunk.start_ns >= stop_ns:
+                break
+            if chunk.end_ns < start_ns or wanted.keys().isdisjoint(chunk.counts):
                 continue
             while waiting and waiting[0][0] < chunk.start_ns:
                 time_ns, _, connection, data = heapq.heappop(waiting)
@@ -104,12 +111,14 @@ class Ros1Reader:
         self._file.seek(place)
         try:
             known = [self._rosbags.read_connection() for _ in range(header.get_uint32("conn_count"))]
-            self._chunks = sorted(_chunk_infos(self._file.read(), count), key=lambda chunk: chunk[:3])
+            self._chunks = sorted(_chunk_infos(self._file.read(), count), key=attrgetter("start_ns"))
         except (self._format.ReaderError, struct.error, LookupError, ValueError) as error:
             raise self._format.ReaderError(f"Bag index looks damaged: {error}") from error
-        counts: Counter[int] = Counter()
+        self._ended_ns = list(accumulate((chunk.end_ns for chunk in self._chunks), max))
+        counts = dict.fromkeys((connection.id for connection in known), 0)
         for chunk in self._chunks:
-            counts.update(chunk.counts)
+            for connection, messages in chunk.counts.items():
+                counts[connection] = counts.get(connection, 0) + messages
         self.connections = [connection._replace(msgcount=counts[connection.id]) for connection in known]
 
     def _messages_of(self, chunk: _Chunk) -> Iterator[tuple[int, int, bytes]]:
@@ -128,26 +137,30 @@ class Ros1Reader:
 
 def _chunk_infos(data: bytes, count: int) -> Iterator[_Chunk]:
     """The records of an index that tell of chunks. Raises struct.error, LookupError or ValueError where they do not."""
-    at = 0
+    at, places = 0, dict[bytes, int]()
     for _ in range(count):
         (size,) = _U32.unpack_from(data, at)
-        fields, at = _fields(data[at + 4 : at + 4 + size]), at + 4 + size
+        header, at = data[at + 4 : at + 4 + size], at + 4 + size
+        # One writer puts all fields in one order: they are looked for once.
+        if not all(header.startswith(name, place - len(name)) for name, place in places.items()) or not places:
+            places = _places_in(header)
         (size,) = _U32.unpack_from(data, at)
-        if fields[b"op"][0] != _CHUNK_INFO or at + 4 + size > len(data):
+        if header[places[b"op="]] != _CHUNK_INFO or at + 4 + size > len(data):
             raise ValueError(f"a record of the index at {at} tells of no chunk")
-        pairs = struct.iter_unpack("<II", data[at + 4 : at + 4 + size])
+        start_s, start_ns = _TIME.unpack_from(header, places[b"start_time="])
+        end_s, end_ns = _TIME.unpack_from(header, places[b"end_time="])
+        (place,) = _U64.unpack_from(header, places[b"chunk_pos="])
+        pairs = _TIME.iter_unpack(data[at + 4 : at + 4 + size])
+        yield _Chunk(start_s * 10**9 + start_ns, end_s * 10**9 + end_ns, place, dict(pairs))
         at += 4 + size
-        times_ns = (
-            seconds * 10**9 + ns for seconds, ns in (_TIME.unpack(fields[n]) for n in (b"start_time", b"end_time"))
-        )
-        yield _Chunk(*times_ns, int.from_bytes(fields[b"chunk_pos"], "little"), dict(pairs))
 
 
-def _fields(header: bytes) -> dict[bytes, bytes]:
+def _places_in(header: bytes) -> dict[bytes, int]:
+    """Where the value of each field that a chunk's record needs begins."""
     found, at = {}, 0
     while at < len(header):
         (size,) = _U32.unpack_from(header, at)
-        name, _, value = header[at + 4 : at + 4 + size].partition(b"=")
-        found[name] = value
+        name = header[at + 4 : at + 4 + size].partition(b"=")[0] + b"="
+        found[name] = at + 4 + len(name)
         at += 4 + size
-    return found
+    return {name: found[name] for name in (b"op=", b"start_time=", b"end_time=", b"chunk_pos=")}
