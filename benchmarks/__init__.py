@@ -17,6 +17,7 @@ link       how quick the serial link is, and what bad lines (bad_lines) do to it
 firmware   what the wheel controller takes of its chip, and how fast wheels it counts, simulated
 simulation how quick the simulator is, and whether its memory stays flat
 places     how quick places are described, named and learned
+bags       how fast bags of ROS are read, and how long an hour's takes to open; by itself
 startup    how long importing wheelsight and asking for its help take
 parts      these by their names, with their tables and targets
 targets    what wheelsight must reach, met or missed by how much

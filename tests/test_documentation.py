@@ -21,6 +21,7 @@ from drives import simulate as drive_legs
 from drives import square_legs, write_recording
 from floor_plans import rooms_in_colours, two_rooms, write_plan
 from places.made_recording import write_drive
+from written_bags import robot_drive, write_bag
 
 from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.simulation import SimulationSettings, simulate, write_simulation
@@ -151,6 +152,7 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
         write_plan(tmp_path, two_rooms()).rename(tmp_path / name)
     for name, image in (("flat.png", two_rooms()), ("rooms.png", rooms_in_colours())):
         cv2.imwrite(str(tmp_path / name), image[:-44])  # without the corridor, which is below
+    write_bag(tmp_path / "robot.bag", robot_drive())
     for place in ("bin", ".venv/bin"):
         (tmp_path / place).mkdir(parents=True)
         (tmp_path / place / "wheelsight").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m wheelsight "$@"\n')

@@ -29,7 +29,7 @@ from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.extrinsics import ExtrinsicsSettings
 from wheelsight.odometry.features import FeatureSettings
 from wheelsight.odometry.wheels import WheelSettings
-from wheelsight.recordings import OpenOptions
+from wheelsight.recordings.settings import RecordingSettings
 from wheelsight.settings import (
     ASKED,
     CHOSEN,
@@ -46,39 +46,6 @@ from wheelsight.slam.settings import FROM_KEYFRAMES, LoopSettings
 
 OdometryName = Literal["features", "dense", "wheels"]
 TrackName = Literal["features", "dense", "wheels", "rectified", "joined"]
-
-
-def _listed(files: Any) -> Any:
-    """One file, or none, as a list of them."""
-    return (() if files is None else files) if not isinstance(files, str) else (files,)
-
-
-def _unlisted(files: tuple[str, ...]) -> str | list[str] | None:
-    return list(files) if len(files) > 1 else next(iter(files), None)
-
-
-class RecordingSettings(Settings):
-    """What a user says about a recording that its files do not."""
-
-    camera: str | None = setting(None, "name of a shipped calibration, or a calibration.yaml", ASKED)
-    max_gap_s: float = setting(
-        0.02, "largest distance in time between colour and depth of one frame", CHOSEN, ge=0, le=3600
-    )
-    depth_factor: float | None = setting(None, "depth units a metre, if not the usual", ASKED, gt=0, le=1e6)
-    calibration: Annotated[tuple[str, ...], BeforeValidator(_listed), PlainSerializer(_unlisted)] = setting(
-        (), "a calibration.yaml, or several, laid over the recording's: what a later one tells wins", ASKED
-    )
-    rate_hz: float | None = setting(
-        None,
-        "how many a second the images' stamps count, if they are numbers of frames or no seconds",
-        ASKED,
-        gt=0,
-        le=1e9,
-    )
-
-    def open_options(self) -> OpenOptions:
-        """The same, as `open_recording` takes it."""
-        return OpenOptions(self.camera, self.max_gap_s, self.depth_factor, self.calibration, self.rate_hz)
 
 
 def _numbers(text: str, names: tuple[str, ...]) -> list[float]:

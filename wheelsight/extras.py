@@ -12,6 +12,7 @@ _EXTRAS = {
     "gtsam": ("GTSAM", "gtsam"),
     "mujoco": ("MuJoCo", "mujoco matplotlib"),
     "plotly": ("plotly", "plotly"),
+    "rosbags": ("rosbags", "rosbags"),
     "skimage": ("scikit-image", "scikit-image"),
     "sklearn": ("scikit-learn", "scikit-learn skops"),
     "skops": ("skops", "scikit-learn skops"),

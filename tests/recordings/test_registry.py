@@ -26,6 +26,7 @@ def test_names_are_sorted():
     assert reader_names() == [
         "measurement_lines",
         "openloris",
+        "rosbag",
         "seven_scenes",
         "skid_steer",
         "tum",
@@ -52,7 +53,7 @@ def test_freiburg1_is_what_the_benchmark_publishes():
 def test_a_missing_folder_a_file_and_an_unknown_folder(tmp_path, tum_folder):
     with pytest.raises(RecordingError, match="there is no such folder"):
         open_recording(tmp_path / "nowhere")
-    with pytest.raises(RecordingError, match="is a file, but a recording is a folder"):
+    with pytest.raises(RecordingError, match="is a file, but no recording in one"):
         open_recording(tum_folder / "rgb.txt")
     (tmp_path / "empty").mkdir()
     with pytest.raises(RecordingError) as caught:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from wheelsight.recordings import Recording
 
 RecordingPath = Annotated[
-    Path, typer.Argument(metavar="RECORDING", help="Folder of the recording.", show_default=False)
+    Path, typer.Argument(metavar="RECORDING", help="Folder of the recording, or a ROS bag.", show_default=False)
 ]
 Camera = Annotated[
     str | None,
@@ -51,6 +51,16 @@ RateHz = Annotated[
         show_default="stamps are seconds",
     ),
 ]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="ROLE=TOPIC",
+        help="Of a bag: which topic is color, depth, color_info, depth_info, wheels or gyro; none leaves one out. May "
+        "be given again. Joints of wheels: wheels=/joint_states:left_joint,right_joint.",
+        show_default="by type, frame and name",
+    ),
+]
 
 
 # What --start says beside --map-from.
@@ -78,6 +88,7 @@ _SETTINGS = {
     "--depth-factor": "recording.depth_factor",
     "--max-gap": "recording.max_gap_s",
     "--rate-hz": "recording.rate_hz",
+    "--topic": "recording.topics",
 }
 
 

@@ -15,12 +15,13 @@ from wheelsight.cli._options import (
     MaxGap,
     RateHz,
     RecordingPath,
+    Topics,
     open_source,
     settings_from,
 )
+from wheelsight.cli._recording_facts import topic_facts, truth_facts
 
 if TYPE_CHECKING:
-    from wheelsight.evaluation import SequenceStatistics
     from wheelsight.recordings import AssociationReport
     from wheelsight.recordings.inspection import Inspection
     from wheelsight.recordings.registration import RegistrationOffset
@@ -35,6 +36,7 @@ def info(
     depth_factor: DepthFactor = None,
     max_gap: MaxGap = None,
     rate_hz: RateHz = None,
+    topic: Topics = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Tell what is in a recording, and what to know before trusting results made from it.
@@ -46,6 +48,8 @@ def info(
     wheelsight info rgbd_dataset_freiburg1_desk
 
     wheelsight info my_recording --camera my_camera.yaml --json
+
+    wheelsight info robot.bag --topic depth=/camera/depth/image_raw
     """
     from wheelsight.cli._console import console, facts_table, print_json, print_warning
     from wheelsight.cli._progress import FrameProgress
@@ -53,7 +57,7 @@ def info(
     from wheelsight.recordings.inspection import inspect_recording
 
     of_cameras = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
-    config = settings_from({**of_cameras, "--max-gap": max_gap, "--rate-hz": rate_hz})
+    config = settings_from({**of_cameras, "--max-gap": max_gap, "--rate-hz": rate_hz, "--topic": topic})
     source = open_source(recording, config)
     with FrameProgress("reading", source.frame_count or source.wheel_count) as progress:
         inspection = inspect_recording(source, progress.advance)
@@ -63,9 +67,12 @@ def info(
         return
     stdout = console()
     stdout.print(facts_table(inspection.name, _facts(inspection)))
+    if inspection.topics:
+        stdout.print()
+        stdout.print(facts_table("Topics", topic_facts(inspection.topics)))
     if inspection.ground_truth is not None:
         stdout.print()
-        stdout.print(facts_table("Ground truth", _truth_facts(inspection.ground_truth)))
+        stdout.print(facts_table("Ground truth", truth_facts(inspection.ground_truth)))
     for warning in inspection.warnings:
         print_warning(warning)
 
@@ -125,14 +132,3 @@ def _registration(offset: RegistrationOffset | None, is_registered: bool) -> str
     if not offset.is_clear:
         return f"{said}; the images agree with shared pixels"
     return f"{said}; {offset}"
-
-
-def _truth_facts(truth: SequenceStatistics) -> Iterator[tuple[str, str]]:
-    from math import degrees
-
-    yield "duration", f"{truth.duration_s:.2f} s"
-    yield "with poses", f"{truth.posed_duration_s:.2f} s"
-    yield "length", f"{truth.length_m:.3f} m; in steps of {truth.window_s:g} s {truth.windowed_length_m:.3f} m"
-    yield "mean speed", f"{truth.mean_speed_m_per_s:.3f} m/s"
-    yield "mean turning", f"{degrees(truth.mean_angular_speed_rad_per_s):.2f} °/s"
-    yield "extent", " × ".join(f"{side:.2f}" for side in truth.extent_m) + " m"

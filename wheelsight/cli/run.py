@@ -12,6 +12,7 @@ from wheelsight.cli._options import (
     MaxGap,
     RateHz,
     RecordingPath,
+    Topics,
     open_source,
     settings_from,
 )
@@ -35,6 +36,7 @@ def run(
     depth_factor: DepthFactor = None,
     max_gap: MaxGap = None,
     rate_hz: RateHz = None,
+    topic: Topics = None,
     reference: options.Reference = None,
     integration: options.Integration = None,
     gyro: options.Gyro = None,
@@ -76,6 +78,8 @@ def run(
 
     wheelsight run my_recording --odometry wheels,features --out results
 
+    wheelsight run robot.bag --topic wheels=/odom --out results
+
     wheelsight run my_recording --odometry dense --map surfels --out results
 
     wheelsight run my_recording --odometry wheels --places floor.places --out results
@@ -89,6 +93,7 @@ def run(
     wheelsight run tuesday --map-from monday_map --out found_again
     """
     of_recording = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
+    of_recording["--topic"] = topic
     of_features = {"--max-gap": max_gap, "--rate-hz": rate_hz, "--reference": reference, "--seed": seed}
     of_wheels = {"--integration": integration, "--gyro": gyro}
     start_of = "--start" if map_from is None else STARTS_IN_KNOWN_MAP

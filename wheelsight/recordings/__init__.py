@@ -1,4 +1,4 @@
-"""Recordings: folders of images and readings, whatever their format, as events in order of time."""
+"""Recordings: folders of images and readings, and bags, whatever their format, as events in order of time."""
 
 from wheelsight.recordings._cameras import camera_names, load_camera
 from wheelsight.recordings.bodies import express_for
@@ -8,8 +8,11 @@ from wheelsight.recordings.protocol import (
     GivesMatches,
     ListedFrame,
     ListsFrames,
+    ListsTopics,
     OpenOptions,
+    RecordedTopic,
     Recording,
+    TellsEnds,
 )
 from wheelsight.recordings.registry import find_recordings, open_recording, reader_names
 from wheelsight.recordings.writer import TRUTH_FILES, RecordingWriter, write_recording
@@ -21,9 +24,12 @@ __all__ = [
     "GivesMatches",
     "ListedFrame",
     "ListsFrames",
+    "ListsTopics",
     "OpenOptions",
+    "RecordedTopic",
     "Recording",
     "RecordingWriter",
+    "TellsEnds",
     "camera_names",
     "express_for",
     "find_recordings",

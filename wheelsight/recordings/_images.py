@@ -44,7 +44,11 @@ def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
         RecordingError: naming the file, if it is no 16-bit image with one channel, holds no depth at all,
             or its median depth is under 5 cm or over 50 m.
     """
-    raw = _decode(path, cv2.IMREAD_UNCHANGED, "depth")
+    return depth_of_units(_decode(path, cv2.IMREAD_UNCHANGED, "depth"), encoding, path)
+
+
+def depth_of_units(raw: NDArray[np.integer], encoding: DepthEncoding, path: Path) -> Float32Array:
+    """Depth (H, W) float32 in metres of what a depth image holds; `raw` may be changed. Raises as `read_depth`."""
     if raw.ndim != 2 or raw.dtype != np.uint16:
         channels = 1 if raw.ndim == 2 else raw.shape[2]
         problem = f"depth image has {channels} channel(s) of {8 * raw.dtype.itemsize} bits, not one of 16"
@@ -70,8 +74,26 @@ def image_size(image: NDArray[np.generic]) -> str:
     return f"{image.shape[1]}×{image.shape[0]}"
 
 
+def decoded_color(data: bytes, path: Path) -> ByteArray:
+    """The colour image (H, W, 3), red green blue, of a PNG or JPEG in the file at `path`. Raises RecordingError."""
+    return np.asarray(_decoded(data, path, _COLOR_FLAGS, "colour"), np.uint8)
+
+
+def decoded_units(data: bytes, path: Path) -> NDArray[np.integer]:
+    """What a PNG in the file at `path` holds, as it stands. Raises RecordingError."""
+    return _decoded(data, path, cv2.IMREAD_UNCHANGED, "depth")
+
+
+def check_scale(depth_m: Float32Array, path: Path) -> None:
+    """Raise RecordingError for a depth image in metres that measured nothing, or that cannot be in metres."""
+    _check_scale(_median(depth_m, path), path, DepthEncoding(1.0))
+
+
 def _decode(path: Path, flags: int, kind: str) -> NDArray[np.integer]:
-    data = read_bytes(path, _KINDS[kind], RecordingError)
+    return _decoded(read_bytes(path, _KINDS[kind], RecordingError), path, flags, kind)
+
+
+def _decoded(data: bytes, path: Path, flags: int, kind: str) -> NDArray[np.integer]:
     for start, trailer in _TRAILERS.items():
         if data.startswith(start) and trailer not in data[-_TRAILER_REACH:]:
             raise RecordingError(f"{kind} image is cut off before its end", path=path)
@@ -101,7 +123,7 @@ def _check_size(data: bytes, path: Path, kind: str) -> None:
         raise RecordingError(problem, path=path, fix="convert it to PNG")
 
 
-def _median(raw: NDArray[np.integer], path: Path) -> float:
+def _median(raw: NDArray[np.integer] | Float32Array, path: Path) -> float:
     """Median of the measured depth units, from a sample where it holds enough."""
     sample = raw[::_MEDIAN_STRIDE, ::_MEDIAN_STRIDE]
     measured = sample[sample > 0]

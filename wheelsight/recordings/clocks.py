@@ -9,7 +9,7 @@ import numpy as np
 from wheelsight.errors import RecordingError
 from wheelsight.events import RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
 from wheelsight.geometry import FloatArray
-from wheelsight.recordings.protocol import ListedFrame, ListsFrames, Recording
+from wheelsight.recordings.protocol import ListedFrame, ListsFrames, Recording, TellsEnds
 from wheelsight.stamps import NUMBERS, StampUnit, unit_of
 
 FRAMES, WHEELS, TRUTH = "frames", "wheels", "ground truth"
@@ -24,7 +24,12 @@ _FASTEST_CAMERA_HZ = 500.0
 
 
 def listed_stamps(recording: Recording) -> dict[str, FloatArray]:
-    """Stamps (N,) of FRAMES, WHEELS and TRUTH, in the recording's own order; of those it tells without decoding."""
+    """Stamps (N,) of FRAMES, WHEELS and TRUTH, in the recording's own order; of those it tells without decoding.
+
+    Of a recording that is too long to be listed, the first ones and the last.
+    """
+    if isinstance(recording, TellsEnds):
+        return dict(recording.end_stamps())
     stamps: dict[str, list[float]] = {FRAMES: [], WHEELS: []}
     lists = recording.listed() if isinstance(recording, ListsFrames) else recording.events(images=False)
     for item in lists:

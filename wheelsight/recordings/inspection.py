@@ -13,7 +13,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.evaluation import SequenceStatistics, sequence_statistics
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import Float32Array, FloatArray
-from wheelsight.recordings.protocol import AssociationReport, Recording
+from wheelsight.recordings.protocol import AssociationReport, ListsTopics, RecordedTopic, Recording
 from wheelsight.recordings.registration import FAR_FROM_CALIBRATED, OffsetMeter, RegistrationOffset, off_calibrated
 from wheelsight.recordings.repeats import Repeats
 
@@ -57,6 +57,7 @@ class Inspection:
         association: how colour and depth were paired.
         ground_truth: Zhang's Table 2 statistics of it, or None.
         warnings: one sentence each.
+        topics: of a bag, all of them and what each is used as; else none.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Inspection:
     association: AssociationReport
     ground_truth: SequenceStatistics | None
     warnings: tuple[str, ...]
+    topics: tuple[RecordedTopic, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as plain nested values; may hold NaN."""
@@ -119,6 +121,7 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         association=recording.association,
         ground_truth=sequence_statistics(truth) if truth is not None and len(truth) > 1 else None,
         warnings=(*recording.warnings, *_warnings(tally, offset, recording)),
+        topics=tuple(recording.topics) if isinstance(recording, ListsTopics) else (),
     )
 
 

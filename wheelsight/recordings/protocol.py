@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -12,7 +12,9 @@ from typing import Protocol, runtime_checkable
 from wheelsight.errors import ConfigError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.files import StrPath
+from wheelsight.geometry import FloatArray
 from wheelsight.matches import Match, SpeedVariances
+from wheelsight.recordings.rosbag.settings import BagSettings
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
@@ -114,6 +116,40 @@ class GivesMatches(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedTopic:
+    """A topic of a bag.
+
+    Attributes:
+        name: such as /camera/color/image_raw.
+        type: such as sensor_msgs/msg/Image.
+        count: how many messages there are.
+        used_as: color, depth, color_info, depth_info, wheels or gyro; empty where it is not used.
+    """
+
+    name: str
+    type: str
+    count: int
+    used_as: str = ""
+
+
+@runtime_checkable
+class ListsTopics(Protocol):
+    """A recording made of topics, of which it uses some."""
+
+    @property
+    def topics(self) -> Sequence[RecordedTopic]:
+        """All of them, in order of name."""
+
+
+@runtime_checkable
+class TellsEnds(Protocol):
+    """A recording too long to be listed before it is read; it knows when its streams begin and end."""
+
+    def end_stamps(self) -> Mapping[str, FloatArray]:
+        """Some first stamps (N,), and the last one, of frames and of wheels, by the names of `recordings.clocks`."""
+
+
+@dataclass(frozen=True, slots=True)
 class OpenOptions:
     """What a user may say about a recording that its files do not.
 
@@ -125,6 +161,8 @@ class OpenOptions:
             the recording, and those before it, say.
         rate_hz: how many a second the stamps of images count: the camera's rate, where they are numbers of frames;
             1000, where they are milliseconds. None where they are seconds.
+        topics: which topics of a bag are what, each as "color=/camera/color/image_raw"; see docs/bags.md.
+        bag: how messages of bags are put in order, and when their stamps are believed.
 
     Raises:
         ConfigError: a gap that is not finite and from 0 up, or a factor or rate that is not positive.
@@ -135,6 +173,8 @@ class OpenOptions:
     depth_factor: float | None = None
     calibration: StrPath | Sequence[StrPath] | None = None
     rate_hz: float | None = None
+    topics: Sequence[str] = ()
+    bag: BagSettings = field(default_factory=BagSettings)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.max_gap_s) and self.max_gap_s >= 0):

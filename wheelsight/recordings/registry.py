@@ -1,4 +1,4 @@
-"""Which reader opens which folder."""
+"""Which reader opens which folder, or file."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader
 from wheelsight.recordings.protocol import OpenOptions, Reader, Recording
+from wheelsight.recordings.rosbag.reader import BagReader
 from wheelsight.recordings.seven_scenes import SevenScenesReader
 from wheelsight.recordings.skid_steer import SkidSteerReader
 from wheelsight.recordings.tum import TumReader
@@ -28,6 +29,7 @@ _READERS: tuple[Reader, ...] = (
     SkidSteerReader(),
     VelocityReader(),
     MeasurementLineReader(),
+    BagReader(),
 )
 _SEARCH_DEPTH = 3
 _MOST_SEARCHED = 10_000  # folders, which take a second or two
@@ -39,10 +41,10 @@ def reader_names() -> list[str]:
 
 
 def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recording:
-    """The recording in a folder, by the first reader that recognises it.
+    """The recording at a path, by the first reader that recognises it.
 
     Args:
-        path: a folder of one of the formats in `reader_names()`.
+        path: a folder, or for some a file, of one of the formats in `reader_names()`.
         options: what the files do not say; None for the defaults.
 
     Raises:
@@ -62,34 +64,38 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
 def _open(folder: Path, options: OpenOptions) -> Recording:
     if not folder.exists():
         raise RecordingError("there is no such folder", path=folder, fix="check the path")
-    if not folder.is_dir():
-        raise RecordingError("is a file, but a recording is a folder", path=folder, fix="give the folder")
     reader = _reader_of(folder)
+    if reader is None and not folder.is_dir():
+        raise RecordingError("is a file, but no recording in one", path=folder, fix="give the folder, or a bag")
     if reader is None:
         raise _unknown(folder)
     return _with_doubts(reader.open(folder, options))
 
 
 def find_recordings(folder: StrPath) -> list[Path]:
-    """Folders at or up to three levels below `folder` that some reader recognises, sorted; hidden ones are left out.
+    """What some reader recognises at or up to three levels below `folder`, sorted; hidden ones are left out.
 
-    Of very many folders, only the first ten thousand are looked at.
+    Of very many folders and files, only the first ten thousand are looked at.
     """
     found, level, left = [], [Path(folder)], _MOST_SEARCHED
     for _ in range(_SEARCH_DEPTH + 1):
-        folders, left = level[:left], left - len(level)
-        known = {path: path.is_dir() and _reader_of(path) is not None for path in folders}
-        found += [path for path in folders if known[path]]
-        level = [below for path in folders if not known[path] for below in _below(path)] if left > 0 else []
+        paths, left = level[:left], left - len(level)
+        known = {path: path.exists() and _reader_of(path) is not None for path in paths}
+        found += [path for path in paths if known[path]]
+        level = [below for path in paths if not known[path] for below in _below(path)] if left > 0 else []
     return sorted(found)
 
 
 def _below(folder: Path) -> list[Path]:
-    """The folders in a folder; none in one that may not be looked into."""
+    """The folders in a folder, and the files that are recordings; none in one that may not be looked into."""
     try:
-        return [path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
+        return [path for path in folder.iterdir() if not path.name.startswith(".") and _may_be(path)]
     except OSError:
         return []
+
+
+def _may_be(path: Path) -> bool:
+    return path.is_dir() or _reader_of(path) is not None
 
 
 def _with_doubts(recording: Recording) -> Recording:

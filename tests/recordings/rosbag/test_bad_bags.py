@@ -1,0 +1,238 @@
+"""Bags that are damaged, lack what is needed, or whose clocks are wrong: refused in one line, or said."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from written_bags import (
+    COLOR,
+    DEPTH,
+    FRAMES,
+    OPTICAL,
+    START_S,
+    Drive,
+    camera_drive,
+    color_image,
+    odometry_drive,
+    write_bag,
+)
+
+from wheelsight.errors import InputError, RecordingError
+from wheelsight.events import RgbdFrame, SkippedFrame, WheelSpeeds
+from wheelsight.recordings import open_recording
+from wheelsight.recordings.clocks import FRAMES as FRAME_STAMPS
+from wheelsight.recordings.clocks import WHEELS, listed_stamps, refuse_if_apart
+
+
+def file_of(folder: Path, is_ros1: bool = False, **how: str) -> Path:
+    written = write_bag(folder / ("drive.bag" if is_ros1 else "drive"), camera_drive(is_ros1), **how)
+    return written if is_ros1 else next(file for file in written.iterdir() if file.suffix != ".yaml")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("way", ["ROS 1", "mcap", "sqlite3"])
+def test_a_bag_that_is_cut_off_is_refused_in_one_line_or_read_in_part(tmp_path: Path, way: str, share: float) -> None:
+    path = file_of(tmp_path, is_ros1=True) if way == "ROS 1" else file_of(tmp_path, storage=way)
+    data = path.read_bytes()
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    cut = alone / path.name
+    cut.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(RecordingError) as caught:
+        list(open_recording(cut).events())
+    assert caught.value.path == cut
+    assert caught.value.fix
+    assert "\n" not in str(caught.value)
+
+
+def test_a_bag_without_an_index_says_how_to_make_one(tmp_path: Path) -> None:
+    path = file_of(tmp_path, is_ros1=True)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    data[at : at + 8] = bytes(8)
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match=r"has no index: its recorder did not end it \(rosbag reindex drive.bag\)"):
+        open_recording(path)
+
+
+def test_an_mcap_without_an_end_says_how_to_recover_it(tmp_path: Path) -> None:
+    path = file_of(tmp_path)
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(RecordingError, match=r"is cut off: it has no end .mcap recover"):
+        open_recording(path)
+
+
+@pytest.mark.parametrize("name", ["text.bag", "text.mcap", "text.db3"])
+@pytest.mark.parametrize("data", [b"", b"no bag at all\n" * 50])
+def test_a_file_that_is_only_called_a_bag(tmp_path: Path, name: str, data: bytes) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(RecordingError):
+        open_recording(tmp_path / name)
+
+
+def test_bytes_that_were_changed_raise_nothing_but_our_own_errors(tmp_path: Path, rng: np.random.Generator) -> None:
+    for way in ("mcap", "sqlite3"):
+        path = file_of(tmp_path / way, storage=way)
+        whole = path.read_bytes()
+        for _ in range(15):
+            damaged = np.frombuffer(whole, np.uint8).copy()
+            damaged[rng.integers(0, len(whole), 40)] = rng.integers(0, 256, 40)
+            path.write_bytes(damaged.tobytes())
+            try:
+                events = list(open_recording(path).events())
+            except InputError:
+                continue
+            assert all(isinstance(event, RgbdFrame | SkippedFrame) for event in events)
+
+
+def test_metadata_that_does_not_fit_may_be_removed(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "drive", camera_drive())
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 4}")
+    with pytest.raises(RecordingError, match=r"remove metadata\.yaml"):
+        open_recording(folder)
+    (folder / "metadata.yaml").unlink()
+    assert len(list(open_recording(folder).events())) == FRAMES
+
+
+def test_a_part_that_is_missing_is_said(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "drive", camera_drive())
+    (only,) = folder.glob("*.mcap")
+    shutil.move(only, folder / "other.mcap")
+    with pytest.raises(RecordingError, match=r"files that metadata\.yaml names are missing"):
+        open_recording(folder)
+
+
+@pytest.mark.parametrize(
+    ("drive", "problem"),
+    [
+        (Drive(), "holds no messages"),
+        (camera_drive().without(DEPTH), f"for want of depth images that go with them: {COLOR}"),
+        (camera_drive().without(COLOR), f"for want of colour images that go with them: {DEPTH}"),
+        (camera_drive().without(COLOR, DEPTH), "no depth images with colour, no Odometry, no JointState of wheels"),
+    ],
+)
+def test_what_a_bag_lacks_is_said(opened, drive: Drive, problem: str) -> None:
+    with pytest.raises(RecordingError, match=problem):
+        opened(drive)
+
+
+def test_half_a_camera_beside_wheels_is_said_and_the_wheels_are_read(opened) -> None:
+    drive = camera_drive().without(DEPTH)
+    drive.messages += odometry_drive().messages
+    recording = opened(drive)
+    assert (recording.frame_count, recording.wheel_count, recording.body) == (0, 60, "base")
+    assert any("for want of depth images" in warning for warning in recording.warnings)
+
+
+def test_an_image_that_cannot_be_read_is_skipped_with_its_reason(opened) -> None:
+    drive = camera_drive()
+    drive.messages = [
+        (at_s, topic, drive.make.image(number / 30, OPTICAL, "rgb8", color_image(0)[:9]) if number == 7 else message)
+        for number, (at_s, topic, message) in enumerate(drive.messages)
+    ]
+    replaced = sum(topic == COLOR for _, topic, _ in drive.messages[7:8])
+    assert replaced == 1
+    drive.messages[7][2].header = drive.make.header(0.1 + 2 / 30, OPTICAL)
+    events = list(opened(drive).events())
+    (skipped,) = (event for event in events if isinstance(event, SkippedFrame))
+    assert (skipped.index, skipped.reason) == (2, "colour image is 64×9, the calibration's 64×48")
+    assert len(events) == FRAMES
+
+
+def test_no_image_at_all_can_be_read(opened) -> None:
+    drive = camera_drive()
+    for _, topic, message in drive.messages:
+        if topic == COLOR:
+            message.encoding = "nv12"
+    with pytest.raises(RecordingError, match="colour images are encoded as 'nv12'"):
+        opened(drive)
+
+
+def test_images_of_different_clocks_find_no_partner(opened) -> None:
+    drive = camera_drive()
+    for _, topic, message in drive.messages:
+        if topic == DEPTH:
+            message.header.stamp.sec += 3
+    with pytest.raises(RecordingError, match=r"no depth image lies within 0\.02 s of a colour image"):
+        opened(drive)
+
+
+def stamped(topic: str, drive: Drive, change_s: int | None) -> Drive:
+    """A drive whose headers of a topic are so many seconds off, or zero."""
+    for _, name, message in drive.messages:
+        if name == topic and change_s is None:
+            message.header.stamp.sec = message.header.stamp.nanosec = 0
+        elif name == topic:
+            message.header.stamp.sec += change_s
+    return drive
+
+
+def both() -> Drive:
+    drive = camera_drive(late_s=0.05)
+    drive.messages += odometry_drive().messages
+    return drive
+
+
+@pytest.mark.parametrize("change_s", [None, 86_400, -86_400])
+def test_headers_of_another_clock_give_way_to_receipt(opened, change_s: int | None) -> None:
+    drive = stamped(DEPTH, stamped(COLOR, both(), change_s), change_s)
+    recording = opened(drive)
+    told = [warning for warning in recording.warnings if "the time of receipt stands for it" in warning]
+    assert [warning.partition(":")[0] for warning in told] == [COLOR, DEPTH]
+    frames = [event for event in recording.events() if isinstance(event, RgbdFrame)]
+    assert [frame.stamp_s for frame in frames] == pytest.approx(
+        [START_S + 0.15 + n / 30 for n in range(FRAMES)], abs=1e-5
+    )
+
+
+def test_headers_that_are_all_off_by_the_same_are_a_replays(opened) -> None:
+    drive = both()
+    for topic in (COLOR, DEPTH, "/odom"):
+        stamped(topic, drive, -100_000)
+    recording = opened(drive)
+    assert any("a replay was recorded" in warning for warning in recording.warnings)
+    first = next(event for event in recording.events() if isinstance(event, WheelSpeeds))
+    assert first.stamp_s == START_S - 100_000
+
+
+def test_single_headers_far_from_receipt_are_replaced_and_counted(opened) -> None:
+    drive = odometry_drive()
+    drive.messages[20][2].header.stamp.sec += 5000
+    drive.messages[30][2].header.stamp.sec = drive.messages[30][2].header.stamp.nanosec = 0
+    recording = opened(drive)
+    stamps_s = [event.stamp_s for event in recording.events()]
+    np.testing.assert_allclose(stamps_s, START_S + np.arange(60) / 20, atol=1e-5)
+    assert any("/odom: 2 headers are far from receipt" in warning for warning in recording.warnings)
+
+
+def test_messages_that_come_twice_are_left_out_and_counted(opened) -> None:
+    drive = camera_drive()
+    drive.messages += [(at_s + 1e-4, topic, m) for at_s, topic, m in drive.messages if topic in (COLOR, DEPTH)]
+    recording = opened(drive)
+    assert len(list(recording.events())) == FRAMES
+    assert any("came twice, or later" in warning for warning in recording.warnings)
+
+
+def test_camera_and_wheels_that_share_no_time_are_refused_before_a_run(opened) -> None:
+    drive = camera_drive()
+    for at_s, topic, message in odometry_drive().messages:
+        message.header.stamp.sec += 5
+        drive.add(at_s + 5, topic, message)
+    recording = opened(drive)
+    stamps = listed_stamps(recording)
+    assert stamps[FRAME_STAMPS][-1] == pytest.approx(START_S + 0.1 + 5 / 30, abs=1e-5)
+    assert (stamps[WHEELS][0], stamps[WHEELS][-1]) == pytest.approx((START_S + 5, START_S + 7.95))
+    assert any("share 0.0 s" in warning for warning in recording.warnings)
+    with pytest.raises(RecordingError, match="their clocks count from different moments"):
+        refuse_if_apart(recording)
+
+
+def test_the_last_message_of_a_topic_that_ends_early_is_found(opened) -> None:
+    drive = camera_drive()
+    drive.messages += odometry_drive(seconds=60, rate_hz=5).messages
+    stamps = listed_stamps(opened(drive))
+    assert stamps[FRAME_STAMPS][-1] == pytest.approx(START_S + 0.1 + 5 / 30, abs=1e-5)
+    assert stamps[WHEELS][-1] == pytest.approx(START_S + 59.8)

@@ -1,0 +1,29 @@
+"""What `wheelsight info` says of a bag's topics and of ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from wheelsight.evaluation import SequenceStatistics
+    from wheelsight.recordings import RecordedTopic
+
+
+def topic_facts(topics: Sequence[RecordedTopic]) -> Iterator[tuple[str, str]]:
+    """Each topic, how many messages of what type it has, and what it is used as."""
+    for topic in topics:
+        used = f", used as {topic.used_as}" if topic.used_as else ""
+        yield topic.name, f"{topic.count:,} × {topic.type.rpartition('/')[2]}{used}"
+
+
+def truth_facts(truth: SequenceStatistics) -> Iterator[tuple[str, str]]:
+    """Ground truth in figures."""
+    from math import degrees
+
+    yield "duration", f"{truth.duration_s:.2f} s"
+    yield "with poses", f"{truth.posed_duration_s:.2f} s"
+    yield "length", f"{truth.length_m:.3f} m; in steps of {truth.window_s:g} s {truth.windowed_length_m:.3f} m"
+    yield "mean speed", f"{truth.mean_speed_m_per_s:.3f} m/s"
+    yield "mean turning", f"{degrees(truth.mean_angular_speed_rad_per_s):.2f} °/s"
+    yield "extent", " × ".join(f"{side:.2f}" for side in truth.extent_m) + " m"

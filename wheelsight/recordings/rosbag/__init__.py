@@ -1,0 +1,1 @@
+"""Bags of ROS 1 and ROS 2, read without ROS: camera, wheels and gyroscope as events in order of time."""

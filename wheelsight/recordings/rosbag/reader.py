@@ -1,0 +1,156 @@
+"""Opens a bag: who is who, how the robot is built, which clocks are believed; by its index and first messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wheelsight.calibration import Calibration, load_calibration
+from wheelsight.errors import CalibrationError
+from wheelsight.geometry import FloatArray
+from wheelsight.inputs import is_there
+from wheelsight.matches import SpeedVariances
+from wheelsight.recordings._cameras import load_camera
+from wheelsight.recordings._wheel_recording import need_wheels, shipped_robot
+from wheelsight.recordings.clocks import FRAMES, WHEELS, stamp_warnings
+from wheelsight.recordings.protocol import OpenOptions, RecordedTopic
+from wheelsight.recordings.rosbag.files import parts_of
+from wheelsight.recordings.rosbag.gravity import up_of_gyro
+from wheelsight.recordings.rosbag.recording import BagPlan, BagRecording
+from wheelsight.recordings.rosbag.robot import Robot, read_robot
+from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of, header_of
+from wheelsight.recordings.rosbag.storage import OpenBag, open_bag
+from wheelsight.recordings.rosbag.topics import Choices, Roles, lacks, roles_of
+from wheelsight.recordings.rosbag.wheels import JointSpeeds, OdometrySpeeds, SpeedReader, told_by_twist
+
+_FIRST_MESSAGES = 5
+
+
+class BagReader:
+    """ROS 1 `.bag`, ROS 2 `.mcap` and `.db3`, compressed or split, as files or folders; see docs/bags.md."""
+
+    name = "rosbag"
+    needs = "a .bag, .mcap or .db3"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether a file is called as bags are, or a folder holds the parts of one."""
+        return bool(parts_of(folder))
+
+    def open(self, folder: Path, options: OpenOptions) -> BagRecording:
+        """The bag at a path that was recognised; its index and a few messages are read.
+
+        Raises:
+            RecordingError: it is damaged, has no index, or holds nothing to localize by.
+            CalibrationError: nothing says what its camera or its wheels are like.
+            ConfigError: a topic that was chosen is not there, or rosbags is not installed.
+        """
+        choices = Choices.of(options.topics)
+        with open_bag(folder) as bag:
+            roles = roles_of(bag, choices)
+            if roles.color is None and roles.wheels is None:
+                raise lacks(roles, bag, folder)
+            return _open(bag, roles, options)
+
+
+def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
+    settings = options.bag
+    used = [name for role, name in roles.used.items() if role in ("color", "depth", "wheels", "gyro")]
+    clocks, warnings = clocks_of({topic: bag.first(topic)[0] for topic in used}, bag.is_ros1, settings.most_apart_s)
+    robot = read_robot(bag, roles, settings)
+    up, of_gravity = up_of_gyro(bag, roles, robot, settings)
+    wheels, of_wheels, variances = _wheels(bag, roles)
+    plan = BagPlan(roles, clocks, wheels, up, _wait_s(bag, roles, options), options)
+    ends = _ends(bag, roles, clocks)
+    used_as = {name: " and ".join(r for r, n in roles.used.items() if n == name) for name in roles.used.values()}
+    recording = BagRecording(
+        bag.path,
+        _calibrated(bag.path, robot, options),
+        plan,
+        tuple(RecordedTopic(topic.name, topic.type, topic.count, used_as.get(topic.name, "")) for topic in bag.topics),
+        ends,
+        (*roles.warnings, *warnings, *robot.warnings, *of_gravity, *of_wheels, *stamp_warnings(_outer(ends))),
+        variances,
+    )
+    if roles.color is not None and roles.depth is not None:
+        begins_ns = max(bag.first(image.name)[0].receipt_ns for image in (roles.color, roles.depth))
+        recording.try_frames(bag, begins_ns + round(1e9 * settings.first_frames_s))
+    return recording
+
+
+def _calibrated(path: Path, robot: Robot, options: OpenOptions) -> Calibration:
+    """The robot as the bag tells it, under what the user says of it, and what a calibration.yaml beside it says."""
+    beside = path / "calibration.yaml"
+    over = [*([beside] if is_there(beside) else []), *options.calibrations]
+    known = robot.calibration
+    if options.camera is not None:
+        camera = load_camera(options.camera)
+        known = camera if known is None else known.updated_by(camera)
+    if known is None and not over:
+        assert robot.lacks is not None
+        raise robot.lacks
+    calibration = load_calibration(*over, under=known) if over else known
+    assert calibration is not None
+    if robot.needs_cameras and calibration.color is None:
+        raise robot.lacks or CalibrationError("nothing tells what the camera is like", path=path, fix="give --camera")
+    if robot.needs_wheels and calibration.wheels is None:
+        problem = "joint states tell how far wheels turn, but not how large they are"
+        raise CalibrationError(problem, path=path, fix="give a calibration.yaml with wheels by --calibration")
+    return calibration
+
+
+def _wheels(bag: OpenBag, roles: Roles) -> tuple[Callable[[], SpeedReader] | None, list[str], SpeedVariances | None]:
+    """What makes a reader of the wheels' topic, sentences on it, and what it states of its own errors."""
+    if roles.wheels is None:
+        return None, [], None
+    if roles.joints is not None:
+        names = f"{'+'.join(roles.joints.left)} and {'+'.join(roles.joints.right)}"
+        return partial(JointSpeeds, roles.joints), [f"{roles.wheels.name}: wheels are the joints {names}."], None
+    topic = roles.wheels.name
+    sampled = [bag.decode(message) for message in (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic))]
+    by_twist = told_by_twist(sampled)
+    how = "speeds, since its poses stay at zero" if by_twist else "increments of its poses"
+    told = [f"{topic}: wheels are known by {how}; it is the robot's own estimate, no truth."]
+    nominal = need_wheels(shipped_robot("velocities"))
+    return partial(OdometrySpeeds, nominal, by_twist), told, _variances(bag, topic, sampled[0])
+
+
+def _variances(bag: OpenBag, topic: str, first: Any) -> SpeedVariances | None:
+    """Those of the first message's twist, where they are stated."""
+    stated = np.asarray(first.twist.covariance, float).reshape(6, 6).diagonal()[[0, 1, 5]]
+    if not (np.isfinite(stated).all() and (stated >= 0).all() and stated[0] > 0 and stated[2] > 0):
+        return None
+    stamp_s = header_of(bag.first(topic)[0].data, bag.is_ros1).stamp_s
+    return SpeedVariances(np.array([stamp_s]), stated[None, :])
+
+
+def _wait_s(bag: OpenBag, roles: Roles, options: OpenOptions) -> float:
+    """How long events wait for older ones: an increment is stamped one period before it is known."""
+    settings = options.bag
+    if roles.wheels is None:
+        return settings.order_s
+    period_s = (bag.end_ns - bag.start_ns) * 1e-9 / roles.wheels.count
+    return settings.order_s + min(period_s, settings.slowest_wheels_s)
+
+
+def _ends(bag: OpenBag, roles: Roles, clocks: dict[str, TopicClock]) -> dict[str, FloatArray]:
+    """Stamps of the first messages and of the last one, of camera and wheels."""
+    names = {FRAMES: None if roles.color is None else roles.color.name}
+    names[WHEELS] = None if roles.wheels is None else roles.wheels.name
+    ends = {}
+    for what, topic in names.items():
+        if topic is None:
+            continue
+        messages = [*bag.first(topic, _FIRST_MESSAGES), bag.last(topic)]
+        headers = [header_of(message.data, bag.is_ros1).stamp_s for message in messages]
+        stamps_s = [clocks[topic].anew().stamp_s(h, m.receipt_s) for h, m in zip(headers, messages, strict=True)]
+        ends[what] = np.array(stamps_s)
+    return ends
+
+
+def _outer(ends: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """The first and the last alone: between them nothing is known yet, and no leap can be told."""
+    return {name: stamps_s[[0, -1]] for name, stamps_s in ends.items()}

@@ -1,0 +1,302 @@
+"""A bag as a recording: a pass over its messages, images decoded only as they are asked for, little in memory."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.errors import RecordingError
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.geometry import FloatArray
+from wheelsight.matches import Match, SpeedVariances
+from wheelsight.recordings._images import image_size
+from wheelsight.recordings._read_ahead import read_ahead
+from wheelsight.recordings.protocol import AssociationReport, ListedFrame, OpenOptions, RecordedTopic
+from wheelsight.recordings.rosbag.images import color_of, depth_of
+from wheelsight.recordings.rosbag.order import Arrival, Pairing, RawFrame, in_order
+from wheelsight.recordings.rosbag.stamps import TopicClock, header_of
+from wheelsight.recordings.rosbag.storage import Message, OpenBag, open_bag
+from wheelsight.recordings.rosbag.topics import Roles
+from wheelsight.recordings.rosbag.wheels import SpeedReader
+from wheelsight.trajectory import Trajectory
+
+_FRAMES_READ_AHEAD = 4
+
+
+@dataclass(frozen=True, slots=True)
+class BagPlan:
+    """What a pass over a bag needs to know.
+
+    Attributes:
+        roles: which topics are what.
+        clocks: of each topic that is used.
+        speed_reader: makes a new reader of the wheels' topic; None without wheels.
+        up: (3,) the direction away from the ground, seen from the gyroscope.
+        wait_s: how long events wait for older ones.
+        options: of the user.
+    """
+
+    roles: Roles
+    clocks: Mapping[str, TopicClock]
+    speed_reader: Callable[[], SpeedReader] | None
+    up: FloatArray
+    wait_s: float
+    options: OpenOptions
+
+    def topics(self, images: bool) -> list[str]:
+        """Names of the topics to be read."""
+        roles = self.roles
+        cameras = [topic.name for topic in (roles.color, roles.depth) if topic is not None and images]
+        others = [None if roles.wheels is None else roles.wheels.name, roles.gyro]
+        return [*cameras, *(name for name in others if name is not None)]
+
+
+@dataclass
+class _Pass:
+    """One pass over a bag's messages, and what it counts.
+
+    Attributes:
+        late: items by kind that came too late to be put in order, or twice.
+        pairing: of colour with depth.
+        unusable: messages that hold no numbers.
+    """
+
+    bag: OpenBag
+    plan: BagPlan
+    late: Counter[str] = field(default_factory=Counter)
+    unusable: int = 0
+
+    def __post_init__(self) -> None:
+        self.clocks = {topic: clock.anew() for topic, clock in self.plan.clocks.items()}
+        # An image that came alone waits half as long as an event, so that its frame still comes in order.
+        self.pairing = Pairing(self.plan.options.max_gap_s, self.plan.options.bag.order_s / 2)
+        self.speeds = None if self.plan.speed_reader is None else self.plan.speed_reader()
+
+    def items(self, images: bool, stop_ns: int | None = None) -> Iterator[Event | RawFrame]:
+        """Events, and frames that are not decoded, in order of time."""
+        return in_order(self._arrivals(images, stop_ns), self.plan.wait_s, self.late)
+
+    def _arrivals(self, images: bool, stop_ns: int | None) -> Iterator[Arrival]:
+        receipt_s = -math.inf
+        for message in self.bag.messages(self.plan.topics(images), stop_ns=stop_ns):
+            receipt_s = max(receipt_s, message.receipt_s)
+            event = self._event_of(message)
+            for item in (*self.pairing.settled(receipt_s), *(() if event is None else (event,))):
+                yield Arrival(receipt_s, item)
+        last = None if self.speeds is None else self.speeds.end()
+        for item in (*self.pairing.settled(math.inf), *(() if last is None else (last,))):
+            yield Arrival(receipt_s, item)
+
+    def _event_of(self, message: Message) -> Event | None:
+        """A reading; None where there is none yet, and for an image, which waits to be paired."""
+        roles, topic = self.plan.roles, message.topic
+        try:
+            header_s = header_of(message.data, self.bag.is_ros1).stamp_s
+            stamp_s = self.clocks[topic].stamp_s(header_s, message.receipt_s)
+            for kind, image in (("color", roles.color), ("depth", roles.depth)):
+                if image is not None and topic == image.name:
+                    self.pairing.add(kind, stamp_s, message)
+                    return None
+            return self._reading(topic, stamp_s, self.bag.decode(message))
+        except (RecordingError, ValueError, struct.error):  # one damaged message; the rest goes on
+            self.unusable += 1
+            return None
+
+    def _reading(self, topic: str, stamp_s: float, decoded: Any) -> Event | None:
+        if topic == self.plan.roles.gyro:
+            rate = decoded.angular_velocity
+            yaw_rate_rad_s = float(np.dot(self.plan.up, (rate.x, rate.y, rate.z)))
+            if math.isfinite(yaw_rate_rad_s):
+                return YawRate(stamp_s, yaw_rate_rad_s)
+            self.unusable += 1
+            return None
+        return None if self.speeds is None else self.speeds.add(stamp_s, decoded)
+
+
+class BagRecording:
+    """A `Recording` of a bag. Messages are read anew at each pass, and nothing is kept of them.
+
+    How many frames and pairs there are is known once a pass went through to the end; until then counts are those of the
+    bag's index, of which each frame takes one colour and one depth image at most.
+
+    Attributes beside the protocol's:
+        topics: all of the bag's, and what each is used as.
+    """
+
+    format = "rosbag"
+
+    def __init__(
+        self,
+        path: Path,
+        calibration: Calibration,
+        plan: BagPlan,
+        topics: tuple[RecordedTopic, ...],
+        ends: Mapping[str, FloatArray],
+        warnings: Sequence[str],
+        speed_variances: SpeedVariances | None = None,
+    ) -> None:
+        self.path, self.calibration, self.topics = path, calibration, topics
+        self.speed_variances = speed_variances
+        self._plan, self._ends, self._opened = plan, dict(ends), tuple(warnings)
+        self._counts = {topic.used_as: topic.count for topic in topics if topic.used_as}
+        self._found: AssociationReport | None = None
+        self._told: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The file's or folder's."""
+        return self.path.resolve().stem if self.path.is_file() else self.path.resolve().name
+
+    @property
+    def body(self) -> str:
+        """The frame its trajectory describes: "base" where it is known where that is, else "camera"."""
+        has_camera = self._plan.roles.color is not None
+        return "camera" if has_camera and self.calibration.T_base_camera is None else "base"
+
+    @property
+    def ground_truth(self) -> Trajectory | None:
+        """None: no topic is known to be true."""
+        return None
+
+    @property
+    def matches(self) -> tuple[Match, ...]:
+        """None: bags have no message for them."""
+        return ()
+
+    @property
+    def association(self) -> AssociationReport:
+        """How colour and depth were paired; before a pass went through, how many there can be at most."""
+        if self._found is not None:
+            return self._found
+        color, depth = (self._counts.get(role, 0) for role in ("color", "depth"))
+        return AssociationReport(color, depth, min(color, depth), self._plan.options.max_gap_s)
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames `events()` will yield; before a pass went through, how many at most."""
+        return self.association.pairs
+
+    @property
+    def wheel_count(self) -> int:
+        """How many messages there are of the wheels."""
+        return self._counts.get("wheels", 0)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What opening told, and what the last pass that went through told."""
+        return (*self._opened, *self._told)
+
+    def end_stamps(self) -> Mapping[str, FloatArray]:
+        """See `TellsEnds`."""
+        return self._ends
+
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """Frames (unless without `images`) and readings in order of time, from the start at each call.
+
+        Images are decoded a few frames ahead.
+        """
+        if not images:
+            return (item for item in self._pass(images=False) if not isinstance(item, ListedFrame))
+        events = (item.read() if isinstance(item, ListedFrame) else item for item in self._pass())
+        return read_ahead(events, _FRAMES_READ_AHEAD)
+
+    def listed(self) -> Iterator[Event | ListedFrame]:
+        """Frames that are still to be decoded, and readings, in order of time."""
+        held: deque[Event | ListedFrame] = deque()
+        for item in self._pass():
+            if isinstance(item, ListedFrame):
+                yield from _let_go(held, item.stamp_s)
+            if held or isinstance(item, ListedFrame):
+                held.append(item)
+            else:
+                yield item
+        yield from _let_go(held, math.inf)
+
+    def try_frames(self, bag: OpenBag, stop_ns: int) -> None:
+        """Raise the error of the first frame received before `stop_ns`, unless one of them can be read."""
+        first: RecordingError | None = None
+        for item in _Pass(bag, self._plan).items(images=True, stop_ns=stop_ns):
+            try:
+                if isinstance(item, RawFrame):
+                    self._read(bag, item)
+                    return
+            except RecordingError as error:
+                first = first or error
+        if first is not None:
+            raise first
+        problem = f"no depth image lies within {self._plan.options.max_gap_s:g} s of a colour image where both begin"
+        raise RecordingError(problem, path=self.path, fix="raise --max-gap, or check what stamps the images")
+
+    def _pass(self, images: bool = True) -> Iterator[Event | ListedFrame]:
+        """One pass; frames do not know yet which one comes next. What it found is kept once it is through."""
+        with open_bag(self.path) as bag:
+            passing = _Pass(bag, self._plan)
+            for item in passing.items(images):
+                if isinstance(item, RawFrame):
+                    yield ListedFrame(item.stamp_s, math.inf, partial(self._frame_or_reason, bag, item))
+                else:
+                    yield item
+        self._told = _findings(passing)
+        if images and self._plan.roles.color is not None:
+            gap_s, pairing = self._plan.options.max_gap_s, passing.pairing
+            color, depth = (self._counts.get(role, 0) for role in ("color", "depth"))
+            pairs = pairing.pairs - passing.late[RawFrame.__name__]
+            self._found = AssociationReport(color, depth, pairs, gap_s, pairing.largest_gap_s)
+
+    def _frame_or_reason(self, bag: OpenBag, frame: RawFrame) -> RgbdFrame | SkippedFrame:
+        try:
+            return self._read(bag, frame)
+        except RecordingError as error:
+            return SkippedFrame(frame.stamp_s, error.problem, frame.index)
+
+    def _read(self, bag: OpenBag, frame: RawFrame) -> RgbdFrame:
+        """A frame decoded. Raises RecordingError naming the bag and what makes it unusable."""
+        color = color_of(bag.decode(frame.color), self.path)
+        depth_m = depth_of(bag.decode(frame.depth), self._plan.options.depth_factor, self.path)
+        sizes = image_size(color), image_size(depth_m)
+        for name, size, camera in zip(("colour", "depth"), sizes, self.calibration.cameras, strict=True):
+            expected = f"{camera.width}×{camera.height}"
+            if size != expected:
+                problem = f"{name} image is {size}, the calibration's {expected}"
+                raise RecordingError(problem, path=self.path, fix="choose its CameraInfo by --topic, or give --camera")
+        return RgbdFrame(frame.stamp_s, color, depth_m, frame.index, frame.depth_late_s)
+
+
+def _let_go(held: deque[Event | ListedFrame], next_stamp_s: float) -> Iterator[Event | ListedFrame]:
+    """What waited for the next frame to be known, its first the frame before."""
+    while held:
+        item = held.popleft()
+        yield ListedFrame(item.stamp_s, next_stamp_s, item.read) if isinstance(item, ListedFrame) else item
+
+
+_WORDS = {
+    RawFrame: "frames",
+    WheelSpeeds: "wheel readings",
+    WheelTicks: "wheel readings",
+    YawRate: "gyroscope readings",
+}
+
+
+def _findings(passing: _Pass) -> tuple[str, ...]:
+    """What a pass that went through has to tell, one sentence each."""
+    told = []
+    for kind, words in _WORDS.items():
+        if count := passing.late[kind.__name__]:
+            wait = f"{passing.plan.wait_s:.1f} s"
+            told.append(f"{count:,} {words} came twice, or later than {wait} after younger ones, and were left out.")
+    unusable = passing.unusable + (0 if passing.speeds is None else passing.speeds.unusable)
+    if unusable:
+        told.append(f"{unusable:,} messages hold no numbers of wheels or gyroscope and were left out.")
+    for topic, clock in passing.clocks.items():
+        if clock.replaced:
+            told.append(f"{topic}: {clock.replaced:,} headers are far from receipt, or 0; receipt stands for them.")
+    return tuple(told)

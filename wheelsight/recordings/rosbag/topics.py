@@ -1,0 +1,290 @@
+"""Which topics of a bag are camera, wheels and gyroscope: by type, by frame, by name, or as the user says."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from wheelsight.errors import ConfigError, RecordingError
+from wheelsight.recordings.rosbag.images import is_depth
+from wheelsight.recordings.rosbag.stamps import header_of
+from wheelsight.recordings.rosbag.storage import OpenBag, Topic
+from wheelsight.recordings.rosbag.wheels import Joints, wheel_joints
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+INFO, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
+ODOMETRY, JOINTS = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+NONE = "none"
+_TYPES = {
+    "color": (IMAGE, COMPRESSED),
+    "depth": (IMAGE, COMPRESSED),
+    "color_info": (INFO,),
+    "depth_info": (INFO,),
+    "wheels": (ODOMETRY, JOINTS),
+    "gyro": (IMU,),
+}
+ROLES = tuple(_TYPES)
+_CHOICE = re.compile(r"(?P<role>[a-z_]+)=(?P<topic>[^:,\s]+)(?::(?P<joints>\S+))?")
+_REGISTERED = re.compile(r"aligned|registered", re.IGNORECASE)
+_TRANSPORT = re.compile(r"/(?:compressed|compressedDepth|theora|ffmpeg)$")
+# Of several, colour before grey, wheels before what was joined from other sensors.
+_COLOR_WORDS = (re.compile(r"colou?r|rgb", re.IGNORECASE), re.compile(r"image", re.IGNORECASE))
+_NO_COLOR = re.compile(r"/ir\b|infra|depth|disparity|confidence|mask|debug|label", re.IGNORECASE)
+_WHEEL_WORDS = re.compile(r"wheel|controller|diff|base|encoder", re.IGNORECASE)
+_NO_WHEELS = re.compile(
+    r"filter|ekf|ukf|visual|vio|vo\b|rtabmap|slam|icp|gps|truth|fused|lidar|laser|camera|t265", re.IGNORECASE
+)
+_MOST_SAMPLES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class ImageTopic:
+    """What the first message of a topic of images tells of all."""
+
+    name: str
+    frame: str
+    encoding: str
+    is_depth: bool
+
+    @property
+    def is_rectified(self) -> bool:
+        """Whether its name says that lens distortion was taken out."""
+        return "rect" in _base(self.name).rpartition("/")[2]
+
+    @property
+    def says_registered(self) -> bool:
+        """Whether its name says that its pixels are those of the colour image."""
+        return bool(_REGISTERED.search(self.name))
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What a user says of topics: by role, NONE to leave one out; and of joints.
+
+    Raises ConfigError where the text is no choice.
+    """
+
+    topics: Mapping[str, str] = field(default_factory=dict)
+    joints: Joints | None = None
+
+    @classmethod
+    def of(cls, texts: Sequence[str]) -> Choices:
+        """Of "color=/camera/rgb/image_raw", or "wheels=/joint_states:left_joint,right_joint"."""
+        topics, joints = {}, None
+        for text in texts:
+            match = _CHOICE.fullmatch(text)
+            if match is None or match["role"] not in ROLES:
+                problem = f"--topic {text}: ROLE=TOPIC is expected, with one of {', '.join(ROLES)}"
+                raise ConfigError(problem, fix="such as --topic depth=/camera/depth/image_raw")
+            topics[match["role"]] = match["topic"]
+            if match["joints"]:
+                joints = _joints(text, match["role"], match["joints"])
+        return cls(topics, joints)
+
+
+@dataclass(frozen=True, slots=True)
+class Roles:
+    """The topics that are used, each None where there is none, and what is to be said about the choice."""
+
+    color: ImageTopic | None = None
+    depth: ImageTopic | None = None
+    color_info: str | None = None
+    depth_info: str | None = None
+    wheels: Topic | None = None
+    joints: Joints | None = None
+    gyro: str | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def used(self) -> dict[str, str]:
+        """Names by role."""
+        named = {"color": self.color, "depth": self.depth, "wheels": self.wheels}
+        plain = {"color_info": self.color_info, "depth_info": self.depth_info, "gyro": self.gyro}
+        names = {role: topic.name for role, topic in named.items() if topic is not None}
+        return names | {role: name for role, name in plain.items() if name is not None}
+
+
+def roles_of(bag: OpenBag, choices: Choices) -> Roles:
+    """Who is who in a bag. Of topics of images and joints the first message is read.
+
+    Raises:
+        ConfigError: a topic that was chosen is not there, is empty, or of another type.
+        RecordingError: a first message is damaged.
+    """
+    chosen = _chosen(bag, choices)
+    filled = [topic for topic in bag.topics if topic.count]
+    warnings: list[str] = []
+    color, depth = _cameras(bag, filled, chosen, warnings)
+    infos = [topic.name for topic in filled if topic.type == INFO]
+    frames = {name: header_of(bag.first(name)[0].data, bag.is_ros1).frame for name in infos}
+    color_info = None if color is None else chosen.get("color_info") or _info_of(color, frames)
+    # Registered depth has the colour camera's pixels.
+    own_depth = None if depth is None or depth.says_registered else depth
+    depth_info = None if own_depth is None else chosen.get("depth_info") or _info_of(own_depth, frames)
+    wheels, joints = _wheels(bag, filled, chosen, choices, warnings)
+    gyro = _gyro(filled, chosen, warnings)
+    return Roles(color, depth, color_info, depth_info, wheels, joints, gyro, tuple(warnings))
+
+
+def _joints(text: str, role: str, names: str) -> Joints:
+    sides = tuple(tuple(side.split("+")) for side in names.split(","))
+    if role != "wheels" or len(sides) != 2 or not all(name for side in sides for name in side):
+        fix = "wheels=/joint_states:left,right, or of four front_left+rear_left,front_right+rear_right"
+        raise ConfigError(f"--topic {text}: joints of a left and a right side are expected", fix=fix)
+    return Joints(*sides)
+
+
+def _chosen(bag: OpenBag, choices: Choices) -> dict[str, str]:
+    known = {topic.name: topic for topic in bag.topics}
+    for role, name in choices.topics.items():
+        if name == NONE:
+            continue
+        of_type = ", ".join(topic.name for topic in bag.topics if topic.type in _TYPES[role] and topic.count)
+        fix = f"there are: {of_type}" if of_type else f"the bag has none of {' or '.join(_TYPES[role])}"
+        if name not in known or not known[name].count:
+            raise ConfigError(f"--topic {role}={name}: {bag.path.name} has no messages of it", fix=fix)
+        if known[name].type not in _TYPES[role]:
+            raise ConfigError(f"--topic {role}={name} is of {known[name].type}", fix=fix)
+    return dict(choices.topics)
+
+
+def _cameras(
+    bag: OpenBag, filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str]
+) -> tuple[ImageTopic | None, ImageTopic | None]:
+    images = [_image(bag, topic) for topic in filled if topic.type in (IMAGE, COMPRESSED)]
+    by_name = {image.name: image for image in images}
+    if chosen.get("color") == NONE or chosen.get("depth") == NONE:
+        return None, None
+    colors = [image for image in images if not image.is_depth and not _NO_COLOR.search(image.name)]
+    depths = [image for image in images if image.is_depth]
+    if "color" in chosen:
+        colors = [by_name[chosen["color"]]]
+    if "depth" in chosen:
+        depths = [by_name[chosen["depth"]]]
+    both = [(color, depth) for color in colors for depth in depths if color is not depth]
+    pairs = sorted((_unlikely(color, depth), color.name, depth.name) for color, depth in both)
+    if not pairs:
+        warnings += _half_a_camera(colors, depths)
+        return None, None
+    (best, color, depth), others = pairs[0], pairs[1:]
+    rivals = [f"{c} with {d}" for unlikely, c, d in others if unlikely == best and _base(d) != _base(depth)]
+    if rivals:
+        taken = f"{color} with {depth} is taken, by its name alone"
+        warnings.append(f"There are several cameras: {taken}, not {rivals[0]}. Choose by --topic color=… and depth=….")
+    return by_name[color], by_name[depth]
+
+
+def _image(bag: OpenBag, topic: Topic) -> ImageTopic:
+    message = bag.first(topic.name)[0]
+    decoded = bag.decode(message)
+    encoding = str(decoded.format if topic.type == COMPRESSED else decoded.encoding)
+    frame = str(decoded.header.frame_id).lstrip("/")
+    return ImageTopic(topic.name, frame, encoding, is_depth(encoding, topic.name))
+
+
+def _unlikely(color: ImageTopic, depth: ImageTopic) -> tuple[int, ...]:
+    """How little two topics look like one camera's colour and depth; the least is taken."""
+    parts = [_base(image.name).split("/") for image in (color, depth)]
+    shared = next((i for i, (a, b) in enumerate(zip(*parts, strict=False)) if a != b), min(map(len, parts)))
+    is_registered = color.frame == depth.frame or depth.says_registered
+    by_word = next((i for i, word in enumerate(_COLOR_WORDS) if word.search(color.name)), len(_COLOR_WORDS))
+    is_packed = sum(bool(_TRANSPORT.search(image.name)) for image in (color, depth))
+    return (-shared if shared > 1 else 0, not is_registered, by_word, is_packed, color.is_rectified, depth.is_rectified)
+
+
+def _base(name: str) -> str:
+    """Name of the topic that a compressed one is of."""
+    return _TRANSPORT.sub("", name)
+
+
+def _half_a_camera(colors: Sequence[ImageTopic], depths: Sequence[ImageTopic]) -> list[str]:
+    """What to say of images that are not used, since they are of one kind alone."""
+    names = ", ".join(image.name for image in (*colors, *depths))
+    if not names:
+        return []
+    return [f"Not used, for want of {'depth' if colors else 'colour'} images that go with them: {names}."]
+
+
+def _info_of(image: ImageTopic, frames: Mapping[str, str]) -> str | None:
+    """The CameraInfo beside an image, else the only one of its frame, else the only one there is."""
+    beside = f"{_base(image.name).rpartition('/')[0]}/camera_info"
+    if beside in frames:
+        return beside
+    alike = [name for name, frame in frames.items() if frame == image.frame and frame]
+    if len(alike) == 1:
+        return alike[0]
+    return next(iter(frames)) if len(frames) == 1 else None
+
+
+def _wheels(
+    bag: OpenBag, filled: Sequence[Topic], chosen: Mapping[str, str], choices: Choices, warnings: list[str]
+) -> tuple[Topic | None, Joints | None]:
+    if "wheels" in chosen:
+        topic = next((topic for topic in filled if topic.name == chosen["wheels"]), None)
+        if topic is None or topic.type == ODOMETRY:
+            return topic, None
+        return topic, choices.joints or _joints_in(bag, topic.name)
+    odometries = sorted((topic for topic in filled if topic.type == ODOMETRY), key=_unlike_wheels)
+    if odometries:
+        others = ", ".join(topic.name for topic in odometries[1:])
+        if others:
+            warnings.append(
+                f"{odometries[0].name} is taken for the wheels' odometry, not {others}: see --topic wheels=…."
+            )
+        elif _NO_WHEELS.search(odometries[0].name):
+            warnings.append(
+                f"{odometries[0].name} is taken for the wheels' odometry, but its name says it is not theirs."
+            )
+        return odometries[0], None
+    for topic in (topic for topic in filled if topic.type == JOINTS):
+        joints = choices.joints or _found_joints(bag, topic.name)
+        if joints is not None:
+            return topic, joints
+        warnings.append(f"{topic.name} is not used: no two of its joints are called a left and a right wheel.")
+    return None, None
+
+
+def _unlike_wheels(topic: Topic) -> tuple[int, int, str]:
+    return bool(_NO_WHEELS.search(topic.name)), not _WHEEL_WORDS.search(topic.name), topic.name
+
+
+def _found_joints(bag: OpenBag, topic: str) -> Joints | None:
+    """The wheels among the joints of some first messages: arm and base may take turns on one topic."""
+    for message in bag.first(topic, _MOST_SAMPLES):
+        joints = wheel_joints(bag.decode(message).name)
+        if joints is not None:
+            return joints
+    return None
+
+
+def _joints_in(bag: OpenBag, topic: str) -> Joints:
+    joints = _found_joints(bag, topic)
+    if joints is None:
+        names = dict.fromkeys(name for message in bag.first(topic, _MOST_SAMPLES) for name in bag.decode(message).name)
+        problem = f"no two joints of {topic} are called a left and a right wheel: {', '.join(names)}"
+        raise RecordingError(problem, path=bag.path, fix=f"say which: --topic wheels={topic}:LEFT,RIGHT")
+    return joints
+
+
+def _gyro(filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str]) -> str | None:
+    if "gyro" in chosen:
+        return None if chosen["gyro"] == NONE else chosen["gyro"]
+    found = [topic.name for topic in filled if topic.type == IMU]
+    if len(found) > 1:
+        warnings.append(f"{found[0]} is taken for the gyroscope, not {', '.join(found[1:])}: see --topic gyro=….")
+    return found[0] if found else None
+
+
+def lacks(roles: Roles, bag: OpenBag, path: Path) -> RecordingError:
+    """What to say of a bag with neither camera nor wheels."""
+    types = {topic.type for topic in bag.topics if topic.count}
+    missing = ["no depth images with colour", "no Odometry", "no JointState of wheels"]
+    others = "".join(f" {warning}" for warning in roles.warnings)
+    shown = ", ".join(f"{topic.name} ({topic.type.rpartition('/')[2]}, {topic.count:,})" for topic in bag.topics)
+    problem = f"holds nothing to localize by: {', '.join(missing)}.{others} Its topics: {shown or 'none'}"
+    if not types:
+        return RecordingError("holds no messages", path=path, fix="record again")
+    return RecordingError(problem, path=path, fix="record colour, depth, camera_info, tf_static and odom")
