@@ -33,6 +33,7 @@ from wheelsight.recordings import OpenOptions
 from wheelsight.settings import (
     ASKED,
     CHOSEN,
+    LiveCameraSettings,
     LocalizerSettings,
     RealTimeSettings,
     RecognitionSettings,
@@ -253,6 +254,7 @@ class Config(Settings):
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
     realtime: RealTimeSettings = RealTimeSettings()
+    camera: LiveCameraSettings = LiveCameraSettings()
 
     @model_validator(mode="before")
     @classmethod

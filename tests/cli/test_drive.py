@@ -110,11 +110,18 @@ class NoFrames:
         self.is_closed = True
 
 
+def plug_in(monkeypatch: pytest.MonkeyPatch, camera: NoFrames) -> None:
+    """Let it be the only camera."""
+    for kind in tuple(LIVE_CAMERAS):
+        monkeypatch.delitem(LIVE_CAMERAS, kind)
+    monkeypatch.setitem(LIVE_CAMERAS, "none", lambda *_: camera)
+
+
 def test_nothing_moves_where_the_question_is_answered_with_no(
     kept: Path, calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = NoFrames()
-    monkeypatch.setitem(LIVE_CAMERAS, "none", lambda: camera)
+    plug_in(monkeypatch, camera)
     with SimulatedController(tmp_path) as controller:
         asked = ("drive", "--robot", controller.port, "--calibration", calibration, "--map", kept, "--to", "kitchen")
         result = CliRunner().invoke(app, [str(word) for word in asked], input="n\n")
@@ -247,7 +254,7 @@ def test_a_real_robot_stands_while_its_camera_shows_nothing(
         return ()
 
     monkeypatch.setattr(camera, "take", take)
-    monkeypatch.setitem(LIVE_CAMERAS, "none", lambda: camera)
+    plug_in(monkeypatch, camera)
     with SimulatedController(tmp_path) as controller:
         words = ["drive", "--robot", controller.port, "--calibration", folder.parent / "day" / "calibration.yaml"]
         words += ["--map", folder, "--known-start", words_of(known), "--to", words_of(ahead_of(known))]

@@ -4,18 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wheelsight.devices.robot_link import Frames
+from wheelsight.calibration import Calibration
+from wheelsight.devices.live_camera import LiveCamera
 from wheelsight.errors import DeviceError
+from wheelsight.settings import LiveCameraSettings
 
-LIVE_CAMERAS: dict[str, Callable[[], Frames]] = {}
-"""How each is opened; a module of a camera puts itself in."""
+Opener = Callable[[str | None, LiveCameraSettings, Calibration | None], LiveCamera]
+"""Of a serial number or file (None for the first that is plugged in), settings, and the calibration to go by."""
+
+LIVE_CAMERAS: dict[str, Opener] = {}
+"""How each kind is opened."""
 
 
-def open_live_camera() -> Frames:
-    """The first that is known. Raises DeviceError where none is."""
-    if not LIVE_CAMERAS:
-        raise DeviceError(
-            "no live camera can be read yet, and without one a robot would drive blind",
-            fix="drive in the simulator: --sim WORLD",
-        )
-    return next(iter(LIVE_CAMERAS.values()))()
+def open_live_camera(
+    which: str | None = None, settings: LiveCameraSettings | None = None, calibration: Calibration | None = None
+) -> LiveCamera:
+    """A live camera, streaming.
+
+    Args:
+        which: its kind, such as "realsense", or kind and serial number or file, such as "openni2:drive.oni"; None for
+            the first that is plugged in.
+        settings: what is asked of it; None for the defaults.
+        calibration: to go by, of the images that are asked for; None for what the camera tells of itself.
+
+    Raises:
+        DeviceError: none is there, it is denied or in use, or its library is missing; says what to do.
+    """
+    asked = settings or LiveCameraSettings()
+    if which is not None:
+        kind, _, where = which.partition(":")
+        if kind not in LIVE_CAMERAS:
+            raise DeviceError(f"no camera is called {kind!r}", fix=f"one of {', '.join(LIVE_CAMERAS)}")
+        return LIVE_CAMERAS[kind](where or None, asked, calibration)
+    reasons = []
+    for opener in LIVE_CAMERAS.values():
+        try:
+            return opener(None, asked, calibration)
+        except DeviceError as error:
+            reasons.append(error)
+    raise reasons[0] if reasons else DeviceError("no live camera can be read")
