@@ -6,13 +6,21 @@ from collections.abc import Callable
 
 from wheelsight.calibration import Calibration
 from wheelsight.devices.live_camera import LiveCamera
+from wheelsight.devices.streaming import StreamingCamera
 from wheelsight.errors import DeviceError
 from wheelsight.settings import LiveCameraSettings
 
 Opener = Callable[[str | None, LiveCameraSettings, Calibration | None], LiveCamera]
 """Of a serial number or file (None for the first that is plugged in), settings, and the calibration to go by."""
 
-LIVE_CAMERAS: dict[str, Opener] = {}
+
+def _openni2(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.devices.openni2 import OpenNI2Driver
+
+    return StreamingCamera(OpenNI2Driver(where, settings), settings, calibration)
+
+
+LIVE_CAMERAS: dict[str, Opener] = {"openni2": _openni2}
 """How each kind is opened."""
 
 

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from types import TracebackType
+from typing import Self
 
 from wheelsight.calibration import Calibration
 from wheelsight.devices import host_clock
@@ -136,7 +137,7 @@ class StreamingCamera:
             self._thread.join(_CLOSING_S)
         atexit.unregister(self.close)
 
-    def __enter__(self) -> StreamingCamera:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
