@@ -20,7 +20,13 @@ def _openni2(where: str | None, settings: LiveCameraSettings, calibration: Calib
     return StreamingCamera(OpenNI2Driver(where, settings), settings, calibration)
 
 
-LIVE_CAMERAS: dict[str, Opener] = {"openni2": _openni2}
+def _realsense(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.devices.realsense import RealSenseDriver
+
+    return StreamingCamera(RealSenseDriver(where, settings), settings, calibration)
+
+
+LIVE_CAMERAS: dict[str, Opener] = {"realsense": _realsense, "openni2": _openni2}
 """How each kind is opened."""
 
 
