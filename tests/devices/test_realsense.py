@@ -120,7 +120,7 @@ def test_the_device_tells_its_calibration() -> None:
     assert (color.fx, color.cx, color.cy, depth.fx) == (600.0, 321.0, 239.0, 380.0)
     np.testing.assert_allclose(color.distortion, COEFFICIENTS, atol=1e-7)
     assert not depth.has_distortion
-    expected = [[1, 0, 0, 0.015], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]
+    expected = np.array([[1, 0, 0, 0.015], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     np.testing.assert_allclose(told.T_color_camera, expected, atol=1e-7)
     assert told.depth_noise.quadratic_per_m == pytest.approx(0.08 / (380 * 0.05))
 
