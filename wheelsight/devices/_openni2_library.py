@@ -5,9 +5,11 @@ from __future__ import annotations
 import ctypes as c
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from wheelsight.geometry.arrays import UInt16Array
 _NAMES = ("libOpenNI2.so.0", "libOpenNI2.so")
 _API_VERSION = 2002  # 1000 × major + minor
 _TIMED_OUT = 102
+_DRIVERS = Path("OpenNI2", "Drivers")
 # Threads of a driver may run on for two frames after its streams were stopped, in memory that destroying them frees:
 # those of the library's dummy camera do, and end the program.
 _ENDING_S = 0.07
@@ -119,6 +122,17 @@ def library() -> Any:
             raise DeviceError(f"OpenNI2 does not start: {_last_error(found)}", fix="reinstall libopenni2-0")
         return found
     raise DeviceError("OpenNI2 is missing", fix="sudo apt-get install libopenni2-0")
+
+
+def driver_folder() -> Path | None:
+    """Where the library looks for drivers: beside itself; None where that cannot be told. Raises DeviceError."""
+    library()
+    with suppress(OSError):
+        for line in Path("/proc/self/maps").read_text().splitlines():
+            path = Path(line.split(maxsplit=5)[-1])
+            if path.name.startswith("libOpenNI2.so") and (path.parent / _DRIVERS).is_dir():
+                return path.parent / _DRIVERS
+    return None
 
 
 def _last_error(of: Any) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from wheelsight.calibration import Calibration
 from wheelsight.devices.live_camera import LiveCamera
+from wheelsight.devices.plugged_in import why_not
 from wheelsight.devices.streaming import StreamingCamera
 from wheelsight.errors import DeviceError
 from wheelsight.settings import LiveCameraSettings
@@ -45,15 +46,16 @@ def open_live_camera(
         DeviceError: none is there, it is denied or in use, or its library is missing; says what to do.
     """
     asked = settings or LiveCameraSettings()
-    if which is not None:
-        kind, _, where = which.partition(":")
-        if kind not in LIVE_CAMERAS:
-            raise DeviceError(f"no camera is called {kind!r}", fix=f"one of {', '.join(LIVE_CAMERAS)}")
-        return LIVE_CAMERAS[kind](where or None, asked, calibration)
+    kind, _, where = (which or "").partition(":")
+    if kind and kind not in LIVE_CAMERAS:
+        raise DeviceError(f"no camera is called {kind!r}", fix=f"one of {', '.join(LIVE_CAMERAS)}")
     reasons = []
-    for opener in LIVE_CAMERAS.values():
-        try:
-            return opener(None, asked, calibration)
-        except DeviceError as error:
-            reasons.append(error)
-    raise reasons[0] if reasons else DeviceError("no live camera can be read")
+    for name, opener in LIVE_CAMERAS.items():
+        if kind in ("", name):
+            try:
+                return opener(where or None, asked, calibration)
+            except DeviceError as error:
+                reasons.append(error)
+    # What is plugged in and lacks something tells more than that a library sees nothing.
+    told = why_not(kind or None) if not where else None
+    raise told or reasons[0]

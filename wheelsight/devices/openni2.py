@@ -26,6 +26,7 @@ from wheelsight.devices._openni2_library import (
     Sensor,
     StreamFrame,
     VideoMode,
+    driver_folder,
     listed_devices,
 )
 from wheelsight.devices.camera_driver import DeviceImages, OpenedDevice, PlaybackEndedError
@@ -40,6 +41,12 @@ _LONGEST_PAUSE_S = 2.5
 _DEPTH_FORMATS = {DEPTH_1_MM: 1e-3, DEPTH_100_UM: 1e-4}
 # Of libfreenect2: its stamps are the frames' numbers, and its fields of view those of a Kinect v1.
 _KINECT_V2 = "freenect2"
+
+
+_DRIVERS = {
+    "Freenect": "build libfreenect with BUILD_OPENNI2_DRIVER=ON, and put its libFreenectDriver.so there",
+    "freenect2": "build libfreenect2 with BUILD_OPENNI2_DRIVER=ON, and put its libfreenect2-openni2.so there",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +211,17 @@ class OpenNI2Driver:
                 raise PlaybackEndedError("the file is over", path=self._where.uri)
         elif not self._where.is_named and self._where.uri not in {device.uri for device in listed_devices()}:
             raise DeviceError("the camera was unplugged", fix="plug it in again")
+
+
+def why_unusable(driver: str) -> tuple[str, str] | None:
+    """What is missing, and the fix, where OpenNI2 or its driver of that name is not installed; None where both are."""
+    try:
+        folder = driver_folder()
+    except DeviceError as error:
+        return error.problem, error.fix or ""
+    if folder is None or any(driver.lower() in path.name.lower() for path in folder.glob("lib*")):
+        return None
+    return f"OpenNI2 has no driver for it in {folder}", _DRIVERS.get(driver, "install the maker's driver there")
 
 
 def _has_serial(device: ListedDevice, serial: str) -> bool:

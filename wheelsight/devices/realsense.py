@@ -13,12 +13,14 @@ import numpy as np
 from wheelsight.calibration import Calibration, DepthNoise
 from wheelsight.devices.camera_driver import DeviceImages, OpenedDevice, PlaybackEndedError
 from wheelsight.devices.frame_pairs import FramePairs
+from wheelsight.devices.plugged_in import udev_rule
 from wheelsight.errors import ConfigError, DeviceError
 from wheelsight.extras import needed
 from wheelsight.geometry import FloatArray, PinholeCamera, lens_fit
 from wheelsight.geometry.arrays import UInt16Array
 from wheelsight.settings import LiveCameraSettings
 
+_VENDOR = 0x8086
 RECORDINGS = (".bag", ".db3")
 # Of frames that the library keeps while we are away: a third of a second of two streams.
 _QUEUED = 20
@@ -271,11 +273,5 @@ def _told(error: RuntimeError, where: str | None) -> DeviceError:
     if "busy" in low:
         return DeviceError("the camera is in use by another program", path=where, fix="end that one first")
     if "access" in low or "permission" in low:
-        return DeviceError("no permission to open the camera", path=where, fix=_RULE)
+        return DeviceError("no permission to open the camera", path=where, fix=udev_rule(_VENDOR))
     return DeviceError(f"RealSense: {said}", path=where, fix="unplug it and plug it in again; see: wheelsight devices")
-
-
-_RULE = (
-    """echo 'SUBSYSTEM=="usb", ATTRS{idVendor}=="8086", MODE="0666"' | sudo tee /etc/udev/rules.d/60-realsense.rules """
-    "&& sudo udevadm control --reload && plug it in again"
-)
