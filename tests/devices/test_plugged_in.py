@@ -10,17 +10,17 @@ from pathlib import Path
 import pytest
 from devices.oni_files import needs_openni2
 
-from wheelsight.devices import plugged_in
+from wheelsight.devices import freenect, plugged_in
 from wheelsight.devices.cameras import open_live_camera
-from wheelsight.devices.plugged_in import PluggedIn, cameras_plugged_in, udev_rule
-from wheelsight.devices.usb import UsbDevice, usb_devices, users_of
+from wheelsight.devices.plugged_in import PluggedIn, cameras_plugged_in
+from wheelsight.devices.usb import UsbDevice, udev_rule, usb_devices, users_of
 from wheelsight.errors import DeviceError
 
 
-def plug(system: Path, number: int, vendor: int, product: int, *, speed: str = "5000", **texts: str) -> None:
+def plug(system: Path, number: int, ids: tuple[int, int], *, speed: str = "5000", **texts: str) -> None:
     folder = system / f"1-{number}"
     folder.mkdir(parents=True)
-    numbers = {"idVendor": f"{vendor:04x}", "idProduct": f"{product:04x}", "busnum": "1", "devnum": str(number)}
+    numbers = {"idVendor": f"{ids[0]:04x}", "idProduct": f"{ids[1]:04x}", "busnum": "1", "devnum": str(number)}
     for name, text in {**numbers, "speed": speed, **texts}.items():
         (folder / name).write_text(f"{text}\n")
 
@@ -45,8 +45,8 @@ def only(devices: list[UsbDevice]) -> PluggedIn:
 
 def test_the_kernels_files_are_read(tmp_path: Path) -> None:
     system, nodes = tmp_path / "sys", tmp_path / "nodes"
-    plug(system, 7, 0x8086, 0x0B07, product="Intel RealSense D435", serial="123")
-    plug(system, 2, 0x1D6B, 0x0003, speed="480")
+    plug(system, 7, (0x8086, 0x0B07), product="Intel RealSense D435", serial="123")
+    plug(system, 2, (0x1D6B, 0x0003), speed="480")
     (system / "1-0:1.0").mkdir()  # an interface, which has no numbers
     hub, camera = usb_devices(system, nodes)
     assert (hub.vendor, hub.speed_mbit, hub.name) == (0x1D6B, 480.0, "")
@@ -94,11 +94,26 @@ def test_another_program_that_has_it_is_named(node: Path, monkeypatch: pytest.Mo
 
 
 @needs_openni2
-def test_a_kinect_needs_a_driver_that_debian_does_not_have(node: Path) -> None:
-    found = only([UsbDevice(0x045E, 0x02AE, "Xbox NUI Camera", "A00", 480.0, node)])
+def test_a_kinect_v2_needs_a_driver_that_debian_does_not_have(node: Path) -> None:
+    found = only([UsbDevice(0x045E, 0x02C4, "Kinect V2", "A00", 5000.0, node)])
     assert found.problem.startswith("OpenNI2 has no driver for it in ")
     assert "BUILD_OPENNI2_DRIVER=ON" in found.fix
     assert only([UsbDevice(0x1D27, 0x0601, "PrimeSense", "", 480.0, node)]).is_ready
+
+
+def test_a_kinect_v1_needs_libfreenect(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kinect = UsbDevice(0x045E, 0x02AE, "Xbox NUI Camera", "A00", 480.0, node)
+    monkeypatch.setattr(freenect, "library", lambda: object())
+    assert only([kinect]).use == "--camera freenect"
+
+    def missing() -> None:
+        raise DeviceError("libfreenect is missing", fix="sudo apt-get install libfreenect0.5")
+
+    monkeypatch.setattr(freenect, "library", missing)
+    assert (only([kinect]).problem, only([kinect]).fix) == (
+        "libfreenect is missing",
+        "sudo apt-get install libfreenect0.5",
+    )
 
 
 def test_a_kinect_without_its_power_supply(node: Path) -> None:
@@ -124,7 +139,7 @@ def test_opening_tells_what_the_camera_that_is_there_lacks(node: Path, monkeypat
     for which in (None, "realsense"):
         with pytest.raises(DeviceError, match=r"D435\) 123: its library is missing \(pip install pyrealsense2\)"):
             open_live_camera(which)
-    with pytest.raises(DeviceError, match=r"no camera is called 'kinect' \(one of realsense, openni2"):
+    with pytest.raises(DeviceError, match=r"no camera is called 'kinect' \(one of realsense, freenect, openni2"):
         open_live_camera("kinect")
 
 

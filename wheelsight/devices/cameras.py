@@ -27,7 +27,13 @@ def _realsense(where: str | None, settings: LiveCameraSettings, calibration: Cal
     return StreamingCamera(RealSenseDriver(where, settings), settings, calibration)
 
 
-LIVE_CAMERAS: dict[str, Opener] = {"realsense": _realsense, "openni2": _openni2}
+def _freenect(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.devices.freenect import FreenectDriver
+
+    return StreamingCamera(FreenectDriver(where, settings), settings, calibration)
+
+
+LIVE_CAMERAS: dict[str, Opener] = {"realsense": _realsense, "freenect": _freenect, "openni2": _openni2}
 """How each kind is opened."""
 
 

@@ -44,7 +44,6 @@ _KINECT_V2 = "freenect2"
 
 
 _DRIVERS = {
-    "Freenect": "build libfreenect with BUILD_OPENNI2_DRIVER=ON, and put its libFreenectDriver.so there",
     "freenect2": "build libfreenect2 with BUILD_OPENNI2_DRIVER=ON, and put its libfreenect2-openni2.so there",
 }
 

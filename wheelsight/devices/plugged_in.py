@@ -9,7 +9,7 @@ from importlib.util import find_spec
 
 from serial.tools.list_ports import comports
 
-from wheelsight.devices.usb import USB_3_MBIT, UsbDevice, usb_devices, users_of
+from wheelsight.devices.usb import USB_3_MBIT, UsbDevice, udev_rule, usb_devices, users_of
 from wheelsight.errors import DeviceError
 
 _MICROSOFT = 0x045E
@@ -89,7 +89,7 @@ def _model_of(device: UsbDevice) -> _Model | None:
 
 def _camera(device: UsbDevice, model: _Model) -> PluggedIn:
     name = " ".join(word for word in (model.name, f"({device.name})" if device.name else "", device.serial) if word)
-    use = f"--camera {model.opener}" + (f":{device.serial}" if model.opener == "realsense" and device.serial else "")
+    use = f"--camera {model.opener}" + (f":{device.serial}" if model.opener in _BY_SERIAL and device.serial else "")
     problem, fix = _problem(device, model) or ("", "")
     return PluggedIn("camera", name, use if model.opener else "", problem, fix, model.opener)
 
@@ -107,13 +107,6 @@ def _problem(device: UsbDevice, model: _Model) -> tuple[str, str] | None:
     return None
 
 
-def udev_rule(vendor: int) -> str:
-    """The command that lets every user open a vendor's devices."""
-    rule = f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor:04x}", MODE="0666"'
-    file = f"/etc/udev/rules.d/60-wheelsight-{vendor:04x}.rules"
-    return f"echo '{rule}' | sudo tee {file} && sudo udevadm control --reload, then plug it in again"
-
-
 def _lacks_realsense() -> tuple[str, str] | None:
     if find_spec("pyrealsense2") is not None:
         return None
@@ -127,9 +120,13 @@ def _lacks_openni2() -> tuple[str, str] | None:
 
 
 def _lacks_freenect() -> tuple[str, str] | None:
-    from wheelsight.devices.openni2 import why_unusable
+    from wheelsight.devices.freenect import library
 
-    return why_unusable("Freenect")
+    try:
+        library()
+    except DeviceError as error:
+        return error.problem, error.fix or ""
+    return None
 
 
 def _lacks_freenect2() -> tuple[str, str] | None:
@@ -149,11 +146,12 @@ def _never_live() -> tuple[str, str] | None:
 
 
 _KINECT_V1 = "Kinect v1"
+_BY_SERIAL = ("realsense",)
 _REALSENSE = (0x0AD3, 0x0AD4, 0x0AD5, 0x0AF6, 0x0B07, 0x0B3A, 0x0B5B, 0x0B5C, 0x0ABF, 0xABCD, 0x1155)
 _MODELS = (
     _Model(0x8086, _REALSENSE, "RealSense D400", "realsense", True, _lacks_realsense),
     _Model(0x1D27, (0x0500, 0x0600, 0x0601, 0x0609), "PrimeSense or Xtion", "openni2", False, _lacks_openni2),
-    _Model(_MICROSOFT, (0x02AE, 0x02BF), _KINECT_V1, "openni2", False, _lacks_freenect),
+    _Model(_MICROSOFT, (0x02AE, 0x02BF), _KINECT_V1, "freenect", False, _lacks_freenect),
     _Model(_MICROSOFT, (0x02C4, 0x02D8), "Kinect v2", "openni2", True, _lacks_freenect2),
     _Model(_MICROSOFT, (0x097C,), "Azure Kinect", "", True, _never_live),
     _Model(0x2BC5, (), "Orbbec", "openni2", False, _lacks_orbbec),

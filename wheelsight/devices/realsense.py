@@ -13,7 +13,7 @@ import numpy as np
 from wheelsight.calibration import Calibration, DepthNoise
 from wheelsight.devices.camera_driver import DeviceImages, OpenedDevice, PlaybackEndedError
 from wheelsight.devices.frame_pairs import FramePairs
-from wheelsight.devices.plugged_in import udev_rule
+from wheelsight.devices.usb import udev_rule
 from wheelsight.errors import ConfigError, DeviceError
 from wheelsight.extras import needed
 from wheelsight.geometry import FloatArray, PinholeCamera, lens_fit

@@ -52,6 +52,13 @@ def usb_devices(system: StrPath = _SYSTEM, nodes: StrPath = _NODES) -> list[UsbD
     return sorted(found, key=lambda device: device.node)
 
 
+def udev_rule(vendor: int) -> str:
+    """The command that lets every user open a vendor's devices."""
+    rule = f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor:04x}", MODE="0666"'
+    file = f"/etc/udev/rules.d/60-wheelsight-{vendor:04x}.rules"
+    return f"echo '{rule}' | sudo tee {file} && sudo udevadm control --reload, then plug it in again"
+
+
 def users_of(node: StrPath, processes: StrPath = _PROCESSES) -> list[str]:
     """Programs that have a file open, as "name (pid 12)"; those of other users are not seen."""
     wanted, own = os.path.realpath(node), str(os.getpid())
