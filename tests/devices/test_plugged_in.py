@@ -80,8 +80,8 @@ def test_what_a_realsense_lacks(node: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_another_program_that_has_it_is_named(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plugged_in, "find_spec", lambda _: object())
     script = "import sys; f = open(sys.argv[1]); print('open', flush=True); sys.stdin.read()"
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", script, str(node)], **pipes) as other:
+    command = [sys.executable, "-c", script, str(node)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout is not None
         other.stdout.readline()
         assert any(f"(pid {other.pid})" in user for user in users_of(node))

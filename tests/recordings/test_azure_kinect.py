@@ -44,8 +44,8 @@ def document() -> Any:
 def test_modes_are_cut_out_of_the_sensor(document: Any) -> None:
     color, depth = read_lenses(document, "NFOV_UNBINNED", (1280, 720))
     # 0.5 of 1280 is the image's middle, from the first pixel's middle half a pixel less; 120 rows are cut off.
-    np.testing.assert_allclose(color.K, [[0.49 * 1280, 0, 639.5], [0, 0.49 * 960, 359.5], [0, 0, 1]])
-    np.testing.assert_allclose(depth.K, [[0.49 * 1024, 0, 319.5], [0, 0.49 * 1024, 331.5], [0, 0, 1]])
+    np.testing.assert_allclose(color.K, np.array([[0.49 * 1280, 0, 639.5], [0, 0.49 * 960, 359.5], [0, 0, 1]]))
+    np.testing.assert_allclose(depth.K, np.array([[0.49 * 1024, 0, 319.5], [0, 0.49 * 1024, 331.5], [0, 0, 1]]))
     assert (color.size, depth.size) == ((1280, 720), (640, 576))
     np.testing.assert_allclose(color.T_camera_device[:3, 3], [-0.032, 0, 0])
     np.testing.assert_allclose(color.coefficients, [0.5, -0.02, -2e-4, 1e-4, -0.003, 0.9, 0.09, -0.01])

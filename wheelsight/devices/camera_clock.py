@@ -29,7 +29,7 @@ class CameraClock:
     def __init__(self, settings: LiveCameraSettings) -> None:
         self.jumps = 0
         self._settings = settings
-        self._map = ClockMap()
+        self._map = ClockMap(settings.clock_drift)
         self._late: deque[tuple[float, float]] = deque()
         self._stamp_s = -float("inf")
 

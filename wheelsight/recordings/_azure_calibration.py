@@ -161,7 +161,8 @@ def _quarter_rays(depth: Lens) -> FloatArray:
     width, height = depth.size
     u, v = np.meshgrid(np.arange(2 * width) / 2 - 0.25, np.arange(2 * height) / 2 - 0.25)
     px = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
-    xy = cv2.undistortPoints(px, depth.K, depth.coefficients, criteria=_UNDISTORT).reshape(-1, 2)
+    undistorted = cv2.undistortPoints(px, depth.K, depth.coefficients, criteria=_UNDISTORT)
+    xy: FloatArray = np.asarray(undistorted, float).reshape(-1, 2)
     focal_px, middle = depth.K[[0, 1], [0, 1]], depth.K[:2, 2]
     off_px = np.abs(_distorted(xy, depth.coefficients) * focal_px + middle - px.reshape(-1, 2)).max(axis=1)
     is_beyond = (off_px > _CONVERGED_PX) | (np.linalg.norm(xy, axis=1) > depth.reach)

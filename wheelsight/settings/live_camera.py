@@ -59,6 +59,14 @@ class LiveCameraSettings(Settings):
         CHOSEN,
         gt=0,
     )
+    clock_drift: float = setting(
+        5e-4,
+        "largest share by which the camera's clock runs faster or slower than the host's: five times what crystals of "
+        "cameras differ by, so that a busy host's delays are not taken for drift",
+        CHOSEN,
+        gt=0,
+        le=0.01,
+    )
     clock_watch_s: float = setting(
         2.0, "over so many seconds: a host that was busy has caught up by then", CHOSEN, gt=0, le=60
     )
