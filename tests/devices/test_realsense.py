@@ -47,8 +47,9 @@ class SoftCamera:
         """Both images of frame `number`, which tell their number, 1 / 30 s after the one before."""
         stamp_ms = 5000 + number * 1000 / 30
         shape = (HEIGHT, WIDTH)
-        self._frame(self.depth, self.depth_profile, np.full(shape, 1000 + number, np.uint16), stamp_ms + depth_late_ms)
-        self._frame(self.color, self.color_profile, np.full((*shape, 3), [number % 256, 7, 9], np.uint8), stamp_ms)
+        depth, color = np.full(shape, 1000 + number, np.uint16), np.full((*shape, 3), [number % 256, 7, 9], np.uint8)
+        self._frame(self.depth, self.depth_profile, depth, number, stamp_ms + depth_late_ms)
+        self._frame(self.color, self.color_profile, color, number, stamp_ms)
 
     def stream(self, numbers: range, every_s: float = 1 / 30) -> threading.Thread:
         """Give them on a thread, at their rate."""
@@ -73,12 +74,12 @@ class SoftCamera:
         stream.intrinsics = told
         return stream
 
-    def _frame(self, sensor: Any, profile: Any, pixels: np.ndarray, stamp_ms: float) -> None:
+    def _frame(self, sensor: Any, profile: Any, pixels: np.ndarray, number: int, stamp_ms: float) -> None:
         frame = rs.software_video_frame()
         frame.pixels, frame.bpp = pixels, pixels.nbytes // (WIDTH * HEIGHT)
         frame.stride = WIDTH * frame.bpp
         frame.timestamp, frame.domain = stamp_ms, rs.timestamp_domain.hardware_clock
-        frame.frame_number = int(stamp_ms * 30 / 1000)
+        frame.frame_number = number
         frame.profile = profile.as_video_stream_profile()
         if pixels.dtype == np.uint16:
             frame.depth_units = 0.001
