@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes as c
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,9 @@ try:
     WHY_MISSING = ""
 except OSError:
     WHY_MISSING = "needs Debian's libopenni2-0"
-needs_openni2 = pytest.mark.skipif(bool(WHY_MISSING), reason=WHY_MISSING)
+# Continuous integration has them all; there a missing one fails.
+MAY_BE_MISSING = os.environ.get("WHEELSIGHT_REQUIRE_CAMERAS") != "1"
+needs_openni2 = pytest.mark.skipif(bool(WHY_MISSING) and MAY_BE_MISSING, reason=WHY_MISSING)
 
 # The player hands out no frame of a stream that has no cropping, and the dummy has none; a property that it passes over
 # makes room for one that is off, so that nothing moves in the file.

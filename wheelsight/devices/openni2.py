@@ -50,11 +50,11 @@ _DRIVERS = {
 
 @dataclass(frozen=True, slots=True)
 class _Where:
-    """What to open: `is_named` by the user, else the first that is plugged in."""
+    """What to open; one that `is_listed` leaves the list when it is unplugged."""
 
     uri: str
     is_file: bool
-    is_named: bool
+    is_listed: bool
 
 
 class OpenNI2Driver:
@@ -107,13 +107,14 @@ class OpenNI2Driver:
         if asked is not None and (Path(asked).suffix == ".oni" or Path(asked).is_file()):
             if not Path(asked).is_file():
                 raise DeviceError("there is no such file", path=asked, fix="check the path")
-            return _Where(asked, True, True)
+            return _Where(asked, is_file=True, is_listed=False)
         devices = listed_devices()
         if asked is None:
             if not devices:
                 raise DeviceError("OpenNI2 sees no camera", fix="plug it in, and see: wheelsight devices")
-            return _Where(devices[0].uri, False, False)
-        return _Where(next((d.uri for d in devices if d.uri == asked or _has_serial(d, asked)), asked), False, True)
+            return _Where(devices[0].uri, is_file=False, is_listed=True)
+        listed = next((d.uri for d in devices if d.uri == asked or _has_serial(d, asked)), None)
+        return _Where(listed or asked, is_file=False, is_listed=listed is not None)
 
     def _started(self, device: OniDevice, where: _Where) -> OpenedDevice:
         is_file = device.play_once()
@@ -208,7 +209,7 @@ class OpenNI2Driver:
         if self._where.is_file:
             if self._is_over or time.monotonic() - self._heard_s > _LONGEST_PAUSE_S:
                 raise PlaybackEndedError("the file is over", path=self._where.uri)
-        elif not self._where.is_named and self._where.uri not in {device.uri for device in listed_devices()}:
+        elif self._where.is_listed and self._where.uri not in {device.uri for device in listed_devices()}:
             raise DeviceError("the camera was unplugged", fix="plug it in again")
 
 
