@@ -39,6 +39,7 @@ NOT_RUN = {
     "python -m benchmarks": "takes minutes; tests/benchmarks",
     "python papers/": "needs recordings that are not part of the project; tests/papers",
     "wheelsight wheels ": "needs a wheel controller; tests/cli/test_wheels.py",
+    "wheelsight devices": "tells of this machine; tests/cli/test_devices.py",
     "wheelsight record ": "needs a wheel controller; tests/cli/test_record.py",
     "wheelsight run corridor ": "of the recording that the controller made",
     "wheelsight drive ": "needs the map of a building that the simulator has; tests/cli/test_drive.py",

@@ -33,6 +33,7 @@ from wheelsight.recordings.settings import RecordingSettings
 from wheelsight.settings import (
     ASKED,
     CHOSEN,
+    LiveCameraSettings,
     LocalizerSettings,
     RealTimeSettings,
     RecognitionSettings,
@@ -220,6 +221,7 @@ class Config(Settings):
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
     realtime: RealTimeSettings = RealTimeSettings()
+    camera: LiveCameraSettings = LiveCameraSettings()
 
     @model_validator(mode="before")
     @classmethod

@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from wheelsight.calibration import save_calibration
 from wheelsight.cli import app
 from wheelsight.devices.cameras import LIVE_CAMERAS
 from wheelsight.devices.protocol import Command as Commanded
+from wheelsight.errors import DeviceError
 from wheelsight.trajectory import read_tum
 
 Command = Callable[..., Result]
@@ -91,10 +93,17 @@ def test_a_folder_that_holds_something_is_refused(refusal: Refusal, kept: Path, 
     assert "is not empty" in told
 
 
-def test_a_real_robot_without_a_camera_is_refused(refusal: Refusal, kept: Path, calibration: Path) -> None:
+def unplugged(*_: Any) -> Any:
+    raise DeviceError("there is none")
+
+
+def test_a_real_robot_without_a_camera_is_refused(
+    refusal: Refusal, kept: Path, calibration: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked = ("drive", "--robot", "/dev/null", "--calibration", calibration, "--map", kept, "--to", "kitchen")
-    assert refusal(*asked).startswith("no live camera can be read yet, and without one a robot would drive blind")
-    assert "(issue 33)" in " ".join(CliRunner().invoke(app, ["drive", "--help"]).stdout.split())
+    for kind in tuple(LIVE_CAMERAS):
+        monkeypatch.setitem(LIVE_CAMERAS, kind, unplugged)
+    assert refusal(*asked).startswith("no depth camera is plugged in (plug one in; wheelsight devices tells")
 
 
 class NoFrames:
@@ -110,11 +119,18 @@ class NoFrames:
         self.is_closed = True
 
 
+def plug_in(monkeypatch: pytest.MonkeyPatch, camera: NoFrames) -> None:
+    """Let it be the only camera."""
+    for kind in tuple(LIVE_CAMERAS):
+        monkeypatch.delitem(LIVE_CAMERAS, kind)
+    monkeypatch.setitem(LIVE_CAMERAS, "none", lambda *_: camera)
+
+
 def test_nothing_moves_where_the_question_is_answered_with_no(
     kept: Path, calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = NoFrames()
-    monkeypatch.setitem(LIVE_CAMERAS, "none", lambda: camera)
+    plug_in(monkeypatch, camera)
     with SimulatedController(tmp_path) as controller:
         asked = ("drive", "--robot", controller.port, "--calibration", calibration, "--map", kept, "--to", "kitchen")
         result = CliRunner().invoke(app, [str(word) for word in asked], input="n\n")
@@ -247,7 +263,7 @@ def test_a_real_robot_stands_while_its_camera_shows_nothing(
         return ()
 
     monkeypatch.setattr(camera, "take", take)
-    monkeypatch.setitem(LIVE_CAMERAS, "none", lambda: camera)
+    plug_in(monkeypatch, camera)
     with SimulatedController(tmp_path) as controller:
         words = ["drive", "--robot", controller.port, "--calibration", folder.parent / "day" / "calibration.yaml"]
         words += ["--map", folder, "--known-start", words_of(known), "--to", words_of(ahead_of(known))]

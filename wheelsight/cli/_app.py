@@ -10,6 +10,7 @@ import typer.core
 from wheelsight._version import __version__
 from wheelsight.cli import (
     calibrate,
+    devices,
     drive,
     evaluate,
     export,
@@ -58,6 +59,7 @@ app.command("run")(run.run)
 app.command("evaluate")(evaluate.evaluate)
 app.command("export")(export.export)
 app.command("record")(record.record)
+app.command("devices")(devices.devices)
 app.command("drive")(drive.drive)
 app.command("simulate")(simulate.simulate)
 app.command("warm-up")(warm_up.warm_up)

@@ -105,8 +105,8 @@ RobotPort = Annotated[
     typer.Option(
         "--robot",
         metavar="PORT",
-        help="Drive the robot whose wheel controller is at a serial port. A live camera is still to come (issue 33): "
-        "until then it is refused.",
+        help="Drive the robot whose wheel controller is at a serial port, with the first live camera that is plugged "
+        "in.",
         show_default=False,
         rich_help_panel=_REAL,
     ),

@@ -92,7 +92,7 @@ def _linked(real: Real, config: Config) -> Iterator[Robot]:
     assert real.calibration is not None
     calibration = load_calibration(real.calibration)
     with ExitStack() as opened:
-        frames = open_live_camera()
+        frames = open_live_camera(None, config.camera, calibration)
         opened.callback(frames.close)
         link = WheelLink(real.port, real.baud)
         opened.callback(link.close)

@@ -36,7 +36,7 @@ def drive(
     says what stops it and what does not. A terminal shows plan, state, speed and why it does what it does; else a line
     a second tells. Ctrl-C stops the robot first.
 
-    --robot asks once before anything moves. It needs a live camera, which is still to come (issue 33).
+    --robot asks once before anything moves. It needs a live camera: see wheelsight devices.
 
     Exit code 0: arrived; 1: not, and why is said; 2: what was handed in is wrong; 130: interrupted.
 

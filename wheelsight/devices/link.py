@@ -13,6 +13,7 @@ from types import TracebackType
 
 from serial import Serial, SerialException, SerialTimeoutException
 
+from wheelsight.devices import host_clock
 from wheelsight.devices._commands import Commands
 from wheelsight.devices._port import open_port
 from wheelsight.devices.continuity import TickTracker
@@ -75,7 +76,7 @@ class WheelLink:
 
     It only listens until it is told something: it sends nothing by itself, so that an unknown device does nothing.
     Stamps are host time in seconds since 1970 at which the controller took the counts, later by the shortest delay of
-    the transport; they follow the system's clock as it was when the link was opened, and never run backwards.
+    the transport; they follow the system's clock as it was when the first device was opened, and never run backwards.
 
     Args:
         port: such as /dev/ttyUSB0; better /dev/serial/by-id/…, which is the same after it was plugged in again.
@@ -98,7 +99,7 @@ class WheelLink:
         self._reconnects = self._overrun = 0
         self._serial: Serial | None = open_port(self.port, baudrate)
         self._commands = Commands(self.port, self._write)
-        self._unix_s = time.time() - time.monotonic()
+        self._unix_s = host_clock.unix_offset_s()
         self._opened_s = self._heard_s = self._understood_s = time.monotonic()
         self._is_closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"wheel link {self.port}", daemon=True)

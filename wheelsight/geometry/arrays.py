@@ -14,6 +14,7 @@ IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
+UInt16Array = NDArray[np.uint16]
 UInt64Array = NDArray[np.uint64]
 
 

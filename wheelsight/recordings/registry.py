@@ -8,6 +8,7 @@ from pathlib import Path
 from wheelsight.errors import RecordingError
 from wheelsight.files import StrPath
 from wheelsight.recordings._wheel_recording import WheelRecording
+from wheelsight.recordings.azure_kinect import AzureKinectReader
 from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
 from wheelsight.recordings.counters import counter_warnings
 from wheelsight.recordings.image_recording import ImageRecording
@@ -30,6 +31,7 @@ _READERS: tuple[Reader, ...] = (
     VelocityReader(),
     MeasurementLineReader(),
     BagReader(),
+    AzureKinectReader(),
 )
 _SEARCH_DEPTH = 3
 _MOST_SEARCHED = 10_000  # folders, which take a second or two
@@ -44,7 +46,7 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
     """The recording at a path, by the first reader that recognises it.
 
     Args:
-        path: a folder, or for some a file, of one of the formats in `reader_names()`.
+        path: a folder, or for bags and an .mkv a file, of one of the formats in `reader_names()`.
         options: what the files do not say; None for the defaults.
 
     Raises:
@@ -66,7 +68,7 @@ def _open(folder: Path, options: OpenOptions) -> Recording:
         raise RecordingError("there is no such folder", path=folder, fix="check the path")
     reader = _reader_of(folder)
     if reader is None and not folder.is_dir():
-        raise RecordingError("is a file, but no recording in one", path=folder, fix="give the folder, or a bag")
+        raise RecordingError("is a file, but no recording in one", path=folder, fix="give the folder, a bag or an .mkv")
     if reader is None:
         raise _unknown(folder)
     return _with_doubts(reader.open(folder, options))

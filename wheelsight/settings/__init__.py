@@ -5,6 +5,7 @@ and by what places are recognised.
 """
 
 from wheelsight.settings.base import ASKED, CHOSEN, ON_SIMULATOR, Settings, bounds, conflict, setting
+from wheelsight.settings.live_camera import LiveCameraSettings
 from wheelsight.settings.localizer import (
     BaseCheckSettings,
     ColorCheckSettings,
@@ -22,6 +23,7 @@ __all__ = [
     "ColorCheckSettings",
     "FernSettings",
     "FrameGateSettings",
+    "LiveCameraSettings",
     "LocalizerSettings",
     "PlaceVerificationSettings",
     "RealTimeSettings",
