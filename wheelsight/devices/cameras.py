@@ -6,13 +6,14 @@ from collections.abc import Callable
 
 from wheelsight.calibration import Calibration
 from wheelsight.devices.live_camera import LiveCamera
+from wheelsight.devices.played_camera import PlayedCamera
 from wheelsight.errors import DeviceError
 from wheelsight.settings import LiveCameraSettings
 
 Opener = Callable[[str | None, LiveCameraSettings, Calibration | None], LiveCamera]
 """Of a serial number or file (None for the first that is plugged in), settings, and the calibration to go by."""
 
-LIVE_CAMERAS: dict[str, Opener] = {}
+LIVE_CAMERAS: dict[str, Opener] = {"recording": PlayedCamera.opened}
 """How each kind is opened."""
 
 
