@@ -22,10 +22,13 @@ _LINE_EVERY_S = 10.0
 
 
 def line_of(look: SessionLook, width: int) -> str:
-    """Time, frames and readings a second, drops, disk: with all words where there is room, else with few."""
-    for separator, parts in ((" · ", _words(look)), (" · ", _fewer_words(look)), (" ", _fewest_words(look))):
-        text = separator.join(parts)
-        if len(text) <= width:
+    """Time, frames and readings a second, drops by cause, disk: with all words where there is room, else with few."""
+    for separator, parts in ((" · ", _words(look)), (" · ", _fewer_words(look))):
+        if len(text := separator.join(parts)) <= width:
+            return text
+    causes = " ".join(f"{_short(cause)} {count}" for cause, count in look.drops.items())
+    for drops in (f"dropped: {causes}", f"{sum(look.drops.values())} dropped"):
+        if len(text := " ".join(_fewest_words(look, drops if causes else ""))) <= width:
             return text
     return text[: max(width, 0)]
 
@@ -37,7 +40,7 @@ def _words(look: SessionLook) -> Iterator[str]:
     if look.link is not None:
         yield f"{look.readings_per_s:.0f} wheel readings/s"
     if look.camera is not None:
-        yield drops_of(look)
+        yield _drops(look, str)
     yield f"{look.bytes_per_s / 1e6:.1f} MB/s, {_bytes(look.free_bytes)} free{_left(look, ', full in ')}"
 
 
@@ -48,30 +51,32 @@ def _fewer_words(look: SessionLook) -> Iterator[str]:
     if look.link is not None:
         yield f"{look.readings_per_s:.0f} wheels/s"
     if look.camera is not None:
-        yield drops_of(look, is_short=True)
+        yield _drops(look, _short)
     yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
     yield f"{_bytes(look.free_bytes)}{_left(look, ' = ')}"
 
 
-def _fewest_words(look: SessionLook) -> Iterator[str]:
+def _fewest_words(look: SessionLook, drops: str) -> Iterator[str]:
     yield clock_of(look.seconds)
     if look.camera is not None:
         yield f"{look.frames_per_s:.0f} fr/s"
     if look.link is not None:
         yield f"{look.readings_per_s:.0f} wh/s"
-    if drops := sum(look.drops.values()):
-        yield f"{drops} lost"
+    if drops:
+        yield drops
     yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
     yield f"{_bytes(look.free_bytes)}{_left(look, '=')}"
 
 
-def drops_of(look: SessionLook, is_short: bool = False) -> str:
+def _drops(look: SessionLook, named: Callable[[str], str]) -> str:
     """Such as "3 dropped (slow disk 2, camera 1)"."""
-    drops = look.drops
-    if not drops:
-        return "0 dropped"
-    causes = ", ".join(f"{cause if not is_short else cause.split()[-1]} {count}" for cause, count in drops.items())
-    return f"{sum(drops.values())} dropped ({causes})"
+    causes = ", ".join(f"{named(cause)} {count}" for cause, count in look.drops.items())
+    return f"{sum(look.drops.values())} dropped ({causes})" if causes else "0 dropped"
+
+
+def _short(cause: str) -> str:
+    """Its last word, such as "disk" of "slow disk"."""
+    return cause.split()[-1]
 
 
 def clock_of(seconds: float) -> str:
