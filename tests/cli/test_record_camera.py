@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from fake_camera import CALIBRATION, FakeCamera, live_frame
+from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
 from simulated_controller import SimulatedController
 from typer.testing import Result
 
@@ -112,7 +112,7 @@ def test_camera_and_wheels_side_by_side_with_the_robots_calibration(
     assert ticks_s[0] - 2 < frames[0].stamp_s < ticks_s[-1] + 0.1  # one clock
 
 
-def plug_in(monkeypatch: pytest.MonkeyPatch, camera: FakeCamera) -> None:
+def plug_in(monkeypatch: pytest.MonkeyPatch, camera: HandFedCamera) -> None:
     """Let it be a camera called fake."""
     monkeypatch.setitem(LIVE_CAMERAS, "fake", lambda *_: camera)
 
@@ -120,7 +120,7 @@ def plug_in(monkeypatch: pytest.MonkeyPatch, camera: FakeCamera) -> None:
 def test_it_is_told_what_the_camera_warns_of_and_the_camera_is_given_back(
     wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    camera = FakeCamera()
+    camera = HandFedCamera()
     camera.put(live_frame(0, host_clock.now_s(), infrared=True))
     camera.tell(CameraStatus.UNPLUGGED)
     plug_in(monkeypatch, camera)
@@ -135,7 +135,7 @@ def test_it_is_told_what_the_camera_warns_of_and_the_camera_is_given_back(
 def test_a_full_disk_is_one_line_and_what_was_recorded_stays(
     wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    camera = FakeCamera()
+    camera = HandFedCamera()
     for number in range(2):
         camera.put(live_frame(number, host_clock.now_s() + number))
     plug_in(monkeypatch, camera)

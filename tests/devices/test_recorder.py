@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from fake_camera import CALIBRATION, live_frame
+from hand_fed_camera import CALIBRATION, live_frame
 from narrowing import not_none
 
 from wheelsight.devices.recorder import LiveRecorder

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from fake_camera import CALIBRATION, FakeCamera, live_frame
+from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
 from simulated_controller import SimulatedController
 
 from wheelsight.devices import WheelLink, host_clock
@@ -27,7 +27,7 @@ QUICK = RecorderSettings(watch_s=0.02, rate_span_s=0.5)
 class Session:
     """A session on a thread; `stop` ends it."""
 
-    def __init__(self, recorder: LiveRecorder, folder: Path, camera: FakeCamera, link: WheelLink | None) -> None:
+    def __init__(self, recorder: LiveRecorder, folder: Path, camera: HandFedCamera, link: WheelLink | None) -> None:
         self.notes: list[str] = []
         self.looks: list[SessionLook] = []
         self.problem: OutputError | None = None
@@ -55,7 +55,7 @@ class Session:
 @contextmanager
 def recording(folder: Path, link: WheelLink | None = None, settings: RecorderSettings = QUICK) -> Iterator[Session]:
     with LiveRecorder(RecordingWriter(folder, CALIBRATION), settings) as recorder:
-        session = Session(recorder, folder, FakeCamera(), link)
+        session = Session(recorder, folder, HandFedCamera(), link)
         try:
             yield session
         finally:

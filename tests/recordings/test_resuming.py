@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from fake_camera import CALIBRATION, live_frame
+from hand_fed_camera import CALIBRATION, live_frame
 
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.errors import OutputError, RecordingError

@@ -26,7 +26,7 @@ def live_frame(number: int, stamp_s: float, infrared: bool = False, sigma_s: flo
     return LiveFrame(frame, sigma_s, 100 + number / 30, stamp_s + 0.02, number, given)
 
 
-class FakeCamera:
+class HandFedCamera:
     """A `LiveCamera`; `put` a frame, and it is read once.
 
     Attributes:
