@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 
@@ -65,3 +66,9 @@ class HandFedCamera:
 
     def close(self) -> None:
         self.is_closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

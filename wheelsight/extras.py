@@ -9,9 +9,11 @@ from wheelsight.errors import ConfigError
 
 # By the name that is imported: the library's, and all that its extra brings, by names that install from anywhere.
 _EXTRAS = {
+    "av": ("PyAV", "av"),
     "gtsam": ("GTSAM", "gtsam"),
     "mujoco": ("MuJoCo", "mujoco matplotlib"),
     "plotly": ("plotly", "plotly"),
+    "pyrealsense2": ("pyrealsense2", "pyrealsense2"),
     "skimage": ("scikit-image", "scikit-image"),
     "sklearn": ("scikit-learn", "scikit-learn skops"),
     "skops": ("skops", "scikit-learn skops"),

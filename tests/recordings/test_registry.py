@@ -24,6 +24,7 @@ from wheelsight.trajectory import Trajectory
 
 def test_names_are_sorted():
     assert reader_names() == [
+        "azure_kinect",
         "measurement_lines",
         "openloris",
         "seven_scenes",

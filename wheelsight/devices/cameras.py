@@ -6,14 +6,33 @@ from collections.abc import Callable
 
 from wheelsight.calibration import Calibration
 from wheelsight.devices.live_camera import LiveCamera
-from wheelsight.devices.played_camera import PlayedCamera
+from wheelsight.devices.streaming import StreamingCamera
 from wheelsight.errors import DeviceError
 from wheelsight.settings import LiveCameraSettings
 
 Opener = Callable[[str | None, LiveCameraSettings, Calibration | None], LiveCamera]
 """Of a serial number or file (None for the first that is plugged in), settings, and the calibration to go by."""
 
-LIVE_CAMERAS: dict[str, Opener] = {"recording": PlayedCamera.opened}
+
+def _openni2(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.devices.openni2 import OpenNI2Driver
+
+    return StreamingCamera(OpenNI2Driver(where, settings), settings, calibration)
+
+
+def _realsense(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.devices.realsense import RealSenseDriver
+
+    return StreamingCamera(RealSenseDriver(where, settings), settings, calibration)
+
+
+def _recording(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.devices.played_camera import PlayedCamera
+
+    return PlayedCamera.opened(where, settings, calibration)
+
+
+LIVE_CAMERAS: dict[str, Opener] = {"realsense": _realsense, "openni2": _openni2, "recording": _recording}
 """How each kind is opened."""
 
 

@@ -9,6 +9,7 @@ INFOCOM 1999). What no observer of one-way arrivals can tell is the smallest del
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from itertools import pairwise
 
@@ -39,6 +40,23 @@ class ClockMap:
     def drift_ppm(self) -> float:
         """How much faster than the host's the controller's clock runs, in millionths."""
         return (1 / self._slope - 1) * 1e6
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether it has learned of any arrival since it began, or began anew."""
+        return bool(self._points)
+
+    def sigma_s(self, first_s: float) -> float:
+        """Standard deviation of `host_s`, beside the smallest delay, which nobody can tell.
+
+        How far the kept arrivals lie above the line, on average, tells how much delays vary. A line through `n` points
+        that vary by σ is known to 2σ/√n at its end. `first_s` is that of one arrival alone.
+        """
+        if not self._points:
+            return first_s
+        late_s = sum(arrival_s - self.host_s(clock_s) for clock_s, arrival_s in self._points) / len(self._points)
+        count = float(len(self._points))
+        return max(2 * late_s / math.sqrt(count), first_s / (count * math.sqrt(count)))
 
     def host_s(self, clock_s: float) -> float:
         """Host time at which the controller's clock showed `clock_s`, later by the smallest delay of the transport."""

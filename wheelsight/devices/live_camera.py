@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol, runtime_checkable
+from types import TracebackType
+from typing import Protocol, Self, runtime_checkable
 
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame, SkippedFrame
@@ -119,3 +120,11 @@ class LiveCamera(Protocol):
 
     def close(self) -> None:
         """Give the camera back; may be called twice."""
+
+    def __enter__(self) -> Self:
+        """Itself, to be closed at the block's end."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Self
 
 from wheelsight.calibration import Calibration
 from wheelsight.devices import host_clock
@@ -114,6 +115,12 @@ class PlayedCamera:
         self._is_over.set()
         self._thread.join()
         self._tell(CameraStatus.CLOSED)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def _fetch(self) -> LiveFrame | None:
         """The next that is not too old; `_changed` is held."""

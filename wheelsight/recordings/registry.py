@@ -1,4 +1,4 @@
-"""Which reader opens which folder."""
+"""Which reader opens which folder, or file."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from wheelsight.errors import RecordingError
 from wheelsight.files import StrPath
 from wheelsight.recordings._wheel_recording import WheelRecording
+from wheelsight.recordings.azure_kinect import AzureKinectReader
 from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
 from wheelsight.recordings.counters import counter_warnings
 from wheelsight.recordings.image_recording import ImageRecording
@@ -28,6 +29,7 @@ _READERS: tuple[Reader, ...] = (
     SkidSteerReader(),
     VelocityReader(),
     MeasurementLineReader(),
+    AzureKinectReader(),
 )
 _SEARCH_DEPTH = 3
 _MOST_SEARCHED = 10_000  # folders, which take a second or two
@@ -39,10 +41,10 @@ def reader_names() -> list[str]:
 
 
 def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recording:
-    """The recording in a folder, by the first reader that recognises it.
+    """The recording in a folder, or in a file that is one, by the first reader that recognises it.
 
     Args:
-        path: a folder of one of the formats in `reader_names()`.
+        path: a folder, or an Azure Kinect's .mkv, of one of the formats in `reader_names()`.
         options: what the files do not say; None for the defaults.
 
     Raises:
@@ -62,9 +64,9 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
 def _open(folder: Path, options: OpenOptions) -> Recording:
     if not folder.exists():
         raise RecordingError("there is no such folder", path=folder, fix="check the path")
-    if not folder.is_dir():
-        raise RecordingError("is a file, but a recording is a folder", path=folder, fix="give the folder")
     reader = _reader_of(folder)
+    if reader is None and not folder.is_dir():
+        raise RecordingError("is a file, but a recording is a folder", path=folder, fix="give the folder")
     if reader is None:
         raise _unknown(folder)
     return _with_doubts(reader.open(folder, options))

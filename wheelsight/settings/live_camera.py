@@ -12,6 +12,11 @@ class LiveCameraSettings(Settings):
     height_px: int = setting(480, "height of the images that are asked for", ASKED, ge=16, le=8192)
     rate_hz: int = setting(30, "frames a second that are asked for", ASKED, ge=1, le=300)
     infrared: bool = setting(False, "whether infrared images are asked for too, where the camera has them", ASKED)
+    registered: bool = setting(
+        True,
+        "whether depth is asked for on colour's pixels, where the camera can; calibrating takes both as measured",
+        ASKED,
+    )
     kept_frames: int = setting(
         4, "newest frames that are kept for whoever asks; a recorder keeps more, to bridge a slow disk", CHOSEN, ge=1
     )
@@ -55,5 +60,5 @@ class LiveCameraSettings(Settings):
         gt=0,
     )
     clock_watch_s: float = setting(
-        1.0, "over so many seconds: a host that was busy has caught up by then", CHOSEN, gt=0, le=60
+        2.0, "over so many seconds: a host that was busy has caught up by then", CHOSEN, gt=0, le=60
     )
