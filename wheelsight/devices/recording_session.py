@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from wheelsight.devices.camera_watch import CameraWatch
 from wheelsight.devices.link import LinkReport, WheelLink
 from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveCamera
 from wheelsight.devices.recorder import LiveRecorder, RecorderReport
@@ -17,7 +18,6 @@ from wheelsight.files import StrPath, output_error
 
 THREAD = "wheelsight-capture"
 _LONGEST_WAIT_S = 0.1
-_GONE = (CameraStatus.STALLED, CameraStatus.UNPLUGGED, CameraStatus.ENDED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class RecordingSession:
         self._recorder, self._folder, self._note = recorder, folder, note
         self._camera, self._link = camera, link
         self._settings = recorder.settings
-        self._camera_before: CameraReport | None = None
+        self._watch = None if camera is None else CameraWatch(camera)
         self._refused = 0
         self._history: deque[tuple[float, RecorderReport]] = deque()
         self._is_over = threading.Event()
@@ -164,11 +164,8 @@ class RecordingSession:
 
     def _notice(self) -> None:
         """Tell what has changed with the camera, and what is refused for the first time."""
-        if self._camera is not None:
-            before, now = self._camera_before, self._camera.report()
-            self._camera_before = now
-            for text in _changes(before, now):
-                self._note(f"{self._camera.name}: {text}")
+        for text in () if self._watch is None else self._watch.changes():
+            self._note(text)
         recorder = self._recorder.report()
         if recorder.refused and not self._refused:
             self._note(f"left out what could not be read again: {recorder.refusal}")
@@ -187,23 +184,3 @@ class RecordingSession:
         if free_mb < self._settings.least_free_mb:
             problem = f"only {free_mb:.0f} MB are left on the disk: recording stopped; what was recorded is whole"
             raise OutputError(problem, path=self._folder, fix="free some space, then go on with --resume")
-
-
-def _changes(before: CameraReport | None, now: CameraReport) -> list[str]:
-    """Sentences about what is different; a camera that starts and runs goes without saying."""
-    if before is None:
-        return [_told(now)] if now.status in _GONE else []
-    told = []
-    if now.status is not before.status and (now.status in _GONE or before.status in _GONE):
-        told.append(_told(now))
-    if now.reconnects > before.reconnects:
-        told.append("is back")
-    if now.clock_jumps > before.clock_jumps:
-        told.append("its clock leapt; its stamps are mapped anew")
-    return [text for text in told if text]
-
-
-def _told(report: CameraReport) -> str:
-    if report.status is CameraStatus.CLOSED:
-        return ""
-    return f"{report.status}{f' ({report.detail})' if report.detail else ''}"
