@@ -5,6 +5,7 @@ With a recording it shows what live work looks like before a camera is bought, a
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -22,13 +23,17 @@ from wheelsight.settings import LiveCameraSettings
 
 THREAD = "wheelsight-played-camera"
 _RATE_OVER = 30
-_WAIT_S = 0.5
+_WAIT_S = 0.05
+_UNASKED_S = 2.0
+_LATEST_S = 0.1
 
 
 class PlayedCamera:
     """A `LiveCamera` of frames whose stamps say when each comes after the first.
 
-    Its stamps are the host's, hence exact. At the end it says so, and gives nothing more.
+    Its stamps are the host's, hence exact. At the end it says so, and gives nothing more. While nobody asks for frames,
+    as before a run is ready, it stands still: else it might be over by then. Where frames are decoded too slowly for
+    their time, it plays slower.
 
     Args:
         name: for people.
@@ -51,6 +56,7 @@ class PlayedCamera:
         self._report = CameraReport(CameraStatus.STARTING, host_clock.now_s())
         self._changed = threading.Condition()
         self._is_over = threading.Event()
+        self._asked_s = -math.inf
         self._thread = threading.Thread(target=self._play, args=(frames,), name=THREAD, daemon=True)
         self._thread.start()
 
@@ -89,6 +95,7 @@ class PlayedCamera:
     def read(self, timeout_s: float) -> LiveFrame | None:
         """As `LiveCamera` has it."""
         ends_s = time.monotonic() + timeout_s
+        self._asked_s = host_clock.now_s()
         with self._changed:
             while (found := self._fetch()) is None:
                 left_s = ends_s - time.monotonic()
@@ -139,17 +146,23 @@ class PlayedCamera:
             for index, frame in enumerate(frames):
                 if isinstance(frame, SkippedFrame):
                     continue
-                if behind_s is None:
-                    behind_s = host_clock.now_s() - frame.stamp_s
+                stood_s = self._stand_unasked()
+                behind_s = host_clock.now_s() - frame.stamp_s if behind_s is None else behind_s + stood_s
+                behind_s = max(behind_s, host_clock.now_s() - frame.stamp_s - _LATEST_S)
                 due_s = frame.stamp_s + behind_s
-                while (left_s := due_s - host_clock.now_s()) > 0 and not self._is_over.is_set():
-                    self._is_over.wait(min(left_s, _WAIT_S))
-                if self._is_over.is_set():
+                if self._is_over.wait(max(due_s - host_clock.now_s(), 0.0)):
                     return
                 self._give(replace(frame, stamp_s=due_s, index=index), frame.stamp_s)
         except RecordingError as error:
             self._report = replace(self._report, detail=error.problem)
         self._tell(CameraStatus.ENDED)
+
+    def _stand_unasked(self) -> float:
+        """Wait until somebody asks for frames; for how long that was."""
+        began_s = host_clock.now_s()
+        while host_clock.now_s() - self._asked_s > _UNASKED_S and not self._is_over.is_set():
+            self._is_over.wait(_WAIT_S)
+        return host_clock.now_s() - began_s
 
     def _give(self, frame: RgbdFrame, device_s: float) -> None:
         arrived_s = host_clock.now_s()

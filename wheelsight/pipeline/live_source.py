@@ -99,12 +99,15 @@ class LiveSource:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The camera's, and that wheels never spoke."""
-        of_camera = () if self._sensors.camera is None else self._sensors.camera.warnings
-        link, is_over = self._sensors.link, self._ended_s is not None
-        if link is None or not is_over or self._readings:
-            return of_camera
-        return (*of_camera, f"No wheel reading came from {link.port}.")
+        """The camera's, and which sensor never spoke."""
+        camera, link = self._sensors.camera, self._sensors.link
+        told = [] if camera is None else [*camera.warnings]
+        if self._ended_s is not None:
+            if camera is not None and not self._fetched:
+                told.append(f"No frame came from {camera.name}: {camera.report().status}.")
+            if link is not None and not self._readings:
+                told.append(f"No wheel reading came from {link.port}.")
+        return tuple(told)
 
     def events(self, *, images: bool = True) -> Generator[Event]:
         """As they come."""
