@@ -37,6 +37,7 @@ from wheelsight.settings import (
     LocalizerSettings,
     RealTimeSettings,
     RecognitionSettings,
+    RecorderSettings,
     Settings,
     bounds,
     conflict,
@@ -222,6 +223,7 @@ class Config(Settings):
     report: ReportSettings = ReportSettings()
     realtime: RealTimeSettings = RealTimeSettings()
     camera: LiveCameraSettings = LiveCameraSettings()
+    recorder: RecorderSettings = RecorderSettings()
 
     @model_validator(mode="before")
     @classmethod

@@ -12,16 +12,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hand_fed_camera import HandFedCamera
 from rehearsed_drive import CALIBRATION
 from sessions.kept_views import write_map
 from simulated_controller import SimulatedController
 from typer.testing import CliRunner, Result
 
-from wheelsight.calibration import save_calibration
+from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.cli import app
 from wheelsight.devices.cameras import LIVE_CAMERAS
 from wheelsight.devices.protocol import Command as Commanded
+from wheelsight.devices.robot_camera import ANY, open_robot_camera
 from wheelsight.errors import DeviceError
+from wheelsight.settings import LiveCameraSettings
 from wheelsight.trajectory import read_tum
 
 Command = Callable[..., Result]
@@ -106,33 +109,60 @@ def test_a_real_robot_without_a_camera_is_refused(
     assert refusal(*asked).startswith("no depth camera is plugged in (plug one in; wheelsight devices tells")
 
 
-class NoFrames:
-    """A camera that shows nothing."""
-
-    def __init__(self) -> None:
-        self.is_closed = False
-
-    def take(self):
-        return ()
-
-    def close(self) -> None:
-        self.is_closed = True
+def of_robot(port: object, calibration: Path, kept: Path, *more: object) -> tuple[object, ...]:
+    return ("drive", "--robot", port, "--calibration", calibration, "--map", kept, "--to", "kitchen", *more)
 
 
-def plug_in(monkeypatch: pytest.MonkeyPatch, camera: NoFrames) -> None:
-    """Let it be the only camera."""
+def test_a_real_robot_without_its_camera_is_refused(refusal: Refusal, kept: Path, calibration: Path) -> None:
+    told = refusal(*of_robot("/dev/null", calibration, kept, "--camera", "kinet"))
+    assert told == f"no camera is called 'kinet' (one of {', '.join(LIVE_CAMERAS)})"
+
+
+def test_a_robot_of_which_nobody_knows_how_it_is_built_is_refused(
+    refusal: Refusal, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = HandFedCamera()
+    plug_in(monkeypatch, camera)
+    save_calibration(Calibration(wheels=CALIBRATION.wheels), tmp_path / "wheels.yaml")
+    told = refusal(*of_robot("/dev/null", tmp_path / "wheels.yaml", kept))
+    assert told.startswith(f"{tmp_path / 'wheels.yaml'}: has no T_base_camera (wheelsight calibrate base finds")
+    assert camera.is_closed
+
+
+def test_the_cameras_own_calibration_lies_under_the_robots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = plug_in(monkeypatch, HandFedCamera())
+    mount = Calibration(wheels=CALIBRATION.wheels, T_base_camera=CALIBRATION.T_base_camera)
+    save_calibration(mount, tmp_path / "robot.yaml")
+    _, found = open_robot_camera(ANY, LiveCameraSettings(), [tmp_path / "robot.yaml"])
+    assert asked == [None]
+    assert (found.color, found.wheels) == (HandFedCamera().calibration.color, CALIBRATION.wheels)
+    np.testing.assert_array_equal(found.T_base_camera, CALIBRATION.T_base_camera)
+    save_calibration(CALIBRATION, tmp_path / "robot.yaml")
+    _, found = open_robot_camera(ANY, LiveCameraSettings(), [tmp_path / "robot.yaml"])
+    assert asked[1].color == found.color == CALIBRATION.color
+
+
+def plug_in(monkeypatch: pytest.MonkeyPatch, camera: HandFedCamera) -> list[Any]:
+    """Let it be the only camera; the calibrations that it is asked to go by."""
     for kind in tuple(LIVE_CAMERAS):
         monkeypatch.delitem(LIVE_CAMERAS, kind)
-    monkeypatch.setitem(LIVE_CAMERAS, "none", lambda *_: camera)
+    asked: list[Any] = []
+
+    def opened(_: str | None, __: LiveCameraSettings, calibration: Calibration | None) -> HandFedCamera:
+        asked.append(calibration)
+        return camera
+
+    monkeypatch.setitem(LIVE_CAMERAS, "fake", opened)
+    return asked
 
 
 def test_nothing_moves_where_the_question_is_answered_with_no(
     kept: Path, calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    camera = NoFrames()
+    camera = HandFedCamera()
     plug_in(monkeypatch, camera)
     with SimulatedController(tmp_path) as controller:
-        asked = ("drive", "--robot", controller.port, "--calibration", calibration, "--map", kept, "--to", "kitchen")
+        asked = of_robot(controller.port, calibration, kept, "--camera", "fake")
         result = CliRunner().invoke(app, [str(word) for word in asked], input="n\n")
         assert result.exit_code == 1, result.output
         assert "Is the floor around the robot free, and is somebody at the stop button? [y/N]" in result.output
@@ -254,7 +284,7 @@ def test_a_real_robot_stands_while_its_camera_shows_nothing(
     flat: tuple[Path, np.ndarray, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, known, _ = flat
-    camera, asked_s = NoFrames(), []
+    camera, asked_s = HandFedCamera(), []
 
     def take():
         asked_s.append(time.monotonic())

@@ -54,6 +54,7 @@ class Real:
     calibration: Path | None
     baud: int
     yes: bool
+    camera: str
 
 
 def check(asked: Asked, simulated: Simulated, real: Real) -> None:

@@ -96,7 +96,13 @@ Realism = Annotated[
     str, typer.Option(metavar="NAME", help="real or ideal, as for simulate.", rich_help_panel=_SIMULATED)
 ]
 CameraName = Annotated[
-    str, typer.Option("--camera", metavar="NAME", help="As for simulate.", rich_help_panel=_SIMULATED)
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="NAME",
+        help="Of a simulated robot as for simulate; of a real one the live camera, as for record.",
+        show_default="kinect-v1; any that is plugged in",
+    ),
 ]
 Size = Annotated[str, typer.Option(metavar="WxH|half|full", help="Size of the images.", rich_help_panel=_SIMULATED)]
 Rate = Annotated[float, typer.Option(metavar="HZ", help="Images a second.", rich_help_panel=_SIMULATED)]
@@ -105,8 +111,7 @@ RobotPort = Annotated[
     typer.Option(
         "--robot",
         metavar="PORT",
-        help="Drive the robot whose wheel controller is at a serial port, with the first live camera that is plugged "
-        "in.",
+        help="Drive the robot whose wheel controller is at a serial port, by a live camera.",
         show_default=False,
         rich_help_panel=_REAL,
     ),

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from wheelsight.errors import ConfigError
+from wheelsight.cli._console import print_warning
+from wheelsight.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
+    from wheelsight.calibration import Calibration
     from wheelsight.cli._drive_inputs import Real, Simulated
     from wheelsight.config import Config
     from wheelsight.robots import Robot
@@ -84,16 +86,17 @@ def _start_of(text: str | None) -> tuple[float, float, float] | None:
 
 @contextmanager
 def _linked(real: Real, config: Config) -> Iterator[Robot]:
-    from wheelsight.calibration import load_calibration
     from wheelsight.devices import LinkRobot, WheelLink
-    from wheelsight.devices.cameras import open_live_camera
+    from wheelsight.devices.robot_camera import open_robot_camera
 
     assert real.port is not None
     assert real.calibration is not None
-    calibration = load_calibration(real.calibration)
     with ExitStack() as opened:
-        frames = open_live_camera(None, config.camera, calibration)
+        frames, calibration = open_robot_camera(real.camera, config.camera, [real.calibration])
         opened.callback(frames.close)
+        _check_mount(calibration, real.calibration)
+        for warning in frames.warnings:
+            print_warning(warning)
         link = WheelLink(real.port, real.baud)
         opened.callback(link.close)
         robot = opened.enter_context(LinkRobot(link, calibration, config.navigation.limits, frames=frames))
@@ -102,3 +105,12 @@ def _linked(real: Real, config: Config) -> Iterator[Robot]:
             typer.echo("nothing moved", err=True)
             raise typer.Exit(1)
         yield robot
+
+
+def _check_mount(calibration: Calibration, path: Path) -> None:
+    """Refuse a robot of which nobody knows how it is built. Raises CalibrationError."""
+    if calibration.wheels is None:
+        raise CalibrationError("has no wheels", path=path, fix="wheelsight calibrate wheels finds their sizes")
+    if calibration.T_base_camera is None:
+        fix = "wheelsight calibrate base finds where the camera sits"
+        raise CalibrationError("has no T_base_camera", path=path, fix=fix)

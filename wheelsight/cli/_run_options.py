@@ -113,5 +113,38 @@ WheelsFrom = Annotated[
     ),
 ]
 Baud = Annotated[int | None, typer.Option(min=1, metavar="RATE", help="Baud rate of the port.", show_default="115200")]
+Live = Annotated[
+    bool,
+    typer.Option(
+        "--live",
+        help="Follow what --camera and --wheels show just now, until Ctrl-C or --seconds, in place of a recording.",
+    ),
+]
+Wheels = Annotated[
+    str | None,
+    typer.Option(metavar="PORT", help="With --live: serial port of the wheel controller.", show_default="none"),
+]
+Seconds = Annotated[
+    float | None,
+    typer.Option(min=0, metavar="SECONDS", help="With --live: stop so long after ready.", show_default="at Ctrl-C"),
+]
+Record = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="With --live: record what is followed, too.", show_default="not recorded"),
+]
+LiveRecording = Annotated[
+    Path | None,
+    typer.Argument(metavar="[RECORDING]", help="Folder of the recording; none with --live.", show_default=False),
+]
+LiveCamera = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="NAME|FILE",
+        help="Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml. With --live: "
+        "the camera, as for wheelsight record.",
+        show_default="what the recording itself says",
+    ),
+]
 Seed = Annotated[int | None, typer.Option(help="Seed of all random choices.", show_default="0")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite results in DIR.")]

@@ -11,7 +11,7 @@ from wheelsight.errors import ConfigError
 if TYPE_CHECKING:
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.config import Config
-    from wheelsight.pipeline import RealTimeRecording
+    from wheelsight.pipeline import InRealTime, RealTimeRecording
     from wheelsight.recordings import Recording
     from wheelsight.settings import RealTimeSettings
     from wheelsight.sources import EventSource
@@ -43,9 +43,9 @@ def played(
 
 def counts_frames(source: EventSource, settings: Config) -> bool:
     """Whether progress is that of frames passing by, some of them dropped."""
-    from wheelsight.pipeline import RealTimeRecording
+    from wheelsight.pipeline import InRealTime
 
-    return isinstance(source, RealTimeRecording) and settings.tracks != ("wheels",)
+    return isinstance(source, InRealTime) and settings.tracks != ("wheels",)
 
 
 def expected(source: EventSource, settings: Config) -> tuple[int | None, str]:
@@ -64,17 +64,18 @@ def expected(source: EventSource, settings: Config) -> tuple[int | None, str]:
 
 def show_progress(progress: FrameProgress, source: EventSource, settings: Config, status: str) -> None:
     """One event more was answered; in real time also how well that keeps up."""
-    from wheelsight.pipeline import RealTimeRecording
+    from wheelsight.pipeline import InRealTime
+    from wheelsight.pipeline.origin import frame_count_of
 
-    if isinstance(source, RealTimeRecording):
+    if isinstance(source, InRealTime):
         status = " · ".join(filter(None, [status, words(source)]))
         if counts_frames(source, settings):
-            progress.reach(source.frames_so_far[0], source.frame_count, status)
+            progress.reach(source.frames_so_far[0], frame_count_of(source), status)
             return
     progress.advance(status)
 
 
-def words(recording: RealTimeRecording) -> str:
+def words(recording: InRealTime) -> str:
     """Such as "29.8 frames/s, 31 ms late, 12 dropped"."""
     parts = []
     if (lately := recording.lately()) is not None:

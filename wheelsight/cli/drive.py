@@ -22,7 +22,7 @@ def drive(
     day: options.Day = 0,
     people: options.People = 0,
     realism: options.Realism = "real",
-    camera: options.CameraName = "kinect-v1",
+    camera: options.CameraName = None,
     size: options.Size = "half",
     rate: options.Rate = 10.0,
     robot: options.RobotPort = None,
@@ -36,7 +36,8 @@ def drive(
     says what stops it and what does not. A terminal shows plan, state, speed and why it does what it does; else a line
     a second tells. Ctrl-C stops the robot first.
 
-    --robot asks once before anything moves. It needs a live camera: see wheelsight devices.
+    --robot asks once before anything moves. It needs a live camera (wheelsight devices), whose own calibration is laid
+    under --calibration.
 
     Exit code 0: arrived; 1: not, and why is said; 2: what was handed in is wrong; 130: interrupted.
 
@@ -48,11 +49,14 @@ def drive(
 
     wheelsight drive --sim flat --day 1 --map home --to 3.2,1.5,90 --to desk --back
 
+    wheelsight drive --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --to kitchen
+
     wheelsight drive --sim flat --map home --known-start 0,0,0 --to kitchen --set navigation.limits.forward_m_s=0.5
     """
     from wheelsight.cli._drive_inputs import Asked, Real, Simulated
     from wheelsight.cli._driving import drive_there
+    from wheelsight.devices.robot_camera import ANY
 
     asked = Asked(map_, tuple(to or ()), back, explore, known_start, out, force, config, tuple(set_ or ()))
-    simulated = Simulated(sim, resolution, start, seed, day, people, realism, camera, size, rate)
-    drive_there(asked, simulated, Real(robot, calibration, baud, yes))
+    simulated = Simulated(sim, resolution, start, seed, day, people, realism, camera or "kinect-v1", size, rate)
+    drive_there(asked, simulated, Real(robot, calibration, baud, yes, camera or ANY))

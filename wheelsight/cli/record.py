@@ -8,49 +8,67 @@ from typing import Annotated
 import typer
 
 from wheelsight.cli._signals import until_stopped
-from wheelsight.cli.wheels import Baud, Seconds, note_status
+from wheelsight.cli.wheels import Baud, Seconds
 
-_LONGEST_WAIT_S = 0.1
+CameraKind = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Camera: its kind, or kind:serial number; any for the first that is plugged in; recording:DIR plays one.",
+        show_default="none",
+    ),
+]
 
 
 def record(
-    wheels: Annotated[
-        str, typer.Option(metavar="PORT", help="Serial port of the wheel controller.", show_default=False)
-    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the recording; made.", show_default=False)],
+    camera: CameraKind = None,
+    wheels: Annotated[
+        str | None, typer.Option(metavar="PORT", help="Serial port of the wheel controller.", show_default="none")
+    ] = None,
     calibration: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="calibration.yaml to put into the recording.", show_default="none"),
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="calibration.yaml to put into the recording, over what the camera says of itself. May be given again.",
+            show_default="none",
+        ),
+    ] = None,
+    color: Annotated[str, typer.Option(metavar="png|jpeg", help="How colour is kept: exactly, or small.")] = "png",
+    infrared: Annotated[
+        bool, typer.Option("--infrared", help="Infrared images too, where the camera has them.")
+    ] = False,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Settings in YAML: camera and recorder.", show_default=False)
     ] = None,
     baud: Baud = 115200,
     seconds: Seconds = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the recording in DIR.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.")] = False,
 ) -> None:
-    """Record wheel ticks until Ctrl-C: DIR gets wheels.csv, which `wheelsight run DIR` reads.
+    """Record a camera, wheels, or both until Ctrl-C, which `wheelsight run DIR` reads.
 
-    Every reading is on its way to the disk at once, so whatever ends the recording leaves a valid one. When the port
-    vanishes, recording waits for it. A recording without calibration.yaml is run with --calibration.
+    Everything is on its way to the disk within a second, so whatever ends the recording leaves a valid one; --resume
+    goes on with it. A camera or port that vanishes is waited for, and the other sensor goes on. Frames for which the
+    disk is too slow are dropped, counted and told. A recording without calibration.yaml is run with --calibration.
 
     [bold]Examples[/bold]
 
-    wheelsight record --wheels /dev/ttyUSB0 --out corridor --calibration robot.yaml
+    wheelsight record --camera any --wheels /dev/ttyUSB0 --out corridor --calibration robot.yaml
+
+    wheelsight record --camera realsense --color jpeg --out corridor
+
+    wheelsight record --camera any --wheels /dev/ttyUSB0 --out corridor --resume
 
     wheelsight record --wheels /dev/ttyUSB0 --out square --seconds 60
     """
-    from wheelsight.calibration import load_calibration
-    from wheelsight.cli._console import print_note
-    from wheelsight.devices import WheelLink
-    from wheelsight.files import new_output_folder
-    from wheelsight.recordings import RecordingWriter
+    from wheelsight.cli._record_view import shown_looks
+    from wheelsight.cli._recording import Sensors, opened_recording
 
-    known = None if calibration is None else load_calibration(calibration)
+    asked = Sensors(camera, wheels, tuple(calibration or ()), infrared, baud, config)
     with (
-        new_output_folder(out, force),  # refused before the port is touched
-        until_stopped(seconds) as is_over,
-        WheelLink(wheels, baud, note_status(wheels)) as link,
-        RecordingWriter(out, known, force) as writer,
+        until_stopped() as is_over,
+        opened_recording(asked, out, color, force=force, resume=resume) as session,
+        shown_looks() as show,
     ):
-        while not is_over():
-            if (ticks := link.read(_LONGEST_WAIT_S)) is not None:
-                writer.add(ticks)
-    print_note(f"{writer.readings} wheel readings are in {out}")
+        session.run(is_over, show, seconds)

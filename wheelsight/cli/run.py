@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 from wheelsight.cli import _run_options as options
+from wheelsight.cli._live_run import LiveRun
 from wheelsight.cli._odometry import ANY, chosen_odometry, names_odometry
 from wheelsight.cli._options import (
     STARTS_IN_KNOWN_MAP,
     CalibrationFile,
-    Camera,
     DepthFactor,
     MaxGap,
     RateHz,
-    RecordingPath,
     Topics,
-    open_source,
     settings_from,
 )
-from wheelsight.cli._run_progress import played
 from wheelsight.cli._running import track
 from wheelsight.cli._summary import print_summary
 
 
 def run(
-    recording: RecordingPath,
     out: options.Out,
+    recording: options.LiveRecording = None,
     odometry: options.Odometry = None,
     fusion: options.Fusion = None,
     map_: options.Map = None,
     loops: options.Loops = None,
     map_from: options.MapFrom = None,
     extend: options.Extend = False,
-    camera: Camera = None,
+    camera: options.LiveCamera = None,
     calibration: CalibrationFile = None,
     config: options.SettingsFile = None,
     depth_factor: DepthFactor = None,
@@ -49,6 +46,10 @@ def run(
     realtime: options.RealTime = False,
     wheels_from: options.WheelsFrom = None,
     baud: options.Baud = None,
+    live: options.Live = False,
+    wheels: options.Wheels = None,
+    seconds: options.Seconds = None,
+    record: options.Record = None,
     seed: options.Seed = None,
     force: options.Force = False,
 ) -> None:
@@ -64,7 +65,8 @@ def run(
     With --map-from the way is in that map, once the place is recognised; until then each pose is "initializing".
     With --map surfels also map.surfels, of which wheelsight export makes points or a mesh, and map/ for the next drive.
 
-    Ctrl-C stops early and keeps what was found until then.
+    Ctrl-C stops early and keeps what was found until then. With --live, a camera and wheels are followed as they are
+    just now: "ready" is said once nothing is left to be compiled or loaded, and Ctrl-C ends it.
 
     [bold]Examples[/bold]
 
@@ -88,11 +90,15 @@ def run(
 
     wheelsight run my_recording --odometry wheels,dense --realtime --out results
 
+    wheelsight run --live --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --map surfels --out now
+
     wheelsight run monday --map surfels --loops keyframes --out monday_map
 
     wheelsight run tuesday --map-from monday_map --out found_again
     """
-    of_recording = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
+    asked = LiveRun(live, recording, camera, wheels, seconds, record, tuple(calibration or ()), baud)
+    asked.check(realtime, wheels_from)
+    of_recording = {"--camera": None if live else camera, "--calibration": calibration, "--depth-factor": depth_factor}
     of_recording["--topic"] = topic
     of_features = {"--max-gap": max_gap, "--rate-hz": rate_hz, "--reference": reference, "--seed": seed}
     of_wheels = {"--integration": integration, "--gyro": gyro}
@@ -104,7 +110,7 @@ def run(
     given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     is_named = odometry is not None or names_odometry(config)
     settings = settings_from(given if is_named else {**given, "--odometry": ANY}, config)
-    with played(open_source(recording, settings), realtime, wheels_from, baud, settings.realtime) as source:
+    with asked.source(settings, out, realtime, wheels_from, force) as source:
         if not is_named:
             given["--odometry"] = chosen_odometry(source, settings)
             settings = settings_from(given, config)

@@ -33,7 +33,18 @@ def _freenect(where: str | None, settings: LiveCameraSettings, calibration: Cali
     return StreamingCamera(FreenectDriver(where, settings), settings, calibration)
 
 
-LIVE_CAMERAS: dict[str, Opener] = {"realsense": _realsense, "freenect": _freenect, "openni2": _openni2}
+def _recording(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.devices.played_camera import PlayedCamera
+
+    return PlayedCamera.opened(where, settings, calibration)
+
+
+LIVE_CAMERAS: dict[str, Opener] = {
+    "realsense": _realsense,
+    "freenect": _freenect,
+    "openni2": _openni2,
+    "recording": _recording,
+}
 """How each kind is opened."""
 
 

@@ -2,6 +2,7 @@
 
 from wheelsight.pipeline.choice import Choice, default_odometry
 from wheelsight.pipeline.joined import FLAGS, BestAlone, JoinedFacts, best_alone_of, facts_of, joined_of
+from wheelsight.pipeline.live_source import LiveSensors, LiveSource
 from wheelsight.pipeline.loops import CORRECTED_FILE, CorrectionRecord
 from wheelsight.pipeline.map_record import MapPicture, MapRecord
 from wheelsight.pipeline.maps import MAP_FILE
@@ -9,6 +10,7 @@ from wheelsight.pipeline.outputs import PAGE_FILE
 from wheelsight.pipeline.realtime import RealTimeRecording, in_real_time
 from wheelsight.pipeline.realtime_record import RealTimeRecord
 from wheelsight.pipeline.rectification_record import Look, MapErrors, RectificationRecord
+from wheelsight.pipeline.rehearses import InRealTime
 from wheelsight.pipeline.run_record import FrameRecord, MatchPicture, RunRecord
 from wheelsight.pipeline.runs import run_each
 
@@ -21,7 +23,10 @@ __all__ = [
     "Choice",
     "CorrectionRecord",
     "FrameRecord",
+    "InRealTime",
     "JoinedFacts",
+    "LiveSensors",
+    "LiveSource",
     "Look",
     "MapErrors",
     "MapPicture",

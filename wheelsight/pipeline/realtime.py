@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import heapq
-from collections import deque
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +12,9 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.devices import BAUDRATE, is_recorded
-from wheelsight.errors import ConfigError, WheelsightError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
-from wheelsight.localizer import Localizer
+from wheelsight.errors import ConfigError
+from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks
+from wheelsight.pipeline.answer_times import AnswerTimes
 from wheelsight.pipeline.live_wheels import LiveWheels, RecordedWheels
 from wheelsight.pipeline.playing import Clock, MonotonicClock, Playing
 from wheelsight.pipeline.realtime_record import RealTimeRecord
@@ -58,9 +57,7 @@ class RealTimeRecording:
         self._recording = recording
         self._clock = clock or MonotonicClock()
         self._playing: Playing | None = None
-        self._frames_s: list[float] = []
-        self._readings_s: list[float] = []
-        self._lately: deque[tuple[float, float]] = deque(maxlen=self.settings.recent_frames)
+        self._times = AnswerTimes(self.settings.recent_frames)
 
     @property
     def played(self) -> Recording:
@@ -123,19 +120,22 @@ class RealTimeRecording:
 
     def events(self, *, images: bool = True) -> Generator[Event]:
         """The events, each when its time comes, from the start at each call."""
-        self._frames_s, self._readings_s = [], []
-        self._lately.clear()
+        self._times = AnswerTimes(self.settings.recent_frames)
         playing = self._playing = Playing(self._items(images), self._clock, self.settings)
         if isinstance(self.wheels, LiveWheels):
             self.wheels.tell(self._hear)
         try:
             while (event := playing.take()) is not None:
                 yield event
-                self._answered(event, playing.now_s)
+                self._times.add(event, playing.now_s)
         finally:
             if isinstance(self.wheels, LiveWheels):
                 self.wheels.tell(None)
             playing.close()
+
+    def rehearsals(self) -> tuple[RealTimeRecording]:
+        """Its own first events."""
+        return (self,)
 
     def rehearsal(self) -> Generator[Event]:
         """The first few events, at once: for kernels to be compiled by. Wheels from elsewhere stand still in it."""
@@ -158,18 +158,14 @@ class RealTimeRecording:
     def report(self) -> RealTimeRecord:
         """How it went so far."""
         played = self._playing
-        latencies_s = self._frames_s or self._readings_s
-        median_s, p95_s = (float(x) for x in np.percentile(latencies_s, [50, 95])) if latencies_s else (None, None)
         counts = (0, 0, 0, 0) if played is None else (played.frames, played.dropped, played.unread, played.readings)
         where = None if self.wheels is None else self.wheels.where
-        return RealTimeRecord(0.0 if played is None else played.played_s, *counts, median_s, p95_s, where)
+        played_s, latencies = 0.0 if played is None else played.played_s, self._times.median_and_p95_s()
+        return RealTimeRecord(played_s, *counts, *latencies, where)
 
     def lately(self) -> tuple[float, float] | None:
         """Frames answered a second, and their median latency in seconds, over the last of them; None before two."""
-        if len(self._lately) < 2 or self._lately[-1][0] <= self._lately[0][0]:
-            return None
-        rate = (len(self._lately) - 1) / (self._lately[-1][0] - self._lately[0][0])
-        return rate, float(np.median([latency_s for _, latency_s in self._lately]))
+        return self._times.lately()
 
     @property
     def frames_so_far(self) -> tuple[int, int]:
@@ -180,13 +176,6 @@ class RealTimeRecording:
     def is_missing_wheels(self) -> bool:
         """Whether live wheels have fallen silent."""
         return isinstance(self.wheels, LiveWheels) and self.wheels.is_silent
-
-    def _answered(self, event: Event, now_s: float) -> None:
-        if not isinstance(event, RgbdFrame | SkippedFrame):
-            self._readings_s.append(now_s - event.stamp_s)
-            return
-        self._frames_s.append(now_s - event.stamp_s)
-        self._lately.append((now_s, now_s - event.stamp_s))
 
     def _hear(self, ticks: WheelTicks) -> bool:
         """A live reading, stamped by the clock; False before the playing clock runs."""
@@ -233,16 +222,6 @@ def in_real_time(
     else:
         with LiveWheels(wheels_from, baudrate, clock) as wheels:
             yield RealTimeRecording(recording, wheels, clock, settings)
-
-
-def rehearse(recording: RealTimeRecording, localizers: Sequence[Localizer]) -> None:
-    """Answer the first few events, for nothing but that kernels are compiled, or loaded, before time begins to run."""
-    with suppress(WheelsightError):  # what is wrong with the recording is told at its place
-        for event in recording.rehearsal():
-            for localizer in localizers:
-                localizer.process(event)
-    for localizer in localizers:
-        localizer.close()
 
 
 def _check_times(recording: Recording, wheels: RecordedWheels) -> None:

@@ -18,6 +18,8 @@ class RealTimeRecord:
         readings: of wheels and gyroscope, all answered.
         latency_median_s, latency_p95_s: from a frame's stamp to its answer (without frames, a reading's); None of none.
         wheels_from: the port, pipe or file that the wheel readings came from; None for the recording's own.
+        is_live: whether no recording was played.
+        camera: what the live camera is called, or None.
     """
 
     played_s: float
@@ -28,6 +30,8 @@ class RealTimeRecord:
     latency_median_s: float | None = None
     latency_p95_s: float | None = None
     wheels_from: str | None = None
+    is_live: bool = False
+    camera: str | None = None
 
     @property
     def answered_per_s(self) -> float:
@@ -43,7 +47,8 @@ class RealTimeRecord:
     @property
     def sentence(self) -> str:
         """Such as "played in real time: 29.8 frames/s answered, 12 of 1800 frames dropped (0.7 %), latency 31 ms …"."""
-        parts = [f"played in real time: {self.answered_per_s:.1f} {'frames' if self.frames else 'readings'}/s answered"]
+        how = "live" if self.is_live else "played in real time"
+        parts = [f"{how}: {self.answered_per_s:.1f} {'frames' if self.frames else 'readings'}/s answered"]
         if self.frames:
             parts.append(f"{self.dropped} of {self.frames} frames dropped ({100 * self.dropped_share:.1f} %)")
         if self.latency_median_s is not None and self.latency_p95_s is not None:

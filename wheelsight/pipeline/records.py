@@ -16,7 +16,7 @@ from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.maps import map_record_of
 from wheelsight.pipeline.origin import format_of
 from wheelsight.pipeline.places import PlacesOfRun, rectification_of
-from wheelsight.pipeline.realtime import RealTimeRecording
+from wheelsight.pipeline.rehearses import InRealTime
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import UNITS, Passage, Track
 from wheelsight.recordings import Recording, express_for
@@ -99,7 +99,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
         odometry=track.odometry,
         map=surfels,
         kept_map=kept,
-        realtime=source.report() if isinstance(source, RealTimeRecording) else None,
+        realtime=source.report() if isinstance(source, InRealTime) else None,
     )
 
 

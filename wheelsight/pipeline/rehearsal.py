@@ -7,14 +7,14 @@ robot is carried off, a counter leaps, and the image goes dark.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wheelsight.calibration import Calibration, Wheels
-from wheelsight.events import RgbdFrame, WheelTicks, YawRate
+from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.mapping import SurfelMap, Surfels
 from wheelsight.recordings import RecordingWriter
@@ -53,15 +53,52 @@ def write_rehearsal(folder: Path, *, is_registered: bool) -> None:
     """Write the drive, by a camera with a rolling shutter: of one pixel grid, or of two, with a lens that distorts."""
     with RecordingWriter(folder, _calibration(is_registered)) as writer:
         stamps_s, poses = [], []
-        for index, (stamp_s, T_odom_base, leg, ticks, is_frame) in enumerate(_steps()):
+        for stamp_s, T_odom_base, events in _drive():
             stamps_s.append(stamp_s)
             poses.append(T_odom_base)
-            writer.add(YawRate(stamp_s, leg.yaw_rate_rad_s))
-            writer.add(WheelTicks(stamp_s, *ticks))
-            if is_frame:
-                color, depth_m = _seen(T_odom_base, leg)
-                writer.add(RgbdFrame(stamp_s + 1e-3, color, depth_m, index // _STEPS_A_FRAME))
+            for event in events:
+                writer.add(event)
         writer.add_ground_truth(Trajectory(np.array(stamps_s), np.array(poses), body="base"))
+
+
+class DrawnDrive:
+    """The same drive without a disk, as a source of events.
+
+    Args:
+        like: the sensors of the robot that is to be rehearsed for: what it lacks, the drive lacks.
+    """
+
+    name, warnings = "rehearsal", ()
+
+    def __init__(self, like: Calibration) -> None:
+        own = _calibration(like.is_registered)
+        if like.color is None:
+            own = replace(own, color=None, depth=None, T_color_depth=None)
+        if like.wheels is None:
+            own = replace(own, wheels=None)
+        self.calibration = own if like.T_base_camera is not None else replace(own, T_base_camera=None)
+
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """As any source has them."""
+        has_wheels = self.calibration.wheels is not None
+        for _, _, events in _drive():
+            for event in events:
+                if has_wheels if isinstance(event, WheelTicks | YawRate) else images:
+                    yield event
+
+    def rehearsal(self) -> Iterator[Event]:
+        """All of it."""
+        return self.events(images=self.calibration.color is not None)
+
+
+def _drive() -> Iterator[tuple[float, FloatArray, list[Event]]]:
+    """Stamp, T_odom_base and events, reading by reading."""
+    for index, (stamp_s, T_odom_base, leg, ticks, is_frame) in enumerate(_steps()):
+        events: list[Event] = [YawRate(stamp_s, leg.yaw_rate_rad_s), WheelTicks(stamp_s, *ticks)]
+        if is_frame:
+            color, depth_m = _seen(T_odom_base, leg)
+            events.append(RgbdFrame(stamp_s + 1e-3, color, depth_m, index // _STEPS_A_FRAME))
+        yield stamp_s, T_odom_base, events
 
 
 def _calibration(is_registered: bool) -> Calibration:

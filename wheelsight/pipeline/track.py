@@ -20,8 +20,9 @@ from wheelsight.pipeline.choice import unused_of
 from wheelsight.pipeline.interrupts import whole_step
 from wheelsight.pipeline.maps import Stops
 from wheelsight.pipeline.origin import frame_count_of, spread, wheel_count_of
-from wheelsight.pipeline.realtime import RealTimeRecording, rehearse
 from wheelsight.pipeline.rectification_record import Look
+from wheelsight.pipeline.rehearsal import DrawnDrive
+from wheelsight.pipeline.rehearses import InRealTime, rehearse
 from wheelsight.pipeline.run_record import FrameRecord, MatchPicture
 from wheelsight.recordings import Recording
 from wheelsight.slam.known import KnownMap
@@ -107,7 +108,7 @@ class Track:
     ) -> Track:
         """At the start. Raises CalibrationError, ConfigError."""
         listed = wheel_count_of(source) if UNITS[odometry] == "reading" else frame_count_of(source)
-        waits = isinstance(source, Recording) and not isinstance(source, RealTimeRecording)
+        waits = isinstance(source, Recording) and not isinstance(source, InRealTime)
         localizer = Localizer(source.calibration, config.alone(odometry), places, known=known, waits=waits)
         due = spread(config.report.pictures, frame_count_of(source))
         stops = Stops(list(due) if localizer.map is not None else [])
@@ -220,7 +221,7 @@ def has_map(name: str, names: Collection[str]) -> bool:
 
 def _followed(source: EventSource, config: Config) -> tuple[TrackName, ...]:
     """The tracks; in real time, where sensors are joined, not the camera alone once more, which would cost frames."""
-    if isinstance(source, RealTimeRecording) and config.fusion.filter != "none":
+    if isinstance(source, InRealTime | DrawnDrive) and config.fusion.filter != "none":
         return tuple(track for track in config.tracks if track not in ("features", "dense"))
     return config.tracks
 
@@ -241,9 +242,10 @@ def follow(
     events = source.events(images=any(track.needs_images for track in tracks))
     started = time.perf_counter()
     try:
-        if isinstance(source, RealTimeRecording):
-            # Localizers of its own: those of the run must not have heard anything.
-            rehearse(source, [track.localizer for track in begin_all(source, config, places)])
+        if isinstance(source, InRealTime):
+            for rehearsed in source.rehearsals():
+                # Localizers of its own: those of the run must not have heard anything.
+                rehearse(rehearsed, [track.localizer for track in begin_all(rehearsed, config, places)])
             started = time.perf_counter()
         for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)

@@ -6,6 +6,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 from wheelsight.files import check_name, output_error
 
 
@@ -14,19 +16,37 @@ class GrowingText:
 
     A disk that fills up in the middle of a line, or Ctrl-C, would else leave half a line, which no reader takes.
 
+    Args:
+        path: of the file.
+        header: its first lines.
+        resume: whether to go on behind the whole lines that it has; else it begins anew.
+
+    Attributes:
+        earlier: the lines that it went on behind, without comments and the header; empty where it began anew.
+
     Raises:
         OutputError: the file cannot be made.
     """
 
-    def __init__(self, path: Path, header: str) -> None:
+    def __init__(self, path: Path, header: str, resume: bool = False) -> None:
         self._path = path
         self._length = 0
+        self.earlier: tuple[str, ...] = ()
         check_name(path)
         try:
-            self._stream = path.open("wb", buffering=0)
+            kept = _whole_lines(path) if resume else b""
+            self._stream = path.open("r+b" if kept else "wb", buffering=0)
+            if kept:
+                self._length = len(kept)
+                self._stream.truncate(self._length)
+                self._stream.seek(self._length)
         except OSError as error:
             raise output_error(error, path) from error
-        self.append(header)
+        if not kept:
+            self.append(header)
+            return
+        lines, first = kept.decode("utf-8", "replace").splitlines(), header.splitlines()
+        self.earlier = tuple(line for line in lines if line.strip() and line[0] != "#" and line not in first)
 
     def append(self, text: str) -> None:
         """Write whole lines. Raises OutputError, and adds nothing, where the disk is full or the folder has gone."""
@@ -49,3 +69,18 @@ class GrowingText:
     def close(self) -> None:
         """Nothing is lost without it but what the system had not yet written."""
         self._stream.close()
+
+
+def seconds(stamp_s: float) -> str:
+    """A stamp with all its decimals, never in powers of ten, so that it reads back exactly."""
+    return np.format_float_positional(stamp_s, min_digits=6)
+
+
+def _whole_lines(path: Path) -> bytes:
+    """What a file has up to its last line end, and up to the first zero: a power cut leaves such where lines were."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return b""
+    data = data[: data.find(b"\0")] if b"\0" in data else data
+    return data[: data.rfind(b"\n") + 1]

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.checks import check_event, check_images, need_calibration
-from wheelsight.errors import CalibrationError, OutputError, RecordingError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
-from wheelsight.files import StrPath, make_output_folder, write_bytes
+from wheelsight.errors import CalibrationError, RecordingError
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.files import StrPath, make_output_folder
 from wheelsight.geometry import Float32Array
+from wheelsight.geometry.arrays import UInt16Array
 from wheelsight.recordings.bodies import express_for
-from wheelsight.recordings.growing_text import GrowingText
+from wheelsight.recordings.frame_clocks import CLOCK_FILE, CLOCK_HEADER, FrameClock
+from wheelsight.recordings.growing_text import GrowingText, seconds
+from wheelsight.recordings.image_files import SUFFIXES, ColorFormat, write_color, write_units
 from wheelsight.recordings.native import GYRO_HEADER, WHEELS_HEADER
 from wheelsight.recordings.protocol import Recording
+from wheelsight.recordings.resuming import check_resumable, last_stamp_s, remove_leftovers
 from wheelsight.recordings.tum import DEPTH_FACTOR
 from wheelsight.stamps import StampCheck
 from wheelsight.trajectory import Trajectory, tum_header, tum_lines, write_tum
@@ -32,48 +36,105 @@ TRUTH_FILES = {"camera": "groundtruth.txt", "base": "groundtruth_base.txt"}
 _LABELS = "labels.csv"
 _LABELS_HEADER = "stamp_s,area\n"
 _DEEPEST_UNITS = np.iinfo(np.uint16).max
-_FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+_INFRARED = "infrared.txt"
+_INFRARED_HEADER = "# infrared images\n# timestamp filename\n"
+# What a stamp of each list must come after.
+_KINDS = {"rgb.txt": "RgbdFrame", "wheels.csv": "WheelTicks", "gyro.csv": "YawRate"}
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenFrame:
+    """A frame whose images are in the folder, and which no list names yet.
+
+    Attributes:
+        lines: what the lists are to get, by their names.
+        size_bytes: of the images.
+        too_far: depth pixels beyond 13.107 m.
+    """
+
+    lines: dict[str, str]
+    size_bytes: int
+    too_far: int
 
 
 class RecordingWriter:
     """Writes events into a folder as they come; use it in a `with` block, and `open_recording` reads them again.
 
-    Colour is kept exactly, depth to 0.1 mm: 5000 units a metre in 16 bits, as in the TUM benchmark, so that any
-    TUM tool reads it. That ends at 13.107 m; what lies beyond is written as not measured and counted in
+    Colour is kept exactly, unless as JPEG, depth to 0.1 mm: 5000 units a metre in 16 bits, as in the TUM benchmark,
+    so that any TUM tool reads it. That ends at 13.107 m; what lies beyond is written as not measured and counted in
     `depths_too_far`. Images appear whole or not at all, and a list names an image only once it is
     there; a recording broken off at any point, even by a power cut, is a valid shorter one.
 
     Of a robot without cameras, by its calibration, it is a recording of the wheels alone; so it is where `calibration`
     is None, of a robot not calibrated yet.
 
+    Several threads may `write_frame` at once, which takes nearly all the time of a frame; one of them `list_frame`.
+
+    Args:
+        folder: made if need be.
+        calibration: of the robot; None of one that is not calibrated yet.
+        force: whether a recording in the folder is overwritten.
+        color: "png" keeps colour exactly, "jpeg" with quality 95, in a tenth of the time and a fifth of the room.
+        resume: whether to go on behind what the folder holds, by its own calibration; where it holds nothing, anew.
+
     Attributes:
         folder: where the recording lies.
-        frames: how many were written.
-        readings: how many wheel readings were written.
-        depths_too_far: depth pixels beyond 13.107 m, in all frames.
+        frames: how many it has by now.
+        readings: how many wheel readings it has.
+        depths_too_far: depth pixels beyond 13.107 m, in all frames that were added.
 
     Raises:
-        OutputError: the folder is not empty and `force` is off, cannot be written, or the disk is full.
+        OutputError: the folder is not empty and neither `force` nor `resume` is on, cannot be written, or the disk is
+            full; or what is to be resumed is no recording of these sensors.
     """
 
-    def __init__(self, folder: StrPath, calibration: Calibration | None, force: bool = False) -> None:
+    def __init__(
+        self,
+        folder: StrPath,
+        calibration: Calibration | None,
+        force: bool = False,
+        *,
+        color: ColorFormat = "png",
+        resume: bool = False,
+    ) -> None:
         calibration = None if calibration is None else need_calibration(calibration)
-        self.folder = make_output_folder(Path(folder), force)
+        if resume:
+            check_resumable(Path(folder), calibration)
+        self.folder = make_output_folder(Path(folder), force or resume)
         self.frames = self.readings = self.depths_too_far = 0
-        self._calibration = calibration
+        self._calibration, self._color, self._resumes = calibration, color, resume
         self._last_stamp_s: dict[str, float] = {}
         self._stamps = StampCheck()
-        for name in (*TRUTH_FILES.values(), _LABELS):
-            (self.folder / name).unlink(missing_ok=True)
         has_cameras = calibration is not None and calibration.color is not None
+        if resume:
+            remove_leftovers(self.folder)
+        else:
+            self._begin_anew()
         for name in ("rgb", "depth") if has_cameras else ():
             make_output_folder(self.folder / name, force=True)
-        if calibration is None:
-            (self.folder / "calibration.yaml").unlink(missing_ok=True)
-        else:
+        if calibration is not None:
             save_calibration(calibration, self.folder / "calibration.yaml")
         headers = (_IMAGE_HEADERS if has_cameras else {}) | _READING_HEADERS
-        self._lists = {name: GrowingText(self.folder / name, header) for name, header in headers.items()}
+        self._lists = {name: GrowingText(self.folder / name, header, resume) for name, header in headers.items()}
+        self._count_earlier()
+
+    def _begin_anew(self) -> None:
+        """Leave nothing of a recording before that this one may lack."""
+        for name in (*TRUTH_FILES.values(), _LABELS, _INFRARED, CLOCK_FILE, "calibration.yaml"):
+            (self.folder / name).unlink(missing_ok=True)
+
+    def _count_earlier(self) -> None:
+        """What is resumed counts, and its stamps are those that others must come after."""
+        for name, kind in _KINDS.items():
+            if name in self._lists and (earlier := self._lists[name].earlier):
+                self._last_stamp_s[kind] = last_stamp_s(earlier)
+        self.readings = len(self._lists["wheels.csv"].earlier)
+        self.frames = len(self._lists["depth.txt"].earlier) if "depth.txt" in self._lists else 0
+
+    @property
+    def last_stamp_s(self) -> float:
+        """The newest of all sensors; -∞ before the first."""
+        return max(self._last_stamp_s.values(), default=-np.inf)
 
     def add(self, event: Event) -> None:
         """Write one event; frames that were skipped when they were read leave no trace.
@@ -84,22 +145,67 @@ class RecordingWriter:
             RecordingError: stamps that do not grow.
             OutputError: the disk is full or the folder has gone.
         """
-        check_event(event, finite=not isinstance(event, SkippedFrame))
         if isinstance(event, SkippedFrame):
+            check_event(event)
             return
+        self.check(event)
+        if isinstance(event, RgbdFrame):
+            self.list_frame(self.write_frame(event))
+        elif isinstance(event, WheelTicks):
+            self._lists["wheels.csv"].append(f"{seconds(event.stamp_s)},{int(event.left)},{int(event.right)}\n")
+            self.readings += 1
+        elif isinstance(event, YawRate):
+            self._lists["gyro.csv"].append(f"{seconds(event.stamp_s)},{seconds(event.yaw_rate_rad_s)}\n")
+
+    def check(self, event: Event) -> None:
+        """Refuse what `add` refuses, and take note of its stamp: others of its kind must come after it.
+
+        Raises ArgumentError, RecordingError.
+        """
+        check_event(event, finite=True)
         if isinstance(event, WheelSpeeds):
             raise RecordingError("wheel speeds have no place here: wheels.csv holds ticks", path=self.folder)
         if isinstance(event, RgbdFrame):
             check_images(event, self._known_calibration())
         self._stamps.check(event)
         self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
-        if isinstance(event, RgbdFrame):
-            self._add_frame(event)
-        elif isinstance(event, WheelTicks):
-            self._lists["wheels.csv"].append(f"{_seconds(event.stamp_s)},{int(event.left)},{int(event.right)}\n")
-            self.readings += 1
-        else:
-            self._lists["gyro.csv"].append(f"{_seconds(event.stamp_s)},{_seconds(event.yaw_rate_rad_s)}\n")
+
+    def write_frame(self, frame: RgbdFrame, infrared: UInt16Array | None = None) -> WrittenFrame:
+        """Write the images of a frame that was checked, and (H, W) infrared beside depth; no list names them yet.
+
+        Raises OutputError.
+        """
+        color, depth = seconds(frame.stamp_s), seconds(frame.stamp_s + frame.depth_late_s)
+        names = {"rgb.txt": f"rgb/{color}{SUFFIXES[self._color]}", "depth.txt": f"depth/{depth}.png"}
+        lines = {"rgb.txt": f"{color} {names['rgb.txt']}\n", "depth.txt": f"{depth} {names['depth.txt']}\n"}
+        units, too_far = _depth_units(frame.depth_m)
+        size = write_color(self.folder / names["rgb.txt"], frame.color, self._color)
+        size += write_units(self.folder / names["depth.txt"], units)
+        if infrared is not None:
+            make_output_folder(self.folder / "infrared", force=True)
+            size += write_units(self.folder / f"infrared/{depth}.png", infrared)
+            lines[_INFRARED] = f"{depth} infrared/{depth}.png\n"
+        return WrittenFrame(lines, size, too_far)
+
+    def list_frame(self, written: WrittenFrame, clock: FrameClock | None = None) -> None:
+        """Name the images of a frame in their lists, in the order of stamps, and how it got its stamp.
+
+        Raises OutputError.
+        """
+        if clock is not None:
+            self._list(CLOCK_FILE, f"{CLOCK_HEADER}\n").append(clock.line)
+        if _INFRARED in written.lines:
+            self._list(_INFRARED, _INFRARED_HEADER)
+        for name, line in written.lines.items():
+            self._lists[name].append(line)
+        self.frames += 1
+        self.depths_too_far += written.too_far
+
+    def _list(self, name: str, header: str) -> GrowingText:
+        """One that not every recording has."""
+        if name not in self._lists:
+            self._lists[name] = GrowingText(self.folder / name, header, self._resumes)
+        return self._lists[name]
 
     def add_ground_truth(self, truth: Trajectory) -> None:
         """Write the true trajectory of the camera or the base; if the calibration joins the two, both.
@@ -130,9 +236,7 @@ class RecordingWriter:
         if not len(truth):
             return
         self._check_stamps(name, float(truth.stamps_s[0]), float(truth.stamps_s[-1]))
-        if name not in self._lists:
-            self._lists[name] = GrowingText(self.folder / name, tum_header(truth))
-        self._lists[name].append("".join(tum_lines(truth)))
+        self._list(name, tum_header(truth)).append("".join(tum_lines(truth)))
 
     def add_label(self, stamp_s: float, area: str | None) -> None:
         """Say in which area the robot was at a frame's time, None for no area; they land in labels.csv.
@@ -145,9 +249,7 @@ class RecordingWriter:
         if any(sign in name for sign in ',"\r\n#'):
             raise RecordingError(f"an area cannot be called {name!r}", path=self.folder / _LABELS)
         self._check_stamps(_LABELS, stamp_s, stamp_s)
-        if _LABELS not in self._lists:
-            self._lists[_LABELS] = GrowingText(self.folder / _LABELS, _LABELS_HEADER)
-        self._lists[_LABELS].append(f"{_seconds(stamp_s)},{name}\n")
+        self._list(_LABELS, _LABELS_HEADER).append(f"{seconds(stamp_s)},{name}\n")
 
     def close(self) -> None:
         """End the recording. Nothing is lost without it but what the system had not yet written."""
@@ -166,21 +268,6 @@ class RecordingWriter:
         if self._calibration is None:
             raise CalibrationError("is missing", path=self.folder / "calibration.yaml", fix="record with a calibration")
         return self._calibration
-
-    def _add_frame(self, frame: RgbdFrame) -> None:
-        seconds = {"rgb": _seconds(frame.stamp_s), "depth": _seconds(frame.stamp_s + frame.depth_late_s)}
-        names = {name: f"{name}/{stamp}.png" for name, stamp in seconds.items()}
-        _write_png(self.folder / names["rgb"], cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR))
-        _write_png(self.folder / names["depth"], self._depth_units(frame.depth_m))
-        for name, file in names.items():
-            self._lists[f"{name}.txt"].append(f"{seconds[name]} {file}\n")
-        self.frames += 1
-
-    def _depth_units(self, depth_m: Float32Array) -> NDArray[np.uint16]:
-        units = np.rint(np.asarray(depth_m, np.float64) * DEPTH_FACTOR)
-        is_too_far = units > _DEEPEST_UNITS
-        self.depths_too_far += int(np.count_nonzero(is_too_far))
-        return np.where(is_too_far, 0, units).astype(np.uint16)
 
     def _check_stamps(self, what: str, first_s: float, last_s: float) -> None:
         """Refuse stamps that do not come after those of the same kind, or are no numbers."""
@@ -206,13 +293,8 @@ def write_recording(folder: StrPath, recording: Recording, force: bool = False) 
     return writer
 
 
-def _seconds(stamp_s: float) -> str:
-    """A stamp with all its decimals, never in powers of ten, so that it reads back exactly."""
-    return np.format_float_positional(stamp_s, min_digits=6)
-
-
-def _write_png(path: Path, image: NDArray[np.integer | np.floating]) -> None:
-    is_encoded, data = cv2.imencode(".png", image, _FAST_PNG)
-    if not is_encoded:
-        raise OutputError("the image cannot be encoded as PNG", path=path)
-    write_bytes(path, data.tobytes())
+def _depth_units(depth_m: Float32Array) -> tuple[NDArray[np.uint16], int]:
+    """Depth (H, W) as a file holds it, and how many pixels were too far for that."""
+    units = np.rint(np.asarray(depth_m, np.float64) * DEPTH_FACTOR)
+    is_too_far = units > _DEEPEST_UNITS
+    return np.where(is_too_far, 0, units).astype(np.uint16), int(np.count_nonzero(is_too_far))

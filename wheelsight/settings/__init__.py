@@ -14,6 +14,7 @@ from wheelsight.settings.localizer import (
 )
 from wheelsight.settings.real_time import RealTimeSettings
 from wheelsight.settings.recognition import FernSettings, PlaceVerificationSettings, RecognitionSettings, WordSettings
+from wheelsight.settings.recorder import RecorderSettings
 
 __all__ = [
     "ASKED",
@@ -28,6 +29,7 @@ __all__ = [
     "PlaceVerificationSettings",
     "RealTimeSettings",
     "RecognitionSettings",
+    "RecorderSettings",
     "Settings",
     "WordSettings",
     "bounds",

@@ -1,0 +1,192 @@
+"""PlayedCamera: frames that are there already, given as a live camera gives them: in their time, and only once.
+
+With a recording it shows what live work looks like before a camera is bought, and tests all of it without one.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Self
+
+from wheelsight.calibration import Calibration
+from wheelsight.devices import host_clock
+from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveFrame
+from wheelsight.errors import DeviceError, RecordingError
+from wheelsight.events import RgbdFrame, SkippedFrame
+from wheelsight.settings import LiveCameraSettings
+
+THREAD = "wheelsight-played-camera"
+_RATE_OVER = 30
+_WAIT_S = 0.05
+_UNASKED_S = 2.0
+_LATEST_S = 0.1
+
+
+class PlayedCamera:
+    """A `LiveCamera` of frames whose stamps say when each comes after the first.
+
+    Its stamps are the host's, hence exact. At the end it says so, and gives nothing more. While nobody asks for frames,
+    as before a run is ready, it stands still: else it might be over by then. Where frames are decoded too slowly for
+    their time, it plays slower.
+
+    Args:
+        name: for people.
+        calibration: of the frames.
+        frames: at growing stamps; those that were skipped are left out.
+        settings: how many frames are kept, and how old they may grow.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        calibration: Calibration,
+        frames: Iterable[RgbdFrame | SkippedFrame],
+        settings: LiveCameraSettings | None = None,
+    ) -> None:
+        self._name, self._calibration = name, calibration
+        self._settings = settings or LiveCameraSettings()
+        self._kept: deque[LiveFrame] = deque()
+        self._arrivals: deque[float] = deque(maxlen=_RATE_OVER)
+        self._report = CameraReport(CameraStatus.STARTING, host_clock.now_s())
+        self._changed = threading.Condition()
+        self._is_over = threading.Event()
+        self._asked_s = -math.inf
+        self._thread = threading.Thread(target=self._play, args=(frames,), name=THREAD, daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def opened(cls, where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> PlayedCamera:
+        """Of a recording's folder. Raises DeviceError where it has no frames of this calibration."""
+        from wheelsight.recordings import open_recording  # loads OpenCV, which other cameras need not wait for
+
+        if where is None:
+            raise DeviceError("no recording is named", fix="--camera recording:DIR")
+        recording = open_recording(Path(where))
+        if not recording.frame_count:
+            raise DeviceError("the recording has no images", path=where)
+        own = recording.calibration
+        if calibration is not None and _sizes(calibration) != _sizes(own):
+            problem = f"its images are of {_sizes(own)}, the calibration's of {_sizes(calibration)}"
+            raise DeviceError(problem, path=where, fix="leave out --calibration, or give that of this camera")
+        frames = (event for event in recording.events() if isinstance(event, RgbdFrame | SkippedFrame))
+        return cls(f"the recording {recording.name}", calibration or own, frames, settings)
+
+    @property
+    def name(self) -> str:
+        """As given."""
+        return self._name
+
+    @property
+    def calibration(self) -> Calibration:
+        """As given."""
+        return self._calibration
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """That these are no new frames."""
+        return (f"{self._name[0].upper()}{self._name[1:]} is played as if it were a camera.",)
+
+    def read(self, timeout_s: float) -> LiveFrame | None:
+        """As `LiveCamera` has it."""
+        ends_s = time.monotonic() + timeout_s
+        self._asked_s = host_clock.now_s()
+        with self._changed:
+            while (found := self._fetch()) is None:
+                left_s = ends_s - time.monotonic()
+                if left_s <= 0 or self._report.status in (CameraStatus.ENDED, CameraStatus.CLOSED):
+                    return None
+                self._changed.wait(left_s)
+        return found
+
+    def take(self) -> list[RgbdFrame | SkippedFrame]:
+        """As `LiveCamera` has it."""
+        found: list[RgbdFrame | SkippedFrame] = []
+        while (live := self.read(0)) is not None:
+            found.append(live.frame)
+        return found
+
+    def report(self) -> CameraReport:
+        """As `LiveCamera` has it."""
+        with self._changed:
+            span_s = self._arrivals[-1] - self._arrivals[0] if len(self._arrivals) > 1 else 0.0
+            return replace(self._report, rate_hz=(len(self._arrivals) - 1) / span_s if span_s > 0 else 0.0)
+
+    def close(self) -> None:
+        """As `LiveCamera` has it."""
+        self._is_over.set()
+        self._thread.join()
+        self._tell(CameraStatus.CLOSED)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _fetch(self) -> LiveFrame | None:
+        """The next that is not too old; `_changed` is held."""
+        now_s = host_clock.now_s()
+        while self._kept:
+            live = self._kept.popleft()
+            if live.age_s(now_s) <= self._settings.oldest_s:
+                return live
+            self._report = replace(self._report, stale=self._report.stale + 1)
+        return None
+
+    def _play(self, frames: Iterable[RgbdFrame | SkippedFrame]) -> None:
+        """The thread."""
+        behind_s: float | None = None
+        try:
+            for index, frame in enumerate(frames):
+                if isinstance(frame, SkippedFrame):
+                    continue
+                stood_s = self._stand_unasked()
+                behind_s = host_clock.now_s() - frame.stamp_s if behind_s is None else behind_s + stood_s
+                behind_s = max(behind_s, host_clock.now_s() - frame.stamp_s - _LATEST_S)
+                due_s = frame.stamp_s + behind_s
+                if self._is_over.wait(max(due_s - host_clock.now_s(), 0.0)):
+                    return
+                self._give(replace(frame, stamp_s=due_s, index=index), frame.stamp_s)
+        except RecordingError as error:
+            self._report = replace(self._report, detail=error.problem)
+        self._tell(CameraStatus.ENDED)
+
+    def _stand_unasked(self) -> float:
+        """Wait until somebody asks for frames; for how long that was."""
+        began_s = host_clock.now_s()
+        while host_clock.now_s() - self._asked_s > _UNASKED_S and not self._is_over.is_set():
+            self._is_over.wait(_WAIT_S)
+        return host_clock.now_s() - began_s
+
+    def _give(self, frame: RgbdFrame, device_s: float) -> None:
+        arrived_s = host_clock.now_s()
+        with self._changed:
+            told = self._report
+            if told.status is not CameraStatus.STREAMING:
+                told = replace(told, status=CameraStatus.STREAMING, since_s=arrived_s)
+            lost = len(self._kept) >= self._settings.kept_frames
+            if lost:
+                self._kept.popleft()
+            self._kept.append(LiveFrame(frame, 0.0, device_s, arrived_s, frame.index))
+            self._arrivals.append(arrived_s)
+            told = replace(told, frames=told.frames + 1, host_drops=told.host_drops + lost)
+            self._report = replace(told, last_stamp_s=frame.stamp_s)
+            self._changed.notify_all()
+
+    def _tell(self, status: CameraStatus) -> None:
+        with self._changed:
+            self._report = replace(self._report, status=status, since_s=host_clock.now_s())
+            self._changed.notify_all()
+
+
+def _sizes(calibration: Calibration) -> str:
+    """Of its images, such as "640×480"."""
+    if calibration.color is None:
+        return "no camera"
+    return " and ".join(dict.fromkeys(f"{camera.width}×{camera.height}" for camera in calibration.cameras))
