@@ -154,11 +154,16 @@ class CollisionMonitor:
             MonitorReason.INVALID: not (np.isfinite(now_s) and self._is_frame_sound and self._are_wheels_sound),
             MonitorReason.FROM_AHEAD: newest_s > now_s + s.ahead_s,
             MonitorReason.NO_WHEELS: now_s - self._wheels_s > s.encoder_age_s,
-            MonitorReason.NO_FRAME: now_s - self._frame_s > s.frame_age_s and not self._may_back_up(asked, now_s),
+            MonitorReason.NO_FRAME: self._is_frame_old(now_s) and not self._may_back_up(asked, now_s),
             MonitorReason.WHEELS_OFF: self._are_wheels_off,
             MonitorReason.STATUS: status in _STATUS_TO_STAND,
         }
         return next((reason for reason, is_so in wrong.items() if is_so), None)
+
+    def _is_frame_old(self, now_s: float) -> bool:
+        """By its age, or by the way that was driven since at the speed of now."""
+        s, age_s = self._settings, now_s - self._frame_s
+        return age_s > s.frame_age_s or abs(self._measured[0]) * age_s > s.frame_way_m
 
     def _may_back_up(self, asked: VelocityCommand, now_s: float) -> bool:
         """Whether it goes back from what is too near for its camera: a little, while that gives frames."""
