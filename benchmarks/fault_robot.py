@@ -167,7 +167,9 @@ class FaultyRobot:
     @classmethod
     def of(cls, fault: Fault, seed: int, limits: RobotLimits) -> FaultyRobot:
         """In its world."""
-        simulator = Simulator(fault.settings(seed), world=fault.world(), start=(0.0, 0.0, 0.0), limits=limits, period_s=FINE_S)
+        simulator = Simulator(
+            fault.settings(seed), world=fault.world(), start=(0.0, 0.0, 0.0), limits=limits, period_s=FINE_S
+        )
         return cls(simulator, fault)
 
     @property

@@ -60,6 +60,14 @@ class MonitorSettings(Settings):
         ge=0,
         le=1,
     )
+    air_m: float = setting(
+        0.5,
+        "from the camera, how near it looks over floor that it does not see: what stands up into its lowest ray there "
+        "would show. A Kinect measures nothing nearer",
+        CHOSEN,
+        ge=0,
+        le=5,
+    )
     fresh_s: float = setting(
         8.0,
         "time for which floor counts as seen; who comes later is seen coming. A chair whose camera sees the floor from "
