@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 import shapely
+from navigation.rooms import CALIBRATION, CELL_M, RoomRobot, Told, Walls
 from navigation.test_collision_monitor import NOTHING, Ride
 from navigation.unicycle import CHAIR, Camera
 
-from wheelsight.commands import VelocityCommand
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.mapping import CellKind, OccupancyGrid
+from wheelsight.navigation import CellState, CostmapSettings, KnownFloor, NavigationSettings
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason
 from wheelsight.navigation.live_layer import LiveObstacles
 from wheelsight.navigation.monitor_settings import MonitorSettings
+from wheelsight.navigation.senses import Senses
 
 SETTINGS = MonitorSettings()
 KINECT = Camera(half_angle_rad=0.47, near_m=1.9)
@@ -90,3 +95,31 @@ def test_points_are_obstacles_in_the_cells_that_they_lie_in() -> None:
     found = live.with_points(np.array([[1.05, -0.15], [1.59, 0.19], [1.61, 0.0], [0.99, 0.0]]))
     assert np.argwhere(found.is_occupied).tolist() == [[0, 0], [3, 5]]
     assert not live.is_occupied.any()
+
+
+@pytest.mark.parametrize("unknown", ["costly", "forbidden"])
+def test_plans_and_controllers_keep_away_from_what_neither_map_nor_camera_knows(
+    unknown: Literal["costly", "forbidden"],
+) -> None:
+    """A map that knows the floor right of y = 3 m alone; the robot stands there, and nobody looks to its left."""
+    kind = np.full((120, 160), CellKind.UNKNOWN, np.uint8)
+    kind[:60] = CellKind.FREE
+    floor = KnownFloor(OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, CELL_M, (0.0, 0.0)))
+    robot = RoomRobot(Walls.of(((7.99, 0.0), (7.99, 6.0))), (3.0, 2.8, 0.0))
+    settings = NavigationSettings(costmap=CostmapSettings(unknown=unknown))
+    senses = Senses(CALIBRATION, Told(robot), floor, CollisionMonitor(CHAIR), CHAIR, settings)
+    for _ in range(6):
+        senses.hear(robot.step(STOP), robot.now_s)
+    beside, right, ahead, far = (3.0, 3.6), (3.0, 2.0), (4.5, 3.1), (3.0, 5.0)
+
+    def state_at(*place: float) -> CellState:
+        local = senses.local()
+        assert local is not None
+        return CellState(local.state[tuple(local.cells_at(place))])
+
+    is_costly = unknown == "costly"
+    assert state_at(*beside) == (CellState.OCCUPIED if is_costly else CellState.UNKNOWN)
+    assert state_at(*right) == CellState.FREE
+    assert state_at(*ahead) == state_at(*far) == CellState.UNKNOWN
+    senses.avoids_hidden = False
+    assert state_at(*beside) == CellState.UNKNOWN

@@ -177,13 +177,16 @@ class Senses:
         return lambda: Costmap.of(*of)
 
     def _obstacles(self) -> LiveObstacles:
-        """What the camera met, and floor beside the robot that a corner would sweep before the camera looks there."""
+        """What the camera met, and floor that neither map nor camera knows and a corner would sweep unseen."""
         live, pose, s = self._live.obstacles(), self.where.odom_pose, self._settings.navigator
-        if pose is None or not self.avoids_hidden:
+        # Where unknown floor is forbidden, all of it is an obstacle already.
+        if pose is None or not self.avoids_hidden or self._settings.costmap.unknown == "forbidden":
             return live
         hidden = self._monitor.hidden(self._footprint.circumscribed_m + s.hidden_m, s.hidden_deep_m)
-        T_odom_base = se2.from_parts(*pose)
-        return live.with_points(hidden @ T_odom_base[:2, :2].T + T_odom_base[:2, 2])
+        T_odom_base, T_map_odom = se2.from_parts(*pose), se2.from_parts(*self.where.T_map_odom)
+        points = hidden @ T_odom_base[:2, :2].T + T_odom_base[:2, 2]
+        state = self._floor.layer.state_at(points @ T_map_odom[:2, :2].T + T_map_odom[:2, 2])
+        return live.with_points(points[state == CellState.UNKNOWN])
 
     def local(self) -> Costmap | None:
         """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed."""
