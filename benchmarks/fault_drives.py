@@ -45,7 +45,7 @@ class FaultDrive:
         could_stop: whether the way that the limits' braking takes was free then.
         contacts: what the robot drove into.
         contact_m_s: how fast, at most.
-        blind_m: way driven on before the motors were told to stand.
+        blind_m: way from the fault until braking begins.
         stopped_m: way until it stood.
         reason: why it stood at last, in words.
     """

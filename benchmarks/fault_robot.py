@@ -17,9 +17,11 @@ from wheelsight.robot_limits import RobotLimits
 from wheelsight.simulation import SimulationSettings, Simulator, WheelFaults, World
 from wheelsight.simulation.simulator import PERIOD_S
 
-WATCHDOG_S, STALL_S = 0.5, 1.0
+WATCHDOG_S, STALL_S = 0.25, 1.0
 """The firmware takes the motors' voltage after so long without a command (docs/serial-link.md); a stall, issue 32."""
 FRONT_M = 0.8
+FINE_S = 0.01
+"""The simulator is stepped so, since a watchdog does not wait for the end of a control period."""
 STRAIGHT_ON_FROM_S = 1.0
 """Who goes straight on waits so long, until the localization tracks; a navigator knows that by itself."""
 _FOREVER_S = 1000.0
@@ -165,7 +167,9 @@ class FaultyRobot:
     @classmethod
     def of(cls, fault: Fault, seed: int, limits: RobotLimits) -> FaultyRobot:
         """In its world."""
-        simulator = Simulator(fault.settings(seed), world=fault.world(), start=(0.0, 0.0, 0.0), limits=limits)
+        simulator = Simulator(
+            fault.settings(seed), world=fault.world(), start=(0.0, 0.0, 0.0), limits=limits, period_s=FINE_S
+        )
         return cls(simulator, fault)
 
     @property
@@ -212,10 +216,7 @@ class FaultyRobot:
 
     def _untold(self) -> list[Event]:
         """A period in which no command arrives."""
-        if self.now_s >= self.fault.at_s + WATCHDOG_S and not self._is_cut:
-            self._is_cut = True
-            self.simulator.stop()
-        return self._moved(self._obeyed)
+        return self._moved(self._obeyed, is_told=False)
 
     def _heard(self, events: Sequence[Event]) -> list[Event]:
         """What arrives of it."""
@@ -223,14 +224,21 @@ class FaultyRobot:
             return list(events)
         return [event for event in events if not (isinstance(event, RgbdFrame) and event.stamp_s >= self.fault.at_s)]
 
-    def _moved(self, command: VelocityCommand) -> list[Event]:
+    def _moved(self, command: VelocityCommand, is_told: bool = True) -> list[Event]:
+        """A control period, in the simulator's finer steps."""
+        return [event for _ in range(round(PERIOD_S / FINE_S)) for event in self._moved_a_little(command, is_told)]
+
+    def _moved_a_little(self, command: VelocityCommand, is_told: bool) -> list[Event]:
+        if not (is_told or self._is_cut) and self.now_s >= self.fault.at_s + WATCHDOG_S - 1e-9:
+            self._is_cut = True
+            self.simulator.stop()
         is_braked = command.is_stop or bool(self.simulator.stop_reason)
         begin_s, before = self.now_s, self.simulator.T_world_base[:2, 3].copy()
         events = self.simulator.step(command)
         way_m = float(np.hypot(*(self.simulator.T_world_base[:2, 3] - before)))
         until_s = self.fault.at_s + (STALL_S if self.fault.kind is FaultKind.STALLED else _FOREVER_S)
-        if self.fault.kind in BLIND and self.fault.at_s <= begin_s < until_s:
-            self._has_stood |= way_m < 1e-3
+        if self.fault.kind in BLIND and self.fault.at_s <= begin_s + 1e-9 < until_s:
+            self._has_stood |= way_m < 1e-3 * FINE_S / PERIOD_S
             self.blind_m += 0.0 if is_braked else way_m
             self.stopped_m += 0.0 if self._has_stood else way_m
         return events

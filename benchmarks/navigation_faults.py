@@ -8,14 +8,15 @@ happens, through ramp and collision monitor alone: the worst of controllers. The
 all of them: no truth in the loop.
 
 The kinds: something lies on the camera; no frame comes any more; no wheel reading comes any more; commands do not
-arrive any more (the wheel controller's watchdog takes the motors' voltage after 0.5 s, docs/serial-link.md); the
+arrive any more (the wheel controller's watchdog takes the motors' voltage after 0.25 s, docs/serial-link.md); the
 whole program stands still for 1 s (likewise); the left driven wheel hangs free; the map lies up to 0.5 m, 1 m and 0.2
 rad elsewhere.
 
 "Stopped" is without a contact. "Could stop" counts those contacts before which the way was free that braking takes:
-0.3 s, then 0.8 of the limits' braking, as the collision monitor reckons. "Blind" is the way driven on, by the truth,
-before the motors were told to stand; what braking takes from there comes to it until it stands. A lifted wheel and a
-wrong map blind nobody.
+0.3 s, then 0.8 of the limits' braking, as the collision monitor reckons. "Blind" is the way driven, by the truth, from
+the fault until braking begins: the motors are told to stand, or lose their voltage. "Until it stands" is the whole way
+from the fault, with that of braking. No reaction makes the latter 0.3 m at 1 m/s: braking at the limits' 1 m/s² takes
+0.5 m of it. A lifted wheel and a wrong map blind nobody.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from types import TracebackType
 from wheelsight.devices.protocol import Ack, Command, Counts, Version, encode_frame, encode_message
 
 PERIOD_S = 0.02
-WATCHDOG_S = 0.5
+WATCHDOG_S = 0.25
 
 
 class SimulatedController:

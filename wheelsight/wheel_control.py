@@ -70,11 +70,11 @@ class WheelControlSettings(Settings):
     )
     hold_s: float = setting(
         0.2,
-        "for which motors keep a duty without a new one, less than the firmware's 0.5; then they stand, and so does "
+        "for which motors keep a duty without a new one, less than the firmware's 0.25; then they stand, and so does "
         "what they are told next: 20 cm at 1 m/s",
         CHOSEN,
         gt=0.02,
-        le=0.5,
+        le=0.25,
     )
     doubt_m_s: float = setting(
         0.15,

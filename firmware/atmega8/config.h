@@ -23,13 +23,16 @@
 #endif
 
 #define FRAME_MS 20
-#define DRIVE_TIMEOUT_MS 500
+
+/* A robot at 1 m/s is to stop after 0.3 m without a host. The host sends every 50 ms at the latest: four commands may be
+ * lost, and its own time-out, 200 ms, comes first. */
+#define DRIVE_TIMEOUT_MS 250
 
 /* The paper's frame holds ±127 pulses a wheel; one is sent early when a count reaches this. */
 #define PAPER_FULL 100
 #define HAS_PAPER 1
 
 #define VERSION_MAJOR 1
-#define VERSION_MINOR 0
+#define VERSION_MINOR 1
 
 #endif

@@ -26,7 +26,7 @@ CALIBRATION = Calibration(wheels=WHEELS)
 LAG_S, FULL_M_S = 0.1, 2.6
 AHEAD = VelocityCommand(0.5)
 # A busy machine holds threads up for longer than a robot bears.
-PATIENT = WheelControlSettings(silence_s=1.0, hold_s=0.5, doubt_s=1.0)
+PATIENT = WheelControlSettings(silence_s=1.0, hold_s=0.25, doubt_s=1.0)
 
 
 class Motors:

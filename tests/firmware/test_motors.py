@@ -67,17 +67,18 @@ def silent_until_neutral(chip: Chip) -> float:
     return 2.0
 
 
-def test_motors_rest_half_a_second_after_the_last_command(chip: Chip) -> None:
+def test_motors_rest_a_quarter_of_a_second_after_the_last_command(chip: Chip) -> None:
     chip.command(Command.DRIVE, drive_body(0.6, 0.6))
     chip.run(0.002)
-    assert silent_until_neutral(chip) == pytest.approx(0.5, abs=0.02)
+    assert silent_until_neutral(chip) == pytest.approx(0.25, abs=0.02)
 
 
 @pytest.mark.slow
-def test_ten_commands_a_second_keep_them_turning(chip: Chip) -> None:
-    for _ in range(20):
+def test_one_command_in_four_of_those_sent_keeps_them_turning(chip: Chip) -> None:
+    """Twenty are sent a second: three may be lost on the line, one after another."""
+    for _ in range(10):
         chip.command(Command.DRIVE, drive_body(0.6, 0.6))
-        chip.run(0.09)
+        chip.run(0.2)
         assert chip.duties() == pytest.approx((600, 600), abs=1)
 
 
@@ -96,7 +97,7 @@ def test_the_watch_is_kept_at_full_speed_and_in_the_papers_format(chip: Chip) ->
         chip.turn(wheel, 8 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
     chip.command(Command.DRIVE, drive_body(0.6, 0.6))
     chip.run(0.003)
-    assert silent_until_neutral(chip) == pytest.approx(0.5, abs=0.02)
+    assert silent_until_neutral(chip) == pytest.approx(0.25, abs=0.02)
 
 
 def test_a_program_that_hangs_is_started_anew_with_motors_at_rest(chip: Chip) -> None:

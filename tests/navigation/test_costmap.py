@@ -148,3 +148,12 @@ def test_live_obstacles_free_nothing_that_the_map_has() -> None:
 def test_a_frame_that_is_nowhere_is_refused(T: tuple[float, ...]) -> None:
     with pytest.raises(ArgumentError, match="T_map_live"):
         Costmap.of(static_of(np.zeros((10, 10), bool)), CHAIR, None, live(np.ones((10, 10), bool)), T)
+
+
+def test_the_state_at_points_is_that_of_their_cells_and_unknown_beyond() -> None:
+    grid = OccupancyGrid.of_kinds(
+        np.array([[CellKind.FREE, CellKind.OBSTACLE]], np.uint8), np.zeros((1, 2), bool), 0.1, (1.0, 2.0)
+    )
+    layer = StaticLayer.of(grid)
+    found = layer.state_at([[1.05, 2.05], [1.15, 2.01], [1.25, 2.05], [1.05, 1.99]])
+    assert found.tolist() == [CellState.FREE, CellState.OCCUPIED, CellState.UNKNOWN, CellState.UNKNOWN]

@@ -126,7 +126,7 @@ class WheelLink:
         """Set both motors' duty, -1 (full speed back) to 1, and keep it up at 20 Hz until something else is said.
 
         The motors stop when the link is closed, the program ends, or the port vanishes; when the program dies, the
-        controller stops them half a second later.
+        controller stops them a quarter of a second later.
 
         Args:
             left, right: duty of each motor.

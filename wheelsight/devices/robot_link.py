@@ -37,7 +37,7 @@ class LinkRobot:
     It only listens until it is first commanded to move. It stops by itself, and says why in `stop_reason`, where ticks
     stay away or are old, a wheel does not do what it was told, the port vanishes, or the controller begins anew. Where
     `step` is no longer called, the link stops the motors after `control.hold_s`; where the program is dead, the
-    firmware does after half a second.
+    firmware does after a quarter of a second.
 
     Args:
         link: to the wheel controller; closed with the robot.

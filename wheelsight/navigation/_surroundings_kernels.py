@@ -15,7 +15,8 @@ class Memory(NamedTuple):
 
     Attributes:
         numbers: (n, n, 2) i and j of the cell that is kept there.
-        seen_s: (n, n) when its floor was last seen to be free; minus infinity: never.
+        seen_s: (n, n) when its floor was last seen to be free, or the robot was led over it; minus infinity: never.
+        looked_s: (n, n) when a camera last saw its floor, or through the air over it; likewise.
         hit_s: (n, n) when a thing was last seen in it; minus infinity: none is there.
         hits: (n, n, 2) where the thing is, metres.
         cell_m: side of a cell.
@@ -23,6 +24,7 @@ class Memory(NamedTuple):
 
     numbers: IntArray
     seen_s: FloatArray
+    looked_s: FloatArray
     hit_s: FloatArray
     hits: FloatArray
     cell_m: float
@@ -35,6 +37,7 @@ class Sight(NamedTuple):
         x, y: where the camera is.
         first_rad: bearing in the plane of the first column's left end.
         step_rad: from one column to the next.
+        air_m: nearer nothing is looked through.
         near_m: nearer nothing of the floor is seen.
         far_m: farther no column sees.
         seen_m: (B,) how far each column sees through.
@@ -45,6 +48,7 @@ class Sight(NamedTuple):
     y: float
     first_rad: float
     step_rad: float
+    air_m: float
     near_m: float
     far_m: float
     seen_m: FloatArray
@@ -59,6 +63,7 @@ def slot(memory: Memory, i: int, j: int) -> Any:
     if memory.numbers[a, b, 0] != i or memory.numbers[a, b, 1] != j:
         memory.numbers[a, b, 0], memory.numbers[a, b, 1] = i, j
         memory.seen_s[a, b] = -np.inf
+        memory.looked_s[a, b] = -np.inf
         memory.hit_s[a, b] = -np.inf
     return a, b
 
@@ -72,10 +77,13 @@ def look(memory: Memory, sight: Sight, x: float, y: float) -> None:
     for i in range(max(first_i, int(left / cell) - 2), min(first_i + n, int(right / cell) + 3)):
         for j in range(max(first_j, int(below / cell) - 2), min(first_j + n, int(above / cell) + 3)):
             a, b = slot(memory, i, j)
-            if _is_seen(sight, (i + 0.5) * cell, (j + 0.5) * cell, cell / 2):
+            x_m, y_m = (i + 0.5) * cell, (j + 0.5) * cell
+            if _is_seen(sight, x_m, y_m, cell / 2, sight.air_m):
+                memory.looked_s[a, b] = max(memory.looked_s[a, b], sight.stamp_s)
+            if _is_seen(sight, x_m, y_m, cell / 2, sight.near_m):
                 memory.seen_s[a, b] = max(memory.seen_s[a, b], sight.stamp_s)
             was_hit = -np.inf < memory.hit_s[a, b] < sight.stamp_s
-            if was_hit and _is_seen(sight, memory.hits[a, b, 0], memory.hits[a, b, 1], cell):
+            if was_hit and _is_seen(sight, memory.hits[a, b, 0], memory.hits[a, b, 1], cell, sight.near_m):
                 memory.hit_s[a, b] = -np.inf
 
 
@@ -93,11 +101,11 @@ def _bounds(sight: Sight) -> Any:
 
 
 @kernel
-def _is_seen(sight: Sight, x: float, y: float, short_m: float) -> Any:
-    """Whether a column sees farther than a point, by more than `short_m`."""
+def _is_seen(sight: Sight, x: float, y: float, short_m: float, near_m: float) -> Any:
+    """Whether a column sees farther than a point, by more than `short_m`, that is not nearer than `near_m`."""
     dx, dy = x - sight.x, y - sight.y
     away = np.sqrt(dx * dx + dy * dy)
-    if away < sight.near_m or away > sight.far_m:
+    if away < near_m or away > sight.far_m:
         return False
     bearing = (np.arctan2(dy, dx) - sight.first_rad) % (2 * np.pi)
     column = int(bearing / sight.step_rad)
@@ -118,7 +126,11 @@ def keep(memory: Memory, points: FloatArray, stamp_s: float, middle: Any) -> Non
 
 @kernel
 def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float, from_m: float) -> None:
-    """Mark the floor under an outline (sides as `Outline` has them), so far ahead of the axle and on, as seen."""
+    """Mark the floor under an outline (sides as `Outline` has them), so far ahead of the axle and on, as seen.
+
+    All of an outline is looked at, too: nobody asks for that who has not looked. What only its front was led over is
+    not.
+    """
     x, y, c, s = pose
     cell = memory.cell_m
     reach = int(np.ceil(np.sqrt((sides[:, 0] ** 2 + sides[:, 1] ** 2).max()) / cell)) + 1
@@ -133,6 +145,8 @@ def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float, fro
             if away <= 0.0 and bx >= from_m:
                 a, b = slot(memory, i, j)
                 memory.seen_s[a, b] = max(memory.seen_s[a, b], stamp_s)
+                if from_m == -np.inf:
+                    memory.looked_s[a, b] = max(memory.looked_s[a, b], stamp_s)
 
 
 @kernel
@@ -154,9 +168,12 @@ def remembered(memory: Memory, pose: Any, since_s: float, reach_m: float, out: F
 
 @kernel
 def unseen(memory: Memory, first: Any, since_s: float, out: ByteArray) -> None:
-    """Of a square of cells from the first (i, j) on, into (m, m, 2): 1 where floor was never seen, and not since."""
+    """Of a square of cells from the first (i, j) on, into (m, m, 3): 1 where floor was never seen, not since, and never
+    looked at.
+    """
     for i in range(len(out)):
         for j in range(len(out)):
             a, b = slot(memory, first[0] + i, first[1] + j)
             out[i, j, 0] = 1 if memory.seen_s[a, b] == -np.inf else 0
             out[i, j, 1] = 1 if memory.seen_s[a, b] < since_s else 0
+            out[i, j, 2] = 1 if memory.looked_s[a, b] == -np.inf else 0

@@ -128,6 +128,13 @@ class CollisionMonitor:
         if self._surroundings.see(view):
             self._frame_s, self._blind_way_m = view.stamp_s, 0.0
 
+    def hidden(self, reach_m: float, deep_m: float) -> FloatArray:
+        """(N, 2) in the base: floor within reach that lies deeper than so in what no camera has looked at.
+
+        Corners lead the view in a turn, so that it cannot all be forbidden; whoever leads does well to keep away.
+        """
+        return self._surroundings.hidden_about(reach_m, deep_m)
+
     def check(self, asked: VelocityCommand, now_s: float, status: Status) -> MonitorResult:
         """What becomes of a command; called once a period, also where it is a stop.
 
@@ -154,11 +161,16 @@ class CollisionMonitor:
             MonitorReason.INVALID: not (np.isfinite(now_s) and self._is_frame_sound and self._are_wheels_sound),
             MonitorReason.FROM_AHEAD: newest_s > now_s + s.ahead_s,
             MonitorReason.NO_WHEELS: now_s - self._wheels_s > s.encoder_age_s,
-            MonitorReason.NO_FRAME: now_s - self._frame_s > s.frame_age_s and not self._may_back_up(asked, now_s),
+            MonitorReason.NO_FRAME: self._is_frame_old(now_s) and not self._may_back_up(asked, now_s),
             MonitorReason.WHEELS_OFF: self._are_wheels_off,
             MonitorReason.STATUS: status in _STATUS_TO_STAND,
         }
         return next((reason for reason, is_so in wrong.items() if is_so), None)
+
+    def _is_frame_old(self, now_s: float) -> bool:
+        """By its age, or by the way that was driven since at the speed of now."""
+        s, age_s = self._settings, now_s - self._frame_s
+        return age_s > s.frame_age_s or abs(self._measured[0]) * age_s > s.frame_way_m
 
     def _may_back_up(self, asked: VelocityCommand, now_s: float) -> bool:
         """Whether it goes back from what is too near for its camera: a little, while that gives frames."""
@@ -212,8 +224,9 @@ class CollisionMonitor:
         self, twist: tuple[float, float], pose: Pose, now_s: float
     ) -> list[tuple[float, MonitorReason | None]]:
         s = self._settings
-        ground = Ground(*self._surroundings.unseen_about(pose, now_s, self._look_m(twist)), s.cell_m, pose)
-        if self._is_led_by_its_front(ground):
+        about = self._surroundings.unseen_about(pose, now_s, self._look_m(twist))
+        ground = Ground(about.never_m, about.is_old, about.first, s.cell_m, pose)
+        if self._is_led_by_its_front(ground, ground._replace(deep_m=about.hidden_m)):
             self._surroundings.cover(pose, now_s)
         arc, steps = self._arc(twist)
         # Distances between cells' centres are off by a diagonal.
@@ -226,13 +239,18 @@ class CollisionMonitor:
             (max(lately, blind), MonitorReason.NOT_SEEN_LATELY),
         ]
 
-    def _is_led_by_its_front(self, ground: Ground) -> bool:
-        """Whether it moves, not backward, and its front is nowhere deeper in floor never seen than a corner leads."""
+    def _is_led_by_its_front(self, ground: Ground, hidden: Ground) -> bool:
+        """Whether it moves, not backward, and its front is nowhere deeper in floor never seen than a corner leads.
+
+        Floor that it was led over counts as seen, and so it might be led on and on: no farther than it may be blind
+        from floor that a camera has looked at.
+        """
         forward, turn = self._measured
         if forward < -_LEAST_M_S or (forward < _LEAST_M_S and abs(turn) < _LEAST_RAD_S):
             return False
         front = self._edge[self._edge[:, 0] >= 0]
-        return bool(deepest_m(front, ground) <= self._settings.lead_m)
+        s = self._settings
+        return bool(deepest_m(front, ground) <= s.lead_m and deepest_m(front, hidden) <= s.blind_m)
 
     def _slowing_s(self, twist: tuple[float, float]) -> float:
         """From a twist to standing, along its arc."""

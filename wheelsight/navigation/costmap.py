@@ -77,6 +77,14 @@ class StaticLayer:
         origin = self.origin[0] + column * self.resolution_m, self.origin[1] + row * self.resolution_m
         return StaticLayer(state, speed, self.resolution_m, (float(origin[0]), float(origin[1])))
 
+    def state_at(self, xy: ArrayLike) -> ByteArray:
+        """(N,) `CellState` at points (N, 2); beyond its edges all is unknown."""
+        at = np.floor((np.asarray(xy, float) - self.origin) / self.resolution_m).astype(np.int64)[:, ::-1]
+        inside = ((at >= 0) & (at < self.state.shape)).all(axis=1)
+        found = np.full(len(at), CellState.UNKNOWN, np.uint8)
+        found[inside] = self.state[at[inside, 0], at[inside, 1]]
+        return found
+
     def grown(self, bounds: ArrayLike) -> StaticLayer:
         """By unknown cells until it holds the low and the high corner (2, 2) of a box, metres."""
         size_m, (height, width) = self.resolution_m, self.state.shape

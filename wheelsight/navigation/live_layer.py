@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +35,14 @@ class LiveObstacles:
     origin: tuple[float, float]
     frame: str
     stamp_s: float | None
+
+    def with_points(self, points: FloatArray) -> LiveObstacles:
+        """The same, and the cells of points (N, 2) in its frame."""
+        at = np.floor((points - self.origin) / self.resolution_m).astype(np.int64)[:, ::-1]
+        at = at[((at >= 0) & (at < self.is_occupied.shape)).all(axis=1)]
+        is_occupied = self.is_occupied.copy()
+        is_occupied[at[:, 0], at[:, 1]] = True
+        return replace(self, is_occupied=is_occupied)
 
 
 class LiveLayer:

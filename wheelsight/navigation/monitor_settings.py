@@ -28,6 +28,14 @@ class MonitorSettings(Settings):
     frame_age_s: float = setting(
         0.3, "age of the newest usable frame beyond which it stands: 3 frames of 10 a second", CHOSEN, gt=0, le=5
     )
+    frame_way_m: float = setting(
+        0.24,
+        "way driven since the newest usable frame beyond which it stands: at 1 m/s a control period adds 0.05 m, and "
+        "0.3 m may be driven blind",
+        "issue 32",
+        gt=0,
+        le=5,
+    )
     encoder_age_s: float = setting(
         0.15, "age of the newest wheel reading beyond which it stands: 3 of 20 a second", CHOSEN, gt=0, le=5
     )
@@ -51,6 +59,14 @@ class MonitorSettings(Settings):
         "reckoned",
         ge=0,
         le=1,
+    )
+    air_m: float = setting(
+        0.5,
+        "from the camera, how near it looks over floor that it does not see: what stands up into its lowest ray there "
+        "would show. A Kinect measures nothing nearer",
+        CHOSEN,
+        ge=0,
+        le=5,
     )
     fresh_s: float = setting(
         8.0,
@@ -94,7 +110,7 @@ class WheelCheckSettings(Settings):
         gt=0,
         le=5,
     )
-    watchdog_s: float = setting(0.5, "and at most", "the firmware's watchdog: docs/serial-link.md", gt=0, le=5)
+    watchdog_s: float = setting(0.25, "and at most", "the firmware's watchdog: docs/serial-link.md", gt=0, le=5)
     slow_share: float = setting(0.5, "of the limits' accelerations that the slowest base still has", CHOSEN, gt=0, le=1)
     fast_share: float = setting(1.5, "of them that the quickest has", CHOSEN, ge=1, le=10)
 

@@ -220,6 +220,7 @@ class Navigator:
             return self._fail(*why_over)
         if self._robot.stop_reason:
             return STOP
+        self._senses.avoids_hidden = task.tries == 0 and self.state is not NavigationState.RECOVERING
         ways = {
             NavigationState.PLANNING: self._plan,
             NavigationState.DRIVING: self._drive,

@@ -55,6 +55,22 @@ class NavigatorSettings(Settings):
     local_m: float = setting(
         8.0, "side of the square about the robot that the controller goes by: twice its look ahead", CHOSEN, ge=3, le=40
     )
+    hidden_m: float = setting(
+        0.3,
+        "beyond the circle that its corners go, floor that neither map nor camera knows is an obstacle, where unknown "
+        "floor is costly, until no way on is found: what is farther off is looked at on the way there",
+        CHOSEN,
+        ge=0,
+        le=2,
+    )
+    hidden_deep_m: float = setting(
+        0.1,
+        "where it lies deeper than so in such floor: cells and depth err by less. A view of 54°, which a corner of the "
+        "front leads by 0.07 m, shows nothing of what that corner sweeps in a tight curve",
+        "reckoned",
+        ge=0,
+        le=2,
+    )
     check_s: float = setting(0.5, "time between two looks whether the way ahead is still free", CHOSEN, gt=0, le=10)
     check_m: float = setting(
         3.0, "of the way ahead that is looked at: what the camera sees surely", CHOSEN, gt=0, le=20

@@ -21,7 +21,7 @@ from wheelsight.navigation.depth_viewer import DepthViewer
 from wheelsight.navigation.fields import outline_of
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.live_layer import LiveLayer
+from wheelsight.navigation.live_layer import LiveLayer, LiveObstacles
 from wheelsight.navigation.localization import Localization, WhereNow, planar_pose
 from wheelsight.navigation.map_clearance import keeps_clear
 from wheelsight.navigation.map_match import MapMatch
@@ -38,6 +38,7 @@ class _Made:
     """Of what a costmap was made."""
 
     frame_s: float | None
+    avoids_hidden: bool
     revision: int
     cell: tuple[int, int]
     T_map_odom: tuple[float, float, float]
@@ -55,6 +56,8 @@ class Senses:
 
     Attributes:
         where: where the robot is.
+        avoids_hidden: whether floor beside it that no camera has looked at counts as an obstacle; not where no way on
+            is found without it, as at a bend of a narrow corridor.
 
     Raises:
         ArgumentError, MapError, CalibrationError: no wheels, no camera, or nobody knows where that sits.
@@ -77,7 +80,7 @@ class Senses:
         self._live = LiveLayer(calibration, footprint, settings.live)
         self.where = WhereNow(calibration.wheels)
         self._match = MapMatch(floor.layer, settings.match) if floor.is_fixed else None
-        self._matched_s = -math.inf
+        self._matched_s, self.avoids_hidden = -math.inf, True
         self._people = PeopleTracker(settings.people, settings.live.far_m)
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
         self._local: tuple[_Made, Costmap] | None = None
@@ -170,8 +173,20 @@ class Senses:
 
     def costmap_of(self) -> Callable[[], Costmap]:
         """What makes a costmap of all the building, as it is known now, in whichever thread."""
-        of = self._floor.layer, self._footprint, self._settings.costmap, self._live.obstacles(), self.where.T_map_odom
+        of = self._floor.layer, self._footprint, self._settings.costmap, self._obstacles(), self.where.T_map_odom
         return lambda: Costmap.of(*of)
+
+    def _obstacles(self) -> LiveObstacles:
+        """What the camera met, and floor that neither map nor camera knows and a corner would sweep unseen."""
+        live, pose, s = self._live.obstacles(), self.where.odom_pose, self._settings.navigator
+        # Where unknown floor is forbidden, all of it is an obstacle already.
+        if pose is None or not self.avoids_hidden or self._settings.costmap.unknown == "forbidden":
+            return live
+        hidden = self._monitor.hidden(self._footprint.circumscribed_m + s.hidden_m, s.hidden_deep_m)
+        T_odom_base, T_map_odom = se2.from_parts(*pose), se2.from_parts(*self.where.T_map_odom)
+        points = hidden @ T_odom_base[:2, :2].T + T_odom_base[:2, 2]
+        state = self._floor.layer.state_at(points @ T_map_odom[:2, :2].T + T_map_odom[:2, 2])
+        return live.with_points(points[state == CellState.UNKNOWN])
 
     def local(self) -> Costmap | None:
         """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed."""
@@ -179,10 +194,10 @@ class Senses:
         if state is None:
             return None
         layer, side_m = self._floor.layer, self._settings.navigator.local_m
-        live, T_map_odom = self._live.obstacles(), self.where.T_map_odom
+        live, T_map_odom = self._obstacles(), self.where.T_map_odom
         # A quarter of the window is soon enough: the controller looks ahead by half of it.
         x, y = (round(float(at) / (side_m / 4)) for at in state.pose[:2])
-        made = _Made(live.stamp_s, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
+        made = _Made(live.stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
         if self._local is None or self._local[0] != made:
             window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
             costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)

@@ -86,6 +86,23 @@ class DepthView:
         return float((np.asarray(self.seen_m) > 0).mean())
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Unseen:
+    """Cells about a robot; rows along x, columns along y.
+
+    Attributes:
+        never_m: (m, m) metres into floor that was never seen, nor led over.
+        is_old: (m, m) 1 where it was not lately.
+        hidden_m: (m, m) metres into floor that no camera has looked at, not even over it.
+        first: i and j of the first cell.
+    """
+
+    never_m: Float32Array
+    is_old: ByteArray
+    hidden_m: Float32Array
+    first: tuple[int, int]
+
+
 @dataclass(frozen=True, slots=True)
 class _Reading:
     stamp_s: float
@@ -113,7 +130,7 @@ class Surroundings:
         n = int(np.ceil(s.window_m / s.cell_m))
         never = np.full((n, n), -np.inf)
         nowhere = np.full((n, n, 2), np.iinfo(np.int64).min)
-        self._memory = Memory(nowhere, never, never.copy(), np.zeros((n, n, 2)), s.cell_m)
+        self._memory = Memory(nowhere, never, never.copy(), never.copy(), np.zeros((n, n, 2)), s.cell_m)
         self._readings.clear()
         self._newest, self._newest_s = np.empty((0, 2)), -np.inf
 
@@ -162,7 +179,7 @@ class Surroundings:
         camera = _placed(np.array([view.camera], float), pose)[0]
         first_rad = view.first_rad + float(np.arctan2(pose[3], pose[2]))
         seen_m = np.ascontiguousarray(view.seen_m, float)
-        near_far = (view.near_m, float(seen_m.max()))
+        near_far = (min(self._settings.air_m, view.near_m), view.near_m, float(seen_m.max()))
         sight = Sight(float(camera[0]), float(camera[1]), first_rad, view.step_rad, *near_far, seen_m, view.stamp_s)
         look(self._memory, sight, pose[0], pose[1])
         keep(self._memory, points, view.stamp_s, (pose[0], pose[1]))
@@ -178,19 +195,38 @@ class Surroundings:
         R = np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
         return np.ascontiguousarray(np.concatenate([apart @ R, out[:count]]))
 
-    def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> tuple[Float32Array, ByteArray, tuple[int, int]]:
-        """Of the cells within reach of a pose: metres into floor never seen, whether not lately, the first's place.
+    def hidden_about(self, reach_m: float, deep_m: float) -> FloatArray:
+        """(N, 2) in the base as it is now: middles of cells within reach that are so deep in floor never looked at.
 
-        Rows along x, columns along y.
+        Where the robot was led over it there is floor, but nothing was looked at from there: what is beside that is as
+        deep as it was.
         """
+        if not self._readings:
+            return np.empty((0, 2))
+        last = self._readings[-1]
+        about = self.unseen_about(last.pose, last.stamp_s, reach_m)
+        x, y, c, s = last.pose
+        is_hidden = (about.hidden_m > deep_m) & (about.never_m > 0)
+        away = (np.argwhere(is_hidden) + about.first + 0.5) * self._settings.cell_m - (x, y)
+        away = away[np.hypot(*away.T) < reach_m]
+        return np.asarray(away @ np.array([[c, -s], [s, c]]))
+
+    def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> Unseen:
+        """What was not seen of the floor within reach of a pose."""
         s = self._settings
         half = min(int(np.ceil(reach_m / s.cell_m)) + 1, len(self._memory.seen_s) // 2)
         first = (int(np.floor(pose[0] / s.cell_m)) - half, int(np.floor(pose[1] / s.cell_m)) - half)
-        out = np.empty((2 * half, 2 * half, 2), np.uint8)
+        out = np.empty((2 * half, 2 * half, 3), np.uint8)
         unseen(self._memory, first, now_s - s.fresh_s, out)
-        never = np.ascontiguousarray(out[..., 0])
-        deep = cv2.distanceTransform(never, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * s.cell_m
-        return np.asarray(deep, np.float32), np.ascontiguousarray(out[..., 1]), first
+        return Unseen(
+            _deep_m(out[..., 0], s.cell_m), np.ascontiguousarray(out[..., 1]), _deep_m(out[..., 2], s.cell_m), first
+        )
+
+
+def _deep_m(is_none: ByteArray, cell_m: float) -> Float32Array:
+    """(m, m) metres into cells that are 1, to the nearest that is 0."""
+    deep = cv2.distanceTransform(np.ascontiguousarray(is_none), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(deep * cell_m, np.float32)
 
 
 def _around(radius_m: float) -> FloatArray:

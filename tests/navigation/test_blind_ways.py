@@ -1,0 +1,125 @@
+"""How far a robot goes over floor that no camera has looked at, and since it last saw anything."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pytest
+import shapely
+from navigation.rooms import CALIBRATION, CELL_M, RoomRobot, Told, Walls
+from navigation.test_collision_monitor import NOTHING, Ride
+from navigation.unicycle import CHAIR, Camera
+
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.mapping import CellKind, OccupancyGrid
+from wheelsight.navigation import CellState, CostmapSettings, KnownFloor, NavigationSettings
+from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason
+from wheelsight.navigation.live_layer import LiveObstacles
+from wheelsight.navigation.monitor_settings import MonitorSettings
+from wheelsight.navigation.senses import Senses
+
+SETTINGS = MonitorSettings()
+KINECT = Camera(half_angle_rad=0.47, near_m=1.9)
+# A cell's diagonal: middles of cells stand for all of them.
+OFF_M = 1.5 * SETTINGS.cell_m
+
+
+@pytest.mark.parametrize(("speed_m_s", "most_age_s"), [(1.0, 0.25), (0.7, 0.3), (0.2, 0.3)])
+def test_how_old_a_frame_may_be_is_by_the_way_driven_since(speed_m_s: float, most_age_s: float) -> None:
+    """With 0.05 s until the next check, no more than 0.3 m are driven at any speed; who is slow may wait for frames."""
+    ride = Ride(NOTHING, Camera())
+    ride.drive(VelocityCommand(speed_m_s), 4.0)
+    assert ride.base.forward_m_s == pytest.approx(speed_m_s, abs=0.01)
+    newest_s = ride.time_s - 0.1
+    while ride.drive(VelocityCommand(speed_m_s), 0.05, sees=False).reason is not MonitorReason.NO_FRAME:
+        assert ride.time_s < newest_s + 1.0
+    stopped_s = ride.time_s - 0.05
+    assert most_age_s - 1e-6 <= stopped_s - newest_s <= most_age_s + 0.05 + 1e-6
+    assert speed_m_s * (stopped_s - newest_s) <= 0.3
+
+
+def sector(camera: Camera, near_m: float) -> shapely.Polygon:
+    """What a camera at the origin's base looks at."""
+    bearings = np.linspace(-camera.half_angle_rad, camera.half_angle_rad, 50)
+    ends = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
+    return shapely.Polygon(np.concatenate([near_m * ends, camera.far_m * ends[::-1]]) + (camera.x_m, 0.0))
+
+
+@pytest.mark.parametrize("deep_m", [0.1, 0.3])
+def test_hidden_is_what_lies_deep_enough_beside_all_that_was_looked_at(deep_m: float) -> None:
+    """Looked at: over the floor from half a metre on, and where it stands; within 1.4 m, against plain polygons."""
+    monitor, reach_m = CollisionMonitor(CHAIR), 1.4
+    monitor.hear(0.0, 0.0, 0.0)
+    monitor.see(KINECT.view(NOTHING, np.zeros(3), 0.0))
+    told = monitor.hidden(reach_m, deep_m)
+    looked = sector(KINECT, SETTINGS.air_m).union(shapely.Polygon(CHAIR.corners))
+    away_m = shapely.distance(looked, shapely.points(told))
+    assert away_m.min() > deep_m - OFF_M
+    places = np.stack(np.meshgrid(*2 * [np.arange(-1.3, 1.3, 0.05)]), axis=-1).reshape(-1, 2)
+    places = places[np.hypot(*places.T) < reach_m - OFF_M]
+    is_hidden = shapely.distance(looked, shapely.points(places)) > deep_m + OFF_M
+    assert 0.1 < is_hidden.mean() < 0.9
+    off_m = shapely.distance(shapely.MultiPoint(told), shapely.points(places[is_hidden]))
+    assert off_m.max() < SETTINGS.cell_m
+
+
+def test_floor_that_it_was_led_over_is_not_hidden_and_what_is_beside_it_still_is() -> None:
+    ride = Ride(NOTHING, KINECT)
+    ride.monitor.trust_floor(1.0)
+    ride.drive(VelocityCommand(0.3, 0.5), 6.0)
+    outline, hidden = shapely.Polygon(CHAIR.corners).buffer(-OFF_M), ride.monitor.hidden(1.5, 0.1)
+    assert len(hidden) > 0
+    assert not shapely.intersects(outline, shapely.points(hidden)).any()
+
+
+@pytest.mark.parametrize("turn_rad_s", [0.0, 0.1, -0.3])
+def test_nobody_is_led_on_and_on_over_floor_that_no_camera_has_looked_at(turn_rad_s: float) -> None:
+    """Floor that it was led over counts as seen: once the next piece of it was as little deep as the last."""
+    ride, asked = Ride(NOTHING, KINECT), VelocityCommand(0.3, turn_rad_s)
+    ride.monitor.trust_floor(1.0)
+    shows_no_floor = replace(KINECT.view(NOTHING, np.zeros(3), 0.0), seen_m=np.full(64, 0.01))
+    for _ in range(300):
+        ride.monitor.see(replace(shows_no_floor, stamp_s=ride.time_s))
+        ride.drive(asked, 0.05, sees=False)
+    assert ride.results[-1].reason is MonitorReason.NEVER_SEEN
+    assert ride.base.stands
+    corners = CHAIR.at(ride.base.pose)
+    # The front is led 0.3 m on, and may then be as deep again.
+    assert 0.0 < np.hypot(*corners.T).max() - 1.0 < 2 * SETTINGS.blind_m
+
+
+def test_points_are_obstacles_in_the_cells_that_they_lie_in() -> None:
+    live = LiveObstacles(np.zeros((4, 6), bool), 0.1, (1.0, -0.2), "odom", 0.0)
+    found = live.with_points(np.array([[1.05, -0.15], [1.59, 0.19], [1.61, 0.0], [0.99, 0.0]]))
+    assert np.argwhere(found.is_occupied).tolist() == [[0, 0], [3, 5]]
+    assert not live.is_occupied.any()
+
+
+@pytest.mark.parametrize("unknown", ["costly", "forbidden"])
+def test_plans_and_controllers_keep_away_from_what_neither_map_nor_camera_knows(
+    unknown: Literal["costly", "forbidden"],
+) -> None:
+    """A map that knows the floor right of y = 3 m alone; the robot stands there, and nobody looks to its left."""
+    kind = np.full((120, 160), CellKind.UNKNOWN, np.uint8)
+    kind[:60] = CellKind.FREE
+    floor = KnownFloor(OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, CELL_M, (0.0, 0.0)))
+    robot = RoomRobot(Walls.of(((7.99, 0.0), (7.99, 6.0))), (3.0, 2.8, 0.0))
+    settings = NavigationSettings(costmap=CostmapSettings(unknown=unknown))
+    senses = Senses(CALIBRATION, Told(robot), floor, CollisionMonitor(CHAIR), CHAIR, settings)
+    for _ in range(6):
+        senses.hear(robot.step(STOP), robot.now_s)
+    beside, right, ahead, far = (3.0, 3.6), (3.0, 2.0), (4.5, 3.1), (3.0, 5.0)
+
+    def state_at(*place: float) -> CellState:
+        local = senses.local()
+        assert local is not None
+        return CellState(local.state[tuple(local.cells_at(place))])
+
+    is_costly = unknown == "costly"
+    assert state_at(*beside) == (CellState.OCCUPIED if is_costly else CellState.UNKNOWN)
+    assert state_at(*right) == CellState.FREE
+    assert state_at(*ahead) == state_at(*far) == CellState.UNKNOWN
+    senses.avoids_hidden = False
+    assert state_at(*beside) == CellState.UNKNOWN
