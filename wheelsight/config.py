@@ -29,7 +29,7 @@ from wheelsight.odometry.dense import DenseSettings
 from wheelsight.odometry.extrinsics import ExtrinsicsSettings
 from wheelsight.odometry.features import FeatureSettings
 from wheelsight.odometry.wheels import WheelSettings
-from wheelsight.recordings.settings import RecordingSettings
+from wheelsight.recordings.settings import RecordingSettings as RecordingSettings  # users take it from here, too
 from wheelsight.settings import (
     ASKED,
     CHOSEN,
