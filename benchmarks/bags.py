@@ -145,7 +145,7 @@ def _writer(folder: Path, kind: Kind, one_a_chunk: bool) -> Any:
     if kind.suffix == ".bag":
         writer = needed("rosbags.rosbag1").Writer(folder.with_suffix(".bag"))
         if one_a_chunk:
-            writer.chunk_threshold = 1
+            writer.chunk_threshold = 1500  # less than the smaller image; readings go along with images
         return writer
     rosbag2 = needed("rosbags.rosbag2")
     plugin = rosbag2.StoragePlugin.MCAP if kind.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3

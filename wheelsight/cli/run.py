@@ -80,7 +80,7 @@ def run(
 
     wheelsight run my_recording --odometry wheels,features --out results
 
-    wheelsight run robot.bag --topic wheels=/odom --out results
+    wheelsight run robot.bag --topic wheels=/odom --odometry wheels --out results
 
     wheelsight run my_recording --odometry dense --map surfels --out results
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rosbags.rosbag1 import Reader, Writer
@@ -34,7 +35,7 @@ def write_chunks(path: Path, threshold: int) -> Path:
 def test_messages_are_those_that_rosbags_reads(tmp_path: Path, threshold: int, topics, span_s) -> None:
     path = write_chunks(tmp_path / "drive.bag", threshold)
     span_ns = [None if at_s is None else stamp_ns(at_s) for at_s in span_s]
-    found: list[list[object]] = []
+    found: list[Any] = []
     for reader in (Ros1Reader(path), Reader(path)):
         with reader:
             wanted = [c for c in reader.connections if not topics or c.topic in topics]

@@ -22,16 +22,21 @@ from wheelsight.extras import needed
 _CHUNK_INFO, _MESSAGE = 6, 2
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
-_TIME = struct.Struct("<II")  # as the pairs of a connection and its count are
+_TIME = struct.Struct("<II")
+_FIELD = b"chunk_pos="
 
 
 class _Chunk(NamedTuple):
-    """Where a chunk begins in the file, the times of its first and last message, and how many of each connection."""
+    """Times of a chunk's first and last message, its place in the file, its connections, and how many messages of each.
+
+    Tuples of numbers alone: of so many objects, the garbage collector must not look at each again and again.
+    """
 
     start_ns: int
     end_ns: int
     place: int
-    counts: dict[int, int]
+    connections: tuple[int, ...]
+    counts: tuple[int, ...]
 
 
 class Ros1Reader:
@@ -83,7 +88,7 @@ class Ros1Reader:
             chunk = self._chunks[at]
             if chunk.start_ns >= stop_ns:
                 break
-            if chunk.end_ns < start_ns or wanted.keys().isdisjoint(chunk.counts):
+            if chunk.end_ns < start_ns or wanted.keys().isdisjoint(chunk.connections):
                 continue
             while waiting and waiting[0][0] < chunk.start_ns:
                 time_ns, _, connection, data = heapq.heappop(waiting)
@@ -117,7 +122,7 @@ class Ros1Reader:
         self._ended_ns = list(accumulate((chunk.end_ns for chunk in self._chunks), max))
         counts = dict.fromkeys((connection.id for connection in known), 0)
         for chunk in self._chunks:
-            for connection, messages in chunk.counts.items():
+            for connection, messages in zip(chunk.connections, chunk.counts, strict=True):
                 counts[connection] = counts.get(connection, 0) + messages
         self.connections = [connection._replace(msgcount=counts[connection.id]) for connection in known]
 
@@ -142,16 +147,16 @@ def _chunk_infos(data: bytes, count: int) -> Iterator[_Chunk]:
         (size,) = _U32.unpack_from(data, at)
         header, at = data[at + 4 : at + 4 + size], at + 4 + size
         # One writer puts all fields in one order: they are looked for once.
-        if not all(header.startswith(name, place - len(name)) for name, place in places.items()) or not places:
+        if not places or not header.startswith(_FIELD, places[_FIELD] - len(_FIELD)):
             places = _places_in(header)
         (size,) = _U32.unpack_from(data, at)
         if header[places[b"op="]] != _CHUNK_INFO or at + 4 + size > len(data):
             raise ValueError(f"a record of the index at {at} tells of no chunk")
         start_s, start_ns = _TIME.unpack_from(header, places[b"start_time="])
         end_s, end_ns = _TIME.unpack_from(header, places[b"end_time="])
-        (place,) = _U64.unpack_from(header, places[b"chunk_pos="])
-        pairs = _TIME.iter_unpack(data[at + 4 : at + 4 + size])
-        yield _Chunk(start_s * 10**9 + start_ns, end_s * 10**9 + end_ns, place, dict(pairs))
+        (place,) = _U64.unpack_from(header, places[_FIELD])
+        words = struct.unpack_from(f"<{size // 8 * 2}I", data, at + 4)
+        yield _Chunk(start_s * 10**9 + start_ns, end_s * 10**9 + end_ns, place, words[::2], words[1::2])
         at += 4 + size
 
 
@@ -163,4 +168,4 @@ def _places_in(header: bytes) -> dict[bytes, int]:
         name = header[at + 4 : at + 4 + size].partition(b"=")[0] + b"="
         found[name] = at + 4 + len(name)
         at += 4 + size
-    return {name: found[name] for name in (b"op=", b"start_time=", b"end_time=", b"chunk_pos=")}
+    return {name: found[name] for name in (b"op=", b"start_time=", b"end_time=", _FIELD)}
