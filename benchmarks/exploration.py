@@ -5,11 +5,11 @@ real sensors (`realism="real"`), its own localization, no truth in the loop. Wha
 laid on the truth by the rigid alignment of its keyframes.
 
 "Reachable" is the floor that the chair's outline covers at any pose to which it can come from the start by turning on
-the spot and driving along its heading, in the true plan, with the margin that its planner keeps (0.05 m cells, 48
-headings). "Seen" is the share of it that the map calls free, as the next drive would take it. "Made up" is floor that
-the map calls free on which something stands, or that lies behind walls, by more than a cell's diagonal. "Map" is the
-RMSE of the keyframes' places; "walls" the median distance of occupied cells beside free ones from the nearest side of
-what truly stands there.
+the spot and driving along its heading, in the true plan, with the margin that its plans and commands keep (cells of
+0.05 m, 48 headings). "Seen" is the share of it that the map calls free, as the next drive would take it. "Made up" is
+floor that the map calls free on which something stands, or that lies behind walls, by more than a cell's diagonal.
+"Map" is the RMSE of the keyframes' places; "walls" the median distance of occupied cells beside free ones from the
+nearest side of what truly stands there.
 
 "Tour" is the way of somebody who knows the plan, and looks all around at some places until he has seen 97 % of what can
 be seen of that floor from anywhere, as far as the map uses depth, and no nearer than the camera sees floor. Places come

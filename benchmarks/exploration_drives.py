@@ -177,7 +177,8 @@ class Judge:
         self._world, self._driven, self._kept = world, driven, kept
         self._start = planar_pose(driven.T_world_base[0])
         camera_m = float(camera_over_floor(kept.calibration)[2, 3])
-        self.plan = TruePlan.of(world, footprint, navigation.planner.margin_m, camera_m)
+        margin_m = max(navigation.planner.margin_m, navigation.follow.margin_m)
+        self.plan = TruePlan.of(world, footprint, margin_m, camera_m)
         self._reached = self.plan.reached(self._start)
         self._is_reachable = self.plan.covered(self._reached)
         self._ate_m, self._T_world_map = _alignment(kept, driven)

@@ -12,7 +12,6 @@ import shapely
 
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight.navigation import Footprint
-from wheelsight.navigation.costmap import CellState
 from wheelsight.navigation.grid_search import cost_to_go
 from wheelsight.navigation.sight import Sight, marks
 from wheelsight.simulation.world import World
@@ -136,7 +135,7 @@ def _shown(plan: TruePlan, reached: BoolArray, start: FloatArray, sight: Sight) 
     is_asked[::_VIEWS_APART_CELLS, ::_VIEWS_APART_CELLS] = True
     cells = np.vstack([plan.cells_at(start[:2]), np.argwhere(reached.all(axis=0) & is_asked)])
     covered = plan.covered(reached)
-    marked: ByteArray = marks(np.where(plan.is_tall, CellState.OCCUPIED, CellState.FREE).astype(np.uint8), covered)
+    marked: ByteArray = marks(~plan.is_tall, covered)
     around = Sight(sight.near_m, sight.far_m, np.pi)
     number = np.full(covered.shape, -1)
     number[covered] = np.arange(np.count_nonzero(covered))

@@ -10,8 +10,10 @@ import pytest
 
 from benchmarks import exploration
 from benchmarks.exploration_drives import Explored
+from benchmarks.exploration_ideal import SIGHT as CHAIRS
+from benchmarks.exploration_ideal import explored
 from benchmarks.exploration_truth import CELL_M, TruePlan, tour_m
-from wheelsight.navigation import Footprint
+from wheelsight.navigation import Footprint, NavigationSettings
 from wheelsight.navigation.sight import Sight
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
@@ -109,3 +111,18 @@ def test_targets_are_by_the_worst() -> None:
     assert all(target.is_met for target in exploration.targets_of([DONE]))
     assert "80.0 % of 50.0 m²" in worst.sentence
     assert "touched sofa" in worst.sentence
+
+
+def test_without_errors_two_rooms_are_seen_on_a_way_of_few_tours() -> None:
+    """By far more than is to be seen, hence of more than the two tours that are to be reached."""
+    plan = plan_of(10.0, 5.0, (5.0, 0.0, 5.1, 1.9), (5.0, 3.1, 5.1, 5.0), (1.0, 4.2, 3.0, 5.0))
+    found = explored(plan, START, NavigationSettings())
+    assert found.share_percent >= 97.0
+    assert found.way_m <= 2.5 * tour_m(plan, plan.reached(START), START, CHAIRS, 0.97)
+
+
+def test_a_room_from_which_no_way_leads_is_not_looked_for() -> None:
+    shut = plan_of(10.0, 5.0, (5.0, 0.0, 5.1, 5.0))
+    found = explored(shut, START, NavigationSettings())
+    assert found.share_percent >= 97.0
+    assert found.views < 15

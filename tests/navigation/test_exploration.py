@@ -143,7 +143,7 @@ def test_it_has_looked_from_near_its_view_and_no_nearer() -> None:
     state = open_to(room(), 3.0, 4.5)
     (view,) = explorer.upcoming(MIDDLE, costmap_of(state))
     explorer.taken()
-    assert explorer.is_met(view + [0.2, 0.0, 0.2], layer_of(state))
+    assert explorer.is_met(view + [0.1, 0.0, 0.1], layer_of(state))
     assert not explorer.is_met(view + [0.5, 0.0, 0.0], layer_of(state))
     assert not explorer.is_met(view + [0.0, 0.0, 0.5], layer_of(state))
 

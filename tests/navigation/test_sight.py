@@ -15,7 +15,7 @@ MIDDLE = np.array([80.0, 80.0])
 
 
 def gains_of(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    marked = marks(state, state == CellState.UNKNOWN)
+    marked = marks(state != CellState.OCCUPIED, state == CellState.UNKNOWN)
     gains, headings = SIGHT.gains_m2(marked, CELL_M, MIDDLE[None])
     return gains[0], headings
 
@@ -23,12 +23,12 @@ def gains_of(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("half_rad", [0.1, 0.5, 0.52, 1.0])
 def test_on_an_open_plane_a_view_shows_a_ring_s_part(half_rad: float) -> None:
     sight = Sight(1.0, 3.0, half_rad)
-    gains, _ = sight.gains_m2(marks(PLANE, PLANE == CellState.UNKNOWN), CELL_M, MIDDLE[None])
+    gains, _ = sight.gains_m2(marks(PLANE != CellState.OCCUPIED, PLANE == CellState.UNKNOWN), CELL_M, MIDDLE[None])
     np.testing.assert_allclose(gains, half_rad * (3.0**2 - 1.0**2), rtol=0.03)
 
 
 def test_the_cells_of_a_view_cover_what_it_gains() -> None:
-    cells = SIGHT.seen(marks(PLANE, PLANE == CellState.UNKNOWN), CELL_M, MIDDLE, 0.7)
+    cells = SIGHT.seen(marks(PLANE != CellState.OCCUPIED, PLANE == CellState.UNKNOWN), CELL_M, MIDDLE, 0.7)
     assert len(cells) * CELL_M**2 == pytest.approx(SIGHT.half_rad * (3.0**2 - 1.0**2), rel=0.05)
     away = (cells + 0.5 - MIDDLE) * CELL_M
     far_m, bearing = np.hypot(*away.T), np.arctan2(away[:, 0], away[:, 1])
@@ -45,7 +45,7 @@ def test_nothing_is_seen_past_a_wall() -> None:
     # Of the sector what lies before the wall: at each bearing up to 1.5 m / cos.
     assert ahead == pytest.approx(1.5**2 * np.tan(0.5) - 0.5 * 1.0**2, rel=0.06)
     assert behind == pytest.approx(0.5 * (3.0**2 - 1.0**2), rel=0.03)
-    cells = SIGHT.seen(marks(state, state == CellState.UNKNOWN), CELL_M, MIDDLE, 0.0)
+    cells = SIGHT.seen(marks(state != CellState.OCCUPIED, state == CellState.UNKNOWN), CELL_M, MIDDLE, 0.0)
     assert cells[:, 1].max() < 110
 
 
@@ -59,6 +59,6 @@ def test_what_is_not_wanted_hides_nothing_and_counts_for_nothing() -> None:
 
 
 def test_beyond_the_edge_there_is_nothing_to_see() -> None:
-    marked = marks(PLANE, PLANE == CellState.UNKNOWN)
+    marked = marks(PLANE != CellState.OCCUPIED, PLANE == CellState.UNKNOWN)
     gains, headings = SIGHT.gains_m2(marked, CELL_M, np.array([[80.0, 159.5]]))
     assert gains[0, np.abs(np.cos(headings) - 1).argmin()] == 0.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from wheelsight.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.navigation.costmap import CellState, Costmap, StaticLayer, distances_m
 from wheelsight.navigation.footprint import Footprint
@@ -50,6 +50,7 @@ class Exploration:
         self._footprint, self._settings = footprint, settings
         self._sight = Sight(near_m, max(settings.exploration.far_m, near_m), half_view_rad)
         self._looked: list[FloatArray] = []  # (3,) from where
+        self._at: FloatArray | None = None  # (3,) where it was when it was asked last
         # Of the plan that is driven, and of the one to come.
         self._aim: _Aim | None = None
         self._next: _Aim | None = None
@@ -70,10 +71,11 @@ class Exploration:
 
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
         """See `Goals`: it looked from near enough, or what was to be seen was seen on the way."""
+        self._at = pose
         if self._turns > 0 or self._aim is None:
             return False
         s, view = self._settings.exploration, self._aim.view
-        if np.hypot(*(view[:2] - pose[:2])) <= s.there_m and np.cos(view[2] - pose[2]) >= np.cos(s.there_rad):
+        if _apart_m(view, pose) <= s.there_m and _turn_rad(view, pose) <= s.there_rad:
             return True
         left = len(self._seen_from(view, layer, layer.is_unseen))
         return left <= (1 - s.shown) * self._aim.gain
@@ -87,7 +89,10 @@ class Exploration:
         if self._turns > 0:
             self._turns -= 1
         elif self._aim is not None:
-            self._looked.append(self._aim.view)
+            # What was seen from elsewhere may still be looked at from there.
+            s, at, view = self._settings.exploration, self._at, self._aim.view
+            is_there = at is not None and _apart_m(at, view) < s.same_m and _turn_rad(at, view) < s.same_rad
+            self._looked.append(at if at is not None and is_there else view)
 
     def missed(self) -> bool:
         """See `Goals`: there are other views, also of the same floor."""
@@ -100,14 +105,11 @@ class Exploration:
     def _wanted(self, costmap: Costmap, pose: FloatArray) -> BoolArray:
         """(H, W) floor that nobody has seen, wide enough for a robot, joined to where it is, and not given up."""
         s, size_m = self._settings.exploration, costmap.resolution_m
-        # What is not known to be occupied may be free.
-        is_wide = distances_m(costmap.state == CellState.OCCUPIED, size_m) >= s.least_m / 2
+        is_wide = self._is_wide(costmap.state, size_m)
         row, column = costmap.cells_at(pose[:2]).tolist()
         is_wide[row, column] = True
         _, labels = cv2.connectedComponents(is_wide.astype(np.uint8), connectivity=4)
-        is_joined = labels == labels[row, column]
-        is_near = distances_m(is_joined, size_m) < s.least_m / 2
-        is_wanted = costmap.is_unseen & is_near
+        is_wanted = costmap.is_unseen & self._is_about(labels == labels[row, column], size_m)
         looks = np.zeros(is_wanted.shape, np.int64)
         for view in self._looked:
             cells = self._seen_from(view, costmap, is_wanted)
@@ -118,7 +120,8 @@ class Exploration:
         """The view that is worth most; None where none shows enough."""
         s = self._settings.exploration
         cells, ways_m = self._places(pose, costmap, is_wanted)
-        marked = marks(costmap.state, is_wanted)
+        is_clear = self._is_about(self._is_wide(costmap.state, costmap.resolution_m), costmap.resolution_m)
+        marked = marks(is_clear, is_wanted)
         gains, headings = self._sight.gains_m2(marked, costmap.resolution_m, cells + 0.5)
         worth = np.zeros_like(gains)
         shows = gains >= s.least_m2
@@ -176,11 +179,37 @@ class Exploration:
 
     def _seen_from(self, view: FloatArray, of: Costmap | StaticLayer, is_wanted: BoolArray) -> IntArray:
         """(N, 2) cells of those wanted that a view shows."""
-        cell = (view[1::-1] - of.origin[::-1]) / of.resolution_m
-        return self._sight.seen(marks(of.state, is_wanted), of.resolution_m, cell, float(view[2]))
+        cell, size_m = (view[1::-1] - of.origin[::-1]) / of.resolution_m, of.resolution_m
+        # Nothing farther matters, and it is asked often.
+        reach = math.ceil((self._sight.far_m + self._settings.exploration.least_m) / size_m)
+        low = np.clip(cell.astype(int) - reach, 0, of.state.shape)
+        high = np.clip(cell.astype(int) + reach + 1, 0, of.state.shape)
+        cut = slice(low[0], high[0]), slice(low[1], high[1])
+        if (low >= high).any():
+            return np.zeros((0, 2), np.int64)
+        is_clear = self._is_about(self._is_wide(of.state[cut], size_m), size_m)
+        return low + self._sight.seen(marks(is_clear, is_wanted[cut]), size_m, cell - low, float(view[2]))
+
+    def _is_wide(self, state: ByteArray, resolution_m: float) -> BoolArray:
+        """(H, W) places so far from all that is occupied that a robot might be there; what is not known may be free."""
+        least_m = self._settings.exploration.least_m / 2
+        return np.asarray(distances_m(state == CellState.OCCUPIED, resolution_m) >= least_m)
+
+    def _is_about(self, is_wide: BoolArray, resolution_m: float) -> BoolArray:
+        """(H, W) floor about such places; a cell less, lest a hole in a wall show what is behind it."""
+        reach_m = self._settings.exploration.least_m / 2 - resolution_m
+        return np.asarray(distances_m(is_wide, resolution_m) <= max(reach_m, 0.0))
 
     def _pieces(self, is_wanted: BoolArray, resolution_m: float) -> int:
         """How many pieces of floor that is wanted are large enough for a look; at least the one that is next."""
         _, _, about, _ = cv2.connectedComponentsWithStats(is_wanted.astype(np.uint8), connectivity=8)
         areas_m2 = np.asarray(about)[1:, cv2.CC_STAT_AREA] * resolution_m**2
         return max(1, int(np.count_nonzero(areas_m2 >= self._settings.exploration.least_m2)))
+
+
+def _apart_m(pose: FloatArray, other: FloatArray) -> float:
+    return float(np.hypot(*(pose[:2] - other[:2])))
+
+
+def _turn_rad(pose: FloatArray, other: FloatArray) -> float:
+    return abs(float(wrap_angle(pose[2] - other[2])))

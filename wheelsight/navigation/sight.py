@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
-from wheelsight.navigation.costmap import CellState
 
 # Rays all around, from a place of which the gain is asked: at 3.5 m they are 0.3 m apart.
 _RAYS = 72
@@ -68,11 +67,9 @@ class Sight:
         return np.arange(0.5 * resolution_m, self.far_m, resolution_m)
 
 
-def marks(state: ByteArray, is_wanted: BoolArray) -> ByteArray:
-    """(H, W) what `Sight` goes by: which cells are wanted, and which nobody sees past."""
-    marked = np.where(is_wanted, _WANTED, 0).astype(np.uint8)
-    marked[state == CellState.OCCUPIED] = _OPAQUE
-    return marked
+def marks(is_clear: BoolArray, is_wanted: BoolArray) -> ByteArray:
+    """(H, W) what `Sight` goes by: which cells are wanted, and which can be seen past; others hide what is behind."""
+    return np.where(is_clear, np.where(is_wanted, _WANTED, 0), _OPAQUE).astype(np.uint8)
 
 
 def _is_seen(
