@@ -143,7 +143,7 @@ class ExplorationSettings(Settings):
     least_m2: float = setting(
         0.2,
         "floor that a view must show to be driven to, m²: a third of what a wheelchair stands on",
-        "found on the simulator alone: docs/decisions/0074",
+        "found on the simulator alone: docs/decisions/0079",
         gt=0,
         le=100,
     )
@@ -154,7 +154,7 @@ class ExplorationSettings(Settings):
         0.5,
         "by which share a metre of way makes a view worth less: 2 m to e⁻¹. González-Baños and Latombe 2002 have 0.2; "
         "a camera of 60° has more views at one place to take first",
-        "found on the simulator alone: docs/decisions/0074",
+        "found on the simulator alone: docs/decisions/0079",
         ge=0,
         le=10,
     )

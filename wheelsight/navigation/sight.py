@@ -41,7 +41,7 @@ class Sight:
             gains (P, R) in m², and the headings (R,) to which they belong.
         """
         turn = 2 * np.pi / _RAYS
-        headings = turn * np.arange(_RAYS) - np.pi
+        headings: FloatArray = np.linspace(-np.pi, np.pi, _RAYS, endpoint=False)
         along_m = self._along_m(resolution_m)
         area = np.where(along_m >= self.near_m, along_m * resolution_m * turn, 0.0)
         by_ray = [
@@ -51,8 +51,8 @@ class Sight:
         # A ray stands for half a turn to either side of it, hence the outermost count by a part.
         whole = int(self.half_rad / turn - 0.5)
         rest = min(self.half_rad / turn - 0.5 - whole, 1.0)
-        total = sum(np.roll(gain, k, axis=1) for k in range(-whole, whole + 1))
-        return total + rest * (np.roll(gain, whole + 1, axis=1) + np.roll(gain, -whole - 1, axis=1)), headings
+        shares = dict.fromkeys(range(-whole, whole + 1), 1.0) | {whole + 1: rest, -whole - 1: rest}
+        return np.sum([share * np.roll(gain, k, axis=1) for k, share in shares.items()], axis=0), headings
 
     def seen(self, marked: ByteArray, resolution_m: float, cell: FloatArray, heading_rad: float) -> IntArray:
         """(N, 2) row and column of the cells that are wanted and would be seen from a place (2,), looking one way."""
@@ -87,7 +87,7 @@ def _is_seen(
 def _cells_along(cells: ArrayLike, headings: FloatArray, steps: FloatArray) -> IntArray:
     """(..., 2) row and column so many cells from places, in directions."""
     ways = np.stack(np.broadcast_arrays(steps * np.sin(headings), steps * np.cos(headings)), axis=-1)
-    return np.floor(np.asarray(cells, float) + ways).astype(np.int64)
+    return np.asarray(np.floor(np.asarray(cells, float) + ways), np.int64)
 
 
 def _chunks(cells: FloatArray) -> list[FloatArray]:
