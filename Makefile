@@ -2,7 +2,7 @@
 #
 #   make demo                      simulate a lap with mishaps, join wheels and camera, map, report against truth; then a robot
 #                                  explores a home of two rooms, closes its loops, and is switched off; on the next day it is
-#                                  switched on in the other room, finds itself, and drives to a goal around a person
+#                                  switched on in the other room, finds itself, and is to drive to a goal while a person walks
 #   make demo RECORDING=folder     the same of a recording you have; ODOMETRY=wheels where it has no images
 #   make test [SLOW=1] [WORKERS=n] all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
