@@ -10,6 +10,7 @@ import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
 from wheelsight.mapping import CellKind
+from wheelsight.pipeline.drive_outputs import drive_dict
 from wheelsight.pipeline.drive_record import DriveRecord, StopRecord
 from wheelsight.pipeline.drives import Goal
 from wheelsight.report.drive_figures import apart, plan_figure, time_line_figure
@@ -129,3 +130,11 @@ def test_an_exploration_is_drawn_without_a_goal(record: DriveRecord) -> None:
     assert drive_picture(told).shape[2] == 3
     assert "explore" in render_drive(told)
     assert ">nan" not in render_drive(told)
+
+
+def test_loops_are_told_of_a_drive_that_made_a_map(record: DriveRecord) -> None:
+    assert "Loops closed" not in render_drive(record)
+    page = render_drive(replace(record, loops=73))
+    assert "Loops closed" in page
+    assert ">73<" in page
+    assert drive_dict(replace(record, loops=73))["loops"] == 73

@@ -14,7 +14,7 @@ from wheelsight.simulation.worlds import build_world, world_names
 from wheelsight.simulation.worlds.blank import BLANK_M
 from wheelsight.simulation.worlds.clearance import check_route, find_collision, footprints, obstacles
 
-WORLDS = {name: build_world(name) for name in ("floor4", "flat", "blank", "square")}
+WORLDS = {name: build_world(name) for name in ("floor4", "flat", "studio", "blank", "square")}
 EVERY_WORLD = pytest.mark.parametrize("name", WORLDS)
 CLEARANCE_M = 0.55
 TURNING_M = 0.83  # at waypoints, where the wheelchair turns about its driven axle and its footplates sweep
@@ -142,7 +142,7 @@ def test_the_same_seed_gives_the_same_world(name: str) -> None:
     assert build_world(name, 5).surfaces == build_world(name, 5).surfaces
 
 
-@pytest.mark.parametrize("name", ["floor4", "flat", "square"])
+@pytest.mark.parametrize("name", ["floor4", "flat", "studio", "square"])
 def test_on_another_day_chairs_and_bins_stand_elsewhere_and_nothing_else_does(name: str) -> None:
     first, other, again = build_world(name, 1), build_world(name, 1, day=1), build_world(name, 1, day=1)
     before, after = geoms(first), geoms(other)
@@ -163,7 +163,7 @@ def test_areas_do_not_overlap() -> None:
         assert all(polygon.is_valid for polygon in polygons)
 
 
-@pytest.mark.parametrize("name", ["floor4", "flat", "blank"])
+@pytest.mark.parametrize("name", ["floor4", "flat", "studio", "blank"])
 def test_the_areas_cover_the_whole_route(name: str) -> None:
     way = lap(WORLDS[name])
     points = [way.interpolate(along) for along in np.arange(0.0, way.length, 0.1)]
@@ -242,7 +242,7 @@ def test_doorways_of_the_flat_are_wide_enough_for_a_wheelchair() -> None:
 def test_an_unknown_world_is_refused_with_the_names(name: str, hint: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build_world(name)
-    assert str(caught.value) == f"there is no world {name} ({hint}known: floor4, flat, blank, square)"
+    assert str(caught.value) == f"there is no world {name} ({hint}known: floor4, flat, studio, blank, square)"
 
 
 def test_a_negative_seed_is_refused() -> None:

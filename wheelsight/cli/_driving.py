@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from wheelsight.cli._console import print_note
@@ -56,6 +57,8 @@ def _driven(
     robot: Robot, config: Config, goals: Sequence[Goal], asked: Asked, words: str, *, is_simulated: bool
 ) -> DriveRecord:
     from wheelsight.cli._drive_view import DriveView
+    from wheelsight.pipeline.exploring import loops_of
+    from wheelsight.slam.sessions import MAP_FOLDER
 
     view = DriveView(config.navigation.footprint.outline)
     # What is said while the map is read would run into a screen that is drawn already.
@@ -63,7 +66,9 @@ def _driven(
         truth = Truth(robot) if is_simulated else None
         is_interrupted = _through(drive, goals, asked, _on_step(drive, view, truth))
         told, tasks = truth.told if truth else {}, len(goals) + asked.back + asked.explore
-        return drive.record(tasks, words, config, told, is_interrupted=is_interrupted)
+        record = drive.record(tasks, words, config, told, is_interrupted=is_interrupted)
+    # The last of them are closed once the drive is over.
+    return replace(record, loops=loops_of(asked.out / MAP_FOLDER)) if asked.explore and asked.out else record
 
 
 @contextmanager

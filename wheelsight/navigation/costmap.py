@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import cv2
@@ -43,12 +43,19 @@ class StaticLayer:
         speed_m_s: (H, W) float32 fastest speed in zones, infinite elsewhere.
         resolution_m: side of a cell.
         origin: x and y in `map` of the corner of cell (0, 0).
+        is_told: (H, W) free floor that nobody has seen: somebody said so. None: none is.
     """
 
     state: ByteArray
     speed_m_s: Float32Array
     resolution_m: float
     origin: tuple[float, float]
+    is_told: BoolArray | None = None
+
+    @property
+    def is_unseen(self) -> BoolArray:
+        """(H, W) floor of which nothing is known, or by what somebody said alone."""
+        return _unseen(self.state, self.is_told)
 
     @classmethod
     def of(cls, grid: OccupancyGrid, edits: MapEdits | None = None, T_map_keyframe: ArrayLike = ()) -> StaticLayer:
@@ -64,7 +71,7 @@ class StaticLayer:
         return cls(state, edits.limits_m_s(edited, T_map_keyframe), grid.resolution_m, grid.origin)
 
     def window(self, xy: ArrayLike, size_m: float) -> StaticLayer:
-        """A square of it about a place (2,), metres; beyond its edges all is unknown."""
+        """A square of it about a place (2,), metres; beyond its edges all is unknown. What was told is seen there."""
         side = math.ceil(size_m / self.resolution_m)
         column, row = np.floor((np.asarray(xy, float) - self.origin) / self.resolution_m).astype(int) - side // 2
         low = np.clip([row, column], 0, self.state.shape)
@@ -95,13 +102,18 @@ class StaticLayer:
         state = np.pad(self.state, around, constant_values=int(CellState.UNKNOWN))
         speed = np.pad(self.speed_m_s, around, constant_values=np.inf)
         origin = float(self.origin[0] - left * size_m), float(self.origin[1] - bottom * size_m)
-        return StaticLayer(state, speed, size_m, origin)
+        is_told = None if self.is_told is None else np.pad(self.is_told, around)
+        return StaticLayer(state, speed, size_m, origin, is_told)
 
-    def with_floor(self, is_floor: BoolArray) -> StaticLayer:
-        """The same, with cells (H, W) known to be free of which nothing else is known."""
+    def with_floor(self, is_floor: BoolArray, *, is_told: bool = False) -> StaticLayer:
+        """The same, with cells (H, W) known to be free of which nothing else is known; or somebody only said so."""
+        is_new = is_floor & (self.state == CellState.UNKNOWN)
         state = self.state.copy()
-        state[is_floor & (state == CellState.UNKNOWN)] = CellState.FREE
-        return StaticLayer(state, self.speed_m_s, self.resolution_m, self.origin)
+        state[is_new] = CellState.FREE
+        told = self.is_told
+        if is_told:
+            told = is_new if told is None else told | is_new
+        return StaticLayer(state, self.speed_m_s, self.resolution_m, self.origin, told)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +132,7 @@ class Costmap:
         frame: `map` or `odom`.
         inscribed_m: of the footprint that it was made for.
         settings: by which it was made.
+        is_told: as of `StaticLayer`.
     """
 
     state: ByteArray
@@ -132,6 +145,12 @@ class Costmap:
     frame: str
     inscribed_m: float
     settings: CostmapSettings
+    is_told: BoolArray | None = None
+
+    @property
+    def is_unseen(self) -> BoolArray:
+        """As of `StaticLayer`."""
+        return _unseen(self.state, self.is_told)
 
     @classmethod
     def of(
@@ -158,7 +177,8 @@ class Costmap:
             state = state.copy()
             _put(live, np.asarray(T_map_live, float), static, state)
         place = static.resolution_m, static.origin, "map"
-        return _made(state, static.speed_m_s, place, footprint.inscribed_m, settings or CostmapSettings())
+        made = _made(state, static.speed_m_s, place, footprint.inscribed_m, settings or CostmapSettings())
+        return replace(made, is_told=static.is_told)
 
     @property
     def field(self) -> CostField:
@@ -225,6 +245,11 @@ def _made(
     cost = np.where(state == CellState.UNKNOWN, np.maximum(cost, settings.unknown_cost), cost)
     cost = np.where(is_lethal, 1, cost).astype(np.float32)
     return Costmap(state, is_lethal, distance_m, cost, speed_m_s, resolution_m, origin, frame, inscribed_m, settings)
+
+
+def _unseen(state: ByteArray, is_told: BoolArray | None) -> BoolArray:
+    is_unknown = state == CellState.UNKNOWN
+    return is_unknown if is_told is None else is_unknown | (is_told & (state == CellState.FREE))
 
 
 def _fill_holes(state: ByteArray, resolution_m: float) -> None:

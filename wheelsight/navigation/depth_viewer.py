@@ -31,6 +31,7 @@ class DepthViewer:
 
     Attributes:
         near_m: from the axle, the nearest floor that the camera sees at all its bearings.
+        half_rad: to either side, how far all its rows see.
 
     Raises:
         CalibrationError: there is no camera.
@@ -50,6 +51,7 @@ class DepthViewer:
         self._heights = _heights_of(heights or LiveLayerSettings())
         ways = self._camera.rays() @ T_base_camera[:3, :3].T
         self._first_rad, self._step_rad, columns = _bearings(ways, self._settings.columns)
+        self.half_rad = self._step_rad * self._settings.columns / 2
         where = np.ascontiguousarray(T_base_camera[:3, 3])
         self._rays = kernels.Rays(np.ascontiguousarray(ways, np.float32), columns, where)
         self._near_m = _near_floor_m(ways, columns, float(where[2]))

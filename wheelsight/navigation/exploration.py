@@ -1,37 +1,40 @@
 """Exploration: goals from which a robot sees floor that nobody has seen, until none is left that it can reach.
 
-Borders between free and unknown floor are looked at one after another (Yamauchi 1997), the nearest and widest first.
+Views are valued as in González-Baños and Latombe 2002: what they show of unseen floor, less with each metre of way.
+Frontiers alone (Yamauchi 1997) do not tell from where a camera sees what is behind them that sees no floor before 2 m.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from wheelsight.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight.geometry.se2 import wrap_angle
-from wheelsight.navigation.costmap import CellState, Costmap, StaticLayer
+from wheelsight.navigation.costmap import CellState, Costmap, StaticLayer, distances_m
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.grid_search import cost_to_go
 from wheelsight.navigation.navigator_settings import NavigationSettings
+from wheelsight.navigation.sight import Sight, marks
 
-# As many places, the cheapest to reach, are asked whether they see a border.
-_MOST_PLACES = 80
+# Places whose views are asked for lie about so far apart.
+_APART_M = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frontier:
-    """A border between free and unknown floor.
+class _Aim:
+    """What is driven to.
 
     Attributes:
-        middle: (2,) the cell of it next to its middle, metres in the map.
-        size_m: its width.
+        view: (3,) x, y, yaw.
+        gain: in cells that were not seen when it was chosen.
     """
 
-    middle: FloatArray
-    size_m: float
+    view: FloatArray
+    gain: int
 
 
 class Exploration:
@@ -40,45 +43,42 @@ class Exploration:
     Args:
         footprint, settings: of the robot.
         near_m: from the axle, the nearest floor that its camera sees.
+        half_view_rad: to either side, how far it sees.
     """
 
-    def __init__(self, footprint: Footprint, settings: NavigationSettings, near_m: float) -> None:
-        self._footprint, self._settings, self._near_m = footprint, settings, near_m
-        self._looked: list[FloatArray] = []
-        self._views: list[FloatArray] = []  # (3,) from where it looked; a yaw of NaN is all around
-        # Middle of a border, and from where it is looked at: of the plan that is driven, and of the one to come.
-        self._aim: tuple[FloatArray, FloatArray] | None = None
-        self._next: tuple[FloatArray, FloatArray] | None = None
+    def __init__(self, footprint: Footprint, settings: NavigationSettings, near_m: float, half_view_rad: float) -> None:
+        self._footprint, self._settings = footprint, settings
+        self._sight = Sight(near_m, max(settings.exploration.far_m, near_m), half_view_rad)
+        self._looked: list[FloatArray] = []  # (3,) from where
+        self._at: FloatArray | None = None  # (3,) where it was when it was asked last
+        # Of the plan that is driven, and of the one to come.
+        self._aim: _Aim | None = None
+        self._next: _Aim | None = None
         self._turns = settings.exploration.turns
         self.left = 1
         self.name = "explore"
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
-        """See `Goals`: first once around, then the border that is worth most."""
+        """See `Goals`: first once around, then the view that is worth most."""
         if self._turns > 0:
             step = 2 * np.pi / self._settings.exploration.turns
-            self._next = pose[:2], np.array([pose[0], pose[1], np.nan])
+            self._next = None
             return (np.array([pose[0], pose[1], wrap_angle(pose[2] + step)]),)
-        free_m = self._ways_m(pose, costmap)
-        found = [one for one in frontiers(costmap, self._settings.exploration.least_m) if not self._is_done(one)]
-        views = [(one, self._view(one, free_m, costmap)) for one in found]
-        worth = [(self._cost(one, view, free_m, costmap, pose), one, view) for one, view in views if view is not None]
-        self.left = len(worth)
-        if not worth:
-            return ()
-        _, best, view = min(worth, key=lambda item: item[0])
-        assert view is not None
-        self._next = best.middle, view
-        return (view,)
+        is_wanted = self._wanted(costmap, pose)
+        self._next = self._best(pose, costmap, is_wanted)
+        self.left = 0 if self._next is None else self._pieces(is_wanted, costmap.resolution_m)
+        return () if self._next is None else (self._next.view,)
 
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
-        """See `Goals`: a border was looked at from near enough, or is none any more."""
+        """See `Goals`: it looked from near enough, or what was to be seen was seen on the way."""
+        self._at = pose
         if self._turns > 0 or self._aim is None:
             return False
-        border, view = self._aim
-        s = self._settings.exploration
-        is_near = np.hypot(*(view[:2] - pose[:2])) <= s.there_m and np.cos(view[2] - pose[2]) >= np.cos(s.there_rad)
-        return bool(is_near or not _is_border(layer, border, s.least_m / 2))
+        s, view = self._settings.exploration, self._aim.view
+        if _apart_m(view, pose) <= s.there_m and _turn_rad(view, pose) <= s.there_rad:
+            return True
+        left = len(self._seen_from(view, layer, layer.is_unseen))
+        return left <= (1 - s.shown) * self._aim.gain
 
     def taken(self) -> None:
         """See `Goals`."""
@@ -86,92 +86,130 @@ class Exploration:
 
     def reached(self) -> None:
         """See `Goals`."""
-        if self._aim is not None:
-            self._views.append(self._aim[1])
         if self._turns > 0:
             self._turns -= 1
         elif self._aim is not None:
-            self._looked.append(self._aim[0])
+            # What was seen from elsewhere may still be looked at from there.
+            s, at, view = self._settings.exploration, self._at, self._aim.view
+            is_there = at is not None and _apart_m(at, view) < s.same_m and _turn_rad(at, view) < s.same_rad
+            self._looked.append(at if at is not None and is_there else view)
 
     def missed(self) -> bool:
-        """See `Goals`: there are others, and another view of the same."""
+        """See `Goals`: there are other views, also of the same floor."""
         if self._turns > 0:
             self._turns = 0
         elif self._aim is not None:
-            self._looked.append(self._aim[0])
-            self._views.append(self._aim[1])
+            self._looked.append(self._aim.view)
         return True
 
-    def _is_done(self, frontier: Frontier) -> bool:
+    def _wanted(self, costmap: Costmap, pose: FloatArray) -> BoolArray:
+        """(H, W) floor that nobody has seen, wide enough for a robot, joined to where it is, and not given up."""
+        s, size_m = self._settings.exploration, costmap.resolution_m
+        is_wide = self._is_wide(costmap.state, size_m)
+        row, column = costmap.cells_at(pose[:2]).tolist()
+        is_wide[row, column] = True
+        _, labels = cv2.connectedComponents(is_wide.astype(np.uint8), connectivity=4)
+        is_wanted = costmap.is_unseen & self._is_about(labels == labels[row, column], size_m)
+        looks = np.zeros(is_wanted.shape, np.int64)
+        for view in self._looked:
+            cells = self._seen_from(view, costmap, is_wanted)
+            looks[cells[:, 0], cells[:, 1]] += 1
+        return np.asarray(is_wanted & (looks < s.tries))
+
+    def _best(self, pose: FloatArray, costmap: Costmap, is_wanted: BoolArray) -> _Aim | None:
+        """The view that is worth most; None where none shows enough."""
         s = self._settings.exploration
-        near = [looked for looked in self._looked if np.hypot(*(looked - frontier.middle)) < s.same_m]
-        return len(near) >= s.tries
+        cells, ways_m = self._places(pose, costmap, is_wanted)
+        is_clear = self._is_about(self._is_wide(costmap.state, costmap.resolution_m), costmap.resolution_m)
+        marked = marks(is_clear, is_wanted)
+        gains, headings = self._sight.gains_m2(marked, costmap.resolution_m, cells + 0.5)
+        worth = np.zeros_like(gains)
+        shows = gains >= s.least_m2
+        place, heading = np.nonzero(shows)
+        poses = np.column_stack([costmap.middle_of(cells[place]), headings[heading]])
+        turn_rad = np.abs(wrap_angle(headings[heading] - pose[2]))
+        value = gains[shows] * np.exp(-s.way_per_m * (ways_m[place] + s.turn_m * turn_rad))
+        worth[shows] = np.where(self._fits(costmap, poses) & ~self._is_old(poses), value, 0.0)
+        if not worth.any():
+            return None
+        best, heading_of = np.unravel_index(int(worth.argmax()), worth.shape)
+        view = np.array([*costmap.middle_of(cells[best]), headings[heading_of]])
+        return _Aim(view, len(self._seen_from(view, costmap, costmap.is_unseen)))
+
+    def _places(self, pose: FloatArray, costmap: Costmap, is_wanted: BoolArray) -> tuple[IntArray, FloatArray]:
+        """(P, 2) cells that can be reached and lie near to what is wanted, and what ways there cost, (P,)."""
+        ways_m = self._ways_m(pose, costmap)
+        is_near = distances_m(is_wanted, costmap.resolution_m) <= self._sight.far_m
+        step = max(1, round(_APART_M / costmap.resolution_m))
+        is_asked = np.zeros(is_wanted.shape, bool)
+        row, column = costmap.cells_at(pose[:2]).tolist()
+        is_asked[row % step :: step, column % step :: step] = True
+        cells = np.argwhere(np.isfinite(ways_m) & is_near & is_asked)
+        return cells, ways_m[cells[:, 0], cells[:, 1]]
 
     def _ways_m(self, pose: FloatArray, costmap: Costmap) -> FloatArray:
         """(H, W) what ways to each cell cost, of the circle within the outline; infinite where none leads."""
-        least_m = self._footprint.inscribed_m + self._settings.planner.margin_m
-        metre = np.where(costmap.distance_m >= least_m, 1 + costmap.cost, np.inf).astype(np.float32)
+        metre = np.where(costmap.distance_m >= self._least_m, 1 + costmap.cost, np.inf).astype(np.float32)
         row, column = costmap.cells_at(pose[:2]).tolist()
         metre[row, column] = 1.0
         return cost_to_go(metre, costmap.resolution_m, (row, column))
 
-    def _view(self, frontier: Frontier, ways_m: FloatArray, costmap: Costmap) -> FloatArray | None:
-        """(3,) the cheapest place from which the camera sees a border, or else next to it; None: none is reached."""
-        cells = np.argwhere(np.isfinite(ways_m))
-        apart_m = np.hypot(*(costmap.middle_of(cells) - frontier.middle).T)
-        in_sight = (apart_m >= self._near_m) & (apart_m <= self._settings.exploration.far_m)
-        for group in (cells[in_sight], cells[apart_m < self._near_m]):
-            order = np.argsort(ways_m[group[:, 0], group[:, 1]])[:_MOST_PLACES]
-            for cell in group[order]:
-                xy = costmap.middle_of(cell)
-                away = frontier.middle - xy
-                view = np.array([*xy, np.arctan2(away[1], away[0])])
-                if not self._is_old(view) and _sees(costmap, xy, frontier.middle):
-                    return view
-        return None
+    @property
+    def _least_m(self) -> float:
+        return self._footprint.inscribed_m + self._settings.planner.margin_m
 
-    def _is_old(self, view: FloatArray) -> bool:
-        """Whether it looked from there before, in that direction."""
-        s = self._settings.exploration
-        near = [old for old in self._views if np.hypot(*(old[:2] - view[:2])) < s.same_m]
-        return any(np.isnan(old[2]) or np.cos(old[2] - view[2]) > np.cos(s.same_rad) for old in near)
+    def _fits(self, costmap: Costmap, poses: FloatArray) -> BoolArray:
+        """(N,) whether circles along the outline's middle fit at poses (N, 3), which most poses in walls fail."""
+        radius_m = self._footprint.inscribed_m
+        low, high = self._footprint.corners[:, 0].min() + radius_m, self._footprint.corners[:, 0].max() - radius_m
+        fits = np.ones(len(poses), bool)
+        for along_m in np.linspace(low, max(low, high), 1 + math.ceil(max(high - low, 0.0) / radius_m)):
+            middles = poses[:, :2] + along_m * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+            at = np.clip(costmap.cells_at(middles), 0, np.array(costmap.state.shape) - 1)
+            fits &= costmap.distance_m[at[:, 0], at[:, 1]] >= self._least_m
+        return fits
 
-    def _cost(
-        self, frontier: Frontier, view: FloatArray, ways_m: FloatArray, costmap: Costmap, pose: FloatArray
-    ) -> float:
-        s = self._settings.exploration
-        row, column = costmap.cells_at(view[:2]).tolist()
-        turn_rad = abs(float(wrap_angle(view[2] - pose[2])))
-        return float(ways_m[row, column]) + s.turn_m * turn_rad - s.gain * frontier.size_m
+    def _is_old(self, poses: FloatArray) -> BoolArray:
+        """(N,) whether it looked from there before, in that direction."""
+        s, is_old = self._settings.exploration, np.zeros(len(poses), bool)
+        for looked in self._looked:
+            is_near = np.hypot(*(poses[:, :2] - looked[:2]).T) < s.same_m
+            is_old |= is_near & (np.cos(poses[:, 2] - looked[2]) > np.cos(s.same_rad))
+        return is_old
 
+    def _seen_from(self, view: FloatArray, of: Costmap | StaticLayer, is_wanted: BoolArray) -> IntArray:
+        """(N, 2) cells of those wanted that a view shows."""
+        cell, size_m = (view[1::-1] - of.origin[::-1]) / of.resolution_m, of.resolution_m
+        # Nothing farther matters, and it is asked often.
+        reach = math.ceil((self._sight.far_m + self._settings.exploration.least_m) / size_m)
+        low = np.clip(cell.astype(int) - reach, 0, of.state.shape)
+        high = np.clip(cell.astype(int) + reach + 1, 0, of.state.shape)
+        cut = slice(low[0], high[0]), slice(low[1], high[1])
+        if (low >= high).any():
+            return np.zeros((0, 2), np.int64)
+        is_clear = self._is_about(self._is_wide(of.state[cut], size_m), size_m)
+        return low + self._sight.seen(marks(is_clear, is_wanted[cut]), size_m, cell - low, float(view[2]))
 
-def frontiers(costmap: Costmap, least_m: float) -> list[Frontier]:
-    """Borders between free and unknown floor, of at least so many metres."""
-    is_free, is_unknown = costmap.state == CellState.FREE, costmap.state == CellState.UNKNOWN
-    beside = cv2.dilate(is_unknown.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    is_border = is_free & beside
-    count, labels = cv2.connectedComponents(is_border.astype(np.uint8), connectivity=8)
-    return [one for label in range(1, count) if (one := _frontier(labels == label, costmap)).size_m >= least_m]
+    def _is_wide(self, state: ByteArray, resolution_m: float) -> BoolArray:
+        """(H, W) places so far from all that is occupied that a robot might be there; what is not known may be free."""
+        least_m = self._settings.exploration.least_m / 2
+        return np.asarray(distances_m(state == CellState.OCCUPIED, resolution_m) >= least_m)
 
+    def _is_about(self, is_wide: BoolArray, resolution_m: float) -> BoolArray:
+        """(H, W) floor about such places; a cell less, lest a hole in a wall show what is behind it."""
+        reach_m = self._settings.exploration.least_m / 2 - resolution_m
+        return np.asarray(distances_m(is_wide, resolution_m) <= max(reach_m, 0.0))
 
-def _frontier(is_part: BoolArray, costmap: Costmap) -> Frontier:
-    cells: IntArray = np.argwhere(is_part)
-    places = costmap.middle_of(cells)
-    middle = places[np.hypot(*(places - places.mean(axis=0)).T).argmin()]
-    extent = places.max(axis=0) - places.min(axis=0) + costmap.resolution_m
-    return Frontier(middle, float(np.hypot(*extent)))
-
-
-def _is_border(layer: StaticLayer, xy: FloatArray, reach_m: float) -> bool:
-    """Whether there is floor so near to a place that nobody has seen; beyond a map's edges nobody has."""
-    reach = int(np.ceil(reach_m / layer.resolution_m))
-    column, row = np.floor((xy - layer.origin) / layer.resolution_m).astype(int).tolist()
-    about = layer.state[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1]
-    return bool(about.size < (2 * reach + 1) ** 2 or (about == CellState.UNKNOWN).any())
+    def _pieces(self, is_wanted: BoolArray, resolution_m: float) -> int:
+        """How many pieces of floor that is wanted are large enough for a look; at least the one that is next."""
+        _, _, about, _ = cv2.connectedComponentsWithStats(is_wanted.astype(np.uint8), connectivity=8)
+        areas_m2 = np.asarray(about)[1:, cv2.CC_STAT_AREA] * resolution_m**2
+        return max(1, int(np.count_nonzero(areas_m2 >= self._settings.exploration.least_m2)))
 
 
-def _sees(costmap: Costmap, xy: FloatArray, to: FloatArray) -> bool:
-    """Whether nothing that is known stands between."""
-    steps = int(np.ceil(2 * np.hypot(*(to - xy)) / costmap.resolution_m)) + 1
-    cells = costmap.cells_at(xy + np.linspace(0, 1, steps)[:, None] * (to - xy))
-    return not bool((costmap.state[cells[:, 0], cells[:, 1]] == CellState.OCCUPIED).any())
+def _apart_m(pose: FloatArray, other: FloatArray) -> float:
+    return float(np.hypot(*(pose[:2] - other[:2])))
+
+
+def _turn_rad(pose: FloatArray, other: FloatArray) -> float:
+    return abs(float(wrap_angle(pose[2] - other[2])))

@@ -179,7 +179,7 @@ class GrowingFloor:
             _stamp(is_stood, static, pose, self._footprint)
         self._stamped, self._marked = len(self._stood), (is_stood, static.origin)
         known = static.with_floor(is_stood)
-        return known.with_floor(self._trusted_floor(static)) if self._trusted_m else known
+        return known.with_floor(self._trusted_floor(static), is_told=True) if self._trusted_m else known
 
     def _trusted_floor(self, static: StaticLayer) -> BoolArray:
         """(H, W) floor near to where the robot began; kept while the same was seen, since it takes 16 ms."""

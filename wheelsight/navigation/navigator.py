@@ -124,7 +124,7 @@ class Navigator:
 
     def explore(self) -> None:
         """Begin to look at all floor that can be reached, of a map that grows."""
-        self.begin(Exploration(self._footprint, self.settings, self._senses.near_m))
+        self.begin(Exploration(self._footprint, self.settings, self._senses.near_m, self._senses.half_view_rad))
 
     def begin(self, goals: Goals) -> None:
         """Begin a task; one that goes on is called off."""

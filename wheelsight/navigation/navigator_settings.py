@@ -154,24 +154,47 @@ class ExplorationSettings(Settings):
     """Where a robot looks that is to see all floor it can reach."""
 
     least_m: float = setting(
-        0.6, "width of a border to unknown floor that is worth a look: a robot fits through no less", CHOSEN, gt=0, le=5
+        0.6, "width of floor that nobody has seen and that is worth a look: a robot fits in no less", CHOSEN, gt=0, le=5
+    )
+    least_m2: float = setting(
+        0.2,
+        "floor that a view must show to be driven to, m²: a third of what a wheelchair stands on",
+        "found on the simulator alone: docs/decisions/0079",
+        gt=0,
+        le=100,
     )
     far_m: float = setting(
-        3.5, "from where a border is looked at, at most: farther a Kinect's floor is rough", CHOSEN, gt=0.5, le=10
+        3.5, "from where floor is looked at, at most: farther a Kinect's floor is rough", CHOSEN, gt=0.5, le=10
     )
-    gain: float = setting(2.0, "metres of way that a metre of border is worth", CHOSEN, ge=0, le=100)
+    way_per_m: float = setting(
+        0.5,
+        "by which share a metre of way makes a view worth less: 2 m to e⁻¹. González-Baños and Latombe 2002 have 0.2; "
+        "a camera of 60° has more views at one place to take first",
+        "found on the simulator alone: docs/decisions/0079",
+        ge=0,
+        le=10,
+    )
     turn_m: float = setting(
-        0.6,
-        "metres of way that a radian of turn costs: as long as both take at 0.3 m/s and 0.5 rad/s",
+        0.4,
+        "metres of way that a radian of turn costs: as long as both take over floor not seen lately, at 0.2 m/s and "
+        "0.5 rad/s",
         "reckoned",
         ge=0,
         le=10,
     )
-    tries: int = setting(2, "looks at a border that stays, before it is left", CHOSEN, ge=1, le=20)
-    same_m: float = setting(0.7, "borders whose middles are nearer, and places, count as one", CHOSEN, gt=0, le=5)
+    shown: float = setting(
+        0.9,
+        "share of the floor that a view was to show, once seen from elsewhere, that makes it needless: the next one "
+        "shows the rest",
+        CHOSEN,
+        gt=0,
+        le=1,
+    )
+    tries: int = setting(2, "looks at floor that stays unseen, before it is left", CHOSEN, ge=1, le=20)
+    same_m: float = setting(0.7, "places that are nearer count as one", CHOSEN, gt=0, le=5)
     same_rad: float = setting(0.5, "and directions from there: half a Kinect's view", CHOSEN, gt=0, le=3.2)
-    there_m: float = setting(0.3, "from where a border is to be looked at, that is near enough", CHOSEN, ge=0, le=2)
-    there_rad: float = setting(0.3, "likewise, the direction: a quarter of a Kinect's view", CHOSEN, ge=0, le=3)
+    there_m: float = setting(0.15, "from where floor is to be looked at, that is near enough", CHOSEN, ge=0, le=2)
+    there_rad: float = setting(0.15, "likewise, the direction: a seventh of a Kinect's view", CHOSEN, ge=0, le=3)
     turns: int = setting(3, "looks around at the begin, in a whole turn on the spot", CHOSEN, ge=0, le=12)
 
 

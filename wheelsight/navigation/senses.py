@@ -91,6 +91,11 @@ class Senses:
         return self._viewer.near_m
 
     @property
+    def half_view_rad(self) -> float:
+        """To either side, how far the camera sees."""
+        return self._viewer.half_rad
+
+    @property
     def floor(self) -> Floor:
         """As it was given."""
         return self._floor

@@ -54,6 +54,7 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "transitions": transitions,
         "plans": plans,
         "truth": record.truth or None,
+        "loops": record.loops,
         "navigation": record.config["navigation"],
     }
 

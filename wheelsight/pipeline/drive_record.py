@@ -120,6 +120,7 @@ class DriveRecord:
         footprint: of the robot.
         config: all settings.
         truth: what a simulator knows: contacts by the robot, least true clearance; empty of a real one.
+        loops: closed in the map that it made; None where it made none.
         is_interrupted: whether somebody ended it.
         finished_at: when it ended.
     """
@@ -138,6 +139,7 @@ class DriveRecord:
     footprint: Footprint
     config: dict[str, Any]
     truth: dict[str, Any] = field(default_factory=dict)
+    loops: int | None = None
     is_interrupted: bool = False
     finished_at: datetime = field(default_factory=lambda: datetime.now(UTC))
 

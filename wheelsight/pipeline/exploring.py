@@ -113,6 +113,12 @@ def exploring(
         yield Drive(watched, navigator, lambda: floor.grid, path.parent.name or path.name)
 
 
+def loops_of(path: Path) -> int:
+    """How many loops a map has, once its exploration is over. Raises MapError."""
+    with closing(MapFolder.open(path)) as folder:
+        return sum(edge.is_loop for edge in folder.edges)
+
+
 def _growing_worker(config: Config, *, in_step: bool) -> Worker[SeenFloor]:
     """What makes the floor of what keyframes see."""
     return WorkerInStep(config.navigation.navigator.mapping_s) if in_step else WorkerBeside("floor")

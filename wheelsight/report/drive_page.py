@@ -122,6 +122,8 @@ def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
     ]
     if offs:
         tiles.append(("Off the goal", words.length(max(offs)), "at most, as the robot believes"))
+    if record.loops is not None:
+        tiles.append(("Loops closed", str(record.loops), "between keyframes of the map that it left"))
     if record.truth:
         touched = sum(one["by_the_robot"] for one in record.truth["contacts"])
         clear = f"true clearance {words.length(record.truth['clearance_m'])}"

@@ -1,4 +1,4 @@
-"""Worlds to drive in: a floor of a building, a home, a blank corridor and a hall for UMBmark, as MJCF documents."""
+"""Worlds to drive in: a floor of a building, two homes, a blank corridor and a hall for UMBmark, as MJCF documents."""
 
 from __future__ import annotations
 
@@ -10,8 +10,15 @@ from wheelsight.simulation.worlds.blank import build_blank
 from wheelsight.simulation.worlds.flat import build_flat
 from wheelsight.simulation.worlds.floor4 import build_floor4
 from wheelsight.simulation.worlds.square import build_square
+from wheelsight.simulation.worlds.studio import build_studio
 
-_BUILDERS = {"floor4": build_floor4, "flat": build_flat, "blank": build_blank, "square": build_square}
+_BUILDERS = {
+    "floor4": build_floor4,
+    "flat": build_flat,
+    "studio": build_studio,
+    "blank": build_blank,
+    "square": build_square,
+}
 _WITH_LEAVES = {"flat": build_flat}
 
 __all__ = ["build_world", "world_names"]
