@@ -56,7 +56,7 @@ class IdealRobot:
     def __init__(self, plan: TruePlan, start: FloatArray, settings: NavigationSettings) -> None:
         self._plan, self._settings, self.pose = plan, settings, start.astype(float)
         self.state = np.full(plan.is_taken.shape, CellState.UNKNOWN, np.uint8)
-        cells = np.stack(np.indices(self.state.shape), axis=-1)
+        cells = np.moveaxis(np.indices(self.state.shape), 0, -1)
         self._middles = plan.middle_of(cells)
         self._is_told = np.hypot(*np.moveaxis(self._middles - start[:2], -1, 0)) < SIGHT.near_m
         self.way_m = self.turn_rad = 0.0
@@ -178,7 +178,7 @@ def main() -> None:
     rows = []
     for building in buildings_of(asked.flats, asked.data, 40.0):
         where = {"world": building.world} if building.plan is None else {"plan": building.plan}
-        world = world_of(SimulationSettings(seed=asked.seed, **where))  # type: ignore[arg-type]
+        world = world_of(SimulationSettings(seed=asked.seed, **where))
         start = planar_pose(start_of(world))
         plan = TruePlan.of(world, navigation.footprint.outline, margin_m, CAMERA_M)
         found, way_m = explored(plan, start, navigation), tour_m(plan, plan.reached(start), start, SIGHT, 0.97)

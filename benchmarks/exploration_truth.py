@@ -56,7 +56,7 @@ class TruePlan:
 
     def cells_at(self, xy: FloatArray) -> IntArray:
         """(..., 2) row and column of places (..., 2); they may lie outside."""
-        return np.floor((np.asarray(xy, float)[..., ::-1] - self.origin[::-1]) / CELL_M).astype(np.int64)
+        return np.asarray(np.floor((np.asarray(xy, float)[..., ::-1] - self.origin[::-1]) / CELL_M), np.int64)
 
     def middle_of(self, cells: IntArray) -> FloatArray:
         """(..., 2) places of the middles of cells (..., 2)."""
@@ -97,10 +97,10 @@ class TruePlan:
 
     def covered(self, reached: BoolArray) -> BoolArray:
         """(H, W) cells that the outline covers at any of the poses."""
-        found = np.zeros(self.is_taken.shape, np.uint8)
+        found = np.zeros(self.is_taken.shape, bool)
         for poses, yaw in zip(reached, _yaws(), strict=True):
-            found |= cv2.dilate(poses.astype(np.uint8), np.flip(_print(self.footprint, yaw)))
-        return np.asarray((found > 0) & ~self.is_taken)
+            found |= np.asarray(cv2.dilate(poses.astype(np.uint8), np.flip(_print(self.footprint, yaw)))) > 0
+        return np.asarray(found & ~self.is_taken)
 
     def open_floor(self, start: FloatArray) -> BoolArray:
         """(H, W) cells where nothing stands, joined to the one where it begins: narrow ones and corners, too."""

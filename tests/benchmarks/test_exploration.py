@@ -46,7 +46,7 @@ def test_all_of_an_empty_room_is_covered_but_corners_that_no_outline_fills() -> 
 @pytest.mark.parametrize(("gap_m", "is_passed"), [(0.5, False), (0.8, True)])
 def test_it_comes_through_what_it_fits_through(gap_m: float, is_passed: bool) -> None:
     plan = plan_of(8.0, 4.0, (4.0, 0.0, 4.1, 2.0 - gap_m / 2), (4.0, 2.0 + gap_m / 2, 4.1, 4.0))
-    reached = plan.reached(START).any(axis=0)
+    reached = np.asarray(plan.reached(START).any(axis=0))
     row, column = plan.cells_at(np.array([6.0, 2.0])).tolist()
     assert bool(reached[row, column]) is is_passed
     assert (covered_m2(plan) > 30.0) is is_passed

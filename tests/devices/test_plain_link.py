@@ -114,13 +114,11 @@ def test_text_that_is_no_counts_is_told_with_what_to_print() -> None:
 
 
 def test_other_text_between_is_counted_and_shown() -> None:
-    from wheelsight.cli._monitor import Meter, live_line
-
     with printing(lambda n: f"{n},{n}" if n % 5 else "battery 12 V") as board, WheelLink(board.port) as link:
         wait(lambda: link.report().line.malformed > 10)
-        shown = live_line(Meter(None).look(link.report()))
-    assert "format: plain text" in shown
-    assert "other text: battery 12 V" in shown
+        report = link.report()
+    assert report.format is Format.PLAIN
+    assert report.other_line == "battery 12 V"
 
 
 def test_nobody_asks_for_plain_text() -> None:

@@ -249,7 +249,7 @@ def _made(
 
 def _unseen(state: ByteArray, is_told: BoolArray | None) -> BoolArray:
     is_unknown = state == CellState.UNKNOWN
-    return is_unknown if is_told is None else is_unknown | (is_told & (state == CellState.FREE))
+    return np.asarray(is_unknown if is_told is None else is_unknown | (is_told & (state == CellState.FREE)))
 
 
 def _fill_holes(state: ByteArray, resolution_m: float) -> None:

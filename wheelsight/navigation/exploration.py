@@ -122,7 +122,7 @@ class Exploration:
         cells, ways_m = self._places(pose, costmap, is_wanted)
         is_clear = self._is_about(self._is_wide(costmap.state, costmap.resolution_m), costmap.resolution_m)
         marked = marks(is_clear, is_wanted)
-        gains, headings = self._sight.gains_m2(marked, costmap.resolution_m, cells + 0.5)
+        gains, headings = self._sight.gains_m2(marked, costmap.resolution_m, np.asarray(cells + 0.5, float))
         worth = np.zeros_like(gains)
         shows = gains >= s.least_m2
         place, heading = np.nonzero(shows)
@@ -188,7 +188,7 @@ class Exploration:
         if (low >= high).any():
             return np.zeros((0, 2), np.int64)
         is_clear = self._is_about(self._is_wide(of.state[cut], size_m), size_m)
-        return low + self._sight.seen(marks(is_clear, is_wanted[cut]), size_m, cell - low, float(view[2]))
+        return np.asarray(low + self._sight.seen(marks(is_clear, is_wanted[cut]), size_m, cell - low, float(view[2])))
 
     def _is_wide(self, state: ByteArray, resolution_m: float) -> BoolArray:
         """(H, W) places so far from all that is occupied that a robot might be there; what is not known may be free."""

@@ -31,7 +31,7 @@ class AzureKinectReader:
     """A file of `k4arecorder`, or of another program that writes what it writes."""
 
     name = "azure_kinect"
-    needs = "to be a file, .mkv, with colour and depth of an Azure Kinect"
+    needs = "an .mkv"
 
     def recognises(self, folder: Path) -> bool:
         """Whether it is a file of that name."""
