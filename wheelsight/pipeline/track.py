@@ -243,9 +243,7 @@ def follow(
     started = time.perf_counter()
     try:
         if isinstance(source, InRealTime):
-            for rehearsed in source.rehearsals():
-                # Localizers of its own: those of the run must not have heard anything.
-                rehearse(rehearsed, [track.localizer for track in begin_all(rehearsed, config, places)])
+            _rehearse_all(source, config, places)
             started = time.perf_counter()
         for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)
@@ -267,6 +265,12 @@ def follow(
     passage.elapsed_s = time.perf_counter() - started
     passage.unused = unused_of(source, config, yaw_rates)
     return passage
+
+
+def _rehearse_all(source: InRealTime, config: Config, places: Places | None) -> None:
+    """By localizers of its own: those of the run must not have heard anything."""
+    for rehearsed in source.rehearsals():
+        rehearse(rehearsed, [track.localizer for track in begin_all(rehearsed, config, places)])
 
 
 def _until(events: Iterable[Event], duration_s: float | None) -> Iterator[Event]:
