@@ -52,8 +52,7 @@ def test_wheels_are_followed_for_so_long_after_ready_and_recorded(wheelsight: Co
     assert result.exit_code == 0, result.output
     assert "ready; following for 1 s" in result.stderr
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    answered = metrics["wheel_readings"]["processed"] if "wheel_readings" in metrics else None
-    assert answered is None or answered > 5
+    assert metrics["wheel_readings"]["processed"] == metrics["realtime"]["readings"]
     assert metrics["recording"] == {"name": str(controller.port), "format": "live", "path": None}
     assert (metrics["realtime"]["is_live"], metrics["realtime"]["wheels_from"]) == (True, str(controller.port))
     assert metrics["realtime"]["played_s"] == pytest.approx(1.0, abs=0.5)

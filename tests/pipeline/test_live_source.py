@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -46,7 +46,7 @@ def followed(source: LiveSource, count: int, on_event: Callable[[Event], None] =
     return found
 
 
-def stops_after(count: int) -> Callable[[], contextmanager[Until]]:
+def stops_after(count: int) -> Callable[[], AbstractContextManager[Until]]:
     """Over at the so manieth look."""
 
     @contextmanager
@@ -59,18 +59,16 @@ def stops_after(count: int) -> Callable[[], contextmanager[Until]]:
 
 def test_of_frames_that_came_meanwhile_only_the_newest_is_answered() -> None:
     camera = HandFedCamera()
-    source = LiveSource(LiveSensors(CALIBRATION, camera))
-    events = source.events()
     now_s = host_clock.now_s()
-    camera.put(live_frame(0, now_s))  # of before it began
-    camera.put(live_frame(1, now_s))
-    told = iter((2, 3, 4))
 
     def begin() -> None:
-        for number in told:
+        for number in (2, 3, 4):
             camera.put(live_frame(number, now_s + number / 30))
 
-    source._on_begin = begin
+    source = LiveSource(LiveSensors(CALIBRATION, camera), on_begin=begin)
+    events = source.events()
+    camera.put(live_frame(0, now_s))  # of before it began
+    camera.put(live_frame(1, now_s))
     first = next(events)
     camera.put(live_frame(5, now_s + 0.2))
     second = next(events)
@@ -113,9 +111,8 @@ def test_it_ends_when_told_or_with_a_played_recording() -> None:
     camera = HandFedCamera()
     assert list(LiveSource(LiveSensors(CALIBRATION, camera), stops_after(3)).events()) == []
     notes: list[str] = []
-    source = LiveSource(
-        LiveSensors(CALIBRATION, camera), note=notes.append, on_begin=lambda: camera.tell(CameraStatus.ENDED)
-    )
+    sensors = LiveSensors(CALIBRATION, camera)
+    source = LiveSource(sensors, note=notes.append, on_begin=lambda: camera.tell(CameraStatus.ENDED))
     assert list(source.events()) == []
     assert source.warnings[-1] == "No frame came from fake 1: the recording it plays has ended."
 
@@ -132,9 +129,13 @@ def test_a_camera_that_goes_away_is_told_and_the_wheels_go_on(tmp_path: Path) ->
 def test_what_is_heard_is_recorded_frames_that_were_dropped_too(tmp_path: Path) -> None:
     camera = HandFedCamera()
     now_s = host_clock.now_s()
+
+    def begin() -> None:
+        for number in range(5):
+            camera.put(live_frame(number, now_s + number))
+
     with LiveRecorder(RecordingWriter(tmp_path / "r", CALIBRATION)) as recorder:
-        source = LiveSource(LiveSensors(CALIBRATION, camera, recorder=recorder))
-        source._on_begin = lambda: [camera.put(live_frame(number, now_s + number)) for number in range(5)] and None
+        source = LiveSource(LiveSensors(CALIBRATION, camera, recorder=recorder), on_begin=begin)
         (answered,) = followed(source, 1)
     recorded = [event for event in open_recording(tmp_path / "r").events() if isinstance(event, RgbdFrame)]
     assert isinstance(answered, RgbdFrame)

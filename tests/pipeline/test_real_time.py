@@ -90,7 +90,7 @@ def test_a_fast_one_answers_as_a_run_that_takes_its_time(
     assert (tmp_path / "live" / "trajectory.txt").read_bytes() == (tmp_path / "calm" / "trajectory.txt").read_bytes()
     told = astuple(not_none(live.realtime))
     nothing = pytest.approx(0.0, abs=1e-9)
-    assert told == (pytest.approx(np.ptp(truth.stamps_s)), 20, 0, 0, 0, nothing, nothing, None)
+    assert told == (pytest.approx(np.ptp(truth.stamps_s)), 20, 0, 0, 0, nothing, nothing, None, False, None)
     assert calm.realtime is None
     assert live.warnings == calm.warnings
     assert "realtime" not in metrics_in(tmp_path / "calm")

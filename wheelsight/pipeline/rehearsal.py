@@ -81,21 +81,19 @@ class DrawnDrive:
     def events(self, *, images: bool = True) -> Iterator[Event]:
         """As any source has them."""
         has_wheels = self.calibration.wheels is not None
-        for _, _, events in _drive():
-            for event in events:
-                if has_wheels if isinstance(event, WheelTicks | YawRate) else images:
-                    yield event
+        for _, _, events in _drive(images):
+            yield from (event for event in events if has_wheels or isinstance(event, RgbdFrame))
 
     def rehearsal(self) -> Iterator[Event]:
         """All of it."""
         return self.events(images=self.calibration.color is not None)
 
 
-def _drive() -> Iterator[tuple[float, FloatArray, list[Event]]]:
-    """Stamp, T_odom_base and events, reading by reading."""
+def _drive(images: bool = True) -> Iterator[tuple[float, FloatArray, list[Event]]]:
+    """Stamp, T_odom_base and events, reading by reading; frames are drawn only if asked for."""
     for index, (stamp_s, T_odom_base, leg, ticks, is_frame) in enumerate(_steps()):
         events: list[Event] = [YawRate(stamp_s, leg.yaw_rate_rad_s), WheelTicks(stamp_s, *ticks)]
-        if is_frame:
+        if is_frame and images:
             color, depth_m = _seen(T_odom_base, leg)
             events.append(RgbdFrame(stamp_s + 1e-3, color, depth_m, index // _STEPS_A_FRAME))
         yield stamp_s, T_odom_base, events

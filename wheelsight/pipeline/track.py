@@ -243,7 +243,7 @@ def follow(
     started = time.perf_counter()
     try:
         if isinstance(source, InRealTime):
-            _rehearse_for(source, config, places)
+            _rehearse_all(source, config, places)
             started = time.perf_counter()
         for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)
@@ -267,9 +267,9 @@ def follow(
     return passage
 
 
-def _rehearse_for(source: InRealTime, config: Config, places: Places | None) -> None:
+def _rehearse_all(source: InRealTime, config: Config, places: Places | None) -> None:
+    """By localizers of its own: those of the run must not have heard anything."""
     for rehearsed in source.rehearsals():
-        # Localizers of its own: those of the run must not have heard anything.
         rehearse(rehearsed, [track.localizer for track in begin_all(rehearsed, config, places)])
 
 
