@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.checks import check_event, check_images, need_calibration
+from wheelsight.depth_error import DepthError
 from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
 from wheelsight.files import StrPath, make_output_folder, write_bytes
@@ -71,7 +73,8 @@ class RecordingWriter:
         if calibration is None:
             (self.folder / "calibration.yaml").unlink(missing_ok=True)
         else:
-            save_calibration(calibration, self.folder / "calibration.yaml")
+            # Depth is written as it was corrected when it was read; it must not be corrected again.
+            save_calibration(replace(calibration, depth_error=DepthError()), self.folder / "calibration.yaml")
         headers = (_IMAGE_HEADERS if has_cameras else {}) | _READING_HEADERS
         self._lists = {name: GrowingText(self.folder / name, header) for name, header in headers.items()}
 
