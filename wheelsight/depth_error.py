@@ -84,7 +84,7 @@ class DepthError:
 
     def _check_pattern(self) -> None:
         sizes = {len(row) for row in self.pattern_per_m}
-        if self.pattern_per_m and (len(sizes) != 1 or not 2 <= min(len(self.pattern_per_m), *sizes)):
+        if self.pattern_per_m and (len(sizes) != 1 or not min(len(self.pattern_per_m), *sizes) >= 2):
             raise CalibrationError("pattern_per_m is no grid", fix="give two or more rows of two or more numbers each")
         if max((len(self.pattern_per_m), *sizes), default=0) > _LARGEST_GRID:
             raise CalibrationError(f"pattern_per_m has more than {_LARGEST_GRID} rows or columns")
@@ -133,7 +133,7 @@ class DepthError:
         px, pattern = np.asarray(px, float), 0.0
         if self.pattern_per_m:
             knots = np.array(self.pattern_per_m)
-            pattern = pattern_weights(px, camera, knots.shape) @ knots.ravel()  # type: ignore[arg-type]
+            pattern = pattern_weights(px, camera, knots.shape) @ knots.ravel()
         radius2 = (camera.normalise(px) ** 2).sum(axis=-1)
         return np.asarray(self._of_inverse(1 / np.asarray(depth_m, float), pattern, radius2), float)
 
@@ -184,7 +184,7 @@ def pattern_weights(px: FloatArray, camera: PinholeCamera, grid: tuple[int, int]
 def knot_weights(shares: FloatArray, count: int) -> FloatArray:
     """What each of `count` knots, evenly from 0 to 1, counts at shares (N,) of that way: (N, count), linear between."""
     at = np.clip(shares, 0, 1) * (count - 1)
-    return np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(count)))
+    return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(count))), float)
 
 
 _FIELDS = tuple(f.name for f in fields(DepthError))
