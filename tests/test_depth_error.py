@@ -28,6 +28,7 @@ FULL = DepthError(
     inverse_per_m=0.004,
     fade_m=0.5,
     pattern_per_m=((0.001, 0.002, -0.001), (0.0, 0.003, 0.001)),
+    lasting_per_m=((0.002, 0.001, 0.0), (-0.002, 0.003, 0.001)),
     curve_m=((1.0, 0.005), (2.0, -0.004), (3.0, 0.0)),
 )
 DISPARITY = DepthError(disparity_at_zero_per_m=3.1, disparity_step_per_m=-0.00285)
@@ -40,8 +41,8 @@ errors = st.builds(
 )
 
 
-def by_hand(error: DepthError, z: float, x: float, y: float, pattern: float) -> float:
-    q = 1 / z + error.inverse_per_m + pattern * np.exp(error.fade_m * (1 / z - 1))
+def by_hand(error: DepthError, z: float, x: float, y: float, pattern: float, lasting: float) -> float:
+    q = 1 / z + error.inverse_per_m + lasting + pattern * np.exp(error.fade_m * (1 / z - 1))
     knots = np.array(error.curve_m)
     return float(
         error.scale / q + error.offset_m + error.radial_m * (x**2 + y**2) + np.interp(1 / q, knots[:, 0], knots[:, 1])
@@ -53,9 +54,11 @@ def test_a_reading_is_corrected_as_the_formula_says() -> None:
         x, y = CAMERA.normalise(px)
         a, b = px[0] / 63 * 2, px[1] / 47
         i = min(int(a), 1)
-        upper, lower = FULL.pattern_per_m
-        rows = [row[i] * (1 - (a - i)) + row[i + 1] * (a - i) for row in (upper, lower)]
-        expected = by_hand(FULL, z, x, y, rows[0] * (1 - b) + rows[1] * b)
+        patterns = []
+        for knots in (FULL.pattern_per_m, FULL.lasting_per_m):
+            rows = [row[i] * (1 - (a - i)) + row[i + 1] * (a - i) for row in knots]
+            patterns.append(rows[0] * (1 - b) + rows[1] * b)
+        expected = by_hand(FULL, z, x, y, *patterns)
         np.testing.assert_allclose(FULL.of_readings([z], [px], CAMERA), expected, rtol=1e-12)
 
 

@@ -24,6 +24,7 @@ LAYERS = (
     "robot_limits",
     "calibration_fields",
     "calibration_layers",
+    "calibration_history",
     "calibration_parts",
     "depth_error",
     "calibration",

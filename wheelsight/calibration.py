@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.calibration_fields import Range, check_range, made, mapping, motion, need_numbers, number, whole
+from wheelsight.calibration_history import history_of
 from wheelsight.calibration_layers import HISTORY, NOMINAL, NOMINAL_PARTS, laid_over
 from wheelsight.calibration_parts import WHEEL_SIGMAS, DepthNoise, Gyro, Wheels
 from wheelsight.depth_error import DepthError, depth_error_fields, depth_error_from
@@ -195,6 +196,7 @@ def read_layer(path: StrPath) -> dict[str, Any]:
         if known.get("format") != FORMAT:
             raise CalibrationError(f"field format is {known.get('format')!r}", fix=f"write format: {FORMAT}")
         mapping(known.get(NOMINAL, {}), NOMINAL, NOMINAL_PARTS)
+        history_of(known)
     except CalibrationError as error:
         raise CalibrationError(error.problem, path=path, fix=error.fix) from error
     return known

@@ -36,18 +36,20 @@ _OF_CURVE = Range(0.0, 1000.0, "m"), Range(-1.0, 1.0, "m")
 class DepthError:
     """How a depth camera's reading z becomes the true depth along its axis.
 
-    q = 1/z + inverse_per_m + pattern(u, v) · exp(fade_m · (1/z - 1/m)) is the inverse depth as disparity has it, and
-    the true depth is scale / q + offset_m + radial_m · r² + curve(1/q), where r is the tangent of the ray's angle from
-    the axis. The default changes nothing.
+    The inverse depth as disparity has it is q = 1/z + inverse_per_m + lasting(u, v) + pattern(u, v) · exp(fade_m ·
+    (1/z - 1/m)), and the true depth scale / q + offset_m + radial_m · r² + curve(1/q), where r is the tangent of the
+    ray's angle from the axis. The default changes nothing.
 
     The pattern with its exponential is that of Herrera, Kannala & Heikkilä, "Joint depth and color camera calibration
-    with distortion correction", TPAMI 34 (2012), eq. 6, whose disparities are inverse depths but for a constant.
+    with distortion correction", TPAMI 34 (2012), eq. 6, whose disparities are inverse depths but for a constant; what
+    of it does not fade has another shape.
     Scale, offset and the radial term are those of time of flight; the curve is what swings about them (Lindner & Kolb,
     "Lateral and depth calibration of PMD-distance sensors", ISVC 2006).
 
     Attributes:
         scale, offset_m, radial_m, inverse_per_m, fade_m: as above.
         pattern_per_m: rows of numbers spread evenly over the image, corner to corner, linear between them; none: ().
+        lasting_per_m: likewise, of what does not fade with distance.
         curve_m: pairs (depth, what to add to it), by growing depth, linear between them and constant beyond; none: ().
         disparity_at_zero_per_m, disparity_step_per_m: where depth images hold raw disparities of Kinect v1,
             1/z = at_zero + step · disparity; both 0 where they hold depths.
@@ -62,6 +64,7 @@ class DepthError:
     inverse_per_m: float = 0.0
     fade_m: float = 0.0
     pattern_per_m: tuple[tuple[float, ...], ...] = ()
+    lasting_per_m: tuple[tuple[float, ...], ...] = ()
     curve_m: tuple[tuple[float, float], ...] = ()
     disparity_at_zero_per_m: float = 0.0
     disparity_step_per_m: float = 0.0
@@ -72,25 +75,27 @@ class DepthError:
             if not np.isfinite(getattr(self, name)):
                 raise CalibrationError(f"{name} is {getattr(self, name)}, not a number")
             check_range(name, getattr(self, name), allowed)
-        for name in ("pattern_per_m", "curve_m"):
+        for name in _LISTS:
             rows = tuple(tuple(float(x) for x in row) for row in getattr(self, name))
             object.__setattr__(self, name, rows)
             if not np.isfinite([x for row in rows for x in row]).all():
                 raise CalibrationError(f"{name} holds what is no number")
-        self._check_pattern()
+        for name in _PATTERNS:
+            self._check_pattern(name)
         self._check_curve()
         if (self.disparity_step_per_m == 0) != (self.disparity_at_zero_per_m == 0):
             raise CalibrationError("a disparity takes both disparity_at_zero_per_m and disparity_step_per_m")
 
-    def _check_pattern(self) -> None:
-        sizes = {len(row) for row in self.pattern_per_m}
-        if self.pattern_per_m and (len(sizes) != 1 or not min(len(self.pattern_per_m), *sizes) >= 2):
-            raise CalibrationError("pattern_per_m is no grid", fix="give two or more rows of two or more numbers each")
-        if max((len(self.pattern_per_m), *sizes), default=0) > _LARGEST_GRID:
-            raise CalibrationError(f"pattern_per_m has more than {_LARGEST_GRID} rows or columns")
-        for row in self.pattern_per_m:
+    def _check_pattern(self, name: str) -> None:
+        rows: tuple[tuple[float, ...], ...] = getattr(self, name)
+        sizes = {len(row) for row in rows}
+        if rows and (len(sizes) != 1 or min(len(rows), *sizes) < 2):
+            raise CalibrationError(f"{name} is no grid", fix="give two or more rows of two or more numbers each")
+        if max((len(rows), *sizes), default=0) > _LARGEST_GRID:
+            raise CalibrationError(f"{name} has more than {_LARGEST_GRID} rows or columns")
+        for row in rows:
             for value in row:
-                check_range("pattern_per_m", value, _OF_PATTERN)
+                check_range(name, value, _OF_PATTERN)
 
     def _check_curve(self) -> None:
         if any(len(pair) != 2 for pair in self.curve_m) or len(self.curve_m) > _LARGEST_GRID:
@@ -125,29 +130,29 @@ class DepthError:
         maps = _maps(self, camera)
         seen = depth_m > 0
         inverse: Any = np.divide(np.float32(1), depth_m, out=np.ones(depth_m.shape, np.float32), where=seen)
-        found = self._of_inverse(inverse, maps.pattern, maps.radius2)
+        found = self._of_inverse(inverse, maps)
         return np.where(seen & (found > 0), found, 0).astype(np.float32)
 
     def of_readings(self, depth_m: ArrayLike, px: ArrayLike, camera: PinholeCamera) -> FloatArray:
         """True depths (N,) of readings (N,) in metres at pixels (N, 2)."""
-        px, pattern = np.asarray(px, float), 0.0
-        if self.pattern_per_m:
-            knots = np.array(self.pattern_per_m)
-            pattern = pattern_weights(px, camera, knots.shape) @ knots.ravel()
-        radius2 = (camera.normalise(px) ** 2).sum(axis=-1)
-        return np.asarray(self._of_inverse(1 / np.asarray(depth_m, float), pattern, radius2), float)
+        px = np.asarray(px, float)
+        fading, lasting = (_at(rows, px, camera) for rows in (self.pattern_per_m, self.lasting_per_m))
+        maps = _Maps(fading, lasting, (camera.normalise(px) ** 2).sum(axis=-1))
+        return np.asarray(self._of_inverse(1 / np.asarray(depth_m, float), maps), float)
 
-    def _of_inverse(self, inverse: Any, pattern: Any, radius2: Any) -> Any:
+    def _of_inverse(self, inverse: Any, maps: _Maps) -> Any:
         if self.pattern_per_m:
             fade = np.exp(np.asarray(self.fade_m, inverse.dtype) * (inverse - 1)) if self.fade_m else 1
-            inverse = inverse + pattern * fade
+            inverse = inverse + maps.pattern * fade
+        if self.lasting_per_m:
+            inverse = inverse + maps.lasting
         if self.inverse_per_m:
             inverse = inverse + np.asarray(self.inverse_per_m, inverse.dtype)
         with np.errstate(divide="ignore"):
             seen_m = np.where(inverse > 0, 1 / inverse, 0)
         true_m = self.scale * seen_m + self.offset_m
         if self.radial_m:
-            true_m = true_m + self.radial_m * radius2
+            true_m = true_m + self.radial_m * maps.radius2
         if self.curve_m:
             depths_m, added_m = np.array(self.curve_m).T
             true_m = true_m + np.interp(seen_m, depths_m, added_m)
@@ -155,23 +160,35 @@ class DepthError:
 
 
 class _Maps(NamedTuple):
-    """Of each pixel: the pattern, and the squared tangent of its ray's angle; a zero for what is not needed."""
+    """Of each pixel: both patterns, and the squared tangent of its ray's angle; a zero for what is not needed."""
 
-    pattern: Float32Array
-    radius2: Float32Array
+    pattern: Any
+    lasting: Any
+    radius2: Any
 
 
 @lru_cache(maxsize=4)
 def _maps(error: DepthError, camera: PinholeCamera) -> _Maps:
-    pattern = radius2 = np.zeros((), np.float32)
-    if error.pattern_per_m:
-        knots = np.array(error.pattern_per_m)
-        down = knot_weights(np.arange(camera.height) / max(camera.height - 1, 1), knots.shape[0])
-        across = knot_weights(np.arange(camera.width) / max(camera.width - 1, 1), knots.shape[1])
-        pattern = (down @ knots @ across.T).astype(np.float32)
+    radius2 = np.zeros((), np.float32)
     if error.radial_m:
         radius2 = (camera.rays()[..., :2] ** 2).sum(axis=-1).astype(np.float32)
-    return _Maps(pattern, radius2)
+    return _Maps(_map(error.pattern_per_m, camera), _map(error.lasting_per_m, camera), radius2)
+
+
+def _map(rows: tuple[tuple[float, ...], ...], camera: PinholeCamera) -> Float32Array:
+    if not rows:
+        return np.zeros((), np.float32)
+    knots = np.array(rows)
+    down = knot_weights(np.arange(camera.height) / max(camera.height - 1, 1), knots.shape[0])
+    across = knot_weights(np.arange(camera.width) / max(camera.width - 1, 1), knots.shape[1])
+    return np.asarray(down @ knots @ across.T, np.float32)
+
+
+def _at(rows: tuple[tuple[float, ...], ...], px: FloatArray, camera: PinholeCamera) -> FloatArray | float:
+    if not rows:
+        return 0.0
+    knots = np.array(rows)
+    return np.asarray(pattern_weights(px, camera, (len(rows), len(rows[0]))) @ knots.ravel(), float)
 
 
 def pattern_weights(px: FloatArray, camera: PinholeCamera, grid: tuple[int, int]) -> FloatArray:
@@ -187,8 +204,9 @@ def knot_weights(shares: FloatArray, count: int) -> FloatArray:
     return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(count))), float)
 
 
+_PATTERNS = ("pattern_per_m", "lasting_per_m")
+_LISTS = (*_PATTERNS, "curve_m")
 _FIELDS = tuple(f.name for f in fields(DepthError))
-_LISTS = ("pattern_per_m", "curve_m")
 
 
 def depth_error_fields(error: DepthError) -> dict[str, Any]:

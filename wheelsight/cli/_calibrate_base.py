@@ -32,6 +32,7 @@ def base(
     wheelsight calibrate base my_drive --calibration wheels.yaml --out robot.yaml
     """
     from wheelsight.cli._calibration import print_mount
+    from wheelsight.cli._calibration_history import measured_mount
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.odometry.extrinsics import calibrate_base
@@ -43,7 +44,7 @@ def base(
     with FrameProgress("watching", source.frame_count) as progress:
         found = calibrate_base(source, progress.advance, settings.extrinsics)
     parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}
-    written = save_found(parts, kept, source.calibration, f"mount found on {source.name}", out)
+    written = save_found(parts, kept, source.calibration, f"mount found on {source.name}", out, measured_mount(found))
     if page is not None:
         write_base_page(found, page)
     print_mount(found, written, page)
