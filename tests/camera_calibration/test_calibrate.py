@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.board_views import BOARD, RIGS, Rig, board_views
 
+from benchmarks.board_views import BOARD, RIGS, Rig, board_views
 from wheelsight.camera_calibration.board import board_from
 from wheelsight.camera_calibration.calibrate import calibrate_camera
 from wheelsight.camera_calibration.fields import camera_calibration, camera_fields, measured
@@ -90,9 +90,9 @@ def test_views_and_corners_that_disagree_are_left_out() -> None:
     px = views[5].color.px.copy()
     px[7] += (6.0, -5.0)
     views[5] = replace(views[5], color=Corners(views[5].color.ids, px))
-    reading = views[8].reading
+    reading = views[12].reading
     assert reading is not None
-    views[8] = replace(views[8], name="moved", reading=reading * np.float32(1.08))
+    views[12] = replace(views[12], name="moved", reading=reading * np.float32(1.08))
     found = calibrate_camera(replace(seen, views=tuple(views)), BOARD, CameraSetup(rig.sensor, on_plate=True))
     assert {name for name, _ in found.left_out} == {"bent", "moved"}
     assert found.dropped_corners >= 1

@@ -62,7 +62,7 @@ def test_a_blurred_board_is_told_from_a_sharp_one() -> None:
     truth, _ = CAMERA.project(se3.apply(T, CHECKERS.points_m))
     corners = Corners(np.arange(CHECKERS.count), truth)
     widths = [edge_width_px(seen_board(CHECKERS, CAMERA, T, blur_px=b), corners, CHECKERS) for b in (0.7, 2.0, 4.0)]
-    # A Gaussian's edge takes 2.56 σ from 10 to 90 %, and 0.8 of the contrast over its slope is 2.0 σ; pixels blur by 0.65 px beside it.
+    # 0.8 of the contrast over a Gaussian edge's slope is 2.0 σ; pixels blur by 0.65 px beside it.
     np.testing.assert_allclose(widths, [2.0 * np.hypot(b, 0.65) for b in (0.7, 2.0, 4.0)], rtol=0.15)
     blurred = find_corners(seen_board(CHECKERS, CAMERA, T, blur_px=4.0), CHECKERS, SETTINGS)
     assert isinstance(blurred, str)

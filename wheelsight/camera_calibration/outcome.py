@@ -179,7 +179,7 @@ def _grid(camera: PinholeCamera, across: int, down: int) -> FloatArray:
 
 
 def _pixel_noise(residuals: Residuals, depth: DepthResiduals) -> tuple[float, float]:
-    """Noise of one pixel, (constant_m, quadratic_per_m): the law that was taken, as large as pixels scatter in cells."""
+    """Noise of one pixel, (constant_m, quadratic_per_m): the law that was taken, as large as pixels scatter."""
     model = residuals.model
     sigma_m = model.cells.scatter * depth.depth_m**2
     if model.sensor == RAW_DISPARITY:

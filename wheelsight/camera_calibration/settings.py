@@ -106,6 +106,9 @@ class PriorSettings(Settings):
     curve_m: float = setting(
         0.01, "a knot of the curve over distance", "Lachat et al. 2015: Kinect v2 swings by 7 mm", gt=0, le=1
     )
+    curve_bend_m: float = setting(
+        0.005, "and its second difference, at knots 0.25 m apart", "the same: 7 mm in waves of 1.9 m", gt=0, le=1
+    )
     fade_m: float = setting(0.5, "of the pattern, about 0.5", "Herrera et al. 2012: exp(-0.0018 d)", gt=0, le=10)
 
 
@@ -121,7 +124,11 @@ class DepthModelSettings(Settings):
     )
     pattern_rows: int = setting(6, "and down", "wall of the same recording", ge=2, le=64)
     curve_step_m: float = setting(
-        0.4, "between knots over distance: Kinect v2's error swings once in 1.9 m", "Lachat et al. 2015", gt=0.01, le=10
+        0.25,
+        "between knots over distance: Kinect v2's error swings once in 1.9 m",
+        "Lachat et al. 2015",
+        gt=0.01,
+        le=10,
     )
     baseline_m: float = setting(
         0.075,
