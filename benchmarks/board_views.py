@@ -108,7 +108,7 @@ RIGS: dict[str, Callable[[np.random.Generator], Rig]] = {
 
 def board_views(rig: Rig, rng: np.random.Generator, count: int = 40, board: Board = BOARD) -> ViewSet:
     """So many views of a board on a plate, all over image and distances, tilted by up to 40°."""
-    views = []
+    views: list[View] = []
     while len(views) < count:
         T = _pose(rig, rng, board)
         color = _corners(rig.color, T, rig.corner_sigma_px, board, rng)

@@ -1,4 +1,4 @@
-"""`wheelsight board`, `calibrate camera` and `calibrate robot`: from a printed board to a file that recordings go by."""
+"""`wheelsight board`, `calibrate camera` and `calibrate robot`: from a printed board to a robot's file."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def test_a_board_is_written_as_pdf_and_svg(wheelsight: Command, tmp_path: Path) 
         assert (tmp_path / name).read_bytes().startswith(start)
 
 
-def test_what_is_no_board_or_paper_is_refused(refused: Refusal, tmp_path: Path) -> None:
-    assert "end --out with .pdf" in refused("board", "--out", tmp_path / "board.doc")
-    assert "choose from A4" in refused("board", "--out", tmp_path / "b.pdf", "--paper", "B5")
-    assert "9x6:25mm" in refused("board", "--out", tmp_path / "b.pdf", "--board", "chess")
+def test_what_is_no_board_or_paper_is_refusal(refusal: Refusal, tmp_path: Path) -> None:
+    assert "end --out with .pdf" in refusal("board", "--out", tmp_path / "board.doc")
+    assert "choose from A4" in refusal("board", "--out", tmp_path / "b.pdf", "--paper", "B5")
+    assert "9x6:25mm" in refusal("board", "--out", tmp_path / "b.pdf", "--board", "chess")
 
 
 def test_views_give_a_file_with_a_history_and_a_page(wheelsight: Command, views: Path, tmp_path: Path) -> None:
@@ -84,18 +84,21 @@ def test_views_give_a_file_with_a_history_and_a_page(wheelsight: Command, views:
 
 
 @pytest.mark.browser
-def test_the_page_opens(wheelsight: Command, views: Path, tmp_path: Path) -> None:
+def test_the_page_opens(wheelsight: Command, views: Path, chromium: str, tmp_path: Path) -> None:
     options = ("--board", str(BOARD), "--sensor", "stereo", "--registered", "--plate")
     assert wheelsight("calibrate", "camera", views, *options, "--out", tmp_path / "robot.yaml").exit_code == 0
-    assert "Cameras by a board" in open_page(tmp_path / "robot.html").text
+    document, complaints = open_page(chromium, tmp_path / "robot.html")
+    assert complaints == []
+    assert document.count('class="plot js-plotly-plot"') == 5
+    assert "NaN" not in document.split("<script")[0]
 
 
-def test_bad_views_are_refused_in_a_line(refused: Refusal, views: Path, tmp_path: Path) -> None:
+def test_bad_views_are_refused_in_a_line(refusal: Refusal, views: Path, tmp_path: Path) -> None:
     out = ("--out", tmp_path / "robot.yaml")
-    assert "VIEW-color" in refused("calibrate", "camera", tmp_path, "--board", str(BOARD), *out)
+    assert "VIEW-color" in refusal("calibrate", "camera", tmp_path, "--board", str(BOARD), *out)
     frontal = tmp_path / "frontal"
     write_views(frontal, BOARD, CAMERA, [pose(BOARD, 0.5 + 0.05 * k) for k in range(8)])
-    told = refused("calibrate", "camera", frontal, "--board", str(BOARD), "--registered", *out)
+    told = refusal("calibrate", "camera", frontal, "--board", str(BOARD), "--registered", *out)
     assert "all boards face the same way" in told
     assert not (tmp_path / "robot.yaml").exists()
 
@@ -141,13 +144,13 @@ def test_a_loop_shows_wheels_that_are_right_and_wheels_that_are_not(wheelsight: 
         assert ("does not close" in result.output) == (name == "bad")
 
 
-def test_a_history_that_is_none_is_refused(refused: Refusal, tmp_path: Path) -> None:
+def test_a_history_that_is_none_is_refusal(refusal: Refusal, tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     save_calibration(Calibration(wheels=WHEELS), path)
     path.write_text(path.read_text() + "history: soon\n")
-    assert "history must be a list" in refused("calibrate", "robot", path)
+    assert "history must be a list" in refusal("calibrate", "robot", path)
     path.write_text(path.read_text().replace("history: soon", "history: [{figures: {views: many}}]"))
-    assert "history.views is 'many'" in refused("calibrate", "robot", path)
+    assert "history.views is 'many'" in refusal("calibrate", "robot", path)
 
 
 def test_corrupt_images_are_told(wheelsight: Command, views: Path, tmp_path: Path) -> None:

@@ -87,7 +87,7 @@ def read_views(
     Raises:
         RecordingError: no view shows the board; says which board the first ones show, where they show another.
     """
-    views, left_out, seen = [], [], []
+    left_out, seen = [], []
     for name, files in find_view_files(folders).items():
         found = _read_view(name, files, board, settings)
         if isinstance(found, str):
@@ -95,24 +95,33 @@ def read_views(
         else:
             seen.append(found)
         on_view()
-    sizes = Counter(size for _, size, _ in seen).most_common(1)
-    depth_sizes = Counter(size for _, _, size in seen if size is not None).most_common(1)
-    for view, size, depth_size in seen:
-        if size != sizes[0][0]:
-            left_out.append((view.name, f"colour image is {_told(size)}, others {_told(sizes[0][0])}"))
-        elif depth_size is not None and depth_size != depth_sizes[0][0]:
-            left_out.append((view.name, f"depth image is {_told(depth_size)}, others {_told(depth_sizes[0][0])}"))
-        else:
-            views.append(view)
-    if not views:
+    if not seen:
         raise _none_found(folders, board, left_out)
+    views, size, depth_size = _of_one_size(seen, left_out)
     is_disparity = _is_disparity([view.reading for view in views if view.reading is not None])
     read = tuple(_in_units(view, is_disparity, depth_factor) for view in views)
-    depth_size = depth_sizes[0][0] if depth_sizes else None
-    return ViewSet(read, sizes[0][0], depth_size, tuple(left_out), is_disparity)
+    return ViewSet(read, size, depth_size, tuple(left_out), is_disparity)
 
 
 _Seen = tuple[View, tuple[int, int], tuple[int, int] | None]
+
+
+def _of_one_size(
+    seen: list[_Seen], left_out: list[tuple[str, str]]
+) -> tuple[list[View], tuple[int, int], tuple[int, int] | None]:
+    """The views whose images have the size of most, and those sizes; the others are added to those left out."""
+    size = Counter(size for _, size, _ in seen).most_common(1)[0][0]
+    depth_sizes = Counter(depth for _, _, depth in seen if depth is not None).most_common(1)
+    depth_size = depth_sizes[0][0] if depth_sizes else None
+    views = []
+    for view, own, own_depth in seen:
+        if own != size:
+            left_out.append((view.name, f"colour image is {_told(own)}, others {_told(size)}"))
+        elif own_depth is not None and depth_size is not None and own_depth != depth_size:
+            left_out.append((view.name, f"depth image is {_told(own_depth)}, others {_told(depth_size)}"))
+        else:
+            views.append(view)
+    return views, size, depth_size
 
 
 def _read_view(name: str, files: dict[str, Path], board: Board, settings: DetectionSettings) -> _Seen | str:

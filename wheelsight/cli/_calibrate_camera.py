@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from wheelsight.cli._run_options import SettingsFile
 
 if TYPE_CHECKING:
     from wheelsight.camera_calibration.result import CameraCalibration
+    from wheelsight.camera_calibration.task import CameraSetup
 
 _MOST_LEFT_OUT = 12
 
@@ -74,26 +76,42 @@ def camera(
 
     wheelsight calibrate camera views --board charuco:11x8:33mm --plate --out robot.yaml --force
     """
+    from wheelsight.camera_calibration.task import CameraSetup
+
+    setup = CameraSetup(sensor, registered, plate, None, keep_color)
+    calibrate_views(folders, board, out, setup, depth_factor, calibration, config, force=force)
+
+
+def calibrate_views(
+    folders: list[Path],
+    board: str,
+    out: Path,
+    setup: CameraSetup,
+    depth_factor: float,
+    calibration: list[str] | None,
+    config: Path | None,
+    *,
+    force: bool,
+) -> None:
+    """Read views, calibrate by them, and write FILE and its page."""
     from wheelsight.calibration import Calibration, load_calibration
     from wheelsight.camera_calibration.board import board_from
     from wheelsight.camera_calibration.calibrate import calibrate_camera
     from wheelsight.camera_calibration.fields import camera_fields, measured
     from wheelsight.camera_calibration.folders import find_view_files, read_views
-    from wheelsight.camera_calibration.task import CameraSetup
     from wheelsight.cli._calibration import show_steps
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.report.camera_page import write_camera_page
 
     settings = settings_from({}, config).camera_calibration
     wanted, page, kept = board_from(board), page_beside(out, force), kept_in(out, calibration)
-    nominal = load_calibration(*calibration) if calibration else None
-    setup = CameraSetup(sensor, registered, plate, nominal, keep_color)
+    setup = replace(setup, nominal=load_calibration(*calibration) if calibration else None)
     with FrameProgress("searching boards", len(find_view_files(folders))) as progress:
         seen = read_views(folders, wanted, settings.detection, depth_factor, progress.advance)
     with show_steps() as on_step:
         found = calibrate_camera(seen, wanted, setup, settings, on_step)
     source = f"cameras calibrated by {len(found.views)} views of {found.board}"
-    document = camera_fields(found, nominal)
+    document = camera_fields(found, setup.nominal)
     written = save_found(document, kept, Calibration(), source, out, measured("camera", found))
     if page is not None:
         write_camera_page(found, page)
