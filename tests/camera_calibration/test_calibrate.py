@@ -213,3 +213,22 @@ def test_setups_that_fit_no_images_are_refused() -> None:
     bare = replace(seen, views=tuple(replace(view, reading=None) for view in seen.views))
     with pytest.raises(ConfigError, match="nothing tells the size"):
         calibrate_camera(bare, replace(BOARD, is_size_known=False), CameraSetup("tof"))
+
+
+@pytest.mark.slow
+def test_errors_over_several_units_are_as_large_as_their_sigmas() -> None:
+    over_sigma = []
+    for seed in range(20, 26):
+        rig, seen = rig_of("realsense", seed)
+        found = calibrate_camera(seen, BOARD, CameraSetup(rig.sensor, on_plate=True))
+        assert found.depth is not None
+        assert found.T_color_depth is not None
+        for name, a, b in (("color", found.color, rig.color), ("depth", found.depth, rig.depth)):
+            over_sigma += [
+                (getattr(a, field) - getattr(b, field)) / found.sigmas[f"{name}.{field}"]
+                for field in ("fx", "cx", "cy")
+            ]
+        off_m = found.T_color_depth[:3, 3] - rig.T_color_depth[:3, 3]
+        over_sigma += [off_m[k] / found.sigmas[f"T.{axis}"] for k, axis in enumerate("xyz")]
+    assert 0.5 < np.sqrt(np.mean(np.square(over_sigma))) < 1.6
+    assert np.abs(over_sigma).max() < 4

@@ -14,6 +14,7 @@ from wheelsight.geometry import BoolArray, FloatArray, IntArray
 
 _POSE, _LENS, _OF_DEPTH = 6, 9, 3
 _LEAST_FACTOR = 1e-3
+_AS_BAD = 0.8
 _LEAST_MEDIAN = 0.3  # in σ: of views that all agree better than they should, none is left out
 
 
@@ -43,7 +44,8 @@ def agreeing(counted: Counted, residuals: Residuals, x: FloatArray) -> Counted:
         (infrared, model.infrared.view, robust.view_factor, "corners in infrared"),
         (depth, model.cells.view, robust.depth_view_factor, "depth"),
     ):
-        for k, times in _unlike(off, view, model.count, factor).items():
+        # A view that moved pulls the depth of others off; that is judged once corners agree.
+        for k, times in ({} if gone else _unlike(off, view, model.count, factor)).items():
             gone.setdefault(k, f"its {what} disagree with the other views': {times:.1f} times theirs")
     most = robust.corner_sigmas * np.sqrt(2)
     new_color = [
@@ -75,7 +77,9 @@ def _unlike(off: FloatArray, view: IntArray, count: int, factor: float) -> dict[
     if not medians:
         return {}
     usual = max(float(np.median(list(medians.values()))), _LEAST_MEDIAN)
-    return {k: value / usual for k, value in medians.items() if value > factor * usual}
+    # A bad view pulls good ones off with it: these are judged again without it, in the next round.
+    least = max(factor * usual, _AS_BAD * max(medians.values()))
+    return {k: value / usual for k, value in medians.items() if value > factor * usual and value >= least}
 
 
 def _fewer(corners: Corners, kept: BoolArray, settings: CameraCalibrationSettings) -> Corners:
