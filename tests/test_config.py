@@ -56,7 +56,9 @@ def test_an_unknown_setting_is_refused_with_its_line_and_its_neighbour(tmp_path:
 
 def test_an_unknown_section_is_refused_listing_the_known(tmp_path: Path) -> None:
     path = write(tmp_path, "loop_closing: {}\n")
-    assert refusal(path).startswith(f"{path}:1: unknown setting loop_closing (known: clocks, dense, evaluation,")
+    assert refusal(path).startswith(
+        f"{path}:1: unknown setting loop_closing (known: camera_calibration, clocks, dense,"
+    )
 
 
 @pytest.mark.parametrize(

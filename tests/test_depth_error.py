@@ -37,6 +37,7 @@ errors = st.builds(
     DepthError,
     *(st.floats(0.6, 1.9), st.floats(-0.9, 0.9), st.floats(-0.9, 0.9), st.floats(-0.9, 0.9), st.floats(0, 9)),
     st.sampled_from([(), ((0.1, 0.2), (0.3, -0.4))]),
+    st.sampled_from([(), ((0.2, 0.0), (0.3, -0.1), (0.1, 0.1))]),
     st.sampled_from([(), ((0.5, 0.01), (2.0, -0.02))]),
 )
 
