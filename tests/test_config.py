@@ -57,7 +57,7 @@ def test_an_unknown_setting_is_refused_with_its_line_and_its_neighbour(tmp_path:
 def test_an_unknown_section_is_refused_listing_the_known(tmp_path: Path) -> None:
     path = write(tmp_path, "loop_closing: {}\n")
     assert refusal(path).startswith(
-        f"{path}:1: unknown setting loop_closing (known: camera, clocks, dense, evaluation,"
+        f"{path}:1: unknown setting loop_closing (known: camera, camera_calibration, clocks,"
     )
 
 

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from wheelsight.calibration_fields import Range, check_range, made, mapping, motion, need_numbers, number, whole
-from wheelsight.calibration_layers import NOMINAL, NOMINAL_PARTS, laid_over
+from wheelsight.calibration_history import history_of
+from wheelsight.calibration_layers import HISTORY, NOMINAL, NOMINAL_PARTS, laid_over
 from wheelsight.calibration_parts import WHEEL_SIGMAS, DepthNoise, Gyro, Wheels
+from wheelsight.depth_error import DepthError, depth_error_fields, depth_error_from
 from wheelsight.errors import CalibrationError
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
@@ -19,6 +21,7 @@ from wheelsight.geometry import FloatArray, PinholeCamera, se3
 __all__ = [
     "FORMAT",
     "Calibration",
+    "DepthError",
     "DepthNoise",
     "Gyro",
     "Wheels",
@@ -64,6 +67,7 @@ class Calibration:
         depth_late_s: how much later than colour depth is measured, beyond what stamps say; negative where earlier.
         frame_sigma_m, frame_sigma_rad: how far off a frame's place and turn are by what all its pixels share and noise
             does not tell: bent depth, registration, the shutter's timing. See docs/decisions/0049.
+        depth_error: what depth images are off by; recordings free them of it as they are read.
     """
 
     color: PinholeCamera | None = None
@@ -79,6 +83,7 @@ class Calibration:
     depth_late_s: float = 0.0
     frame_sigma_m: float = 0.0025
     frame_sigma_rad: float = 0.002
+    depth_error: DepthError = field(default_factory=DepthError)
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -191,6 +196,7 @@ def read_layer(path: StrPath) -> dict[str, Any]:
         if known.get("format") != FORMAT:
             raise CalibrationError(f"field format is {known.get('format')!r}", fix=f"write format: {FORMAT}")
         mapping(known.get(NOMINAL, {}), NOMINAL, NOMINAL_PARTS)
+        history_of(known)
     except CalibrationError as error:
         raise CalibrationError(error.problem, path=path, fix=error.fix) from error
     return known
@@ -223,13 +229,14 @@ _KINDS: dict[str, type | UnionType] = {
     "color": PinholeCamera | None,
     "depth": PinholeCamera | None,
     "depth_noise": DepthNoise,
+    "depth_error": DepthError,
     "wheels": Wheels | None,
     "gyro": Gyro,
     "source": str,
 }
-_CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", *_NUMBERS)
+_CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", "depth_error", *_NUMBERS)
 _OTHER_PARTS = ("T_base_camera", "wheels", "gyro")
-_TOP_FIELDS = ("format", "source", *_CAMERA_PART, *_OTHER_PARTS, NOMINAL)
+_TOP_FIELDS = ("format", "source", *_CAMERA_PART, *_OTHER_PARTS, NOMINAL, HISTORY)
 _WHEEL_FIELDS = tuple(f.name for f in fields(Wheels))
 _COUNTER_FIELDS = ("counter_bits", "counter_modulus")
 _GYRO_FIELDS = tuple(f.name for f in fields(Gyro))
@@ -252,6 +259,8 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
         if not calibration.is_registered:
             document |= {"depth": camera(calibration.depth), "T_color_depth": rows(calibration.T_color_depth)}
         document["depth_noise"] = _plain(calibration.depth_noise)
+        if not calibration.depth_error.changes_nothing:
+            document["depth_error"] = depth_error_fields(calibration.depth_error)
         document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
     if calibration.T_base_camera is not None:
         document["T_base_camera"] = rows(calibration.T_base_camera)
@@ -293,6 +302,7 @@ def _camera_part(known: dict[str, Any]) -> dict[str, Any]:
         "color": color,
         "depth": _camera(known["depth"], "depth") if "depth" in known else color,
         "depth_noise": made(DepthNoise, "depth_noise", _numbers(noise, "depth_noise")),
+        "depth_error": depth_error_from(known.get("depth_error", {})),
         "T_color_depth": motion(known.get("T_color_depth"), "T_color_depth"),
         **{name: number(known[name], name) for name in _NUMBERS if name in known},
     }

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 # One lens is not mixed with another's: who gives the colour camera gives all that its pixels mean.
-_LENSES = ("color", "depth", "T_color_depth", "color_sigma_px")
+_LENSES = ("color", "depth", "T_color_depth", "color_sigma_px", "depth_error")
 _FIELD_BY_FIELD = ("wheels", "gyro", "depth_noise", "nominal")
 # Of these parts a file may also hold what was known when the rest was found: it stands where nothing else tells it.
 NOMINAL, NOMINAL_PARTS = "nominal", ("wheels", "gyro")
+# What was measured when: of a file, not of a calibration.
+HISTORY = "history"
 
 
 def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -24,6 +26,9 @@ def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, A
         parts = (below.get(name), above.get(name))
         if all(isinstance(part, Mapping) for part in parts):
             merged[name] = {**parts[0], **parts[1]}  # type: ignore[dict-item]
+    told = [entry for part in (below, above) for entry in part.get(HISTORY) or ()]
+    if told:
+        merged[HISTORY] = [entry for index, entry in enumerate(told) if entry not in told[:index]]
     source = _both_sources(below.get("source"), above.get("source"))
     return merged if source is None else {**merged, "source": source}
 

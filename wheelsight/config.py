@@ -16,6 +16,7 @@ from pydantic import (
     model_validator,
 )
 
+from wheelsight.camera_calibration.settings import CameraCalibrationSettings
 from wheelsight.clocks import ClockSettings
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, write_text
@@ -211,6 +212,7 @@ class Config(Settings):
     surfels: SurfelSettings = SurfelSettings()
     wheels: WheelSettings = WheelSettings()
     extrinsics: ExtrinsicsSettings = ExtrinsicsSettings()
+    camera_calibration: CameraCalibrationSettings = CameraCalibrationSettings()
     clocks: ClockSettings = ClockSettings()
     localizer: LocalizerSettings = LocalizerSettings()
     places: PlaceSettings = PlaceSettings()

@@ -9,6 +9,7 @@ import typer.core
 
 from wheelsight._version import __version__
 from wheelsight.cli import (
+    board,
     calibrate,
     devices,
     drive,
@@ -63,6 +64,7 @@ app.command("devices")(devices.devices)
 app.command("drive")(drive.drive)
 app.command("simulate")(simulate.simulate)
 app.command("warm-up")(warm_up.warm_up)
+app.command("board")(board.board)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(wheels.app, name="wheels")
 app.add_typer(places.app, name="places")

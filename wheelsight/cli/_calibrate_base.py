@@ -19,10 +19,8 @@ def base(
 
     Roll, pitch and height come from the floor seen in depth.
     Yaw, x, y and the delay come from the motions of wheels and camera.
-    FILE gets T_base_camera and the wheels' delay, for wheelsight run --calibration;
-    of wheels it keeps what --calibration, or FILE itself, told.
-    A drive that does not show them is refused, as a straight one hides x and y;
-    what to drive instead is said: a minute or two, straight and with turns both ways.
+    FILE gets T_base_camera and the wheels' delay; of wheels it keeps what --calibration, or FILE itself, told.
+    A drive that hides some is refused, and what to drive is said: a minute or two, straight and with turns both ways.
     Of --config the section extrinsics counts.
 
     [bold]Examples[/bold]
@@ -32,18 +30,20 @@ def base(
     wheelsight calibrate base my_drive --calibration wheels.yaml --out robot.yaml
     """
     from wheelsight.cli._calibration import print_mount
+    from wheelsight.cli._calibration_history import measured_mount
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.odometry.extrinsics import calibrate_base
     from wheelsight.report.base_page import write_base_page
 
     settings, page, kept = settings_from({}, config), page_beside(out, force), kept_in(out, calibration)
-    source = open_for(recording, calibration, rate_hz)
     compile_missing(("wheels", "dense"))
+    source = open_for(recording, calibration, rate_hz)
     with FrameProgress("watching", source.frame_count) as progress:
         found = calibrate_base(source, progress.advance, settings.extrinsics)
     parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}
-    written = save_found(parts, kept, source.calibration, f"mount found on {source.name}", out)
+    told = f"mount found on {source.name}"
+    written = save_found(parts, kept, source.calibration, told, out, measured_mount(found))
     if page is not None:
         write_base_page(found, page)
     print_mount(found, written, page)

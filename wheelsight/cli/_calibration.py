@@ -83,33 +83,33 @@ def print_trial(trial: WheelTrial, written: str, page: Path | None) -> None:
     along, across, turn = fit.spread
     slips = f"{len(fit.segments)} segments, {int(fit.is_slip.sum())} of them slips or jumps"
     left = f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, {np.degrees(turn):.2f}°"
-    stdout.print(_table(f"{trial.recording}: wheels", HEAD, fit_rows(fit)))
+    stdout.print(table(f"{trial.recording}: wheels", HEAD, fit_rows(fit)))
     stdout.print(f"{slips}; left unexplained in each: {left}")
     title = f"errors on the {trial.held_out.length_m:.1f} m that the fit did not see, RMSE"
     stdout.print()
-    stdout.print(_table(title, ("", "nominal", "calibrated"), error_rows(trial)))
-    _print_end(trial.warnings, written, page)
+    stdout.print(table(title, ("", "nominal", "calibrated"), error_rows(trial)))
+    print_end(trial.warnings, written, page)
 
 
 def print_squares(squares: Squares, written: str, page: Path | None) -> None:
     """The same for UMBmark."""
     stdout, result = console(), squares.result
-    stdout.print(_table(f"{squares.name}: wheels", HEAD, square_rows(result)))
+    stdout.print(table(f"{squares.name}: wheels", HEAD, square_rows(result)))
     before_m, after_m = result.largest_error_m, result.largest_error_after_m
     stdout.print(f"E_max,syst, sides of {result.side_m:.3g} m: {before_m:.3f} m nominal, {after_m:.3f} m corrected")
     if squares.unused_m is not None:
         told = "mean error of each run by wheels corrected without it"
         stdout.print(f"{told}: {squares.unused_m[0]:.3f} m nominal, {squares.unused_m[1]:.3f} m corrected")
-    _print_end(squares.warnings, written, page)
+    print_end(squares.warnings, written, page)
 
 
 def print_mount(found: BaseCalibration, written: str, page: Path | None) -> None:
     """A camera's mount before and after, and where the files are."""
     stdout, fit = console(), found.fit
-    stdout.print(_table(f"{found.recording}: where the camera sits", HEAD, mount_rows(found)))
+    stdout.print(table(f"{found.recording}: where the camera sits", HEAD, mount_rows(found)))
     pieces = f"{len(fit.segments)} pieces, {int(fit.is_slip.sum())} of them slips or jumps"
     stdout.print(f"{pieces}; floor seen in {len(found.floor.tilts)} of {found.floor.view_count} views")
-    _print_end(found.warnings, written, page)
+    print_end(found.warnings, written, page)
 
 
 @contextmanager
@@ -131,7 +131,8 @@ def _wheels(calibration: Calibration) -> Wheels:
     return calibration.wheels
 
 
-def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """A table for a terminal: numbers to the right."""
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     for column in head:
         table.add_column(column, justify="right" if column else "left")
@@ -140,7 +141,8 @@ def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Ta
     return table
 
 
-def _print_end(warnings: Sequence[str], written: str, page: Path | None) -> None:
+def print_end(warnings: Sequence[str], written: str, page: Path | None) -> None:
+    """What to know, and where the files are."""
     for warning in warnings:
         print_warning(warning)
     console().print(f"calibration: {written}", markup=False)

@@ -13,6 +13,7 @@ from wheelsight.cli._outputs import can_draw
 
 if TYPE_CHECKING:
     from wheelsight.calibration import Calibration, Wheels
+    from wheelsight.calibration_history import Measured
     from wheelsight.recordings import Recording
 
 Out = Annotated[
@@ -70,15 +71,25 @@ def kept_in(out: Path, calibration: Sequence[str] | None) -> dict[str, Any]:
     return kept
 
 
-def save_found(found: Mapping[str, Any], kept: Mapping[str, Any], nominal: Calibration, source: str, out: Path) -> str:
+def save_found(
+    found: Mapping[str, Any],
+    kept: Mapping[str, Any],
+    nominal: Calibration,
+    source: str,
+    out: Path,
+    entry: Measured,
+) -> str:
     """Write what was found over what is kept, and below it the wheels as they were known; tells FILE and what it keeps.
+
+    `entry` goes to the end of the file's history.
 
     So FILE is enough for a recording that has no calibration of its own, and loses nothing of one that has.
     """
     from wheelsight.calibration import FORMAT, calibration_fields, save_layer
-    from wheelsight.calibration_layers import NOMINAL, NOMINAL_PARTS, laid_over
+    from wheelsight.calibration_layers import HISTORY, NOMINAL, NOMINAL_PARTS, laid_over
 
-    document = laid_over(kept, {"format": FORMAT, "source": source, **found})
+    told = {HISTORY: [entry.as_field()]}
+    document = laid_over(kept, {"format": FORMAT, "source": source, **found, **told})
     known = {name: part for name, part in calibration_fields(nominal).items() if name in NOMINAL_PARTS}
     if any(name not in document.get(part, ()) for part in known for name in known[part]):
         document[NOMINAL] = known

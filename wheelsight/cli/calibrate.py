@@ -1,4 +1,4 @@
-"""`wheelsight calibrate`: how large the wheels are and how far apart, from a drive or from squares; and the camera."""
+"""`wheelsight calibrate`: a robot's cameras, its wheels, from a drive or from squares, and where the camera sits."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from typing import Annotated
 import typer
 
 from wheelsight.cli._calibrate_base import base
+from wheelsight.cli._calibrate_camera import camera
+from wheelsight.cli._calibrate_robot import robot
 from wheelsight.cli._calibration_files import Force, Out, kept_in, open_for, page_beside, save_found, wheel_fields
 from wheelsight.cli._options import CalibrationFile, RecordingPath
 
-app = typer.Typer(
-    no_args_is_help=True, help="Find how large a robot's wheels are and how far apart, and where its camera sits."
-)
+app = typer.Typer(no_args_is_help=True, help="Calibrate a robot: its cameras, its wheels, and where the camera sits.")
+app.command("camera")(camera)
 app.command("base")(base)
+app.command("robot")(robot)
 
 Reference = Annotated[
     Path | None,
@@ -66,6 +68,7 @@ def wheels(
     wheelsight calibrate wheels my_drive --reference visual/trajectory.txt --calibration nominal.yaml --out wheels.yaml
     """
     from wheelsight.cli._calibration import print_trial, show_steps
+    from wheelsight.cli._calibration_history import measured_wheels
     from wheelsight.odometry.wheels.trial import try_calibration
     from wheelsight.report.wheel_page import write_wheel_page
     from wheelsight.trajectory import read_tum
@@ -79,7 +82,8 @@ def wheels(
         )
     against = "its ground truth" if reference is None else reference.name
     found = wheel_fields(trial.fit.wheels, delay="delay_s" in trial.fit.sigmas)
-    written = save_found(found, kept, source.calibration, f"wheels fitted on {source.name} to {against}", out)
+    told = f"wheels fitted on {source.name} to {against}"
+    written = save_found(found, kept, source.calibration, told, out, measured_wheels(trial))
     if page is not None:
         write_wheel_page(trial, page)
     print_trial(trial, written, page)
@@ -101,6 +105,7 @@ def umbmark(runs: Runs, out: Out, calibration: CalibrationFile = None, side: Sid
     wheelsight calibrate umbmark errors.csv --side 4 --calibration nominal.yaml --out wheels.yaml
     """
     from wheelsight.cli._calibration import print_squares, squares_from_recordings, squares_from_table
+    from wheelsight.cli._calibration_history import measured_squares
     from wheelsight.report.wheel_page import write_squares_page
 
     page, kept = page_beside(out, force), kept_in(out, calibration)
@@ -109,7 +114,7 @@ def umbmark(runs: Runs, out: Out, calibration: CalibrationFile = None, side: Sid
     else:
         squares = squares_from_recordings([open_for(run, calibration) for run in runs], side)
     found = wheel_fields(squares.result.wheels, delay=False)
-    written = save_found(found, kept, squares.nominal, f"UMBmark, {squares.name}", out)
+    written = save_found(found, kept, squares.nominal, f"UMBmark, {squares.name}", out, measured_squares(squares))
     if page is not None:
         write_squares_page(squares.result, squares.after_m, squares.name, page)
     print_squares(squares, written, page)

@@ -16,7 +16,7 @@ _MOST_OUT_OF_ORDER = 3
 
 
 class FrameCheck:
-    """Takes frames in the order in which they come.
+    """Takes frames in the order in which they come, and frees depth of the errors that the calibration states.
 
     Attributes:
         clock: of the device.
@@ -29,6 +29,7 @@ class FrameCheck:
         self.lost = self.refused = 0
         self._settings = settings
         self._color, self._depth = calibration.cameras
+        self._depth_error = calibration.depth_error
         self._index = self._older = 0
         self._device_s: float | None = None
         self._sequence: int | None = None
@@ -49,7 +50,8 @@ class FrameCheck:
             self.refused += 1
             return SkippedFrame(stamp.stamp_s, wrong, index)
         late_s = 0.0 if images.color_s is None or images.depth_s is None else images.depth_s - images.color_s
-        frame = RgbdFrame(stamp.stamp_s, images.color, images.depth_m, index, late_s)
+        depth_m = self._depth_error.corrected(images.depth_m, self._depth)
+        frame = RgbdFrame(stamp.stamp_s, images.color, depth_m, index, late_s)
         return LiveFrame(frame, stamp.sigma_s, images.color_s, arrived_s, images.sequence, images.infrared)
 
     def replugged(self) -> None:

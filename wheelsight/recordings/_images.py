@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wheelsight.depth_error import NO_DISPARITY, DepthError
 from wheelsight.errors import RecordingError
 from wheelsight.geometry import MOST_PIXELS, ByteArray, Float32Array
 from wheelsight.inputs import Kind, picture_size, read_bytes, scan_count
@@ -26,10 +27,14 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class DepthEncoding:
-    """How 16-bit depth images are to be read: units a metre, and which raw value besides 0 means nothing measured."""
+    """How 16-bit depth images are to be read: units a metre, and which raw value besides 0 means nothing measured.
+
+    Where they hold raw disparities of Kinect v1, `disparity` tells what those are.
+    """
 
     factor: float
     invalid: int | None = None
+    disparity: DepthError | None = None
 
 
 def read_color(path: Path) -> ByteArray:
@@ -53,6 +58,8 @@ def depth_of_units(raw: NDArray[np.integer], encoding: DepthEncoding, path: Path
         channels = 1 if raw.ndim == 2 else raw.shape[2]
         problem = f"depth image has {channels} channel(s) of {8 * raw.dtype.itemsize} bits, not one of 16"
         raise RecordingError(problem, path=path, fix="depth must be a 16-bit greyscale PNG")
+    if encoding.disparity is not None:
+        return _of_disparity(raw, encoding.disparity, path)
     if encoding.invalid is not None:
         raw[raw == encoding.invalid] = 0
     _check_scale(_median(raw, path) / encoding.factor, path, encoding)
@@ -121,6 +128,16 @@ def _check_size(data: bytes, path: Path, kind: str) -> None:
     if width * height * scan_count(data) > _MOST_PIXELS_DECODED:
         problem = f"{kind} image has {scan_count(data)} scans, which take long to decode"
         raise RecordingError(problem, path=path, fix="convert it to PNG")
+
+
+def _of_disparity(raw: NDArray[np.integer], disparity: DepthError, path: Path) -> Float32Array:
+    if int(raw.max()) > NO_DISPARITY:
+        problem = f"holds {int(raw.max())}, which is no raw disparity of Kinect v1"
+        raise RecordingError(problem, path=path, fix="of depths leave disparity_step_per_m out of the calibration")
+    depth_m = disparity.of_disparity(raw)
+    if not depth_m.any():
+        raise RecordingError("depth image measured nothing: no pixel is valid", path=path)
+    return depth_m
 
 
 def _median(raw: NDArray[np.integer] | Float32Array, path: Path) -> float:

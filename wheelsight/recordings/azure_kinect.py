@@ -136,8 +136,9 @@ class AzureKinectRecording:
         camera, _ = self.calibration.cameras
         if pixels is None or pixels.shape != (camera.height, camera.width, 3):
             return SkippedFrame(pair.stamp_s, "colour image is damaged", index)
-        seen = self.registration.straightened(pixels)
-        return RgbdFrame(pair.stamp_s, seen, self.registration.registered(depth_mm), index, pair.depth_late_s)
+        seen, depth_m = self.registration.straightened(pixels), self.registration.registered(depth_mm)
+        depth_m = self.calibration.depth_error.corrected(depth_m, self.calibration.cameras[1])
+        return RgbdFrame(pair.stamp_s, seen, depth_m, index, pair.depth_late_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -97,7 +97,9 @@ class ImageRecording:
     def read_frame(self, index: int) -> RgbdFrame:
         """The frame at `index`. Raises RecordingError naming the file and what makes it unusable."""
         files = self.frames[index]
-        color, depth_m = read_color(files.color), read_depth(files.depth, self.encoding)
+        error = self.calibration.depth_error
+        encoding = replace(self.encoding, disparity=error) if error.is_of_disparity else self.encoding
+        color, depth_m = read_color(files.color), read_depth(files.depth, encoding)
         registered = self.calibration.is_registered
         color_camera, depth_camera = self.calibration.cameras
         if registered and color.shape[:2] != depth_m.shape:
@@ -105,6 +107,7 @@ class ImageRecording:
             raise RecordingError(problem, path=files.depth, fix="register depth to colour, or give T_color_depth")
         _check_size("colour", image_size(color), color_camera, files.color)
         _check_size("depth", image_size(depth_m), depth_camera, files.depth)
+        depth_m = error.corrected(depth_m, depth_camera)
         return RgbdFrame(files.stamp_s, color, depth_m, index, files.depth_late_s)
 
     def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:

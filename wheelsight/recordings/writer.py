@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.checks import check_event, check_images, need_calibration
+from wheelsight.depth_error import DepthError
 from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.files import StrPath, make_output_folder
@@ -113,7 +114,8 @@ class RecordingWriter:
         for name in ("rgb", "depth") if has_cameras else ():
             make_output_folder(self.folder / name, force=True)
         if calibration is not None:
-            save_calibration(calibration, self.folder / "calibration.yaml")
+            # Depth is written as it was corrected when it was read; it must not be corrected again.
+            save_calibration(replace(calibration, depth_error=DepthError()), self.folder / "calibration.yaml")
         headers = (_IMAGE_HEADERS if has_cameras else {}) | _READING_HEADERS
         self._lists = {name: GrowingText(self.folder / name, header, resume) for name, header in headers.items()}
         self._count_earlier()

@@ -268,6 +268,7 @@ class BagRecording:
             if size != expected:
                 problem = f"{name} image is {size}, the calibration's {expected}"
                 raise RecordingError(problem, path=self.path, fix="choose its CameraInfo by --topic, or give --camera")
+        depth_m = self.calibration.depth_error.corrected(depth_m, self.calibration.cameras[1])
         return RgbdFrame(frame.stamp_s, color, depth_m, frame.index, frame.depth_late_s)
 
 

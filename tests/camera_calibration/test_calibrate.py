@@ -1,0 +1,234 @@
+"""Calibrating cameras by simulated boards: truth within stated σs, outliers left out, and poor view sets refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.board_views import BOARD, RIGS, Rig, board_views
+from wheelsight.camera_calibration.board import board_from
+from wheelsight.camera_calibration.calibrate import calibrate_camera
+from wheelsight.camera_calibration.fields import camera_calibration, camera_fields, measured
+from wheelsight.camera_calibration.outcome import reading_m
+from wheelsight.camera_calibration.result import CameraCalibration
+from wheelsight.camera_calibration.task import CameraSetup
+from wheelsight.camera_calibration.views import Corners, View, ViewSet
+from wheelsight.errors import CalibrationError, ConfigError
+from wheelsight.geometry import PinholeCamera, se3, so3
+
+VIEWS = 24
+
+
+def small(rig: Rig) -> Rig:
+    """The same with a depth image of at most 640 px, which is nearly as good and faster."""
+    d = rig.depth
+    k = 1 if d.width <= 640 else 2
+    lens = PinholeCamera(
+        d.width // k, d.height // k, d.fx / k, d.fy / k, (d.cx + 0.5) / k - 0.5, (d.cy + 0.5) / k - 0.5, d.distortion
+    )
+    return replace(rig, depth=lens, systematic=lambda z, px: rig.systematic(z, px * k + (k - 1) / 2))
+
+
+def rig_of(name: str, seed: int) -> tuple[Rig, ViewSet]:
+    rng = np.random.default_rng(seed)
+    rig = small(RIGS[name](rng))
+    return rig, board_views(rig, rng, VIEWS)
+
+
+def depth_off_m(found: CameraCalibration, rig: Rig, z: float) -> float:
+    """Mean corrected depth less the truth, over the image."""
+    assert found.depth is not None
+    u, v = np.meshgrid(np.linspace(0.15, 0.85, 7) * rig.depth.width, np.linspace(0.15, 0.85, 5) * rig.depth.height)
+    px = np.stack([u.ravel(), v.ravel()], axis=-1)
+    seen = rig.systematic(np.full(len(px), z), px)
+    if rig.is_disparity:
+        seen = reading_m(found.depth_error, 1090 - 8 * 586.0 * 0.075 / seen)
+    return float((found.depth_error.of_readings(seen, px, found.depth) - z).mean())
+
+
+@pytest.fixture(scope="module", params=sorted(RIGS))
+def calibrated(request: pytest.FixtureRequest) -> tuple[Rig, ViewSet, CameraCalibration]:
+    rig, seen = rig_of(request.param, 11)
+    return rig, seen, calibrate_camera(seen, BOARD, CameraSetup(rig.sensor, on_plate=True))
+
+
+def test_lenses_apart_and_depth_come_out(calibrated: tuple[Rig, ViewSet, CameraCalibration]) -> None:
+    rig, _, found = calibrated
+    assert found.depth is not None
+    assert found.T_color_depth is not None
+    assert found.color.fx == pytest.approx(rig.color.fx, rel=2e-3)
+    assert found.depth.fx == pytest.approx(rig.depth.fx, rel=2e-3)
+    off = found.T_color_depth @ se3.invert(rig.T_color_depth)
+    assert np.linalg.norm(found.T_color_depth[:3, 3] - rig.T_color_depth[:3, 3]) < 1.5e-3
+    assert np.degrees(so3.angle(off[:3, :3])) < 0.1
+    for z in (0.8, 1.5, 2.5):
+        assert abs(depth_off_m(found, rig, z)) < 5e-3
+    assert found.color_residuals.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
+
+
+def test_what_is_found_goes_into_a_calibration(calibrated: tuple[Rig, ViewSet, CameraCalibration]) -> None:
+    rig, _, found = calibrated
+    calibration = camera_calibration(found)
+    assert calibration.color == found.color
+    assert calibration.depth_error.is_of_disparity == rig.is_disparity
+    z = 2.0
+    assert calibration.depth_noise.sigma_m(z) == pytest.approx(rig.sigma_m(np.array(z)), rel=0.35)
+    assert {"color", "depth", "T_color_depth", "depth_noise", "depth_error"} <= set(camera_fields(found))
+    entry = measured("camera", found)
+    assert entry.command == "calibrate camera"
+    assert entry.figures["views"] == len(found.views)
+
+
+def test_views_and_corners_that_disagree_are_left_out() -> None:
+    rig, seen = rig_of("kinect-v2", 4)
+    views = list(seen.views)
+    rng = np.random.default_rng(0)
+    bent = views[3].color.px + rng.normal(0, 2.0, views[3].color.px.shape)
+    views[3] = replace(views[3], name="bent", color=Corners(views[3].color.ids, bent))
+    px = views[5].color.px.copy()
+    px[7] += (6.0, -5.0)
+    views[5] = replace(views[5], color=Corners(views[5].color.ids, px))
+    reading = views[12].reading
+    assert reading is not None
+    views[12] = replace(views[12], name="moved", reading=reading * np.float32(1.08))
+    found = calibrate_camera(replace(seen, views=tuple(views)), BOARD, CameraSetup(rig.sensor, on_plate=True))
+    assert {name for name, _ in found.left_out} == {"bent", "moved"}
+    assert found.dropped_corners >= 1
+    assert found.color.fx == pytest.approx(rig.color.fx, rel=3e-3)
+
+
+def test_infrared_boards_numbered_from_the_other_end_are_turned() -> None:
+    rig, seen = rig_of("realsense", 3)
+    board = board_from("8x6:50mm")
+    assert not board.is_half_turn_seen
+    views = board_views(rig, np.random.default_rng(5), VIEWS, board).views
+    turned = tuple(
+        replace(view, infrared=view.infrared.turned(board.count)) if view.infrared and k % 3 == 0 else view
+        for k, view in enumerate(views)
+    )
+    plain = calibrate_camera(replace(seen, views=views), board, CameraSetup("stereo", on_plate=True))
+    again = calibrate_camera(replace(seen, views=turned), board, CameraSetup("stereo", on_plate=True))
+    assert again.depth is not None
+    assert plain.depth is not None
+    assert again.depth.fx == pytest.approx(plain.depth.fx, rel=1e-6)
+
+
+def test_without_infrared_planes_tell_where_the_cameras_are() -> None:
+    rig, seen = rig_of("realsense", 8)
+    views = tuple(replace(view, infrared=None) for view in seen.views)
+    nominal = camera_calibration_of(rig)
+    setup = CameraSetup(rig.sensor, on_plate=True, nominal=nominal)
+    found = calibrate_camera(replace(seen, views=views), BOARD, setup)
+    assert found.T_color_depth is not None
+    off_m = found.T_color_depth[:3, 3] - rig.T_color_depth[:3, 3]
+    sigmas = np.array([found.sigmas[f"T.{axis}"] for axis in "xyz"])
+    assert (np.abs(off_m) < 4 * sigmas).all()
+    assert sigmas.max() < 0.015
+
+
+def camera_calibration_of(rig: Rig):
+    from wheelsight.calibration import Calibration
+
+    depth = replace(rig.depth, fx=rig.depth.fx * 1.01, fy=rig.depth.fy * 1.01)
+    return Calibration(color=rig.color, depth=depth, T_color_depth=np.eye(4))
+
+
+def test_registered_depth_has_one_lens_and_an_error() -> None:
+    rng = np.random.default_rng(9)
+    rig = small(RIGS["kinect-v2"](rng))
+    rig = replace(rig, color=rig.depth, T_color_depth=np.eye(4), far_m=2.0)
+    seen = board_views(rig, rng, VIEWS)
+    views = tuple(replace(view, infrared=None) for view in seen.views)
+    found = calibrate_camera(replace(seen, views=views), BOARD, CameraSetup("tof", is_registered=True, on_plate=True))
+    assert found.T_color_depth is None
+    assert found.depth == found.color
+    assert camera_calibration(found).is_registered
+    assert abs(depth_off_m(found, rig, 1.2)) < 6e-3
+
+
+def test_a_board_of_unknown_size_takes_its_size_from_depth() -> None:
+    rig, seen = rig_of("kinect-v1", 6)
+    unknown = replace(BOARD, square_m=1.0, is_size_known=False)
+    found = calibrate_camera(seen, unknown, CameraSetup(rig.sensor, on_plate=True))
+    # Its scale is Kinect's nominal one, which is off by what the unit is: 0.7 % and some.
+    assert found.board.square_m == pytest.approx(BOARD.square_m, rel=0.03)
+    assert "square" in found.sigmas
+    assert "square_m" in measured("camera", found).figures
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda views: views[:4], "4 views show the board, fewer than 6"),
+        (lambda views: [frontal(k) for k in range(10)], "all boards face the same way"),
+        (lambda views: [middle(k) for k in range(10)], "of the image alone"),
+    ],
+)
+def test_views_that_do_not_determine_it_are_refused(change, told: str) -> None:
+    _, seen = rig_of("realsense", 2)
+    views = tuple(change(list(seen.views)))
+    with pytest.raises(CalibrationError, match=r"\(.+\)") as refusal:
+        calibrate_camera(replace(seen, views=views), BOARD, CameraSetup("stereo", on_plate=True))
+    assert told in str(refusal.value)
+
+
+LENS = PinholeCamera(1280, 720, 915.0, 915.0, 639.5, 359.5)
+
+
+def corners_only(T: np.ndarray, name: str) -> View:
+    px, _ = LENS.project(se3.apply(T, BOARD.points_m))
+    noise = np.random.default_rng(len(name)).normal(0, 0.1, px.shape)
+    return View(name, Corners(np.arange(BOARD.count), px + noise))
+
+
+def frontal(k: int) -> View:
+    return corners_only(se3.from_parts(np.eye(3), [0.12 * (k % 4) - 0.5, 0.08 * (k % 3) - 0.2, 0.8 + 0.1 * k]), f"f{k}")
+
+
+def middle(k: int) -> View:
+    R = so3.exp([0.4 * np.cos(k), 0.4 * np.sin(k), 0])
+    return corners_only(se3.from_parts(R, np.array([0, 0, 3.0]) - R @ BOARD.points_m.mean(axis=0)), f"m{k}")
+
+
+def test_depth_from_one_distance_is_refused() -> None:
+    rng = np.random.default_rng(3)
+    rig = replace(small(RIGS["kinect-v2"](rng)), near_m=1.5, far_m=1.6)
+    with pytest.raises(CalibrationError, match="add views from twice as far"):
+        calibrate_camera(board_views(rig, rng, 12), BOARD, CameraSetup("tof", on_plate=True))
+
+
+def test_setups_that_fit_no_images_are_refused() -> None:
+    rig, seen = rig_of("kinect-v2", 2)
+    for setup, told in (
+        (CameraSetup("laser"), "structured-light, tof, stereo"),
+        (CameraSetup("tof", is_registered=True), "leave --registered out"),
+        (CameraSetup("tof", keeps_color=True), "add --calibration"),
+        (CameraSetup("tof", nominal=camera_calibration_of(replace(rig, color=LENS))), "1920×1080"),
+    ):
+        with pytest.raises(ConfigError) as refusal:
+            calibrate_camera(seen, BOARD, setup)
+        assert told in str(refusal.value)
+    bare = replace(seen, views=tuple(replace(view, reading=None) for view in seen.views))
+    with pytest.raises(ConfigError, match="nothing tells the size"):
+        calibrate_camera(bare, replace(BOARD, is_size_known=False), CameraSetup("tof"))
+
+
+@pytest.mark.slow
+def test_errors_over_several_units_are_as_large_as_their_sigmas() -> None:
+    over_sigma = []
+    for seed in range(20, 26):
+        rig, seen = rig_of("realsense", seed)
+        found = calibrate_camera(seen, BOARD, CameraSetup(rig.sensor, on_plate=True))
+        assert found.depth is not None
+        assert found.T_color_depth is not None
+        for name, a, b in (("color", found.color, rig.color), ("depth", found.depth, rig.depth)):
+            over_sigma += [
+                (getattr(a, field) - getattr(b, field)) / found.sigmas[f"{name}.{field}"]
+                for field in ("fx", "cx", "cy")
+            ]
+        off_m = found.T_color_depth[:3, 3] - rig.T_color_depth[:3, 3]
+        over_sigma += [off_m[k] / found.sigmas[f"T.{axis}"] for k, axis in enumerate("xyz")]
+    assert 0.5 < np.sqrt(np.mean(np.square(over_sigma))) < 1.6
+    assert np.abs(over_sigma).max() < 4

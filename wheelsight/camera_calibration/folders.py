@@ -1,0 +1,195 @@
+"""Views of a board from folders of images: colour, infrared and depth of one moment, paired by their names."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from wheelsight.camera_calibration.board import Board
+from wheelsight.camera_calibration.detection import as_grey, find_corners, other_size
+from wheelsight.camera_calibration.settings import DetectionSettings
+from wheelsight.camera_calibration.views import View, ViewSet
+from wheelsight.depth_error import NO_DISPARITY
+from wheelsight.errors import RecordingError
+from wheelsight.files import StrPath
+from wheelsight.inputs import Kind, picture_size, read_bytes
+
+_SUFFIXES = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp", ".tif", ".tiff"}
+_WORDS = {
+    "color": ("c1", "c", "color", "colour", "rgb"),
+    "infrared": ("ir", "infrared"),
+    "depth": ("d", "depth", "disparity"),
+}
+_KIND_OF = {word: kind for kind, words in _WORDS.items() for word in words}
+_NAMED = re.compile(
+    rf"^(?:(?P<a>.*?)[-_ .])?(?P<kind>{'|'.join(sorted(_KIND_OF, key=len, reverse=True))})(?:[-_ .]?(?P<b>\d.*))?$",
+    re.IGNORECASE,
+)
+_IMAGE = Kind("an image", most_mb=128)
+_FIX = "name images VIEW-color.png, VIEW-ir.png, VIEW-depth.png, or put them into folders color, ir and depth"
+_OTHERS_TRIED = 3
+
+
+def find_view_files(folders: Sequence[StrPath]) -> dict[str, dict[str, Path]]:
+    """The image files of each view, by its name and then by kind: color, infrared, depth.
+
+    Raises:
+        RecordingError: a folder that is none, or holds no colour image by name.
+    """
+    views: dict[str, dict[str, Path]] = {}
+    for folder in map(Path, folders):
+        if not folder.is_dir():
+            raise RecordingError("is no folder of images", path=folder, fix=_FIX)
+        for path in sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES):
+            kind, name = _kind_and_name(path, folder)
+            if kind is not None:
+                full = name if len(folders) == 1 else f"{folder.name}/{name}"
+                views.setdefault(full, {}).setdefault(kind, path)
+    if not any("color" in files for files in views.values()):
+        raise RecordingError("holds no colour image", path=Path(folders[0]), fix=_FIX)
+    return dict(sorted(views.items()))
+
+
+def _kind_and_name(path: Path, folder: Path) -> tuple[str | None, str]:
+    above = path.relative_to(folder).parent
+    kind = _KIND_OF.get(above.name.lower())
+    if kind is not None:
+        return kind, (above.parent / path.stem).as_posix()
+    found = _NAMED.match(path.stem)
+    if not found:
+        return None, path.stem
+    name = "-".join(part for part in (found["a"], found["b"]) if part)
+    return _KIND_OF[found["kind"].lower()], (above / name).as_posix()
+
+
+def read_views(
+    folders: Sequence[StrPath],
+    board: Board,
+    settings: DetectionSettings,
+    depth_factor: float = 1000.0,
+    on_view: Callable[[], None] = lambda: None,
+) -> ViewSet:
+    """Views with the corners found in them; what cannot be used is left out, by name and reason.
+
+    Args:
+        folders: of images.
+        board: that they show.
+        settings: of its detection.
+        depth_factor: units of depth images a metre; of raw disparities without meaning.
+        on_view: is told after each.
+
+    Raises:
+        RecordingError: no view shows the board; says which board the first ones show, where they show another.
+    """
+    left_out, seen = [], []
+    for name, files in find_view_files(folders).items():
+        found = _read_view(name, files, board, settings)
+        if isinstance(found, str):
+            left_out.append((name, found))
+        else:
+            seen.append(found)
+        on_view()
+    if not seen:
+        raise _none_found(folders, board, left_out)
+    views, size, depth_size = _of_one_size(seen, left_out)
+    is_disparity = _is_disparity([view.reading for view in views if view.reading is not None])
+    read = tuple(_in_units(view, is_disparity, depth_factor) for view in views)
+    return ViewSet(read, size, depth_size, tuple(left_out), is_disparity)
+
+
+_Seen = tuple[View, tuple[int, int], tuple[int, int] | None]
+
+
+def _of_one_size(
+    seen: list[_Seen], left_out: list[tuple[str, str]]
+) -> tuple[list[View], tuple[int, int], tuple[int, int] | None]:
+    """The views whose images have the size of most, and those sizes; the others are added to those left out."""
+    size = Counter(size for _, size, _ in seen).most_common(1)[0][0]
+    depth_sizes = Counter(depth for _, _, depth in seen if depth is not None).most_common(1)
+    depth_size = depth_sizes[0][0] if depth_sizes else None
+    views = []
+    for view, own, own_depth in seen:
+        if own != size:
+            left_out.append((view.name, f"colour image is {_told(own)}, others {_told(size)}"))
+        elif own_depth is not None and depth_size is not None and own_depth != depth_size:
+            left_out.append((view.name, f"depth image is {_told(own_depth)}, others {_told(depth_size)}"))
+        else:
+            views.append(view)
+    return views, size, depth_size
+
+
+def _read_view(name: str, files: dict[str, Path], board: Board, settings: DetectionSettings) -> _Seen | str:
+    if "color" not in files:
+        return "has no colour image"
+    try:
+        images = {kind: _read_image(path) for kind, path in files.items()}
+    except RecordingError as error:
+        return f"{error.path.name if error.path else name}: {error.problem}"
+    color = find_corners(as_grey(images["color"]), board, settings)
+    if isinstance(color, str):
+        return color
+    infrared = find_corners(as_grey(images["infrared"]), board, settings) if "infrared" in images else None
+    depth = images.get("depth")
+    if depth is not None and (depth.ndim != 2 or depth.dtype != np.uint16):
+        return f"{files['depth'].name}: is no 16-bit image of one channel"
+    sizes = {_size(image) for image in (images.get("infrared"), depth) if image is not None}
+    if len(sizes) > 1:
+        return "infrared and depth image differ in size"
+    view = View(name, color, None if isinstance(infrared, str) else infrared, depth)
+    return view, _size(images["color"]), next(iter(sizes), None)
+
+
+def _read_image(path: Path) -> Any:
+    data = read_bytes(path, _IMAGE, RecordingError)
+    if path.suffix.lower() in (".png", ".jpg", ".jpeg") and picture_size(data) is None:
+        raise RecordingError("is damaged, or no image", path=path)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise RecordingError("is damaged, or no image", path=path)
+    return image
+
+
+def _none_found(folders: Sequence[StrPath], board: Board, left_out: list[tuple[str, str]]) -> RecordingError:
+    whole = f"none of {len(left_out)} views shows the board {board}"
+    files = find_view_files(folders)
+    for name, reason in left_out[:_OTHERS_TRIED] if not board.is_charuco else []:
+        if "no whole board" in reason:
+            size = other_size(as_grey(_read_image(files[name]["color"])), board)
+            if size is not None:
+                fix = f"{name} shows {size[0]}×{size[1]} inner corners: --board {size[0]}x{size[1]}:SIDE"
+                return RecordingError(whole, path=Path(folders[0]), fix=fix)
+    name, reason = left_out[0]
+    return RecordingError(f"{whole}; {name}: {reason}", path=Path(folders[0]), fix="check --board, light and focus")
+
+
+def _is_disparity(readings: list[Any]) -> bool:
+    """Kinect v1's raw disparities have 11 bits, the greatest of which means none; depth images mark none by 0."""
+    return bool(readings) and all(image.max() == NO_DISPARITY and image.min() > 0 for image in readings)
+
+
+def _in_units(view: View, is_disparity: bool, depth_factor: float) -> View:
+    if view.reading is None:
+        return view
+    raw = view.reading
+    if is_disparity:
+        reading = np.where(raw < NO_DISPARITY, raw, 0).astype(np.float32)
+    else:
+        reading = np.where(raw < np.iinfo(np.uint16).max, raw, 0).astype(np.float32) / np.float32(depth_factor)
+    return View(view.name, view.color, view.infrared, reading)
+
+
+def _size(image: Any) -> tuple[int, int]:
+    return int(image.shape[1]), int(image.shape[0])
+
+
+def _told(size: tuple[int, int]) -> str:
+    return f"{size[0]}×{size[1]}"

@@ -1,0 +1,189 @@
+"""A solution as a result: lenses, standard deviations by name, and residuals in pixels and metres."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from wheelsight.camera_calibration.board import Board
+from wheelsight.camera_calibration.model import Points, Residuals
+from wheelsight.camera_calibration.result import CameraCalibration, CornerResiduals, DepthResiduals, UsedView
+from wheelsight.camera_calibration.solve import Solution
+from wheelsight.camera_calibration.task import Counted
+from wheelsight.camera_calibration.views import RAW_DISPARITY
+from wheelsight.depth_error import DepthError
+from wheelsight.geometry import FloatArray, PinholeCamera, se3
+
+_STEP = 1e-6
+_BROWN = ("k1", "k2", "p1", "p2", "k3")
+_AXES = ("x", "y", "z")
+_DISTANCES, _ACROSS, _DOWN = 12, 9, 7
+
+
+def outcome(residuals: Residuals, solution: Solution, board: Board, counted: Counted) -> CameraCalibration:
+    """What a solution of what counts says."""
+    model, x = residuals.model, solution.x
+    R, t = model.poses_of(x)
+    T = se3.from_parts(R, t)
+    at = model.slices()
+    has_depth = model.is_registered or at["apart"].stop > at["apart"].start
+    depth = _depth_residuals(residuals, x)
+    return CameraCalibration(
+        board=replace(board, square_m=model.square_of(x)),
+        color=model.color_camera(x),
+        depth=model.depth_camera(x) if has_depth else None,
+        T_color_depth=model.T_color_depth_of(x) if has_depth and not model.is_registered else None,
+        depth_error=model.error_of(x),
+        sensor=model.sensor,
+        sigmas=sigmas_by_name(residuals, solution),
+        depth_sigma_m=_depth_sigma(residuals, solution, depth),
+        color_sigma_px=_pixel_sigma(residuals, solution) if has_depth else 0.0,
+        noise=_pixel_noise(residuals, depth) if len(model.cells.px) else None,
+        views=tuple(
+            UsedView(view.name, seen, pose) for view, seen, pose in zip(counted.views, counted.color, T, strict=True)
+        ),
+        left_out=counted.left_out,
+        color_residuals=_corner_residuals(model.color, residuals.color(x) * residuals.sigmas.color_px),
+        infrared_residuals=_corner_residuals(model.infrared, residuals.infrared(x) * residuals.sigmas.infrared_px),
+        depth_residuals=depth,
+        dropped_corners=counted.dropped_corners,
+        dropped_cells=counted.dropped_cells,
+    )
+
+
+def sigmas_by_name(residuals: Residuals, solution: Solution) -> dict[str, float]:
+    """Standard deviations of what a user knows by name."""
+    model, x = residuals.model, solution.x
+    at, sigma = model.slices(), np.sqrt(np.diag(solution.covariance))
+    named: dict[str, float] = {}
+    for name, camera, start in (
+        ("color", model.color_camera(x), model.color_start),
+        ("depth", model.depth_camera(x), model.depth_start),
+    ):
+        first, size = at[name].start, at[name].stop - at[name].start
+        if not size:
+            continue
+        block = solution.covariance[at[name], at[name]]
+        named[f"{name}.fx"] = camera.fx * float(sigma[first])
+        named[f"{name}.fy"] = camera.fy * float(np.sqrt(block[0, 0] + block[1, 1] + 2 * block[0, 1]))
+        named[f"{name}.cx"], named[f"{name}.cy"] = (start.fx * float(s) for s in sigma[first + 2 : first + 4])
+        named |= {f"{name}.{k}": float(s) for k, s in zip(_BROWN, sigma[first + 4 : at[name].stop], strict=False)}
+    if at["apart"].stop > at["apart"].start:
+        # A perturbation from the left moves the way by v + ω × t.
+        block = solution.covariance[at["apart"], at["apart"]]
+        ways = np.sqrt(np.diag(se3.position_covariance(model.T_color_depth_of(x), block)))
+        turns = np.degrees(np.sqrt(np.diag(block)[3:]))
+        named |= {f"T.{axis}": float(s) for axis, s in zip(_AXES, ways, strict=True)}
+        named |= {f"T.turn_{axis}_deg": float(s) for axis, s in zip(_AXES, turns, strict=True)}
+    if model.square_m is None:
+        named["square"] = model.square_of(x) * float(sigma[at["square"]][0])
+    return named
+
+
+def _corner_residuals(points: Points, off_px: FloatArray) -> CornerResiduals:
+    return CornerResiduals(points.view, points.px, off_px)
+
+
+def reading_m(error: DepthError, reading: FloatArray) -> FloatArray:
+    """Readings in metres, still to be corrected, of readings in metres or of raw disparities."""
+    if not error.is_of_disparity:
+        return reading
+    inverse = error.disparity_at_zero_per_m + error.disparity_step_per_m * reading
+    return np.asarray(1 / np.maximum(inverse, 1e-3))
+
+
+def _depth_residuals(residuals: Residuals, x: FloatArray) -> DepthResiduals:
+    model = residuals.model
+    if not len(model.cells.px):
+        return DepthResiduals(np.empty(0, np.int64), np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
+    off_m, _ = residuals.depth_m(x)
+    error, camera = model.error_of(x), model.depth_camera(x)
+    corrected = error.of_readings(reading_m(error, model.cells.reading), model.cells.px, camera)
+    depth_m = corrected - off_m
+    raw = model.cells.reading
+    if model.sensor == RAW_DISPARITY:
+        raw = 1 / np.maximum(-model.nominal_step * (model.settings.model.disparity_of_infinity - raw), 1e-3)
+    return DepthResiduals(model.cells.view, model.cells.px, depth_m, off_m, raw - depth_m)
+
+
+def _depth_sigma(residuals: Residuals, solution: Solution, depth: DepthResiduals) -> FloatArray:
+    """(K, 2) distances between the nearest and the farthest cell, and σ of corrected depth there, mean over pixels."""
+    model, x = residuals.model, solution.x
+    at = model.slices()["error"]
+    if not len(depth.depth_m) or at.stop == at.start:
+        return np.empty((0, 2))
+    nearest_m, farthest_m = np.percentile(depth.depth_m, (1, 99)).tolist()
+    distances_m = np.linspace(nearest_m, farthest_m, _DISTANCES)
+    camera, error = model.depth_camera(x), model.error_of(x)
+    px = _grid(camera, 3, 3)
+    readings = _readings_for(error, np.repeat(distances_m, len(px)), np.tile(px, (_DISTANCES, 1)), camera)
+    J = np.empty((len(readings), at.stop - at.start))
+
+    def true_m(y: FloatArray) -> FloatArray:
+        moved = model.error_of(y)
+        return moved.of_readings(reading_m(moved, readings), np.tile(px, (_DISTANCES, 1)), camera)
+
+    here = true_m(x)
+    for k in range(at.start, at.stop):
+        y = x.copy()
+        y[k] += _STEP
+        J[:, k - at.start] = (true_m(y) - here) / _STEP
+    variance = np.einsum("ni,ij,nj->n", J, solution.covariance[at, at], J).reshape(_DISTANCES, -1)
+    return np.stack([distances_m, np.sqrt(np.maximum(variance.mean(axis=1), 0))], axis=-1)
+
+
+def _readings_for(error: DepthError, depth_m: FloatArray, px: FloatArray, camera: PinholeCamera) -> FloatArray:
+    """Readings that are corrected to about these depths: raw disparities where the error is of them."""
+    reading = depth_m.copy()
+    for _ in range(5):
+        reading = np.maximum(reading + depth_m - error.of_readings(reading, px, camera), 0.05)
+    if not error.is_of_disparity:
+        return reading
+    return np.asarray((1 / reading - error.disparity_at_zero_per_m) / error.disparity_step_per_m)
+
+
+def _pixel_sigma(residuals: Residuals, solution: Solution) -> float:
+    """Root mean square over the depth image of the σ of where colour shows a depth pixel's point, pixels."""
+    model, x = residuals.model, solution.x
+    at = model.slices()
+    if model.is_registered:
+        return 0.0
+    camera = model.depth_camera(x)
+    T = se3.from_parts(*model.poses_of(x))
+    px = _grid(camera, _ACROSS, _DOWN)
+    middle_m = np.full(len(px), float(np.median(T[:, 2, 3])))
+
+    def color_px(y: FloatArray) -> FloatArray:
+        p = model.depth_camera(y).back_project(px, middle_m)
+        p = se3.apply(model.T_color_depth_of(y), p)
+        return model.color_camera(y).denormalise(p[:, :2] / p[:, 2:]).ravel()
+
+    columns = [*range(at["color"].start, at["color"].stop), *range(at["depth"].start, at["depth"].stop)]
+    columns += range(at["apart"].start, at["apart"].stop)
+    here = color_px(x)
+    J = np.empty((len(here), len(columns)))
+    for index, k in enumerate(columns):
+        y = x.copy()
+        y[k] += _STEP
+        J[:, index] = (color_px(y) - here) / _STEP
+    variance = np.einsum("ni,ij,nj->n", J, solution.covariance[np.ix_(columns, columns)], J)
+    return float(np.sqrt(2 * np.maximum(variance, 0).mean()))
+
+
+def _grid(camera: PinholeCamera, across: int, down: int) -> FloatArray:
+    u, v = np.meshgrid(
+        np.linspace(0.05, 0.95, across) * (camera.width - 1), np.linspace(0.05, 0.95, down) * (camera.height - 1)
+    )
+    return np.stack([u.ravel(), v.ravel()], axis=-1)
+
+
+def _pixel_noise(residuals: Residuals, depth: DepthResiduals) -> tuple[float, float]:
+    """Noise of one pixel, (constant_m, quadratic_per_m): the law that was taken, as large as pixels scatter."""
+    model = residuals.model
+    sigma_m = model.cells.scatter * depth.depth_m**2
+    if model.sensor == RAW_DISPARITY:
+        sigma_m = sigma_m * -model.nominal_step
+    constant, quadratic = model.noise
+    factor = float(np.median(sigma_m / (constant + quadratic * depth.depth_m**2)))
+    return factor * constant, factor * quadratic
