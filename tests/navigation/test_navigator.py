@@ -151,6 +151,20 @@ def test_lost_on_the_way_it_stands_and_goes_on_when_it_knows() -> None:
     assert not_none(subject.navigator.result).has_arrived
 
 
+def test_of_a_place_that_is_known_too_badly_it_looks_about_and_gives_up_as_when_lost() -> None:
+    """As before a bare wall, on wheels alone, after the camera and they have disagreed."""
+    subject = ride(settings=HASTY)
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(2)
+    vague = np.diag([4.0, 4.0, 1e-6, 1e-6, 1e-6, 0.01])
+    subject.told.says = lambda estimate: replace(estimate, status=Status.COASTING, covariance=vague)
+    subject.go(30)
+    result = not_none(subject.navigator.result)
+    assert result.reason is NavigationReason.LOST
+    assert any("look for a known place" in change.why for change in result.transitions)
+    assert subject.robot.base.stands
+
+
 def test_lost_for_good_it_gives_up() -> None:
     subject = ride(settings=HASTY)
     subject.navigator.go_to_pose(GOAL)

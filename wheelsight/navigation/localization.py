@@ -127,6 +127,10 @@ class WhereNow:
         known, answer = self._known_sigma_m, self._answer
         return 0.0 if answer is None else math.sqrt(max(_sigma_m(answer) ** 2 - known**2, 0.0))
 
+    def is_known(self, unsure_m: float) -> bool:
+        """Whether it is known where in the map the robot is, at most `unsure_m` less surely than when tracked."""
+        return self.state is not None and self.grown_sigma_m <= unsure_m
+
     @property
     def odom_pose(self) -> FloatArray | None:
         """(3,) x, y, yaw of the base in `odom` now; None while it is not known."""

@@ -214,7 +214,7 @@ class Navigator:
         task = self._task
         if task is None or self.is_task_complete():
             return STOP
-        task.roll(now_s, self._senses.where, self.settings.navigator.progress_m)
+        task.roll(now_s, self._senses.where, self.settings.navigator)
         why_over = self._why_over(task, now_s)
         if why_over is not None:
             return self._fail(*why_over)
@@ -241,7 +241,7 @@ class Navigator:
 
     def _plan(self, task: Task, now_s: float) -> VelocityCommand:
         """Plan, and drive; or get out of what makes it impossible."""
-        if self._senses.where.state is None:
+        if not self._senses.where.is_known(self.settings.navigator.unsure_m):
             return self._look_about(task, "it is not known where it is")
         if not self._planning.is_asked:
             self._planning.ask(task.goals, now_s)
@@ -340,14 +340,14 @@ class Navigator:
     def _recover(self, task: Task, now_s: float) -> VelocityCommand:
         """Do what was begun, then plan anew."""
         where = self._senses.where
-        if task.is_lost and where.state is not None and where.grown_sigma_m <= self.settings.navigator.unsure_m:
+        if task.is_lost and (is_known := where.is_known(self.settings.navigator.unsure_m)):
             self._become(NavigationState.PLANNING, "it knows where it is")
             return STOP
         assert task.behaviour is not None
         command = task.behaviour.command(now_s, where.odom_pose)
         if command is not None and self._senses.keeps_clear(command):
             return command
-        if task.is_lost and where.state is None:
+        if task.is_lost and not is_known:
             return self._look_about(task, "it is still not known where it is")
         self._senses.clear()
         self._become(NavigationState.PLANNING, f"after it has done so: {task.behaviour.name}")

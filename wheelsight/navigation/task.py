@@ -10,6 +10,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.navigation.behaviours import Behaviour
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.localization import WhereNow
+from wheelsight.navigation.navigator_settings import NavigatorSettings
 from wheelsight.navigation.navigator_values import NavigationReason, NavigationResult, Transition
 from wheelsight.navigation.plan_values import Plan
 
@@ -57,16 +58,16 @@ class Task:
         """In words."""
         return self.goals.name if self.behaviour is None else self.behaviour.name
 
-    def roll(self, now_s: float, where: WhereNow, progress_m: float) -> None:
+    def roll(self, now_s: float, where: WhereNow, settings: NavigatorSettings) -> None:
         """Count the way made; after so much of it, tries begin anew."""
         # By readings: wheels that are not heard any more made no way.
         speed = where.speed
         if speed.stamp_s > self._rolled_s:
             self._way_m += abs(speed.forward_m_s) * (speed.stamp_s - self._rolled_s)
             self._rolled_s = speed.stamp_s
-        if self._way_m - self._tried_m > progress_m:
+        if self._way_m - self._tried_m > settings.progress_m:
             self._tried_m, self.tries = self._way_m, 0
-        if where.state is not None:
+        if where.is_known(settings.unsure_m):
             self.known_s, self.searches = now_s, 0
 
     def take(self, plan: Plan, now_s: float, T_map_odom: FloatArray) -> None:
