@@ -2,7 +2,7 @@
 #
 #   make demo                      simulate a lap with mishaps, join wheels and camera, map, report against truth; then a robot
 #                                  explores a home of two rooms, closes its loops, and is switched off; on the next day it is
-#                                  switched on in the other room, finds itself, and is to drive to a goal while a person walks
+#                                  switched on in the other room, finds itself, and drives to a goal while a person walks
 #   make demo RECORDING=folder     the same of a recording you have; ODOMETRY=wheels where it has no images
 #   make test [SLOW=1] [WORKERS=n] all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
@@ -34,7 +34,7 @@ demo: $(VENV)/.installed-sim,report
 	$(BIN)/wheelsight run "$(OUT)/drive" --odometry wheels,dense --map surfels --out "$(OUT)/results" --force
 	$(BIN)/wheelsight drive --sim studio --rate 5 --explore --out "$(OUT)/explored" --force
 	-$(BIN)/wheelsight drive --sim studio --rate 5 --day 1 --people 1 --start 6,1.7,90 --map "$(OUT)/explored" \
-		--to 0,0,180 --out "$(OUT)/driven" --force
+		--to 0,0,0 --out "$(OUT)/driven" --force
 	@echo
 	@echo 'What became of it, each a page that needs no network:'
 	@echo '  $(OUT)/results/report.html   wheels and camera joined, against the truth'

@@ -151,7 +151,7 @@ def _write_beside(image: ByteArray, text: str, left: int, bottom: int) -> None:
 
 def _plain(text: str) -> str:
     """OpenCV's letters are ASCII."""
-    return text.encode("ascii", "replace").decode()
+    return text.replace("°", " deg").encode("ascii", "replace").decode()
 
 
 def _named(drawn: Iterable[PlanLine | PlanMark], width: int) -> ByteArray:
