@@ -40,7 +40,8 @@ def address_of(folder: Path, symbol: str) -> int:
 
 
 def test_the_build_prints_a_size_that_leaves_room(built_stm32: Path, board: Stm32) -> None:
-    text, data, bss = map(int, re.findall(r"\d+", (built_stm32 / "size.txt").read_text().splitlines()[-1])[:3])
+    told = re.findall(r"^ *(\d+)\t *(\d+)\t *(\d+)\t", (built_stm32 / "size.txt").read_text(), re.MULTILINE)
+    text, data, bss = map(int, told[-1])
     assert 0 < text < 32 << 10
     assert 0 < data + bss < DATA_SIZE
     board.command(Command.DRIVE, drive_body(0.1, 0.1))

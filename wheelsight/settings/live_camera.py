@@ -18,16 +18,25 @@ class LiveCameraSettings(Settings):
         ASKED,
     )
     kept_frames: int = setting(
-        4, "newest frames that are kept for whoever asks; a recorder keeps more, to bridge a slow disk", CHOSEN, ge=1
+        4,
+        "newest frames that are kept for whoever asks; a recorder keeps more, to bridge a slow disk",
+        CHOSEN,
+        ge=1,
+        le=1000,
     )
     oldest_s: float = setting(
         1.0,
         "a frame that is older than so many seconds when it is fetched is not handed out: the robot has driven on",
         CHOSEN,
         gt=0,
+        le=60,
     )
     stall_s: float = setting(
-        0.5, "without a frame for so many seconds, 15 of most cameras' periods, it counts as stalled", CHOSEN, gt=0
+        0.5,
+        "without a frame for so many seconds, 15 of most cameras' periods, it counts as stalled",
+        CHOSEN,
+        gt=0,
+        le=60,
     )
     reopen_s: float = setting(
         3.0,
@@ -35,6 +44,7 @@ class LiveCameraSettings(Settings):
         "cameras take to set their exposure at their start",
         CHOSEN,
         gt=0,
+        le=600,
     )
     retry_s: float = setting(
         0.25, "seconds between two looks for a camera that was unplugged, of the 2 s it may take", CHOSEN, gt=0, le=2
@@ -52,12 +62,14 @@ class LiveCameraSettings(Settings):
         "a stamp that lies so many seconds after its frame's arrival tells that the camera's clock leapt",
         CHOSEN,
         gt=0,
+        le=10,
     )
     clock_late_s: float = setting(
         0.3,
         "frames that all arrive so many seconds after their stamps, over `clock_watch_s`, tell that it leapt back",
         CHOSEN,
         gt=0,
+        le=10,
     )
     clock_drift: float = setting(
         5e-4,

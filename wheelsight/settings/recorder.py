@@ -17,7 +17,11 @@ class RecorderSettings(Settings):
         le=60,
     )
     most_waiting: int = setting(
-        60, "frames that wait at most, whatever their rate: 130 MB of 640×480", "reckoned from 7 bytes a pixel", ge=1
+        60,
+        "frames that wait at most, whatever their rate: 130 MB of 640×480",
+        "reckoned from 7 bytes a pixel",
+        ge=1,
+        le=10_000,
     )
     writers: int = setting(
         2,
@@ -31,6 +35,7 @@ class RecorderSettings(Settings):
         "recording ends when so little room is left on the disk, MB, before other programs fail for want of it",
         CHOSEN,
         ge=0,
+        le=1e6,
     )
     watch_s: float = setting(
         0.5, "seconds between two looks at the camera, the disk and the rates", CHOSEN, gt=0, le=60

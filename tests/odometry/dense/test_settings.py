@@ -34,6 +34,8 @@ NUMERICS = {
     "fault_detection._PERFECT": "of a perfect fit, by definition",
     "grid._BRIGHTEST": "of a byte",
     "grid._DARK_STRIDE": "how many pixels are asked",
+    "keypoints._ALL": "all directions",
+    "keypoints._LEAST_SHARE": "the digits of a number",
     "reference._ANY_BEND": "none",
     "reference._AS_NOISY": "by definition",
     "reference._MAPPED": "by definition",

@@ -71,7 +71,6 @@ def forward_and_turning(recording, speeds):
         ("rosbag2/bag_with_topics_and_service_events.mcap", "BasicTypes_Event"),
         ("foxglove_log.mcap", "is an MCAP file, but not of ROS 2"),
         ("simple-protobuf.mcap", "is an MCAP file, but not of ROS 2"),
-        ("azure_kinect.mkv", "is a file, but no recording in one"),
     ],
 )
 def test_what_others_lack(bags, name, problem):

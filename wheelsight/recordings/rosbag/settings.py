@@ -60,6 +60,7 @@ class BagSettings(Settings):
         "how many messages of /tf are read for mounts, 4 to 8 s of a robot's: nobody mounts a camera later",
         CHOSEN,
         ge=1,
+        le=100_000,
     )
     tf_apart_m: float = setting(
         0.002,
