@@ -14,7 +14,7 @@ from wheelsight.slam.steps import anchor
 
 COUNT, STEP_M = 30, 0.4
 C = 1e-4 * np.eye(6)
-# What was moved overnight: a table stands half a metre aside, and turned.
+# Loops that agree with each other and are wrong: half a metre aside, and turned, as of a table that was moved.
 MOVED = se3.exp([0.1, 0.5, 0.0, 0.0, 0.0, 0.1])
 
 
