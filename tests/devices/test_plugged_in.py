@@ -6,12 +6,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from devices.oni_files import needs_openni2
 
 from wheelsight.devices import freenect, plugged_in
-from wheelsight.devices.cameras import open_live_camera
+from wheelsight.devices.cameras import LIVE_CAMERAS, open_live_camera
 from wheelsight.devices.plugged_in import PluggedIn, cameras_plugged_in
 from wheelsight.devices.usb import UsbDevice, udev_rule, usb_devices, users_of
 from wheelsight.errors import DeviceError
@@ -133,6 +134,18 @@ def test_mice_are_no_cameras(node: Path) -> None:
     assert cameras_plugged_in([UsbDevice(0x046D, 0xC077, "USB Optical Mouse", "", 1.5, node)]) == []
 
 
+def unplugged(*_: object) -> Any:
+    raise DeviceError("there is none")
+
+
+@pytest.fixture
+def without_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """None sees a camera: OpenNI2 keeps the dummy of another test for as long as the process lives."""
+    for kind in tuple(LIVE_CAMERAS):
+        monkeypatch.setitem(LIVE_CAMERAS, kind, unplugged)
+
+
+@pytest.mark.usefixtures("without_libraries")
 def test_opening_tells_what_the_camera_that_is_there_lacks(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plugged_in, "find_spec", lambda _: None)
     monkeypatch.setattr(plugged_in, "usb_devices", lambda: [realsense(node)])
@@ -143,6 +156,7 @@ def test_opening_tells_what_the_camera_that_is_there_lacks(node: Path, monkeypat
         open_live_camera("kinect")
 
 
+@pytest.mark.usefixtures("without_libraries")
 def test_nothing_plugged_in_is_told_plainly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plugged_in, "usb_devices", list)
     with pytest.raises(DeviceError, match="no depth camera is plugged in"):
