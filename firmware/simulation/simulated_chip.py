@@ -8,7 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
-from wheelsight.devices.protocol import Ack, Command, Counts, FrameDecoder, Message, Version, drive_body, encode_command
+from firmware.simulation.framed_chip import FramedChip
+from wheelsight.devices.protocol import Command, drive_body
 
 FIRMWARE = Path(__file__).resolve().parents[1]
 CHIP_HZ = 14_745_600
@@ -46,7 +47,7 @@ class Reading(NamedTuple):
     hz: float
 
 
-class Chip:
+class Chip(FramedChip):
     """A running chip. Its time stands still but for `run`, `rest` and `live`.
 
     Args:
@@ -54,11 +55,10 @@ class Chip:
     """
 
     def __init__(self, simulator: Path, program: Path) -> None:
+        super().__init__()
         self._process = subprocess.Popen(
             [simulator, program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        self._decoder = FrameDecoder()
-        self._sequence = 0
 
     def __enter__(self) -> Chip:
         return self
@@ -100,39 +100,9 @@ class Chip:
         """Put bytes on the line to the chip, at its pace."""
         self.ask(f"send {data.hex()}")
 
-    def command(self, command: int, body: bytes = b"") -> int:
-        """Send a command's frame; its sequence."""
-        self._sequence = (self._sequence + 1) & 0xFF
-        self.send(encode_command(command, self._sequence, body))  # type: ignore[arg-type]
-        return self._sequence
-
     def sent(self) -> Sent:
         """The bytes that the chip has sent since last asked, each with the cycle at which it began."""
         return [(int(cycle), int(byte, 16)) for cycle, byte in (word.split(":") for word in self.ask("take"))]
-
-    def messages(self) -> list[Message]:
-        """What the chip has sent since last asked."""
-        return self._decoder.feed(bytes(byte for _, byte in self.sent()))
-
-    def counts(self) -> list[Counts]:
-        """Of the messages, the counts."""
-        return [message for message in self.messages() if isinstance(message, Counts)]
-
-    def acks(self) -> list[Ack]:
-        """Of the messages, the answers."""
-        return [message for message in self.messages() if isinstance(message, Ack)]
-
-    def version(self) -> Version:
-        """Ask for the version."""
-        self.command(Command.GET_VERSION)
-        self.run(0.01)
-        (version,) = (message for message in self.messages() if isinstance(message, Version))
-        return version
-
-    @property
-    def lost_frames(self) -> int:
-        """Frames that did not come, or damaged."""
-        return self._decoder.statistics.lost + self._decoder.statistics.malformed + self._decoder.statistics.crc_errors
 
     def pwm(self, seconds: float = 0.01) -> tuple[Reading, Reading]:
         """The left and right output, measured for so long from now on."""

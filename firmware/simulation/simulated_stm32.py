@@ -15,8 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from firmware.simulation.framed_chip import FramedChip
 from firmware.simulation.stm32_peripherals import CORE_HZ, Peripherals
-from wheelsight.devices.protocol import Ack, Command, Counts, FrameDecoder, Message, Version, encode_command
 
 FLASH_BEGIN, FLASH_SIZE = 0x08000000, 1 << 20
 RAM_BEGIN, RAM_SIZE = 0x20000000, 128 << 10
@@ -38,7 +38,7 @@ def missing_stm32_tools() -> list[str]:
     return missing if find_spec("unicorn") is not None else [*missing, "unicorn"]
 
 
-class Stm32:
+class Stm32(FramedChip):
     """A running chip. Its time stands still but for `run`, `rest` and `serve`.
 
     Args:
@@ -53,6 +53,7 @@ class Stm32:
         import unicorn
         from unicorn.arm_const import UC_ARM_REG_PC, UC_ARM_REG_SP
 
+        super().__init__()
         self._pc, self._sp = UC_ARM_REG_PC, UC_ARM_REG_SP
         self._processor: Any = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         self._processor.mem_map(FLASH_BEGIN, FLASH_SIZE)
@@ -64,7 +65,6 @@ class Stm32:
         self._processor.mem_write(FLASH_BEGIN, program.read_bytes())
         self.peripherals = Peripherals(self._write_memory, has_crystal)
         self.resets = 0
-        self._decoder, self._sequence = FrameDecoder(), 0
         self._problem: Exception | None = None
         self._terminal: tuple[int, int] | None = None
         self._processor.mem_write(RAM_BEGIN, _GARBAGE * RAM_SIZE)
@@ -103,42 +103,10 @@ class Stm32:
         """Put bytes on the line to the chip, at its pace."""
         self.peripherals.receive(data)
 
-    def command(self, command: int, body: bytes = b"") -> int:
-        """Send a command's frame; its sequence."""
-        self._sequence = (self._sequence + 1) & 0xFF
-        self.send(encode_command(command, self._sequence, body))  # type: ignore[arg-type]
-        return self._sequence
-
     def sent(self) -> list[tuple[float, int]]:
         """The bytes that the chip has sent since last asked, each with the second at which it began."""
         sent, self.peripherals.sent = self.peripherals.sent, []
         return sent
-
-    def messages(self) -> list[Message]:
-        """What the chip has sent since last asked."""
-        return self._decoder.feed(bytes(byte for _, byte in self.sent()))
-
-    def counts(self) -> list[Counts]:
-        """Of the messages, the counts."""
-        return [message for message in self.messages() if isinstance(message, Counts)]
-
-    def acks(self) -> list[Ack]:
-        """Of the messages, the answers."""
-        return [message for message in self.messages() if isinstance(message, Ack)]
-
-    def version(self) -> Version:
-        """Ask for the version."""
-        self.messages()
-        self.command(Command.GET_VERSION)
-        self.run(0.01)
-        (version,) = (message for message in self.messages() if isinstance(message, Version))
-        return version
-
-    @property
-    def lost_frames(self) -> int:
-        """Frames that did not come, or damaged."""
-        statistics = self._decoder.statistics
-        return statistics.lost + statistics.malformed + statistics.crc_errors
 
     def duties(self) -> tuple[float, float] | None:
         """Both outputs in permille of the command, -1000 low to 1000 high; None where the pins are not driven."""
