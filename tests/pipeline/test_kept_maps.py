@@ -10,7 +10,7 @@ import pytest
 from full_disk import FullDisk
 from numpy.testing import assert_allclose
 from pipeline.made import FILES, metrics_in, names_in
-from pipeline.two_days import CALIBRATION, FIRST_DAY, at, frames_of
+from pipeline.two_days import CALIBRATION, FIRST_DAY, at, covered, frames_of
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 from synthetic import make_tum_recording
@@ -144,11 +144,9 @@ def test_a_map_lies_where_the_corrected_way_has_it_even_after_a_piece_that_nobod
     """Behind a cover the camera is turned back; what it sees then is kept far off until it is recognised."""
     back = [at(step, 0.15) for step in range(75, 5, -1)]
     before, after = frames_of(FIRST_DAY, 10.0), frames_of(back, 20.0)
-    dark = [replace(frame, color=np.zeros_like(frame.color), depth_m=np.zeros_like(frame.depth_m)) for frame in before]
-    covered = [replace(frame, stamp_s=14.0 + 0.2 * k, index=100 + k) for k, frame in enumerate(dark[:15])]
     beyond = [replace(frame, index=200 + frame.index) for frame in after]
     with_loops = {"odometry": "dense", "map": "surfels", "loops.source": "keyframes"}
-    source = MemoryRecording([*before, *covered, *beyond], None, CALIBRATION)
+    source = MemoryRecording([*before, *covered(before, 14.0), *beyond], None, CALIBRATION)
     record = run(source, load_config(overrides=with_loops), tmp_path)
     assert record.correction is not None
     corrected, found = record.correction.found.corrected, MapFolder.open(find_map(tmp_path))

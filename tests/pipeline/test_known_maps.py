@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pipeline.made import FILES, metrics_in, names_in, status_in
-from pipeline.two_days import CALIBRATION, FIRST_DAY, OTHER_ROOM, SECOND_DAY, frames_of, recorded
+from pipeline.two_days import CALIBRATION, FIRST_DAY, OTHER_ROOM, SECOND_DAY, covered, frames_of, recorded
 from stand_ins import MemoryRecording
 from synthetic import CAMERA
 
@@ -146,10 +146,8 @@ def test_a_place_recognised_when_the_drive_is_over_is_added_with_its_keyframes(m
 def test_who_leaves_the_map_has_no_poses_in_it_from_there(monday: Path, tmp_path: Path) -> None:
     """Carried into another room, behind a cover: what is seen there is no part of the map, and not added to it."""
     here, there = frames_of(SECOND_DAY, 10.0), frames_of(SECOND_DAY, 15.0, OTHER_ROOM)
-    dark = [replace(frame, color=np.zeros_like(frame.color), depth_m=np.zeros_like(frame.depth_m)) for frame in here]
-    covered = [replace(frame, stamp_s=12.0 + 0.2 * k, index=100 + k) for k, frame in enumerate(dark[:15])]
     beyond = [replace(frame, index=200 + frame.index) for frame in there]
-    source = MemoryRecording([*here, *covered, *beyond], None, CALIBRATION)
+    source = MemoryRecording([*here, *covered(here, 12.0), *beyond], None, CALIBRATION)
     record = find(monday, tmp_path / "found", source, known_map__extend=True)
     statuses = statuses_in(tmp_path / "found")
     assert statuses[len(here) - 1] == "tracking"

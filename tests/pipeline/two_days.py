@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from places.seen_room import frame_at, standing
 from stand_ins import MemoryRecording
@@ -33,6 +35,12 @@ def recorded(
     frames = frames_of(way, begin_s, seed)
     truth = Trajectory(np.array([frame.stamp_s for frame in frames]), np.array(way), body="camera")
     return MemoryRecording(frames, truth, calibration)
+
+
+def covered(frames: list[RgbdFrame], begin_s: float, count: int = 15) -> list[RgbdFrame]:
+    """Black ones, one each 0.2 s from a time on."""
+    black = [replace(frame, color=np.zeros_like(frame.color), depth_m=np.zeros_like(frame.depth_m)) for frame in frames]
+    return [replace(frame, stamp_s=begin_s + 0.2 * k, index=100 + k) for k, frame in enumerate(black[:count])]
 
 
 def frames_of(way: list[FloatArray], begin_s: float, seed: int = 0) -> list[RgbdFrame]:

@@ -209,15 +209,8 @@ class LoopCloser:
         if older == newer:
             return None
         rivals = kept & (ends == (older, newer)).all(axis=1)
-        return _Hypothesis(-1, (kept & ~rivals) | cluster, self._laid(piece == newer, cluster, T))
-
-    def _laid(self, moving: BoolArray, cluster: BoolArray, T: FloatArray) -> FloatArray:
-        """Poses (N, 4, 4) with a piece (N,) where the middle one of a cluster's loops (L,) has it."""
-        loop = self._loops[np.flatnonzero(cluster)[np.count_nonzero(cluster) // 2]]
-        X = T[loop.first] @ loop.T_first_second @ se3.invert(T[loop.second])
-        laid = T.copy()
-        laid[moving] = se3.nearest((X if moving[loop.second] else se3.invert(X)) @ T[moving])
-        return laid
+        middle = self._loops[np.flatnonzero(cluster)[np.count_nonzero(cluster) // 2]]
+        return _Hypothesis(-1, (kept & ~rivals) | cluster, laid_by(middle, piece == newer, T))
 
     def _keep(self, kept: BoolArray) -> None:
         """Have the graph go by these loops (L,)."""
@@ -273,6 +266,14 @@ class LoopCloser:
         if own >= 0:
             votes[own] = 0
         return float(chi2.sum() / 2 + votes @ means)
+
+
+def laid_by(loop: RelativePose, moving: BoolArray, T: FloatArray) -> FloatArray:
+    """Poses (N, 4, 4) with the keyframes (N,) that move, the piece at one end of a loop, where the loop has them."""
+    X = T[loop.first] @ loop.T_first_second @ se3.invert(T[loop.second])
+    laid = T.copy()
+    laid[moving] = se3.nearest((X if moving[loop.second] else se3.invert(X)) @ T[moving])
+    return laid
 
 
 def chi_squared(graph: PoseGraph, loop: RelativePose) -> float:

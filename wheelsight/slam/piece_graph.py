@@ -13,7 +13,7 @@ import numpy as np
 
 from wheelsight.geometry import FloatArray, IntArray, se3, so3
 from wheelsight.slam.graph import Prior, RelativePose
-from wheelsight.slam.loops import LoopCloser, LoopReport
+from wheelsight.slam.loops import LoopCloser, LoopReport, laid_by
 from wheelsight.slam.pose_graph import new_pose_graph
 from wheelsight.slam.settings import LoopSettings
 
@@ -98,12 +98,9 @@ class PieceGraph:
     def _join_by(self, one: RelativePose, agreeing: Sequence[RelativePose], T: FloatArray) -> None:
         """Lay the newer piece where a loop has it, and solve both together from there."""
         first, second = self._ends(one)
-        X = T[one.first] @ one.T_first_second @ se3.invert(T[one.second])
         older, newer = min(first, second), max(first, second)
-        moving = self.pieces == newer
-        T[moving] = se3.nearest((X if newer == second else se3.invert(X)) @ T[moving])
         self._graph.remove_prior(self._held.pop(newer))
-        self._closer.join(agreeing, T)
+        self._closer.join(agreeing, laid_by(one, self.pieces == newer, T))
         self._piece = [older if piece == newer else piece for piece in self._piece]
         self._across = [loop for loop in self._across if len(set(self._ends(loop))) > 1]
 
