@@ -97,16 +97,30 @@ class LoopsBeside:
         T = self._store.T_map_keyframe[ends]
         return bool((se3.view_shift_m(se3.invert(T[0]) @ T) >= self._apart_m).any())
 
-    def hand_over(self, stamp_s: float, T_odom_map: FloatArray, covariance: FloatArray | None) -> None:
-        """Keyframes that odometry has kept at a frame, where the camera's pose in odom is as uncertain as (6, 6)."""
+    @property
+    def has_new(self) -> bool:
+        """Whether odometry has kept keyframes that were not handed over."""
+        return len(self._store) > self._told
+
+    def hand_over(
+        self,
+        stamp_s: float,
+        T_odom_map: FloatArray,
+        covariance: FloatArray | None,
+        motion: tuple[FloatArray, FloatArray] | None = None,
+    ) -> None:
+        """Keyframes that odometry has kept at a frame, where the camera's pose in odom is as uncertain as (6, 6).
+
+        `motion`: of the camera since the last one that was handed over; see `LivedKeyframe`.
+        """
         if covariance is None:
             return
         for number in range(self._told, len(self._store)):
             T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(KeyframeId(number)))
             begins = number > 0 and number in self._pieces
             T_before_now = self._laid_since(KeyframeId(number))
-            lived = LivedKeyframe(KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
-            self._live.add(lived)
+            lived = (KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
+            self._live.add(LivedKeyframe(*lived, None if number > self._told else motion))
         self._told = len(self._store)
 
     def _laid_since(self, number: KeyframeId) -> FloatArray | None:

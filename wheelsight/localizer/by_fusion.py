@@ -178,8 +178,9 @@ class ByFusion:
         self._check.look(event)
         answer = self._frame(event, expected)
         self._camera.lead(answer)
-        if self.loops is not None:
-            self.loops.hand_over(event.stamp_s, self._map.T_odom_map, answer.covariance)
+        if self.loops is not None and self.loops.has_new:
+            motion = self.filter.keep_frame(event.stamp_s)
+            self.loops.hand_over(event.stamp_s, self._map.T_odom_map, answer.covariance, motion)
         return self._checked(self._placed(event, answer)), self._base.deaf
 
     def _frame(self, frame: RgbdFrame, expected: FloatArray | None) -> FusedEstimate:

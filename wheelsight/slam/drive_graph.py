@@ -14,7 +14,7 @@ from wheelsight.slam.known import KnownMap
 from wheelsight.slam.loops import LoopReport
 from wheelsight.slam.piece_graph import PieceGraph
 from wheelsight.slam.settings import LoopSettings
-from wheelsight.slam.steps import ANCHOR_SIGMA, anchor, step_edge
+from wheelsight.slam.steps import ANCHOR_SIGMA, anchor, step_edge, told_edge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +28,9 @@ class LivedKeyframe:
         covariance: (6, 6) of the left perturbation (v, ω) of that; it grows along the way.
         begins: whether it is the first of a piece, of which nobody knows where it lies.
         T_before_now: (4, 4) from the one before, as the camera by itself has laid it in its map; None: as odom has it.
+        motion: from the one before, (4, 4), and the covariance (6, 6) of its left perturbation, by all that is known
+            now: where odometry has thought better of the way since, odom leaps, and the robot has not. None: as the
+            poses in odom say.
     """
 
     number: KeyframeId
@@ -36,6 +39,7 @@ class LivedKeyframe:
     covariance: FloatArray
     begins: bool = False
     T_before_now: FloatArray | None = None
+    motion: tuple[FloatArray, FloatArray] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,12 +107,18 @@ class DriveGraph:
         if keyframe.begins:
             self._begin_piece(keyframe)
             return
-        then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
-        edge = step_edge((before.number, keyframe.number), then, now, self._settings.matches)
+        edge = self._edge(before, keyframe)
         self._graph.add(se3.nearest(self._graph.poses[-1] @ edge.T_first_second), int(self._graph.pieces[-1]))
         self._graph.add_edges([edge])
         laid = edge.T_first_second if keyframe.T_before_now is None else keyframe.T_before_now
         self._told = np.concatenate([self._told, self._told[-1:] @ laid])
+
+    def _edge(self, before: LivedKeyframe, keyframe: LivedKeyframe) -> RelativePose:
+        ends = before.number, keyframe.number
+        if keyframe.motion is not None:
+            return told_edge(ends, keyframe.motion, self._settings.matches)
+        then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
+        return step_edge(ends, then, now, self._settings.matches)
 
     def near(self, limit_m: float) -> tuple[KeyframeId, ...]:
         """Keyframes next to the last one, of its piece, the nearest first; turns by a radian count as 1.5 m."""

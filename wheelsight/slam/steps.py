@@ -41,5 +41,12 @@ def step_edge(
     """From one keyframe to the next, by poses (4, 4) with covariances (6, 6) that grow along the way."""
     T_step, _ = motions.between(*before, *now)
     _, grown = motions.step_between(*before, *now)
+    return told_edge(ends, (motions.mended(T_step), grown), settings)
+
+
+def told_edge(
+    ends: tuple[KeyframeId, KeyframeId], motion: tuple[FloatArray, FloatArray], settings: LeastErrors
+) -> RelativePose:
+    """From one keyframe to the next, by the motion (4, 4) between them with its own covariance (6, 6)."""
     least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
-    return RelativePose(*ends, motions.mended(T_step), grown + least)
+    return RelativePose(*ends, motion[0], motion[1] + least)

@@ -18,11 +18,14 @@ from fusion.error_state.fused_drives import (
     within_three_sigma,
 )
 from narrowing import not_none
+from scipy.stats import chi2
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.fusion import ErrorStateFilter
 from wheelsight.fusion.error_state._fault_detection import Fault
 from wheelsight.fusion.error_state.settings import FilterParameters
+from wheelsight.geometry import motion_kernels as motions
+from wheelsight.geometry import se3
 
 SETTINGS = FilterParameters()
 FLAT = SETTINGS.model_copy(update={"tilt_rad_per_sqrt_m": 0.002, "rise_m_per_sqrt_m": 0.001})
@@ -236,3 +239,53 @@ def test_frames_that_are_wrong_now_and_then_do_not_make_all_before_them_uncertai
         sigmas.append(np.sqrt(not_none(answers[-1].covariance)[5, 5]))
     right, told_wrong = sigmas
     assert told_wrong < 1.4 * right
+
+
+def kept(steps, every):
+    """Motions between frames that are kept: as told at the later one, as poses tell them, and true ones."""
+    fusion, found, before = ErrorStateFilter(T_BASE_CAMERA), [], None
+    fusion.clone(steps[0].begin_s, "frame")
+    for i, step in enumerate(steps):
+        fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
+        answer = fusion.update_relative(step.end_s, step.measurement, "frame")
+        fusion.clone(step.end_s, "frame")
+        if i % every:
+            continue
+        told, now = fusion.keep_frame(step.end_s), (step.T_truth @ T_BASE_CAMERA, answer.T_odom_body @ T_BASE_CAMERA)
+        if before is not None:
+            true, by_poses = (se3.invert(then) @ here for then, here in zip(before, now, strict=True))
+            found.append((told, by_poses, true))
+        before = now
+    return found
+
+
+def off(found):
+    """How far off motions (K, 6) are as told, and as poses tell them."""
+    told = [motions.log(true @ se3.invert(told[0])) for told, _, true in found]
+    return np.array(told), np.array([motions.log(true @ se3.invert(by_poses)) for _, by_poses, true in found])
+
+
+@pytest.mark.parametrize("fault", [spinning, on_ice, lifted])
+@pytest.mark.parametrize("seed", range(2))
+def test_how_far_off_motions_between_kept_frames_are_is_told_while_wheels_slip(fault, seed):
+    drive = Drive(seconds=8.0, step_s=FRAME_S, errors=(0.02, 0.005, 0.01), wheel_fault=fault)
+    found = kept(simulate(drive, np.random.default_rng(seed), FLAT), every=12)
+    nees = [e @ np.linalg.solve(told[1], e) for e, (told, _, _) in zip(off(found)[0], found, strict=True)]
+    assert np.mean(np.array(nees) < chi2.ppf(0.999, 6)) >= 0.95
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_motions_between_kept_frames_do_not_leap_where_poses_do(seed):
+    """Where it is the camera after all that is believed, the pose leaps to where that has it; the robot has not."""
+    drive = Drive(
+        seconds=8.0,
+        step_s=FRAME_S,
+        errors=(0.02, 0.005, 0.01),
+        camera_fault=lambda t, motion: shifted(motion, (0.3, 0.0, 0.2), FRAME_S) if faulty(t) else motion,
+    )
+    told, leaps = (
+        np.linalg.norm(e[:, :3], axis=1)
+        for e in off(kept(simulate(drive, np.random.default_rng(seed), FLAT), every=12))
+    )
+    assert leaps.max() > 0.3
+    assert told.max() < 0.5 * leaps.max()

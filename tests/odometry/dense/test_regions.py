@@ -12,7 +12,7 @@ from odometry.views import room_frame
 from wheelsight.calibration import DepthNoise
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import BoolArray, FloatArray, se3
-from wheelsight.odometry.dense.regions import moving_regions, without
+from wheelsight.odometry.dense.regions import Misfits, misfits, without
 from wheelsight.odometry.dense.settings_parts import RegionSettings
 
 SETTINGS, NOISE = RegionSettings(), DepthNoise()
@@ -40,10 +40,14 @@ def seen(T: FloatArray, stamp_s: float, person_m: float | None = None) -> RgbdFr
     return frame if person_m is None else with_person(frame, person_m, seed=3)
 
 
-def moving(parts: Bench, first: RgbdFrame, second: RgbdFrame, T: FloatArray) -> BoolArray:
+def misfits_of(parts: Bench, first: RgbdFrame, second: RgbdFrame, T: FloatArray) -> Misfits:
     coarsest = 2
     reference, frame = parts.reference(first), parts.grid(second)
-    return moving_regions(frame.levels[coarsest], reference.levels[coarsest], T, NOISE, SETTINGS)
+    return misfits(frame.levels[coarsest], reference.levels[coarsest], T, NOISE, SETTINGS)
+
+
+def moving(parts: Bench, first: RgbdFrame, second: RgbdFrame, T: FloatArray) -> BoolArray:
+    return misfits_of(parts, first, second, T).moving
 
 
 def test_who_comes_nearer_moves_and_the_room_does_not(parts: Bench) -> None:
@@ -59,6 +63,14 @@ def test_a_room_that_stands_still_has_no_moving_region(parts: Bench) -> None:
 def test_at_a_wrong_pose_all_would_move_so_none_does(parts: Bench) -> None:
     wrong = se3.exp([0.0, 0.0, 0.3, 0.0, 0.0, 0.0]) @ MOTION
     assert not moving(parts, seen(np.eye(4), 0.0), seen(MOTION, 0.1), wrong).any()
+
+
+def test_a_pose_that_the_room_contradicts_may_be_as_far_off_as_that_says(parts: Bench) -> None:
+    """Whoever follows somebody close by has most pixels on his side, and most of the room against him."""
+    first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.8)
+    with_person = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0]) @ MOTION
+    assert misfits_of(parts, first, second, MOTION).doubt_m == 0
+    assert 0.05 < misfits_of(parts, first, second, with_person).doubt_m < 0.4
 
 
 def test_alignment_goes_by_the_room_once_the_person_is_left_out(parts: Bench) -> None:

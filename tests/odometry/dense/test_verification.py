@@ -155,7 +155,8 @@ def test_keypoints_that_clearly_contradict_surfaces_are_the_pose(
     answer = subject.process(frames[7])
     assert answer.status is Status.TRACKING
     np.testing.assert_allclose(not_none(answer.T_odom_body), told.T_map_camera, atol=1e-9)
-    np.testing.assert_allclose(not_none(answer.covariance), told.covariance)
+    # What surfaces have against it makes it less certain.
+    assert (np.linalg.eigvalsh(not_none(answer.covariance) - told.covariance) > -1e-12).all()
 
 
 def test_what_keypoints_track_is_tracked_where_surfaces_show_nothing(frames: list[RgbdFrame]) -> None:

@@ -41,9 +41,9 @@ from wheelsight.fusion.error_state.settings import ErrorStateSettings, FilterPar
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 
-# Poses that are remembered: of the camera's last frame, of the one that its motions are told against, and of one that
-# is asked for.
-FRAME, REFERENCE, _IMAGED = "frame", "reference", "imaged"
+# Poses that are remembered: of the camera's last frame, of the one that its motions are told against, of the last
+# keyframe, and of one that is asked for.
+FRAME, REFERENCE, _KEYFRAME, _IMAGED = "frame", "reference", "keyframe", "imaged"
 
 
 class ErrorStateFilter:
@@ -206,6 +206,15 @@ class ErrorStateFilter:
     def miss_frame(self, stamp_s: float, motion: MotionEstimate) -> FusedEstimate:
         """Take a frame that gave no motion, whose `motion` says why."""
         return self.update_relative(stamp_s, motion, REFERENCE)
+
+    def keep_frame(self, stamp_s: float) -> tuple[FloatArray, FloatArray] | None:
+        """Remember the pose at a frame as that of the last keyframe; how the camera went there from the one before.
+
+        (4, 4), and the covariance (6, 6) of its left perturbation, by all that is known now; None at the first.
+        """
+        motion = self.expect(stamp_s, _KEYFRAME)
+        self.clone(stamp_s, _KEYFRAME)
+        return motion
 
     def expect_frame(self, stamp_s: float) -> FloatArray | None:
         """T_last_current (4, 4) of the camera since the last frame, to be expected at a stamp; None where none was."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import MotionEstimate, Reason
+from wheelsight.estimates import DEGENERATE_SCALE, MotionEstimate, Reason
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment, Step
 from wheelsight.odometry.dense.grid import GridFrame
@@ -17,7 +17,7 @@ from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.observability import Judgement, Prior, judge
 from wheelsight.odometry.dense.prediction import Prediction
 from wheelsight.odometry.dense.reference import Reference
-from wheelsight.odometry.dense.regions import moving_regions, without
+from wheelsight.odometry.dense.regions import Misfits, misfits, without
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.dense.tracked import Tracked
 from wheelsight.odometry.dense.views import KnownView, Views
@@ -102,6 +102,16 @@ class Locator:
         tracked = self._tracked(grid, view, found, judged, T_map_camera, twist)
         return replace(tracked, joint=joint, turning_rad_s=turning)
 
+    def doubt(self, grid: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
+        """Covariance (6, 6) in the frame's own axes of how far off it may be, as most of what it shows says.
+
+        Turns are ways at 2 m. Nothing where regions agree with the pose T_reference_frame (4, 4).
+        """
+        if not self._settings.regions.columns:
+            return np.zeros((6, 6))
+        doubt_m = self._misfits(grid, reference, T_reference_frame).doubt_m
+        return np.diag((doubt_m / DEGENERATE_SCALE) ** 2)
+
     def _begun(
         self, grid: GridFrame, reference: Reference, expected: list[FloatArray], told: Told | None
     ) -> tuple[GridFrame, FloatArray]:
@@ -113,12 +123,15 @@ class Locator:
 
     def _still(self, grid: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> GridFrame:
         """A frame, located by keypoints at (4, 4), without the regions that move by themselves."""
-        limits, coarsest = self._settings.regions, self._settings.levels - 1
-        if not limits.columns:
+        if not self._settings.regions.columns:
             return grid
-        levels = grid.levels[coarsest], reference.levels[coarsest]
-        moving = moving_regions(*levels, T_reference_frame, self._noise, limits)
+        moving = self._misfits(grid, reference, T_reference_frame).moving
         return without(grid, moving) if moving.any() else grid
+
+    def _misfits(self, grid: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> Misfits:
+        coarsest = self._settings.levels - 1
+        levels = grid.levels[coarsest], reference.levels[coarsest]
+        return misfits(*levels, T_reference_frame, self._noise, self._settings.regions)
 
     def _met(self, found: DenseAlignment, told: Told) -> tuple[DenseAlignment, Joint]:
         """An alignment, with keypoints by what their disagreement says of surfaces."""
@@ -140,7 +153,8 @@ class Locator:
         twist: FloatArray,
     ) -> Tracked:
         counts = (None, found.pairs, found.planes, judged.degenerate)
-        spread = with_frame_error(judged.covariance, judged.T_reference_frame, self.of_frame)
+        of_all = self.of_frame + self.doubt(grid, view.reference, judged.T_reference_frame)
+        spread = with_frame_error(judged.covariance, judged.T_reference_frame, of_all)
         motion = MotionEstimate(judged.T_reference_frame, spread, *counts)
         fine = fine_share(grid, judged.T_reference_frame, self._settings.keyframes.fineness)
         fit = (found.planes / max(found.points, 1) * fine, view in self._views.keyframes, found.residual)

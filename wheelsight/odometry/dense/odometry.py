@@ -80,7 +80,7 @@ class DenseOdometry:
         self._keypoints = keypoints
         self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
         self._locator = Locator(calibration, self._settings, aligner, self._views, self.watch)
-        self._verifier = Verifier(self._settings, keypoints, self._views, self.watch)
+        self._verifier = Verifier(self._settings, keypoints, self._views, self._locator.doubt, self.watch)
         parts = (self._gridder, self._locator, keypoints, self._views, self.store)
         self._policy = KeyframePolicy(self._settings, *parts)
         self._T_map_first = np.eye(4) if T_map_first is None else need_motion("T_map_first", T_map_first)

@@ -8,7 +8,7 @@ ICRA 2018, who weigh clusters).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,20 +21,46 @@ from wheelsight.odometry.dense.reference import ReferenceLevel
 from wheelsight.odometry.dense.settings_parts import RegionSettings
 
 
-def moving_regions(
-    level: Level, seen: ReferenceLevel, T_reference_frame: FloatArray, noise: DepthNoise, settings: RegionSettings
-) -> BoolArray:
-    """(rows, columns) which regions of a frame move by themselves, if the frame is at T_reference_frame (4, 4).
+@dataclass(frozen=True, slots=True, eq=False)
+class Misfits:
+    """How far each region (rows, columns) of a frame lies from the surfaces known, at one pose.
 
-    None do where many would: then it is the pose that is wrong, or nobody knows who moves.
+    Attributes:
+        sigmas: in the mean of its points, in standard deviations of depth.
+        metres: likewise, along the surfaces' normals.
+        is_told: whether enough of its points lie where something is known.
+        settings: which of them count as off.
     """
-    misfit, count = _misfits(level, seen, T_reference_frame, noise, settings)
-    is_told = count >= settings.min_points
-    if np.count_nonzero(is_told) < settings.min_regions:
-        return np.zeros(misfit.shape, bool)
-    usual = float(np.median(misfit[is_told]))
-    moves = is_told & (misfit > max(settings.odd_factor * usual, settings.odd_sigmas))
-    return moves if np.count_nonzero(moves) <= settings.most_share * np.count_nonzero(is_told) else np.zeros_like(moves)
+
+    sigmas: FloatArray
+    metres: FloatArray
+    is_told: BoolArray
+    settings: RegionSettings
+
+    @property
+    def moving(self) -> BoolArray:
+        """(rows, columns) which move by themselves; none where many would: then it is the pose that is wrong."""
+        if not self._is_judged:
+            return np.zeros(self.sigmas.shape, bool)
+        usual = float(np.median(self.sigmas[self.is_told]))
+        moves = self.is_told & (self.sigmas > max(self.settings.odd_factor * usual, self.settings.odd_sigmas))
+        return np.zeros_like(moves) if self._are_many(moves) else moves
+
+    @property
+    def doubt_m(self) -> float:
+        """How far off the pose itself may be, in metres: the median region's misfit where many regions contradict it.
+
+        Else 0. All that follow a pose do not make it right: somebody close by has most pixels and most keypoints.
+        """
+        is_off = self.is_told & (self.sigmas > self.settings.odd_sigmas)
+        return float(np.median(self.metres[self.is_told])) if self._is_judged and self._are_many(is_off) else 0.0
+
+    @property
+    def _is_judged(self) -> bool:
+        return int(np.count_nonzero(self.is_told)) >= self.settings.min_regions
+
+    def _are_many(self, regions: BoolArray) -> bool:
+        return int(np.count_nonzero(regions)) > self.settings.most_share * int(np.count_nonzero(self.is_told))
 
 
 def without(frame: GridFrame, regions: BoolArray) -> GridFrame:
@@ -48,10 +74,10 @@ def _without(level: Level, regions: BoolArray) -> Level:
     return replace(level, depth_m=np.where(is_out, np.float32(0), level.depth_m))
 
 
-def _misfits(
+def misfits(
     level: Level, seen: ReferenceLevel, T_reference_frame: FloatArray, noise: DepthNoise, settings: RegionSettings
-) -> tuple[FloatArray, FloatArray]:
-    """How far points lie from known planes in the mean, in σ of depth, and how many do, of each region.
+) -> Misfits:
+    """How far regions lie from known planes, if the frame is at T_reference_frame (4, 4).
 
     A point that has another depth than the surface known there counts as `most_sigmas` off; one where nothing is
     known does not count.
@@ -75,6 +101,9 @@ def _misfits(
     region = (rows * settings.rows // height) * settings.columns + columns * settings.columns // width
     size = settings.rows * settings.columns
     count = np.bincount(region[is_known], minlength=size)
-    total = np.bincount(region[is_known], off[is_known], minlength=size)
     shape = settings.rows, settings.columns
-    return (total / np.maximum(count, 1)).reshape(shape), count.reshape(shape).astype(float)
+    means = [
+        (np.bincount(region[is_known], of[is_known], minlength=size) / np.maximum(count, 1)).reshape(shape)
+        for of in (off, off * sigmas)
+    ]
+    return Misfits(means[0], means[1], count.reshape(shape) >= settings.min_points, settings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from wheelsight.estimates import MotionEstimate, Reason
@@ -12,10 +13,12 @@ from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.keypoints import KeypointTracker
 from wheelsight.odometry.dense.locating import implausible
 from wheelsight.odometry.dense.prediction import Prediction
+from wheelsight.odometry.dense.reference import Reference
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.dense.tracked import Tracked
 from wheelsight.odometry.dense.views import Views
 from wheelsight.odometry.features.extraction import Features
+from wheelsight.odometry.frame_error import with_frame_error
 from wheelsight.odometry.state import TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 
@@ -27,15 +30,23 @@ class Verifier:
         settings: which poses are suspected, and when keypoints count.
         keypoints: find a frame by its keypoints.
         views: the keyframes that it may show.
+        doubt: how far off a frame may be at a pose against a reference: see `Locator.doubt`.
         watch: counts the time of "recognise".
 
     Attributes:
         faults: which poses are suspected.
     """
 
-    def __init__(self, settings: DenseSettings, keypoints: KeypointTracker, views: Views, watch: Stopwatch) -> None:
+    def __init__(
+        self,
+        settings: DenseSettings,
+        keypoints: KeypointTracker,
+        views: Views,
+        doubt: Callable[[GridFrame, Reference, FloatArray], FloatArray],
+        watch: Stopwatch,
+    ) -> None:
         self._all, self._settings, self._watch = settings, settings.verification, watch
-        self._keypoints, self._views = keypoints, views
+        self._keypoints, self._views, self._doubt = keypoints, views, doubt
         self.faults = FaultDetector(settings.faults, settings.max_unseen_s)
 
     def ask(self, features: Features, twist: FloatArray, ahead: Prediction, state: TrackingState) -> Prediction:
@@ -103,10 +114,13 @@ class Verifier:
         return self._taken(grid, told)
 
     def _taken(self, grid: GridFrame, told: KeypointPose) -> Tracked:
-        """The pose by keypoints, as it lies off the nearest keyframe."""
+        """The pose by keypoints, as it lies off the nearest keyframe; somebody close by has many of them too."""
         self.faults.unseen_s = 0.0
         nearest = self._views.nearest(told.T_map_camera)
-        motion, T_map_camera = told.motion_from(nearest.reference.T_map_reference), se3.nearest(told.T_map_camera)
+        T_map_camera, T_map_reference = se3.nearest(told.T_map_camera), nearest.reference.T_map_reference
+        doubt = self._doubt(grid, nearest.reference, se3.invert(T_map_reference) @ T_map_camera)
+        told = replace(told, covariance=with_frame_error(told.covariance, T_map_camera, doubt))
+        motion = told.motion_from(T_map_reference)
         known = (grid, T_map_camera, told.covariance, motion, nearest.keyframe, grid.twist)
         is_near = nearest.distance_m(told.T_map_camera) < self._all.keyframe_way_m
         return Tracked(*known, overlap=float(is_near), told=told)
