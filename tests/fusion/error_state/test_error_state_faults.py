@@ -251,7 +251,10 @@ def kept(steps, every):
         fusion.clone(step.end_s, "frame")
         if i % every:
             continue
-        told, now = fusion.keep_frame(step.end_s), (step.T_truth @ T_BASE_CAMERA, answer.T_odom_body @ T_BASE_CAMERA)
+        told, now = (
+            fusion.keep_frame(step.end_s),
+            (step.T_truth @ T_BASE_CAMERA, not_none(answer.T_odom_body) @ T_BASE_CAMERA),
+        )
         if before is not None:
             true, by_poses = (se3.invert(then) @ here for then, here in zip(before, now, strict=True))
             found.append((told, by_poses, true))
