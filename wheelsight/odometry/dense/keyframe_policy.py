@@ -86,12 +86,13 @@ class KeyframePolicy:
         return straight
 
     def _remembered(self, tracked: Tracked, features: Features) -> Tracked:
+        tracked = tracked.doubted()
         self._keypoints.remember(tracked, features)
         return tracked
 
     def _follow(self, frame: RgbdFrame, features: Features, found: Tracked) -> Tracked:
         """The frame as the only view to align with; the store gets one wherever the last one there is far."""
-        straight = self._straightened(frame, found)
+        straight = self._straightened(frame, found).doubted()
         T_keyframe_camera = se3.invert(self._store.pose(found.keyframe)) @ straight.T_map_camera
         if float(se3.view_shift_m(T_keyframe_camera)) > self._settings.keyframe_way_m:
             straight, view = self._stored(straight, features)
@@ -137,6 +138,7 @@ class KeyframePolicy:
 
     def _stored(self, tracked: Tracked, features: Features) -> tuple[Tracked, KnownView]:
         """A frame as a keyframe of the store, and as a view to align with."""
+        tracked = tracked.doubted()
         straight = self._keypoints.straightened(features, tracked.twist)
         number = self._store.add(partial(self._kept, tracked.frame, straight), tracked.T_map_camera)
         tracked = replace(tracked, keyframe=number)

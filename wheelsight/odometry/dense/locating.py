@@ -153,13 +153,13 @@ class Locator:
         twist: FloatArray,
     ) -> Tracked:
         counts = (None, found.pairs, found.planes, judged.degenerate)
-        of_all = self.of_frame + self.doubt(grid, view.reference, judged.T_reference_frame)
-        spread = with_frame_error(judged.covariance, judged.T_reference_frame, of_all)
+        spread = with_frame_error(judged.covariance, judged.T_reference_frame, self.of_frame)
         motion = MotionEstimate(judged.T_reference_frame, spread, *counts)
         fine = fine_share(grid, judged.T_reference_frame, self._settings.keyframes.fineness)
         fit = (found.planes / max(found.points, 1) * fine, view in self._views.keyframes, found.residual)
         covariance = view.with_motion(spread)
-        return Tracked(grid, T_map_camera, covariance, motion, view.keyframe, twist, *fit)
+        doubt = self.doubt(grid, view.reference, judged.T_reference_frame)
+        return Tracked(grid, T_map_camera, covariance, motion, view.keyframe, twist, *fit, doubt=doubt)
 
     def _references(self, ahead: Prediction, state: TrackingState) -> Iterator[KnownView]:
         """Views from about there; while no frame has failed, the frame before too."""

@@ -12,6 +12,7 @@ from wheelsight.keyframes import KeyframeId
 from wheelsight.odometry.dense.grid import GridFrame
 from wheelsight.odometry.dense.joint import Joint
 from wheelsight.odometry.dense.keypoint_pose import KeypointPose
+from wheelsight.odometry.frame_error import with_frame_error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +32,8 @@ class Tracked:
         told: what keypoints say, where the pose goes by them too.
         joint: how surfaces and keypoints met, where they did.
         turning_rad_s: (3,) how much faster the camera turned than at its reference, in that one's frame.
+        doubt: (6, 6) in the frame's own axes, what most of the view has against the pose: see `Locator.doubt`. Which of
+            two references tells the pose better is weighed without it.
     """
 
     frame: GridFrame
@@ -45,6 +48,16 @@ class Tracked:
     told: KeypointPose | None = None
     joint: Joint | None = None
     turning_rad_s: FloatArray = field(default_factory=lambda: np.zeros(3))
+    doubt: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+
+    def doubted(self) -> Tracked:
+        """The same, as uncertain as what most of the view has against it says."""
+        T, motion = self.motion.T_reference_current, self.motion
+        if not self.doubt.any() or T is None or motion.covariance is None:
+            return self
+        covariance = with_frame_error(self.covariance, self.T_map_camera, self.doubt)
+        motion = replace(motion, covariance=with_frame_error(motion.covariance, T, self.doubt))
+        return replace(self, covariance=covariance, motion=motion, doubt=np.zeros((6, 6)))
 
     def moved(self, T_new_old: FloatArray) -> Tracked:
         """The same after its keyframe has moved by (4, 4), from the left, in the map."""

@@ -18,7 +18,6 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.dense.tracked import Tracked
 from wheelsight.odometry.dense.views import Views
 from wheelsight.odometry.features.extraction import Features
-from wheelsight.odometry.frame_error import with_frame_error
 from wheelsight.odometry.state import TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 
@@ -119,8 +118,7 @@ class Verifier:
         nearest = self._views.nearest(told.T_map_camera)
         T_map_camera, T_map_reference = se3.nearest(told.T_map_camera), nearest.reference.T_map_reference
         doubt = self._doubt(grid, nearest.reference, se3.invert(T_map_reference) @ T_map_camera)
-        told = replace(told, covariance=with_frame_error(told.covariance, T_map_camera, doubt))
         motion = told.motion_from(T_map_reference)
         known = (grid, T_map_camera, told.covariance, motion, nearest.keyframe, grid.twist)
         is_near = nearest.distance_m(told.T_map_camera) < self._all.keyframe_way_m
-        return Tracked(*known, overlap=float(is_near), told=told)
+        return Tracked(*known, overlap=float(is_near), told=told, doubt=doubt)
