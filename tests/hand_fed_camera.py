@@ -37,7 +37,7 @@ class HandFedCamera:
 
     def __init__(self, calibration: Calibration = CALIBRATION) -> None:
         self.name, self.calibration = "fake 1", calibration
-        self.warnings = ("It is made by hand.",)
+        self.warnings: tuple[str, ...] = ("It is made by hand.",)
         self.told = CameraReport(CameraStatus.STREAMING, host_clock.now_s())
         self.is_closed = False
         self._coming: queue.Queue[LiveFrame] = queue.Queue()

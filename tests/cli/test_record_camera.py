@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -110,6 +111,18 @@ def test_camera_and_wheels_side_by_side_with_the_robots_calibration(
     assert all(abs(frame.color.mean() - first - n) < 2.5 for frame, n in zip(frames, played, strict=True))
     ticks_s = [event.stamp_s for event in recording.events(images=False)]
     assert ticks_s[0] - 2 < frames[0].stamp_s < ticks_s[-1] + 0.1  # one clock
+
+
+def test_info_tells_how_the_cameras_clock_was_mapped(wheelsight: Command, film: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert wheelsight("record", "--camera", f"recording:{film}", "--seconds", 2, "--out", out).exit_code == 0
+    told = " ".join(wheelsight("info", out).stdout.split())
+    assert "camera clock host time less" in told
+    assert re.search(r"its mapping σ 0\.00 ms \(median\), 0\.00 ms at most, of \d+ frames", told)
+    assert "numbers missing" in told
+    figures = json.loads(wheelsight("info", out, "--json").stdout)["clock"]
+    assert figures["frames"] == len(read_frame_clocks(out))
+    assert "camera clock" not in wheelsight("info", film).stdout
 
 
 def plug_in(monkeypatch: pytest.MonkeyPatch, camera: HandFedCamera) -> None:

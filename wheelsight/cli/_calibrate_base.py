@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wheelsight.cli._calibration_files import Force, Out, kept_in, open_for, page_beside, save_found
-from wheelsight.cli._options import CalibrationFile, RateHz, RecordingPath, settings_from
+from wheelsight.cli._options import CalibrationFile, RateHz, RecordingPath, Topics, settings_from
 from wheelsight.cli._run_options import SettingsFile
 
 
@@ -12,6 +12,7 @@ def base(
     out: Out,
     calibration: CalibrationFile = None,
     rate_hz: RateHz = None,
+    topic: Topics = None,
     config: SettingsFile = None,
     force: Force = False,
 ) -> None:
@@ -38,7 +39,7 @@ def base(
 
     settings, page, kept = settings_from({}, config), page_beside(out, force), kept_in(out, calibration)
     compile_missing(("wheels", "dense"))
-    source = open_for(recording, calibration, rate_hz)
+    source = open_for(recording, calibration, topic, rate_hz)
     with FrameProgress("watching", source.frame_count) as progress:
         found = calibrate_base(source, progress.advance, settings.extrinsics)
     parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}
