@@ -54,7 +54,7 @@ def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step
     )
     commands = (
         "wheelsight board --out board.pdf",
-        f"wheelsight calibrate camera VIEWS --board 9x6:25mm --plate --out {file}{force}",
+        f"wheelsight calibrate camera --camera any --board 9x6:25mm --plate --out {file}{force}",
     )
     return Step("camera", is_done, told, how, commands)
 

@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from wheelsight.cli._calibrate_base import base
-from wheelsight.cli._calibrate_camera import camera
 from wheelsight.cli._calibrate_robot import robot
 from wheelsight.cli._calibration_files import Force, Out, kept_in, open_for, page_beside, save_found, wheel_fields
 from wheelsight.cli._options import CalibrationFile, RecordingPath, Topics
+from wheelsight.cli.calibrate_camera import camera
 
 app = typer.Typer(no_args_is_help=True, help="Calibrate a robot: its cameras, its wheels, and where the camera sits.")
 app.command("camera")(camera)

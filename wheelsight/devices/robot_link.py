@@ -95,8 +95,8 @@ class LinkRobot:
         """Ask the controller for its version; in the paper's format nobody can, and nothing is asked.
 
         Raises:
-            DeviceError: its firmware is too old to stop the motors in time, with what to do; no answer came; or it takes
-                no commands.
+            DeviceError: its firmware is too old to stop the motors in time, with what to do; no answer came; or it
+                takes no commands.
         """
         if self._link.report().format is Format.PAPER:
             return
