@@ -47,6 +47,26 @@ class SoftCamera:
         extrinsics.translation = [0.015, 0, 0]
         self.depth_profile.register_extrinsics_to(self.color_profile, extrinsics)
 
+    def add_gyro(self, rates_hz: tuple[int, ...] = (400, 200)) -> None:
+        """Mounted with its x along the depth camera's y, by a turn about z."""
+        self.motion = self.device.add_sensor("Motion Module")
+        extrinsics = rs.extrinsics()
+        extrinsics.rotation, extrinsics.translation = [0, 1, 0, -1, 0, 0, 0, 0, 1], [0, 0, 0]
+        for place, rate_hz in enumerate(rates_hz):
+            stream = rs.motion_stream()
+            stream.type, stream.index, stream.uid = rs.stream.gyro, 0, 20 + place
+            stream.fps, stream.fmt = rate_hz, rs.format.motion_xyz32f
+            self.gyro_profile = self.motion.add_motion_stream(stream)
+            self.gyro_profile.register_extrinsics_to(self.depth_profile, extrinsics)
+
+    def turn(self, number: int, x: float, y: float, z: float) -> None:
+        """A reading 1 / 200 s after the one before, on the clock of the images."""
+        frame = rs.software_motion_frame()
+        frame.data = motion(x, y, z)
+        frame.timestamp, frame.domain = 5000 + number * 5.0, rs.timestamp_domain.hardware_clock
+        frame.frame_number, frame.profile = number, self.gyro_profile.as_motion_stream_profile()
+        self.motion.on_motion_frame(frame)
+
     def give(self, number: int, *, depth_late_ms: float = 2.0) -> None:
         """Both images of frame `number`, which tell their number, 1 / 30 s after the one before."""
         stamp_ms = 5000 + number * 1000 / 30
@@ -88,6 +108,48 @@ class SoftCamera:
         if pixels.dtype == np.uint16:
             frame.depth_units = 0.001
         sensor.on_video_frame(frame)
+
+
+def motion(x: float, y: float, z: float) -> Any:
+    found = rs.vector()
+    found.x, found.y, found.z = x, y, z
+    return found
+
+
+def test_a_gyroscope_is_read_about_the_depth_cameras_axes_by_the_clock_of_frames() -> None:
+    soft = SoftCamera()
+    soft.add_gyro()
+    with opened(soft) as camera:
+        feeding = soft.stream(range(20))
+        frames = [read(camera)]
+        for number in range(40):
+            soft.turn(number, 0.1, 0.2, 0.3 + number / 100)
+            time.sleep(0.005)
+        frames += [read(camera) for _ in range(19)]
+        feeding.join()
+        turns = camera.take_angular_velocities()
+        assert camera.take_angular_velocities() == []
+    assert len(turns) >= 30
+    first = round(100 * (turns[0].z_rad_s - 0.3))
+    for number, turn in enumerate(turns, first):
+        assert (turn.x_rad_s, turn.y_rad_s, turn.z_rad_s) == pytest.approx((-0.2, 0.1, 0.3 + number / 100), abs=1e-6)
+    stamps_s = np.array([turn.stamp_s for turn in turns])
+    assert (np.diff(stamps_s) > 0).all()
+    # Frame 0 and reading 0 are of the same moment of the device's clock.
+    assert stamps_s[0] - first * 0.005 == pytest.approx(frames[0].frame.stamp_s, abs=0.02)
+
+
+def test_a_gyroscope_that_is_not_wanted_or_not_there_tells_nothing() -> None:
+    soft = SoftCamera()
+    with opened(soft) as camera:
+        assert camera.take_angular_velocities() == []
+    soft.add_gyro()
+    settings = SETTINGS.model_copy(update={"gyro": False})
+    driver = RealSenseDriver(None, settings, lambda: [soft.device])
+    driver.open()
+    soft.turn(0, 1.0, 2.0, 3.0)
+    assert driver.take_angular_velocities() == []
+    driver.close()
 
 
 def opened(*cameras: SoftCamera, where: str | None = None) -> StreamingCamera:
