@@ -52,14 +52,14 @@ def test_it_ends_when_nothing_is_missing_and_more_are_asked_for_where_that_was_n
     taker = ViewTaker(BOARD, CAMERA, FEW)
     poses = [pose(BOARD, z, tilt) for z, tilt in ((0.5, (10, 10)), (0.6, (-10, -10)), (0.7, (10, -10)))]
     for number, T in enumerate(poses):
-        assert not taker.is_enough
+        assert not taker.has_enough()
         assert [taker.look(frame(number + s, T)) for s in (0.0, 0.5)] == ["hold still", ""]
-    assert taker.is_enough
+    assert taker.has_enough()
     taker.ask_more()
-    assert not taker.is_enough
+    assert not taker.has_enough()
     for number, z in enumerate((0.9, 0.4)):
         assert [taker.look(frame(9 + number + s, pose(BOARD, z))) for s in (0.0, 0.5)] == ["hold still", ""]
-    assert taker.is_enough
+    assert taker.has_enough()
 
 
 def test_a_view_is_written_as_it_is_read_and_beside_those_before(tmp_path: Path) -> None:

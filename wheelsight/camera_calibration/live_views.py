@@ -52,8 +52,7 @@ class ViewTaker:
         size = self._lens.width, self._lens.height
         return advise(self.seen, self._board, size, self._settings.coach, self._lens)
 
-    @property
-    def is_enough(self) -> bool:
+    def has_enough(self) -> bool:
         """Whether nothing is missing, and as many views came since `ask_more` as were asked for."""
         return len(self.seen) >= self._more and not self.advice.missing
 

@@ -104,7 +104,7 @@ def _take_views(
 
     with _shown() as show:
         while not is_over():
-            if taker.is_enough:
+            if taker.has_enough():
                 return _Why.ENOUGH
             live = _newest(camera)
             if live is None:

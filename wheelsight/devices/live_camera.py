@@ -136,3 +136,8 @@ class HasGyro(Protocol):
 
     def take_angular_velocities(self) -> Sequence[AngularVelocity]:
         """Readings since the last call, at growing stamps of the host's clock; waits for none."""
+
+
+def take_angular_velocities(camera: object) -> Sequence[AngularVelocity]:
+    """Of a camera that may be none with a gyroscope; nothing then."""
+    return camera.take_angular_velocities() if isinstance(camera, HasGyro) else ()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from wheelsight.devices.camera_watch import CameraWatch
 from wheelsight.devices.link import LinkReport, WheelLink
-from wheelsight.devices.live_camera import CameraReport, CameraStatus, HasGyro, LiveCamera
+from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveCamera, take_angular_velocities
 from wheelsight.devices.recorder import LiveRecorder, RecorderReport
 from wheelsight.errors import OutputError
 from wheelsight.files import StrPath, output_error
@@ -148,7 +148,7 @@ class RecordingSession:
         """The thread: frames as they come."""
         while self._camera is not None and not self._is_over.is_set():
             live = self._camera.read(_LONGEST_WAIT_S)
-            for turn in self._camera.take_angular_velocities() if isinstance(self._camera, HasGyro) else ():
+            for turn in take_angular_velocities(self._camera):
                 self._recorder.add_reading(turn)
             if live is not None:
                 self._recorder.add_frame(live)

@@ -9,7 +9,13 @@ from dataclasses import dataclass, replace
 from wheelsight.calibration import Calibration
 from wheelsight.devices import WheelLink, host_clock
 from wheelsight.devices.camera_watch import CameraWatch
-from wheelsight.devices.live_camera import CameraReport, CameraStatus, HasGyro, LiveCamera, LiveFrame
+from wheelsight.devices.live_camera import (
+    CameraReport,
+    CameraStatus,
+    LiveCamera,
+    LiveFrame,
+    take_angular_velocities,
+)
 from wheelsight.devices.recorder import LiveRecorder
 from wheelsight.errors import ConfigError
 from wheelsight.events import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
@@ -210,9 +216,7 @@ class LiveSource:
 
     def _rates(self) -> list[YawRate]:
         """All that the camera's gyroscope told; nothing where it is not known how the camera sits."""
-        if not isinstance(self._sensors.camera, HasGyro):
-            return []
-        turns, mount = self._sensors.camera.take_angular_velocities(), self._sensors.calibration.T_base_camera
+        turns, mount = take_angular_velocities(self._sensors.camera), self._sensors.calibration.T_base_camera
         for turn in turns:
             self._keep(turn)
         return [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
