@@ -18,8 +18,7 @@ def base(
 ) -> None:
     """Find where the camera sits on the robot and how late the wheels' stamps are, from an ordinary drive.
 
-    Roll, pitch and height come from the floor seen in depth.
-    Yaw, x, y and the delay come from the motions of wheels and camera.
+    Roll, pitch and height come from the floor seen in depth; yaw, x, y and the delay from the motions of both sensors.
     FILE gets T_base_camera and the wheels' delay; of wheels it keeps what --calibration, or FILE itself, told.
     A drive that hides some is refused, and what to drive is said: a minute or two, straight and with turns both ways.
     Of --config the section extrinsics counts.
@@ -43,8 +42,8 @@ def base(
     with FrameProgress("watching", source.frame_count) as progress:
         found = calibrate_base(source, progress.advance, settings.extrinsics)
     parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}
-    told = f"mount found on {source.name}"
-    written = save_found(parts, kept, source.calibration, told, out, measured_mount(found))
+    measured = f"mount found on {source.name}", out, measured_mount(found)
+    written = save_found(parts, kept, source.calibration, *measured)
     if page is not None:
         write_base_page(found, page)
     print_mount(found, written, page)
