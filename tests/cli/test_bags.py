@@ -11,6 +11,7 @@ from typer.testing import Result
 from written_bags import COLOR, DEPTH, camera_drive, circle, odometry_drive, robot_drive, write_bag
 
 from wheelsight.calibration import Calibration, Wheels, save_calibration
+from wheelsight.recordings import open_recording
 from wheelsight.trajectory import read_tum
 
 Command = Callable[..., Result]
@@ -91,3 +92,17 @@ def test_other_commands_take_topics_too(
     result = wheelsight(*(given.get(word, word) for word in words), *ROLE)
     assert result.exit_code == 2, result.output
     assert "--topic wheels=/nowhere: robot.bag has no messages of it" in result.stderr
+
+
+def test_a_bag_is_recorded_as_a_camera_is_by_the_topics_that_are_named(wheelsight: Command, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "film", camera_drive())
+    words = ("record", "--camera", f"recording:{bag}", "--out", tmp_path / "out")
+    nowhere = wheelsight(*words, "--topic", "color=/nowhere")
+    assert nowhere.exit_code == 2
+    assert "--topic color=/nowhere" in nowhere.stderr
+    result = wheelsight(*words, "--topic", f"color={COLOR}", "--topic", f"depth={DEPTH}", "--seconds", 5)
+    assert result.exit_code == 0, result.output
+    assert open_recording(tmp_path / "out").frame_count >= 3
+    refused = wheelsight("record", "--camera", "realsense", "--topic", "gyro=none", "--out", tmp_path / "other")
+    assert refused.exit_code == 2
+    assert "--topic is of a bag" in refused.stderr

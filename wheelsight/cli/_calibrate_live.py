@@ -102,7 +102,7 @@ def _take_views(
     """Until nothing is missing, the camera has ended, or it is over; each view is on the disk once it is told."""
     from wheelsight.camera_calibration.live_views import save_view
 
-    with _shown() as show:
+    with _shown() as (show, tell):
         while not is_over():
             if taker.has_enough():
                 return _Why.ENOUGH
@@ -117,7 +117,7 @@ def _take_views(
                 show(f"{len(taker.seen)} views · {taker.advice} · {reason}")
                 continue
             name = save_view(folder, live.frame, live.infrared, depth_factor)
-            print_note(f"view {name} taken; {taker.advice}")
+            tell(f"view {name} taken; {taker.advice}")
     return _Why.STOPPED
 
 
@@ -136,14 +136,14 @@ def _has_ended(camera: LiveCamera) -> bool:
 
 
 @contextmanager
-def _shown() -> Iterator[Callable[[str], None]]:
-    """Says how it is just now, where a terminal watches."""
+def _shown() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
+    """What says how it is just now, where a terminal watches, and what says a thing that stays, above that."""
     stderr = console(stderr=True)
     if not stderr.is_terminal:
-        yield lambda _: None
+        yield lambda _: None, print_note
         return
     with stderr.status("") as line:
-        yield lambda text: line.update(text[: stderr.width - 2])
+        yield lambda text: line.update(text[: stderr.width - 2]), stderr.print
 
 
 def _counted(views: int) -> str:
