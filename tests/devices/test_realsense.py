@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from devices.oni_files import MAY_BE_MISSING
 
-from wheelsight.devices.camera_driver import DeviceImages
+from wheelsight.devices.camera_driver import DeviceImages, GyroDriver
 from wheelsight.devices.cameras import open_live_camera
 from wheelsight.devices.live_camera import CameraStatus, LiveFrame
 from wheelsight.devices.realsense import RealSenseDriver
@@ -119,24 +119,36 @@ def motion(x: float, y: float, z: float) -> Any:
 def test_a_gyroscope_is_read_about_the_depth_cameras_axes_by_the_clock_of_frames() -> None:
     soft = SoftCamera()
     soft.add_gyro()
-    with opened(soft) as camera:
-        feeding = soft.stream(range(20))
-        frames = [read(camera)]
-        for number in range(40):
-            soft.turn(number, 0.1, 0.2, 0.3 + number / 100)
-            time.sleep(0.005)
-        frames += [read(camera) for _ in range(19)]
-        feeding.join()
-        turns = camera.take_angular_velocities()
-        assert camera.take_angular_velocities() == []
-    assert len(turns) >= 30
-    first = round(100 * (turns[0].z_rad_s - 0.3))
-    for number, turn in enumerate(turns, first):
+    driver = RealSenseDriver(None, SETTINGS, lambda: [soft.device])
+    assert isinstance(driver, GyroDriver)
+    driver.open()
+    soft.give(0)
+    for number in range(20):
+        soft.turn(number, 0.1, 0.2, 0.3 + number / 100)
+    images, turns = driver.read(5.0), driver.take_angular_velocities()
+    ends_s = time.monotonic() + 10
+    while len(turns) < 20:
+        assert time.monotonic() < ends_s
+        turns += driver.take_angular_velocities()
+    driver.close()
+    assert images is not None
+    assert images.color_s == 5.0
+    assert [turn.device_s for turn in turns] == pytest.approx([5 + number / 200 for number in range(20)])
+    for number, turn in enumerate(turns):
         assert (turn.x_rad_s, turn.y_rad_s, turn.z_rad_s) == pytest.approx((-0.2, 0.1, 0.3 + number / 100), abs=1e-6)
-    stamps_s = np.array([turn.stamp_s for turn in turns])
-    assert (np.diff(stamps_s) > 0).all()
-    # Frame 0 and reading 0 are of the same moment of the device's clock.
-    assert stamps_s[0] - first * 0.005 == pytest.approx(frames[0].frame.stamp_s, abs=0.02)
+    assert driver.take_angular_velocities() == []
+
+
+def test_frames_and_readings_of_a_gyroscope_push_each_other_out_of_no_queue() -> None:
+    soft = SoftCamera()
+    soft.add_gyro()
+    with opened(soft) as camera:
+        feeding = soft.stream(range(10))
+        for number in range(100):
+            soft.turn(number, 0.0, 0.0, 1.0)
+        assert [read(camera).sequence for _ in range(10)] == list(range(10))
+        feeding.join()
+        assert camera.take_angular_velocities()
 
 
 def test_a_gyroscope_that_is_not_wanted_or_not_there_tells_nothing() -> None:
