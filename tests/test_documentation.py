@@ -81,6 +81,7 @@ NOT_WITH_STAND_INS = {
     "wheelsight devices": "tells of this machine; tests/cli/test_devices.py",
     "wheelsight calibrate camera --camera any": "a minute of views; tests/cli/test_calibrate_camera.py draws them",
     "wheelsight run calibration_drive --odometry dense": "half a minute; the truth stands for its trajectory",
+    "wheelsight calibrate base ": "ten seconds; that of docs/base-calibration.md is run",
     "wheelsight run --live ": "rehearses for half a minute; tests/cli/test_run_live.py",
     "wheelsight map ": "of the map that it leaves; tests/cli/test_maps.py",
     "wheelsight drive ": "needs a map of where the camera is; tests/cli/test_drive.py",
@@ -218,7 +219,6 @@ def test_the_tutorial_of_ones_own_robot_works_with_stand_ins(
     found = load_calibration("robot.yaml")
     assert found.wheels is not None
     assert found.wheels.track_width_m != 0.58
-    assert found.T_base_camera is not None
 
 
 def type_in(command: str, recordings: Path) -> None:
